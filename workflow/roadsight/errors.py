@@ -1,0 +1,44 @@
+"""One clear message for bad input."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class InputError(Exception):
+    """Bad input, told in one message: where, what was found, what is allowed, what to do next.
+
+    Parameters
+    ----------
+    problem : what is wrong, one sentence.
+    where : site, file or field that holds the value.
+    found : the value found.
+    allowed : what would have been accepted.
+    hint : what to do next.
+    """
+
+    def __init__(
+        self,
+        problem: str,
+        *,
+        where: str = "",
+        found: object = None,
+        allowed: object = None,
+        hint: str = "",
+    ) -> None:
+        parts = [f"{where}: {problem}" if where else problem]
+        if found is not None:
+            parts.append(f"found {found}")
+        if allowed is not None:
+            parts.append(f"allowed: {allowed}")
+        if hint:
+            parts.append(hint)
+        super().__init__("; ".join(part.rstrip(".; ") for part in parts) + ".")
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """Hint that names the valid word closest to ``name``, or lists them all."""
+    valid = sorted(valid)
+    close = difflib.get_close_matches(name, valid, n=1, cutoff=0.5)
+    return f"did you mean {close[0]!r}?" if close else f"valid names: {', '.join(valid)}"

@@ -1,0 +1,1 @@
+"""Frames, CRS and units, rotations, rays; conventions stated once."""

@@ -1,0 +1,1 @@
+"""Candidates, sensors, virtual LiDAR, targets, detection, set cover, obstacles."""

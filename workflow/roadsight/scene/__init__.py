@@ -1,0 +1,1 @@
+"""Ground, DEM, pavement, road edges, surfels: pure functions on arrays."""
