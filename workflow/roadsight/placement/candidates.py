@@ -1,0 +1,155 @@
+"""Candidate sensor positions along road edges and their free heights (paper 1, section 2.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from shapely import MultiPolygon
+
+_FLOATS = NDArray[np.float64]
+
+# Half of a position's plan cells must be covered before what hangs above it counts as a roof.
+_ROOF_SHARE = 0.6
+_ROOF_CELLS = 4
+
+
+@dataclass(frozen=True)
+class HeightSettings:
+    """Settings of candidate heights.
+
+    Parameters
+    ----------
+    height_min_m, height_max_m : lowest and highest height above ground.
+    height_step_m : vertical spacing.
+    search_radius_m : points within this plan distance obstruct a position.
+    gap_factor : a gap between points is free when it is wider than this many steps; at least 2.
+    """
+
+    height_min_m: float = 4.0
+    height_max_m: float = 10.0
+    height_step_m: float = 0.5
+    search_radius_m: float = 0.5
+    gap_factor: float = 2.0
+
+
+def free_heights_m(point_heights_m: _FLOATS, settings: HeightSettings) -> _FLOATS:
+    """Heights above ground at which a sensor fits between the points around a position.
+
+    The paper's cases i to iv are one rule on the sorted heights of the points. The space below the
+    lowest point (cases iii, iv) and between two points (all cases) is free when it is wider than
+    ``gap_factor`` steps; the first height then stands half a step above the lower point (or above
+    the lowest allowed height). Above the highest point (cases ii, iii) heights start half a step
+    above it. Without points all heights are free (step iv).
+
+    Parameters
+    ----------
+    point_heights_m : (n,) heights above ground, any order.
+
+    Returns
+    -------
+    (k,) increasing heights within the allowed range.
+    """
+    low, high, step = settings.height_min_m, settings.height_max_m, settings.height_step_m
+    heights = np.sort(np.asarray(point_heights_m, np.float64))
+    if len(heights) == 0:
+        return _steps(low, high, step)
+    free: list[_FLOATS] = []
+    if heights[0] > low:
+        heights = np.append(low, heights)
+    for below, above in zip(heights[:-1], heights[1:], strict=True):
+        if above - below > settings.gap_factor * step:
+            start = max(below + step / 2, low)
+            free.append(_steps(start, min(above - step / 2, high), step))
+    if heights[-1] < high:
+        free.append(_steps(max(heights[-1] + step / 2, low), high, step))
+    return np.concatenate(free) if free else np.empty(0)
+
+
+def _steps(start: float, stop: float, step: float) -> _FLOATS:
+    """Values from ``start`` to ``stop`` inclusive; empty if the range is."""
+    return start + step * np.arange(max(0, np.floor((stop - start) / step + 1e-9) + 1))
+
+
+def roof_height_m(offsets_m: _FLOATS, point_heights_m: _FLOATS, settings: HeightSettings) -> float:
+    """Height of a roof above a position, infinite if there is none.
+
+    A tunnel or bridge leaves free space above its ceiling, as far as the scanner can tell; a sensor
+    there would hang in rock. Points above the lowest allowed height that cover most of the plan
+    around the position are a roof.
+
+    Parameters
+    ----------
+    offsets_m : (n, 2) plan offsets from the position. point_heights_m : (n,) above ground.
+    """
+    above = point_heights_m > settings.height_min_m
+    if not above.any():
+        return np.inf
+    radius = settings.search_radius_m
+    cell = np.floor((offsets_m[above] + radius) / (2 * radius) * _ROOF_CELLS).astype(int)
+    covered = np.unique(np.clip(cell, 0, _ROOF_CELLS - 1), axis=0)
+    if len(covered) < _ROOF_SHARE * _ROOF_CELLS**2 * np.pi / 4:
+        return np.inf
+    return float(np.percentile(point_heights_m[above], 5))
+
+
+def facing_deg(
+    xy_m: _FLOATS, direction: _FLOATS, pavement: MultiPolygon, reach_m: float = 3.0
+) -> _FLOATS:
+    """Angle of the edge's normal that points to the pavement, counter-clockwise from local x.
+
+    Where both sides or neither side are pavement (medians, digitised lines off the road), the left
+    side of the edge is taken.
+
+    Parameters
+    ----------
+    xy_m : (n, 2); direction : (n, 2) unit tangents.
+    """
+    left = np.column_stack([-direction[:, 1], direction[:, 0]])
+    on_left, on_right = (
+        shapely.contains_xy(pavement, *(xy_m + sign * reach_m * left).T) for sign in (1, -1)
+    )
+    normal = np.where((on_right & ~on_left)[:, None], -left, left)
+    return np.degrees(np.arctan2(normal[:, 1], normal[:, 0]))
+
+
+def stack_candidates(
+    positions: pd.DataFrame,
+    obstacles_xyz_m: _FLOATS,
+    obstacle_heights_m: _FLOATS,
+    settings: HeightSettings,
+) -> pd.DataFrame:
+    """Candidates at every free height of every position.
+
+    Parameters
+    ----------
+    positions : columns key (str, stable name of the position), x, y, ground_z_m, yaw_deg, edge,
+        station_m, mount.
+    obstacles_xyz_m : (n, 3) all points of the scene near the edges, local metres.
+    obstacle_heights_m : (n,) their heights above ground.
+
+    Returns
+    -------
+    the columns of ``positions`` and candidate (str), z, height_m; NaN ground drops a position.
+    """
+    positions = positions[np.isfinite(positions["ground_z_m"])].reset_index(drop=True)
+    tree = cKDTree(obstacles_xyz_m[:, :2])
+    xy = positions[["x", "y"]].to_numpy()
+    near = tree.query_ball_point(xy, settings.search_radius_m, return_sorted=True)
+    rows, heights = [], []
+    for row, index in enumerate(near):
+        point_heights = obstacle_heights_m[index]
+        offsets = obstacles_xyz_m[index][:, :2] - xy[row]
+        free = free_heights_m(point_heights, settings)
+        free = free[free < roof_height_m(offsets, point_heights, settings)]
+        rows += [row] * len(free)
+        heights.append(free)
+    stacked = positions.iloc[rows].reset_index(drop=True)
+    stacked["height_m"] = np.concatenate(heights) if heights else np.empty(0)
+    stacked["z"] = stacked["ground_z_m"] + stacked["height_m"]
+    stacked["candidate"] = stacked["key"] + stacked["height_m"].map("-h{:05.2f}".format)
+    return stacked

@@ -1,0 +1,71 @@
+"""Neighbourhoods and oriented normals of ground points."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+
+def nearest_neighbours(
+    xyz_m: NDArray[np.float64], k: int, max_distance_m: float = np.inf
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Distances and indices of the ``k`` nearest other points.
+
+    A point with fewer than ``k`` others (within reach) has index -1 and infinite distance there.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres.
+
+    Returns
+    -------
+    distance_m, index : (n, k), nearest first; the point itself is left out.
+    """
+    n = len(xyz_m)
+    if n == 0:
+        return np.empty((0, k)), np.empty((0, k), np.int64)
+    reach = cKDTree(xyz_m).query(xyz_m, k=min(k + 1, n), distance_upper_bound=max_distance_m)
+    distance, index = (np.asarray(part).reshape(n, -1) for part in reach)
+    own = index == np.arange(n)[:, None]
+    # Among exact duplicates a point may not be its own nearest: then the last neighbour makes room.
+    own[~own.any(axis=1), -1] = True
+    distance, index = (part[~own].reshape(n, -1) for part in (distance, index))
+    short = ((0, 0), (0, k - index.shape[1]))
+    distance = np.pad(distance, short, constant_values=np.inf)
+    index = np.pad(index, short, constant_values=-1)
+    return distance, np.where(np.isfinite(distance), index, -1)
+
+
+def upward_normals(
+    xyz_m: NDArray[np.float64], neighbours: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit normals that point up, and surface variation, by principal components.
+
+    The covariance is formed around each neighbourhood's own centroid, so large coordinates lose
+    nothing. A point with fewer than two neighbours, or whose neighbourhood is a line, has no plane:
+    its normal is NaN and its variation is NaN, so that it cannot pass for flat road.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres.
+    neighbours : (n, k) indices, -1 where missing.
+
+    Returns
+    -------
+    normals : (n, 3); variation : (n,) smallest eigenvalue over the sum, 0 (plane) to 1/3.
+    """
+    group = np.concatenate([np.arange(len(xyz_m))[:, None], neighbours], axis=1)
+    present = (group >= 0)[..., None]
+    points = np.where(present, xyz_m[group], 0.0)
+    count = present.sum(axis=1)
+    points = np.where(present, points - (points.sum(axis=1) / count)[:, None], 0.0)
+    covariance = np.einsum("nki,nkj->nij", points, points) / count[..., None]
+    values, vectors = np.linalg.eigh(covariance)
+    normals = vectors[:, :, 0] * np.where(vectors[:, 2, 0] < 0, -1.0, 1.0)[:, None]
+    total = values.sum(axis=1)
+    planar = values[:, 1] > 1e-6 * np.maximum(total, 1e-12)
+    normals = np.where(planar[:, None], normals, np.nan)
+    variation = np.full(len(xyz_m), np.nan)
+    np.divide(np.maximum(values[:, 0], 0.0), total, out=variation, where=planar)
+    return normals, variation

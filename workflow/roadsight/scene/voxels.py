@@ -1,0 +1,35 @@
+"""Down-sampling on a grid anchored at the local origin."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.scene.grids import Grid
+
+
+def column_means(
+    xyz_m: NDArray[np.float64], values: NDArray[np.float64], size_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Centroid and mean values of each occupied grid column, row by row from the south-west.
+
+    Ground is single-valued in plan, so it is thinned by columns and not by cubes: a sloping road
+    crosses the horizontal faces of cubes, which doubles its points there and makes bands of false
+    roughness (see ``docs/decisions/003-columns-not-cubes.md``).
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres. values : (n, v). size_m : side of a column.
+
+    Returns
+    -------
+    centroids (m, 3), means (m, v), counts (m,).
+    """
+    columns = np.column_stack([xyz_m, values])
+    if len(columns) == 0:
+        return columns[:, :3], columns[:, 3:], np.empty(0, np.int64)
+    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], size_m)
+    cells = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+    _, inverse, count = np.unique(cells, return_inverse=True, return_counts=True)
+    means = np.stack([np.bincount(inverse, c) for c in columns.T], axis=1) / count[:, None]
+    return means[:, :3], means[:, 3:], count
