@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import pandas as pd
@@ -61,7 +62,7 @@ def free_heights_m(point_heights_m: _FLOATS, settings: HeightSettings) -> _FLOAT
     free: list[_FLOATS] = []
     if heights[0] > low:
         heights = np.append(low, heights)
-    for below, above in zip(heights[:-1], heights[1:], strict=True):
+    for below, above in pairwise(heights):
         if above - below > settings.gap_factor * step:
             start = max(below + step / 2, low)
             free.append(_steps(start, min(above - step / 2, high), step))

@@ -1,4 +1,4 @@
-"""Road edges: splines through digitised points, or the pavement's outline (paper 1, section 2.3)."""
+"""Road edges: splines through digitised points, or the pavement outline (paper 1, section 2.3)."""
 
 from __future__ import annotations
 

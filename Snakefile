@@ -1,0 +1,35 @@
+"""roadsight: roadside LiDAR placement and pole mapping on one road scene."""
+
+configfile: "config/config.yaml"
+
+
+include: "workflow/rules/common.smk"
+include: "workflow/rules/scene.smk"
+include: "workflow/rules/placement.smk"
+include: "workflow/rules/report.smk"
+
+
+rule all:
+    input:
+        "results/report.html",
+        summaries(),
+    localrule: True
+    default_target: True
+
+
+rule scene:
+    input:
+        scene_results(),
+    localrule: True
+
+
+rule placement:
+    input:
+        placement_results(),
+    localrule: True
+
+
+rule report:
+    input:
+        "results/report.html",
+    localrule: True

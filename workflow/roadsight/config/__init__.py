@@ -1,0 +1,1 @@
+"""Settings: one closed schema, from which the commented default file is generated."""

@@ -1,0 +1,111 @@
+"""Loading and resolving: defaults, then config.yaml, then the site file."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from roadsight.config.plans import Plan, load_plans
+from roadsight.config.schema import Config, Settings
+from roadsight.config.sites import Site
+from roadsight.config.validate import validated
+from roadsight.errors import InputError
+from roadsight.io.texts import read_yaml
+
+SITES = Path("config/sites")
+
+
+@dataclass(frozen=True)
+class ResolvedSite:
+    """A site with its final settings and paths.
+
+    Parameters
+    ----------
+    site : the site file's content. settings : all settings, the site's overrides applied.
+    file : where it was read. clouds : the cloud files. plans : the plans to solve, by name.
+    """
+
+    site: Site
+    settings: Settings
+    file: Path
+    clouds: list[str]
+    plans: dict[str, Plan]
+
+    def setting(self, path: str) -> Any:
+        """Value of a dotted setting such as ``ground.slope``."""
+        value: Any = self.settings
+        for part in path.split("."):
+            value = getattr(value, part)
+        return value
+
+    def beside(self, path: str | None) -> str | None:
+        """Path of a file that the site file names, relative to it, with variables replaced."""
+        return None if path is None else str(_located(path, self.file))
+
+
+def load_config(content: dict[str, Any], where: str = "config/config.yaml") -> Config:
+    """Check the merged configuration."""
+    return validated(Config, content, where)
+
+
+def load_site(name: str, config: Config) -> ResolvedSite:
+    """Read a site by name (``config/sites/<name>.yaml``) or by the path of its file.
+
+    Raises
+    ------
+    InputError : no such site, or anything wrong in its file, the plans or the sensors.
+    """
+    file = Path(name) if name.endswith((".yaml", ".yml")) else SITES / f"{name}.yaml"
+    if not file.is_file():
+        known = sorted(path.stem for path in SITES.glob("*.yaml"))
+        raise InputError(
+            f"no site file {file}",
+            where=f"site {name}",
+            allowed=", ".join(known) or None,
+            hint="write one with 'roadsight init CLOUD'",
+        )
+    site = validated(Site, read_yaml(file), str(file))
+    base = config.model_dump(exclude={"sites", "sensors_file", "plans_file"})
+    settings = validated(Settings, _merged(base, site.settings), f"{file}: settings")
+    plans = load_plans(config.plans_file, config.sensors_file)
+    chosen = site.placement.plans if site.placement.plans is not None else list(plans)
+    _check_plans(chosen, plans, str(file))
+    clouds = [str(_located(cloud, file)) for cloud in site.clouds]
+    return ResolvedSite(site, settings, file, clouds, {name: plans[name] for name in chosen})
+
+
+def _check_plans(chosen: list[str], plans: dict[str, Plan], where: str) -> None:
+    if not chosen:
+        raise InputError("placement.plans is empty", where=where, allowed=", ".join(plans))
+    for name in chosen:
+        if name not in plans:
+            raise InputError(
+                f"unknown plan {name!r} in placement.plans", where=where, allowed=", ".join(plans)
+            )
+
+
+def _merged(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in override.items():
+        both = isinstance(value, dict) and isinstance(base.get(key), dict)
+        merged[key] = _merged(base[key], value) if both else value
+    return merged
+
+
+def _located(path: str, file: Path) -> Path:
+    """Absolute as given; relative to the site file; ``${VARIABLE}`` from the environment."""
+
+    def value(match: re.Match[str]) -> str:
+        if match[1] not in os.environ:
+            raise InputError(
+                f"environment variable {match[1]} is not set",
+                where=f"{file}: {path}",
+                hint=f"export {match[1]}=<folder> and run again",
+            )
+        return os.environ[match[1]]
+
+    found = Path(re.sub(r"\$\{(\w+)\}", value, path))
+    return found if found.is_absolute() else Path(os.path.normpath(file.parent / found))

@@ -1,0 +1,43 @@
+"""Deployment plans: which sensors may be placed together (paper 1, section 3.2)."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from roadsight.config.schema import Section
+from roadsight.config.validate import validated
+from roadsight.errors import InputError, nearest
+from roadsight.io.texts import read_yaml
+
+
+class Plan(Section):
+    """One deployment plan."""
+
+    title: str = Field(description="name for people")
+    sensors: list[str] = Field(min_length=1, description="names of sensors that may be placed")
+
+
+class Plans(Section):
+    """The whole of ``config/plans.yaml``."""
+
+    plans: dict[str, Plan] = Field(min_length=1, description="plans by name")
+
+
+def load_plans(plans_file: str, sensors_file: str) -> dict[str, Plan]:
+    """Read the plans and check that their sensors exist.
+
+    Raises
+    ------
+    InputError : an unknown sensor, a plan without sensors, or a malformed file.
+    """
+    plans = validated(Plans, read_yaml(plans_file), plans_file).plans
+    known = list((read_yaml(sensors_file) or {}).get("sensors", {}))
+    for name, plan in plans.items():
+        for sensor in plan.sensors:
+            if sensor not in known:
+                raise InputError(
+                    f"plan {name!r} names the unknown sensor {sensor!r}",
+                    where=plans_file,
+                    hint=f"{nearest(sensor, known)} (sensors are defined in {sensors_file})",
+                )
+    return plans

@@ -1,0 +1,44 @@
+"""Source files behind a stage, found by walking its imports without importing anything."""
+
+from __future__ import annotations
+
+import ast
+import os
+from functools import lru_cache
+from pathlib import Path
+
+_PACKAGE_ROOT = Path(__file__).resolve().parents[2]
+
+
+def stage_sources(stage: str) -> list[str]:
+    """First-party files that ``roadsight.stages.<stage>`` pulls in, relative to the work folder."""
+    found: dict[str, Path] = {}
+    todo = [f"roadsight.stages.{stage}"]
+    while todo:
+        module = todo.pop()
+        path = _file(module)
+        if path is None or module in found:
+            continue
+        found[module] = path
+        todo += _imports(path)
+        if "." in module:
+            todo.append(module.rpartition(".")[0])
+    return sorted(os.path.relpath(path) for path in found.values())
+
+
+def _file(module: str) -> Path | None:
+    base = _PACKAGE_ROOT.joinpath(*module.split("."))
+    path = base / "__init__.py" if base.is_dir() else base.with_suffix(".py")
+    return path if path.exists() else None
+
+
+@lru_cache(maxsize=None)
+def _imports(path: Path) -> list[str]:
+    """Names that a file imports, anywhere in it; ``from a import b`` may name a module a.b."""
+    names = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return [name for name in names if name.partition(".")[0] == "roadsight"]

@@ -1,0 +1,285 @@
+"""Helpers for the rule files: resolved settings, stage sources, and what each site asks for."""
+
+import os
+import sys
+from functools import lru_cache
+from pathlib import Path
+
+from roadsight.config.load import load_config, load_site
+from roadsight.errors import InputError
+from roadsight.io.checksums import CachedChecksums
+from roadsight.io.sources import stage_sources
+from roadsight.placement.sensors import load_sensors
+
+# Stages run with the interpreter that runs Snakemake, whether or not its environment is active.
+os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+# Kernels are single-threaded by design; shards are what runs in parallel.
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+LOCK = "envs/requirements.lock"
+ENVIRONMENT = "../../envs/roadsight.yaml"
+
+
+def clearly(function, *arguments):
+    """Call; bad input ends the run with its one message and nothing else."""
+    try:
+        return function(*arguments)
+    except InputError as error:
+        sys.stderr.write(f"roadsight: {error}\n")
+        sys.stderr.flush()
+        os._exit(2)
+
+
+CONFIG = clearly(load_config, config)
+SITES = {
+    resolved.site.site: resolved
+    for resolved in (clearly(load_site, name, CONFIG) for name in CONFIG.sites)
+}
+SENSORS = clearly(load_sensors, CONFIG.sensors_file)
+CHECKSUMS = CachedChecksums(".snakemake/roadsight/checksums.json")
+
+
+wildcard_constraints:
+    site="|".join(map(re.escape, SITES)),
+    plan=r"[a-z0-9_-]+",
+    sensor=r"[A-Za-z0-9_.-]+",
+    round=r"\d+",
+    shard=r"\d+",
+
+
+def setting(path):
+    """Value of a setting at the wildcards' site."""
+    return lambda wildcards: SITES[wildcards.site].setting(path)
+
+
+def site_field(path):
+    """Value of a site file's field."""
+
+    def value(wildcards):
+        content = SITES[wildcards.site].site
+        for part in path.split("."):
+            content = getattr(content, part)
+        return "" if content is None else content
+
+    return value
+
+
+@lru_cache(maxsize=None)
+def sources(stage):
+    """Source files that a stage imports, and the lock: editing one of them makes it stale."""
+    return [*stage_sources(stage), LOCK]
+
+
+def log_of(stage, *wildcards):
+    return "/".join(["logs/{site}", *wildcards, f"{stage}.log"])
+
+
+def benchmark_of(stage, *wildcards):
+    return "/".join(["results/{site}/benchmarks", *wildcards, f"{stage}.tsv"])
+
+
+def cloud_files(wildcards):
+    """The site's clouds: the user's files, which only their content can make stale."""
+    resolved = SITES[wildcards.site]
+    if resolved.site.sample:
+        return [f"results/{wildcards.site}/sample/cloud.laz"]
+    missing = [file for file in resolved.clouds if not Path(file).is_file()]
+    for file in missing:
+        clearly(refuse_missing, resolved, file)
+    return ancient(resolved.clouds)
+
+
+def refuse_missing(resolved, file):
+    raise InputError("no such cloud", where=f"{resolved.file}: clouds", found=file)
+
+
+def cloud_checksums(wildcards):
+    """SHA-256 of each cloud, cached by path, size and date."""
+    resolved = SITES[wildcards.site]
+    return [] if resolved.site.sample else [CHECKSUMS.of(file) for file in resolved.clouds]
+
+
+def beside_site(path):
+    """Optional file that the site file names, as a list of inputs."""
+
+    def files(wildcards):
+        content = SITES[wildcards.site].site
+        for part in path.split("."):
+            content = getattr(content, part)
+        found = SITES[wildcards.site].beside(content)
+        return [] if found is None else [found]
+
+    return files
+
+
+def megabytes(per_million_points, base=600):
+    """Memory for a stage that holds the cloud: calibrated on benchmark files, doubled on retry."""
+
+    def mem_mb(wildcards, input, attempt):
+        size = getattr(input, "cloud", None)
+        points = os.path.getsize(size) / 9 / 1e6 if size and os.path.exists(size) else 4
+        return int((base + per_million_points * points) * attempt)
+
+    return mem_mb
+
+
+def wants(site, job):
+    return job in SITES[site].site.jobs
+
+
+def plans_of(site):
+    return SITES[site].plans
+
+
+def sensors_of(site):
+    """Sensors of all the site's plans, without repeats, in order of first use."""
+    return list(dict.fromkeys(s for plan in plans_of(site).values() for s in plan.sensors))
+
+
+def scene_results():
+    return [f"results/{site}/scene/pavement.gpkg" for site in SITES] + [
+        f"results/{site}/placement/edges.gpkg" for site in SITES
+    ]
+
+
+def placement_results():
+    return [
+        f"results/{site}/placement/{plan}/{file}"
+        for site in SITES
+        if wants(site, "placement")
+        for plan in plans_of(site)
+        for file in ("solution.json", "obstacles.gpkg", "scans.laz")
+    ]
+
+
+def summaries():
+    return [f"results/{site}/summary.json" for site in SITES]
+
+
+def edges_file(wildcards):
+    """Digitised edges: the site's file, or those that come with the generated sample."""
+    if SITES[wildcards.site].site.placement.edges == "sample":
+        return [f"results/{wildcards.site}/sample/edges.geojson"]
+    return beside_site("placement.edges")(wildcards)
+
+
+def pavement_truth(wildcards):
+    """Reference polygons for scoring: the site's file, or the generated sample's truth."""
+    if SITES[wildcards.site].site.sample:
+        return [f"results/{wildcards.site}/sample/truth.gpkg"]
+    return beside_site("truth.pavement")(wildcards)
+
+
+def sensor_definition(wildcards):
+    """Everything that the sensors file says of the rule's sensor."""
+    return SENSORS[wildcards.sensor].to_dict()
+
+
+def rounds_of(site):
+    """Numbers of the rounds: 0 is the regular spacing, each later one is denser near gaps."""
+    return range(SITES[site].setting("coverage.rounds") + 1)
+
+
+def shards_in(site, round_number):
+    settings = SITES[site].settings
+    return settings.shards if round_number == 0 else settings.coverage.shards
+
+
+def shard_count(wildcards):
+    return shards_in(wildcards.site, int(wildcards.round))
+
+
+def candidates_in(site, rounds):
+    return [f"results/{site}/placement/round-{number}/candidates.parquet" for number in rounds]
+
+
+def detections_in(site, rounds, sensors):
+    return [
+        f"results/{site}/placement/round-{number}/detection/{sensor}/{shard}.parquet"
+        for number in rounds
+        for sensor in sensors
+        for shard in range(shards_in(site, number))
+    ]
+
+
+def candidates_up_to_round(wildcards):
+    return candidates_in(wildcards.site, range(int(wildcards.round) + 1))
+
+
+def candidates_of_previous_rounds(wildcards):
+    return candidates_in(wildcards.site, range(int(wildcards.round)))
+
+
+def coverage_of_previous_round(wildcards):
+    return f"results/{wildcards.site}/placement/round-{int(wildcards.round) - 1}/coverage.json"
+
+
+def detections_up_to_round(wildcards):
+    rounds = range(int(wildcards.round) + 1)
+    return detections_in(wildcards.site, rounds, sensors_of(wildcards.site))
+
+
+def all_candidates(wildcards):
+    return candidates_in(wildcards.site, rounds_of(wildcards.site))
+
+
+def last_coverage(wildcards):
+    last = rounds_of(wildcards.site)[-1]
+    return f"results/{wildcards.site}/placement/round-{last}/coverage.json"
+
+
+def plan_detections(wildcards):
+    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
+    return detections_in(wildcards.site, rounds_of(wildcards.site), sensors)
+
+
+def plan_costs(wildcards):
+    """``name=cost`` of each sensor of the plan."""
+    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
+    return [f"{name}={SENSORS[name].cost:g}" for name in sensors]
+
+
+def plan_sensors(wildcards):
+    """``plan=sensor,sensor`` for each plan of the site."""
+    return [f"{name}={','.join(p.sensors)}" for name, p in plans_of(wildcards.site).items()]
+
+
+def placement_only(inputs):
+    """An input function that gives nothing where a site does not ask for placement."""
+    return lambda wildcards: inputs(wildcards) if wants(wildcards.site, "placement") else []
+
+
+def per_plan(file):
+    return lambda wildcards: [
+        f"results/{wildcards.site}/placement/{plan}/{file}" for plan in plans_of(wildcards.site)
+    ]
+
+
+plan_solutions = per_plan("solution.json")
+plan_obstacles = per_plan("obstacles.gpkg")
+plan_scans = per_plan("scans.laz")
+
+
+def plan_titles(wildcards):
+    return [f"{name}={plan.title}" for name, plan in plans_of(wildcards.site).items()]
+
+
+def site_targets(wildcards):
+    return f"results/{wildcards.site}/placement/targets.parquet"
+
+
+def all_detections(wildcards):
+    site = wildcards.site
+    return detections_in(site, rounds_of(site), sensors_of(site))
+
+
+def pavement_scores(wildcards):
+    """Scores against truth, where a site has truth."""
+    scored = pavement_truth(wildcards)
+    return [f"results/{wildcards.site}/scene/pavement_scores.json"] if scored else []
+
+
+def all_settings(wildcards):
+    """Every setting of the site as JSON, for the record."""
+    return SITES[wildcards.site].settings.model_dump_json()

@@ -1,0 +1,305 @@
+"""From a road to a proven optimal set of sensors.
+
+REQUIRED INPUTS  results/{site}/scene/* and placement/edges.gpkg
+OUTPUTS          results/{site}/placement/{plan}/: solution, obstacles, scans of the chosen sensors
+USUAL STEPS      candidates and targets, depth maps and detections by shard, coverage check, rounds
+                 of denser candidates near gaps, covering, obstacles, scans
+"""
+
+
+rule place_candidates:
+    input:
+        edges=rules.build_edges.output.edges,
+        pavement=rules.extract_pavement.output.pavement,
+        dem=rules.build_dem.output.dem,
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        code=sources("place_candidates"),
+    output:
+        candidates="results/{site}/placement/round-0/candidates.parquet",
+    params:
+        spacing_m=setting("candidates.spacing_m"),
+        height_min_m=setting("candidates.height_min_m"),
+        height_max_m=setting("candidates.height_max_m"),
+        height_step_m=setting("candidates.height_step_m"),
+        search_radius_m=setting("candidates.search_radius_m"),
+        gap_factor=setting("candidates.gap_factor"),
+    log:
+        log_of("place_candidates"),
+    benchmark:
+        benchmark_of("place_candidates")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(60),
+    shell:
+        "python -m roadsight.stages.place_candidates --site {wildcards.site}"
+        " --edges {input.edges} --pavement {input.pavement} --dem {input.dem}"
+        " --cloud {input.cloud} --frame {input.frame} --spacing-m {params.spacing_m}"
+        " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
+        " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
+        " --gap-factor {params.gap_factor} --out {output.candidates} > {log} 2>&1"
+
+
+rule place_targets:
+    input:
+        pavement=rules.extract_pavement.output.points,
+        code=sources("place_targets"),
+    output:
+        targets="results/{site}/placement/targets.parquet",
+    params:
+        cell_size_m=setting("targets.cell_size_m"),
+        min_points=setting("targets.min_points"),
+    log:
+        log_of("place_targets"),
+    benchmark:
+        benchmark_of("place_targets")
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.place_targets --pavement {input.pavement}"
+        " --cell-size-m {params.cell_size_m} --min-points {params.min_points}"
+        " --out {output.targets} > {log} 2>&1"
+
+
+rule build_surfels:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        profile=rules.profile_scene.output.profile,
+        code=sources("build_surfels"),
+    output:
+        surfels="results/{site}/scene/surfels.parquet",
+    params:
+        surfel_size_m=setting("lidar.surfel_size_m"),
+    log:
+        log_of("build_surfels"),
+    benchmark:
+        benchmark_of("build_surfels")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(200),
+    shell:
+        "python -m roadsight.stages.build_surfels --cloud {input.cloud} --profile {input.profile}"
+        " --surfel-size-m {params.surfel_size_m} --out {output.surfels} > {log} 2>&1"
+
+
+rule render_depth_maps:
+    input:
+        candidates="results/{site}/placement/round-{round}/candidates.parquet",
+        surfels=rules.build_surfels.output.surfels,
+        cloud=rules.ingest_cloud.output.cloud,
+        code=sources("render_depth_maps"),
+    output:
+        depth=ensure(
+            "results/{site}/placement/round-{round}/depth/{sensor}/{shard}.parquet",
+            non_empty=True,
+        ),
+    params:
+        sensor=sensor_definition,
+        sensors_file=CONFIG.sensors_file,
+        shards=shard_count,
+        model=setting("lidar.model"),
+        min_cell_points=setting("lidar.min_cell_points"),
+        neighbours=setting("lidar.neighbours"),
+    log:
+        log_of("render_depth_maps", "round-{round}", "{sensor}", "{shard}"),
+    benchmark:
+        benchmark_of("render_depth_maps", "round-{round}", "{sensor}", "{shard}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+    shell:
+        "python -m roadsight.stages.render_depth_maps --candidates {input.candidates}"
+        " --shard {wildcards.shard} --shards {params.shards}"
+        " --sensor {wildcards.sensor} --sensors {params.sensors_file} --model {params.model}"
+        " --surfels {input.surfels} --cloud {input.cloud}"
+        " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
+        " --out {output.depth} > {log} 2>&1"
+
+
+rule build_detection_shard:
+    input:
+        depth=rules.render_depth_maps.output.depth,
+        candidates="results/{site}/placement/round-{round}/candidates.parquet",
+        targets=rules.place_targets.output.targets,
+        code=sources("build_detection_shard"),
+    output:
+        detection=ensure(
+            "results/{site}/placement/round-{round}/detection/{sensor}/{shard}.parquet",
+            non_empty=True,
+        ),
+    params:
+        sensor=sensor_definition,
+        sensors_file=CONFIG.sensors_file,
+        radius_m=setting("targets.radius_m"),
+        height_m=setting("targets.height_m"),
+        min_beams=setting("targets.min_beams"),
+    log:
+        log_of("build_detection_shard", "round-{round}", "{sensor}", "{shard}"),
+    benchmark:
+        benchmark_of("build_detection_shard", "round-{round}", "{sensor}", "{shard}")
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.build_detection_shard --depth {input.depth}"
+        " --candidates {input.candidates} --targets {input.targets}"
+        " --sensor {wildcards.sensor} --sensors {params.sensors_file}"
+        " --radius-m {params.radius_m} --height-m {params.height_m}"
+        " --min-beams {params.min_beams} --out {output.detection} > {log} 2>&1"
+
+
+rule check_coverage:
+    input:
+        targets=rules.place_targets.output.targets,
+        candidates=candidates_up_to_round,
+        detections=detections_up_to_round,
+        code=sources("check_coverage"),
+    output:
+        coverage="results/{site}/placement/round-{round}/coverage.json",
+    params:
+        plans=plan_sensors,
+        radius_m=setting("coverage.radius_m"),
+    log:
+        log_of("check_coverage", "round-{round}"),
+    benchmark:
+        benchmark_of("check_coverage", "round-{round}")
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.check_coverage --targets {input.targets}"
+        " --candidates {input.candidates} --detections {input.detections}"
+        " --plans {params.plans:q} --radius-m {params.radius_m}"
+        " --out {output.coverage} > {log} 2>&1"
+
+
+rule densify_candidates:
+    input:
+        coverage=coverage_of_previous_round,
+        targets=rules.place_targets.output.targets,
+        candidates=candidates_of_previous_rounds,
+        edges=rules.build_edges.output.edges,
+        pavement=rules.extract_pavement.output.pavement,
+        dem=rules.build_dem.output.dem,
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        code=sources("densify_candidates"),
+    output:
+        candidates="results/{site}/placement/round-{round}/candidates.parquet",
+    params:
+        radius_m=setting("coverage.radius_m"),
+        spacing_m=setting("candidates.spacing_m"),
+        height_min_m=setting("candidates.height_min_m"),
+        height_max_m=setting("candidates.height_max_m"),
+        height_step_m=setting("candidates.height_step_m"),
+        search_radius_m=setting("candidates.search_radius_m"),
+        gap_factor=setting("candidates.gap_factor"),
+    wildcard_constraints:
+        round=r"[1-9]\d*",
+    log:
+        log_of("densify_candidates", "round-{round}"),
+    benchmark:
+        benchmark_of("densify_candidates", "round-{round}")
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.densify_candidates --site {wildcards.site}"
+        " --round {wildcards.round} --coverage {input.coverage} --targets {input.targets}"
+        " --candidates {input.candidates} --edges {input.edges} --pavement {input.pavement}"
+        " --dem {input.dem} --cloud {input.cloud} --frame {input.frame}"
+        " --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
+        " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
+        " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
+        " --gap-factor {params.gap_factor} --out {output.candidates} > {log} 2>&1"
+
+
+rule solve_cover:
+    input:
+        coverage=last_coverage,
+        targets=rules.place_targets.output.targets,
+        candidates=all_candidates,
+        detections=plan_detections,
+        frame=rules.ingest_cloud.output.frame,
+        code=sources("solve_cover"),
+    output:
+        solution="results/{site}/placement/{plan}/solution.json",
+        layers="results/{site}/placement/{plan}/solution.gpkg",
+    params:
+        sensors=plan_costs,
+        at_least=setting("cover.at_least"),
+        time_limit_s=setting("cover.time_limit_s"),
+        uncoverable=setting("coverage.uncoverable"),
+        seed=setting("seed"),
+    log:
+        log_of("solve_cover", "{plan}"),
+    benchmark:
+        benchmark_of("solve_cover", "{plan}")
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
+        " --coverage {input.coverage} --targets {input.targets} --candidates {input.candidates}"
+        " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
+        " --at-least {params.at_least} --time-limit-s {params.time_limit_s}"
+        " --uncoverable {params.uncoverable} --seed {params.seed}"
+        " --solution {output.solution} --layers {output.layers} > {log} 2>&1"
+
+
+rule find_obstacles:
+    input:
+        solution=rules.solve_cover.output.solution,
+        coverage=last_coverage,
+        targets=rules.place_targets.output.targets,
+        candidates=all_candidates,
+        cloud=rules.ingest_cloud.output.cloud,
+        surfels=rules.build_surfels.output.surfels,
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+        code=sources("find_obstacles"),
+    output:
+        obstacles="results/{site}/placement/{plan}/obstacles.gpkg",
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
+        height_m=setting("targets.height_m"),
+    log:
+        log_of("find_obstacles", "{plan}"),
+    benchmark:
+        benchmark_of("find_obstacles", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+    shell:
+        "python -m roadsight.stages.find_obstacles --solution {input.solution}"
+        " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
+        " --candidates {input.candidates} --cloud {input.cloud} --surfels {input.surfels}"
+        " --dem {input.dem} --frame {input.frame} --sensors {params.sensors_file}"
+        " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
+
+
+rule render_scans:
+    input:
+        solution=rules.solve_cover.output.solution,
+        candidates=all_candidates,
+        surfels=rules.build_surfels.output.surfels,
+        frame=rules.ingest_cloud.output.frame,
+        code=sources("render_scans"),
+    output:
+        scans="results/{site}/placement/{plan}/scans.laz",
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
+    log:
+        log_of("render_scans", "{plan}"),
+    benchmark:
+        benchmark_of("render_scans", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+    shell:
+        "python -m roadsight.stages.render_scans --solution {input.solution}"
+        " --candidates {input.candidates} --surfels {input.surfels} --frame {input.frame}"
+        " --sensors {params.sensors_file} --out {output.scans} > {log} 2>&1"

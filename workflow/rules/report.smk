@@ -1,0 +1,89 @@
+"""What people and checks read: a summary of each site and one report page.
+
+REQUIRED INPUTS  everything a site's jobs produced
+OUTPUTS          results/{site}/summary.json, results/report.html
+"""
+
+
+rule summarise_site:
+    input:
+        frame=rules.ingest_cloud.output.frame,
+        profile=rules.profile_scene.output.profile,
+        scores=pavement_scores,
+        coverage=placement_only(last_coverage),
+        solutions=placement_only(plan_solutions),
+        code=sources("summarise_site"),
+    output:
+        summary="results/{site}/summary.json",
+    params:
+        seed=setting("seed"),
+        settings=all_settings,
+    log:
+        log_of("summarise_site"),
+    benchmark:
+        benchmark_of("summarise_site")
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.summarise_site --site {wildcards.site} --seed {params.seed}"
+        " --settings {params.settings:q} --frame {input.frame} --profile {input.profile}"
+        " --scores {input.scores} --coverage {input.coverage} --solutions {input.solutions}"
+        " --out {output.summary} > {log} 2>&1"
+
+
+rule write_site_page:
+    input:
+        summary=rules.summarise_site.output.summary,
+        frame=rules.ingest_cloud.output.frame,
+        cloud=rules.ingest_cloud.output.cloud,
+        dem=rules.build_dem.output.dem,
+        pavement=rules.extract_pavement.output.pavement,
+        edges=rules.build_edges.output.edges,
+        targets=placement_only(site_targets),
+        candidates=placement_only(all_candidates),
+        detections=placement_only(all_detections),
+        coverage=placement_only(last_coverage),
+        solutions=placement_only(plan_solutions),
+        obstacles=placement_only(plan_obstacles),
+        scans=placement_only(plan_scans),
+        code=sources("write_site_page"),
+    output:
+        page="results/{site}/page.json",
+    params:
+        title=site_field("title"),
+        plans=plan_titles,
+        sensors_file=CONFIG.sensors_file,
+    log:
+        log_of("write_site_page"),
+    benchmark:
+        benchmark_of("write_site_page")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(100),
+    shell:
+        "python -m roadsight.stages.write_site_page --site {wildcards.site}"
+        " --title {params.title:q} --plans {params.plans:q} --sensors {params.sensors_file}"
+        " --summary {input.summary} --frame {input.frame} --cloud {input.cloud}"
+        " --dem {input.dem} --pavement {input.pavement} --edges {input.edges}"
+        " --targets {input.targets} --candidates {input.candidates}"
+        " --detections {input.detections} --coverage {input.coverage}"
+        " --solutions {input.solutions} --obstacles {input.obstacles} --scans {input.scans}"
+        " --out {output.page} > {log} 2>&1"
+
+
+rule write_report:
+    input:
+        pages=expand("results/{site}/page.json", site=SITES),
+        code=sources("write_report"),
+    output:
+        report="results/report.html",
+    log:
+        "logs/write_report.log",
+    benchmark:
+        "results/benchmarks/write_report.tsv"
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.write_report --pages {input.pages}"
+        " --out {output.report} > {log} 2>&1"
