@@ -160,7 +160,6 @@ rule check_coverage:
         coverage="results/{site}/placement/round-{round}/coverage.json",
     params:
         plans=plan_sensors,
-        radius_m=setting("coverage.radius_m"),
     log:
         log_of("check_coverage", "round-{round}"),
     benchmark:
@@ -170,8 +169,7 @@ rule check_coverage:
     shell:
         "python -m roadsight.stages.check_coverage --targets {input.targets}"
         " --candidates {input.candidates} --detections {input.detections}"
-        " --plans {params.plans:q} --radius-m {params.radius_m}"
-        " --out {output.coverage} > {log} 2>&1"
+        " --plans {params.plans:q} --out {output.coverage} > {log} 2>&1"
 
 
 rule densify_candidates:

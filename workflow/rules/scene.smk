@@ -197,7 +197,6 @@ rule build_edges:
         edges="results/{site}/placement/edges.gpkg",
     params:
         edges_crs=site_field("placement.edges_crs"),
-        spacing_m=setting("candidates.spacing_m"),
         offset_m=setting("edges.offset_m"),
         knot_spacing_m=setting("edges.knot_spacing_m"),
         shortest_m=setting("edges.shortest_m"),
@@ -211,7 +210,7 @@ rule build_edges:
         "python -m roadsight.stages.build_edges --site {wildcards.site} --frame {input.frame}"
         " --pavement {input.pavement} --clusters {input.clusters}"
         " --digitised {input.edges:q} --digitised-crs {params.edges_crs:q}"
-        " --spacing-m {params.spacing_m} --offset-m {params.offset_m}"
+        " --offset-m {params.offset_m}"
         " --knot-spacing-m {params.knot_spacing_m} --shortest-m {params.shortest_m}"
         " --out {output.edges} > {log} 2>&1"
 

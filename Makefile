@@ -1,0 +1,66 @@
+# Everything a user or developer runs. `make help` lists it.
+PYTHON ?= python3
+CORES ?= 2
+BIN := .venv/bin
+REAL_SITES := junction_mls autzen_arterial delft montpellier_street
+comma := ,
+empty :=
+space := $(empty) $(empty)
+
+.DEFAULT_GOAL := help
+.PHONY: help run real test test-full bench lint format config lock clean
+
+help: ## list the targets
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
+
+.venv/.installed: envs/requirements.lock pyproject.toml scripts/check_machine.py
+	@$(PYTHON) scripts/check_machine.py
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r envs/requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+.venv/.installed-dev: .venv/.installed envs/requirements-dev.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r envs/requirements-dev.lock
+	@touch $@
+
+run: .venv/.installed ## install from the lock and run the workflow on the embedded sample
+	$(BIN)/snakemake --cores $(CORES)
+
+real: .venv/.installed ## run the workflow on the real clouds under ROADSIGHT_DATA
+	@test -n "$$ROADSIGHT_DATA" || { echo "make real: set ROADSIGHT_DATA to the folder that holds clouds/" >&2; exit 2; }
+	$(BIN)/snakemake --cores $(CORES) --config 'sites=[$(subst $(space),$(comma),$(REAL_SITES))]'
+
+test: .venv/.installed-dev ## the test suite
+	$(BIN)/python -m pytest -m "not full" -n $(CORES)
+
+test-full: .venv/.installed-dev ## the test suite with the longest runs
+	$(BIN)/python -m pytest -n $(CORES)
+
+bench: .venv/.installed-dev ## side-by-side benchmarks into results/bench/bench.json
+	$(BIN)/python benchmarks/run.py --out results/bench/bench.json
+
+lint: .venv/.installed-dev ## style, types, rule files
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/snakefmt --check Snakefile workflow/rules
+	$(BIN)/snakemake --lint
+
+format: .venv/.installed-dev ## rewrite in the house style
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+	$(BIN)/snakefmt Snakefile workflow/rules
+
+config: .venv/.installed ## regenerate config/config.yaml from the schema
+	$(BIN)/python -m roadsight.config.render
+
+lock: ## resolve the dependencies anew (needs uv)
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
+	  --custom-compile-command "make lock" pyproject.toml -o envs/requirements.lock
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
+	  --custom-compile-command "make lock" --extra dev --extra peers -c envs/requirements.lock \
+	  pyproject.toml -o envs/requirements-dev.lock
+
+clean: ## remove results, logs and the environment
+	rm -rf results logs .snakemake .venv

@@ -1,0 +1,67 @@
+"""The machine-readable summary of a site: ``results/<site>/summary.json``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from typing import Any
+
+from roadsight import __version__
+from roadsight.io.atomic import read_json, write_json
+from roadsight.stages.command import run_stage
+
+
+def summarise_site(arguments: argparse.Namespace) -> None:
+    """Write the summary; a job that the site does not ask for is absent."""
+    frame = read_json(arguments.frame)
+    scores = [read_json(path) for path in arguments.scores]
+    summary: dict[str, Any] = {
+        "site": arguments.site,
+        "version": __version__,
+        "seed": arguments.seed,
+        "inputs": frame["inputs"],
+        "settings": json.loads(arguments.settings),
+        "scene": {
+            **read_json(arguments.profile),
+            "pavement_scores": scores[0] if scores else None,
+        },
+        "effects": {},
+    }
+    if arguments.solutions:
+        coverage = read_json(arguments.coverage[0])
+        solutions = [read_json(path) for path in arguments.solutions]
+        summary["placement"] = {
+            solution["plan"]: _plan(solution, coverage["candidates"]) for solution in solutions
+        }
+    write_json(arguments.out, summary)
+
+
+def _plan(solution: dict[str, Any], candidates: int) -> dict[str, Any]:
+    return {
+        "status": solution["status"],
+        "sensors": len(solution["sensors"]),
+        "cost": solution["objective"],
+        "lower_bound": solution["bound"],
+        "gap": solution["gap"],
+        "covered_targets": solution["covered_targets"],
+        "targets": solution["targets"],
+        "candidates": candidates,
+        "uncoverable_targets": solution["uncoverable_targets"],
+        "seconds_cpu": solution["seconds_cpu"],
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("site", "settings", "frame", "profile", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--seed", type=int, required=True)
+    for name in ("scores", "coverage", "solutions"):
+        parser.add_argument(f"--{name}", nargs="*", default=[])
+    return run_stage(parser, summarise_site, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
