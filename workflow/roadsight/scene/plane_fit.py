@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from roadsight.scene.voxel_moments import X_STEP, Y_STEP, Z_STEP, VoxelMoments, add_shifted
 
 _FLOATS = NDArray[np.float32]
+_DOUBLES = NDArray[np.float64]
+_INTS = NDArray[np.int64]
 _BLOCK_POINTS = 5
 
 
@@ -21,25 +23,25 @@ class Planes(NamedTuple):
     ----------
     normal : (n, 3) unit normal, sign arbitrary.
     offset : (n,) distance of the plane along its normal.
+    spread : (n,) variance of the plane's points across it.
     variance : (n, 3) of all points of the neighbourhood, increasing.
     centroid : (n, 3) of all points of the neighbourhood.
     axis : (n, 3) unit vector of the greatest variance.
-    count : (n,) points of the neighbourhood.
+    points : (n,) points of the neighbourhood.
     own : (n,) points of the voxel itself.
     """
 
     normal: _FLOATS
     offset: _FLOATS
+    spread: _FLOATS
     variance: _FLOATS
     centroid: _FLOATS
     axis: _FLOATS
-    count: _FLOATS
+    points: _FLOATS
     own: _FLOATS
 
 
-def fit_planes(
-    keys: NDArray[np.int64], voxels: VoxelMoments, min_points: int, flat_variance: float
-) -> Planes:
+def fit_planes(keys: _INTS, voxels: VoxelMoments, min_points: int, flat_variance: float) -> Planes:
     """Least-squares planes through the 3 x 3 x 3 voxels around each key.
 
     Where the neighbourhood is not flat (an edge, a corner, a thin object) the plane is that of the
@@ -56,9 +58,7 @@ def fit_planes(
     return planes
 
 
-def open_neighbours(
-    keys: NDArray[np.int64], planes: Planes, voxels: VoxelMoments
-) -> NDArray[np.int64]:
+def open_neighbours(keys: _INTS, planes: Planes, voxels: VoxelMoments) -> _INTS:
     """Empty voxels beside the given ones in which their planes continue; increasing keys."""
     found = _continue_planes(keys, planes.normal, planes.offset, voxels.keys)
     return np.unique(found)
@@ -67,12 +67,12 @@ def open_neighbours(
 def _empty(n: int) -> Planes:
     vectors = (np.zeros((n, 3), np.float32) for _ in range(4))
     normal, variance, centroid, axis = vectors
-    offset, count, own = (np.zeros(n, np.float32) for _ in range(3))
-    return Planes(normal, offset, variance, centroid, axis, count, own)
+    offset, spread, points, own = (np.zeros(n, np.float32) for _ in range(4))
+    return Planes(normal, offset, spread, variance, centroid, axis, points, own)
 
 
 @njit(cache=True)
-def _find_block(key, occupied, pointers, block):
+def _find_block(key: int, occupied: _INTS, pointers: _INTS, block: _INTS) -> None:
     """Rows of the 27 voxels around a key, -1 where empty.
 
     Keys come in increasing order, so each of the nine columns only ever moves its pointer on.
@@ -90,7 +90,15 @@ def _find_block(key, occupied, pointers, block):
 
 
 @njit(cache=True)
-def _sum_block(block, moments, x_from, y_from, z_from, width, total):
+def _sum_block(
+    block: _INTS,
+    moments: _FLOATS,
+    x_from: int,
+    y_from: int,
+    z_from: int,
+    width: int,
+    total: _DOUBLES,
+) -> None:
     """Moments of a cube of ``width`` voxels of the block about the block's centre."""
     total[:] = 0
     for i in range(x_from, x_from + width):
@@ -102,7 +110,7 @@ def _sum_block(block, moments, x_from, y_from, z_from, width, total):
 
 
 @njit(cache=True)
-def _covariance(total, covariance):
+def _covariance(total: _DOUBLES, covariance: _DOUBLES) -> tuple[float, float, float]:
     """Centroid; fills the covariance matrix."""
     count = total[0]
     x, y, z = total[1] / count, total[2] / count, total[3] / count
@@ -116,7 +124,7 @@ def _covariance(total, covariance):
 
 
 @njit(cache=True)
-def _eigenvalues(a):
+def _eigenvalues(a: _DOUBLES) -> tuple[float, float, float]:
     """Eigenvalues of a symmetric 3 x 3 matrix, increasing (trigonometric solution)."""
     mean = (a[0, 0] + a[1, 1] + a[2, 2]) / 3
     off = a[0, 1] ** 2 + a[0, 2] ** 2 + a[1, 2] ** 2
@@ -136,7 +144,7 @@ def _eigenvalues(a):
 
 
 @njit(cache=True)
-def _eigenvector(a, value, vector):
+def _eigenvector(a: _DOUBLES, value: float, vector: _DOUBLES) -> None:
     """Unit eigenvector: the longest cross product of two rows of a - value * identity.
 
     A matrix with a repeated eigenvalue has no single answer: z is taken where nothing is left.
@@ -159,7 +167,9 @@ def _eigenvector(a, value, vector):
 
 
 @njit(cache=True)
-def _flattest_corner(block, moments, total, covariance, low):
+def _flattest_corner(
+    block: _INTS, moments: _FLOATS, total: _DOUBLES, covariance: _DOUBLES, low: float
+) -> None:
     """Moments of the 2 x 2 x 2 corner with the least variance across its plane into ``total``."""
     best = -1
     for corner in range(8):
@@ -176,14 +186,21 @@ def _flattest_corner(block, moments, total, covariance, low):
 
 
 @njit(cache=True)
-def _fit(keys, occupied, moments, min_points, flat_variance, planes):
+def _fit(
+    keys: _INTS,
+    occupied: _INTS,
+    moments: _FLOATS,
+    min_points: int,
+    flat_variance: float,
+    planes: Planes,
+) -> None:
     block, pointers = np.empty((9, 3), np.int64), np.zeros(9, np.int64)
     total, covariance, vector = np.empty(10), np.empty((3, 3)), np.empty(3)
     for i in range(len(keys)):
         _find_block(keys[i], occupied, pointers, block)
         planes.own[i] = moments[block[4, 1], 0] if block[4, 1] >= 0 else 0
         _sum_block(block, moments, 0, 0, 0, 3, total)
-        planes.count[i] = total[0]
+        planes.points[i] = total[0]
         if total[0] < min_points:
             continue
         x, y, z = _covariance(total, covariance)
@@ -198,11 +215,12 @@ def _fit(keys, occupied, moments, min_points, flat_variance, planes):
             low = _eigenvalues(covariance)[0]
         _eigenvector(covariance, low, vector)
         planes.normal[i] = vector
+        planes.spread[i] = max(low, 0.0)
         planes.offset[i] = x * vector[0] + y * vector[1] + z * vector[2]
 
 
 @njit(cache=True)
-def _continue_planes(keys, normal, offset, occupied):
+def _continue_planes(keys: _INTS, normal: _FLOATS, offset: _FLOATS, occupied: _INTS) -> _INTS:
     block, pointers = np.empty((9, 3), np.int64), np.zeros(9, np.int64)
     found = np.empty(8 * len(keys), np.int64)
     step = np.empty(3, np.int64)

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from roadsight.errors import InputError
 
 _INTS = NDArray[np.int64]
+_MOMENTS = NDArray[np.float32]
 _BITS = 21
 _HALF = 1 << (_BITS - 1)
 _MASK = (1 << _BITS) - 1
@@ -37,7 +38,7 @@ class VoxelMoments:
 
     edge_m: float
     keys: _INTS
-    moments: NDArray[np.float32]
+    moments: _MOMENTS
 
 
 def pack_cells(cells: _INTS) -> _INTS:
@@ -91,7 +92,7 @@ def coarsen(voxels: VoxelMoments) -> VoxelMoments:
     return _grouped(2 * voxels.edge_m, pack_cells(cells >> 1), moments)
 
 
-def _grouped(edge_m: float, keys: _INTS, moments: NDArray[np.float32]) -> VoxelMoments:
+def _grouped(edge_m: float, keys: _INTS, moments: _MOMENTS) -> VoxelMoments:
     """Add up rows of equal keys."""
     if len(keys) == 0:
         return VoxelMoments(edge_m, keys, moments)
@@ -102,7 +103,7 @@ def _grouped(edge_m: float, keys: _INTS, moments: NDArray[np.float32]) -> VoxelM
 
 
 @njit(cache=True)
-def _point_keys(xyz_m, edge_m):
+def _point_keys(xyz_m: NDArray[np.floating], edge_m: float) -> _INTS:
     keys = np.empty(len(xyz_m), np.int64)
     for i in range(len(xyz_m)):
         x = int(np.floor(xyz_m[i, 0] / edge_m)) + _HALF
@@ -113,7 +114,9 @@ def _point_keys(xyz_m, edge_m):
 
 
 @njit(cache=True)
-def _point_moments(xyz_m, edge_m, order, ordered, voxels):
+def _point_moments(
+    xyz_m: NDArray[np.floating], edge_m: float, order: _INTS, ordered: _INTS, voxels: int
+) -> _MOMENTS:
     moments = np.zeros((voxels, 10), np.float32)
     row = -1
     for n in range(len(order)):
@@ -138,7 +141,7 @@ def _point_moments(xyz_m, edge_m, order, ordered, voxels):
 
 
 @njit(cache=True)
-def add_shifted(total, moments, dx, dy, dz):
+def add_shifted(total: NDArray, moments: NDArray, dx: float, dy: float, dz: float) -> None:
     """Add ``moments`` of points that lie (dx, dy, dz) away to ``total``, both of shape (10,)."""
     count, x, y, z = moments[0], moments[1], moments[2], moments[3]
     total[0] += count
@@ -154,7 +157,7 @@ def add_shifted(total, moments, dx, dy, dz):
 
 
 @njit(cache=True)
-def _shifted(moments, shift):
+def _shifted(moments: _MOMENTS, shift: NDArray[np.floating]) -> _MOMENTS:
     moved = np.zeros_like(moments)
     for i in range(len(moments)):
         add_shifted(moved[i], moments[i], shift[i, 0], shift[i, 1], shift[i, 2])

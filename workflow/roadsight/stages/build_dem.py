@@ -16,6 +16,7 @@ from roadsight.io.rasters import write_raster
 from roadsight.io.tables import write_table
 from roadsight.io.tiles import CloudTiles, stack_xyz
 from roadsight.scene.ground import GroundSettings
+from roadsight.scene.spacing import ground_settings_for
 from roadsight.scene.terrain import TerrainModel, label_ground
 from roadsight.stages.command import run_stage
 
@@ -30,13 +31,9 @@ def build_dem(arguments: argparse.Namespace) -> None:
     corners = np.array([tile.bounds_m for tile in cloud.tiles])
     west, south, east, north = (*corners[:, :2].min(axis=0), *corners[:, 3:5].max(axis=0))
     bounds = (float(west), float(south), float(east), float(north))
-    settings = GroundSettings(
-        pillar_width_m=max(arguments.pillar_width_m, 2 * spacing_m),
-        height_threshold_m=arguments.height_threshold_m,
-        coarse_cell_m=max(arguments.coarse_cell_m, 2 * spacing_m),
-        max_object_width_m=arguments.max_object_width_m,
-        slope=arguments.slope,
-    )
+    names = ("pillar_width_m", "height_threshold_m", "coarse_cell_m", "max_object_width_m", "slope")
+    settings = GroundSettings(**{name: getattr(arguments, name) for name in names})
+    settings = ground_settings_for(spacing_m, settings)
     terrain = TerrainModel(bounds, max(arguments.dem_cell_m, spacing_m))
     labels = []
     for points, mask in label_ground(

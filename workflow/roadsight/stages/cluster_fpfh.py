@@ -16,17 +16,15 @@ from roadsight.errors import InputError
 from roadsight.io.atomic import read_json
 from roadsight.io.tables import read_table, write_table
 from roadsight.io.tiles import CloudTiles, stack_xyz
-from roadsight.scene.fpfh import fpfh
-from roadsight.scene.normals import nearest_neighbours, upward_normals
-from roadsight.scene.smoothness import SmoothnessModel, fit_smoothness, is_smooth, local_intensity
-from roadsight.scene.voxels import column_means
+from roadsight.scene.describe import describe_ground
+from roadsight.scene.smoothness import SmoothnessModel, fit_smoothness, is_smooth
+from roadsight.scene.spacing import uses_intensity
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("cluster_fpfh")
 
 # Neighbourhoods reach two columns beyond K1 columns; the halo holds both rings of an FPFH.
 _HALO_COLUMNS = 20
-_COARSE_SPACING_M = 0.2
 
 
 def cluster_fpfh(arguments: argparse.Namespace) -> None:
@@ -46,9 +44,7 @@ def cluster_fpfh(arguments: argparse.Namespace) -> None:
                 found=f"{len(columns)} thinned ground points",
                 allowed="at least 100",
             )
-        use = arguments.intensity == "use" or (
-            arguments.intensity == "auto" and spacing_m > _COARSE_SPACING_M
-        )
+        use = uses_intensity(arguments.intensity, spacing_m)
         if use and columns["intensity"].nunique() < 2:
             log.warning("the cloud has no intensity: pavement rests on FPFH alone")
             use = False
@@ -66,22 +62,19 @@ def _described_tiles(
 ) -> Iterator[tuple[pd.DataFrame, np.ndarray]]:
     """Thinned ground of each tile (float32 columns x, y, z, intensity, variation) and its FPFH."""
     cloud = CloudTiles(arguments.cloud)
-    ground = read_table(arguments.ground)["ground"].to_numpy()
-    tiles = _ground_tiles(cloud, ground, _HALO_COLUMNS * size_m)
+    mask = read_table(arguments.ground)["ground"].to_numpy()
+    tiles = _ground_tiles(cloud, mask, _HALO_COLUMNS * size_m)
     for number, (core, xyz, intensity) in enumerate(tiles, start=1):
-        centroid, mean, _ = column_means(xyz, intensity[:, None], size_m)
-        distance, neighbours = nearest_neighbours(centroid, arguments.neighbours)
-        normals, variation = upward_normals(centroid, neighbours)
-        histograms = fpfh(centroid, normals, distance, neighbours)
-        tone = local_intensity(mean[:, 0], neighbours)
+        ground = describe_ground(xyz, intensity, size_m, arguments.neighbours)
         west, south, east, north = core
         # A column belongs to the tile that holds its grid cell's centre.
-        x, y = ((np.floor(centroid[:, axis] / size_m) + 0.5) * size_m for axis in (0, 1))
+        x, y = ((np.floor(ground.xyz_m[:, axis] / size_m) + 0.5) * size_m for axis in (0, 1))
         own = (x >= west) & (x < east) & (y >= south) & (y < north)
-        table = pd.DataFrame(centroid[own], columns=["x", "y", "z"])
-        table["intensity"], table["variation"] = tone[own], variation[own]
+        table = pd.DataFrame(ground.xyz_m[own], columns=["x", "y", "z"])
+        table["intensity"] = ground.intensity[own]
+        table["variation"] = ground.variation[own]
         log.info("tile %d of %d: %d columns", number, len(cloud.tiles), len(table))
-        yield table.astype(np.float32), histograms[own]
+        yield table.astype(np.float32), ground.histograms[own]
 
 
 def _ground_tiles(

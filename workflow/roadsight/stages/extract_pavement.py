@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from dataclasses import fields
 
 import geopandas as gpd
 import numpy as np
@@ -19,6 +20,7 @@ from roadsight.io.tables import read_about, read_table, write_table
 from roadsight.io.tiles import CloudTiles, stack_xyz
 from roadsight.io.vectors import read_polygons, write_layers
 from roadsight.scene.pavement import PavementSettings, inside, outline_pavement
+from roadsight.scene.spacing import pavement_settings_for
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("extract_pavement")
@@ -59,14 +61,9 @@ def _users_area(path: str, frame: Frame) -> MultiPolygon:
 def _found_area(arguments: argparse.Namespace) -> MultiPolygon:
     columns = read_table(arguments.clusters)
     size_m = read_about(arguments.clusters)["voxel_size_m"]
-    settings = PavementSettings(
-        cluster_distance_m=max(arguments.cluster_distance_m, 2.5 * size_m),
-        vote_radius_m=max(arguments.vote_radius_m, 3 * size_m),
-        outline_cell_m=max(arguments.outline_cell_m, size_m),
-        closing_m=max(arguments.closing_m, 4 * size_m),
-        smallest_hole_m2=arguments.smallest_hole_m2,
-        smallest_part_share=arguments.smallest_part_share,
-    )
+    names = [field.name for field in fields(PavementSettings) if hasattr(arguments, field.name)]
+    settings = PavementSettings(**{name: getattr(arguments, name) for name in names})
+    settings = pavement_settings_for(size_m, settings)
     xyz = columns[["x", "y", "z"]].to_numpy(np.float64)
     try:
         return outline_pavement(xyz, columns["smooth"].to_numpy(), settings)
