@@ -50,7 +50,7 @@ class Pavement(Section):
     )
     neighbours: int = Field(10, ge=3, le=100, description="K1, neighbours of a point for its FPFH")
     intensity: Literal["auto", "use", "ignore"] = Field(
-        "auto", description="intensity as a second cue: auto uses it where spacing exceeds 0.2 m"
+        "auto", description="intensity as a second cue: auto uses it where spacing exceeds 0.15 m"
     )
     intensity_weight: float = Field(
         1.5, gt=0, le=10, description="weight of intensity against the whole histogram"

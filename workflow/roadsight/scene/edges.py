@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import pandas as pd
 import shapely
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
@@ -49,6 +51,17 @@ def natural_spline(points_m: _FLOATS, spacing_m: float) -> tuple[_FLOATS, _FLOAT
     return station, curve(parameter), tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
 
 
+def spline_line(line: LineString) -> LineString:
+    """A line's natural cubic spline as a polyline of 1 m steps that keeps both ends.
+
+    On a curve of 25 m radius the polyline stays within 5 mm of the spline.
+    """
+    points = shapely.get_coordinates(line)
+    _, curve, _ = natural_spline(points, 1.0)
+    gap_m = float(np.linalg.norm(curve[-1] - points[-1]))
+    return LineString(np.vstack([curve, points[-1:]]) if gap_m > 1e-6 else curve)
+
+
 @dataclass(frozen=True)
 class OutlineSettings:
     """Settings of automatic edges.
@@ -58,30 +71,32 @@ class OutlineSettings:
     knot_spacing_m : distance between the spline's knots on the outline.
     corner_deg : the outline is split where it turns by more than this between knots.
     shortest_m : shorter pieces are dropped.
-    open_strip_m : width of the strips beside the outline in which ground points are counted.
+    open_strip_m : width of the strips beside the outline in which ground points are compared.
+    step_m : a real edge shows at least this step in height (a kerb, a ditch) at the end of a road.
     """
 
     knot_spacing_m: float = 6.0
     corner_deg: float = 60.0
     shortest_m: float = 12.0
     open_strip_m: float = 3.0
+    step_m: float = 0.08
 
 
 def outline_edges(
-    outline: MultiPolygon, ground_xy_m: _FLOATS, settings: OutlineSettings
+    outline: MultiPolygon, ground_xyz_m: _FLOATS, settings: OutlineSettings
 ) -> list[tuple[str, LineString]]:
     """Edges traced on the pavement's outline, without the cuts where road or data end.
 
     Parameters
     ----------
-    outline : the pavement, local metres. ground_xy_m : (n, 2) thinned ground points.
+    outline : the pavement, local metres. ground_xyz_m : (n, 3) thinned ground points.
 
     Returns
     -------
     (kind, line) pairs: "edge" on outer rings, "median" on holes; lines run with the pavement on
     their left (outer rings) so that all face the road alike.
     """
-    tree = shapely.STRtree(shapely.points(ground_xy_m))
+    ground = _Ground(shapely.STRtree(shapely.points(ground_xyz_m[:, :2])), ground_xyz_m[:, 2])
     edges = []
     for polygon in outline.geoms:
         rings = [("edge", polygon.exterior), *(("median", hole) for hole in polygon.interiors)]
@@ -89,7 +104,7 @@ def outline_edges(
             if ring.length < settings.shortest_m:
                 continue
             knots = _knots(ring, settings.knot_spacing_m)
-            keep = ~_open_ends(knots, outline, tree, settings)
+            keep = ~_open_ends(knots, outline, ground, settings)
             edges += [(kind, line) for line in _pieces(knots, keep, settings)]
     return edges
 
@@ -102,13 +117,20 @@ def _knots(ring: LinearRing, spacing_m: float) -> _FLOATS:
     return shapely.get_coordinates(shapely.line_interpolate_point(ring, steps, normalized=True))
 
 
+class _Ground(NamedTuple):
+    """Thinned ground points in a search tree, and their heights."""
+
+    tree: shapely.STRtree
+    z_m: _FLOATS
+
+
 def _open_ends(
-    knots: _FLOATS, outline: MultiPolygon, tree: shapely.STRtree, settings: OutlineSettings
+    knots: _FLOATS, outline: MultiPolygon, ground: _Ground, settings: OutlineSettings
 ) -> NDArray[np.bool_]:
-    """Knots where the road runs on but the data thin out or stop, so that there is no real edge.
+    """Knots where the road runs on but the found pavement stops, so that there is no real edge.
 
     There, the way across the pavement is far longer than elsewhere (it runs along the road), and
-    the ground outside holds less than a quarter of the points inside.
+    outside the data thin out to less than a quarter, or the ground goes on without a step.
     """
     tangent = np.roll(knots, -1, axis=0) - np.roll(knots, 1, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
@@ -116,11 +138,14 @@ def _open_ends(
     inward = shapely.contains_xy(outline, *(knots + 0.5 * normal).T)
     normal = np.where(inward[:, None], normal, -normal)
     across = np.array([_chord_m(outline, p, n) for p, n in zip(knots, normal, strict=True)])
-    outside, inside = (
-        _strip_count(tree, knots, sign * normal, tangent, settings) for sign in (-1, 1)
+    width = settings.open_strip_m
+    (outside, z_out), (inside, z_in), (_, z_far) = (
+        _strip(ground, knots + start * width * normal, normal, tangent, settings)
+        for start in (-1, 0, 1)
     )
-    long = across > max(2.5 * float(np.median(across)), 10 * settings.open_strip_m / 3)
-    return long & (outside < 0.25 * inside)
+    step = np.abs(z_out - (2 * z_in - z_far))
+    long = across > max(2.5 * float(np.median(across)), 10.0)
+    return long & ((outside < 0.25 * inside) | (step < settings.step_m))
 
 
 def _chord_m(outline: MultiPolygon, start: _FLOATS, direction: _FLOATS) -> float:
@@ -130,19 +155,16 @@ def _chord_m(outline: MultiPolygon, start: _FLOATS, direction: _FLOATS) -> float
     return next((p.length for p in parts if p.distance(shapely.Point(start)) < 1.0), 0.0)
 
 
-def _strip_count(
-    tree: shapely.STRtree,
-    knots: _FLOATS,
-    normal: _FLOATS,
-    tangent: _FLOATS,
-    settings: OutlineSettings,
-) -> NDArray[np.int64]:
-    """Ground points in the box beside each knot, on the side that ``normal`` points to."""
+def _strip(
+    ground: _Ground, start: _FLOATS, normal: _FLOATS, tangent: _FLOATS, settings: OutlineSettings
+) -> tuple[NDArray[np.int64], _FLOATS]:
+    """Number and median height (NaN if none) of ground points in the box beyond each start."""
     half = 0.5 * settings.knot_spacing_m * tangent
     far = settings.open_strip_m * normal
-    corners = np.stack([knots - half, knots + half, knots + half + far, knots - half + far], axis=1)
-    box, _ = tree.query(shapely.polygons(corners), predicate="intersects")
-    return np.bincount(box, minlength=len(knots))
+    corners = np.stack([start - half, start + half, start + half + far, start - half + far], axis=1)
+    box, point = ground.tree.query(shapely.polygons(corners), predicate="intersects")
+    heights = pd.Series(ground.z_m[point]).groupby(box).median()
+    return np.bincount(box, minlength=len(start)), heights.reindex(range(len(start))).to_numpy()
 
 
 def _pieces(knots: _FLOATS, keep: NDArray[np.bool_], settings: OutlineSettings) -> list[LineString]:

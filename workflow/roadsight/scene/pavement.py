@@ -30,7 +30,7 @@ class PavementSettings:
     vote_radius_m : radius within which neighbours vote on a point's class.
     outline_cell_m : cell of the raster whose outline is traced.
     closing_m : gaps in the pavement narrower than this are closed (shadows, markings).
-    smallest_hole_m2 : holes below this area are filled.
+    smallest_hole_m2 : holes below this area are filled, crumbs below it dropped.
     smallest_part_share : a separate surface is kept if it has this share of the largest one's area.
     smallest_area_m2 : less pavement than this is no road.
     """
@@ -74,7 +74,8 @@ def outline_pavement(
             hint=_HINT,
         )
     polygons = [_trace(grid, surface[cluster == part], settings) for part in kept]
-    outline = shapely.union_all(polygons)
+    parts = _multi(shapely.union_all(polygons)).geoms
+    outline = MultiPolygon([part for part in parts if part.area >= settings.smallest_hole_m2])
     if outline.area < settings.smallest_area_m2:
         raise InputError(
             "no pavement found: too little connected smooth ground",
@@ -82,7 +83,7 @@ def outline_pavement(
             allowed=f"at least {settings.smallest_area_m2:.0f} m2",
             hint=_HINT,
         )
-    return _multi(outline)
+    return outline
 
 
 _HINT = "give the monitored area as a polygon (placement.tma) or raise pavement.voxel_size_m"

@@ -125,13 +125,13 @@ def _covariance(total: _DOUBLES, covariance: _DOUBLES) -> tuple[float, float, fl
 
 @njit(cache=True)
 def _eigenvalues(a: _DOUBLES) -> tuple[float, float, float]:
-    """Eigenvalues of a symmetric 3 x 3 matrix, increasing (trigonometric solution)."""
+    """Eigenvalues of a covariance matrix, increasing (trigonometric solution)."""
     mean = (a[0, 0] + a[1, 1] + a[2, 2]) / 3
     off = a[0, 1] ** 2 + a[0, 2] ** 2 + a[1, 2] ** 2
     p, q, r = a[0, 0] - mean, a[1, 1] - mean, a[2, 2] - mean
     scale = np.sqrt((p * p + q * q + r * r + 2 * off) / 6)
     if scale < 1e-12:
-        return mean, mean, mean
+        return max(mean, 0.0), max(mean, 0.0), max(mean, 0.0)
     determinant = (
         p * (q * r - a[1, 2] ** 2)
         - a[0, 1] * (a[0, 1] * r - a[1, 2] * a[0, 2])
@@ -140,7 +140,7 @@ def _eigenvalues(a: _DOUBLES) -> tuple[float, float, float]:
     angle = np.arccos(min(1.0, max(-1.0, determinant / (2 * scale**3)))) / 3
     high = mean + 2 * scale * np.cos(angle)
     low = mean + 2 * scale * np.cos(angle + 2 * np.pi / 3)
-    return low, 3 * mean - low - high, high
+    return max(low, 0.0), max(3 * mean - low - high, 0.0), high
 
 
 @njit(cache=True)
@@ -215,7 +215,7 @@ def _fit(
             low = _eigenvalues(covariance)[0]
         _eigenvector(covariance, low, vector)
         planes.normal[i] = vector
-        planes.spread[i] = max(low, 0.0)
+        planes.spread[i] = low
         planes.offset[i] = x * vector[0] + y * vector[1] + z * vector[2]
 
 

@@ -16,7 +16,7 @@ from roadsight.io.rasters import write_raster
 from roadsight.io.tables import write_table
 from roadsight.io.tiles import CloudTiles, stack_xyz
 from roadsight.scene.ground import GroundSettings
-from roadsight.scene.spacing import ground_settings_for
+from roadsight.scene.spacing import ground_settings_for, plan_spacing_m
 from roadsight.scene.terrain import TerrainModel, label_ground
 from roadsight.stages.command import run_stage
 
@@ -27,7 +27,7 @@ def build_dem(arguments: argparse.Namespace) -> None:
     """Label the ground and write the terrain model."""
     cloud = CloudTiles(arguments.cloud)
     frame = Frame.from_dict(read_json(arguments.frame))
-    spacing_m = read_json(arguments.profile)["spacing_m"]
+    spacing_m = plan_spacing_m(read_json(arguments.profile)["density_per_m2"]["median"])
     corners = np.array([tile.bounds_m for tile in cloud.tiles])
     west, south, east, north = (*corners[:, :2].min(axis=0), *corners[:, 3:5].max(axis=0))
     bounds = (float(west), float(south), float(east), float(north))

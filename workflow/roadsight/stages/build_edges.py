@@ -16,13 +16,11 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
 from roadsight.io.tables import read_table
 from roadsight.io.vectors import read_layer, read_lines, write_layers
-from roadsight.scene.edges import OutlineSettings, natural_spline, outline_edges
+from roadsight.scene.edges import OutlineSettings, outline_edges, spline_line
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("build_edges")
 
-# Splines are stored as polylines this fine: 5 mm off at most on a curve of 25 m radius.
-_CURVE_STEP_M = 1.0
 # Digitised edges further than this from the pavement belong to another road or another CRS.
 _FURTHEST_M = 50.0
 
@@ -46,12 +44,12 @@ def build_edges(arguments: argparse.Namespace) -> None:
             where=f"site {arguments.site}",
             hint="digitise edges and name them in placement.edges",
         )
-    splines = [_spline(line) for _, _, line in edges]
+    splines = [spline_line(line) for _, _, line in edges]
     if not arguments.digitised:
         splines = [_moved_off(line, pavement, arguments.offset_m) for line in splines]
     table = gpd.GeoDataFrame(
         {
-            "edge": _unique([name for name, _, _ in edges]),
+            "edge": [name for name, _, _ in edges],
             "kind": [kind for _, kind, _ in edges],
             "source": "digitised" if arguments.digitised else "automatic",
             "length_m": [line.length for line in splines],
@@ -65,17 +63,10 @@ def build_edges(arguments: argparse.Namespace) -> None:
 def _automatic(
     arguments: argparse.Namespace, pavement: MultiPolygon
 ) -> list[tuple[str, str, LineString]]:
-    ground = read_table(arguments.clusters, ["x", "y"]).to_numpy(np.float64)
+    ground = read_table(arguments.clusters, ["x", "y", "z"]).to_numpy(np.float64)
     settings = OutlineSettings(arguments.knot_spacing_m, shortest_m=arguments.shortest_m)
     found = outline_edges(pavement, ground, settings)
     return [(f"{kind[0]}{n:02d}", kind, line) for n, (kind, line) in enumerate(found)]
-
-
-def _spline(line: LineString) -> LineString:
-    _, curve, _ = natural_spline(shapely.get_coordinates(line), _CURVE_STEP_M)
-    end = shapely.get_coordinates(line)[-1:]
-    gap = float(np.linalg.norm(curve[-1] - end))
-    return LineString(np.vstack([curve, end]) if gap > 1e-6 else curve)
 
 
 def _moved_off(line: LineString, pavement: MultiPolygon, offset_m: float) -> LineString:
@@ -99,16 +90,6 @@ def _check_nearby(lines: gpd.GeoDataFrame, pavement: MultiPolygon, path: str) ->
                 allowed=f"at most {_FURTHEST_M:.0f} m",
                 hint="check the file's CRS (placement.edges_crs)",
             )
-
-
-def _unique(names: list[str]) -> list[str]:
-    """Names made unique by numbering repeats, in order."""
-    seen: dict[str, int] = {}
-    out = []
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        out.append(name if seen[name] == 1 else f"{name}.{seen[name]}")
-    return out
 
 
 def main(argv: list[str] | None = None) -> int:

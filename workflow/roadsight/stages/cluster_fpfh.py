@@ -18,7 +18,7 @@ from roadsight.io.tables import read_table, write_table
 from roadsight.io.tiles import CloudTiles, stack_xyz
 from roadsight.scene.describe import describe_ground
 from roadsight.scene.smoothness import SmoothnessModel, fit_smoothness, is_smooth
-from roadsight.scene.spacing import uses_intensity
+from roadsight.scene.spacing import plan_spacing_m, uses_intensity
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("cluster_fpfh")
@@ -29,7 +29,7 @@ _HALO_COLUMNS = 20
 
 def cluster_fpfh(arguments: argparse.Namespace) -> None:
     """Describe the ground tile by tile, fit two classes on a sample, then classify each tile."""
-    spacing_m = read_json(arguments.profile)["spacing_m"]
+    spacing_m = plan_spacing_m(read_json(arguments.profile)["density_per_m2"]["median"])
     size_m = max(arguments.voxel_size_m, spacing_m)
     with tempfile.TemporaryDirectory(dir=Path(arguments.out).parent, prefix=".fpfh") as folder:
         parts = []

@@ -19,6 +19,7 @@ def run_stage(
     logging.basicConfig(
         level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s"
     )
+    logging.getLogger("pyogrio").setLevel(logging.WARNING)
     arguments = parser.parse_args(argv)
     try:
         stage(arguments)

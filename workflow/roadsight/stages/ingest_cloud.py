@@ -159,7 +159,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--crs", default="auto", help="auto, local, EPSG:nnnn or WKT")
     parser.add_argument("--units", choices=UNITS, default="auto")
     parser.add_argument("--vertical-units", choices=UNITS, default="auto")
-    parser.add_argument("--target-crs", help="reproject to this projected CRS")
+    parser.add_argument("--target-crs", nargs="?", help="reproject to this projected CRS")
     parser.add_argument("--tile-size-m", type=float, default=50.0)
     parser.add_argument("--cloud", type=Path, required=True, help="tiled cloud to write")
     parser.add_argument("--frame", type=Path, required=True, help="frame to write")

@@ -1,0 +1,1 @@
+"""Verbs of the ``roadsight`` command: single pieces of the workflow on one's own files."""

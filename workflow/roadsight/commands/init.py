@@ -1,0 +1,241 @@
+"""``roadsight init``: a commented starter site file from what is found in the clouds."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import textwrap
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from roadsight.errors import InputError
+from roadsight.geometry.crs import unit_name
+from roadsight.geometry.location import utm_code
+from roadsight.geometry.reference import UnitChoice, resolve
+from roadsight.geometry.site import centre_of, site_frame
+from roadsight.io.atomic import atomic_path
+from roadsight.io.cloud_scan import CloudScan, kept_chunks, scan_cloud
+from roadsight.scene.profile import CELL_M, density, merge_counts
+
+_DATA_VARIABLE = "ROADSIGHT_DATA"
+_CLASS_NAMES = {
+    0: "never classified",
+    1: "unclassified",
+    2: "ground",
+    3: "low vegetation",
+    4: "medium vegetation",
+    5: "high vegetation",
+    6: "building",
+    9: "water",
+    10: "rail",
+    11: "road surface",
+    14: "wire conductor",
+    15: "transmission tower",
+    17: "bridge deck",
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A key of the site file as found.
+
+    Parameters
+    ----------
+    value : YAML value.
+    comment : what it rests on.
+    required : whether the user has to set it before the site can run.
+    """
+
+    value: str
+    comment: str
+    required: bool = False
+
+    def lines(self, key: str) -> str:
+        """Comment and key in the site file."""
+        comment = f"Required: {self.comment}" if self.required else self.comment
+        return f"{_comment(comment)}\n{key}: {self.value}"
+
+
+def add_parser(subparsers: argparse._SubParsersAction) -> None:
+    """Add the verb to the ``roadsight`` command."""
+    parser = subparsers.add_parser("init", help="write a starter site file for clouds")
+    parser.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS or LAZ file")
+    parser.add_argument("--site", help="name of the site; by default that of the first cloud")
+    parser.add_argument(
+        "-o", "--out", type=Path, help="site file to write (default: config/sites/NAME.yaml)"
+    )
+    parser.add_argument("--force", action="store_true", help="overwrite an existing site file")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the site file and say what is left to fill in.
+
+    Raises
+    ------
+    InputError : a cloud cannot be read, or the site file exists already.
+    """
+    name = site_name(arguments.site or arguments.clouds[0].stem)
+    path = arguments.out or Path("config/sites", f"{name}.yaml")
+    if path.exists() and not arguments.force:
+        raise InputError("exists already", where=str(path), hint="choose another, or add --force")
+    scans = [scan_cloud(cloud) for cloud in arguments.clouds]
+    findings, unit_m = find_keys(scans)
+    clouds = [_written(cloud, path) for cloud in arguments.clouds]
+    text = site_text(name, clouds, describe_clouds(scans, unit_m), findings)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    print(f"wrote {path}")
+    for key, finding in findings.items():
+        if finding.required:
+            print(f"fill in {key}: {finding.comment}")
+
+
+def site_name(text: str) -> str:
+    """Name of letters, digits, - and _ that the workflow accepts, from any text."""
+    name = re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_-")
+    if not name:
+        raise InputError("has no letter or digit", where="--site", found=repr(text))
+    return name
+
+
+def find_keys(scans: Sequence[CloudScan]) -> tuple[dict[str, Finding], float | None]:
+    """CRS and unit keys of the site file: found, assumed, or required of the user.
+
+    Returns
+    -------
+    findings by key, and metres in one unit of x and y, or None while that is open
+
+    Raises
+    ------
+    InputError : the clouds contradict each other, or their CRS is of no use for lengths.
+    """
+    auto = Finding("auto", "auto takes the unit of the CRS; or metre, foot, us-survey-foot")
+    missing = next((scan.header for scan in scans if scan.header.stated.crs is None), None)
+    if missing is not None:
+        problem = f" ({missing.stated.problem})" if missing.stated.problem else ""
+        reason = (
+            f"EPSG code, WKT, or local for a cloud without one: {missing.path.name} names no CRS"
+            f"{problem}"
+        )
+        crs = Finding("null", reason, True)
+        return {"crs": crs, "units": auto, "vertical_units": auto}, None
+    stated = [(str(scan.header.path), scan.header.stated) for scan in scans]
+    lower, upper = _corners(scans)
+    centre = centre_of(lower, upper)
+    reference = resolve(stated, centre, UnitChoice(vertical_units="metre"))
+    if reference.crs is not None and reference.crs.is_geographic:
+        crs = Finding("auto", f"auto takes {reference.name} from the header, in degrees")
+        target = Finding(utm_code(*centre), "projected CRS to read the cloud in; the UTM zone here")
+        return {"crs": crs, "target_crs": target, "units": auto, "vertical_units": auto}, None
+    try:
+        site_frame(reference, lower, upper, str(scans[0].header.path))
+        crs = Finding("auto", f"auto takes {reference.name} from the header")
+    except InputError as error:
+        crs = Finding("null", f"the header's own cannot be right: {error}", True)
+    units = Finding("auto", f"auto takes that of the CRS, here {unit_name(reference.unit_m)}")
+    try:
+        with_z = resolve(stated, centre, UnitChoice())
+        z_unit = unit_name(with_z.vertical_unit_m)
+        vertical = Finding("auto", "; ".join([f"here {z_unit}", *with_z.notes]))
+    except InputError as error:
+        vertical = Finding("auto", str(error), True)
+    unit_m = None if crs.required else reference.unit_m
+    return {"crs": crs, "units": units, "vertical_units": vertical}, unit_m
+
+
+def site_text(
+    name: str, clouds: Sequence[str], contents: Sequence[str], findings: dict[str, Finding]
+) -> str:
+    """Content of the site file."""
+    found = "\n".join(_comment(sentence) for sentence in contents)
+    paths = "\n".join(f"  - {json.dumps(cloud, ensure_ascii=False)}" for cloud in clouds)
+    keys = "\n".join(finding.lines(key) for key, finding in findings.items())
+    return f"""# Site file, written by `roadsight init`. Found in the clouds:
+{found}
+
+# Name of the site: its results go to results/{name}.
+site: {name}
+# LAS or LAZ files: relative to this file, absolute, or with ${{VARIABLE}} from the environment.
+clouds:
+{paths}
+{keys}
+# What to compute: placement, or scene for ground, pavement and edges alone.
+jobs: [placement]
+placement:
+  # Digitised road edges (GeoJSON, GeoPackage, Shapefile, CSV); null finds them on the pavement.
+  edges: null
+  # Polygon of the area to be monitored; null takes the pavement that is found.
+  tma: null
+"""
+
+
+def describe_clouds(scans: Sequence[CloudScan], unit_m: float | None) -> list[str]:
+    """Extent, density, classes and other contents, one sentence each.
+
+    Parameters
+    ----------
+    unit_m : metres in one unit of x and y, or None if it is not known.
+    """
+    lower, upper = _corners(scans)
+    length = unit_m or 1.0
+    unit = "m" if unit_m else "units of the cloud"
+    square = "m2" if unit_m else "square unit"
+    size = " x ".join(f"{side:.1f}" for side in (upper - lower)[:2] * length)
+    classes: Counter[int] = Counter()
+    for scan in scans:
+        classes.update(scan.classes)
+    total = classes.total()
+    named = ", ".join(
+        f"{c} {_CLASS_NAMES.get(c, 'not a common class')} {n / total:.1%}"
+        for c, n in sorted(classes.items())
+    )
+    dropped = sum(scan.withheld + scan.noise for scan in scans)
+    return [
+        f"{total} points, {dropped} withheld or noise left out.",
+        f"Extent {size} {unit}; as stored x {lower[0]:.2f} to {upper[0]:.2f}, "
+        f"y {lower[1]:.2f} to {upper[1]:.2f}, z {lower[2]:.2f} to {upper[2]:.2f}.",
+        f"Density {_density(scans, length):.2f} points per {square} where there are any (median).",
+        f"Classes: {named}.",
+        f"Intensity: {'yes' if any(scan.intense for scan in scans) else 'no'}. "
+        f"Colour: {'yes' if all(scan.brightest for scan in scans) else 'no'}.",
+    ]
+
+
+def _density(scans: Sequence[CloudScan], unit_m: float) -> float:
+    """Median density of occupied ground, in points per m2."""
+    places, count = np.empty((2, 0), np.int64), np.empty(0, np.int64)
+    for scan in scans:
+        for chunk, _, _ in kept_chunks(scan.header.path):
+            cells = np.floor(chunk.xyz[:, 1::-1].T * unit_m / CELL_M).astype(np.int64)
+            cells, chunk_count = merge_counts(cells, np.ones(len(chunk), np.int64))
+            places, count = merge_counts(np.hstack([places, cells]), np.append(count, chunk_count))
+    return density(places[1], places[0], count)["median"]
+
+
+def _corners(scans: Sequence[CloudScan]) -> tuple[np.ndarray, np.ndarray]:
+    lower = np.min([scan.lower for scan in scans], axis=0)
+    return lower, np.max([scan.upper for scan in scans], axis=0)
+
+
+def _written(cloud: Path, site_file: Path) -> str:
+    """Path of a cloud for the site file, so that both can move together."""
+    absolute = cloud.resolve()
+    data = os.environ.get(_DATA_VARIABLE)
+    if data and absolute.is_relative_to(Path(data).resolve()):
+        return f"${{{_DATA_VARIABLE}}}/{absolute.relative_to(Path(data).resolve()).as_posix()}"
+    if absolute.is_relative_to(Path.cwd()) and site_file.resolve().is_relative_to(Path.cwd()):
+        return Path(os.path.relpath(absolute, site_file.resolve().parent)).as_posix()
+    return absolute.as_posix()
+
+
+def _comment(text: str) -> str:
+    """Text as comment lines."""
+    lines = textwrap.wrap(text, 96, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(f"# {line}" for line in lines)

@@ -1,0 +1,132 @@
+"""A cloud in memory and what the scene stages find in it; for the verbs, which take one file."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely import MultiPolygon
+
+from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.reference import UnitChoice
+from roadsight.io.clouds import NativeCloud, read_laz
+from roadsight.scene.describe import GroundDescription, describe_ground
+from roadsight.scene.ground import GroundSettings
+from roadsight.scene.pavement import PavementSettings, inside, outline_pavement
+from roadsight.scene.profile import count_cells, density
+from roadsight.scene.smoothness import fit_smoothness, is_smooth
+from roadsight.scene.spacing import (
+    ground_settings_for,
+    pavement_settings_for,
+    plan_spacing_m,
+    uses_intensity,
+)
+from roadsight.scene.terrain import label_ground
+from roadsight.stages.ingest_cloud import UNITS, survey
+
+log = logging.getLogger("roadsight")
+
+_SAMPLE = 100_000
+
+
+@dataclass(frozen=True)
+class MemoryCloud:
+    """A whole cloud in its own order.
+
+    Parameters
+    ----------
+    native : as read, all dimensions. frame : its local frame. xyz_m : (n, 3) local metres.
+    """
+
+    native: NativeCloud
+    frame: Frame
+    xyz_m: NDArray[np.float64]
+
+    @property
+    def spacing_m(self) -> float:
+        """Spacing of evenly spread points of this density."""
+        classes = np.zeros(len(self.xyz_m), np.uint8)
+        return plan_spacing_m(density(count_cells(self.xyz_m, classes))["median"])
+
+
+def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments that every verb on a cloud takes."""
+    parser.add_argument("cloud", metavar="CLOUD", type=Path, help="LAS or LAZ file")
+    parser.add_argument(
+        "--crs", default="auto", help="EPSG:nnnn, local, or auto: the file's own, else local"
+    )
+    parser.add_argument("--units", choices=UNITS, default="auto", help="unit of x and y")
+    parser.add_argument("--vertical-units", choices=UNITS, default="auto", help="unit of z")
+
+
+def load_cloud(arguments: argparse.Namespace) -> MemoryCloud:
+    """Read the verb's cloud; without any CRS its coordinates are taken as local metres."""
+    native = read_laz(arguments.cloud)
+    choice = UnitChoice(arguments.crs, arguments.units, arguments.vertical_units)
+    if arguments.crs == "auto" and native.header.stated is None:
+        log.warning("%s names no CRS: read as local coordinates", arguments.cloud)
+        units = "metre" if arguments.units == "auto" else arguments.units
+        choice = UnitChoice("local", units, arguments.vertical_units)
+    site, _, _ = survey([arguments.cloud], choice)
+    return MemoryCloud(native, site.frame, site.frame.to_local(native.xyz))
+
+
+def ground_of(cloud: MemoryCloud) -> NDArray[np.bool_]:
+    """Ground labels in the file's order."""
+    west, south = cloud.xyz_m[:, :2].min(axis=0)
+    east, north = cloud.xyz_m[:, :2].max(axis=0) + 1e-3
+    bounds = (float(west), float(south), float(east), float(north))
+    settings = ground_settings_for(cloud.spacing_m, GroundSettings())
+    # One tile that holds everything, so the labels keep the file's order.
+    _, mask = next(label_ground(lambda halo: iter([(bounds, cloud.xyz_m)]), bounds, settings))
+    if not mask.any():
+        raise InputError("no ground found", where=str(cloud.native.header.path))
+    return mask
+
+
+def pavement_of(
+    cloud: MemoryCloud, ground: NDArray[np.bool_], intensity_choice: str, seed: int
+) -> tuple[MultiPolygon, GroundDescription]:
+    """Outline of the pavement and the thinned ground that it was found on."""
+    spacing_m = cloud.spacing_m
+    column_m = max(0.1, spacing_m)
+    intensity = np.asarray(cloud.native.dims["intensity"], np.float64)[ground]
+    description = describe_ground(cloud.xyz_m[ground], intensity, column_m, neighbours=10)
+    rng = np.random.default_rng(seed)
+    count = len(description.variation)
+    rows = np.sort(rng.choice(count, min(_SAMPLE, count), replace=False))
+    use = uses_intensity(intensity_choice, spacing_m) and len(np.unique(intensity)) > 1
+    model = fit_smoothness(
+        description.histograms[rows],
+        description.variation[rows],
+        description.intensity[rows] if use else None,
+        1.5,
+        seed,
+    )
+    smooth = is_smooth(model, description.histograms, description.variation, description.intensity)
+    settings = pavement_settings_for(column_m, PavementSettings())
+    try:
+        return outline_pavement(description.xyz_m, smooth, settings), description
+    except InputError as error:
+        raise InputError(str(error), where=str(cloud.native.header.path)) from error
+
+
+def labels_of(
+    cloud: MemoryCloud, ground: NDArray[np.bool_], pavement: MultiPolygon | None
+) -> NDArray[np.uint8]:
+    """Classification: the file's own where it is neither ground nor road, 2 ground, 11 road.
+
+    The file's own ground and road labels give way to what was found; they become 1, unclassified.
+    """
+    labels = np.asarray(cloud.native.dims["classification"], np.uint8).copy()
+    labels[np.isin(labels, (2, 11))] = 1
+    labels[ground] = 2
+    if pavement is not None:
+        x, y, _ = cloud.xyz_m.T
+        labels[ground & inside(pavement, x, y)] = 11
+    return labels

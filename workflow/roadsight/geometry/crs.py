@@ -1,0 +1,187 @@
+"""CRS and the units of their axes.
+
+`roadsight.geometry.reference` decides which CRS a site is in, `roadsight.geometry.location` whether
+its coordinates can be in it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pyproj import CRS, Transformer
+from pyproj.exceptions import CRSError, ProjError
+
+from roadsight.errors import InputError
+
+METRES_PER_UNIT = {"metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}
+"""Metres in one unit of each name that a site file may state."""
+
+_EPSG_UNITS = {9001: "metre", 9002: "foot", 9003: "us-survey-foot"}
+_AGREEMENT_M = 0.01
+_USER_DEFINED = 32767
+# GeoTIFF keys of a LAS header
+_GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL_CRS, _VERTICAL_UNIT = 2048, 3072, 3076, 4096, 4099
+
+
+@dataclass(frozen=True)
+class StatedCrs:
+    """What the header of one cloud states about its coordinates.
+
+    Parameters
+    ----------
+    crs : CRS, or None if the header names none that can be used.
+    vertical_unit_m : metres in one unit of z, or None if the header does not say.
+    problem : why a CRS record that is there cannot be used; empty otherwise.
+    """
+
+    crs: CRS | None = None
+    vertical_unit_m: float | None = None
+    problem: str = ""
+
+
+def unit_name(metres: float) -> str:
+    """Name of the unit that is ``metres`` long."""
+    for name, length in METRES_PER_UNIT.items():
+        if abs(metres / length - 1) < 1e-9:
+            return name
+    return f"unit of {metres:g} m"
+
+
+def parse_crs(text: str, where: str) -> CRS:
+    """CRS from an EPSG code, a name, WKT, PROJJSON or a PROJ string.
+
+    Raises
+    ------
+    InputError : PROJ does not know it.
+    """
+    try:
+        return CRS.from_user_input(text)
+    except CRSError as error:
+        raise InputError(
+            "is no CRS that PROJ knows",
+            where=where,
+            found=repr(text if len(text) <= 60 else text[:57] + "..."),
+            allowed="an EPSG code such as EPSG:25832, or WKT; for a cloud also local",
+        ) from error
+
+
+def stated_crs(wkt: str | None, geo_keys: Mapping[int, int]) -> StatedCrs:
+    """CRS that LAS records state; WKT is preferred to GeoTIFF keys.
+
+    Parameters
+    ----------
+    wkt : text of the WKT record, or None.
+    geo_keys : GeoTIFF keys with a value of their own (not in another record).
+    """
+    if wkt:
+        try:
+            crs = CRS.from_wkt(wkt)
+        except CRSError:
+            return StatedCrs(problem="its WKT record cannot be read")
+        if crs.is_engineering:
+            return StatedCrs(problem=f"its WKT record describes the local system {crs.name!r}")
+        up = [axis for axis in crs.axis_info if axis.direction == "up"]
+        return StatedCrs(crs, up[0].unit_conversion_factor if up else None)
+    return _from_geo_keys(geo_keys) if geo_keys else StatedCrs()
+
+
+def _from_geo_keys(geo_keys: Mapping[int, int]) -> StatedCrs:
+    """CRS with an EPSG code that GeoTIFF keys name, in the linear unit that they name."""
+    vertical_unit_m = _vertical_unit(geo_keys)
+    code = geo_keys.get(_PROJECTED, geo_keys.get(_GEOGRAPHIC, 0))
+    if code in (0, _USER_DEFINED):
+        return StatedCrs(None, vertical_unit_m, "its GeoTIFF keys name no EPSG code")
+    try:
+        crs = CRS.from_epsg(code)
+    except CRSError:
+        return StatedCrs(None, vertical_unit_m, f"its GeoTIFF keys name the unknown EPSG:{code}")
+    unit = _EPSG_UNITS.get(geo_keys.get(_LINEAR_UNIT, 0))
+    if unit is not None and crs.is_projected:
+        crs = with_linear_unit(crs, unit)
+    return StatedCrs(crs, vertical_unit_m)
+
+
+def _vertical_unit(geo_keys: Mapping[int, int]) -> float | None:
+    """Metres in one unit of z by the vertical GeoTIFF keys."""
+    unit = _EPSG_UNITS.get(geo_keys.get(_VERTICAL_UNIT, 0))
+    if unit is not None:
+        return METRES_PER_UNIT[unit]
+    try:
+        vertical = CRS.from_epsg(geo_keys.get(_VERTICAL_CRS, 0))
+    except CRSError:
+        return None
+    return vertical.axis_info[0].unit_conversion_factor if vertical.is_vertical else None
+
+
+def horizontal(crs: CRS) -> CRS:
+    """Horizontal part of ``crs``, without the datum shift that old WKT may bind to it."""
+    flat = crs.sub_crs_list[0] if crs.is_compound else crs
+    if flat.is_bound and flat.source_crs is not None:
+        flat = flat.source_crs
+    return flat if len(flat.axis_info) == 2 else flat.to_2d()
+
+
+def linear_units(crs: CRS, where: str) -> tuple[float, float | None]:
+    """Metres in one unit of x and y, and of z (None where ``crs`` has no vertical axis).
+
+    Raises
+    ------
+    InputError : the axes are not east and north (and up), or x and y differ in unit.
+    """
+    axes = crs.axis_info
+    directions = [axis.direction for axis in axes]
+    if sorted(directions[:2]) != ["east", "north"] or directions[2:] not in ([], ["up"]):
+        raise InputError(
+            f"{crs.name} has axes that point {', '.join(directions)}",
+            where=where,
+            allowed="a projected CRS with axes east and north, and up if there is a third",
+        )
+    x_m, y_m = (axis.unit_conversion_factor for axis in axes[:2])
+    if x_m != y_m:
+        raise InputError(f"x and y of {crs.name} differ in unit", where=where)
+    return x_m, axes[2].unit_conversion_factor if len(axes) == 3 else None
+
+
+def with_linear_unit(crs: CRS, unit: str) -> CRS:
+    """Copy of the projected ``crs`` whose x and y axes count in ``unit``.
+
+    The projection and its parameters stay, only the numbers along the axes change. A CRS that
+    counts in that unit already comes back as it is.
+    """
+    if unit_name(crs.axis_info[0].unit_conversion_factor) == unit:
+        return crs
+    new_unit: Any = "metre"
+    if unit != "metre":
+        length = METRES_PER_UNIT[unit]
+        new_unit = {"type": "LinearUnit", "name": unit, "conversion_factor": length}
+    content = crs.to_json_dict()
+    _relabel(content, new_unit)
+    return CRS.from_json_dict(content)
+
+
+def _relabel(node: dict[str, Any], unit: Any) -> None:
+    """Set the unit of the first two axes of the projected CRS inside ``node``."""
+    node.pop("id", None)
+    if node["type"] == "ProjectedCRS":
+        for axis in node["coordinate_system"]["axis"][:2]:
+            axis["unit"] = unit
+    for child in [node.get("source_crs"), *node.get("components", [])[:1]]:
+        if child is not None:
+            _relabel(child, unit)
+
+
+def agree(first: CRS, second: CRS, x: float, y: float) -> bool:
+    """Whether two CRSs give native (x, y) the same meaning to within 1 cm."""
+    try:
+        transformer = Transformer.from_crs(horizontal(first), horizontal(second), always_xy=True)
+        to_x, to_y = transformer.transform(x, y)
+    except ProjError:
+        return False
+    tolerance = _AGREEMENT_M
+    if second.is_projected:
+        tolerance /= second.axis_info[0].unit_conversion_factor
+    return first.is_projected == second.is_projected and bool(
+        abs(to_x - x) <= tolerance and abs(to_y - y) <= tolerance
+    )

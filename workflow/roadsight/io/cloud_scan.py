@@ -1,0 +1,114 @@
+"""First look at a cloud: how many points, where, of which classes; noise left out."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.errors import InputError
+from roadsight.io.checksums import sha256
+from roadsight.io.clouds import CHUNK_POINTS, Chunk, iter_chunks, read_header
+from roadsight.io.las_header import CloudHeader
+
+NOISE_CLASSES = (7, 18)
+"""ASPRS classes of low and high noise."""
+
+Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+@dataclass(frozen=True)
+class CloudScan:
+    """What a pass over all points of one cloud has found.
+
+    Parameters
+    ----------
+    header : what its header says.
+    points : points that are neither withheld nor noise.
+    lower, upper : least and greatest native x, y, z of these points, shape (3,).
+    withheld, noise : points left out as withheld, and as noise but not withheld.
+    classes : number of these points by class.
+    intense : whether any of them has an intensity above 0.
+    brightest : greatest red, green or blue; 0 without colour.
+    sha256 : of the file.
+    """
+
+    header: CloudHeader
+    points: int
+    lower: NDArray[np.float64]
+    upper: NDArray[np.float64]
+    withheld: int
+    noise: int
+    classes: dict[int, int]
+    intense: bool
+    brightest: int
+    sha256: str
+
+
+def kept_chunks(
+    path: str | os.PathLike[str], move: Move | None = None, chunk_points: int = CHUNK_POINTS
+) -> Iterator[tuple[Chunk, int, int]]:
+    """Stream the points that are neither withheld nor noise, in file order.
+
+    Parameters
+    ----------
+    move : reprojection of native x, y, z, or None.
+
+    Yields
+    ------
+    points that stay, number of withheld points, number of noise points that are not withheld
+
+    Raises
+    ------
+    InputError : the cloud cannot be read, or a point cannot be reprojected.
+    """
+    for chunk in iter_chunks(path, chunk_points):
+        noisy = np.isin(chunk.classification, NOISE_CLASSES) & ~chunk.withheld
+        kept = chunk.select(~(chunk.withheld | noisy))
+        if move is not None:
+            kept = replace(kept, xyz=move(kept.xyz))
+            if not np.isfinite(kept.xyz).all():
+                raise InputError("has points that cannot be reprojected", where=str(path))
+        yield kept, int(chunk.withheld.sum()), int(noisy.sum())
+
+
+def scan_cloud(
+    path: str | os.PathLike[str], move: Move | None = None, chunk_points: int = CHUNK_POINTS
+) -> CloudScan:
+    """Read all points of a cloud once and keep what ingest has to know beforehand.
+
+    Raises
+    ------
+    InputError : as `kept_chunks`, or every point is withheld or noise.
+    """
+    lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
+    classes: Counter[int] = Counter()
+    points = withheld = noise = brightest = 0
+    intense = False
+    for chunk, chunk_withheld, chunk_noise in kept_chunks(path, move, chunk_points):
+        withheld, noise, points = (
+            withheld + chunk_withheld,
+            noise + chunk_noise,
+            points + len(chunk),
+        )
+        lower = np.minimum(lower, chunk.xyz.min(axis=0, initial=np.inf))
+        upper = np.maximum(upper, chunk.xyz.max(axis=0, initial=-np.inf))
+        counts = np.bincount(chunk.classification)
+        classes.update({int(c): int(counts[c]) for c in np.flatnonzero(counts)})
+        intense = intense or bool(chunk.intensity.any())
+        if chunk.colour is not None:
+            brightest = max(brightest, int(chunk.colour.max(initial=0)))
+    if points == 0:
+        raise InputError(
+            "holds no points but noise and withheld ones",
+            where=str(path),
+            found=f"{withheld} withheld, {noise} noise",
+        )
+    return CloudScan(
+        read_header(path), points, lower, upper, withheld, noise, dict(sorted(classes.items())),
+        intense, brightest, sha256(path),
+    )  # fmt: skip

@@ -1,0 +1,252 @@
+"""LAS and LAZ point clouds in their native coordinates."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+import laspy
+import numpy as np
+from laspy.vlrs.known import WktCoordinateSystemVlr
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import atomic_path
+from roadsight.io.las_header import COLOURS, CloudHeader, check_structure, cloud_header
+
+CHUNK_POINTS = 1_000_000
+_LAZ_SCALE = 0.001
+_LAZ_DATE = date(2000, 1, 1)
+_DEGREES_PER_SCAN_ANGLE = 0.006
+
+# What laspy logs as an error also arrives as an exception, which becomes one message here.
+logging.getLogger("laspy").setLevel(logging.CRITICAL)
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Consecutive points of a cloud.
+
+    Parameters
+    ----------
+    xyz : native coordinates, shape (n, 3), float64.
+    intensity : uint16, shape (n,).
+    classification, return_number, number_of_returns : uint8, shape (n,); 0 where not recorded.
+    withheld : points that their producer asks to leave out, bool, shape (n,).
+    colour : red, green, blue as stored, uint16, shape (n, 3), or None.
+    """
+
+    xyz: NDArray[np.float64]
+    intensity: NDArray[np.uint16]
+    classification: NDArray[np.uint8]
+    return_number: NDArray[np.uint8]
+    number_of_returns: NDArray[np.uint8]
+    withheld: NDArray[np.bool_]
+    colour: NDArray[np.uint16] | None
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+    def select(self, mask: NDArray[np.bool_]) -> Chunk:
+        """Points where ``mask``, of shape (n,), is true."""
+        return Chunk(
+            self.xyz[mask],
+            self.intensity[mask],
+            self.classification[mask],
+            self.return_number[mask],
+            self.number_of_returns[mask],
+            self.withheld[mask],
+            None if self.colour is None else self.colour[mask],
+        )
+
+
+@dataclass(frozen=True)
+class NativeCloud:
+    """A whole cloud in memory.
+
+    Parameters
+    ----------
+    xyz : native coordinates, shape (n, 3), float64.
+    dims : every other dimension by its LAS name, each of length n.
+    header : what its header says.
+    """
+
+    xyz: NDArray[np.float64]
+    dims: dict[str, NDArray]
+    header: CloudHeader
+
+
+def read_header(path: str | os.PathLike[str]) -> CloudHeader:
+    """Header of a LAS or LAZ file.
+
+    Raises
+    ------
+    InputError : the file is missing, of another kind, damaged, without points, or its scale or
+        offset are no numbers to work with.
+    """
+    with _open(path) as reader:
+        return cloud_header(Path(path), reader.header)
+
+
+def iter_chunks(path: str | os.PathLike[str], chunk_points: int = CHUNK_POINTS) -> Iterator[Chunk]:
+    """Stream a cloud in file order, at most ``chunk_points`` points at a time.
+
+    Raises
+    ------
+    InputError : as `read_header`, or the points end early or cannot be decoded.
+    """
+    with _open(path) as reader:
+        header = cloud_header(Path(path), reader.header)
+        for points in _decoded(path, reader, chunk_points):
+            yield Chunk(
+                xyz=_native(points, header),
+                intensity=np.asarray(points.intensity, np.uint16),
+                classification=np.asarray(points.classification, np.uint8),
+                return_number=np.asarray(points.return_number, np.uint8),
+                number_of_returns=np.asarray(points.number_of_returns, np.uint8),
+                withheld=np.asarray(points.withheld, bool),
+                colour=_colour(points) if header.coloured else None,
+            )
+
+
+def read_laz(path: str | os.PathLike[str]) -> NativeCloud:
+    """Read a whole cloud with all its dimensions; meant for clouds that fit in memory.
+
+    Raises
+    ------
+    InputError : as `iter_chunks`.
+    """
+    with _open(path) as reader:
+        header = cloud_header(Path(path), reader.header)
+        parts = list(_decoded(path, reader, CHUNK_POINTS))
+        names = [n for n in reader.header.point_format.dimension_names if n not in "XYZ"]
+        dims = {name: np.concatenate([np.asarray(part[name]) for part in parts]) for name in names}
+        return NativeCloud(np.concatenate([_native(part, header) for part in parts]), dims, header)
+
+
+def write_laz(
+    path: str | os.PathLike[str],
+    xyz_m: ArrayLike,
+    frame: Frame,
+    dims: Mapping[str, ArrayLike] | None = None,
+) -> None:
+    """Write points as LAZ 1.4 in the native CRS and units, to 0.001 of a native unit.
+
+    The same points give the same bytes. Colours are written when red, green and blue are all there.
+
+    Parameters
+    ----------
+    xyz_m : local metres, shape (n, 3).
+    dims : further dimensions by name, each of length n; names that LAS 1.4 does not know become
+        extra dimensions of their own type.
+
+    Raises
+    ------
+    InputError : a coordinate is not finite or beyond what LAS integers hold.
+    """
+    xyz = frame.to_native(np.asarray(xyz_m).reshape(-1, 3))
+    offset = np.floor(frame.origin)
+    integers = np.rint((xyz - offset) / _LAZ_SCALE)
+    if not np.all(np.abs(integers) < 2**31):
+        raise InputError(
+            "cannot be written: a coordinate is not finite or too far from the origin",
+            where=str(path),
+        )
+    las = laspy.LasData(_new_header(frame, offset, dims or {}))
+    las.x, las.y, las.z = xyz.T
+    for name, values in (dims or {}).items():
+        las[_las_name(name)] = _las_values(name, np.asarray(values))
+    with atomic_path(path) as temporary:
+        las.write(str(temporary), do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
+
+
+@contextmanager
+def _open(path: str | os.PathLike[str]) -> Iterator[laspy.LasReader]:
+    """Open a cloud; whatever laspy and its decoder raise becomes one InputError."""
+    check_structure(Path(path))
+    try:
+        with laspy.open(os.fspath(path), laz_backend=laspy.LazBackend.Lazrs) as reader:
+            yield reader
+    except (InputError, KeyboardInterrupt, SystemExit, GeneratorExit):
+        raise
+    except BaseException as error:  # panics of the decoder are no Exceptions
+        raise InputError(
+            f"is damaged ({type(error).__name__}: {error})",
+            where=str(path),
+            hint="copy or download it again",
+        ) from error
+
+
+def _decoded(
+    path: str | os.PathLike[str], reader: laspy.LasReader, chunk_points: int
+) -> Iterator[laspy.ScaleAwarePointRecord]:
+    """Decode the points of an open cloud and count them."""
+    count = 0
+    for points in reader.chunk_iterator(chunk_points):
+        count += len(points)
+        yield points
+    if count != reader.header.point_count:
+        raise InputError(
+            "ends early",
+            where=str(path),
+            found=f"{count} points",
+            allowed=f"{reader.header.point_count}, as its header says",
+            hint="copy or download it again",
+        )
+
+
+def _native(points: laspy.ScaleAwarePointRecord, header: CloudHeader) -> NDArray[np.float64]:
+    integers = np.stack([points.X, points.Y, points.Z], axis=1)
+    return integers * header.scale + header.offset
+
+
+def _colour(points: laspy.ScaleAwarePointRecord) -> NDArray[np.uint16]:
+    return np.stack([np.asarray(points[name], np.uint16) for name in COLOURS], axis=1)
+
+
+def _new_header(
+    frame: Frame, offset: NDArray[np.float64], dims: Mapping[str, ArrayLike]
+) -> laspy.LasHeader:
+    """LAS 1.4 header with a fixed date, the CRS, and the extra dimensions that ``dims`` need."""
+    header = laspy.LasHeader(version="1.4", point_format=7 if set(COLOURS) <= set(dims) else 6)
+    header.creation_date = _LAZ_DATE
+    header.system_identifier = header.generating_software = "roadsight"
+    header.scales, header.offsets = np.full(3, _LAZ_SCALE), offset
+    header.global_encoding.wkt = True
+    if frame.crs_wkt is not None:
+        header.vlrs.append(WktCoordinateSystemVlr(_las_wkt(CRS.from_wkt(frame.crs_wkt))))
+    known = set(header.point_format.dimension_names)
+    for name, values in dims.items():
+        if _las_name(name) not in known:
+            header.add_extra_dim(
+                laspy.ExtraBytesParams(name, _las_values(name, np.asarray(values)).dtype)
+            )
+    return header
+
+
+def _las_wkt(crs: CRS) -> str:
+    """WKT 1, which LAS asks for, or WKT 2 where WKT 1 cannot say it."""
+    try:
+        return crs.to_wkt("WKT1_GDAL")
+    except CRSError:
+        return crs.to_wkt()
+
+
+def _las_name(name: str) -> str:
+    """Name in LAS 1.4 of a dimension of an older LAS format."""
+    return "scan_angle" if name == "scan_angle_rank" else name
+
+
+def _las_values(name: str, values: NDArray) -> NDArray:
+    """Values in LAS 1.4 of a dimension: scan angles in its unit, bool as 8 bit."""
+    if name == "scan_angle_rank":
+        return np.rint(values / _DEGREES_PER_SCAN_ANGLE).astype(np.int16)
+    return values.astype(np.uint8) if values.dtype == bool else values

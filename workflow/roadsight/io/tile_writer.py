@@ -1,0 +1,129 @@
+"""Writes a site's cloud as one Parquet file of tiles, see `roadsight.io.tiles`."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from roadsight.errors import InputError
+from roadsight.io.atomic import atomic_path
+from roadsight.io.tiles import COLOUR, COLUMN_TYPES, METADATA_KEY, POSITION, Tile
+
+_MAX_TILES = 40_000
+
+
+class TileWriter:
+    """Sorts a stream of points into tiles with bounded memory.
+
+    Points go to an anonymous file beside the output as they come, each batch sorted by tile;
+    `finish` then gathers one tile after the other. The result does not depend on the batches.
+
+    Parameters
+    ----------
+    path : Parquet file to write.
+    tile_size_m : edge of a tile.
+    coloured : whether points have red, green and blue.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], tile_size_m: float, coloured: bool) -> None:
+        self._path = Path(path)
+        self._tile_size_m = tile_size_m
+        names = [name for name in COLUMN_TYPES if coloured or name not in COLOUR]
+        self._record = np.dtype([(name, COLUMN_TYPES[name]) for name in names])
+        self._pieces: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
+        self._rows = 0
+        self._path.parent.mkdir(parents=True, exist_ok=True)
+        self._spill = tempfile.TemporaryFile(dir=self._path.parent)  # noqa: SIM115  # see __exit__
+
+    def __enter__(self) -> TileWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._spill.close()
+
+    def append(self, points: Mapping[str, NDArray]) -> None:
+        """Add points.
+
+        Parameters
+        ----------
+        points : every column of the cloud, each of shape (n,); x and y at least 0.
+
+        Raises
+        ------
+        InputError : the points fill too many tiles.
+        """
+        records = np.empty(len(points["x"]), self._record)
+        for name in self._record.names or ():
+            records[name] = points[name]
+        ix, iy = (np.floor(records[axis] / np.float64(self._tile_size_m)) for axis in "xy")
+        order = np.lexsort((ix, iy))
+        ix, iy = ix[order].astype(np.int64), iy[order].astype(np.int64)
+        starts = np.flatnonzero(np.diff(ix, prepend=-1) | np.diff(iy, prepend=-1))
+        ends = np.append(starts[1:], len(ix))
+        for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+            self._pieces[int(iy[start]), int(ix[start])].append((self._rows + start, end - start))
+        self._spill.write(records[order].tobytes())
+        self._rows += len(records)
+        if len(self._pieces) > _MAX_TILES:
+            raise InputError(
+                "the cloud fills too many tiles",
+                where="tile_size_m",
+                found=f"{self._tile_size_m:g} m",
+                allowed=f"at most {_MAX_TILES} tiles",
+                hint="choose larger tiles, or remove stray points",
+            )
+
+    def finish(self) -> list[Tile]:
+        """Write the file and return its tiles."""
+        names = self._record.names or ()
+        schema = pa.schema([(name, pa.from_numpy_dtype(self._record[name])) for name in names])
+        tiles = []
+        with (
+            atomic_path(self._path) as temporary,
+            pq.ParquetWriter(temporary, schema, compression="zstd") as writer,
+        ):
+            for iy, ix in sorted(self._pieces):
+                records = self._gather(self._pieces[iy, ix])
+                columns = [np.ascontiguousarray(records[name]) for name in names]
+                writer.write_table(pa.table(columns, schema=schema), row_group_size=len(records))
+                tiles.append(Tile(ix, iy, len(records), _bounds(records)))
+            index = {
+                "tile_size_m": self._tile_size_m,
+                "tiles": [asdict(tile) for tile in tiles],
+            }
+            writer.add_key_value_metadata(
+                {METADATA_KEY: json.dumps(index, sort_keys=True).encode()}
+            )
+        return tiles
+
+    def _gather(self, pieces: Sequence[tuple[int, int]]) -> NDArray:
+        """Points of one tile from their places in the spill file."""
+        records = np.empty(sum(count for _, count in pieces), self._record)
+        done = 0
+        for start, count in pieces:
+            self._spill.seek(start * self._record.itemsize)
+            self._spill.readinto(records[done : done + count].view(np.uint8).data)
+            done += count
+        return records
+
+
+def _bounds(records: NDArray) -> tuple[float, float, float, float, float, float]:
+    x, y, z = (records[axis] for axis in POSITION)
+    return (
+        float(x.min()),
+        float(y.min()),
+        float(z.min()),
+        float(x.max()),
+        float(y.max()),
+        float(z.max()),
+    )

@@ -1,0 +1,195 @@
+"""Nearest neighbours in azimuth and elevation, and ranges interpolated from them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+_FLOATS = NDArray[np.float64]
+_INTS = NDArray[np.int64]
+
+_BINS_IN_REACH = 6
+_ON_BEAM_M = 1e-9
+
+
+class Spherical(NamedTuple):
+    """Points around a sensor, in input order: angles in degrees and range in metres, each (n,)."""
+
+    azimuth_deg: _FLOATS
+    elevation_deg: _FLOATS
+    range_m: _FLOATS
+
+
+class Bins(NamedTuple):
+    """Points sorted into bins of azimuth (all around) and elevation.
+
+    Parameters
+    ----------
+    start : (rows * columns + 1,) where each bin begins in ``order``; rows are bins of elevation.
+    order : (n,) points by bin, in input order inside a bin.
+    columns, rows : number of bins. width_deg, height_deg : of a bin. bottom_deg : lowest elevation.
+    """
+
+    start: _INTS
+    order: _INTS
+    columns: int
+    rows: int
+    width_deg: float
+    height_deg: float
+    bottom_deg: float
+
+
+def bin_points(points: Spherical, reach_deg: float, edges_deg: _FLOATS) -> Bins:
+    """Sort points into bins; those farther than the reach from all beams are left out.
+
+    Parameters
+    ----------
+    reach_deg : greatest angle of neighbours, at most 45. edges_deg : borders of the beams' cells.
+    """
+    height = reach_deg / _BINS_IN_REACH
+    columns = int(360.0 / height)
+    bottom = edges_deg[0] - reach_deg
+    rows = int(np.ceil((edges_deg[-1] + reach_deg - bottom) / height))
+    row = np.floor((points.elevation_deg - bottom) / height).astype(np.int64)
+    column = np.floor((points.azimuth_deg + 180.0) / 360.0 * columns).astype(np.int64) % columns
+    inside = np.flatnonzero((row >= 0) & (row < rows))
+    flat = row[inside] * columns + column[inside]
+    counts = np.bincount(flat, minlength=rows * columns)
+    start = np.concatenate([[0], np.cumsum(counts)])
+    order = inside[np.argsort(flat, kind="stable")]
+    return Bins(start, order, columns, rows, 360.0 / columns, height, bottom)
+
+
+@njit(cache=True)
+def fill_cells(
+    points: Spherical,
+    bins: Bins,
+    azimuth_deg: _FLOATS,
+    elevation_deg: _FLOATS,
+    reach_deg: float,
+    neighbours: int,
+    sparse: NDArray[np.bool_],
+    depth_m: _FLOATS,
+) -> None:
+    """Interpolate the range of sparse cells (Steps 5 to 7); without neighbours it stays as it is.
+
+    Parameters
+    ----------
+    azimuth_deg, elevation_deg : (columns,), (rows,) of the beams.
+    sparse : (rows, columns) cells to fill. depth_m : (rows, columns), changed in place.
+    """
+    nearest = np.empty(neighbours, np.int64)
+    gap = np.empty(neighbours)
+    for row in range(len(elevation_deg)):
+        for column in range(len(azimuth_deg)):
+            if sparse[row, column]:
+                beam = (azimuth_deg[column], elevation_deg[row])
+                found = _find_nearest(points, bins, beam, reach_deg, nearest, gap)
+                if found > 0:
+                    depth_m[row, column] = _weighted_range(points, nearest[:found], beam)
+
+
+@njit(cache=True)
+def _find_nearest(
+    points: Spherical,
+    bins: Bins,
+    beam_deg: tuple[float, float],
+    reach_deg: float,
+    nearest: _INTS,
+    gap: _FLOATS,
+) -> int:
+    """Nearest points, nearest first (``gap``: squared angles); returns how many there are.
+
+    Bins are searched in square rings around the beam's own bin until no point outside can be
+    nearer.
+    """
+    own_row = int(np.floor((beam_deg[1] - bins.bottom_deg) / bins.height_deg))
+    own_column = int(np.floor((beam_deg[0] + 180.0) / bins.width_deg))
+    step_deg = min(bins.width_deg, bins.height_deg)
+    found = 0
+    for ring in range(_BINS_IN_REACH + 2):
+        for row in range(max(own_row - ring, 0), min(own_row + ring + 1, bins.rows)):
+            stride = 1 if abs(row - own_row) == ring else max(2 * ring, 1)
+            for column in range(own_column - ring, own_column + ring + 1, stride):
+                found = _scan_bin(
+                    points,
+                    bins,
+                    row,
+                    column % bins.columns,
+                    beam_deg,
+                    reach_deg,
+                    nearest,
+                    gap,
+                    found,
+                )
+        searched_deg = ring * step_deg
+        if searched_deg >= reach_deg:
+            break
+        if found == len(nearest) and gap[found - 1] < searched_deg * searched_deg:
+            break
+    return found
+
+
+@njit(cache=True)
+def _scan_bin(
+    points: Spherical,
+    bins: Bins,
+    row: int,
+    column: int,
+    beam_deg: tuple[float, float],
+    reach_deg: float,
+    nearest: _INTS,
+    gap: _FLOATS,
+    found: int,
+) -> int:
+    """Insert the points of one bin into the sorted list of nearest ones; returns its new length."""
+    flat = row * bins.columns + column
+    for place in range(bins.start[flat], bins.start[flat + 1]):
+        i = bins.order[place]
+        along = abs(points.azimuth_deg[i] - beam_deg[0]) % 360.0
+        along = min(along, 360.0 - along)
+        up = points.elevation_deg[i] - beam_deg[1]
+        squared = along * along + up * up
+        if squared > reach_deg * reach_deg:
+            continue
+        slot = found
+        while slot > 0 and (
+            squared < gap[slot - 1] or (squared == gap[slot - 1] and i < nearest[slot - 1])
+        ):
+            slot -= 1
+        if slot == len(nearest):
+            continue
+        found = min(found + 1, len(nearest))
+        for k in range(found - 1, slot, -1):
+            gap[k], nearest[k] = gap[k - 1], nearest[k - 1]
+        gap[slot], nearest[slot] = squared, i
+    return found
+
+
+@njit(cache=True)
+def _weighted_range(points: Spherical, nearest: _INTS, beam_deg: tuple[float, float]) -> float:
+    """Mean range weighted by the inverse distance to the beam (Eqs. 3 and 4)."""
+    bx, by, bz = _direction(beam_deg[0], beam_deg[1])
+    total, weights = 0.0, 0.0
+    on_beam, hits = 0.0, 0
+    for i in nearest:
+        ux, uy, uz = _direction(points.azimuth_deg[i], points.elevation_deg[i])
+        cx, cy, cz = uy * bz - uz * by, uz * bx - ux * bz, ux * by - uy * bx
+        distance = points.range_m[i] * np.sqrt(cx * cx + cy * cy + cz * cz)
+        if distance <= _ON_BEAM_M:
+            on_beam += points.range_m[i]
+            hits += 1
+        else:
+            total += points.range_m[i] / distance
+            weights += 1 / distance
+    return on_beam / hits if hits else total / weights
+
+
+@njit(cache=True)
+def _direction(azimuth_deg: float, elevation_deg: float) -> tuple[float, float, float]:
+    azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
+    horizontal = np.cos(elevation)
+    return horizontal * np.cos(azimuth), horizontal * np.sin(azimuth), np.sin(elevation)

@@ -1,0 +1,144 @@
+"""What stands between a sensor and the targets that it does not see (paper 1, Appendix B).
+
+The paper compares a target's depth with the scene's in the sensor's depth map, and takes the points
+in between for obstacles. Here each sight line is cast on its own, so the answer does not depend on
+the sensor's resolution; where it ends is the obstacle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+_FLOATS = NDArray[np.float64]
+Cast = Callable[[_FLOATS, _FLOATS], _FLOATS]
+"""Ranges (n,) of rays from origins (n, 3) along unit directions (n, 3); infinite if nothing."""
+
+# Heights on a target, as shares of its own, to which sight lines are cast.
+_LEVELS = (0.25, 0.5, 0.75, 1.0)
+# A hit this near to the target is the pavement or the target's own surroundings, metres.
+_NEAR_M = 0.4
+_CELL_M = 1.0
+
+
+def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
+    """Sight lines of sensor-target pairs and where they are blocked.
+
+    Parameters
+    ----------
+    pairs : columns sensor_x, sensor_y, sensor_z and x, y, z (foot of the target), local metres.
+    target_height_m : height of a target. cast : the scene.
+
+    Returns
+    -------
+    index of ``pairs`` with blocked_share (0 to 1 over the lines to the target) and obstacle_x, _y,
+    _z (of the lowest blocked line, NaN where none is).
+    """
+    sensor = pairs[["sensor_x", "sensor_y", "sensor_z"]].to_numpy(np.float64)
+    foot = pairs[["x", "y", "z"]].to_numpy(np.float64)
+    blocked = np.zeros((len(pairs), len(_LEVELS)), dtype=bool)
+    hits = np.full((len(pairs), 3), np.nan)
+    for column, level in reversed(list(enumerate(_LEVELS))):
+        way = foot - sensor
+        way[:, 2] += level * target_height_m
+        length = np.linalg.norm(way, axis=1)
+        direction = way / np.maximum(length, 1e-9)[:, None]
+        reach = cast(sensor, direction)
+        blocked[:, column] = reach < length - _NEAR_M
+        point = sensor + np.where(np.isfinite(reach), reach, 0.0)[:, None] * direction
+        hits = np.where(blocked[:, column, None], point, hits)
+    result = pd.DataFrame(hits, columns=["obstacle_x", "obstacle_y", "obstacle_z"])
+    result.insert(0, "blocked_share", blocked.mean(axis=1))
+    return result.set_index(pairs.index)
+
+
+def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
+    """Obstacles by cubic metre: where they are and how much they hide.
+
+    Parameters
+    ----------
+    lines : columns target, candidate and those of `blocked_sight_lines`.
+
+    Returns
+    -------
+    x, y, z (mean of the hits), sight_lines, targets (distinct), sensors (distinct), names of both;
+    the greatest first, ties by place.
+    """
+    lines = lines[lines["blocked_share"] > 0]
+    cell = np.floor(lines[["obstacle_x", "obstacle_y", "obstacle_z"]] / _CELL_M)
+    keys = [cell[axis].rename(axis) for axis in cell.columns]
+    groups = lines.groupby(keys, sort=True)
+    table = pd.DataFrame(
+        {
+            "x": groups["obstacle_x"].mean(),
+            "y": groups["obstacle_y"].mean(),
+            "z": groups["obstacle_z"].mean(),
+            "sight_lines": groups.size(),
+            "targets": groups["target"].nunique(),
+            "sensors": groups["candidate"].nunique(),
+            "target": groups["target"].first(),
+            "sensor": groups["candidate"].first(),
+        }
+    )
+    return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
+
+
+def pairs_in_range(sensors: pd.DataFrame, targets: pd.DataFrame, range_m: _FLOATS) -> pd.DataFrame:
+    """All sensor-target pairs no further apart than the sensor's range.
+
+    Parameters
+    ----------
+    sensors : columns candidate, x, y, z. targets : columns target, x, y, z. range_m : per sensor.
+
+    Returns
+    -------
+    columns candidate, sensor_x, sensor_y, sensor_z, target, x, y, z, distance_m.
+    """
+    place = sensors[["x", "y", "z"]].to_numpy(np.float64)
+    foot = targets[["x", "y", "z"]].to_numpy(np.float64)
+    distance = np.linalg.norm(place[:, None] - foot[None], axis=2)
+    row, column = np.nonzero(distance <= np.asarray(range_m)[:, None])
+    pairs = pd.DataFrame(foot[column], columns=["x", "y", "z"])
+    pairs[["sensor_x", "sensor_y", "sensor_z"]] = place[row]
+    pairs["candidate"] = sensors["candidate"].to_numpy()[row]
+    pairs["target"] = targets["target"].to_numpy()[column]
+    pairs["distance_m"] = distance[row, column]
+    return pairs
+
+
+def reasons(
+    targets: pd.DataFrame,
+    candidates: pd.DataFrame,
+    range_m: float,
+    target_height_m: float,
+    cast: Cast,
+) -> pd.DataFrame:
+    """Why nothing sees a target, judged at its eight nearest candidates.
+
+    Returns
+    -------
+    target, reason ("out of range", "hidden" where most sight lines are blocked, else "too few
+    beams"), blocked_share, nearest_m, and the lines' columns of the most blocked candidate.
+    """
+    rows = []
+    for _, target in targets.iterrows():
+        one = target.to_frame().T.astype(dict.fromkeys("xyz", float))
+        pairs = pairs_in_range(candidates, one, np.full(len(candidates), np.inf))
+        pairs = pairs.nsmallest(8, "distance_m").reset_index(drop=True)
+        near = pairs[pairs["distance_m"] <= range_m]
+        lines = pairs.join(blocked_sight_lines(pairs, target_height_m, cast))
+        share = float(lines["blocked_share"].mean())
+        reason = "out of range" if near.empty else "hidden" if share > 0.5 else "too few beams"
+        worst = lines.loc[lines["blocked_share"].idxmax()].to_dict()
+        rows.append(
+            worst
+            | {
+                "reason": reason,
+                "blocked_share": share,
+                "nearest_m": float(pairs["distance_m"].min()),
+            }
+        )
+    return pd.DataFrame(rows)

@@ -1,0 +1,193 @@
+"""LiDAR sensors: field of view, channels, range (paper 1, section 2.4, Fig. 6a and Table 5).
+
+Conventions: in the sensor frame x points to the road, y to its left, z up. Columns of a depth map
+go counter-clockwise from the lower azimuth limit, rows go up from the lowest channel. A beam runs
+through the centre of its cell; a cell ends half-way to the next beam.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import cached_property
+from itertools import pairwise
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from roadsight.config.validate import validated
+from roadsight.errors import InputError, nearest
+from roadsight.io.texts import read_yaml
+
+_FLOATS = NDArray[np.float64]
+_MAX_BEAMS = 20_000_000
+
+Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class Sensor(BaseModel):
+    """A spinning LiDAR: the same channels at every azimuth step.
+
+    Channels are either ``elevations_deg``, or ``channels`` evenly spread from ``elevation_min_deg``
+    to ``elevation_max_deg``, both limits included (so Table 5's 1.29 degrees are 40 / 31).
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    kind: Literal["spinning"] = Field("spinning", description="pattern of the beams")
+    azimuth_min_deg: float = Field(-180.0, ge=-360, le=360, description="right limit, deg")
+    azimuth_max_deg: float = Field(180.0, ge=-360, le=360, description="left limit, deg")
+    azimuth_step_deg: Positive = Field(0.1, description="horizontal angular resolution, deg")
+    elevation_min_deg: Elevation | None = Field(None, description="lowest channel, deg")
+    elevation_max_deg: Elevation | None = Field(None, description="highest channel, deg")
+    channels: int | None = Field(None, ge=1, description="number of evenly spread channels")
+    elevations_deg: tuple[Elevation, ...] | None = Field(None, description="channel table, deg")
+    range_m: float = Field(gt=0, le=5000, description="detection range, m")
+    cost: float = Field(1.0, ge=0, le=1e9, description="cost of placing one (paper: 1)")
+    price: float | None = Field(None, ge=0, description="list price, any currency, for the report")
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Sensor:
+        self._check_azimuths()
+        self._check_elevations()
+        if self.rows * self.columns > _MAX_BEAMS:
+            raise ValueError(f"{self.rows * self.columns} beams are more than {_MAX_BEAMS}")
+        return self
+
+    def _check_azimuths(self) -> None:
+        span = self.azimuth_max_deg - self.azimuth_min_deg
+        if not 0 < span <= 360:
+            raise ValueError(
+                "azimuth_min_deg must be below azimuth_max_deg and both at most 360 deg apart,"
+                f" found {self.azimuth_min_deg:g} and {self.azimuth_max_deg:g}"
+            )
+        cells = span / self.azimuth_step_deg
+        if round(cells) < 1 or abs(cells - round(cells)) > 1e-3:
+            raise ValueError(
+                f"azimuth_step_deg ({self.azimuth_step_deg:g}) must divide the field of view"
+                f" ({span:g} deg) into whole cells"
+            )
+
+    def _check_elevations(self) -> None:
+        even = (self.elevation_min_deg, self.elevation_max_deg, self.channels)
+        if self.elevations_deg is None:
+            if None in even:
+                raise ValueError(
+                    "channels need elevations_deg, or elevation_min_deg, elevation_max_deg"
+                    " and channels"
+                )
+        elif even != (None, None, None):
+            raise ValueError("elevations_deg excludes elevation_min_deg, _max_deg and channels")
+        elevations = self.elevation_deg
+        if not len(elevations) or any(low >= high for low, high in pairwise(elevations)):
+            raise ValueError(
+                "channel elevations must increase (elevation_min_deg below elevation_max_deg)"
+            )
+
+    @cached_property
+    def elevation_deg(self) -> _FLOATS:
+        """Elevation of each row's beams, increasing; shape (rows,)."""
+        if self.elevations_deg is not None:
+            return np.array(self.elevations_deg, np.float64)
+        low, high, channels = self.elevation_min_deg, self.elevation_max_deg, self.channels
+        if low is None or high is None or channels is None:
+            raise ValueError("channels are not defined")
+        if channels == 1:
+            return np.array([(low + high) / 2])
+        return np.linspace(low, high, channels, dtype=np.float64)
+
+    @cached_property
+    def elevation_edges_deg(self) -> _FLOATS:
+        """Borders of the rows' cells; shape (rows + 1,).
+
+        Half-way between beams; the outer cells are symmetric about their beam. The cell of a single
+        channel is as high as it is wide.
+        """
+        beams = self.elevation_deg
+        if len(beams) == 1:
+            return beams[0] + np.array([-0.5, 0.5]) * self.azimuth_cell_deg
+        middle = (beams[:-1] + beams[1:]) / 2
+        return np.concatenate([[2 * beams[0] - middle[0]], middle, [2 * beams[-1] - middle[-1]]])
+
+    @property
+    def azimuth_cell_deg(self) -> float:
+        """Width of a cell: the step that divides the field of view exactly."""
+        return (self.azimuth_max_deg - self.azimuth_min_deg) / self.columns
+
+    @cached_property
+    def azimuth_deg(self) -> _FLOATS:
+        """Azimuth of each column's beams, counter-clockwise from sensor x; shape (columns,)."""
+        return self.azimuth_min_deg + (np.arange(self.columns) + 0.5) * self.azimuth_cell_deg
+
+    @property
+    def columns(self) -> int:
+        """Number of azimuth cells."""
+        return round((self.azimuth_max_deg - self.azimuth_min_deg) / self.azimuth_step_deg)
+
+    @property
+    def rows(self) -> int:
+        """Number of channels."""
+        return len(self.elevation_deg)
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of a depth map."""
+        return self.rows, self.columns
+
+    def to_dict(self) -> dict[str, Any]:
+        """Definition as plain values; equal definitions give equal depth maps."""
+        return self.model_dump(mode="json")
+
+
+def load_sensors(path: str | os.PathLike[str]) -> dict[str, Sensor]:
+    """Read the sensors file.
+
+    Parameters
+    ----------
+    path : YAML file with one mapping ``sensors`` of names to definitions.
+
+    Raises
+    ------
+    InputError : malformed file, unknown key, reversed limits, a resolution that is not positive.
+    """
+    content = read_yaml(path)
+    if not isinstance(content, dict) or not isinstance(content.get("sensors"), dict):
+        raise InputError("needs a mapping 'sensors' of names to definitions", where=str(path))
+    if others := sorted(str(key) for key in content if key != "sensors"):
+        raise InputError(
+            f"unknown key {others[0]!r}", where=str(path), hint=nearest(others[0], ["sensors"])
+        )
+    if not content["sensors"]:
+        raise InputError("defines no sensor", where=str(path))
+    return {
+        _checked_name(name, path): validated(Sensor, definition, f"{path}, sensor {name}")
+        for name, definition in content["sensors"].items()
+    }
+
+
+def load_sensor(path: str | os.PathLike[str], name: str) -> Sensor:
+    """One sensor of the sensors file.
+
+    Raises
+    ------
+    InputError : as `load_sensors`, or no sensor of that name.
+    """
+    sensors = load_sensors(path)
+    if name not in sensors:
+        raise InputError(f"no sensor {name!r}", where=str(path), hint=nearest(name, sensors))
+    return sensors[name]
+
+
+def _checked_name(name: object, path: str | os.PathLike[str]) -> str:
+    """Names appear in file names."""
+    text = str(name)
+    if not text.replace("_", "a").replace(".", "a").replace("-", "a").isalnum() or text[0] == ".":
+        raise InputError(
+            "a sensor's name appears in file names",
+            where=str(path),
+            found=repr(text),
+            allowed="letters, digits, '-', '_' and '.', not first '.'",
+        )
+    return text

@@ -1,0 +1,83 @@
+"""Depth maps by casting one ray per beam at surfels with Embree."""
+
+from __future__ import annotations
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.placement.rays import beam_directions
+from roadsight.placement.sensors import Sensor
+from roadsight.scene.surfels import Surfels
+
+_CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
+
+class SurfelLidar:
+    """Surfels that rays can be cast at; single-threaded, the same result every time.
+
+    Parameters
+    ----------
+    surfels : in the local frame. Without any surfel nothing ever returns.
+    """
+
+    def __init__(self, surfels: Surfels) -> None:
+        self._origin_m = np.zeros(3)
+        self._scene = None
+        if len(surfels):
+            self._origin_m = np.round(surfels.centre_m.mean(axis=0, dtype=np.float64))
+            corners_m = _corners(surfels, self._origin_m)
+            rows = 4 * np.arange(len(surfels), dtype=np.int32)
+            triangles = (rows[:, None, None] + _TRIANGLES).reshape(-1, 3)
+            self._scene = EmbreeScene()
+            TriangleMesh(self._scene, corners_m.reshape(-1, 3), triangles)
+
+    def cast(
+        self, origin_m: ArrayLike, directions: NDArray[np.float32], max_range_m: float
+    ) -> NDArray[np.float32]:
+        """Ranges (n,) of the first surfels along rays from one point, 0 where there is none.
+
+        Parameters
+        ----------
+        origin_m : (3,) local metres. directions : (n, 3) unit vectors, local frame.
+        max_range_m : surfels at this range or farther do not count.
+        """
+        if self._scene is None or len(directions) == 0:
+            return np.zeros(len(directions), np.float32)
+        origin = (np.asarray(origin_m, np.float64) - self._origin_m).astype(np.float32)
+        limit = np.full(len(directions), max_range_m, np.float32)
+        origins = np.ascontiguousarray(np.broadcast_to(origin, directions.shape))
+        range_m = self._scene.run(origins, directions, dists=limit, query="DISTANCE")
+        range_m[range_m >= np.float32(max_range_m)] = 0.0
+        return range_m
+
+    def depth_map(
+        self, sensor: Sensor, position_m: ArrayLike, yaw_deg: float
+    ) -> NDArray[np.float32]:
+        """Range of every beam's first return, metres, 0 for none; shape (rows, columns).
+
+        Parameters
+        ----------
+        position_m : (3,) local metres. yaw_deg : sensor x from local x, counter-clockwise.
+        """
+        directions = beam_directions(sensor, yaw_deg).reshape(-1, 3)
+        return self.cast(position_m, directions, sensor.range_m).reshape(sensor.shape)
+
+
+def _corners(surfels: Surfels, origin_m: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Corners (n, 4, 3) of each surfel: its plane over the borders of its cell."""
+    n = len(surfels)
+    rows, axis = np.arange(n), np.abs(surfels.normal).argmax(axis=1)
+    u, v = (axis + 1) % 3, (axis + 2) % 3
+    across = surfels.normal[rows, axis]
+    slope_u, slope_v = -surfels.normal[rows, u] / across, -surfels.normal[rows, v] / across
+    corners = np.empty((n, 4, 3), np.float32)
+    centre = surfels.centre_m - origin_m
+    for number, (du, dv) in enumerate(_CORNERS):
+        corners[:, number] = centre
+        corners[rows, number, u] += du * surfels.half_m
+        corners[rows, number, v] += dv * surfels.half_m
+        corners[rows, number, axis] += (du * slope_u + dv * slope_v) * surfels.half_m
+    return corners

@@ -1,0 +1,186 @@
+"""The report: one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jinja2
+import numpy as np
+
+from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.report import wording
+from roadsight.report.page import FORMAT
+from roadsight.report.parameters import figure_rows, setting_groups
+from roadsight.report.plan_view import plan_views
+
+STYLES = ("base.css", "parts.css", "views.css")
+SCRIPTS = ("data.js", "map_view.js", "map_layers.js", "scene_view.js", "site.js", "main.js")
+TEMPLATES = (
+    "report.html.j2",
+    "site.html.j2",
+    "parts.html.j2",
+    "plans.html.j2",
+    "views.html.j2",
+    "plan.html.j2",
+    "evidence.html.j2",
+)
+ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)
+"""Names of the files that `render_report` needs."""
+
+_ROWS_SHOWN = 100
+_UNIT_SIGNS = {"metre": "m", "foot": "ft", "us-survey-foot": "US ft"}
+
+
+def render_report(
+    pages: Sequence[dict[str, Any]], assets: Mapping[str, str], plotly_js: str, version: str
+) -> str:
+    """HTML of the report; the same pages give the same text.
+
+    Parameters
+    ----------
+    pages : content of each site's page.json, in the order of the report.
+    assets : text of the files named in `ASSETS`.
+    plotly_js : source of plotly.js.
+
+    Raises
+    ------
+    InputError : no page, a page of another format, or two pages of one site.
+    """
+    _check(pages)
+    environment = jinja2.Environment(
+        loader=jinja2.DictLoader({name: assets[name] for name in TEMPLATES}),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    environment.filters |= {
+        name: getattr(wording, name)
+        for name in ("number", "percent", "seconds", "metres", "bearing", "counted", "label")
+    } | {"quantity": wording.quantity}
+    return environment.get_template("report.html.j2").render(
+        sites=[_site(page, f"site-{number}") for number, page in enumerate(pages)],
+        css="\n".join(assets[name] for name in STYLES),
+        script="\n".join(assets[name] for name in SCRIPTS),
+        plotly=plotly_js,
+        version=version,
+        rows=_ROWS_SHOWN,
+    )
+
+
+def _check(pages: Sequence[dict[str, Any]]) -> None:
+    if not pages:
+        raise InputError("no site to report", where="--pages")
+    for page in pages:
+        if page.get("format") != FORMAT:
+            raise InputError(
+                "is no page of this version",
+                where="--pages",
+                found=page.get("format"),
+                allowed=FORMAT,
+                hint="run the workflow again",
+            )
+    names = [page["summary"]["site"] for page in pages]
+    if repeated := sorted({name for name in names if names.count(name) > 1}):
+        raise InputError("two pages of one site", where="--pages", found=repeated[0])
+
+
+def _site(page: dict[str, Any], identifier: str) -> dict[str, Any]:
+    """What the templates show of a site."""
+    summary, about, layers = page["summary"], page["frame"], page["layers"]
+    plans = plan_views(page["plans"], Frame.from_dict(about))
+    scene = summary["scene"]
+    sensors = page["sensors"]
+    return {
+        "id": identifier,
+        "name": summary["site"],
+        "title": page["title"] or summary["site"],
+        "version": summary["version"],
+        "seed": summary["seed"],
+        "crs": about["crs_name"],
+        "points": about["points"],
+        "shown_points": layers["cloud"]["xyz"]["count"] // 3,
+        "has_intensity": layers["cloud"]["intensity"] is not None,
+        "has_colour": layers["cloud"]["colour"] is not None,
+        "unit": _unit_sign(about["unit"]),
+        "vertical_unit": _unit_sign(about["vertical_unit"]),
+        "unit_name": about["unit"],
+        "vertical_unit_name": about["vertical_unit"],
+        "origin": ", ".join(wording.number(value, 3) for value in about["origin"]),
+        "located": about["crs_wkt"] is not None,
+        "whole_costs": all(float(sensor["cost"]).is_integer() for sensor in sensors.values()),
+        "cards": _cards(page),
+        "cautions": page["cautions"],
+        "plans": plans,
+        "edges": layers["edges"],
+        "scene_rows": figure_rows({k: v for k, v in scene.items() if k != "pavement_scores"}),
+        "score_rows": figure_rows(scene.get("pavement_scores") or {}),
+        "effects": _effects(summary["effects"]),
+        "sensors": sensors,
+        "sensor_keys": list(dict.fromkeys(key for sensor in sensors.values() for key in sensor)),
+        "settings": setting_groups(summary["settings"]),
+        "inputs": summary["inputs"],
+        "sections": _sections(bool(plans)),
+        "data": embedded({"layers": layers, "plans": page["plans"], "sensors": sensors}),
+    }
+
+
+def embedded(content: Any) -> str:
+    """JSON that is safe inside a script element, whatever the texts hold."""
+    text = json.dumps(content, separators=(",", ":"), sort_keys=True, allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Key figures: name, value, remark."""
+    lengths = [edge["length_m"] for edge in page["layers"]["edges"]]
+    cards = [
+        ("Pavement", wording.quantity("area_m2", round(page["pavement_area_m2"])), ""),
+        ("Road edges", wording.metres(float(np.sum(lengths)), 0), f"{len(lengths)} lines"),
+    ]
+    scores = page["summary"]["scene"].get("pavement_scores")
+    if scores:
+        f1 = wording.percent(scores["f1"])
+        cards.append(("Pavement F1 score", f1, "against the reference"))
+    if not page["plans"]:
+        return cards
+    candidates = page["layers"]["candidates"]
+    positions = candidates["heights"]["count"]
+    cards.append(("Targets", wording.number(len(page["layers"]["targets"]["names"])), "to be seen"))
+    remark = f"at {wording.counted(positions, 'position')}"
+    cards.append(("Candidates", wording.number(candidates["total"]), remark))
+    solved = [plan for plan in page["plans"] if plan["objective"] is not None]
+    if solved:
+        fewest = min(solved, key=lambda plan: len(plan["sensors"]))
+        value = wording.counted(len(fewest["sensors"]), "sensor")
+        cards.append(("Fewest sensors", value, fewest["title"]))
+    return cards
+
+
+def _sections(placed: bool) -> list[tuple[str, str]]:
+    """Anchors and titles of a site's sections."""
+    views = [("map", "Map"), ("scene3d", "3D view")]
+    evidence = [("scene", "Scene"), ("parameters", "Parameters"), ("provenance", "Provenance")]
+    if not placed:
+        return [*views, *evidence]
+    results = [("sensors", "Chosen sensors"), ("gaps", "Uncovered targets")]
+    return [("plans", "Plans compared"), *views, *results, *evidence]
+
+
+def _effects(effects: Any) -> list[dict[str, Any]]:
+    """Decisions on effects as records with the same keys; by name, or already a list."""
+    records = effects
+    if isinstance(effects, dict):
+        records = [
+            {"effect": name, **(about if isinstance(about, dict) else {"decision": about})}
+            for name, about in effects.items()
+        ]
+    keys = list(dict.fromkeys(key for record in records for key in record))
+    return [{key: record.get(key) for key in keys} for record in records]
+
+
+def _unit_sign(name: str) -> str:
+    return _UNIT_SIGNS.get(name, name)

@@ -1,0 +1,210 @@
+"""Everything that the page shows of one site, as JSON content (``page.json``)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.geometry.frames import Frame
+from roadsight.report.cautions import Caution, data_cautions, is_proven, plan_cautions
+from roadsight.report.cautions import scene_cautions as cautions_of_scene
+from roadsight.report.gaps import gaps_of, obstacles_of, uncovered_reasons
+from roadsight.report.layers import (
+    CloudSample,
+    candidate_layer,
+    cloud_layer,
+    edge_layer,
+    polygon_layer,
+    relief_layer,
+    target_layer,
+)
+from roadsight.report.packing import pack, pack_points
+from roadsight.report.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
+
+FORMAT = "roadsight.page/1"
+
+
+@dataclass(frozen=True)
+class Relief:
+    """Terrain model, local metres; first row north, NaN = no data."""
+
+    heights_m: NDArray
+    west_m: float
+    north_m: float
+    cell_size_m: float
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What every site has.
+
+    Parameters
+    ----------
+    about : content of frame.json.
+    cloud : sample of the cloud. relief : terrain model.
+    pavement : polygons, edges : lines with edge, kind, source; local metres.
+    """
+
+    about: dict[str, Any]
+    cloud: CloudSample
+    relief: Relief
+    pavement: gpd.GeoDataFrame
+    edges: gpd.GeoDataFrame
+
+    @property
+    def frame(self) -> Frame:
+        """The site's local frame."""
+        return Frame.from_dict(self.about)
+
+
+@dataclass(frozen=True)
+class PlanResult:
+    """One solved plan.
+
+    Parameters
+    ----------
+    title : name for people. solution : content of solution.json.
+    uncovered : the plan's uncovered targets in coverage.json.
+    obstacles : points in local metres with columns target, sensor.
+    returns_xyz_m, returns_sensor : (n, 3) and (n,) sample of what the sensors would see, and the
+        number of the sensor, from 0.
+    """
+
+    title: str
+    solution: dict[str, Any]
+    uncovered: list[Any]
+    obstacles: gpd.GeoDataFrame
+    returns_xyz_m: NDArray
+    returns_sensor: NDArray
+
+
+@dataclass(frozen=True)
+class Placement:
+    """What a site with the placement job has.
+
+    Parameters
+    ----------
+    targets : columns target, x, y, z. rounds : candidates of each round.
+    detections : columns sensor, candidate, target of the chosen sensors at least.
+    sensors : definitions by name of the sensors that plans may use. plans : solved plans, in order.
+    """
+
+    targets: pd.DataFrame
+    rounds: Sequence[pd.DataFrame]
+    detections: pd.DataFrame
+    sensors: dict[str, dict[str, Any]]
+    plans: Sequence[PlanResult]
+
+
+def build_page(
+    title: str, summary: dict[str, Any], scene: Scene, placement: Placement | None
+) -> dict[str, Any]:
+    """Content of ``page.json``.
+
+    Parameters
+    ----------
+    summary : content of summary.json.
+    placement : None for a site that asks only for its scene.
+    """
+    layers = {
+        "cloud": cloud_layer(scene.cloud),
+        "relief": relief_layer(**vars(scene.relief)),
+        "pavement": polygon_layer(scene.pavement),
+        "edges": edge_layer(scene.edges),
+    }
+    plans = []
+    if placement is not None:
+        layers["candidates"] = candidate_layer(placement.rounds)
+        layers["targets"] = target_layer(placement.targets)
+        plans = [_plan(plan, placement, scene.frame) for plan in placement.plans]
+    return {
+        "format": FORMAT,
+        "title": title,
+        "summary": summary,
+        "frame": scene.about,
+        "pavement_area_m2": float(scene.pavement.geometry.area.sum()),
+        "sensors": {} if placement is None else placement.sensors,
+        "layers": layers,
+        "plans": plans,
+        "cautions": [asdict(caution) for caution in _cautions(summary, scene, placement, plans)],
+    }
+
+
+def _plan(plan: PlanResult, placement: Placement, frame: Frame) -> dict[str, Any]:
+    """One plan's result with what its sensors see."""
+    solution = plan.solution
+    sights = sights_of(solution["sensors"], placement.detections, placement.targets)
+    costs = [sensor["cost"] for sensor in placement.sensors.values()]
+    objective, bound = solution["objective"], solution["bound"]
+    at_least = int(solution["at_least"])
+    reasons = uncovered_reasons(plan.uncovered)
+    kept = ("status", "objective", "bound", "gap", "cost", "seconds_cpu", "reductions")
+    return {
+        "name": solution["plan"],
+        "title": plan.title,
+        **{key: solution[key] for key in kept},
+        "at_least": at_least,
+        "proven": is_proven(
+            solution["status"], objective, bound, all(float(cost).is_integer() for cost in costs)
+        ),
+        "targets": len(placement.targets),
+        "excluded": len(solution["excluded"]),
+        "sensors": _sensors(solution["sensors"], sights, frame),
+        "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
+        "histogram": sights.histogram.tolist(),
+        "gaps": gaps_of(placement.targets, sights.times_seen, at_least, reasons),
+        "obstacles": obstacles_of(plan.obstacles),
+        "returns": {
+            **pack_points(plan.returns_xyz_m),
+            "sensor": pack(plan.returns_sensor, "u2"),
+        },
+    }
+
+
+def _sensors(
+    sensors: list[dict[str, Any]], sights: Sights, frame: Frame
+) -> list[dict[str, Any]]:
+    """Chosen sensors in the solution's order, numbered from 1."""
+    xyz = np.array([[entry[axis] for axis in "xyz"] for entry in sensors]).reshape(-1, 3)
+    degrees = longitudes_latitudes(frame, xyz[:, :2])
+    kept = ("candidate", "sensor", "x", "y", "z", "height_m", "yaw_deg", "edge")
+    return [
+        {
+            **{key: entry[key] for key in kept},
+            "number": number + 1,
+            "bearing_deg": bearing_deg(entry["yaw_deg"]),
+            "native": frame.to_native(xyz[number]).tolist(),
+            "lon_lat_deg": None if degrees is None else degrees[number].tolist(),
+            **sights.figures(number),
+        }
+        for number, entry in enumerate(sensors)
+    ]
+
+
+def _cautions(
+    summary: dict[str, Any],
+    scene: Scene,
+    placement: Placement | None,
+    plans: list[dict[str, Any]],
+) -> list[Caution]:
+    """Warnings first, then notes."""
+    targets = positions = None
+    if placement is not None:
+        targets = len(placement.targets)
+        positions = len(pd.unique(pd.concat([table["key"] for table in placement.rounds])))
+    area_m2 = float(scene.pavement.geometry.area.sum())
+    found = [caution for plan in plans for caution in plan_cautions(plan)]
+    found += data_cautions(targets, positions, area_m2, summary["settings"])
+    found += cautions_of_scene(
+        scene.about,
+        summary["scene"].get("pavement_scores") is not None,
+        set(scene.edges["source"]),
+        {} if placement is None else placement.sensors,
+    )
+    return sorted(found, key=lambda caution: caution.level != "warning")

@@ -1,0 +1,92 @@
+"""Every parameter of a site as rows of tables, with its meaning from the schema."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic import BaseModel
+
+from roadsight.config.schema import Settings
+from roadsight.report.wording import label, lower_first, quantity, unit
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a table.
+
+    Parameters
+    ----------
+    key : dotted key. label : name for people. value : with unit. about : meaning, may be empty.
+    """
+
+    key: str
+    label: str
+    value: str
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Rows under one heading."""
+
+    title: str
+    rows: list[Row]
+
+
+def setting_groups(settings: dict[str, Any]) -> list[Group]:
+    """Settings by section, in the order of the schema; what the schema lacks comes last."""
+    order = _ordered(Settings, settings)
+    general = [name for name in order if not isinstance(settings[name], dict)]
+    groups = [Group("General", [_setting((name,), settings[name]) for name in general])]
+    for name in order:
+        section = settings[name]
+        if isinstance(section, dict):
+            keys = _ordered(_section(name), section)
+            title = _about((name,)).rstrip(".") or label(name)
+            groups.append(Group(title, [_setting((name, key), section[key]) for key in keys]))
+    return [group for group in groups if group.rows]
+
+
+def figure_rows(figures: dict[str, Any], heading: str = "", unit_of: str = "") -> list[Row]:
+    """Figures of any nesting as flat rows, inner ones in the unit of the outer key; None is left out.
+
+    Parameters
+    ----------
+    heading, unit_of : name and unit of the enclosing figure.
+    """
+    rows = []
+    for key, value in figures.items():
+        name = f"{heading}, {lower_first(label(key))}" if heading else label(key)
+        if isinstance(value, dict):
+            rows += figure_rows(value, name, unit(key) or unit_of)
+        elif value is not None:
+            rows.append(Row(key, name, quantity(key, value, unit_of)))
+    return rows
+
+
+def _setting(path: tuple[str, ...], value: Any) -> Row:
+    return Row(".".join(path), label(path[-1]), quantity(path[-1], value), _about(path))
+
+
+def _ordered(model: type[BaseModel], content: dict[str, Any]) -> list[str]:
+    """Keys in the order of the schema, then the others by name."""
+    known = [name for name in model.model_fields if name in content]
+    return known + sorted(set(content) - set(known))
+
+
+def _section(name: str) -> type[BaseModel]:
+    """Schema of a section; one without fields where the schema does not know it."""
+    field = Settings.model_fields.get(name)
+    annotation = None if field is None else field.annotation
+    known = isinstance(annotation, type) and issubclass(annotation, BaseModel)
+    return annotation if known else BaseModel
+
+
+def _about(path: tuple[str, ...]) -> str:
+    """Description of a setting ``(name,)`` or ``(section, name)``, or of a section."""
+    if len(path) == 1 and path[0] in Settings.model_fields and _section(path[0]) is not BaseModel:
+        return _section(path[0]).__doc__ or ""
+    model = Settings if len(path) == 1 else _section(path[0])
+    field = model.model_fields.get(path[-1])
+    return "" if field is None else field.description or ""

@@ -1,0 +1,142 @@
+"""Numbers, names and units as people read them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+_NARROW = "\u202f"
+_UNITS = {
+    "per_m2": "/m²",
+    "m2": "m²",
+    "m3": "m³",
+    "m": "m",
+    "km": "km",
+    "deg": "°",
+    "s": "s",
+    "mib": "MiB",
+    "share": "%",
+    "shares": "%",
+}
+_SHARES = {"accuracy", "precision", "recall", "f1", "area_iou"}
+_SPELLING = {
+    "f1": "F1",
+    "dem": "DEM",
+    "fpfh": "FPFH",
+    "crs": "CRS",
+    "iou": "IoU",
+    "lidar": "LiDAR",
+    "p90": "90th percentile",
+    "p95": "95th percentile",
+    "cpu": "CPU",
+    "z": "z",
+}
+MISSING = "–"
+
+
+def label(key: str) -> str:
+    """Name of a quantity from its key: ``pillar_width_m`` gives ``Pillar width``."""
+    words = [_SPELLING.get(word, word) for word in _without_unit(key).split("_")]
+    text = " ".join(words)
+    return text[:1].upper() + text[1:]
+
+
+def unit(key: str) -> str:
+    """Unit that a key ends in, empty if none."""
+    if key in _SHARES:
+        return "%"
+    return _UNITS.get(_suffix(key), "")
+
+
+def quantity(key: str, value: Any, default_unit: str = "") -> str:
+    """Value with the unit of its key, or the default one; shares as percentages."""
+    if value is None:
+        return MISSING
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list | tuple):
+        return ", ".join(quantity(key, part, default_unit) for part in value) or MISSING
+    if not isinstance(value, int | float):
+        return str(value)
+    suffix = unit(key) or default_unit
+    if suffix == "%":
+        return percent(value)
+    return number(value) + ("" if not suffix else suffix if suffix == "°" else f"{_NARROW}{suffix}")
+
+
+def number(value: float, decimals: int | None = None) -> str:
+    """Number with thousands separated; four significant digits unless decimals are given.
+
+    Whole numbers keep all their digits, very small ones get an exponent.
+    """
+    if not math.isfinite(value):
+        return MISSING
+    if decimals is None:
+        if float(value).is_integer():
+            return _signed(f"{value:,.0f}")
+        size = math.floor(math.log10(abs(value)))
+        if size < -4:
+            return _signed(f"{value:.3g}")
+        text = f"{value:,.{max(0, 3 - size)}f}"
+        return _signed(text.rstrip("0").rstrip(".") if "." in text else text)
+    return _signed(f"{value:,.{decimals}f}")
+
+
+def percent(share: float) -> str:
+    """Share as a percentage that never rounds to 0 or 100 unless it is."""
+    shown = f"{100 * share:.1f}"
+    if shown == "100.0" and share < 1:
+        shown = "> 99.9"
+    elif shown == "0.0" and share > 0:
+        shown = "< 0.1"
+    return f"{shown.removesuffix('.0')}{_NARROW}%"
+
+
+def seconds(value: float | None) -> str:
+    """CPU time: seconds below two minutes, minutes above."""
+    if value is None:
+        return MISSING
+    if value >= 120:
+        return f"{number(value / 60, 1)}{_NARROW}min"
+    if value < 0.05:
+        return f"< 0.1{_NARROW}s"
+    return f"{number(value, 1)}{_NARROW}s"
+
+
+def metres(value: float | None, decimals: int = 1) -> str:
+    """Length in metres."""
+    return MISSING if value is None else f"{number(value, decimals)}{_NARROW}m"
+
+
+def bearing(value_deg: float) -> str:
+    """Whole degrees with the compass point: ``135° SE``."""
+    points = ("N", "NE", "E", "SE", "S", "SW", "W", "NW")
+    return f"{round(value_deg) % 360}° {points[round(value_deg / 45) % 8]}"
+
+
+def counted(count: int, singular: str, plural: str = "") -> str:
+    """Number and noun: ``1 target``, ``2 targets``."""
+    return f"{number(count)} {singular if count == 1 else plural or singular + 's'}"
+
+
+def _signed(text: str) -> str:
+    """True minus sign, and no negative zero."""
+    if text.startswith("-"):
+        return text[1:] if not text.strip("-0.,") else f"−{text[1:]}"
+    return text
+
+
+def _suffix(key: str) -> str:
+    """Longest ending of a key that is a unit and not the whole key."""
+    endings = [ending for ending in _UNITS if key.endswith(f"_{ending}")]
+    return max(endings, key=len, default="")
+
+
+def _without_unit(key: str) -> str:
+    suffix = _suffix(key)
+    return key.removesuffix(f"_{suffix}") if suffix not in ("", "share") else key
+
+
+def lower_first(text: str) -> str:
+    """Text as it reads within a sentence: ``Cell size`` gives ``cell size``, ``CRS`` stays."""
+    return text if text[1:2].isupper() or text[1:2].isdigit() else text[:1].lower() + text[1:]
