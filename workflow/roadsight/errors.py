@@ -34,7 +34,8 @@ class InputError(Exception):
             parts.append(f"allowed: {allowed}")
         if hint:
             parts.append(hint)
-        super().__init__("; ".join(part.rstrip(".; ") for part in parts) + ".")
+        message = "; ".join(part.rstrip(".; ") for part in parts)
+        super().__init__(message if message.endswith("?") else message + ".")
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -223,6 +223,7 @@ rule solve_cover:
     output:
         solution="results/{site}/placement/{plan}/solution.json",
         layers="results/{site}/placement/{plan}/solution.gpkg",
+        timing="results/{site}/placement/{plan}/timing.json",
     params:
         sensors=plan_costs,
         at_least=setting("cover.at_least"),
@@ -241,7 +242,8 @@ rule solve_cover:
         " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
         " --at-least {params.at_least} --time-limit-s {params.time_limit_s}"
         " --uncoverable {params.uncoverable} --seed {params.seed}"
-        " --solution {output.solution} --layers {output.layers} > {log} 2>&1"
+        " --solution {output.solution} --layers {output.layers}"
+        " --timing {output.timing} > {log} 2>&1"
 
 
 rule find_obstacles:
@@ -250,7 +252,7 @@ rule find_obstacles:
         coverage=last_coverage,
         targets=rules.place_targets.output.targets,
         candidates=all_candidates,
-        cloud=rules.ingest_cloud.output.cloud,
+        detections=plan_detections,
         surfels=rules.build_surfels.output.surfels,
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
@@ -272,15 +274,15 @@ rule find_obstacles:
     shell:
         "python -m roadsight.stages.find_obstacles --solution {input.solution}"
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
-        " --candidates {input.candidates} --cloud {input.cloud} --surfels {input.surfels}"
-        " --dem {input.dem} --frame {input.frame} --sensors {params.sensors_file}"
+        " --candidates {input.candidates} --detections {input.detections}"
+        " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
+        " --sensors {params.sensors_file}"
         " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
 
 
 rule render_scans:
     input:
         solution=rules.solve_cover.output.solution,
-        candidates=all_candidates,
         surfels=rules.build_surfels.output.surfels,
         frame=rules.ingest_cloud.output.frame,
         code=sources("render_scans"),
@@ -299,5 +301,5 @@ rule render_scans:
         mem_mb=megabytes(250),
     shell:
         "python -m roadsight.stages.render_scans --solution {input.solution}"
-        " --candidates {input.candidates} --surfels {input.surfels} --frame {input.frame}"
-        " --sensors {params.sensors_file} --out {output.scans} > {log} 2>&1"
+        " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file}"
+        " --out {output.scans} > {log} 2>&1"

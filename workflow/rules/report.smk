@@ -12,6 +12,7 @@ rule summarise_site:
         scores=pavement_scores,
         coverage=placement_only(last_coverage),
         solutions=placement_only(plan_solutions),
+        timings=placement_only(plan_timings),
         code=sources("summarise_site"),
     output:
         summary="results/{site}/summary.json",
@@ -28,7 +29,7 @@ rule summarise_site:
         "python -m roadsight.stages.summarise_site --site {wildcards.site} --seed {params.seed}"
         " --settings {params.settings:q} --frame {input.frame} --profile {input.profile}"
         " --scores {input.scores} --coverage {input.coverage} --solutions {input.solutions}"
-        " --out {output.summary} > {log} 2>&1"
+        " --timings {input.timings} --out {output.summary} > {log} 2>&1"
 
 
 rule write_site_page:

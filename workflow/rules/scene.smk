@@ -227,6 +227,8 @@ rule score_pavement:
         scores="results/{site}/scene/pavement_scores.json",
     params:
         truth_crs=site_field("truth.pavement_crs"),
+        reach_m=site_field("truth.reach_m"),
+        truth_layer=lambda wildcards: "pavement" if SITES[wildcards.site].site.sample else "",
     log:
         log_of("score_pavement"),
     benchmark:
@@ -237,4 +239,5 @@ rule score_pavement:
         "python -m roadsight.stages.score_pavement --cloud {input.cloud} --frame {input.frame}"
         " --ground {input.ground} --pavement {input.pavement}"
         " --truth {input.truth:q} --truth-crs {params.truth_crs:q}"
+        " --truth-layer {params.truth_layer} --reach-m {params.reach_m}"
         " --out {output.scores} > {log} 2>&1"

@@ -99,7 +99,7 @@ def _located(path: str, file: Path) -> Path:
     """Absolute as given; relative to the site file; ``${VARIABLE}`` from the environment."""
 
     def value(match: re.Match[str]) -> str:
-        if match[1] not in os.environ:
+        if not os.environ.get(match[1]):
             raise InputError(
                 f"environment variable {match[1]} is not set",
                 where=f"{file}: {path}",

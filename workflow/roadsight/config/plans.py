@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from roadsight.config.schema import Section
+from roadsight.config.schema import Name, Section
 from roadsight.config.validate import validated
 from roadsight.errors import InputError, nearest
 from roadsight.io.texts import read_yaml
@@ -20,7 +20,7 @@ class Plan(Section):
 class Plans(Section):
     """The whole of ``config/plans.yaml``."""
 
-    plans: dict[str, Plan] = Field(min_length=1, description="plans by name")
+    plans: dict[Name, Plan] = Field(min_length=1, description="plans by name")
 
 
 def load_plans(plans_file: str, sensors_file: str) -> dict[str, Plan]:
@@ -31,7 +31,7 @@ def load_plans(plans_file: str, sensors_file: str) -> dict[str, Plan]:
     InputError : an unknown sensor, a plan without sensors, or a malformed file.
     """
     plans = validated(Plans, read_yaml(plans_file), plans_file).plans
-    known = list((read_yaml(sensors_file) or {}).get("sensors", {}))
+    known = _sensor_names(sensors_file)
     for name, plan in plans.items():
         for sensor in plan.sensors:
             if sensor not in known:
@@ -41,3 +41,11 @@ def load_plans(plans_file: str, sensors_file: str) -> dict[str, Plan]:
                     hint=f"{nearest(sensor, known)} (sensors are defined in {sensors_file})",
                 )
     return plans
+
+
+def _sensor_names(sensors_file: str) -> list[str]:
+    content = read_yaml(sensors_file)
+    sensors = content.get("sensors") if isinstance(content, dict) else None
+    if not isinstance(sensors, dict):
+        raise InputError("lacks the mapping 'sensors' of names to definitions", where=sensors_file)
+    return [str(name) for name in sensors]

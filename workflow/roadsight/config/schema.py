@@ -9,62 +9,71 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 Metres = Annotated[float, Field(gt=0, le=1000)]
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
+Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]  # safe as a folder and a wildcard
 
 
 class Section(BaseModel):
-    """A group of settings; unknown keys are refused."""
+    """A group of settings; unknown keys, infinities and NaN are refused."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Scene(Section):
     """Reading the cloud."""
 
-    tile_size_m: Metres = Field(50.0, description="side of a storage tile; bounds the memory, m")
+    tile_size_m: Metres = Field(
+        default=50.0, description="side of a storage tile; bounds the memory, m"
+    )
 
 
 class Ground(Section):
     """Robust pillar ground filter and terrain model."""
 
     pillar_width_m: Metres = Field(
-        0.2, description="width of a pillar, m; raised to twice the point spacing where larger"
+        default=0.2,
+        description="width of a pillar, m; raised to twice the point spacing where larger",
     )
     height_threshold_m: Metres = Field(
-        0.1, description="points higher than this above their pillar's ground are off-ground, m"
+        default=0.1,
+        description="points higher than this above their pillar's ground are off-ground, m",
     )
-    coarse_cell_m: Metres = Field(1.0, description="cell of the coarse ground surface, m")
+    coarse_cell_m: Metres = Field(default=1.0, description="cell of the coarse ground surface, m")
     max_object_width_m: Metres = Field(
-        30.0, description="widest object that is not ground (a building), m"
+        default=30.0, description="widest object that is not ground (a building), m"
     )
-    slope: float = Field(0.2, gt=0, le=2, description="steepest ground, rise over run")
-    dem_cell_m: Metres = Field(0.5, description="cell of the terrain model, m")
-    dem_fill_m: Metres = Field(20.0, description="gaps are filled up to this distance, m")
+    slope: float = Field(default=0.2, gt=0, le=2, description="steepest ground, rise over run")
+    dem_cell_m: Metres = Field(default=0.5, description="cell of the terrain model, m")
+    dem_fill_m: Metres = Field(default=20.0, description="gaps are filled up to this distance, m")
 
 
 class Pavement(Section):
     """Pavement by FPFH and k-means."""
 
     voxel_size_m: Metres = Field(
-        0.1,
+        default=0.1,
         description="ground points are thinned to one per column this wide, m; at least spacing",
     )
-    neighbours: int = Field(10, ge=3, le=100, description="K1, neighbours of a point for its FPFH")
+    neighbours: int = Field(
+        default=10, ge=3, le=100, description="K1, neighbours of a point for its FPFH"
+    )
     intensity: Literal["auto", "use", "ignore"] = Field(
-        "auto", description="intensity as a second cue: auto uses it where spacing exceeds 0.15 m"
+        default="auto",
+        description="intensity as a second cue: auto uses it where spacing exceeds 0.15 m",
     )
     intensity_weight: float = Field(
-        1.5, gt=0, le=10, description="weight of intensity against the whole histogram"
+        default=1.5, gt=0, le=10, description="weight of intensity against the whole histogram"
     )
-    sample: Count = Field(100_000, description="points on which k-means is fitted")
+    sample: Count = Field(default=100_000, description="points on which k-means is fitted")
     cluster_distance_m: Metres = Field(
-        0.2, description="points closer than this are connected, m; at least 2.5 thinned spacings"
+        default=0.2,
+        description="points closer than this are connected, m; at least 2.5 thinned spacings",
     )
-    vote_radius_m: Metres = Field(0.5, description="radius in which neighbours vote, m")
-    outline_cell_m: Metres = Field(0.25, description="cell of the raster that is traced, m")
-    closing_m: Metres = Field(1.0, description="gaps narrower than this are closed, m")
-    smallest_hole_m2: float = Field(20.0, ge=0, description="smaller holes are filled, m2")
+    vote_radius_m: Metres = Field(default=0.5, description="radius in which neighbours vote, m")
+    outline_cell_m: Metres = Field(default=0.25, description="cell of the raster that is traced, m")
+    closing_m: Metres = Field(default=1.0, description="gaps narrower than this are closed, m")
+    smallest_hole_m2: float = Field(default=20.0, ge=0, description="smaller holes are filled, m2")
     smallest_part_share: Share = Field(
-        0.2, description="separate surfaces are kept above this share of the largest one"
+        default=0.2, description="separate surfaces are kept above this share of the largest one"
     )
 
 
@@ -72,22 +81,30 @@ class Edges(Section):
     """Road edges that carry candidates."""
 
     offset_m: float = Field(
-        0.5, ge=0, le=20, description="automatic edges are moved this far off the pavement, m"
+        default=0.5,
+        ge=0,
+        le=20,
+        description="automatic edges are moved this far off the pavement, m",
     )
-    knot_spacing_m: Metres = Field(6.0, description="spline knots on an automatic edge, m")
-    shortest_m: Metres = Field(12.0, description="shorter automatic edges are dropped, m")
+    knot_spacing_m: Metres = Field(default=6.0, description="spline knots on an automatic edge, m")
+    shortest_m: Metres = Field(default=12.0, description="shorter automatic edges are dropped, m")
 
 
 class Candidates(Section):
     """Candidate sensor positions."""
 
-    spacing_m: Metres = Field(4.0, description="horizontal spacing along an edge, m")
-    height_min_m: float = Field(4.0, ge=0, le=50, description="lowest sensor height, m")
-    height_max_m: float = Field(10.0, gt=0, le=50, description="highest sensor height, m")
-    height_step_m: Metres = Field(0.5, description="vertical spacing, m")
-    search_radius_m: Metres = Field(0.5, description="points this near obstruct a position, m")
+    spacing_m: Metres = Field(default=4.0, description="horizontal spacing along an edge, m")
+    height_min_m: float = Field(default=4.0, ge=0, le=50, description="lowest sensor height, m")
+    height_max_m: float = Field(default=10.0, gt=0, le=50, description="highest sensor height, m")
+    height_step_m: Metres = Field(default=0.5, description="vertical spacing, m")
+    search_radius_m: Metres = Field(
+        default=0.5, description="points this near obstruct a position, m"
+    )
     gap_factor: float = Field(
-        2.0, ge=2, le=20, description="a gap is free when wider than this many vertical spacings"
+        default=2.0,
+        ge=2,
+        le=20,
+        description="a gap is free when wider than this many vertical spacings",
     )
 
     @model_validator(mode="after")
@@ -103,47 +120,58 @@ class Candidates(Section):
 class Targets(Section):
     """Pole-like targets on the pavement."""
 
-    cell_size_m: Metres = Field(1.0, description="grid of targets, m")
-    min_points: Count = Field(25, description="pavement points that a cell needs to carry a target")
-    radius_m: Metres = Field(0.25, description="radius of a target, m")
-    height_m: Metres = Field(0.6, description="height of a target, m")
-    min_beams: int = Field(8, ge=0, description="seen when more beams than this return from it")
+    cell_size_m: Metres = Field(default=1.0, description="grid of targets, m")
+    min_points: Count = Field(
+        default=25, description="pavement points that a cell needs to carry a target"
+    )
+    radius_m: Metres = Field(default=0.25, description="radius of a target, m")
+    height_m: Metres = Field(default=0.6, description="height of a target, m")
+    min_beams: int = Field(
+        default=8, ge=0, description="seen when more beams than this return from it"
+    )
 
 
 class Lidar(Section):
     """Virtual LiDAR."""
 
     model: Literal["surfel", "hybrid", "preliminary"] = Field(
-        "surfel", description="depth maps by ray casting surfels, or the paper's two ways"
+        default="surfel", description="depth maps by ray casting surfels, or the paper's two ways"
     )
-    surfel_size_m: Metres = Field(0.1, description="voxel of a surfel, m; at least point spacing")
-    min_cell_points: Count = Field(5, description="hybrid: cells with fewer points are filled")
-    neighbours: Count = Field(10, description="K2, hybrid: neighbours that fill a cell")
+    surfel_size_m: Metres = Field(
+        default=0.1, description="voxel of a surfel, m; at least point spacing"
+    )
+    min_cell_points: Count = Field(
+        default=5, description="hybrid: cells with fewer points are filled"
+    )
+    neighbours: Count = Field(default=10, description="K2, hybrid: neighbours that fill a cell")
 
 
 class Coverage(Section):
     """Coverage check and densification."""
 
-    rounds: int = Field(1, ge=0, le=5, description="rounds of denser candidates near gaps")
-    radius_m: Metres = Field(30.0, description="new candidates stand this near a gap, m")
-    shards: Count = Field(2, description="shards of each round of denser candidates")
+    rounds: int = Field(default=1, ge=0, le=5, description="rounds of denser candidates near gaps")
+    radius_m: Metres = Field(default=30.0, description="new candidates stand this near a gap, m")
+    shards: Count = Field(default=2, description="shards of each round of denser candidates")
     uncoverable: Literal["error", "exclude"] = Field(
-        "error", description="targets that nothing sees: stop, or leave them out and report them"
+        default="error",
+        description="targets that nothing sees: stop, or leave them out and report them",
     )
 
 
 class Cover(Section):
     """Set cover."""
 
-    time_limit_s: float = Field(300.0, gt=0, description="solver limit for each plan, CPU s")
-    at_least: Count = Field(1, description="sensors that must see each target")
+    time_limit_s: float = Field(
+        default=300.0, gt=0, description="solver limit for each plan, CPU s"
+    )
+    at_least: Count = Field(default=1, description="sensors that must see each target")
 
 
 class Settings(Section):
     """All settings that a site may override."""
 
-    seed: int = Field(1, ge=0, description="seed of everything random")
-    shards: Count = Field(4, description="shards of depth maps and detections")
+    seed: int = Field(default=1, ge=0, description="seed of everything random")
+    shards: Count = Field(default=4, description="shards of depth maps and detections")
     scene: Scene = Scene()
     ground: Ground = Ground()
     pavement: Pavement = Pavement()
@@ -159,9 +187,11 @@ class Config(Settings):
     """The whole of ``config/config.yaml``."""
 
     sites: list[str] = Field(
-        ["sample"],
+        default=["sample"],
         min_length=1,
         description="sites to run: names of files in config/sites, or paths of site files",
     )
-    sensors_file: str = Field("config/sensors.yaml", description="sensors that plans may use")
-    plans_file: str = Field("config/plans.yaml", description="deployment plans to compare")
+    sensors_file: str = Field(
+        default="config/sensors.yaml", description="sensors that plans may use"
+    )
+    plans_file: str = Field(default="config/plans.yaml", description="deployment plans to compare")

@@ -27,7 +27,8 @@ def validated(model: type[Model], content: Any, where: str) -> Model:
 
 
 def _message(model: type[BaseModel], error: ValidationError, where: str) -> InputError:
-    first = error.errors()[0]
+    # A misspelt key is told before the one that is missing for it.
+    first = min(error.errors(), key=lambda part: part["type"] != "extra_forbidden")
     field = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         keys = _keys(model, first["loc"][:-1])
@@ -44,10 +45,10 @@ def _message(model: type[BaseModel], error: ValidationError, where: str) -> Inpu
 def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
     """Valid keys of the section at ``location``."""
     for part in location:
-        annotation = model.model_fields[str(part)].annotation if isinstance(part, str) else None
+        field = model.model_fields.get(str(part))
+        annotation = field.annotation if field else None
         options = getattr(annotation, "__args__", (annotation,))
         sections = [o for o in options if isinstance(o, type) and issubclass(o, BaseModel)]
-        if not sections:
-            return []
-        model = sections[0]
+        # What is no field is a name within a mapping of sections, such as a plan's.
+        model = sections[0] if sections else model
     return list(model.model_fields)

@@ -29,35 +29,51 @@ def binary_scores(found: NDArray[np.bool_], true: NDArray[np.bool_]) -> BinarySc
     return BinaryScores(float((found == true).mean()), precision, recall, f1, len(true))
 
 
-def outline_distances_m(found: shapely.Geometry, true: shapely.Geometry) -> NDArray[np.float64]:
-    """Distance from points every half metre on the found outline to the true outline."""
+def outline_distances_m(outline: shapely.Geometry, other: shapely.Geometry) -> NDArray[np.float64]:
+    """Distance from points every half metre on an outline to another polygon's outline."""
     points = [
         shapely.line_interpolate_point(ring, np.arange(0.0, ring.length, 0.5))
-        for ring in shapely.get_parts(found.boundary)
+        for ring in shapely.get_parts(outline.boundary)
     ]
-    return shapely.distance(np.concatenate(points), true.boundary)
+    return shapely.distance(np.concatenate(points), other.boundary)
 
 
 def pavement_scores(
-    xy_m: NDArray[np.float64], found: shapely.Geometry, true: shapely.Geometry
-) -> dict[str, float | int]:
+    xy_m: NDArray[np.float64], found: shapely.Geometry, true: shapely.Geometry, reach_m: float
+) -> dict[str, float | int | None]:
     """Scores of a found pavement.
+
+    Truth often covers a part of the scene only; what lies further from it than ``reach_m`` is
+    unknown and does not count.
 
     Parameters
     ----------
     xy_m : (n, 2) ground points, local metres. found, true : polygons, local metres.
+    reach_m : distance from the true pavement up to which a point counts; infinite for all.
 
     Returns
     -------
-    accuracy, precision, recall, f1, points; intersection over union of the areas; the median and
-    90th percentile of the outline's distance.
+    accuracy, precision, recall, f1, points; intersection over union of the areas within reach;
+    median and 90th percentile of the distance from the found outline (within reach) to the true
+    one; share of the true outline over ground points that has found outline within 1 m.
     """
+    hull = shapely.convex_hull(shapely.multipoints(xy_m))
+    true = true.intersection(hull)
+    if np.isfinite(reach_m):
+        known = true.buffer(reach_m)
+        shapely.prepare(known)
+        xy_m = xy_m[shapely.contains_xy(known, *xy_m.T)]
+        found = found.intersection(known)
     shapely.prepare([found, true])
     scores = binary_scores(shapely.contains_xy(found, *xy_m.T), shapely.contains_xy(true, *xy_m.T))
-    distance = outline_distances_m(found, true)
+    off = outline_distances_m(found, true)
+    off = off[off < reach_m * (1 - 1e-6)]
+    missed = outline_distances_m(true, found)
     return {
         **asdict(scores),
         "area_iou": found.intersection(true).area / found.union(true).area,
-        "outline_median_m": float(np.median(distance)),
-        "outline_p90_m": float(np.percentile(distance, 90)),
+        "outline_median_m": float(np.median(off)),
+        "outline_p90_m": float(np.percentile(off, 90)),
+        "outline_found_within_1m": float((missed <= 1.0).mean()),
+        "reach_m": reach_m if np.isfinite(reach_m) else None,
     }

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from pathlib import Path
+from typing import Any
 
 from roadsight.io.atomic import read_json, write_json
 
@@ -16,7 +17,7 @@ def sha256(path: str | os.PathLike[str]) -> str:
 
 
 class CachedChecksums:
-    """Checksums remembered in a JSON file by path, size and modification time.
+    """Checksums remembered in a JSON file by path, with size and modification time.
 
     Parameters
     ----------
@@ -26,18 +27,22 @@ class CachedChecksums:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path)
         try:
-            self._known: dict[str, str] = read_json(self._path)
+            known = read_json(self._path)
         except (OSError, ValueError):
-            self._known = {}
+            known = None
+        self._known: dict[str, Any] = known if isinstance(known, dict) else {}
 
     def of(self, path: str | os.PathLike[str]) -> str:
         """Checksum of a file, "missing" if there is none."""
-        try:
-            stat = os.stat(path)
-        except OSError:
+        file = Path(path).absolute()
+        if not file.is_file():
             return "missing"
-        key = f"{os.path.abspath(path)}|{stat.st_size}|{stat.st_mtime_ns}"
-        if key not in self._known:
-            self._known[key] = sha256(path)
-            write_json(self._path, self._known)
-        return self._known[key]
+        stat = file.stat()
+        state = {"size": stat.st_size, "mtime_ns": stat.st_mtime_ns}
+        match self._known.get(str(file)):
+            case {"state": known, "sha256": str(checksum)} if known == state:
+                return checksum
+        checksum = sha256(path)
+        self._known[str(file)] = {"state": state, "sha256": checksum}
+        write_json(self._path, self._known)
+        return checksum

@@ -21,6 +21,7 @@ from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import atomic_path
 from roadsight.io.las_header import COLOURS, CloudHeader, check_structure, cloud_header
+from roadsight.io.laz_layers import check_layers
 
 CHUNK_POINTS = 1_000_000
 _LAZ_SCALE = 0.001
@@ -174,6 +175,7 @@ def _open(path: str | os.PathLike[str]) -> Iterator[laspy.LasReader]:
     check_structure(Path(path))
     try:
         with laspy.open(os.fspath(path), laz_backend=laspy.LazBackend.Lazrs) as reader:
+            check_layers(Path(path), reader.header)
             yield reader
     except (InputError, KeyboardInterrupt, SystemExit, GeneratorExit):
         raise

@@ -10,7 +10,6 @@ import rasterio
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 from rasterio.errors import RasterioError
-from rasterio.transform import from_origin
 
 from roadsight.errors import InputError
 from roadsight.geometry.crs import horizontal
@@ -111,7 +110,7 @@ def write_raster(
             count=1,
             dtype="float32",
             crs=_crs(frame),
-            transform=from_origin(west, north, cell_size, cell_size),
+            transform=rasterio.Affine(cell_size, 0.0, west, 0.0, -cell_size, north),
             nodata=nodata,
             compress="deflate",
             predictor=3,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ast
 import os
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[2]
@@ -32,7 +32,7 @@ def _file(module: str) -> Path | None:
     return path if path.exists() else None
 
 
-@lru_cache(maxsize=None)
+@cache
 def _imports(path: Path) -> list[str]:
     """Names that a file imports, anywhere in it; ``from a import b`` may name a module a.b."""
     names = []

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import pandas as pd
@@ -33,17 +35,29 @@ def read_table(path: str | os.PathLike[str], columns: list[str] | None = None) -
     ------
     InputError : the file is missing, unreadable or lacks a column.
     """
-    try:
+    with _readable(path):
         return pq.read_table(path, columns=columns).to_pandas()
+
+
+def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
+    """Description that `write_table` stored, empty if none.
+
+    Raises
+    ------
+    InputError : the file is missing or unreadable.
+    """
+    with _readable(path):
+        metadata = pq.read_schema(path).metadata or {}
+    return json.loads(metadata.get(_KEY, b"{}"))
+
+
+@contextmanager
+def _readable(path: str | os.PathLike[str]) -> Iterator[None]:
+    try:
+        yield
     except (OSError, pa.ArrowException, KeyError) as error:
         raise InputError(
             f"cannot be read as a Parquet table ({error})",
             where=str(path),
             hint="delete it and run the workflow again",
         ) from error
-
-
-def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
-    """Description that `write_table` stored."""
-    metadata = pq.read_schema(path).metadata or {}
-    return json.loads(metadata.get(_KEY, b"{}"))

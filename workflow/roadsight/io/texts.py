@@ -24,8 +24,10 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
         raise InputError("cannot be read", where=str(path), found=error.strerror) from error
     except UnicodeDecodeError as error:
         raise InputError("is not UTF-8 text", where=str(path)) from error
-    except (yaml.YAMLError, RecursionError) as error:
+    except RecursionError as error:
+        raise InputError("is nested too deeply", where=str(path)) from error
+    except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2024-13-45
         mark = getattr(error, "problem_mark", None)
         line = f"{path}, line {mark.line + 1}" if mark else str(path)
-        problem = getattr(error, "problem", None) or "it is nested too deeply"
+        problem = getattr(error, "problem", None) or getattr(error, "reason", error)
         raise InputError("is not valid YAML", where=line, found=problem) from error

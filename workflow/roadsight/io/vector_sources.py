@@ -53,6 +53,8 @@ def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.
             )
     if stated is None:
         stated = _default(path, geometries, frame, default_crs)
+    if stated is not None and stated.is_geographic:
+        _check_degrees(path, geometries, stated.name)
     native = _to_native(path, stated, frame)
     local = map_coordinates(geometries, lambda xyz: frame.to_local(native(xyz)))
     return gpd.GeoDataFrame(features.drop(columns=features.geometry.name), geometry=local)
@@ -125,15 +127,19 @@ def _default(path: Path, geometries: NDArray, frame: Frame, default_crs: str | N
         return parse_crs(default_crs, f"CRS of {path}")
     if path.suffix.lower() not in _GEOJSON or frame.crs_wkt is None:
         return None
+    return _WGS84
+
+
+def _check_degrees(path: Path, geometries: NDArray, name: str) -> None:
+    """Refuse longitudes and latitudes that are none."""
     west, south, east, north = shapely.total_bounds(geometries)
-    if west < -180 or east > 180 or south < -90 or north > 90:
+    if west < -180 or east > 360 or south < -90 or north > 90:
         raise InputError(
-            "is GeoJSON without a CRS, so its coordinates should be longitude and latitude",
+            f"is in {name}, so its coordinates should be longitude and latitude in degrees",
             where=str(path),
             found=f"x {west:g} to {east:g}, y {south:g} to {north:g}",
             hint="state its CRS in the site file, or `local` for the cloud's own coordinates",
         )
-    return _WGS84
 
 
 def _to_native(path: Path, stated: CRS | None, frame: Frame) -> Mapping:

@@ -20,6 +20,9 @@ _INTS = NDArray[np.int32]
 MIN_BEAMS = 8
 """A target is seen when more beams than this return from it (paper 1, Table 3)."""
 
+# A sensor this near to a target's side touches it and counts as inside, metres.
+_TOUCH_M = 1e-9
+
 
 def count_hits(
     range_m: NDArray[np.float32],
@@ -78,30 +81,85 @@ def _count(
 ) -> _INTS:
     """Beams on each target: ``heading`` (columns, 2), ``slope`` and ``secant`` (rows,)."""
     hits = np.zeros(len(feet), np.int32)
-    columns = len(heading)
     for target in range(len(feet)):
         x, y, low = feet[target]
-        distance = np.sqrt(x * x + y * y)
-        if distance - radius_m >= max_range_m:
+        if np.sqrt(x * x + y * y) - radius_m >= max_range_m:
             continue
-        first, last = _columns_across(x, y, distance, radius_m, start_deg, cell_deg, columns)
-        for number in range(first, last):
-            column = number % round(360.0 / cell_deg) if number >= columns else number
-            if column < columns:
+        for first, last in _column_windows(x, y, radius_m, start_deg, cell_deg, len(heading)):
+            for column in range(first, last + 1):
                 near, far = _chord(x, y, heading[column, 0], heading[column, 1], radius_m)
-                if far > 0.0:
-                    hits[target] += _count_column(
-                        depth_m[:, column], slope, secant, near, far, low, low + height_m, max_range_m
-                    )
+                rectangle = (near, far, low, low + height_m)
+                first_row, last_row = _rows_across(rectangle, slope)
+                for row in range(first_row, last_row):
+                    range_m = _entry(rectangle, slope[row]) * secant[row]
+                    scene_m = depth_m[row, column]
+                    if range_m < max_range_m and (scene_m == 0 or range_m < scene_m):
+                        hits[target] += 1
     return hits
 
 
 @njit(cache=True)
+def _column_windows(
+    x: float, y: float, radius_m: float, start_deg: float, cell_deg: float, columns: int
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last column of the two runs of columns whose beams may meet a circle.
+
+    Azimuths repeat after 360 degrees, so the circle appears at two places of the column axis; each
+    run is cut to the columns that there are. An empty run ends before it begins.
+    """
+    distance = np.sqrt(x * x + y * y)
+    if distance <= radius_m:
+        return (0, columns - 1), (0, -1)
+    half_deg = np.degrees(np.arcsin(radius_m / distance))
+    left_deg = (np.degrees(np.arctan2(y, x)) - half_deg - start_deg) % 360.0
+    return (
+        _cut(left_deg, left_deg + 2 * half_deg, cell_deg, columns),
+        _cut(left_deg - 360.0, left_deg + 2 * half_deg - 360.0, cell_deg, columns),
+    )
+
+
+@njit(cache=True)
+def _cut(low_deg: float, high_deg: float, cell_deg: float, columns: int) -> tuple[int, int]:
+    """Columns whose centres lie between two azimuths, counted from the field of view's limit."""
+    first = int(np.ceil(low_deg / cell_deg - 0.5 - 1e-9))
+    last = int(np.floor(high_deg / cell_deg - 0.5 + 1e-9))
+    return max(first, 0), min(last, columns - 1)
+
+
+@njit(cache=True)
 def _chord(x: float, y: float, cosine: float, sine: float, radius_m: float) -> tuple[float, float]:
-    """Horizontal distances at which an azimuth enters and leaves a circle; (0, 0) if it misses."""
+    """Horizontal distances at which a beam enters and leaves a circle; (0, 0) if it does not."""
     along, beside = x * cosine + y * sine, x * sine - y * cosine
-    half = radius_m * radius_m - beside * beside
-    if half < 0.0:
+    squared = radius_m * radius_m - beside * beside
+    if squared < 0.0 or along + np.sqrt(squared) <= 0.0:
         return 0.0, 0.0
-    half = np.sqrt(half)
-    return along - half, along + half
+    half = np.sqrt(squared)
+    near = along - half
+    return near if near > _TOUCH_M else 0.0, along + half
+
+
+@njit(cache=True)
+def _rows_across(rectangle: tuple[float, float, float, float], slope: _FLOATS) -> tuple[int, int]:
+    """Range of rows whose slopes lead from the origin into a rectangle (near, far, low, high)."""
+    near, far, low, high = rectangle
+    if far <= 0.0 or (near == 0.0 and low <= 0.0 <= high):
+        return 0, 0
+    if near > 0.0:
+        least, greatest = min(low / near, low / far), max(high / near, high / far)
+    elif high < 0.0:
+        least, greatest = -np.inf, high / far
+    else:
+        least, greatest = low / far, np.inf
+    first, end = np.searchsorted(slope, least), np.searchsorted(slope, greatest, side="right")
+    return int(first), int(end)
+
+
+@njit(cache=True)
+def _entry(rectangle: tuple[float, float, float, float], slope: float) -> float:
+    """Horizontal distance at which a beam enters a rectangle that it meets."""
+    near, _, low, high = rectangle
+    if slope * near > high:
+        return high / slope
+    if slope * near < low:
+        return low / slope
+    return near

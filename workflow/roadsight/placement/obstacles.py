@@ -12,16 +12,19 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 _FLOATS = NDArray[np.float64]
 Cast = Callable[[_FLOATS, _FLOATS], _FLOATS]
-"""Ranges (n,) of rays from origins (n, 3) along unit directions (n, 3); infinite if nothing."""
+"""Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 if nothing returns."""
 
 # Heights on a target, as shares of its own, to which sight lines are cast.
 _LEVELS = (0.25, 0.5, 0.75, 1.0)
 # A hit this near to the target is the pavement or the target's own surroundings, metres.
 _NEAR_M = 0.4
 _CELL_M = 1.0
+# Candidates at which an uncovered target is judged.
+_NEAREST = 8
 
 
 def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
@@ -29,30 +32,40 @@ def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast)
 
     Parameters
     ----------
-    pairs : columns sensor_x, sensor_y, sensor_z and x, y, z (foot of the target), local metres.
+    pairs : columns candidate, sensor_x, sensor_y, sensor_z and x, y, z (foot of the target), local
+        metres.
     target_height_m : height of a target. cast : the scene.
 
     Returns
     -------
     index of ``pairs`` with blocked_share (0 to 1 over the lines to the target) and obstacle_x, _y,
-    _z (of the lowest blocked line, NaN where none is).
+    _z (on the lowest blocked line, NaN where none is).
     """
-    sensor = pairs[["sensor_x", "sensor_y", "sensor_z"]].to_numpy(np.float64)
-    foot = pairs[["x", "y", "z"]].to_numpy(np.float64)
+    parts = [
+        _lines_of_sensor(group, target_height_m, cast)
+        for _, group in pairs.groupby("candidate", sort=True)
+    ]
+    return pd.concat(parts).reindex(pairs.index) if parts else pd.DataFrame(columns=_COLUMNS)
+
+
+_COLUMNS = ["blocked_share", "obstacle_x", "obstacle_y", "obstacle_z"]
+
+
+def _lines_of_sensor(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
+    sensor = pairs[["sensor_x", "sensor_y", "sensor_z"]].to_numpy(np.float64)[0]
     blocked = np.zeros((len(pairs), len(_LEVELS)), dtype=bool)
     hits = np.full((len(pairs), 3), np.nan)
     for column, level in reversed(list(enumerate(_LEVELS))):
-        way = foot - sensor
+        way = pairs[["x", "y", "z"]].to_numpy(np.float64) - sensor
         way[:, 2] += level * target_height_m
         length = np.linalg.norm(way, axis=1)
         direction = way / np.maximum(length, 1e-9)[:, None]
-        reach = cast(sensor, direction)
-        blocked[:, column] = reach < length - _NEAR_M
-        point = sensor + np.where(np.isfinite(reach), reach, 0.0)[:, None] * direction
+        reach = np.asarray(cast(sensor, direction), np.float64)
+        blocked[:, column] = (reach > 0) & (reach < length - _NEAR_M)
+        point = sensor + reach[:, None] * direction
         hits = np.where(blocked[:, column, None], point, hits)
-    result = pd.DataFrame(hits, columns=["obstacle_x", "obstacle_y", "obstacle_z"])
-    result.insert(0, "blocked_share", blocked.mean(axis=1))
-    return result.set_index(pairs.index)
+    table = np.column_stack([blocked.mean(axis=1), hits])
+    return pd.DataFrame(table, columns=_COLUMNS, index=pairs.index)
 
 
 def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
@@ -109,36 +122,43 @@ def pairs_in_range(sensors: pd.DataFrame, targets: pd.DataFrame, range_m: _FLOAT
     return pairs
 
 
-def reasons(
+def explain_gaps(
     targets: pd.DataFrame,
     candidates: pd.DataFrame,
     range_m: float,
     target_height_m: float,
     cast: Cast,
 ) -> pd.DataFrame:
-    """Why nothing sees a target, judged at its eight nearest candidates.
+    """Why no candidate sees a target, judged at its nearest candidates.
+
+    Parameters
+    ----------
+    targets : columns target, x, y, z. candidates : columns candidate, x, y, z.
+    range_m : longest range of the plan's sensors. cast : the scene.
 
     Returns
     -------
-    target, reason ("out of range", "hidden" where most sight lines are blocked, else "too few
-    beams"), blocked_share, nearest_m, and the lines' columns of the most blocked candidate.
+    a row per target: target, x, y, z, reason ("out of range", "hidden" where most sight lines are
+    blocked, else "too few beams"), nearest_m, blocked_share, and the obstacle_x, _y, _z and
+    candidate of the nearest candidate that is most blocked.
     """
-    rows = []
-    for _, target in targets.iterrows():
-        one = target.to_frame().T.astype(dict.fromkeys("xyz", float))
-        pairs = pairs_in_range(candidates, one, np.full(len(candidates), np.inf))
-        pairs = pairs.nsmallest(8, "distance_m").reset_index(drop=True)
-        near = pairs[pairs["distance_m"] <= range_m]
-        lines = pairs.join(blocked_sight_lines(pairs, target_height_m, cast))
-        share = float(lines["blocked_share"].mean())
-        reason = "out of range" if near.empty else "hidden" if share > 0.5 else "too few beams"
-        worst = lines.loc[lines["blocked_share"].idxmax()].to_dict()
-        rows.append(
-            worst
-            | {
-                "reason": reason,
-                "blocked_share": share,
-                "nearest_m": float(pairs["distance_m"].min()),
-            }
-        )
-    return pd.DataFrame(rows)
+    place = candidates[["x", "y", "z"]].to_numpy(np.float64)
+    foot = targets[["x", "y", "z"]].to_numpy(np.float64)
+    count = min(_NEAREST, len(candidates))
+    distance, near = cKDTree(place).query(foot, k=count)
+    distance, near = distance.reshape(-1, count), near.reshape(-1, count)
+    pairs = targets[["target", "x", "y", "z"]].loc[targets.index.repeat(count)]
+    pairs = pairs.reset_index(drop=True)
+    pairs[["sensor_x", "sensor_y", "sensor_z"]] = place[near.ravel()]
+    pairs["candidate"] = candidates["candidate"].to_numpy()[near.ravel()]
+    lines = pairs.join(blocked_sight_lines(pairs, target_height_m, cast))
+    share = lines["blocked_share"].to_numpy().reshape(-1, count)
+    worst = np.arange(len(targets)) * count + share.argmax(axis=1)
+    gaps = lines.iloc[worst].reset_index(drop=True)
+    gaps["blocked_share"], gaps["nearest_m"] = share.mean(axis=1), distance[:, 0]
+    gaps["reason"] = np.select(
+        [gaps["nearest_m"] > range_m, gaps["blocked_share"] > 0.5],
+        ["out of range", "hidden"],
+        "too few beams",
+    )
+    return gaps

@@ -8,7 +8,6 @@ through the centre of its cell; a cell ends half-way to the next beam.
 from __future__ import annotations
 
 import os
-from functools import cached_property
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -86,7 +85,7 @@ class Sensor(BaseModel):
                 "channel elevations must increase (elevation_min_deg below elevation_max_deg)"
             )
 
-    @cached_property
+    @property
     def elevation_deg(self) -> _FLOATS:
         """Elevation of each row's beams, increasing; shape (rows,)."""
         if self.elevations_deg is not None:
@@ -98,7 +97,7 @@ class Sensor(BaseModel):
             return np.array([(low + high) / 2])
         return np.linspace(low, high, channels, dtype=np.float64)
 
-    @cached_property
+    @property
     def elevation_edges_deg(self) -> _FLOATS:
         """Borders of the rows' cells; shape (rows + 1,).
 
@@ -116,7 +115,7 @@ class Sensor(BaseModel):
         """Width of a cell: the step that divides the field of view exactly."""
         return (self.azimuth_max_deg - self.azimuth_min_deg) / self.columns
 
-    @cached_property
+    @property
     def azimuth_deg(self) -> _FLOATS:
         """Azimuth of each column's beams, counter-clockwise from sensor x; shape (columns,)."""
         return self.azimuth_min_deg + (np.arange(self.columns) + 0.5) * self.azimuth_cell_deg

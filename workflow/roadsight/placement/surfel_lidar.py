@@ -12,6 +12,7 @@ from roadsight.placement.sensors import Sensor
 from roadsight.scene.surfels import Surfels
 
 _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_FARTHEST_M = 1e6
 _TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
 
@@ -35,22 +36,24 @@ class SurfelLidar:
             TriangleMesh(self._scene, corners_m.reshape(-1, 3), triangles)
 
     def cast(
-        self, origin_m: ArrayLike, directions: NDArray[np.float32], max_range_m: float
+        self, origins_m: ArrayLike, directions: ArrayLike, max_range_m: float = np.inf
     ) -> NDArray[np.float32]:
-        """Ranges (n,) of the first surfels along rays from one point, 0 where there is none.
+        """Ranges (n,) of the first surfels along rays, infinite where there is none.
 
         Parameters
         ----------
-        origin_m : (3,) local metres. directions : (n, 3) unit vectors, local frame.
+        origins_m : (n, 3), or (3,) for rays from one point, local metres.
+        directions : (n, 3) unit vectors, local frame.
         max_range_m : surfels at this range or farther do not count.
         """
+        directions = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
+        limit_m = np.full(len(directions), min(max_range_m, _FARTHEST_M), np.float32)
         if self._scene is None or len(directions) == 0:
-            return np.zeros(len(directions), np.float32)
-        origin = (np.asarray(origin_m, np.float64) - self._origin_m).astype(np.float32)
-        limit = np.full(len(directions), max_range_m, np.float32)
-        origins = np.ascontiguousarray(np.broadcast_to(origin, directions.shape))
-        range_m = self._scene.run(origins, directions, dists=limit, query="DISTANCE")
-        range_m[range_m >= np.float32(max_range_m)] = 0.0
+            return np.full_like(limit_m, np.inf)
+        origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
+        origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
+        range_m = self._scene.run(origins, directions, dists=limit_m.copy(), query="DISTANCE")
+        range_m[range_m >= limit_m] = np.inf
         return range_m
 
     def depth_map(
@@ -63,7 +66,9 @@ class SurfelLidar:
         position_m : (3,) local metres. yaw_deg : sensor x from local x, counter-clockwise.
         """
         directions = beam_directions(sensor, yaw_deg).reshape(-1, 3)
-        return self.cast(position_m, directions, sensor.range_m).reshape(sensor.shape)
+        range_m = self.cast(position_m, directions, sensor.range_m)
+        range_m[np.isinf(range_m)] = 0.0
+        return range_m.reshape(sensor.shape)
 
 
 def _corners(surfels: Surfels, origin_m: NDArray[np.float64]) -> NDArray[np.float32]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -27,48 +28,52 @@ class Caution:
     text: str
 
 
-def is_proven(
-    status: str, objective: float | None, bound: float | None, whole_costs: bool
-) -> bool:
+def is_proven(status: str, objective: float, bound: float, whole_costs: bool) -> bool:
     """Whether a solution is called optimal and its bound bears that out.
 
     Parameters
     ----------
     whole_costs : every cost is a whole number, so that the bound may be rounded up.
     """
-    if status != "optimal" or objective is None or bound is None:
+    if status != "optimal":
         return False
     tolerance = 1e-6 * max(1.0, abs(objective))
     least = math.ceil(bound - tolerance) if whole_costs else bound
     return objective <= least + tolerance
 
 
-def plan_cautions(plan: dict[str, Any]) -> list[Caution]:
-    """Cautions of one plan.
+def plan_cautions(plans: Sequence[dict[str, Any]]) -> list[Caution]:
+    """Cautions of the plans; what holds for several of them is said once.
 
     Parameters
     ----------
-    plan : title, status, proven, objective, bound, targets, at_least, gaps, sensors.
+    plans : each with title, proven, objective, bound, targets, at_least and gaps.
     """
-    found = []
-    title = plan["title"]
-    if plan["objective"] is None:
-        found.append(Caution("warning", f"{title}: no solution ({plan['status']})."))
-    elif not plan["proven"]:
-        bound = "an unknown cost" if plan["bound"] is None else number(plan["bound"])
-        found.append(
-            Caution(
-                "warning",
-                f"{title}: not proven optimal. The solution costs {number(plan['objective'])}; "
-                f"the best possible lies between {bound} and that.",
-            )
+    titles: dict[str, list[str]] = {}
+    for plan in plans:
+        for text in _limits(plan):
+            titles.setdefault(text, []).append(plan["title"])
+    return [
+        Caution("warning", f"{_together(named, len(plans))}: {text}")
+        for text, named in titles.items()
+    ]
+
+
+def _limits(plan: dict[str, Any]) -> Iterator[str]:
+    """What limits the worth of one plan's result."""
+    if not plan["proven"]:
+        yield (
+            f"not proven optimal. The solution costs {number(plan['objective'])}; the best"
+            f" possible lies between {number(plan['bound'])} and that."
         )
     if plan["gaps"]:
         share = percent(len(plan["gaps"]) / plan["targets"])
-        targets = counted(len(plan["gaps"]), "target")
         asked = "no sensor" if plan["at_least"] == 1 else f"fewer than {plan['at_least']} sensors"
-        found.append(Caution("warning", f"{title}: {asked} sees {targets} ({share} of all)."))
-    return found
+        yield f"{asked} sees {counted(len(plan['gaps']), 'target')} ({share} of all)."
+
+
+def _together(titles: list[str], plans: int) -> str:
+    return "All plans" if len(titles) == plans > 1 else ", ".join(titles)
 
 
 def data_cautions(

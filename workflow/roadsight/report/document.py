@@ -24,7 +24,8 @@ TEMPLATES = (
     "parts.html.j2",
     "plans.html.j2",
     "views.html.j2",
-    "plan.html.j2",
+    "sensors.html.j2",
+    "gaps.html.j2",
     "evidence.html.j2",
 )
 ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)
@@ -152,12 +153,9 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     cards.append(("Targets", wording.number(len(page["layers"]["targets"]["names"])), "to be seen"))
     remark = f"at {wording.counted(positions, 'position')}"
     cards.append(("Candidates", wording.number(candidates["total"]), remark))
-    solved = [plan for plan in page["plans"] if plan["objective"] is not None]
-    if solved:
-        fewest = min(solved, key=lambda plan: len(plan["sensors"]))
-        value = wording.counted(len(fewest["sensors"]), "sensor")
-        cards.append(("Fewest sensors", value, fewest["title"]))
-    return cards
+    fewest = min(page["plans"], key=lambda plan: len(plan["sensors"]))
+    value = wording.counted(len(fewest["sensors"]), "sensor")
+    return [*cards, ("Fewest sensors", value, fewest["title"])]
 
 
 def _sections(placed: bool) -> list[tuple[str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import geopandas as gpd
@@ -9,12 +10,12 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
-OUT_OF_SIGHT = "no candidate position of this plan sees it"
+OUT_OF_SIGHT = "no candidate sees it"
 NOT_CHOSEN = "candidates see it, the chosen sensors do not"
 TOO_FEW = "fewer sensors see it than asked for"
 
 _TEXTS = ("kind", "target", "sensor")
-_NUMBERS = ("height_m", "targets", "sensors", "sight_lines", "points")
+_NUMBERS = ("height_m", "targets", "sensors", "sight_lines")
 
 
 def gaps_of(
@@ -41,32 +42,36 @@ def gaps_of(
     ]
 
 
-def uncovered_reasons(uncovered: list[Any]) -> dict[str, str]:
-    """Targets out of every candidate's sight, with the reason where one is given.
+def reasons_of(uncovered: Sequence[str], explained: pd.DataFrame) -> dict[str, str]:
+    """Why no candidate sees a target.
 
     Parameters
     ----------
-    uncovered : names of targets, or records with target and perhaps reason.
+    uncovered : names of the targets that no candidate sees.
+    explained : columns target and reason of those for which a reason was found.
     """
-    records = [entry if isinstance(entry, dict) else {"target": entry} for entry in uncovered]
-    return {str(entry["target"]): str(entry.get("reason") or OUT_OF_SIGHT) for entry in records}
+    why = dict(zip(explained["target"], explained["reason"], strict=True))
+    return {
+        str(name): f"{OUT_OF_SIGHT}: {why[name]}" if name in why else OUT_OF_SIGHT
+        for name in uncovered
+    }
 
 
 def obstacles_of(features: gpd.GeoDataFrame) -> list[dict[str, Any]]:
-    """Obstacles as records; what the layer does not tell is None.
+    """Obstacles as records, in the layer's order.
 
     Parameters
     ----------
-    features : points in local metres; columns kind, target, sensor, height_m, targets, sensors,
-        sight_lines and points are taken where they are there.
+    features : points in local metres with columns kind, height_m, targets, sensors, sight_lines
+        (how many of each it cuts off), target and sensor (one of each, by name).
     """
     xy = shapely.get_coordinates(features.geometry.to_numpy())
-    columns = features.reindex(columns=[*_TEXTS, *_NUMBERS]).to_dict("records")
+    columns = features[[*_TEXTS, *_NUMBERS]].to_dict("records")
     return [
         {
             "x": float(x),
             "y": float(y),
-            **{key: None if pd.isna(record[key]) else str(record[key]) for key in _TEXTS},
+            **{key: str(record[key]) for key in _TEXTS},
             **{key: None if pd.isna(record[key]) else float(record[key]) for key in _NUMBERS},
         }
         for (x, y), record in zip(xy, columns, strict=True)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from roadsight.geometry.frames import Frame
 from roadsight.report.cautions import Caution, data_cautions, is_proven, plan_cautions
 from roadsight.report.cautions import scene_cautions as cautions_of_scene
-from roadsight.report.gaps import gaps_of, obstacles_of, uncovered_reasons
+from roadsight.report.gaps import gaps_of, obstacles_of, reasons_of
 from roadsight.report.layers import (
     CloudSample,
     candidate_layer,
@@ -28,6 +28,7 @@ from roadsight.report.packing import pack, pack_points
 from roadsight.report.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
 
 FORMAT = "roadsight.page/1"
+_MOST_OBSTACLES = 300
 
 
 @dataclass(frozen=True)
@@ -70,15 +71,17 @@ class PlanResult:
     Parameters
     ----------
     title : name for people. solution : content of solution.json.
-    uncovered : the plan's uncovered targets in coverage.json.
-    obstacles : points in local metres with columns target, sensor.
+    uncovered : names of the targets that no candidate of the plan sees.
+    explained : columns target and reason of those. obstacles : as `obstacles_of` takes them, the
+        greatest first; the page keeps 300.
     returns_xyz_m, returns_sensor : (n, 3) and (n,) sample of what the sensors would see, and the
         number of the sensor, from 0.
     """
 
     title: str
     solution: dict[str, Any]
-    uncovered: list[Any]
+    uncovered: Sequence[str]
+    explained: pd.DataFrame
     obstacles: gpd.GeoDataFrame
     returns_xyz_m: NDArray
     returns_sensor: NDArray
@@ -122,7 +125,11 @@ def build_page(
     if placement is not None:
         layers["candidates"] = candidate_layer(placement.rounds)
         layers["targets"] = target_layer(placement.targets)
-        plans = [_plan(plan, placement, scene.frame) for plan in placement.plans]
+        results = summary["placement"]
+        plans = [
+            _plan(plan, placement, scene.frame, results[plan.solution["plan"]]["seconds_cpu"])
+            for plan in placement.plans
+        ]
     return {
         "format": FORMAT,
         "title": title,
@@ -136,19 +143,22 @@ def build_page(
     }
 
 
-def _plan(plan: PlanResult, placement: Placement, frame: Frame) -> dict[str, Any]:
+def _plan(
+    plan: PlanResult, placement: Placement, frame: Frame, seconds_cpu: float
+) -> dict[str, Any]:
     """One plan's result with what its sensors see."""
     solution = plan.solution
     sights = sights_of(solution["sensors"], placement.detections, placement.targets)
     costs = [sensor["cost"] for sensor in placement.sensors.values()]
     objective, bound = solution["objective"], solution["bound"]
     at_least = int(solution["at_least"])
-    reasons = uncovered_reasons(plan.uncovered)
-    kept = ("status", "objective", "bound", "gap", "cost", "seconds_cpu", "reductions")
+    reasons = reasons_of(plan.uncovered, plan.explained)
+    kept = ("status", "objective", "bound", "gap", "reductions")
     return {
         "name": solution["plan"],
         "title": plan.title,
         **{key: solution[key] for key in kept},
+        "seconds_cpu": seconds_cpu,
         "at_least": at_least,
         "proven": is_proven(
             solution["status"], objective, bound, all(float(cost).is_integer() for cost in costs)
@@ -159,7 +169,8 @@ def _plan(plan: PlanResult, placement: Placement, frame: Frame) -> dict[str, Any
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
         "gaps": gaps_of(placement.targets, sights.times_seen, at_least, reasons),
-        "obstacles": obstacles_of(plan.obstacles),
+        "obstacles": obstacles_of(plan.obstacles.iloc[:_MOST_OBSTACLES]),
+        "all_obstacles": len(plan.obstacles),
         "returns": {
             **pack_points(plan.returns_xyz_m),
             "sensor": pack(plan.returns_sensor, "u2"),
@@ -199,7 +210,7 @@ def _cautions(
         targets = len(placement.targets)
         positions = len(pd.unique(pd.concat([table["key"] for table in placement.rounds])))
     area_m2 = float(scene.pavement.geometry.area.sum())
-    found = [caution for plan in plans for caution in plan_cautions(plan)]
+    found = plan_cautions(plans)
     found += data_cautions(targets, positions, area_m2, summary["settings"])
     found += cautions_of_scene(
         scene.about,

@@ -8,19 +8,7 @@ from typing import Any
 import numpy as np
 
 from roadsight.geometry.frames import Frame
-from roadsight.report.wording import MISSING, label, lower_first, number
-
-_OBSTACLE_COLUMNS = (
-    ("kind", "Kind", False),
-    ("targets", "Targets hidden", True),
-    ("sensors", "Sensors", True),
-    ("sight_lines", "Sight lines", True),
-    ("height_m", "Height, m", True),
-    ("points", "Points", True),
-    ("target", "Target", False),
-    ("sensor", "Seen from", False),
-)
-
+from roadsight.report.wording import label, lower_first, number
 
 def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]]:
     """Plans of page.json with the widths of their bars and the cells of their tables.
@@ -28,10 +16,9 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
     The plan shown first is the one with the fewest sensors, the first of them in the plans' order.
     """
     counts = [len(plan["sensors"]) for plan in plans]
-    costs = [plan["objective"] for plan in plans if plan["objective"] is not None]
-    most, dearest = max(counts, default=0), max(costs, default=0.0)
-    solved = [plan for plan in plans if plan["objective"] is not None] or plans
-    first = min(solved, key=lambda plan: len(plan["sensors"]), default=None)
+    most = max(counts, default=0)
+    dearest = max((plan["objective"] for plan in plans), default=0.0)
+    first = min(plans, key=lambda plan: len(plan["sensors"]), default=None)
     return [
         plan
         | {
@@ -44,7 +31,7 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
             "reduced": _reductions(plan["reductions"]),
             "gaps": [gap | {"native": _native(gap, frame)} for gap in plan["gaps"]],
             "reasons": _by_count(Counter(gap["reason"] for gap in plan["gaps"])),
-            **_obstacle_table(plan["obstacles"], frame),
+            "obstacles": [o | {"native": _native(o, frame)} for o in plan["obstacles"]],
         }
         for plan in plans
     ]
@@ -59,9 +46,9 @@ def _models(sensors: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
     ]
 
 
-def _width(value: float | None, largest: float) -> float:
+def _width(value: float, largest: float) -> float:
     """Per cent of the longest bar."""
-    return 0.0 if value is None or largest <= 0 else round(min(100 * value / largest, 100.0), 2)
+    return 0.0 if largest <= 0 else round(min(100 * value / largest, 100.0), 2)
 
 
 def _native(place: dict[str, Any], frame: Frame) -> list[float]:
@@ -81,26 +68,3 @@ def _reductions(reductions: dict[str, Any] | None) -> str:
         if isinstance(value, int | float) and not isinstance(value, bool)
     ]
     return f"reductions: {', '.join(parts)}" if parts else ""
-
-
-def _obstacle_table(obstacles: list[dict[str, Any]], frame: Frame) -> dict[str, Any]:
-    """Titles (text, numeric) and rows of the columns that hold anything, and where each is."""
-    shown = [
-        column for column in _OBSTACLE_COLUMNS if any(o[column[0]] is not None for o in obstacles)
-    ]
-    titles = [(title, numeric) for _, title, numeric in shown]
-    rows = [
-        [_cell(obstacle[key]) for key, _, _ in shown]
-        + [number(value, 2) for value in _native(obstacle, frame)]
-        for obstacle in obstacles
-    ]
-    return {
-        "obstacle_titles": [*titles, ("Easting", True), ("Northing", True)],
-        "obstacle_rows": rows,
-    }
-
-
-def _cell(value: Any) -> str:
-    if value is None:
-        return MISSING
-    return number(value) if isinstance(value, int | float) else str(value)

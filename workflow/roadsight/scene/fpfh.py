@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 BINS = 11
 FEATURES = 3 * BINS
+_SAME_ANGLE = 1e-9
 
 
 @njit(cache=True)
@@ -28,8 +29,9 @@ def _pair_bins(
         return -1, -1, -1
     d = d / length
     along_n, along_m = np.dot(n, d), np.dot(m, d)
-    # The normal closer to the line between the points is the frame's first axis.
-    if abs(along_m) > abs(along_n):
+    # The normal closer to the line between the points is the frame's first axis. Points with the
+    # same neighbours have the same normal: rounding must not choose the sign of their third angle.
+    if abs(along_m) > abs(along_n) + _SAME_ANGLE:
         u, other, d, phi = m, n, -d, -along_m
     else:
         u, other, phi = n, m, along_n

@@ -19,6 +19,10 @@ from roadsight.scene.grids import Grid, fill_gaps, lowest_per_cell, sample_bilin
 
 _FLOATS = NDArray[np.float64]
 
+# A window that grows by one cell to each side takes at most this many cells of height off a bank of
+# 1 : 1.5; what loses more has walls, however wide it is.
+_STEEPEST_STEP = 1.5
+
 
 @dataclass(frozen=True)
 class GroundSettings:
@@ -56,14 +60,15 @@ def coarse_ground(lowest_m: _FLOATS, settings: GroundSettings) -> tuple[_FLOATS,
     cell = settings.coarse_cell_m
     surface = fill_gaps(_without_low_outliers(lowest_m, cell))
     ground = np.ones(surface.shape, dtype=bool)
+    tallest_m = cell * max(settings.slope, _STEEPEST_STEP)
     opened = surface
     for radius in range(1, max(1, round(settings.max_object_width_m / 2 / cell)) + 1):
         previous, opened = opened, ndimage.grey_opening(surface, size=2 * radius + 1)
-        ground &= previous - opened <= settings.slope * radius * cell
+        ground &= previous - opened <= min(settings.slope * radius * cell, tallest_m)
     known = np.where(ground & np.isfinite(lowest_m), surface, np.nan)
     surface = fill_gaps(known)
-    gradient = np.gradient(surface, cell) if min(surface.shape) > 1 else [np.zeros_like(surface)]
-    return surface, np.sqrt(sum(part**2 for part in gradient))
+    steps = [np.gradient(surface, cell, axis=a) for a in (0, 1) if surface.shape[a] > 1]
+    return surface, np.sqrt(sum((step**2 for step in steps), np.zeros_like(surface)))
 
 
 def _without_low_outliers(lowest_m: _FLOATS, cell_m: float) -> _FLOATS:

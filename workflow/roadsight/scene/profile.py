@@ -19,8 +19,9 @@ CELL_M = 1.0
 _POINTS_PER_DENSITY_CELL = 4
 _GROUND_BAND_M = 1.0
 _CLEARANCE_M = 3.0
-_WINDOWS = 25
-_WINDOW_POINTS = 1000
+_WINDOWS = 50
+_WINDOW_POINTS = 400
+_WINDOW_SAMPLE = 200
 _HALO_SPACINGS = 5.0
 
 Bounds = tuple[float, float, float, float]
@@ -166,7 +167,10 @@ def sample_distances(
     place: Callable[[int], tuple[float, float]],
     within: Callable[[Bounds], NDArray[np.floating]],
 ) -> NDArray[np.float64]:
-    """Neighbour distances of the points in windows at even steps through a cloud.
+    """Neighbour distances in windows around points at even steps through a cloud.
+
+    Every window gives as many distances, if it can, so that every point of the cloud has the same
+    chance to be asked, wherever the cloud is dense.
 
     Parameters
     ----------
@@ -187,7 +191,8 @@ def sample_distances(
         x, y = place((2 * step + 1) * points // (2 * _WINDOWS))
         xyz = within((x - reach_m, y - reach_m, x + reach_m, y + reach_m))
         core = (np.abs(xyz[:, :2] - (x, y)) <= half_m).all(axis=1)
-        distances.append(neighbour_distances(xyz, core))
+        found = neighbour_distances(xyz, core)
+        distances.append(found[:: max(1, len(found) // _WINDOW_SAMPLE)][:_WINDOW_SAMPLE])
     return np.concatenate(distances)
 
 

@@ -27,6 +27,7 @@ _INTS = NDArray[np.int64]
 DOUBLINGS = 5
 """Sparse parts get voxels up to 2**5 times as large; flat parts get patches up to as large."""
 _MIN_POINTS = 12  # points of a neighbourhood that carry a plane and its coverage
+_HOLE_POINTS = 5  # points around an empty voxel that carry a plane
 _FLAT = 0.08  # variance across a flat neighbourhood, squared voxel edges
 _CLOSE = 0.8  # an empty voxel is a hole if its neighbours' centroid is this near, voxel edges
 _OVERLAP = 0.1  # surfels extend this far beyond their cell, finest voxel edges
@@ -130,11 +131,11 @@ def _holes(
     found = open_neighbours(
         keys[flat_around], Planes(*(column[flat_around] for column in planes)), voxels
     )
-    around = fit_planes(found, voxels, _MIN_POINTS, flat)
+    around = fit_planes(found, voxels, _HOLE_POINTS, flat)
     steepest = np.abs(around.normal).max(axis=1, initial=1e-6)
     beside = around.centroid - around.offset[:, None] * around.normal
     hole = (
-        (around.points >= _MIN_POINTS)
+        (around.points >= _HOLE_POINTS)
         & (around.spread <= flat)
         & (np.linalg.norm(beside, axis=1) <= _CLOSE)
         & (np.abs(around.offset) <= 0.5 * steepest)

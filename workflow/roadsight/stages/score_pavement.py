@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 
 import numpy as np
@@ -21,11 +22,15 @@ def score_pavement(arguments: argparse.Namespace) -> None:
     """Write accuracy, recall, F1 and outline distances over all ground points."""
     frame = Frame.from_dict(read_json(arguments.frame))
     found = shapely.union_all(read_layer(arguments.pavement, "pavement", frame).geometry.to_numpy())
-    polygons = read_polygons(arguments.truth, frame, arguments.truth_crs or None)
+    polygons = (
+        read_layer(arguments.truth, arguments.truth_layer, frame)
+        if arguments.truth_layer
+        else read_polygons(arguments.truth, frame, arguments.truth_crs or None)
+    )
     true = shapely.union_all(polygons.geometry.to_numpy())
     xyz = stack_xyz(CloudTiles(arguments.cloud).read(("x", "y", "z")))
     ground = xyz[read_table(arguments.ground)["ground"].to_numpy()].astype(np.float64)
-    write_json(arguments.out, pavement_scores(ground[:, :2], found, true))
+    write_json(arguments.out, pavement_scores(ground[:, :2], found, true, arguments.reach_m))
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -34,6 +39,8 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("cloud", "frame", "ground", "pavement", "truth", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--truth-crs", nargs="?", help="CRS of the truth if its file names none")
+    parser.add_argument("--truth-layer", nargs="?", help="layer of a generated truth file")
+    parser.add_argument("--reach-m", type=float, default=math.inf, help="extent of the truth")
     return run_stage(parser, score_pavement, argv)
 
 

@@ -30,10 +30,10 @@ def summarise_site(arguments: argparse.Namespace) -> None:
     }
     if arguments.solutions:
         coverage = read_json(arguments.coverage[0])
-        solutions = [read_json(path) for path in arguments.solutions]
-        summary["placement"] = {
-            solution["plan"]: _plan(solution, coverage["candidates"]) for solution in solutions
-        }
+        summary["placement"] = {}
+        for solution_path, timing_path in zip(arguments.solutions, arguments.timings, strict=True):
+            solution = read_json(solution_path) | read_json(timing_path)
+            summary["placement"][solution["plan"]] = _plan(solution, coverage["candidates"])
     write_json(arguments.out, summary)
 
 
@@ -58,7 +58,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("site", "settings", "frame", "profile", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--seed", type=int, required=True)
-    for name in ("scores", "coverage", "solutions"):
+    for name in ("scores", "coverage", "solutions", "timings"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 

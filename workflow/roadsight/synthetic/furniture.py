@@ -14,6 +14,8 @@ _CLEARANCE_M = 6.6
 _PORTAL_TOP_M = 9.0
 _RAIL_OFFSET_M = 12.35
 _POST_OFFSET_M = 12.95
+BUILDING_SHARE = 0.42
+BUILDING_OFFSET_M = -36.0
 
 
 def add_furniture(road: Roadside, section: CrossSection, open_m: float, end_m: float) -> None:
@@ -31,9 +33,7 @@ def add_furniture(road: Roadside, section: CrossSection, open_m: float, end_m: f
         add_sign(road, share * open_m, side * _POST_OFFSET_M)
     for share, length in ((0.26, 4.6), (0.34, 4.2)):
         add_car(road, share * open_m, section.lane_edges_m[-1] + 1.3, length)
-    hut = road.new("building", "concrete", TruthClass.STRUCTURE)
-    ground = road.point(0.42 * open_m, -36.0)[2]
-    road.box(hut, 0.42 * open_m, -36.0, (ground - 1.0, ground + 3.8), (4.0, 3.0), yaw_deg=12.0)
+    add_building(road, BUILDING_SHARE * open_m)
 
 
 def add_median_barrier(road: Roadside, section: CrossSection, open_m: float) -> None:
@@ -119,3 +119,11 @@ def add_car(road: Roadside, station_m: float, distance_m: float, length_m: float
         for across in (-0.78, 0.78):
             at = station_m + along * half, -distance_m + across
             road.box(car, *at, (ground - 0.05, ground + 0.6), (0.3, 0.1))
+
+
+def add_building(road: Roadside, station_m: float) -> None:
+    """Hut at the foot of the fill, askew to the road."""
+    hut = road.new("building", "concrete", TruthClass.STRUCTURE)
+    ground = road.point(station_m, BUILDING_OFFSET_M)[2]
+    limits = ground - 1.0, ground + 3.8
+    road.box(hut, station_m, BUILDING_OFFSET_M, limits, (4.0, 3.0), yaw_deg=12.0)

@@ -89,8 +89,10 @@ def build_highway(seed: int = 1, length_m: float = 250.0) -> Highway:
 
     Raises
     ------
-    InputError : the length is outside 40 m to 600 m.
+    InputError : the seed is negative or the length is outside 40 m to 600 m.
     """
+    if seed < 0:
+        raise InputError("a seed is negative", where="seed", found=seed, allowed="0 or more")
     if not _SHORTEST_M <= length_m <= _LONGEST_M:
         raise InputError(
             "the site's length is out of range",

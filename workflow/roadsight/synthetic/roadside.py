@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -116,11 +115,8 @@ class Roadside:
         return ground
 
     def clumps(
-        self,
-        object_id: int,
-        centres_m: NDArray[np.float64],
-        half_m: Sequence[float] | NDArray[np.float64],
+        self, object_id: int, centres_m: NDArray[np.float64], half_m: NDArray[np.float64]
     ) -> None:
-        """Add upright ellipsoids (n, 3) with half axes (n, 3)."""
+        """Add upright ellipsoids with centres (n, 3) and half axes (n, 3)."""
         for centre, half in zip(centres_m, half_m, strict=True):
             self.builder.add_body(object_id, ELLIPSOID, centre, half)

@@ -48,7 +48,8 @@ def truth_layers(highway: Highway) -> dict[str, gpd.GeoDataFrame]:
 def digitised_edges(highway: Highway, rng: np.random.Generator) -> gpd.GeoDataFrame:
     """Edges as somebody would click them: a point every 15 m to 25 m, 5 cm off along each axis.
 
-    LineStrings in local metres: the outer edges of both carriageways (``kind`` "edge") and the middle of the median ("median").
+    LineStrings in local metres: the outer edges of both carriageways (``kind`` "edge") and the
+    middle of the median ("median").
     """
     outer = highway.section.pavement_m[1]
     lines = {"left": (outer, "edge"), "median": (0.0, "median"), "right": (-outer, "edge")}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.synthetic.furniture import BUILDING_OFFSET_M, BUILDING_SHARE
 from roadsight.synthetic.materials import TruthClass
 from roadsight.synthetic.roadside import Roadside
 
@@ -16,7 +17,8 @@ _KEEP_OFF_M = 6.0
 
 def add_vegetation(road: Roadside, open_m: float, rng: np.random.Generator) -> None:
     """Plant both slopes along the open road; every plant keeps off the poles and off the others."""
-    taken = [(pole.station_m, pole.offset_m) for pole in road.poles] + [(0.42 * open_m, -36.0)]
+    taken = [(pole.station_m, pole.offset_m) for pole in road.poles]
+    taken.append((BUILDING_SHARE * open_m, BUILDING_OFFSET_M))
     for plant, per_m, gap_m in ((_tree, _TREES_PER_M, _KEEP_OFF_M), (_bush, _BUSHES_PER_M, 2.0)):
         for _ in range(round(per_m * open_m)):
             side = rng.choice([-1.0, 1.0])

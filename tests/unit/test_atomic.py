@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from roadsight.io.atomic import atomic_path, read_json, write_json
+
+
+def test_output_appears_under_its_name_only_after_success(tmp_path):
+    target = tmp_path / "deep" / "er" / "out.txt"
+    with atomic_path(target) as temporary:
+        temporary.write_text("new")
+        assert not target.exists()
+        assert temporary.parent == target.parent
+        assert temporary.suffix == ".txt"
+    assert target.read_text() == "new"
+    assert list(target.parent.iterdir()) == [target]
+
+
+def test_failure_keeps_the_old_file_and_leaves_nothing_behind(tmp_path):
+    target = tmp_path / "out.bin"
+    target.write_bytes(b"old")
+    with pytest.raises(RuntimeError, match="half way"), atomic_path(target) as temporary:
+        temporary.write_bytes(b"ne")
+        raise RuntimeError("half way")
+    assert target.read_bytes() == b"old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_failure_without_an_old_file_leaves_no_file(tmp_path):
+    with pytest.raises(KeyboardInterrupt), atomic_path(tmp_path / "out.bin") as temporary:
+        temporary.write_bytes(b"ne")
+        raise KeyboardInterrupt
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_block_that_writes_nothing_fails_and_keeps_the_old_file(tmp_path):
+    target = tmp_path / "out.txt"
+    target.write_text("old")
+    with pytest.raises(FileNotFoundError), atomic_path(target):
+        pass
+    assert target.read_text() == "old"
+
+
+def test_json_is_sorted_readable_and_read_back(tmp_path):
+    path = tmp_path / "a.json"
+    write_json(path, {"b": [1, 2.5], "a": "grüße"})
+    assert path.read_text(encoding="utf-8").index('"a"') < path.read_text().index('"b"')
+    assert "grüße" in path.read_text(encoding="utf-8")
+    assert read_json(path) == {"a": "grüße", "b": [1, 2.5]}
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_json_refuses_what_other_readers_cannot_read(tmp_path, value):
+    path = tmp_path / "a.json"
+    write_json(path, {"kept": True})
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(path, {"lost": value})
+    assert read_json(path) == {"kept": True}

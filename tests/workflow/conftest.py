@@ -1,0 +1,116 @@
+"""A small site, run once through the real workflow in a copy of the checkout."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+TINY_SITE = """\
+site: tiny
+title: Sixty metres of highway
+sample: {scene: highway, points: 250000, length_m: 60}
+jobs: [placement]
+placement:
+  edges: sample
+  plans: [os-32, os-64]
+settings:
+  shards: 2
+  candidates: {height_step_m: 2.0, spacing_m: 8.0}
+  targets: {min_points: 10}
+  coverage: {uncoverable: exclude, shards: 1}
+"""
+
+
+class Checkout:
+    """A copy of the project's own files in a folder of its own.
+
+    Parameters
+    ----------
+    folder : where it is.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @classmethod
+    def copy_to(cls, folder: Path) -> Checkout:
+        """Copy every tracked or new file of the project, but nothing that it generated."""
+        listed = subprocess.run(
+            ["git", "ls-files", "-co", "--exclude-standard"],
+            cwd=ROOT,
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.splitlines()
+        for name in listed:
+            source, target = ROOT / name, folder / name
+            if not source.exists() and not source.is_symlink():
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if source.is_symlink():
+                target.symlink_to(source.readlink())
+            else:
+                shutil.copyfile(source, target)
+        (folder / "config/sites/tiny.yaml").write_text(TINY_SITE)
+        return cls(folder)
+
+    def snakemake(self, *arguments: str, timeout_s: float = 600) -> subprocess.CompletedProcess:
+        """Run Snakemake on the small site with this copy's package."""
+        command = [sys.executable, "-m", "snakemake", *arguments]
+        if "--config" not in arguments:
+            command += ["--config", "sites=[tiny]"]
+        environment = {
+            "PATH": "/usr/bin:/bin",
+            "HOME": str(self.folder),
+            "PYTHONPATH": str(self.folder / "workflow"),
+            "NUMBA_CACHE_DIR": str(self.folder.parent / "numba"),
+        }
+        return subprocess.run(
+            command,
+            cwd=self.folder,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=timeout_s,
+            check=False,
+        )
+
+    def stale_rules(self, *arguments: str) -> set[str]:
+        """Rules that a dry run would execute, targets left out."""
+        result = self.snakemake("-n", *arguments)
+        output = result.stdout + result.stderr
+        assert result.returncode == 0, output
+        if "Nothing to be done" in output:
+            return set()
+        table = output.split("Job stats:")[1].split("total")[0]
+        return set(re.findall(r"^(\w+) +\d+$", table, re.MULTILINE)) - {"all", "job"}
+
+    def edit(self, name: str, old: str, new: str) -> None:
+        """Replace a text that must be there."""
+        path = self.folder / name
+        text = path.read_text()
+        assert old in text, f"{old!r} is not in {name}"
+        path.write_text(text.replace(old, new))
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
+    """A checkout whose small site has been run to the end."""
+    checkout = Checkout.copy_to(tmp_path_factory.mktemp("workflow") / "checkout")
+    result = checkout.snakemake("--cores", "2")
+    assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-8000:]
+    return checkout
+
+
+@pytest.fixture
+def copy_of_finished(finished: Checkout, tmp_path: Path) -> Checkout:
+    """The finished checkout in another folder, as a clone that brings its results along."""
+    shutil.copytree(finished.folder, tmp_path / "clone", symlinks=True)
+    return Checkout(tmp_path / "clone")

@@ -1,0 +1,193 @@
+"""Change this -> exactly these rules are stale, and no others."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+pytestmark = pytest.mark.xdist_group("workflow")
+
+# Who reads whose outputs, written down here on purpose and not taken from the rules.
+READERS = {
+    "generate_sample": {"ingest_cloud", "build_edges", "score_pavement"},
+    "ingest_cloud": {
+        "profile_scene",
+        "build_dem",
+        "cluster_fpfh",
+        "extract_pavement",
+        "build_edges",
+        "score_pavement",
+        "place_candidates",
+        "build_surfels",
+        "densify_candidates",
+        "solve_cover",
+        "find_obstacles",
+        "render_scans",
+        "summarise_site",
+        "write_site_page",
+    },
+    "profile_scene": {"build_dem", "cluster_fpfh", "build_surfels", "summarise_site"},
+    "build_dem": {
+        "cluster_fpfh",
+        "extract_pavement",
+        "score_pavement",
+        "place_candidates",
+        "densify_candidates",
+        "find_obstacles",
+        "write_site_page",
+    },
+    "cluster_fpfh": {"extract_pavement", "build_edges"},
+    "extract_pavement": {
+        "build_edges",
+        "score_pavement",
+        "place_candidates",
+        "place_targets",
+        "densify_candidates",
+        "write_site_page",
+    },
+    "build_edges": {"place_candidates", "densify_candidates", "write_site_page"},
+    "score_pavement": {"summarise_site"},
+    "place_candidates": {
+        "render_depth_maps",
+        "build_detection_shard",
+        "check_coverage",
+        "densify_candidates",
+        "solve_cover",
+        "find_obstacles",
+        "write_site_page",
+    },
+    "place_targets": {
+        "build_detection_shard",
+        "check_coverage",
+        "densify_candidates",
+        "solve_cover",
+        "find_obstacles",
+        "write_site_page",
+    },
+    "build_surfels": {"render_depth_maps", "find_obstacles", "render_scans"},
+    "render_depth_maps": {"build_detection_shard"},
+    "build_detection_shard": {"check_coverage", "solve_cover", "find_obstacles", "write_site_page"},
+    "check_coverage": {
+        "densify_candidates",
+        "solve_cover",
+        "find_obstacles",
+        "summarise_site",
+        "write_site_page",
+    },
+    "densify_candidates": {
+        "render_depth_maps",
+        "build_detection_shard",
+        "check_coverage",
+        "solve_cover",
+        "find_obstacles",
+        "write_site_page",
+    },
+    "solve_cover": {"find_obstacles", "render_scans", "summarise_site", "write_site_page"},
+    "find_obstacles": {"write_site_page"},
+    "render_scans": {"write_site_page"},
+    "summarise_site": {"write_site_page"},
+    "write_site_page": {"write_report"},
+    "write_report": set(),
+}
+
+
+def after(*rules: str) -> set[str]:
+    """The rules and everything that reads what they write, directly or not."""
+    found: set[str] = set()
+    todo = list(rules)
+    while todo:
+        rule = todo.pop()
+        if rule not in found:
+            found.add(rule)
+            todo += READERS[rule]
+    return found
+
+
+SITE = "config/sites/tiny.yaml"
+PACKAGE = "workflow/roadsight"
+SETTINGS = [
+    ("  shards: 2\n", "  shards: 2\n  ground: {dem_cell_m: 0.6}\n", after("build_dem")),
+    ("  shards: 2\n", "  shards: 2\n  pavement: {neighbours: 12}\n", after("cluster_fpfh")),
+    ("  shards: 2\n", "  shards: 2\n  pavement: {closing_m: 1.5}\n", after("extract_pavement")),
+    ("  shards: 2\n", "  shards: 2\n  lidar: {surfel_size_m: 0.12}\n", after("build_surfels")),
+    ("min_points: 10", "min_points: 12", after("place_targets")),
+    (
+        "min_points: 10",
+        "min_points: 10, height_m: 0.5",
+        after("build_detection_shard", "find_obstacles"),
+    ),
+    ("height_step_m: 2.0", "height_step_m: 3.0", after("place_candidates", "densify_candidates")),
+    ("  shards: 2\n", "  shards: 2\n  cover: {time_limit_s: 200}\n", after("solve_cover")),
+    ("title: Sixty", "title: Seventy", after("write_site_page")),
+]
+MODULES = [
+    ("scene/fpfh.py", after("cluster_fpfh")),
+    ("scene/pavement.py", after("extract_pavement")),
+    ("placement/obstacles.py", after("find_obstacles")),
+    ("evidence/pavement_scores.py", after("score_pavement")),
+    ("placement/candidates.py", after("place_candidates", "densify_candidates")),
+    ("synthetic/highway.py", after("generate_sample")),
+    ("commands/ground.py", set()),
+    ("config/schema.py", set()),
+]
+
+
+def test_finished_run_leaves_nothing_to_do(finished):
+    assert finished.stale_rules() == set()
+
+
+def test_touching_every_file_makes_nothing_stale(copy_of_finished):
+    for path in copy_of_finished.folder.rglob("*"):
+        if path.is_file() and ".snakemake" not in path.parts:
+            os.utime(path)
+    assert copy_of_finished.stale_rules() == set()
+
+
+@pytest.mark.parametrize(("old", "new", "expected"), SETTINGS, ids=[s[1].strip() for s in SETTINGS])
+def test_setting(copy_of_finished, old, new, expected):
+    copy_of_finished.edit(SITE, old, new)
+    # Every setting is on record in the summary, so the summary and the report follow it too.
+    recorded = after("summarise_site") if old != "title: Sixty" else set()
+    assert copy_of_finished.stale_rules() == expected | recorded
+
+
+@pytest.mark.parametrize(("module", "expected"), MODULES, ids=[m[0] for m in MODULES])
+def test_editing_a_module_re_runs_its_users_only(copy_of_finished, module, expected):
+    path = copy_of_finished.folder / PACKAGE / module
+    original = path.read_text()
+    path.write_text(original + "\n# a remark\n")
+    assert copy_of_finished.stale_rules() == expected
+    path.write_text(original)
+    assert copy_of_finished.stale_rules() == set()
+
+
+def test_a_new_sensor_makes_nothing_stale(copy_of_finished):
+    path = copy_of_finished.folder / "config/sensors.yaml"
+    entry = "\n  New-8:\n    elevation_min_deg: -10\n    elevation_max_deg: 10\n"
+    path.write_text(path.read_text() + entry + "    channels: 8\n    range_m: 50\n")
+    assert copy_of_finished.stale_rules() == set()
+
+
+def test_one_sensor_changed_renders_that_sensor_alone(copy_of_finished):
+    path = copy_of_finished.folder / "config/sensors.yaml"
+    before, name, rest = path.read_text().partition("  OS-64:")
+    path.write_text(before + name + rest.replace("range_m: 120", "range_m: 110", 1))
+    result = copy_of_finished.snakemake("-n")
+    rendered = [
+        line for line in result.stdout.splitlines() if "output:" in line and "depth/" in line
+    ]
+    assert rendered
+    assert all("/OS-64/" in line for line in rendered)
+
+
+def test_a_renamed_site_file_with_other_cloud_content_is_noticed(copy_of_finished):
+    cloud = copy_of_finished.folder / "results/tiny/sample/cloud.laz"
+    cloud.write_bytes(cloud.read_bytes() + b"\0")
+    assert "ingest_cloud" in copy_of_finished.stale_rules()
+
+
+def test_dry_run_gives_the_reason(copy_of_finished):
+    copy_of_finished.edit(SITE, "min_points: 10", "min_points: 12")
+    result = copy_of_finished.snakemake("-n")
+    assert "Params have changed since last execution" in result.stdout + result.stderr

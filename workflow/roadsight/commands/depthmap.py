@@ -1,0 +1,89 @@
+"""``roadsight depthmap``: what one sensor at one place would measure in a cloud."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.commands.memory import MemoryCloud, add_cloud_arguments, load_cloud
+from roadsight.errors import InputError
+from roadsight.io.atomic import atomic_path
+from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.sensors import Sensor, load_sensor
+from roadsight.placement.surfel_lidar import SurfelLidar
+from roadsight.scene.surfels import build_surfels
+from roadsight.scene.voxel_moments import sum_moments
+
+_SENSORS = Path(__file__).parents[3] / "config" / "sensors.yaml"
+_SURFEL_M = 0.1
+
+
+def add_parser(verbs: argparse._SubParsersAction) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("depthmap", help="depth map of a virtual LiDAR in a cloud")
+    add_cloud_arguments(parser)
+    parser.add_argument("--sensor", required=True, metavar="NAME", help="sensor of --sensors")
+    parser.add_argument("--sensors", default=str(_SENSORS), help="sensors file")
+    parser.add_argument(
+        "--at",
+        required=True,
+        nargs=3,
+        type=float,
+        metavar=("X", "Y", "Z"),
+        help="position of the sensor in the cloud's own coordinates and units",
+    )
+    parser.add_argument(
+        "--azimuth-deg",
+        type=float,
+        default=0.0,
+        help="direction of the sensor's x axis, counter-clockwise from the cloud's x axis",
+    )
+    parser.add_argument("--model", choices=["surfel", "hybrid", "preliminary"], default="surfel")
+    parser.add_argument("-o", "--out", required=True, help="NPZ file to write")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write ``range_m`` (rows, columns; 0 = no return), ``azimuth_deg`` and ``elevation_deg``."""
+    if not np.all(np.isfinite([*arguments.at, arguments.azimuth_deg])):
+        raise InputError("--at and --azimuth-deg must be finite", found=arguments.at)
+    sensor = load_sensor(arguments.sensors, arguments.sensor)
+    cloud = load_cloud(arguments)
+    position = cloud.frame.to_local(arguments.at)
+    nearest_m = float(np.sqrt(((cloud.xyz_m - position) ** 2).sum(axis=1).min()))
+    if nearest_m > sensor.range_m:
+        raise InputError(
+            "the sensor stands out of reach of the cloud",
+            where="--at",
+            found=f"{nearest_m:.0f} m from the nearest point",
+            allowed=f"within {sensor.range_m:g} m, the sensor's range",
+            hint="give the position in the cloud's own coordinates and units",
+        )
+    range_m = _depth(cloud, sensor, position, arguments)
+    with atomic_path(arguments.out) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            range_m=range_m,
+            azimuth_deg=sensor.azimuth_deg,
+            elevation_deg=sensor.elevation_deg,
+        )
+    print(f"{(range_m > 0).sum()} of {range_m.size} beams return: {arguments.out}")
+
+
+def _depth(
+    cloud: MemoryCloud,
+    sensor: Sensor,
+    position_m: NDArray[np.float64],
+    arguments: argparse.Namespace,
+) -> NDArray[np.float32]:
+    yaw_deg = arguments.azimuth_deg
+    if arguments.model == "hybrid":
+        return hybrid_depth(cloud.xyz_m, sensor, position_m, yaw_deg)
+    if arguments.model == "preliminary":
+        return preliminary_depth(cloud.xyz_m, sensor, position_m, yaw_deg)
+    edge_m = max(_SURFEL_M, cloud.spacing_m)
+    surfels = build_surfels(sum_moments(cloud.xyz_m, edge_m))
+    return SurfelLidar(surfels).depth_map(sensor, position_m, yaw_deg)

@@ -1,0 +1,45 @@
+// One site at a time; the others wait unread.
+
+const tooltip = {
+  element: document.querySelector(".tooltip"),
+  show(text, x, y) {
+    this.element.textContent = text;
+    this.element.hidden = false;
+    const { offsetWidth, offsetHeight } = this.element;
+    this.element.style.left = `${Math.min(x + 14, window.innerWidth - offsetWidth - 8)}px`;
+    this.element.style.top = `${Math.min(y + 14, window.innerHeight - offsetHeight - 8)}px`;
+  },
+  hide() {
+    this.element.hidden = true;
+  },
+};
+
+const sections = [...document.querySelectorAll(".site")];
+const opened = new Map();
+
+function showSite(section) {
+  for (const other of sections) {
+    other.hidden = other !== section;
+    if (other !== section) opened.get(other)?.pause();
+  }
+  for (const link of document.querySelectorAll(".site-link")) {
+    const current = link.hash === `#${section.id}`;
+    mark(link, current);
+    link.nextElementSibling.hidden = !current;
+  }
+  if (opened.has(section)) opened.get(section).resume();
+  else opened.set(section, new Site(section, tooltip));
+}
+
+function followAnchor() {
+  const target = document.getElementById(location.hash.slice(1));
+  const section = target?.closest(".site");
+  if (!section) return;
+  if (section.hidden) showSite(section);
+  target.scrollIntoView();
+}
+
+showSite(sections[0]);
+window.addEventListener("hashchange", followAnchor);
+followAnchor();
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => opened.forEach((site) => site.recolour()));

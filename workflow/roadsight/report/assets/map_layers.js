@@ -1,0 +1,255 @@
+// What the map draws, from the ground up.
+
+const FLAT_SHADE = 180;
+const FACING_PX = 19;
+
+function drawMap(map) {
+  const { context, layers, colour } = map;
+  const { plan } = map.state;
+  context.globalAlpha = 1;
+  context.fillStyle = colour("ground");
+  context.fillRect(0, 0, map.width, map.height);
+  if (layers.relief) drawRelief(map);
+  if (layers.pavement) drawPavement(map);
+  if (layers.edges) drawEdges(map);
+  if (layers.candidates && map.site.candidates) drawCandidates(map);
+  if (plan) {
+    if (layers.targets) drawTargets(map, plan);
+    if (layers.sensors && map.state.sensor !== null) drawSights(map, plan, map.state.sensor);
+    if (layers.obstacles) drawObstacles(map, plan);
+    if (layers.sensors) drawSensors(map, plan);
+  }
+  drawScaleBar(map);
+  drawNorth(map);
+}
+
+// Relief as shadow and light over whatever lies below, so that it works on any background.
+function shadeImage(relief, shadow, sunlit) {
+  const canvas = document.createElement("canvas");
+  canvas.width = relief.columns;
+  canvas.height = relief.rows;
+  const context = canvas.getContext("2d");
+  const image = context.createImageData(relief.columns, relief.rows);
+  const [dark, light] = [shadow, sunlit].map(channels);
+  relief.shade.forEach((shade, i) => {
+    if (shade === 0) return;
+    const lit = shade >= FLAT_SHADE;
+    const strength = lit ? (shade - FLAT_SHADE) / (255 - FLAT_SHADE) : (FLAT_SHADE - shade) / FLAT_SHADE;
+    image.data.set([...(lit ? light : dark), 200 * strength], 4 * i);
+  });
+  context.putImageData(image, 0, 0);
+  return canvas;
+}
+
+function channels(hex) {
+  return [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
+}
+
+function drawRelief(map) {
+  const { west_m, north_m, rows, columns, cell_size_m } = map.site.relief;
+  const [left, top] = map.toScreen(west_m, north_m);
+  const size = cell_size_m * map.scale;
+  map.context.drawImage(map.reliefImage, left, top, columns * size, rows * size);
+}
+
+function trace(map, xy) {
+  for (let i = 0; i < xy.length; i += 2) {
+    const [x, y] = map.toScreen(xy[i], xy[i + 1]);
+    if (i === 0) map.context.moveTo(x, y);
+    else map.context.lineTo(x, y);
+  }
+}
+
+function drawPavement(map) {
+  const { context } = map;
+  context.fillStyle = map.colour("pavement");
+  context.globalAlpha = 0.85;
+  context.beginPath();
+  for (const rings of map.site.pavement) {
+    for (const ring of rings) {
+      trace(map, ring);
+      context.closePath();
+    }
+  }
+  context.fill("evenodd");
+  context.globalAlpha = 1;
+}
+
+function drawEdges(map) {
+  const { context } = map;
+  context.lineWidth = 1.75;
+  for (const edge of map.site.edges) {
+    context.strokeStyle = map.colour(edge.kind === "median" ? "median" : "edge");
+    context.setLineDash(edge.source === "automatic" ? [6, 4] : []);
+    context.beginPath();
+    trace(map, edge.xy);
+    context.stroke();
+  }
+  context.setLineDash([]);
+}
+
+function drawCandidates(map) {
+  const { context } = map;
+  const { xy, round } = map.site.candidates;
+  const radius = Math.min(Math.max(map.scale * 0.5, 1.6), 4);
+  context.lineWidth = 1.25;
+  context.strokeStyle = map.colour("candidate");
+  for (let i = 0; i < round.length; i++) {
+    const [x, y] = map.toScreen(xy[2 * i], xy[2 * i + 1]);
+    context.fillStyle = map.colour(round[i] ? "candidate" : "ground");
+    context.beginPath();
+    context.arc(x, y, radius, 0, 2 * Math.PI);
+    context.fill();
+    context.stroke();
+  }
+}
+
+function drawTargets(map, plan) {
+  const { context, site, state } = map;
+  const { xyz } = site.targets;
+  const size = Math.min(Math.max(map.scale * 0.62, 1.6), 10);
+  const lit = state.sensor === null ? null : new Set(plan.seen[state.sensor]);
+  const spots = Array.from({ length: MOST_SEEN + 1 }, () => []);
+  plan.times.forEach((times, i) => spots[bucketOf(times)].push(i));
+  spots.reverse().forEach((members, order) => {
+    const bucket = MOST_SEEN - order;
+    const side = bucket === 0 ? Math.max(size, 4) : size;
+    context.fillStyle = map.colour(`seen-${bucket}`);
+    for (const i of members) {
+      const [x, y] = map.toScreen(xyz[3 * i], xyz[3 * i + 1]);
+      if (x < -side || y < -side || x > map.width + side || y > map.height + side) continue;
+      context.globalAlpha = lit === null || lit.has(i) ? 1 : 0.22;
+      context.fillRect(x - side / 2, y - side / 2, side, side);
+    }
+  });
+  context.globalAlpha = 1;
+}
+
+function drawSights(map, plan, number) {
+  const { context, site } = map;
+  const sensor = plan.sensors[number];
+  const [x, y] = map.toScreen(sensor.x, sensor.y);
+  context.strokeStyle = map.colour("accent");
+  context.lineWidth = 1;
+  context.globalAlpha = 0.16;
+  context.beginPath();
+  for (const target of plan.seen[number]) {
+    context.moveTo(x, y);
+    context.lineTo(...map.toScreen(site.targets.xyz[3 * target], site.targets.xyz[3 * target + 1]));
+  }
+  context.stroke();
+  context.globalAlpha = 1;
+  const range = site.sensors[sensor.sensor]?.range_m;
+  if (!range) return;
+  context.setLineDash([8, 6]);
+  context.beginPath();
+  context.arc(x, y, range * map.scale, 0, 2 * Math.PI);
+  context.stroke();
+  context.setLineDash([]);
+}
+
+function drawObstacles(map, plan) {
+  const { context } = map;
+  context.fillStyle = map.colour("obstacle");
+  context.strokeStyle = map.colour("surface");
+  context.lineWidth = 1;
+  for (const obstacle of plan.obstacles) {
+    const [x, y] = map.toScreen(obstacle.x, obstacle.y);
+    symbolPath(context, 2, x, y, 4);
+    context.fill();
+    context.stroke();
+  }
+}
+
+// Symbols tell the models of a plan apart: circle, square, diamond.
+function symbolPath(context, model, x, y, radius) {
+  context.beginPath();
+  if (model === 0) context.arc(x, y, radius, 0, 2 * Math.PI);
+  else if (model === 1) context.rect(x - radius * 0.9, y - radius * 0.9, radius * 1.8, radius * 1.8);
+  else {
+    const r = radius * 1.25;
+    context.moveTo(x, y - r);
+    for (const [dx, dy] of [[r, 0], [0, r], [-r, 0]]) context.lineTo(x + dx, y + dy);
+    context.closePath();
+  }
+}
+
+function drawSensors(map, plan) {
+  plan.sensors.forEach((sensor, n) => {
+    if (n !== map.state.sensor) drawSensor(map, plan, n);
+  });
+  if (map.state.sensor !== null) drawSensor(map, plan, map.state.sensor);
+}
+
+function drawSensor(map, plan, n) {
+  const { context, colour } = map;
+  const sensor = plan.sensors[n];
+  const chosen = map.state.sensor === n;
+  const [x, y] = map.toScreen(sensor.x, sensor.y);
+  const fill = colour(chosen ? "accent" : "model-0");
+  const angle = (sensor.yaw_deg * Math.PI) / 180;
+  context.fillStyle = fill;
+  context.strokeStyle = colour("surface");
+  context.lineWidth = 1.5;
+  context.beginPath();
+  context.moveTo(x + FACING_PX * Math.cos(angle), y - FACING_PX * Math.sin(angle));
+  for (const side of [0.45, -0.45]) context.lineTo(x + 10 * Math.cos(angle + side), y - 10 * Math.sin(angle + side));
+  context.closePath();
+  context.fill();
+  symbolPath(context, plan.models[n], x, y, 10);
+  context.fill();
+  context.stroke();
+  context.fillStyle = colour(chosen ? "on-accent" : "surface");
+  context.font = `700 11px ${colour("font")}`;
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.fillText(sensor.number, x, y + 0.5);
+}
+
+function drawScaleBar(map) {
+  const { context, colour } = map;
+  const most = 130 / map.scale;
+  const decade = 10 ** Math.floor(Math.log10(most));
+  const length = [5, 2, 1].map((n) => n * decade).find((n) => n <= most);
+  const [left, bottom, width] = [16, map.height - 16, length * map.scale];
+  const text = length >= 1000 ? `${formatNumber(length / 1000)} km` : `${formatNumber(length, length < 1 ? 1 : 0)} m`;
+  plate(map, left - 8, bottom - 24, Math.max(width, 40) + 16, 32);
+  context.strokeStyle = context.fillStyle = colour("ink");
+  context.lineWidth = 1.5;
+  context.beginPath();
+  context.moveTo(left, bottom - 5);
+  context.lineTo(left, bottom);
+  context.lineTo(left + width, bottom);
+  context.lineTo(left + width, bottom - 5);
+  context.stroke();
+  context.font = `12px ${colour("font")}`;
+  context.textAlign = "left";
+  context.textBaseline = "alphabetic";
+  context.fillText(text, left, bottom - 8);
+}
+
+function drawNorth(map) {
+  const { context, colour } = map;
+  plate(map, 8, 8, 26, 38);
+  context.fillStyle = colour("ink");
+  context.beginPath();
+  context.moveTo(21, 12);
+  context.lineTo(27, 28);
+  context.lineTo(21, 24);
+  context.lineTo(15, 28);
+  context.closePath();
+  context.fill();
+  context.font = `700 11px ${colour("font")}`;
+  context.textAlign = "center";
+  context.textBaseline = "alphabetic";
+  context.fillText("N", 21, 41);
+}
+
+function plate(map, x, y, width, height) {
+  map.context.fillStyle = map.colour("surface");
+  map.context.globalAlpha = 0.85;
+  map.context.beginPath();
+  map.context.roundRect(x, y, width, height, 5);
+  map.context.fill();
+  map.context.globalAlpha = 1;
+}

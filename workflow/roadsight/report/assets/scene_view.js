@@ -1,0 +1,201 @@
+// The cloud, the sensors and what they see in three dimensions, by plotly.js.
+
+const LONGEST_SIDE = 2.4;
+const HIGHEST_SHADE_M = 12;
+const SYMBOLS = ["circle", "square", "diamond"];
+
+class SceneView {
+  constructor(element, site, state) {
+    Object.assign(this, { element, site, state });
+    this.layers = { cloud: true, targets: true, sensors: true, returns: false };
+    this.options = { colour: "height", size: 1.5, stretch: 1, camera: "oblique" };
+    this.angle = roadAngle(site);
+    this.drawn = false;
+    this.active = false;
+    element.addEventListener("wheel", (event) => {
+      if (!this.active && !event.ctrlKey) event.stopPropagation();
+    }, { capture: true });
+    element.addEventListener("pointerdown", () => { this.active = true; }, { capture: true });
+    element.addEventListener("pointerleave", () => { this.active = false; });
+  }
+
+  open() {
+    if (this.drawn) return;
+    this.drawn = true;
+    this.cloud ??= this.readCloud();
+    this.element.replaceChildren();
+    this.draw();
+    this.element.on("plotly_click", ({ points }) => {
+      const number = points[0]?.customdata;
+      if (Number.isInteger(number)) this.state.chooseSensor(number);
+    });
+  }
+
+  // Browsers keep few drawing contexts, so a hidden site gives its own back.
+  close() {
+    if (!this.drawn) return;
+    this.drawn = false;
+    Plotly.purge(this.element);
+    this.element.replaceChildren();
+  }
+
+  readCloud() {
+    const { cloud } = this.site.layers;
+    const points = unpackPoints(cloud);
+    const unknown = 255;
+    const heights = Float32Array.from(unpack(cloud.height), (step) => (step === unknown ? 0 : step * cloud.height_step_m));
+    const bytes = cloud.colour && unpack(cloud.colour);
+    const colours = bytes && Array.from(heights, (_, i) => `rgb(${bytes[3 * i]},${bytes[3 * i + 1]},${bytes[3 * i + 2]})`);
+    return { ...points, heights, colours, intensity: cloud.intensity && unpack(cloud.intensity) };
+  }
+
+  draw() {
+    if (!this.drawn) return;
+    const colour = themeColours();
+    this.ranges = this.sceneRanges();
+    const config = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["resetCameraLastSave3d", "tableRotation"] };
+    Plotly.react(this.element, this.traces(colour), this.layout(colour), config);
+  }
+
+  sceneRanges() {
+    const { x, y, z } = this.cloud;
+    const plan = this.state.plan;
+    const range = (values, key) => {
+      let low = Infinity, high = -Infinity;
+      for (const value of values) { low = Math.min(low, value); high = Math.max(high, value); }
+      for (const sensor of plan?.sensors ?? []) { low = Math.min(low, sensor[key]); high = Math.max(high, sensor[key] + 1); }
+      return low < high ? [low, high] : [low - 1 || -1, high + 1 || 1];
+    };
+    return { x: range(x, "x"), y: range(y, "y"), z: range(z, "z") };
+  }
+
+  layout(colour) {
+    const span = ({ 0: low, 1: high }) => high - low;
+    const { x, y, z } = this.ranges;
+    const unit = LONGEST_SIDE / Math.max(span(x), span(y));
+    const axis = (title, range, ticks) => ({
+      title: { text: title, font: { size: 11 } }, range, autorange: false, nticks: ticks, tickfont: { size: 10 },
+      color: colour("muted"), gridcolor: colour("line"), zeroline: false, showbackground: false, showspikes: false,
+    });
+    return {
+      margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, uirevision: "keep",
+      paper_bgcolor: "rgba(0,0,0,0)", font: { family: colour("font"), color: colour("ink") },
+      hoverlabel: { font: { family: colour("font"), size: 12 } },
+      modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("muted"), activecolor: colour("accent") },
+      scene: {
+        xaxis: axis("East, m", x, 6), yaxis: axis("North, m", y, 6), zaxis: axis("Up, m", z, 3),
+        aspectmode: "manual",
+        aspectratio: { x: span(x) * unit, y: span(y) * unit, z: span(z) * unit * this.options.stretch },
+        camera: this.camera(this.options.camera), dragmode: "turntable",
+      },
+    };
+  }
+
+  // Cameras look across the road, its long axis from left to right.
+  camera(kind) {
+    const across = this.angle - Math.PI / 2;
+    const from = (distance, elevation) => ({
+      x: distance * Math.cos(across) * Math.cos(elevation), y: distance * Math.sin(across) * Math.cos(elevation),
+      z: distance * Math.sin(elevation),
+    });
+    const up = { x: 0, y: 0, z: 1 };
+    if (kind === "top") return { eye: from(2.1, Math.PI / 2 - 0.001), up, projection: { type: "orthographic" } };
+    return { eye: kind === "side" ? from(1.35, 0.12) : from(1.55, 0.62), up, projection: { type: "perspective" } };
+  }
+
+  setCamera(kind) {
+    this.options.camera = kind;
+    if (this.drawn) Plotly.relayout(this.element, { "scene.camera": this.camera(kind) });
+  }
+
+  traces(colour) {
+    const { plan } = this.state;
+    const base = { type: "scatter3d", mode: "markers", hoverinfo: "skip" };
+    const traces = [{ ...base, ...this.cloudMarkers(colour), visible: this.layers.cloud }];
+    if (!plan) return traces;
+    traces.push(
+      this.targetTrace(base, plan, colour, (times) => times > 0),
+      this.targetTrace(base, plan, colour, (times) => times === 0),
+      ...this.sensorTraces(base, plan, colour),
+      this.sightTrace(base, plan, colour),
+      this.returnsTrace(base, plan, colour),
+    );
+    return traces;
+  }
+
+  cloudMarkers(colour) {
+    const { x, y, z, heights, intensity, colours } = this.cloud;
+    const ramp = (low, high) => [[0, low], [1, high]];
+    const markers = {
+      height: { color: heights, cmin: 0, cmax: HIGHEST_SHADE_M, colorscale: ramp(colour("cloud-low"), colour("cloud-high")) },
+      intensity: { color: intensity, cmin: 0, cmax: 255, colorscale: ramp("#1a1f24", "#f2f4f6") },
+      colour: { color: colours },
+    };
+    return { x, y, z, marker: { size: this.options.size, opacity: 1, line: { width: 0 }, ...markers[this.options.colour] } };
+  }
+
+  targetTrace(base, plan, colour, wanted) {
+    const { xyz } = this.site.targets;
+    const members = [...plan.times.keys()].filter((i) => wanted(plan.times[i]));
+    const unseen = members.length > 0 && plan.times[members[0]] === 0;
+    const lit = this.state.sensor === null ? null : new Set(plan.seen[this.state.sensor]);
+    const shown = unseen || !lit ? members : members.filter((i) => lit.has(i));
+    return {
+      ...base, visible: this.layers.targets,
+      x: shown.map((i) => xyz[3 * i]), y: shown.map((i) => xyz[3 * i + 1]), z: shown.map((i) => xyz[3 * i + 2] + 0.3),
+      hoverinfo: "text", hovertext: shown.map((i) => `Target ${escapeText(this.site.targets.names[i])}: seen by ${plan.times[i]}`),
+      marker: {
+        size: unseen ? 4.5 : 3, symbol: unseen ? "x" : "circle", line: { width: 0 }, opacity: 1,
+        color: shown.map((i) => colour(`seen-${bucketOf(plan.times[i])}`)),
+      },
+    };
+  }
+
+  sensorTraces(base, plan, colour) {
+    const { sensors } = plan;
+    const fill = sensors.map((_, n) => colour(n === this.state.sensor ? "accent" : "ink"));
+    const poles = { x: [], y: [], z: [] };
+    for (const { x, y, z, height_m } of sensors) {
+      poles.x.push(x, x, null);
+      poles.y.push(y, y, null);
+      poles.z.push(z - height_m, z, null);
+    }
+    const visible = this.layers.sensors;
+    return [
+      { ...base, ...poles, visible, mode: "lines", line: { color: colour("ink"), width: 3 } },
+      {
+        ...base, visible, mode: "markers+text", hoverinfo: "text",
+        x: sensors.map((s) => s.x), y: sensors.map((s) => s.y), z: sensors.map((s) => s.z),
+        text: sensors.map((s) => String(s.number)), textposition: "top center",
+        textfont: { size: 14, color: colour("ink"), weight: 700 },
+        hovertext: sensors.map((s) => escapeText(sensorText(s)).replaceAll("\n", "<br>")),
+        customdata: sensors.map((_, n) => n),
+        marker: { size: 7, symbol: plan.models.map((model) => SYMBOLS[model]), color: fill, line: { color: colour("surface"), width: 1 } },
+      },
+    ];
+  }
+
+  sightTrace(base, plan, colour) {
+    const lines = { x: [], y: [], z: [] };
+    const number = this.state.sensor;
+    for (const target of number === null ? [] : plan.seen[number]) {
+      const sensor = plan.sensors[number];
+      ["x", "y", "z"].forEach((axis, k) => lines[axis].push(sensor[axis], this.site.targets.xyz[3 * target + k] + (k === 2 ? 0.3 : 0), null));
+    }
+    return { ...base, ...lines, visible: this.layers.sensors, mode: "lines", opacity: 0.3, line: { color: colour("accent"), width: 1 } };
+  }
+
+  returnsTrace(base, plan, colour) {
+    const points = unpackPoints(plan.returns);
+    const sensor = unpack(plan.returns.sensor);
+    const wanted = [...sensor.keys()].filter((i) => this.state.sensor === null || sensor[i] === this.state.sensor);
+    const part = (values) => wanted.map((i) => values[i]);
+    return {
+      ...base, visible: this.layers.returns, x: part(points.x), y: part(points.y), z: part(points.z),
+      marker: { size: 1.8, color: colour("returns"), line: { width: 0 } },
+    };
+  }
+}
+
+// Plotly reads a little HTML in its texts.
+const escapeText = (text) => text.replaceAll("&", "&amp;").replaceAll("<", "&lt;").replaceAll(">", "&gt;");

@@ -1,0 +1,132 @@
+// One site: its state (plan and sensor shown) and everything that follows it.
+
+class Site {
+  constructor(section, tooltip) {
+    this.section = section;
+    this.content = readSite(JSON.parse(this.find(".site-data").textContent));
+    this.sensor = null;
+    this.plan = this.content.plans.find((plan) => plan.name === this.find(".planbar input:checked")?.value) ?? null;
+    this.map = new MapView(this.find(".map"), this.content, this, tooltip);
+    this.scene = new SceneView(this.find(".scene3d"), this.content, this);
+    this.listen();
+    this.watchScene();
+    this.showPlan();
+  }
+
+  find(selector) {
+    return this.section.querySelector(selector);
+  }
+
+  all(selector) {
+    return [...this.section.querySelectorAll(selector)];
+  }
+
+  choosePlan(name) {
+    this.plan = this.content.plans.find((plan) => plan.name === name);
+    this.sensor = null;
+    for (const input of this.all(".planbar input")) input.checked = input.value === name;
+    this.showPlan();
+    this.draw();
+  }
+
+  chooseSensor(number) {
+    this.sensor = number;
+    this.showSensor();
+    this.draw();
+  }
+
+  draw() {
+    this.map.draw();
+    this.scene.draw();
+  }
+
+  showPlan() {
+    const name = this.plan?.name;
+    for (const part of this.all("[data-for-plan]")) part.hidden = part.dataset.forPlan !== name;
+    for (const row of this.all("[data-plan-row]")) mark(row, row.dataset.planRow === name);
+    this.showSensor();
+  }
+
+  showSensor() {
+    for (const row of this.all("[data-sensor-row]")) mark(row, Number(row.dataset.sensorRow) === this.sensor);
+    for (const button of this.all("[data-choose-sensor]")) {
+      button.setAttribute("aria-pressed", Number(button.dataset.chooseSensor) === this.sensor);
+    }
+    const note = this.find("[data-selection]");
+    if (!note) return;
+    note.replaceChildren();
+    if (this.sensor === null) {
+      note.textContent = "All sensors. Choose one to see what it sees.";
+      return;
+    }
+    const all = document.createElement("button");
+    all.textContent = "Show all sensors";
+    all.addEventListener("click", () => this.chooseSensor(null));
+    note.append(`${sensorText(this.plan.sensors[this.sensor])}.`, document.createElement("br"), all);
+  }
+
+  listen() {
+    this.section.addEventListener("change", ({ target }) => {
+      if (target.matches(".planbar input")) this.choosePlan(target.value);
+      if (target.matches(".map-panel [data-layer]")) this.setLayer(this.map, target);
+      if (target.matches(".scene-panel [data-layer]")) this.setLayer(this.scene, target);
+      if (target.matches("[data-scene]")) this.setOption(target);
+    });
+    this.section.addEventListener("click", ({ target }) => {
+      const { choosePlan, chooseSensor, map, camera } = target.closest("button")?.dataset ?? {};
+      if (choosePlan !== undefined) this.choosePlan(choosePlan);
+      if (chooseSensor !== undefined) this.chooseSensor(this.sensor === Number(chooseSensor) ? null : Number(chooseSensor));
+      if (map !== undefined) ({ in: () => this.map.zoom(1.4), out: () => this.map.zoom(1 / 1.4), fit: () => this.map.fit() })[map]();
+      if (camera !== undefined) this.scene.setCamera(camera);
+    });
+    this.showRamp();
+  }
+
+  setLayer(view, input) {
+    view.layers[input.dataset.layer] = input.checked;
+    view.draw();
+  }
+
+  setOption(input) {
+    const numeric = input.dataset.scene === "size" || input.dataset.scene === "stretch";
+    this.scene.options[input.dataset.scene] = numeric ? Number(input.value) : input.value;
+    this.showRamp();
+    this.scene.draw();
+  }
+
+  showRamp() {
+    const ramp = this.find("[data-ramp]");
+    const { colour } = this.scene.options;
+    ramp.hidden = colour === "colour";
+    const [low, high] = ramp.children;
+    [low.textContent, high.textContent] = colour === "height" ? ["0 m", `${HIGHEST_SHADE_M} m and above`] : ["dark", "bright"];
+    const ends = colour === "height" ? ["var(--cloud-low)", "var(--cloud-high)"] : ["#1a1f24", "#f2f4f6"];
+    ramp.style.background = `linear-gradient(90deg, ${ends.join(", ")}) top / 100% 8px no-repeat`;
+  }
+
+  watchScene() {
+    this.observer = new IntersectionObserver((entries) => {
+      if (entries.some((entry) => entry.isIntersecting)) this.scene.open();
+    }, { rootMargin: "300px" });
+    this.resume();
+  }
+
+  pause() {
+    this.observer.disconnect();
+    this.scene.close();
+  }
+
+  resume() {
+    this.observer.observe(this.scene.element);
+  }
+
+  recolour() {
+    this.map.recolour();
+    this.scene.draw();
+  }
+}
+
+function mark(row, current) {
+  if (current) row.setAttribute("aria-current", "true");
+  else row.removeAttribute("aria-current");
+}

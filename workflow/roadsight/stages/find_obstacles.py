@@ -1,0 +1,109 @@
+"""What hides targets from the chosen sensors, and why some targets are seen by none."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import read_json
+from roadsight.io.detections import read_detections
+from roadsight.io.rasters import read_raster
+from roadsight.io.surfels import read_surfels
+from roadsight.io.tables import read_table
+from roadsight.io.vectors import write_layers
+from roadsight.placement.obstacles import (
+    Cast,
+    blocked_sight_lines,
+    explain_gaps,
+    group_obstacles,
+    pairs_in_range,
+)
+from roadsight.placement.sensors import Sensor, load_sensors
+from roadsight.placement.surfel_lidar import SurfelLidar
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("find_obstacles")
+
+
+def find_obstacles(arguments: argparse.Namespace) -> None:
+    """Write layers ``obstacles`` (by cubic metre) and ``uncovered`` (targets and reasons)."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    solution = read_json(arguments.solution)
+    targets = read_table(arguments.targets)
+    sensors = load_sensors(arguments.sensors)
+    lidar = SurfelLidar(read_surfels(arguments.surfels))
+
+    def cast(origin_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        return lidar.cast(origin_m, directions.astype(np.float32), 1e4)
+
+    obstacles = _obstacles(arguments, solution, targets, sensors, cast)
+    dem = read_raster(arguments.dem, frame)
+    ground = dem.sample(obstacles["x"].to_numpy(), obstacles["y"].to_numpy())
+    obstacles["height_m"] = obstacles["z"] - ground
+    obstacles["kind"] = np.where(obstacles["height_m"] < 0.3, "ground", "object")
+    gaps = _gaps(arguments, targets, sensors, cast)
+    log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
+    layers = {"obstacles": _points(obstacles), "uncovered": _points(gaps)}
+    write_layers(arguments.out, layers, frame)
+
+
+def _obstacles(
+    arguments: argparse.Namespace,
+    solution: dict,
+    targets: pd.DataFrame,
+    sensors: dict[str, Sensor],
+    cast: Cast,
+) -> pd.DataFrame:
+    """Obstacles on the sight lines of chosen sensors to targets that they do not see."""
+    chosen = pd.DataFrame(solution["sensors"], columns=["candidate", "sensor", "x", "y", "z"])
+    ranges = np.array([sensors[name].range_m for name in chosen["sensor"]])
+    pairs = pairs_in_range(chosen, targets, ranges)
+    seen = read_detections(arguments.detections)
+    seen = seen[seen["candidate"].isin(chosen["candidate"])]
+    keys = pd.MultiIndex.from_frame(pairs[["candidate", "target"]])
+    hidden = ~keys.isin(pd.MultiIndex.from_frame(seen[["candidate", "target"]]))
+    pairs = pairs[hidden].reset_index(drop=True)
+    return group_obstacles(pairs.join(blocked_sight_lines(pairs, arguments.target_height_m, cast)))
+
+
+def _gaps(
+    arguments: argparse.Namespace,
+    targets: pd.DataFrame,
+    sensors: dict[str, Sensor],
+    cast: Cast,
+) -> pd.DataFrame:
+    """Targets that no candidate of the plan sees."""
+    uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
+    names = read_json(arguments.solution)["sensor_types"]
+    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    range_m = max(sensors[name].range_m for name in names)
+    gaps = targets[targets["target"].isin(uncovered)].reset_index(drop=True)
+    return explain_gaps(gaps, candidates, range_m, arguments.target_height_m, cast)
+
+
+def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
+    columns = table.drop(columns=["x", "y", "z"])
+    geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
+    return gpd.GeoDataFrame(columns, geometry=geometry)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    names = ("solution", "coverage", "plan", "targets", "surfels", "dem", "frame", "sensors", "out")
+    for name in names:
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--candidates", nargs="+", required=True)
+    parser.add_argument("--detections", nargs="+", required=True)
+    parser.add_argument("--target-height-m", type=float, default=0.6)
+    return run_stage(parser, find_obstacles, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

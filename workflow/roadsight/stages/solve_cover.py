@@ -1,0 +1,165 @@
+"""The proven optimal set of sensors of a plan."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from scipy import sparse
+
+from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import read_json, write_json
+from roadsight.io.detections import read_detections
+from roadsight.io.tables import read_table
+from roadsight.io.vectors import write_layers
+from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
+from roadsight.placement.coverage import detection_matrix, times_seen
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("solve_cover")
+
+
+def solve_cover(arguments: argparse.Namespace) -> None:
+    """Write the solution, its layers for GIS, and the solver's timing."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    costs = {name: float(cost) for name, _, cost in (s.partition("=") for s in arguments.sensors)}
+    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    targets = read_table(arguments.targets)
+    uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
+    wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
+    _check_uncovered(arguments, len(uncovered), len(targets))
+    choices = pd.MultiIndex.from_product([costs, candidates["candidate"]])
+    detections = read_detections(arguments.detections)
+    matrix = detection_matrix(detections, choices, pd.Index(wanted["target"]))
+    cover = solve_cover_problem(
+        CoverProblem(
+            matrix,
+            np.repeat(list(costs.values()), len(candidates)),
+            groups=np.tile(np.arange(len(candidates)), len(costs)),
+            at_least=arguments.at_least,
+        ),
+        time_limit_s=arguments.time_limit_s,
+        seed=arguments.seed,
+    )
+    _check_solved(arguments, cover)
+    sensors = _sensor_table(candidates, list(costs), cover, matrix, frame)
+    wanted["sensors"] = times_seen(matrix, cover.chosen)
+    content = _content(arguments, cover, sensors, targets, uncovered)
+    write_layers(arguments.layers, {"sensors": _points(sensors), "targets": _points(wanted)}, frame)
+    write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
+    write_json(arguments.solution, content)
+    log.info(
+        "%s: %d sensors, cost %g, bound %g, %s",
+        arguments.plan,
+        len(sensors),
+        cover.objective,
+        cover.bound,
+        cover.status,
+    )
+
+
+def _check_uncovered(arguments: argparse.Namespace, uncovered: int, targets: int) -> None:
+    if uncovered and arguments.uncoverable == "error":
+        raise InputError(
+            f"{uncovered} of {targets} targets are seen by no candidate",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            hint=f"they are listed in {arguments.coverage}; densify the candidates"
+            " (candidates.spacing_m, coverage.rounds), remove what hides them,"
+            " or leave them out with coverage.uncoverable: exclude",
+        )
+    if uncovered == targets:
+        raise InputError(
+            "no target is seen by any candidate",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            hint="check the edges' position, the heights and targets.min_beams",
+        )
+    if uncovered:
+        log.warning("%d of %d targets are seen by no candidate: left out", uncovered, targets)
+
+
+def _check_solved(arguments: argparse.Namespace, cover: Cover) -> None:
+    if cover.status == "infeasible":
+        raise InputError(
+            f"no set of sensors covers every target {arguments.at_least} times",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            found=f"{len(cover.uncoverable)} targets seen by too few candidates",
+            hint="lower cover.at_least or densify the candidates",
+        )
+    if cover.status != "optimal":
+        log.warning("time limit: not proven, gap %.1f %%", 100 * cover.gap)
+
+
+def _sensor_table(
+    candidates: pd.DataFrame,
+    names: list[str],
+    cover: Cover,
+    matrix: sparse.csr_matrix,
+    frame: Frame,
+) -> pd.DataFrame:
+    """The chosen candidates, with what each sees and what only it sees."""
+    rows = np.asarray(cover.chosen, np.int64)
+    table = candidates.iloc[rows % len(candidates)].reset_index(drop=True)
+    table.insert(1, "sensor", [names[row // len(candidates)] for row in rows])
+    seen = matrix[rows].astype(np.int64)
+    once = np.asarray(seen.sum(axis=0)).ravel() == 1
+    table["targets"] = np.asarray(seen.sum(axis=1)).ravel()
+    table["only"] = np.asarray(seen[:, once].sum(axis=1)).ravel()
+    table["native"] = frame.to_native(table[["x", "y", "z"]].to_numpy()).round(4).tolist()
+    return table
+
+
+def _content(
+    arguments: argparse.Namespace,
+    cover: Cover,
+    sensors: pd.DataFrame,
+    targets: pd.DataFrame,
+    uncovered: list[str],
+) -> dict[str, Any]:
+    return {
+        "site": arguments.site,
+        "plan": arguments.plan,
+        "sensor_types": [entry.partition("=")[0] for entry in arguments.sensors],
+        "status": cover.status,
+        "objective": cover.objective,
+        "bound": cover.bound,
+        "gap": cover.gap,
+        "at_least": arguments.at_least,
+        "sensors": sensors.to_dict("records"),
+        "targets": len(targets),
+        "covered_targets": len(targets) - len(uncovered),
+        "uncoverable_targets": len(uncovered),
+        "excluded": uncovered,
+        "reductions": cover.reductions,
+    }
+
+
+def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
+    columns = table.drop(columns=[c for c in ("x", "y", "z", "native") if c in table])
+    return gpd.GeoDataFrame(
+        columns, geometry=gpd.points_from_xy(table["x"], table["y"], table["z"])
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("site", "plan", "coverage", "targets", "frame", "solution", "layers", "timing"):
+        parser.add_argument(f"--{name}", required=True)
+    for name in ("candidates", "detections"):
+        parser.add_argument(f"--{name}", nargs="+", required=True)
+    parser.add_argument("--sensors", nargs="+", required=True, help="name=cost")
+    parser.add_argument("--at-least", type=int, default=1)
+    parser.add_argument("--time-limit-s", type=float, default=300.0)
+    parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")
+    parser.add_argument("--seed", type=int, default=1)
+    return run_stage(parser, solve_cover, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,40 @@
+"""One self-contained HTML report of all sites."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from importlib import resources
+
+from plotly.offline import get_plotlyjs
+
+from roadsight import __version__
+from roadsight.io.atomic import atomic_path, read_json
+from roadsight.report.document import ASSETS, render_report
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("write_report")
+
+
+def write_report(arguments: argparse.Namespace) -> None:
+    """Render the sites' pages into one file."""
+    folder = resources.files("roadsight.report") / "assets"
+    assets = {name: (folder / name).read_text(encoding="utf-8") for name in ASSETS}
+    pages = [read_json(path) for path in arguments.pages]
+    html = render_report(pages, assets, get_plotlyjs(), __version__)
+    with atomic_path(arguments.out) as temporary:
+        temporary.write_text(html, encoding="utf-8")
+    log.info("%d sites, %.1f MB", len(pages), len(html) / 1e6)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--pages", nargs="+", required=True, help="page.json of each site")
+    parser.add_argument("--out", required=True, help="HTML file to write")
+    return run_stage(parser, write_report, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
