@@ -11,10 +11,11 @@ import pandas as pd
 from pyproj import CRS
 from shapely import LineString, Polygon
 
-from roadsight.config.schema import Settings
+from roadsight.config.schema import Settings, Targets
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import write_json
 from roadsight.io.clouds import write_laz
+from roadsight.io.detections import write_detections
 from roadsight.io.rasters import write_raster
 from roadsight.io.tables import write_table
 from roadsight.io.tile_writer import TileWriter
@@ -31,6 +32,7 @@ PLANS = {
 REACH_M = {"VLP-16": 16.0, "Puck-32C": 30.0, "OS-32": 26.0, "OS-64": 40.0, "OS-128": 55.0}
 HALF_WIDTH_M, SPACING_M = 6.0, 4.0
 TILE_M = 25
+SETTINGS = Settings(targets=Targets(cell_size_m=1.5))
 
 
 class ReportSite:
@@ -221,7 +223,7 @@ class ReportSite:
         table = pd.DataFrame({"target": names, "x": xy[:, 0], "y": xy[:, 1]})
         table["z"] = self.ground_m(xy)
         table["points"] = np.int32(30)
-        table.attrs["station_m"] = station.ravel()
+        self.station_m = station.ravel()
         return table
 
     def _candidates(self, round_number, spacing_m):
@@ -261,7 +263,7 @@ class ReportSite:
             np.linalg.norm(apart, axis=2)
             < REACH_M[sensor] * (0.8 + 0.02 * candidates["height_m"].to_numpy())[:, None]
         )
-        near &= targets.attrs["station_m"] < self.length_m * (1 - self.hidden)
+        near &= self.station_m < self.length_m * (1 - self.hidden)
         for number, table in enumerate(self.rounds):
             first = sum(map(len, self.rounds[:number]))
             row, column = np.nonzero(near[first : first + len(table)])
@@ -272,7 +274,7 @@ class ReportSite:
                     "hits": np.full(len(row), 12, np.uint16),
                 }
             )
-            write_table(self._shard(sensor, number, 0), content, {"sensor": sensor})
+            write_detections(self._shard(sensor, number, 0), content, {"sensor": sensor})
         return near
 
     def _shard(self, sensor, round_number, shard):
@@ -356,7 +358,7 @@ class ReportSite:
             "version": "0.1.0",
             "seed": 1,
             "inputs": {"clouds/road <1>.laz": "0f" * 32},
-            "settings": json.loads(Settings().model_dump_json()),
+            "settings": json.loads(SETTINGS.model_dump_json()),
             "scene": {
                 "points": 4000,
                 "density_per_m2": {"median": 27.0, "p05": 15.0, "cell_m": 1.0},

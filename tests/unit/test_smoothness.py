@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from roadsight.errors import InputError
+from roadsight.scene.fpfh import fpfh
+from roadsight.scene.normals import nearest_neighbours, upward_normals
 from roadsight.scene.smoothness import fit_smoothness, is_smooth, local_intensity
 
 
@@ -44,19 +46,21 @@ def test_intensity_decides_where_the_shapes_are_alike(rng):
     assert (is_smooth(model, histograms, variation, intensity) == road).mean() > 0.99
 
 
-def test_a_few_dazzling_returns_do_not_move_the_intensity_scale(two_kinds):
-    smooth, histograms, variation, intensity = two_kinds
-    dazzled = intensity.copy()
-    dazzled[::200] = 60_000
-    model = fit_smoothness(histograms, variation, dazzled, 1.5, 1)
-    found = is_smooth(model, histograms, variation, intensity)
-    assert (found == smooth).mean() > 0.99
+def test_a_few_dazzling_returns_do_not_hide_the_intensity_of_the_others(rng):
+    road = np.arange(1000) % 2 == 0
+    histograms = rng.uniform(0, 5, (1000, 33)).astype(np.float32)
+    variation = rng.uniform(0.01, 0.011, 1000)
+    intensity = np.where(road, 10.0, 40.0) + rng.normal(0, 2, 1000)
+    intensity[:9] = 60_000
+    model = fit_smoothness(histograms, variation, intensity, 1.5, 1)
+    assert (is_smooth(model, histograms, variation, intensity) == road)[9:].mean() > 0.99
 
 
 def test_a_constant_intensity_is_no_cue(two_kinds):
     smooth, histograms, variation, _ = two_kinds
-    model = fit_smoothness(histograms, variation, np.full(1000, 7.0), 1.5, 1)
-    assert (is_smooth(model, histograms, variation, np.full(1000, 7.0)) == smooth).mean() > 0.99
+    constant = np.full(1000, 7.3)
+    model = fit_smoothness(histograms, variation, constant, 1.5, 1)
+    assert (is_smooth(model, histograms, variation, constant) == smooth).mean() > 0.99
 
 
 def test_points_without_a_normal_are_never_smooth_and_never_fitted(two_kinds):
@@ -81,11 +85,16 @@ def test_the_seed_alone_decides_chance(two_kinds):
     assert first.centres.tobytes() == second.centres.tobytes()
 
 
-def test_ground_that_is_the_same_everywhere_is_smooth(rng):
+@pytest.mark.parametrize("slope", [0.0, 0.07])
+def test_ground_that_is_the_same_everywhere_is_smooth(rng, slope):
     """A perfect plane: one class only, and nothing in it is rough."""
-    histograms = np.tile(rng.uniform(0, 9, 33).astype(np.float32), (50, 1))
-    model = fit_smoothness(histograms, np.zeros(50), None, 1.5, 1)
-    assert is_smooth(model, histograms, np.zeros(50), np.zeros(50)).all()
+    x, y = rng.uniform(0, 9, (2, 300))
+    xyz = np.column_stack([x, y, slope * x])
+    distance, near = nearest_neighbours(xyz, 10)
+    normals, variation = upward_normals(xyz, near)
+    histograms = fpfh(xyz, normals, distance, near)
+    model = fit_smoothness(histograms, variation, None, 1.5, 1)
+    assert is_smooth(model, histograms, variation, np.zeros(300)).all()
 
 
 @pytest.mark.parametrize("n", [0, 1, 20])

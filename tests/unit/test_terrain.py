@@ -29,13 +29,18 @@ def labels(tiles, bounds):
     parts = list(label_ground(tiles, bounds, GroundSettings()))
     xyz = np.concatenate([points for points, _ in parts])
     mask = np.concatenate([mask for _, mask in parts])
-    return {tuple(point): bool(value) for point, value in zip(xyz, mask, strict=True)}
+    return sorted((*point, bool(value)) for point, value in zip(xyz.tolist(), mask, strict=True))
 
 
 class TestLabelGround:
     def test_tiles_give_the_labels_of_the_whole(self, plane_scene, box_shell):
-        scene = plane_scene(slope_x=0.06, density_m2=60)
-        scene = scene.with_objects(box_shell((17, 22), (18, 23), (4.5, 9)))
+        cars = [((20.0, 21.8), (4, 8.4)), ((4, 8.4), (8.9, 10.7)), ((29.6, 31.4), (29, 33.4))]
+        scene = plane_scene(slope_x=0.06, density_m2=60).with_objects(
+            *[box_shell(x, y, (3.25 + 0.06 * x[0], 4.5 + 0.06 * x[0]), 60) for x, y in cars],
+            hidden=lambda x, y: np.any(
+                [(x > a) & (x < b) & (y > c) & (y < d) for (a, b), (c, d) in cars], axis=0
+            ),
+        )
         whole = labels(lambda halo: iter([(INFINITE, scene.xyz_m)]), scene.bounds_m)
         tiled = labels(as_tiles(scene.xyz_m, 10.0), scene.bounds_m)
         assert len(whole) == len(scene.xyz_m)
@@ -43,9 +48,8 @@ class TestLabelGround:
 
     def test_each_point_is_yielded_once_even_on_a_border(self):
         xyz = np.array([[0.0, 0.0, 1.0], [10.0, 0.0, 1.0], [10.0, 10.0, 1.0], [9.999, 5.0, 1.0]])
-        assert labels(as_tiles(xyz, 10.0), (0.0, 0.0, 10.0, 10.0)) == dict.fromkeys(
-            map(tuple, xyz), True
-        )
+        found = labels(as_tiles(xyz, 10.0), (0.0, 0.0, 10.0, 10.0))
+        assert found == sorted((*point, True) for point in xyz.tolist())
 
 
 class TestTerrainModel:

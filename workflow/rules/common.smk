@@ -8,7 +8,7 @@ from pathlib import Path
 from roadsight.config.load import load_config, load_site
 from roadsight.errors import InputError
 from roadsight.io.checksums import CachedChecksums
-from roadsight.io.sources import stage_sources
+from roadsight.io.sources import package_digest, stage_sources
 from roadsight.placement.sensors import load_sensors
 
 # Stages run with the interpreter that runs Snakemake, whether or not its environment is active.
@@ -16,6 +16,9 @@ os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PAT
 # Kernels are single-threaded by design; shards are what runs in parallel.
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
+
+# Numba notices an edit in a kernel's own file only, not in the kernels that it calls.
+os.environ["NUMBA_CACHE_DIR"] = os.path.abspath(f".snakemake/roadsight/numba-{package_digest()}")
 
 LOCK = "envs/requirements.lock"
 ENVIRONMENT = "../../envs/roadsight.yaml"

@@ -15,12 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from roadsight.errors import InputError
-from roadsight.geometry.crs import unit_name
+from roadsight.geometry.crs import StatedCrs, unit_name
 from roadsight.geometry.location import utm_code
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import centre_of, site_frame
 from roadsight.io.atomic import atomic_path
 from roadsight.io.cloud_scan import CloudScan, kept_chunks, scan_cloud
+from roadsight.io.las_header import CloudHeader
 from roadsight.scene.profile import CELL_M, density, merge_counts
 
 _DATA_VARIABLE = "ROADSIGHT_DATA"
@@ -119,13 +120,7 @@ def find_keys(scans: Sequence[CloudScan]) -> tuple[dict[str, Finding], float | N
     auto = Finding("auto", "auto takes the unit of the CRS; or metre, foot, us-survey-foot")
     missing = next((scan.header for scan in scans if scan.header.stated.crs is None), None)
     if missing is not None:
-        problem = f" ({missing.stated.problem})" if missing.stated.problem else ""
-        reason = (
-            f"EPSG code, WKT, or local for a cloud without one: {missing.path.name} names no CRS"
-            f"{problem}"
-        )
-        crs = Finding("null", reason, True)
-        return {"crs": crs, "units": auto, "vertical_units": auto}, None
+        return {"crs": _missing_crs(missing), "units": auto, "vertical_units": auto}, None
     stated = [(str(scan.header.path), scan.header.stated) for scan in scans]
     lower, upper = _corners(scans)
     centre = centre_of(lower, upper)
@@ -140,14 +135,28 @@ def find_keys(scans: Sequence[CloudScan]) -> tuple[dict[str, Finding], float | N
     except InputError as error:
         crs = Finding("null", f"the header's own cannot be right: {error}", True)
     units = Finding("auto", f"auto takes that of the CRS, here {unit_name(reference.unit_m)}")
-    try:
-        with_z = resolve(stated, centre, UnitChoice())
-        z_unit = unit_name(with_z.vertical_unit_m)
-        vertical = Finding("auto", "; ".join([f"here {z_unit}", *with_z.notes]))
-    except InputError as error:
-        vertical = Finding("auto", str(error), True)
+    vertical = _vertical_units(stated, centre)
     unit_m = None if crs.required else reference.unit_m
     return {"crs": crs, "units": units, "vertical_units": vertical}, unit_m
+
+
+def _missing_crs(header: CloudHeader) -> Finding:
+    """What to say where a header names no CRS."""
+    problem = f" ({header.stated.problem})" if header.stated.problem else ""
+    reason = f"{header.path.name} names no CRS{problem}"
+    return Finding("null", f"EPSG code, WKT, or local for a cloud without one: {reason}", True)
+
+
+def _vertical_units(
+    stated: Sequence[tuple[str, StatedCrs]], centre: tuple[float, float]
+) -> Finding:
+    """Unit of z as it would be read, or why it has to be stated."""
+    try:
+        reference = resolve(stated, centre, UnitChoice())
+    except InputError as error:
+        return Finding("auto", str(error), True)
+    unit = unit_name(reference.vertical_unit_m)
+    return Finding("auto", "; ".join([f"here {unit}", *reference.notes]))
 
 
 def site_text(

@@ -51,7 +51,8 @@ class MemoryCloud:
     def spacing_m(self) -> float:
         """Spacing of evenly spread points of this density."""
         classes = np.zeros(len(self.xyz_m), np.uint8)
-        return plan_spacing_m(density(count_cells(self.xyz_m, classes))["median"])
+        cells = count_cells(self.xyz_m, classes)
+        return plan_spacing_m(density(cells.column, cells.row, cells.count)["median"])
 
 
 def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
@@ -68,7 +69,7 @@ def load_cloud(arguments: argparse.Namespace) -> MemoryCloud:
     """Read the verb's cloud; without any CRS its coordinates are taken as local metres."""
     native = read_laz(arguments.cloud)
     choice = UnitChoice(arguments.crs, arguments.units, arguments.vertical_units)
-    if arguments.crs == "auto" and native.header.stated is None:
+    if arguments.crs == "auto" and native.header.stated.crs is None:
         log.warning("%s names no CRS: read as local coordinates", arguments.cloud)
         units = "metre" if arguments.units == "auto" else arguments.units
         choice = UnitChoice("local", units, arguments.vertical_units)

@@ -42,7 +42,7 @@ class Truth(Section):
     pavement: str | None = Field(default=None, description="surveyed road polygons")
     pavement_crs: str | None = Field(default=None, description="their CRS if the file names none")
     reach_m: float = Field(
-        float("inf"), gt=0, description="what lies further from the truth is unknown, m"
+        default=float("inf"), gt=0, description="what lies further from the truth is unknown, m"
     )
 
 

@@ -8,6 +8,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from roadsight.errors import InputError
+
 
 @dataclass(frozen=True)
 class BinaryScores:
@@ -26,11 +28,17 @@ def binary_scores(found: NDArray[np.bool_], true: NDArray[np.bool_]) -> BinarySc
     precision = hits / max(int(found.sum()), 1)
     recall = hits / max(int(true.sum()), 1)
     f1 = 2 * precision * recall / max(precision + recall, 1e-12)
-    return BinaryScores(float((found == true).mean()), precision, recall, f1, len(true))
+    accuracy = int((found == true).sum()) / max(len(true), 1)
+    return BinaryScores(accuracy, precision, recall, f1, len(true))
 
 
 def outline_distances_m(outline: shapely.Geometry, other: shapely.Geometry) -> NDArray[np.float64]:
-    """Distance from points every half metre on an outline to another polygon's outline."""
+    """Distance from points every half metre on an outline to another polygon's outline.
+
+    No points on an empty outline; NaN if the other one is empty.
+    """
+    if outline.is_empty:
+        return np.empty(0)
     points = [
         shapely.line_interpolate_point(ring, np.arange(0.0, ring.length, 0.5))
         for ring in shapely.get_parts(outline.boundary)
@@ -55,15 +63,23 @@ def pavement_scores(
     -------
     accuracy, precision, recall, f1, points; intersection over union of the areas within reach;
     median and 90th percentile of the distance from the found outline (within reach) to the true
-    one; share of the true outline over ground points that has found outline within 1 m.
+    one, None if there is none; share of the true outline over ground points that has found outline
+    within 1 m.
+
+    Raises
+    ------
+    InputError : the truth has no area over the ground points.
     """
-    hull = shapely.convex_hull(shapely.multipoints(xy_m))
-    true = true.intersection(hull)
+    true = _polygons(true.intersection(shapely.convex_hull(shapely.multipoints(xy_m))))
+    if true.is_empty:
+        raise InputError(
+            "the true pavement lies outside the cloud", hint="check its CRS (truth.pavement_crs)"
+        )
     if np.isfinite(reach_m):
         known = true.buffer(reach_m)
         shapely.prepare(known)
         xy_m = xy_m[shapely.contains_xy(known, *xy_m.T)]
-        found = found.intersection(known)
+        found = _polygons(found.intersection(known))
     shapely.prepare([found, true])
     scores = binary_scores(shapely.contains_xy(found, *xy_m.T), shapely.contains_xy(true, *xy_m.T))
     off = outline_distances_m(found, true)
@@ -72,8 +88,13 @@ def pavement_scores(
     return {
         **asdict(scores),
         "area_iou": found.intersection(true).area / found.union(true).area,
-        "outline_median_m": float(np.median(off)),
-        "outline_p90_m": float(np.percentile(off, 90)),
+        "outline_median_m": float(np.median(off)) if len(off) else None,
+        "outline_p90_m": float(np.percentile(off, 90)) if len(off) else None,
         "outline_found_within_1m": float((missed <= 1.0).mean()),
         "reach_m": reach_m if np.isfinite(reach_m) else None,
     }
+
+
+def _polygons(geometry: shapely.Geometry) -> shapely.Geometry:
+    """What of a geometry has area, without the lines and points that a cut may leave."""
+    return shapely.union_all([part for part in shapely.get_parts(geometry) if part.area > 0])

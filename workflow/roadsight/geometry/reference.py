@@ -91,26 +91,37 @@ def resolve(
     else:
         crs = parse_crs(choice.crs, "crs")
         header = _compared(header, crs, centre, notes)
-    if crs.is_geographic:
-        vertical_m = _vertical_unit(header.vertical_unit_m, 1.0, crs, choice, notes)
-        return Reference(crs, 1.0, vertical_m, source, tuple(notes))
-    if not crs.is_projected:
-        raise InputError(
-            f"{crs.name} is a {crs.type_name}",
-            where=stated[0][0] if source == "header" else "crs",
-            allowed="a projected CRS, local, or a geographic CRS with `target_crs`",
-        )
-    unit_m, axis_vertical_m = linear_units(crs, stated[0][0])
-    if choice.units not in ("auto", unit_name(unit_m)):
-        notes.append(
-            f"x and y are read in {choice.units} as configured, although {crs.name} counts in "
-            f"{unit_name(unit_m)}"
-        )
-        crs, unit_m = with_linear_unit(crs, choice.units), METRES_PER_UNIT[choice.units]
+    where = stated[0][0] if source == "header" else "crs"
+    crs, unit_m, axis_vertical_m = _plan_units(crs, choice.units, where, notes)
     vertical_m = _vertical_unit(
         axis_vertical_m or header.vertical_unit_m, unit_m, crs, choice, notes
     )
     return Reference(crs, unit_m, vertical_m, source, tuple(notes))
+
+
+def _plan_units(
+    crs: CRS, units: str, where: str, notes: list[str]
+) -> tuple[CRS, float, float | None]:
+    """The CRS counting in the configured unit, and metres in one unit of its axes.
+
+    A geographic CRS passes with a unit of 1, see `Reference`.
+    """
+    if crs.is_geographic:
+        return crs, 1.0, None
+    if not crs.is_projected:
+        raise InputError(
+            f"{crs.name} is a {crs.type_name}",
+            where=where,
+            allowed="a projected CRS, local, or a geographic CRS with `target_crs`",
+        )
+    unit_m, vertical_m = linear_units(crs, where)
+    if units in ("auto", unit_name(unit_m)):
+        return crs, unit_m, vertical_m
+    notes.append(
+        f"x and y are read in {units} as configured, although {crs.name} counts in "
+        f"{unit_name(unit_m)}"
+    )
+    return with_linear_unit(crs, units), METRES_PER_UNIT[units], vertical_m
 
 
 def _common_statement(

@@ -92,7 +92,7 @@ class DepthMapWriter:
         if range_m.shape != (self._info.rows, self._info.columns):
             raise ValueError(f"depth map of shape {range_m.shape} in a file of {self._info}")
         steps = _encode(range_m, self._info.step_m)
-        self._pending.append((candidate, self._compressor.compress(steps)))
+        self._pending.append((candidate, self._compressor.compress(steps.tobytes())))
         if len(self._pending) == _MAPS_IN_GROUP:
             self._flush()
 

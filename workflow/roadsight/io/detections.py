@@ -6,14 +6,14 @@ import os
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
 import pandas as pd
-import pyarrow as pa
-import pyarrow.parquet as pq
+from pandas.api.types import union_categoricals
 
 from roadsight.errors import InputError
 from roadsight.io.tables import read_about, read_table, write_table
 
-COLUMNS = ["candidate", "target", "hits"]
+_COLUMNS = ["candidate", "target", "hits"]
 
 
 def write_detections(
@@ -23,26 +23,43 @@ def write_detections(
 
     Parameters
     ----------
-    detections : columns candidate, target (names) and hits (beams, uint16); one row per seen
-        target.
+    detections : candidate, target (names, best as categories) and hits (beams, uint16); one row
+        per seen target.
     about : ``sensor`` (its name) and whatever else describes them.
     """
-    write_table(path, detections[COLUMNS], about)
+    write_table(path, detections[_COLUMNS], about)
 
 
 def read_detections(paths: Iterable[str | os.PathLike[str]]) -> pd.DataFrame:
-    """Detections of several files.
+    """Detections of several files, one after the other.
 
     Returns
     -------
-    columns sensor, candidate, target (categories) and hits, file after file; categories are in the
-    order in which they first appear
+    columns sensor, candidate, target (categories, in the order in which files name them) and hits
 
     Raises
     ------
     InputError : a file is missing, damaged, or does not name its sensor.
     """
-    parts = [_read_part(path) for path in paths]
+    parts = [part for part in map(_read_part, paths) if len(part)]
     if not parts:
-        parts = [pa.table({name: pa.array([], _TYPES[name]) for name in _TYPES})]
-    return pa.concat_tables(parts).unify_dictionaries().to_pandas()
+        return pd.DataFrame({name: [] for name in ("sensor", *_COLUMNS)})
+    columns = {
+        name: union_categoricals([part[name] for part in parts])
+        for name in ("sensor", "candidate", "target")
+    }
+    hits = pd.concat([part["hits"] for part in parts], ignore_index=True)
+    return pd.DataFrame({**columns, "hits": hits})
+
+
+def _read_part(path: str | os.PathLike[str]) -> pd.DataFrame:
+    part = read_table(path, _COLUMNS)
+    sensor = read_about(path).get("sensor")
+    if not isinstance(sensor, str):
+        raise InputError(
+            "does not say of which sensor its detections are",
+            where=str(path),
+            hint="delete it and run the workflow again",
+        )
+    part["sensor"] = pd.Categorical.from_codes(np.zeros(len(part), np.int8), pd.Index([sensor]))
+    return part.astype({"candidate": "category", "target": "category"})

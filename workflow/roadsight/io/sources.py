@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import hashlib
 import os
 from functools import cache
 from pathlib import Path
@@ -42,3 +43,12 @@ def _imports(path: Path) -> list[str]:
         elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
             names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
     return [name for name in names if name.partition(".")[0] == "roadsight"]
+
+
+def package_digest() -> str:
+    """Short digest of all the package's sources, by content."""
+    digest = hashlib.sha256()
+    for path in sorted((_PACKAGE_ROOT / "roadsight").rglob("*.py")):
+        digest.update(path.relative_to(_PACKAGE_ROOT).as_posix().encode() + b"\0")
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]

@@ -14,7 +14,7 @@ from shapely import MultiPolygon
 
 _FLOATS = NDArray[np.float64]
 
-# Half of a position's plan cells must be covered before what hangs above it counts as a roof.
+# Of the cells of a position's plan, this share must be covered before what hangs above is a roof.
 _ROOF_SHARE = 0.6
 _ROOF_CELLS = 4
 
@@ -41,11 +41,12 @@ class HeightSettings:
 def free_heights_m(point_heights_m: _FLOATS, settings: HeightSettings) -> _FLOATS:
     """Heights above ground at which a sensor fits between the points around a position.
 
-    The paper's cases i to iv are one rule on the sorted heights of the points. The space below the
-    lowest point (cases iii, iv) and between two points (all cases) is free when it is wider than
-    ``gap_factor`` steps; the first height then stands half a step above the lower point (or above
-    the lowest allowed height). Above the highest point (cases ii, iii) heights start half a step
-    above it. Without points all heights are free (step iv).
+    The paper's cases i to iv are one rule on the sorted heights of the points. Where no point lies
+    below the lowest allowed height, that height counts as one (cases iii, iv). The space between
+    two points is free when it is wider than ``gap_factor`` steps: heights then start half a step
+    above the lower point, or at the lowest allowed height if that is higher, and keep half a step
+    from the upper point. Above the highest point (cases ii, iii) they start half a step above it.
+    Without points all heights are free (step iv).
 
     Parameters
     ----------
@@ -93,7 +94,7 @@ def roof_height_m(offsets_m: _FLOATS, point_heights_m: _FLOATS, settings: Height
     radius = settings.search_radius_m
     cell = np.floor((offsets_m[above] + radius) / (2 * radius) * _ROOF_CELLS).astype(int)
     covered = np.unique(np.clip(cell, 0, _ROOF_CELLS - 1), axis=0)
-    if len(covered) < _ROOF_SHARE * _ROOF_CELLS**2 * np.pi / 4:
+    if len(covered) < _ROOF_SHARE * _ROOF_CELLS**2:
         return np.inf
     return float(np.percentile(point_heights_m[above], 5))
 
@@ -115,7 +116,8 @@ def facing_deg(
         shapely.contains_xy(pavement, *(xy_m + sign * reach_m * left).T) for sign in (1, -1)
     )
     normal = np.where((on_right & ~on_left)[:, None], -left, left)
-    return np.degrees(np.arctan2(normal[:, 1], normal[:, 0]))
+    # Adding zero turns -0.0 into 0.0, so that the west is always +180.
+    return np.degrees(np.arctan2(normal[:, 1] + 0.0, normal[:, 0]))
 
 
 def stack_candidates(
@@ -152,5 +154,8 @@ def stack_candidates(
     stacked = positions.iloc[rows].reset_index(drop=True)
     stacked["height_m"] = np.concatenate(heights) if heights else np.empty(0)
     stacked["z"] = stacked["ground_z_m"] + stacked["height_m"]
-    stacked["candidate"] = stacked["key"] + stacked["height_m"].map("-h{:05.2f}".format)
+    stacked["candidate"] = [
+        f"{key}-h{height:05.2f}"
+        for key, height in zip(stacked["key"], stacked["height_m"], strict=True)
+    ]
     return stacked

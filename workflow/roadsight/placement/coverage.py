@@ -18,7 +18,8 @@ def detection_matrix(
     detections : columns sensor, candidate, target; one row per seen target.
     """
     pairs = pd.MultiIndex.from_frame(detections[["sensor", "candidate"]])
-    rows, columns = choices.get_indexer(pairs), targets.get_indexer(detections["target"])
+    rows = choices.get_indexer(pairs)
+    columns = targets.get_indexer(pd.Index(detections["target"]))
     known = (rows >= 0) & (columns >= 0)
     ones = np.ones(int(known.sum()), dtype=bool)
     shape = (len(choices), len(targets))

@@ -81,8 +81,7 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
     the greatest first, ties by place.
     """
     lines = lines[lines["blocked_share"] > 0]
-    cell = np.floor(lines[["obstacle_x", "obstacle_y", "obstacle_z"]] / _CELL_M)
-    keys = [cell[axis].rename(axis) for axis in cell.columns]
+    keys = [(lines[f"obstacle_{axis}"] // _CELL_M).rename(axis) for axis in "xyz"]
     groups = lines.groupby(keys, sort=True)
     table = pd.DataFrame(
         {

@@ -14,6 +14,10 @@ from roadsight.placement.candidates import facing_deg
 
 _FLOATS = NDArray[np.float64]
 _TANGENT_M = 0.5
+_COLUMNS = {
+    **dict.fromkeys(("x", "y", "station_m", "yaw_deg"), "float64"),
+    **dict.fromkeys(("edge", "mount", "key"), "str"),
+}
 
 
 def positions_along(
@@ -42,8 +46,10 @@ def positions_along(
         part = pd.DataFrame({"x": xy[:, 0], "y": xy[:, 1], "station_m": stations})
         part["yaw_deg"] = facing_deg(xy, direction, pavement)
         part["edge"], part["mount"] = name, kind
-        part["key"] = [f"{name}-s{station:06.1f}" for station in stations]
+        part["key"] = [f"{name}-s{station:07.2f}" for station in stations]
         parts.append(part)
+    if not parts:
+        return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _COLUMNS.items()})
     return pd.concat(parts, ignore_index=True)
 
 

@@ -95,7 +95,7 @@ class Sensor(BaseModel):
             raise ValueError("channels are not defined")
         if channels == 1:
             return np.array([(low + high) / 2])
-        return np.linspace(low, high, channels, dtype=np.float64)
+        return np.asarray(np.linspace(low, high, channels), np.float64)
 
     @property
     def elevation_edges_deg(self) -> _FLOATS:
@@ -106,7 +106,8 @@ class Sensor(BaseModel):
         """
         beams = self.elevation_deg
         if len(beams) == 1:
-            return beams[0] + np.array([-0.5, 0.5]) * self.azimuth_cell_deg
+            half = self.azimuth_cell_deg / 2
+            return np.array([beams[0] - half, beams[0] + half])
         middle = (beams[:-1] + beams[1:]) / 2
         return np.concatenate([[2 * beams[0] - middle[0]], middle, [2 * beams[-1] - middle[-1]]])
 
@@ -118,7 +119,8 @@ class Sensor(BaseModel):
     @property
     def azimuth_deg(self) -> _FLOATS:
         """Azimuth of each column's beams, counter-clockwise from sensor x; shape (columns,)."""
-        return self.azimuth_min_deg + (np.arange(self.columns) + 0.5) * self.azimuth_cell_deg
+        cells = np.arange(self.columns, dtype=np.float64) + 0.5
+        return self.azimuth_min_deg + cells * self.azimuth_cell_deg
 
     @property
     def columns(self) -> int:

@@ -1,4 +1,4 @@
-"""What a reader must know before trusting a result: proofs that lack, targets left out, thin data."""
+"""What limits the worth of a result: proofs that lack, targets left out, thin data."""
 
 from __future__ import annotations
 

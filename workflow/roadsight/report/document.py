@@ -125,7 +125,14 @@ def _site(page: dict[str, Any], identifier: str) -> dict[str, Any]:
         "settings": setting_groups(summary["settings"]),
         "inputs": summary["inputs"],
         "sections": _sections(bool(plans)),
-        "data": embedded({"layers": layers, "plans": page["plans"], "sensors": sensors}),
+        "data": embedded(
+            {
+                "layers": layers,
+                "plans": page["plans"],
+                "sensors": sensors,
+                "cell_size_m": summary["settings"]["targets"]["cell_size_m"],
+            }
+        ),
     }
 
 

@@ -29,16 +29,18 @@ def gaps_of(
     times_seen : (n,) how many chosen sensors see each target.
     reasons : why no candidate at all sees a target, for the targets where that is so.
     """
-    short = targets.assign(seen=times_seen)[times_seen < at_least]
     return [
         {
-            "target": str(row.target),
-            "x": float(row.x),
-            "y": float(row.y),
-            "seen": int(row.seen),
-            "reason": reasons.get(str(row.target)) or (TOO_FEW if row.seen else NOT_CHOSEN),
+            "target": str(name),
+            "x": float(x),
+            "y": float(y),
+            "seen": int(seen),
+            "reason": reasons.get(str(name)) or (TOO_FEW if seen else NOT_CHOSEN),
         }
-        for row in short.itertuples()
+        for name, x, y, seen in zip(
+            targets["target"], targets["x"], targets["y"], times_seen, strict=True
+        )
+        if seen < at_least
     ]
 
 

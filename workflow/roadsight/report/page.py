@@ -149,11 +149,10 @@ def _plan(
     """One plan's result with what its sensors see."""
     solution = plan.solution
     sights = sights_of(solution["sensors"], placement.detections, placement.targets)
-    costs = [sensor["cost"] for sensor in placement.sensors.values()]
-    objective, bound = solution["objective"], solution["bound"]
+    costs = [placement.sensors[name]["cost"] for name in solution["sensor_types"]]
     at_least = int(solution["at_least"])
     reasons = reasons_of(plan.uncovered, plan.explained)
-    kept = ("status", "objective", "bound", "gap", "reductions")
+    kept = ("sensor_types", "status", "objective", "bound", "gap", "reductions")
     return {
         "name": solution["plan"],
         "title": plan.title,
@@ -161,7 +160,10 @@ def _plan(
         "seconds_cpu": seconds_cpu,
         "at_least": at_least,
         "proven": is_proven(
-            solution["status"], objective, bound, all(float(cost).is_integer() for cost in costs)
+            solution["status"],
+            solution["objective"],
+            solution["bound"],
+            all(float(cost).is_integer() for cost in costs),
         ),
         "targets": len(placement.targets),
         "excluded": len(solution["excluded"]),
@@ -178,9 +180,7 @@ def _plan(
     }
 
 
-def _sensors(
-    sensors: list[dict[str, Any]], sights: Sights, frame: Frame
-) -> list[dict[str, Any]]:
+def _sensors(sensors: list[dict[str, Any]], sights: Sights, frame: Frame) -> list[dict[str, Any]]:
     """Chosen sensors in the solution's order, numbered from 1."""
     xyz = np.array([[entry[axis] for axis in "xyz"] for entry in sensors]).reshape(-1, 3)
     degrees = longitudes_latitudes(frame, xyz[:, :2])

@@ -43,21 +43,21 @@ def setting_groups(settings: dict[str, Any]) -> list[Group]:
         section = settings[name]
         if isinstance(section, dict):
             keys = _ordered(_section(name), section)
-            title = _about((name,)).rstrip(".") or label(name)
-            groups.append(Group(title, [_setting((name, key), section[key]) for key in keys]))
+            groups.append(Group(_title(name), [_setting((name, key), section[key]) for key in keys]))
     return [group for group in groups if group.rows]
 
 
 def figure_rows(figures: dict[str, Any], heading: str = "", unit_of: str = "") -> list[Row]:
-    """Figures of any nesting as flat rows, inner ones in the unit of the outer key; None is left out.
+    """Figures of any nesting as flat rows; None is left out.
 
     Parameters
     ----------
-    heading, unit_of : name and unit of the enclosing figure.
+    heading, unit_of : name and unit of the enclosing figure, used where a key has no unit.
     """
     rows = []
     for key, value in figures.items():
-        name = f"{heading}, {lower_first(label(key))}" if heading else label(key)
+        between = " " if key.isdigit() else ", "
+        name = f"{heading}{between}{lower_first(label(key))}" if heading else label(key)
         if isinstance(value, dict):
             rows += figure_rows(value, name, unit(key) or unit_of)
         elif value is not None:
@@ -79,14 +79,20 @@ def _section(name: str) -> type[BaseModel]:
     """Schema of a section; one without fields where the schema does not know it."""
     field = Settings.model_fields.get(name)
     annotation = None if field is None else field.annotation
-    known = isinstance(annotation, type) and issubclass(annotation, BaseModel)
-    return annotation if known else BaseModel
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return BaseModel
+
+
+def _title(name: str) -> str:
+    """Heading of a section."""
+    section = _section(name)
+    about = None if section is BaseModel else section.__doc__
+    return (about or label(name)).rstrip(".")
 
 
 def _about(path: tuple[str, ...]) -> str:
-    """Description of a setting ``(name,)`` or ``(section, name)``, or of a section."""
-    if len(path) == 1 and path[0] in Settings.model_fields and _section(path[0]) is not BaseModel:
-        return _section(path[0]).__doc__ or ""
+    """Description of a setting ``(name,)`` or ``(section, name)``."""
     model = Settings if len(path) == 1 else _section(path[0])
     field = model.model_fields.get(path[-1])
     return "" if field is None else field.description or ""

@@ -10,6 +10,7 @@ import numpy as np
 from roadsight.geometry.frames import Frame
 from roadsight.report.wording import label, lower_first, number
 
+
 def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]]:
     """Plans of page.json with the widths of their bars and the cells of their tables.
 

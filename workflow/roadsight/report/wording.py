@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-_NARROW = "\u202f"
+_NARROW, _TIMES, _MINUS = "\u202f", "\u00d7", "\u2212"
 _UNITS = {
     "per_m2": "/m²",
     "m2": "m²",
@@ -26,16 +26,32 @@ _SPELLING = {
     "crs": "CRS",
     "iou": "IoU",
     "lidar": "LiDAR",
+    "p05": "5th percentile",
     "p90": "90th percentile",
     "p95": "95th percentile",
     "cpu": "CPU",
     "z": "z",
 }
-MISSING = "–"
+_NAMES = {
+    "area_iou": "Overlap of areas (IoU)",
+    "area_m2": "Occupied area",
+    "class_shares": "Cells with class",
+    "f1": "F1 score",
+    "has_colour": "Colour recorded",
+    "has_intensity": "Intensity recorded",
+    "outline_median_m": "Distance of outlines, median",
+    "outline_p90_m": "Distance of outlines, 90th percentile",
+    "overhead_cover_share": "Cells with overhead cover",
+    "relief_m": "Relief, 5th to 95th percentile",
+    "spacing_m": "Point spacing",
+}
+MISSING = "\u2013"
 
 
 def label(key: str) -> str:
     """Name of a quantity from its key: ``pillar_width_m`` gives ``Pillar width``."""
+    if key in _NAMES:
+        return _NAMES[key]
     words = [_SPELLING.get(word, word) for word in _without_unit(key).split("_")]
     text = " ".join(words)
     return text[:1].upper() + text[1:]
@@ -55,7 +71,8 @@ def quantity(key: str, value: Any, default_unit: str = "") -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list | tuple):
-        return ", ".join(quantity(key, part, default_unit) for part in value) or MISSING
+        between = f" {_TIMES} " if key.startswith("extent") else ", "
+        return between.join(quantity(key, part, default_unit) for part in value) or MISSING
     if not isinstance(value, int | float):
         return str(value)
     suffix = unit(key) or default_unit
@@ -122,7 +139,7 @@ def counted(count: int, singular: str, plural: str = "") -> str:
 def _signed(text: str) -> str:
     """True minus sign, and no negative zero."""
     if text.startswith("-"):
-        return text[1:] if not text.strip("-0.,") else f"−{text[1:]}"
+        return text[1:] if not text.strip("-0.,") else f"{_MINUS}{text[1:]}"
     return text
 
 

@@ -37,8 +37,7 @@ def natural_spline(points_m: _FLOATS, spacing_m: float) -> tuple[_FLOATS, _FLOAT
     InputError : fewer than two distinct points.
     """
     points = np.asarray(points_m, np.float64)[:, :2]
-    keep = np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)
-    points = points[keep]
+    points = points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)[: len(points)]]
     if len(points) < 2:
         raise InputError("an edge needs at least 2 distinct points", found=len(points))
     chord = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
@@ -175,8 +174,8 @@ def _pieces(knots: _FLOATS, keep: NDArray[np.bool_], settings: OutlineSettings) 
     split = ~keep | (turn > np.radians(settings.corner_deg))
     if not split.any():
         return [LineString(np.vstack([knots, knots[:1]]))]
-    first = int(np.flatnonzero(split)[0])
-    knots, keep, split = (np.roll(part, -first, axis=0) for part in (knots, keep, split))
+    first = -int(np.flatnonzero(split)[0])
+    knots, keep, split = np.roll(knots, first, axis=0), np.roll(keep, first), np.roll(split, first)
     runs, run = [], []
     for knot, kept, cut in zip([*knots, knots[0]], [*keep, keep[0]], [*split, True], strict=True):
         if kept:

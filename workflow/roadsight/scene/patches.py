@@ -67,6 +67,12 @@ def centres_and_normals(patches: Patches, size_m: float) -> tuple[_FLOATS, _FLOA
     return centre, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
+def no_patches() -> Patches:
+    """No patch at all."""
+    ints, floats = np.empty(0, np.int64), np.empty(0)
+    return Patches(ints, np.empty((0, 2), np.int64), floats, np.empty((0, 2)))
+
+
 def join(parts: list[Patches]) -> Patches:
     """Patches of one size from several sources."""
     axis, cell, height_m, slope = (np.concatenate(column) for column in zip(*parts, strict=True))

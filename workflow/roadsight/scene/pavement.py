@@ -129,12 +129,12 @@ def _trace(grid: Grid, xyz_m: _FLOATS, settings: PavementSettings) -> Polygon | 
 
 
 def _without_small_holes(parts: shapely.Geometry, smallest_m2: float) -> MultiPolygon:
-    return MultiPolygon(
-        [
-            Polygon(part.exterior, [h for h in part.interiors if Polygon(h).area >= smallest_m2])
-            for part in _multi(parts).geoms
-        ]
-    )
+    filled = [
+        Polygon(part.exterior, [h for h in part.interiors if Polygon(h).area >= smallest_m2])
+        for part in _multi(parts).geoms
+    ]
+    # An islet in a filled hole would overlap the filling.
+    return _multi(shapely.union_all(filled))
 
 
 def _multi(geometry: shapely.Geometry) -> MultiPolygon:

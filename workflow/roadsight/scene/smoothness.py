@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.cluster import KMeans
+from threadpoolctl import threadpool_limits
+
+from roadsight.errors import InputError
 
 _FLOATS = NDArray[np.float64]
+_ALIKE = 1e-3  # percent; histograms that differ by less differ by rounding
 
 
 @dataclass(frozen=True)
@@ -47,28 +51,45 @@ def fit_smoothness(
 
     Bins share one scale, so that empty bins add no noise; intensity, where used, is clipped to its
     1st to 99th percentile and weighs ``intensity_weight`` against the whole histogram. Points
-    without a normal carry NaN variation and are left out.
+    without a normal carry NaN variation and are left out. Where all points are alike there is one
+    class, and it is smooth.
 
     Parameters
     ----------
     histograms : (n, 33) FPFH; variation : (n,); intensity : (n,) or None to do without.
+
+    Raises
+    ------
+    InputError : fewer than two points with a normal.
     """
     known = np.isfinite(variation)
-    histograms, variation = histograms[known].astype(np.float64), variation[known]
-    mean = histograms.mean(axis=0)
-    scale = max(float(np.sqrt(histograms.var(axis=0).sum())), 1e-9)
-    centre, spread = 0.0, np.inf
-    if intensity is not None:
-        clipped = np.clip(intensity[known], *np.percentile(intensity[known], [1, 99]))
-        centre, spread = float(clipped.mean()), float(clipped.std()) / intensity_weight
-        spread = spread if spread > 0 else np.inf
-    model = SmoothnessModel(mean, scale, centre, spread, np.zeros((2, 34)), 0)
-    values = intensity[known] if intensity is not None else np.zeros(len(variation))
-    space = _normalise(model, histograms, values)
-    means = KMeans(n_clusters=2, n_init=4, random_state=seed).fit(space)
-    roughness = [variation[means.labels_ == label].mean() / variation.mean() for label in (0, 1)]
-    rank = np.array(roughness) + means.cluster_centers_[:, -1]
-    return SmoothnessModel(mean, scale, centre, spread, means.cluster_centers_, int(rank.argmin()))
+    if known.sum() < 2:
+        raise InputError(
+            "no ground with a surface", found=f"{known.sum()} points", allowed="at least 2"
+        )
+    shapes, roughness = histograms[known].astype(np.float64), variation[known]
+    tones = np.zeros(len(shapes)) if intensity is None else intensity[known]
+    scale = max(float(np.sqrt(shapes.var(axis=0).sum())), _ALIKE)
+    tone_mean, tone_scale = _tone_range(tones, intensity_weight)
+    model = SmoothnessModel(
+        shapes.mean(axis=0), scale, tone_mean, tone_scale, np.zeros((2, 34)), smooth=0
+    )
+    if scale == _ALIKE and np.isinf(tone_scale):
+        return model
+    space = _normalise(model, shapes, tones)
+    with threadpool_limits(1):  # sums over several threads depend on their number
+        means = KMeans(n_clusters=2, n_init=4, random_state=seed).fit(space)
+    level = max(float(roughness.mean()), 1e-12)
+    rough = [roughness[means.labels_ == label].mean() / level for label in (0, 1)]
+    rank = np.array(rough) + means.cluster_centers_[:, -1]
+    return replace(model, centres=means.cluster_centers_, smooth=int(rank.argmin()))
+
+
+def _tone_range(tones: _FLOATS, weight: float) -> tuple[float, float]:
+    """Mean and scale of intensity between its 1st and 99th percentile; infinite if constant."""
+    clipped = np.clip(tones, *np.percentile(tones, [1, 99]))
+    scale = float(clipped.std()) / weight if np.ptp(clipped) > 0 else np.inf
+    return float(clipped.mean()), scale
 
 
 def is_smooth(

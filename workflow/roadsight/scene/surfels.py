@@ -16,6 +16,7 @@ from roadsight.scene.patches import (
     centres_and_normals,
     join,
     merge_coplanar,
+    no_patches,
     patches_of_planes,
 )
 from roadsight.scene.plane_fit import Planes, fit_planes, open_neighbours
@@ -24,11 +25,13 @@ from roadsight.scene.voxel_moments import VoxelMoments, coarsen, pack_cells, unp
 _FLOATS = NDArray[np.float32]
 _INTS = NDArray[np.int64]
 
-DOUBLINGS = 5
-"""Sparse parts get voxels up to 2**5 times as large; flat parts get patches up to as large."""
+_FIT_DOUBLINGS = 3  # sparse parts get voxels up to 2**3 times as large
+_MERGE_DOUBLINGS = 5  # flat parts get patches up to 2**5 times as large
 _MIN_POINTS = 12  # points of a neighbourhood that carry a plane and its coverage
 _HOLE_POINTS = 5  # points around an empty voxel that carry a plane
 _FLAT = 0.08  # variance across a flat neighbourhood, squared voxel edges
+_WIDE = 0.25  # variance along both axes of a wide surface, squared voxel edges
+_NEAR = 0.05  # points this near to a plane are on it, whatever its spread, voxel edges
 _CLOSE = 0.8  # an empty voxel is a hole if its neighbours' centroid is this near, voxel edges
 _OVERLAP = 0.1  # surfels extend this far beyond their cell, finest voxel edges
 _MERGE = 0.2  # merged patches depart this far from their parts, finest voxel edges
@@ -61,51 +64,52 @@ def build_surfels(voxels: VoxelMoments) -> Surfels:
     patches that agree merge.
     """
     by_size, thin = _fit_patches(voxels)
-    edge_m = voxels.edge_m
-    parts = [_thin_surfels(thin, voxels)]
-    patches = by_size[0]
-    for doubling in range(DOUBLINGS + 1):
-        size_m = edge_m * 2**doubling
-        if doubling < DOUBLINGS:
-            merged, patches = merge_coplanar(patches, size_m, _MERGE * edge_m)
+    by_size += [no_patches()] * (_MERGE_DOUBLINGS - _FIT_DOUBLINGS)
+    parts, merged = [_thin_surfels(thin, voxels)], no_patches()
+    for doubling, own in enumerate(by_size):
+        size_m, patches = voxels.edge_m * 2**doubling, join([merged, own])
+        if doubling < _MERGE_DOUBLINGS:
+            merged, patches = merge_coplanar(patches, size_m, _MERGE * voxels.edge_m)
         centre, normal = centres_and_normals(patches, size_m)
-        half_m = np.full(len(centre), size_m / 2 + _OVERLAP * edge_m)
+        half_m = np.full(len(centre), size_m / 2 + _OVERLAP * voxels.edge_m)
         parts.append(_as_surfels(centre, normal, half_m))
-        if doubling < DOUBLINGS:
-            patches = join([merged, by_size[doubling + 1]])
     return _concatenate(parts)
 
 
 def _fit_patches(voxels: VoxelMoments) -> tuple[list[Patches], _INTS]:
-    """Patches of each size, finest first, and keys of the voxels that carry none."""
+    """Patches of each size, finest first, and keys of the finest voxels that carry none."""
     finest, cells = voxels.keys, unpack_keys(voxels.keys)
-    centroid = voxels.moments[:, 1:4] / voxels.moments[:, :1]
+    points = cells + 0.5 + voxels.moments[:, 1:4] / voxels.moments[:, :1]
     pending, by_size, thin = np.arange(len(finest)), [], []
-    for level in range(DOUBLINGS + 1):
-        keys, member = np.unique(pack_cells(cells[pending] >> level), return_inverse=True)
+    for level in range(_FIT_DOUBLINGS + 1):
         flat = _FLAT / 2**level
+        keys, member = np.unique(pack_cells(cells[pending] >> level), return_inverse=True)
         planes = fit_planes(keys, voxels, _MIN_POINTS, flat)
         settled = (planes.points >= _MIN_POINTS) & (planes.variance[:, 1] > flat)
-        good = settled & ((level == 0) | (planes.spread <= flat))
+        coarser = coarsen(voxels)
+        good = settled
         if level:
-            near = _near_plane(
-                cells[pending] + 0.5 + centroid[pending], level, keys, planes, member
-            )
-            carried = np.bincount(member[near], minlength=len(keys)) > 0
-            thin.append(finest[pending[settled[member] & ~(good[member] & near)]])
-            good &= carried
-        by_size.append(
-            join(
-                [
-                    _patches(keys, planes, good, voxels.edge_m),
-                    _holes(keys, planes, good, voxels, flat),
-                ]
-            )
-        )
-        pending = pending[~settled[member]]
-        voxels = coarsen(voxels)
+            sparse = settled & (planes.spread <= flat)
+            if level > 1:
+                sparse &= _is_wide(keys, coarser, flat / 2)
+            near = _near_plane(points[pending] / 2**level, keys[member], planes, member)
+            thin.append(finest[pending[settled[member] & ~(sparse[member] & near)]])
+            good = sparse & (np.bincount(member[near], minlength=len(keys)) > 0)
+        holes = _holes(keys, planes, good, voxels, flat)
+        by_size.append(join([_patches(keys, planes, good, voxels.edge_m), holes]))
+        pending, voxels = pending[~settled[member]], coarser
     thin.append(finest[pending])
     return by_size, np.sort(np.concatenate(thin))
+
+
+def _is_wide(keys: _INTS, coarser: VoxelMoments, flat: float) -> NDArray[np.bool_]:
+    """Whether the surface goes on over voxels of twice the edge.
+
+    Sparse ground does; parallel wires, and stray points beside an object, span no wide plane.
+    """
+    parents, member = np.unique(pack_cells(unpack_keys(keys) >> 1), return_inverse=True)
+    planes = fit_planes(parents, coarser, _MIN_POINTS, flat)
+    return ((planes.spread <= flat) & (planes.variance[:, 1] > _WIDE))[member]
 
 
 def _patches(keys: _INTS, planes: Planes, chosen: NDArray[np.bool_], size_m: float) -> Patches:
@@ -114,13 +118,12 @@ def _patches(keys: _INTS, planes: Planes, chosen: NDArray[np.bool_], size_m: flo
 
 
 def _near_plane(
-    point: NDArray[np.floating], level: int, keys: _INTS, planes: Planes, member: _INTS
+    points: NDArray[np.floating], keys: _INTS, planes: Planes, rows: _INTS
 ) -> NDArray[np.bool_]:
-    """Whether points, in finest voxel edges, lie on the plane of their larger voxel."""
-    centre = (unpack_keys(keys) + 0.5)[member]
-    offset = (point / 2**level - centre) * planes.normal[member]
-    distance = np.abs(offset.sum(axis=1) - planes.offset[member])
-    return distance <= 2.5 * np.sqrt(planes.spread[member]) + 0.1 / 2**level
+    """Whether points, in voxel edges, lie on the planes (by row) of the voxels ``keys``."""
+    offset = (points - unpack_keys(keys) - 0.5) * planes.normal[rows]
+    distance = np.abs(offset.sum(axis=1) - planes.offset[rows])
+    return distance <= 2.5 * np.sqrt(planes.spread[rows]) + _NEAR
 
 
 def _holes(

@@ -32,7 +32,7 @@ def cluster_fpfh(arguments: argparse.Namespace) -> None:
     spacing_m = plan_spacing_m(read_json(arguments.profile)["density_per_m2"]["median"])
     size_m = max(arguments.voxel_size_m, spacing_m)
     with tempfile.TemporaryDirectory(dir=Path(arguments.out).parent, prefix=".fpfh") as folder:
-        parts = []
+        parts: list[tuple[pd.DataFrame, Path]] = []
         for columns, histograms in _described_tiles(arguments, size_m):
             parts.append((columns, Path(folder, f"{len(parts)}.npy")))
             np.save(parts[-1][1], histograms.astype(np.float16))

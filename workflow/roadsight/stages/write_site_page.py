@@ -89,9 +89,7 @@ def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
     coverage = read_json(arguments.coverage[0])["plans"]
     plans = [
         _plan(solution, titles, coverage[solution["plan"]]["uncovered"], frame, *layers)
-        for solution, *layers in zip(
-            solutions, arguments.obstacles, arguments.scans, strict=True
-        )
+        for solution, *layers in zip(solutions, arguments.obstacles, arguments.scans, strict=True)
     ]
     return Placement(
         read_table(arguments.targets[0]),

@@ -35,6 +35,7 @@ function readSite(content) {
   const site = {
     layers,
     sensors: content.sensors,
+    cell_size_m: content.cell_size_m,
     relief: { ...layers.relief, shade: unpack(layers.relief.shade) },
     pavement: layers.pavement.map((rings) => rings.map(unpack)),
     edges: layers.edges.map((edge) => ({ ...edge, xy: unpack(edge.xy) })),

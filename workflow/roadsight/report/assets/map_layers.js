@@ -20,7 +20,7 @@ function drawMap(map) {
     if (layers.sensors) drawSensors(map, plan);
   }
   drawScaleBar(map);
-  drawNorth(map);
+  drawUp(map);
 }
 
 // Relief as shadow and light over whatever lies below, so that it works on any background.
@@ -107,7 +107,7 @@ function drawCandidates(map) {
 function drawTargets(map, plan) {
   const { context, site, state } = map;
   const { xyz } = site.targets;
-  const size = Math.min(Math.max(map.scale * 0.62, 1.6), 10);
+  const size = Math.min(Math.max(map.scale * site.cell_size_m * 0.8, 1.6), 12);
   const lit = state.sensor === null ? null : new Set(plan.seen[state.sensor]);
   const spots = Array.from({ length: MOST_SEEN + 1 }, () => []);
   plan.times.forEach((times, i) => spots[bucketOf(times)].push(i));
@@ -186,7 +186,7 @@ function drawSensor(map, plan, n) {
   const sensor = plan.sensors[n];
   const chosen = map.state.sensor === n;
   const [x, y] = map.toScreen(sensor.x, sensor.y);
-  const fill = colour(chosen ? "accent" : "model-0");
+  const fill = colour(chosen ? "accent" : "sensor");
   const angle = (sensor.yaw_deg * Math.PI) / 180;
   context.fillStyle = fill;
   context.strokeStyle = colour("surface");
@@ -228,7 +228,7 @@ function drawScaleBar(map) {
   context.fillText(text, left, bottom - 8);
 }
 
-function drawNorth(map) {
+function drawUp(map) {
   const { context, colour } = map;
   plate(map, 8, 8, 26, 38);
   context.fillStyle = colour("ink");
@@ -242,7 +242,7 @@ function drawNorth(map) {
   context.font = `700 11px ${colour("font")}`;
   context.textAlign = "center";
   context.textBaseline = "alphabetic";
-  context.fillText("N", 21, 41);
+  context.fillText(map.canvas.dataset.up, 21, 41);
 }
 
 function plate(map, x, y, width, height) {

@@ -1,6 +1,7 @@
 // The cloud, the sensors and what they see in three dimensions, by plotly.js.
 
-const LONGEST_SIDE = 2.4;
+const LONGEST_SIDE = 2;
+const FIELD_OF_VIEW = Math.PI / 4;
 const HIGHEST_SHADE_M = 12;
 const SYMBOLS = ["circle", "square", "diamond"];
 
@@ -53,7 +54,7 @@ class SceneView {
     if (!this.drawn) return;
     const colour = themeColours();
     this.ranges = this.sceneRanges();
-    const config = { displaylogo: false, responsive: true, modeBarButtonsToRemove: ["resetCameraLastSave3d", "tableRotation"] };
+    const config = { displaylogo: false, responsive: true, modeBarButtons: [["toImage"]] };
     Plotly.react(this.element, this.traces(colour), this.layout(colour), config);
   }
 
@@ -70,37 +71,68 @@ class SceneView {
   }
 
   layout(colour) {
-    const span = ({ 0: low, 1: high }) => high - low;
+    const hidden = (range) => ({ range, autorange: false, visible: false, showspikes: false });
     const { x, y, z } = this.ranges;
-    const unit = LONGEST_SIDE / Math.max(span(x), span(y));
-    const axis = (title, range, ticks) => ({
-      title: { text: title, font: { size: 11 } }, range, autorange: false, nticks: ticks, tickfont: { size: 10 },
-      color: colour("muted"), gridcolor: colour("line"), zeroline: false, showbackground: false, showspikes: false,
-    });
     return {
       margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, uirevision: "keep",
       paper_bgcolor: "rgba(0,0,0,0)", font: { family: colour("font"), color: colour("ink") },
       hoverlabel: { font: { family: colour("font"), size: 12 } },
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("muted"), activecolor: colour("accent") },
       scene: {
-        xaxis: axis("East, m", x, 6), yaxis: axis("North, m", y, 6), zaxis: axis("Up, m", z, 3),
-        aspectmode: "manual",
-        aspectratio: { x: span(x) * unit, y: span(y) * unit, z: span(z) * unit * this.options.stretch },
+        xaxis: hidden(x), yaxis: hidden(y), zaxis: hidden(z),
+        aspectmode: "manual", aspectratio: this.sides(),
         camera: this.camera(this.options.camera), dragmode: "turntable",
       },
     };
   }
 
-  // Cameras look across the road, its long axis from left to right.
+  // Sides of the box in plotly's units: true to scale, unless heights are stretched.
+  sides() {
+    const [x, y, z] = ["x", "y", "z"].map((axis) => this.ranges[axis][1] - this.ranges[axis][0]);
+    const unit = LONGEST_SIDE / Math.max(x, y);
+    return { x: x * unit, y: y * unit, z: z * unit * this.options.stretch };
+  }
+
+  // Cameras look across the road, its long axis from left to right, from where all of it is seen.
   camera(kind) {
+    const elevation = { oblique: 0.6, side: 0.14, top: Math.PI / 2 - 0.001 }[kind];
+    const unit = LONGEST_SIDE / Math.max(...["x", "y"].map((axis) => this.ranges[axis][1] - this.ranges[axis][0]));
+    const { along, depth, middle } = this.footprint();
+    const high = depth * Math.sin(elevation) + (this.sides().z / unit) * Math.cos(elevation);
+    const wide = along * (this.element.clientHeight / this.element.clientWidth);
+    const away = Math.max(wide, high) / (2 * Math.tan(FIELD_OF_VIEW / 2));
+    const distance = unit * (away + 0.4 * depth * Math.cos(elevation));
     const across = this.angle - Math.PI / 2;
-    const from = (distance, elevation) => ({
-      x: distance * Math.cos(across) * Math.cos(elevation), y: distance * Math.sin(across) * Math.cos(elevation),
-      z: distance * Math.sin(elevation),
-    });
-    const up = { x: 0, y: 0, z: 1 };
-    if (kind === "top") return { eye: from(2.1, Math.PI / 2 - 0.001), up, projection: { type: "orthographic" } };
-    return { eye: kind === "side" ? from(1.35, 0.12) : from(1.55, 0.62), up, projection: { type: "perspective" } };
+    const center = { x: middle[0] * unit, y: middle[1] * unit, z: 0 };
+    return {
+      eye: {
+        x: center.x + distance * Math.cos(across) * Math.cos(elevation),
+        y: center.y + distance * Math.sin(across) * Math.cos(elevation),
+        z: distance * Math.sin(elevation),
+      },
+      up: { x: 0, y: 0, z: 1 },
+      center,
+    };
+  }
+
+  // Extent of the cloud along and across the road, and its middle from that of the box, in metres.
+  footprint() {
+    const { x, y } = this.cloud;
+    const [cosine, sine] = [Math.cos(this.angle), Math.sin(this.angle)];
+    const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
+    for (let i = 0; i < x.length; i++) {
+      const turned = [x[i] * cosine + y[i] * sine, y[i] * cosine - x[i] * sine];
+      for (const k of [0, 1]) {
+        low[k] = Math.min(low[k], turned[k]);
+        high[k] = Math.max(high[k], turned[k]);
+      }
+    }
+    const [u, v] = [0, 1].map((k) => (low[k] + high[k]) / 2);
+    const box = ["x", "y"].map((axis) => (this.ranges[axis][0] + this.ranges[axis][1]) / 2);
+    return {
+      along: high[0] - low[0], depth: high[1] - low[1],
+      middle: [u * cosine - v * sine - box[0], u * sine + v * cosine - box[1]],
+    };
   }
 
   setCamera(kind) {
@@ -125,9 +157,9 @@ class SceneView {
 
   cloudMarkers(colour) {
     const { x, y, z, heights, intensity, colours } = this.cloud;
-    const ramp = (low, high) => [[0, low], [1, high]];
+    const ramp = (...colours) => colours.map((stop, i) => [i / (colours.length - 1), stop]);
     const markers = {
-      height: { color: heights, cmin: 0, cmax: HIGHEST_SHADE_M, colorscale: ramp(colour("cloud-low"), colour("cloud-high")) },
+      height: { color: heights, cmin: 0, cmax: HIGHEST_SHADE_M, colorscale: ramp(colour("cloud-low"), colour("cloud-mid"), colour("cloud-high")) },
       intensity: { color: intensity, cmin: 0, cmax: 255, colorscale: ramp("#1a1f24", "#f2f4f6") },
       colour: { color: colours },
     };

@@ -100,7 +100,7 @@ class Site {
     ramp.hidden = colour === "colour";
     const [low, high] = ramp.children;
     [low.textContent, high.textContent] = colour === "height" ? ["0 m", `${HIGHEST_SHADE_M} m and above`] : ["dark", "bright"];
-    const ends = colour === "height" ? ["var(--cloud-low)", "var(--cloud-high)"] : ["#1a1f24", "#f2f4f6"];
+    const ends = colour === "height" ? ["var(--cloud-low)", "var(--cloud-mid)", "var(--cloud-high)"] : ["#1a1f24", "#f2f4f6"];
     ramp.style.background = `linear-gradient(90deg, ${ends.join(", ")}) top / 100% 8px no-repeat`;
   }
 

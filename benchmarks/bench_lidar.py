@@ -1,0 +1,262 @@
+"""Virtual LiDAR and detection beside the published algorithm and exact ray casting.
+
+The scene is analytic, so every beam's true range is known; the cloud is what a mobile scanner saw
+of it (with noise, shadows and stray points), so part of every error is what was never scanned.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.placement.detection import MIN_BEAMS, count_hits
+from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.rays import beam_directions
+from roadsight.placement.sensors import Sensor, load_sensors
+from roadsight.placement.surfel_lidar import SurfelLidar
+from roadsight.placement.targets import place_targets
+from roadsight.scene.surfels import Surfels, build_surfels
+from roadsight.scene.voxel_moments import sum_moments
+from roadsight.synthetic.alignment import heading_at, to_plan
+from roadsight.synthetic.highway import Highway, build_highway
+from roadsight.synthetic.mobile_scanner import scan
+from roadsight.synthetic.terrain import height_at
+
+SENSORS = ("OS-128", "VLP-16")
+WRONG_M = 0.5
+SITE = (1_900, 6_239)
+"""Candidates and targets of the study's second site."""
+
+Pose = tuple[NDArray[np.float64], float]
+Render = Callable[[Sensor, NDArray[np.float64], float], NDArray[np.float32]]
+
+
+def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
+    """Result, CPU seconds and added peak memory in MiB (None where the system does not tell)."""
+    before = _memory_mib(reset=True)
+    start = time.process_time()
+    result = function()
+    cpu_s = time.process_time() - start
+    after = _memory_mib(reset=False)
+    known = before is not None and after is not None
+    return result, cpu_s, round(max(after - before, 0.0), 1) if known else None
+
+
+def _memory_mib(reset: bool) -> float | None:
+    try:
+        if reset:
+            Path("/proc/self/clear_refs").write_text("5")
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return None
+    field = "VmRSS:" if reset else "VmHWM:"
+    return int(status.split(field)[1].split()[0]) / 1024
+
+
+def row(
+    kernel: str,
+    ours: tuple[str, float, float | None],
+    against: tuple[str, float, float | None],
+    agreement: tuple[float, str],
+    workload: str,
+) -> dict[str, Any]:
+    """One comparison; ``ours`` and ``against`` are name, CPU seconds and peak MiB."""
+    return {
+        "kernel": kernel,
+        "ours": ours[0],
+        "against": against[0],
+        "cpu_s_ours": ours[1],
+        "cpu_s_against": against[1],
+        "ratio": against[1] / max(ours[1], 1e-9),
+        "peak_mib_ours": ours[2],
+        "peak_mib_against": against[2],
+        "agreement": round(agreement[0], 4),
+        "agreement_metric": agreement[1],
+        "workload": workload,
+    }
+
+
+def rows(quick: bool) -> list[dict[str, Any]]:
+    """All comparisons; ``quick`` uses a short road and a thin cloud."""
+    highway = build_highway(1, 60.0 if quick else 250.0)
+    points = 300_000 if quick else 3_700_000
+    cloud = np.concatenate(
+        [part.xyz_m for part in scan(highway, points, np.random.default_rng(1))]
+    ).astype(np.float32)
+    sensors = load_sensors(Path(__file__).parents[1] / "config" / "sensors.yaml")
+    poses = _poses(highway, 2 if quick else 5)
+    _compile(cloud[:2_000], sensors["VLP-16"], poses[0])
+    surfels, found = _surfel_rows(cloud)
+    lidar = SurfelLidar(surfels)
+    lidar.cast(poses[0][0], [[0.0, 0.0, 1.0]])
+    for name in SENSORS:
+        found += _depth_rows(name, sensors[name], highway, cloud, lidar, poses)
+        found += _detection_rows(name, sensors[name], highway, lidar, poses)
+    return found
+
+
+def _poses(highway: Highway, count: int) -> list[Pose]:
+    """Sensors 4 to 10 m above alternate edges of the pavement, facing it."""
+    edge_m = highway.section.pavement_m[1] + 0.5
+    poses = []
+    for number, share in enumerate(np.linspace(0.2, 0.8, count)):
+        side = 1 if number % 2 else -1
+        station = share * highway.length_m
+        xy = to_plan(highway.alignment, [[station, side * edge_m]])[0]
+        z = height_at(highway.terrain, xy[None])[0] + 4 + 6 * number / max(count - 1, 1)
+        yaw_deg = np.degrees(heading_at(highway.alignment, [station])[0]) - 90 * side
+        poses.append((np.array([*xy, z]), float(yaw_deg)))
+    return poses
+
+
+def _compile(cloud: NDArray[np.float32], sensor: Sensor, pose: Pose) -> None:
+    """Compilation is not what is measured."""
+    lidar = SurfelLidar(build_surfels(sum_moments(cloud, 0.1)))
+    depth = lidar.depth_map(sensor, *pose)
+    hybrid_depth(cloud, sensor, *pose)
+    count_hits(depth, sensor, *pose, np.zeros((1, 3)))
+
+
+def _surfel_rows(cloud: NDArray[np.float32]) -> tuple[Surfels, list[dict[str, Any]]]:
+    """Surfels beside Open3D's normals, where Open3D is installed."""
+    surfels, cpu_s, peak = measured(lambda: build_surfels(sum_moments(cloud, 0.1)))
+    try:
+        import open3d  # noqa: PLC0415
+    except ImportError:
+        return surfels, []
+    local = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.astype(np.float64)))
+    nearest = open3d.geometry.KDTreeSearchParamKNN(10)
+    _, theirs_s, theirs_peak = measured(lambda: local.estimate_normals(nearest))
+    ours = ("surfels with normals", cpu_s, peak)
+    against = ("Open3D normals alone, K = 10", theirs_s, theirs_peak)
+    count = (float(len(surfels)), "surfels (nothing to agree on)")
+    return surfels, [row("surfels", ours, against, count, f"{len(cloud)} points")]
+
+
+def _exact_depth(
+    highway: Highway, sensor: Sensor, position_m: NDArray[np.float64], yaw_deg: float
+) -> NDArray[np.float32]:
+    directions = beam_directions(sensor, yaw_deg).reshape(-1, 3).astype(np.float64)
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    origins = np.broadcast_to(position_m, directions.shape)
+    range_m, _, _ = highway.scene.cast(origins, directions, sensor.range_m)
+    range_m[~np.isfinite(range_m)] = 0.0
+    return range_m.reshape(sensor.shape).astype(np.float32)
+
+
+def _depth_rows(
+    name: str,
+    sensor: Sensor,
+    highway: Highway,
+    cloud: NDArray[np.float32],
+    lidar: SurfelLidar,
+    poses: list[Pose],
+) -> list[dict[str, Any]]:
+    """The three models and exact casting at the same poses."""
+    ways: dict[str, Render] = {
+        "surfel": lidar.depth_map,
+        "hybrid (Algorithm 1)": partial(hybrid_depth, cloud),
+        "preliminary (least range)": partial(preliminary_depth, cloud),
+        "exact ray casting": partial(_exact_depth, highway),
+    }
+    depths, costs = {}, {}
+    for way, render in ways.items():
+        maps, cpu_s, peak = measured(
+            lambda render=render: [render(sensor, *pose) for pose in poses]
+        )
+        depths[way], costs[way] = np.stack(maps), (way, cpu_s / len(poses), peak)
+    exact = depths["exact ray casting"]
+    right = {way: float(_right(depth, exact)) for way, depth in depths.items()}
+    return [
+        row(
+            f"depth map {name}",
+            costs["surfel"],
+            costs[way],
+            (right["surfel"], f"beams within {WRONG_M} m of the truth (theirs {right[way]:.4f})"),
+            f"{sensor.rows * sensor.columns} beams, {len(cloud)} points, mean of {len(poses)}",
+        )
+        for way in ways
+        if way != "surfel"
+    ]
+
+
+def _right(depth: NDArray[np.float32], exact: NDArray[np.float32]) -> np.floating:
+    """Share of beams with the right range, or rightly without return."""
+    both = (depth > 0) & (exact > 0)
+    return np.mean(np.where(both, np.abs(depth - exact) <= WRONG_M, depth == exact))
+
+
+def _targets(highway: Highway) -> NDArray[np.float64]:
+    """Feet of the targets on the true pavement, a metre apart."""
+    edge_m = highway.section.pavement_m[1]
+    stations = np.arange(0.125, highway.length_m, 0.25)
+    offsets = np.arange(-edge_m + 0.125, edge_m, 0.25)
+    road = np.stack(np.meshgrid(stations, offsets), axis=-1).reshape(-1, 2)
+    xy = to_plan(highway.alignment, road)
+    z = height_at(highway.terrain, xy)
+    paved = np.isfinite(z) & (highway.ground_classes(xy) == highway.ground_classes(xy).max())
+    targets = place_targets(np.column_stack([xy, z])[paved], 1.0, 8)
+    return targets[["x", "y", "z"]].to_numpy(np.float64)
+
+
+def _detection_rows(
+    name: str, sensor: Sensor, highway: Highway, lidar: SurfelLidar, poses: list[Pose]
+) -> list[dict[str, Any]]:
+    """Footprints beside rendered targets, and decisions beside those on exact depth maps."""
+    targets = _targets(highway)
+    depths = [lidar.depth_map(sensor, *pose) for pose in poses]
+    hits, cpu_s, peak = measured(
+        lambda: [
+            count_hits(depth, sensor, *pose, targets)
+            for depth, pose in zip(depths, poses, strict=True)
+        ]
+    )
+    sample = np.linspace(0, len(targets) - 1, 12).astype(int)
+    rendered, render_s, render_peak = measured(
+        lambda: _rendered_hits(depths[0], sensor, poses[0], targets[sample])
+    )
+    pairs = SITE[0] * SITE[1]
+    per_pair = cpu_s / (len(poses) * len(targets)), render_s / len(sample)
+    exact = [
+        count_hits(_exact_depth(highway, sensor, *pose), sensor, *pose, targets) for pose in poses
+    ]
+    seen, truly = np.stack(hits) > MIN_BEAMS, np.stack(exact) > MIN_BEAMS
+    decisions = f"equal counts; {np.mean(seen == truly):.4f} of decisions as on exact depth maps"
+    return [
+        row(
+            f"detection {name}",
+            ("footprints", per_pair[0] * pairs, peak),
+            ("rendered targets", per_pair[1] * pairs, render_peak),
+            (float(np.mean(hits[0][sample] == rendered)), decisions),
+            f"{SITE[0]} candidates x {SITE[1]} targets, extrapolated from {len(poses)} x"
+            f" {len(targets)} and 1 x {len(sample)}; depth maps not included",
+        )
+    ]
+
+
+def _rendered_hits(
+    depth: NDArray[np.float32], sensor: Sensor, pose: Pose, targets: NDArray[np.float64]
+) -> list[int]:
+    """The published way: a depth map of each target alone, compared with the scene's."""
+    position, yaw_deg = pose
+    azimuth = np.radians(sensor.azimuth_deg + yaw_deg)
+    elevation = np.radians(sensor.elevation_deg)[:, None]
+    slope = np.tan(elevation)
+    scene = np.where(depth > 0, depth, np.inf)
+    hits = []
+    for x, y, low in targets - position:
+        along = x * np.cos(azimuth) + y * np.sin(azimuth)
+        half = 0.25**2 - (x * np.sin(azimuth) - y * np.cos(azimuth)) ** 2
+        with np.errstate(invalid="ignore", divide="ignore"):
+            near, far = along - np.sqrt(half), along + np.sqrt(half)
+            entry = np.maximum(near, np.where(slope < 0, (low + 0.6) / slope, low / slope))
+            inside = (near > 0) & (entry <= far) & (np.abs(entry * slope - low - 0.3) <= 0.3 + 1e-9)
+            alone = np.where(inside, entry / np.cos(elevation), np.inf)
+        hits.append(int(((alone < scene) & (alone < sensor.range_m)).sum()))
+    return hits

@@ -1,0 +1,103 @@
+"""Which targets a sensor sees from the candidates of one shard."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.errors import InputError
+from roadsight.io.depth_maps import DepthMaps
+from roadsight.io.detections import write_detections
+from roadsight.io.poses import read_poses
+from roadsight.io.tables import read_table
+from roadsight.placement.detection import MIN_BEAMS, count_hits
+from roadsight.placement.sensors import Sensor, load_sensor
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("build_detection_shard")
+
+_MOST_HITS = np.iinfo(np.uint16).max
+
+
+def build_detection_shard(arguments: argparse.Namespace) -> None:
+    """Write a row for each target seen, by candidate and then by target."""
+    targets = read_table(arguments.targets, ["target", "x", "y", "z"])
+    names, hits = [], []
+    for name, hits_on_targets in _hits(arguments, targets[["x", "y", "z"]].to_numpy(np.float64)):
+        seen = np.flatnonzero(hits_on_targets > arguments.min_beams)
+        names.append(name)
+        hits.append(pd.Series(np.minimum(hits_on_targets[seen], _MOST_HITS), index=seen))
+    detections = _table(names, hits, targets["target"])
+    log.info("%d candidates, %d targets, %d seen", len(names), len(targets), len(detections))
+    about = {name: getattr(arguments, name) for name in ("radius_m", "height_m", "min_beams")}
+    write_detections(arguments.out, detections, {"sensor": arguments.sensor, **about})
+
+
+def _hits(
+    arguments: argparse.Namespace, feet_m: NDArray[np.float64]
+) -> Iterator[tuple[str, NDArray[np.int32]]]:
+    """Candidates in the order of their depth maps, and their beams on each target."""
+    sensor = load_sensor(arguments.sensors, arguments.sensor)
+    poses = read_poses(arguments.candidates)
+    size = (arguments.radius_m, arguments.height_m)
+    maps = _depth_maps(arguments, sensor)
+    for name, depth in logged(maps, len(maps), log, "candidates"):
+        if name not in poses:
+            raise InputError(
+                f"has depth maps of the unknown candidate {name!r}",
+                where=arguments.depth,
+                hint=f"render it again for {arguments.candidates}",
+            )
+        *position_m, yaw_deg = poses[name]
+        yield name, count_hits(depth, sensor, position_m, yaw_deg, feet_m, *size)
+
+
+def _table(names: list[str], hits: list[pd.Series], targets: pd.Series) -> pd.DataFrame:
+    """Rows by candidate and target from the beams on each candidate's seen targets."""
+    candidate = np.repeat(np.arange(len(names)), [len(part) for part in hits])
+    together = pd.concat([pd.Series(dtype=np.int32), *hits])
+    return pd.DataFrame(
+        {
+            "candidate": pd.Categorical.from_codes(candidate, pd.Index(names, dtype=str)),
+            "target": pd.Categorical.from_codes(
+                together.index.to_numpy(np.int64), pd.Index(targets, dtype=str)
+            ),
+            "hits": together.to_numpy(np.uint16),
+        }
+    )
+
+
+def _depth_maps(arguments: argparse.Namespace, sensor: Sensor) -> DepthMaps:
+    maps = DepthMaps(arguments.depth)
+    found = (maps.info.sensor, maps.info.rows, maps.info.columns)
+    if found != (arguments.sensor, *sensor.shape):
+        raise InputError(
+            "is of another sensor",
+            where=arguments.depth,
+            found=f"{found[0]}, {found[1]} x {found[2]} beams",
+            allowed=f"{arguments.sensor}, {sensor.rows} x {sensor.columns} beams",
+            hint="delete it and run the workflow again",
+        )
+    return maps
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("depth", "candidates", "targets", "sensor", "sensors", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--radius-m", type=float, default=0.25)
+    parser.add_argument("--height-m", type=float, default=0.6)
+    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
+    return run_stage(parser, build_detection_shard, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,88 @@
+"""Depth maps of one sensor at the candidates of one shard."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.io.depth_maps import DepthMapInfo, DepthMapWriter, range_step_m
+from roadsight.io.poses import read_poses
+from roadsight.io.shards import shard_of
+from roadsight.io.surfels import read_surfels
+from roadsight.io.tiles import POSITION, CloudTiles, stack_xyz
+from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.sensors import Sensor, load_sensor
+from roadsight.placement.surfel_lidar import SurfelLidar
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("render_depth_maps")
+
+Render = Callable[[Sensor, ArrayLike, float], NDArray[np.float32]]
+
+
+def render_depth_maps(arguments: argparse.Namespace) -> None:
+    """Write the depth maps of the shard's candidates, in their order."""
+    sensor = load_sensor(arguments.sensors, arguments.sensor)
+    poses = {
+        name: pose
+        for name, pose in read_poses(arguments.candidates).items()
+        if shard_of(name, arguments.shards) == arguments.shard
+    }
+    info = DepthMapInfo(
+        arguments.sensor, arguments.model, *sensor.shape, range_step_m(sensor.range_m)
+    )
+    with DepthMapWriter(arguments.out, info) as writer:
+        if not poses:
+            log.info("no candidate in shard %d of %d", arguments.shard, arguments.shards)
+            return
+        render = _renderer(arguments, sensor, np.stack(list(poses.values())))
+        what = f"{arguments.sensor} depth maps"
+        for name, (*position_m, yaw_deg) in logged(poses.items(), len(poses), log, what):
+            writer.append(name, render(sensor, position_m, yaw_deg))
+
+
+def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: NDArray[np.float64]) -> Render:
+    """The chosen model, ready to render."""
+    if arguments.model == "surfel":
+        return SurfelLidar(read_surfels(arguments.surfels)).depth_map
+    west, south = poses[:, :2].min(axis=0) - sensor.range_m
+    east, north = poses[:, :2].max(axis=0) + sensor.range_m
+    cloud = CloudTiles(arguments.cloud)
+    xyz_m = stack_xyz(cloud.read_within((west, south, east, north), POSITION))
+    log.info("%d points within range", len(xyz_m))
+    if arguments.model == "preliminary":
+        return partial(preliminary_depth, xyz_m)
+    return partial(
+        hybrid_depth,
+        xyz_m,
+        min_cell_points=arguments.min_cell_points,
+        neighbours=arguments.neighbours,
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--candidates", required=True)
+    parser.add_argument("--shard", type=int, default=0)
+    parser.add_argument("--shards", type=int, default=1)
+    parser.add_argument("--sensor", required=True, help="name in the sensors file")
+    parser.add_argument("--sensors", required=True, help="sensors file")
+    parser.add_argument("--model", choices=["surfel", "hybrid", "preliminary"], default="surfel")
+    parser.add_argument("--surfels", required=True, help="used by the model surfel")
+    parser.add_argument("--cloud", required=True, help="used by the other models")
+    parser.add_argument("--min-cell-points", type=int, default=5)
+    parser.add_argument("--neighbours", type=int, default=10)
+    parser.add_argument("--out", required=True)
+    return run_stage(parser, render_depth_maps, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
