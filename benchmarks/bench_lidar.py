@@ -30,10 +30,13 @@ from roadsight.synthetic.terrain import height_at
 
 SENSORS = ("OS-128", "VLP-16")
 WRONG_M = 0.5
+SURFEL, HYBRID, EXACT = "surfel", "hybrid (Algorithm 1)", "exact ray casting"
 SITE = (1_900, 6_239)
 """Candidates and targets of the study's second site."""
 
 Pose = tuple[NDArray[np.float64], float]
+Cost = tuple[str, float, float | None]
+"""Name, CPU seconds, added peak MiB."""
 Render = Callable[[Sensor, NDArray[np.float64], float], NDArray[np.float32]]
 
 
@@ -61,12 +64,12 @@ def _memory_mib(reset: bool) -> float | None:
 
 def row(
     kernel: str,
-    ours: tuple[str, float, float | None],
-    against: tuple[str, float, float | None],
+    ours: Cost,
+    against: Cost,
     agreement: tuple[float, str],
     workload: str,
 ) -> dict[str, Any]:
-    """One comparison; ``ours`` and ``against`` are name, CPU seconds and peak MiB."""
+    """One comparison."""
     return {
         "kernel": kernel,
         "ours": ours[0],
@@ -96,8 +99,9 @@ def rows(quick: bool) -> list[dict[str, Any]]:
     lidar = SurfelLidar(surfels)
     lidar.cast(poses[0][0], [[0.0, 0.0, 1.0]])
     for name in SENSORS:
-        found += _depth_rows(name, sensors[name], highway, cloud, lidar, poses)
-        found += _detection_rows(name, sensors[name], highway, lidar, poses)
+        depths, costs = _depth_maps(sensors[name], highway, cloud, lidar, poses)
+        found += _depth_rows(name, sensors[name], depths, costs, len(cloud))
+        found += _detection_rows(name, sensors[name], highway, poses, depths, costs)
     return found
 
 
@@ -150,20 +154,19 @@ def _exact_depth(
     return range_m.reshape(sensor.shape).astype(np.float32)
 
 
-def _depth_rows(
-    name: str,
+def _depth_maps(
     sensor: Sensor,
     highway: Highway,
     cloud: NDArray[np.float32],
     lidar: SurfelLidar,
     poses: list[Pose],
-) -> list[dict[str, Any]]:
-    """The three models and exact casting at the same poses."""
+) -> tuple[dict[str, NDArray[np.float32]], dict[str, Cost]]:
+    """Depth maps (poses, rows, columns) of the three models and of the truth; cost of one map."""
     ways: dict[str, Render] = {
-        "surfel": lidar.depth_map,
-        "hybrid (Algorithm 1)": partial(hybrid_depth, cloud),
+        SURFEL: lidar.depth_map,
+        HYBRID: partial(hybrid_depth, cloud),
         "preliminary (least range)": partial(preliminary_depth, cloud),
-        "exact ray casting": partial(_exact_depth, highway),
+        EXACT: partial(_exact_depth, highway),
     }
     depths, costs = {}, {}
     for way, render in ways.items():
@@ -171,25 +174,36 @@ def _depth_rows(
             lambda render=render: [render(sensor, *pose) for pose in poses]
         )
         depths[way], costs[way] = np.stack(maps), (way, cpu_s / len(poses), peak)
-    exact = depths["exact ray casting"]
-    right = {way: float(_right(depth, exact)) for way, depth in depths.items()}
+    return depths, costs
+
+
+def _depth_rows(
+    name: str,
+    sensor: Sensor,
+    depths: dict[str, NDArray[np.float32]],
+    costs: dict[str, Cost],
+    points: int,
+) -> list[dict[str, Any]]:
+    """Surfels beside the other ways."""
+    right = {way: _right(depth, depths[EXACT]) for way, depth in depths.items()}
+    work = f"{sensor.rows * sensor.columns} beams, {points} points, mean of {len(depths[EXACT])}"
     return [
         row(
             f"depth map {name}",
-            costs["surfel"],
+            costs[SURFEL],
             costs[way],
-            (right["surfel"], f"beams within {WRONG_M} m of the truth (theirs {right[way]:.4f})"),
-            f"{sensor.rows * sensor.columns} beams, {len(cloud)} points, mean of {len(poses)}",
+            (right[SURFEL], f"beams within {WRONG_M} m of the truth (theirs {right[way]:.4f})"),
+            work,
         )
-        for way in ways
-        if way != "surfel"
+        for way in depths
+        if way != SURFEL
     ]
 
 
-def _right(depth: NDArray[np.float32], exact: NDArray[np.float32]) -> np.floating:
+def _right(depth: NDArray[np.float32], exact: NDArray[np.float32]) -> float:
     """Share of beams with the right range, or rightly without return."""
     both = (depth > 0) & (exact > 0)
-    return np.mean(np.where(both, np.abs(depth - exact) <= WRONG_M, depth == exact))
+    return float(np.mean(np.where(both, np.abs(depth - exact) <= WRONG_M, depth == exact)))
 
 
 def _targets(highway: Highway) -> NDArray[np.float64]:
@@ -206,37 +220,49 @@ def _targets(highway: Highway) -> NDArray[np.float64]:
 
 
 def _detection_rows(
-    name: str, sensor: Sensor, highway: Highway, lidar: SurfelLidar, poses: list[Pose]
+    name: str,
+    sensor: Sensor,
+    highway: Highway,
+    poses: list[Pose],
+    depths: dict[str, NDArray[np.float32]],
+    costs: dict[str, Cost],
 ) -> list[dict[str, Any]]:
-    """Footprints beside rendered targets, and decisions beside those on exact depth maps."""
+    """Footprints beside rendered targets, and the whole matrix beside the published way."""
     targets = _targets(highway)
-    depths = [lidar.depth_map(sensor, *pose) for pose in poses]
-    hits, cpu_s, peak = measured(
-        lambda: [
-            count_hits(depth, sensor, *pose, targets)
-            for depth, pose in zip(depths, poses, strict=True)
-        ]
-    )
+    counts, spent = {}, {}
+    for way in (SURFEL, HYBRID, EXACT):
+        counts[way], spent[way], peak = measured(
+            lambda way=way: np.stack(
+                [
+                    count_hits(depth, sensor, *pose, targets)
+                    for depth, pose in zip(depths[way], poses, strict=True)
+                ]
+            )
+        )
     sample = np.linspace(0, len(targets) - 1, 12).astype(int)
     rendered, render_s, render_peak = measured(
-        lambda: _rendered_hits(depths[0], sensor, poses[0], targets[sample])
+        lambda: _rendered_hits(depths[SURFEL][0], sensor, poses[0], targets[sample])
     )
-    pairs = SITE[0] * SITE[1]
-    per_pair = cpu_s / (len(poses) * len(targets)), render_s / len(sample)
-    exact = [
-        count_hits(_exact_depth(highway, sensor, *pose), sensor, *pose, targets) for pose in poses
-    ]
-    seen, truly = np.stack(hits) > MIN_BEAMS, np.stack(exact) > MIN_BEAMS
-    decisions = f"equal counts; {np.mean(seen == truly):.4f} of decisions as on exact depth maps"
+    ours_s = spent[SURFEL] / (len(poses) * len(targets)) * SITE[1]
+    theirs_s = render_s / len(sample) * SITE[1]
+    seen = {way: hits > MIN_BEAMS for way, hits in counts.items()}
+    agree = {way: float(np.mean(seen[way] == seen[EXACT])) for way in seen}
+    work = f"{SITE[0]} candidates x {SITE[1]} targets, extrapolated from {len(poses)} candidates"
     return [
         row(
             f"detection {name}",
-            ("footprints", per_pair[0] * pairs, peak),
-            ("rendered targets", per_pair[1] * pairs, render_peak),
-            (float(np.mean(hits[0][sample] == rendered)), decisions),
-            f"{SITE[0]} candidates x {SITE[1]} targets, extrapolated from {len(poses)} x"
-            f" {len(targets)} and 1 x {len(sample)}; depth maps not included",
-        )
+            ("footprints", SITE[0] * ours_s, peak),
+            ("rendered targets", SITE[0] * theirs_s, render_peak),
+            (float(np.mean(counts[SURFEL][0][sample] == rendered)), "targets with equal counts"),
+            f"{work}; depth maps not included",
+        ),
+        row(
+            f"detection matrix {name}",
+            (SURFEL, SITE[0] * (costs[SURFEL][1] + ours_s), costs[SURFEL][2]),
+            (HYBRID, SITE[0] * (costs[HYBRID][1] + theirs_s), costs[HYBRID][2]),
+            (agree[SURFEL], f"decisions as on exact depth maps (theirs {agree[HYBRID]:.4f})"),
+            f"{work}; theirs with rendered targets",
+        ),
     ]
 
 

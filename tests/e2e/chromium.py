@@ -34,7 +34,7 @@ class Chromium:
     requests : addresses that pages have asked for.
     """
 
-    def __init__(self, profile, width=1280, height=720, dark=False):
+    def __init__(self, profile, width=1280, height=720):
         self.complaints, self.requests = [], []
         self._id, self._session, self._received = 0, None, queue.Queue()
         read_command, self._write = os.pipe()
@@ -47,7 +47,7 @@ class Chromium:
 
         self._process = subprocess.Popen(
             [BINARY, *_FLAGS, f"--user-data-dir={profile}", "about:blank"],
-            preexec_fn=connect,
+            preexec_fn=connect,  # noqa: PLW1509  # it only copies two descriptors
             pass_fds=(3, 4),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
@@ -62,8 +62,7 @@ class Chromium:
             self.call(f"{domain}.enable")
         size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
         self.call("Emulation.setDeviceMetricsOverride", **size)
-        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
-        self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
+        self.set_theme(dark=False)
 
     def __enter__(self):
         return self
@@ -87,6 +86,11 @@ class Chromium:
                 return answer["result"]
             self._note(answer)
 
+    def set_theme(self, dark):
+        """Let pages believe that the reader prefers a dark or a light theme."""
+        scheme = {"name": "prefers-color-scheme", "value": "dark" if dark else "light"}
+        self.call("Emulation.setEmulatedMedia", media="", features=[scheme])
+
     def open(self, url):
         """Load a page and wait until it has run its scripts."""
         self.call("Page.navigate", url=url)
@@ -103,7 +107,7 @@ class Chromium:
     def until(self, condition, seconds=60):
         """Wait until a JavaScript expression is true."""
         end = time.monotonic() + seconds
-        while not self.run(condition):
+        while not self.run(f"Boolean({condition})"):
             assert time.monotonic() < end, f"never true: {condition}"
             time.sleep(0.05)
 

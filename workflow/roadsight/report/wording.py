@@ -93,7 +93,7 @@ def number(value: float, decimals: int | None = None) -> str:
             return _signed(f"{value:,.0f}")
         size = math.floor(math.log10(abs(value)))
         if size < -4:
-            return _signed(f"{value:.3g}")
+            return _signed(f"{value:.4g}")
         text = f"{value:,.{max(0, 3 - size)}f}"
         return _signed(text.rstrip("0").rstrip(".") if "." in text else text)
     return _signed(f"{value:,.{decimals}f}")

@@ -55,13 +55,7 @@ def upward_normals(
     -------
     normals : (n, 3); variation : (n,) smallest eigenvalue over the sum, 0 (plane) to 1/3.
     """
-    group = np.concatenate([np.arange(len(xyz_m))[:, None], neighbours], axis=1)
-    present = (group >= 0)[..., None]
-    points = np.where(present, xyz_m[group], 0.0)
-    count = present.sum(axis=1)
-    points = np.where(present, points - (points.sum(axis=1) / count)[:, None], 0.0)
-    covariance = np.einsum("nki,nkj->nij", points, points) / count[..., None]
-    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = np.linalg.eigh(_covariances(xyz_m, neighbours))
     normals = vectors[:, :, 0] * np.where(vectors[:, 2, 0] < 0, -1.0, 1.0)[:, None]
     total = values.sum(axis=1)
     planar = values[:, 1] > 1e-6 * np.maximum(total, 1e-12)
@@ -69,3 +63,27 @@ def upward_normals(
     variation = np.full(len(xyz_m), np.nan)
     np.divide(np.maximum(values[:, 0], 0.0), total, out=variation, where=planar)
     return normals, variation
+
+
+def plane_residuals_m(
+    xyz_m: NDArray[np.float64], neighbours: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Root mean square distance of each neighbourhood from its own plane, metres; shape (n,).
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres.
+    neighbours : (n, k) indices, -1 where missing; the point itself is added.
+    """
+    least = np.linalg.eigvalsh(_covariances(xyz_m, neighbours))[:, 0]
+    return np.sqrt(np.maximum(least, 0.0))
+
+
+def _covariances(xyz_m: NDArray[np.float64], neighbours: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Covariance (n, 3, 3) of each point and its neighbours, about their own centroid."""
+    group = np.concatenate([np.arange(len(xyz_m))[:, None], neighbours], axis=1)
+    present = (group >= 0)[..., None]
+    points = np.where(present, xyz_m[group], 0.0)
+    count = present.sum(axis=1)
+    points = np.where(present, points - (points.sum(axis=1) / count)[:, None], 0.0)
+    return np.einsum("nki,nkj->nij", points, points) / count[..., None]

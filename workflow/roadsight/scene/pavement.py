@@ -16,6 +16,7 @@ from shapely.geometry import shape
 from roadsight.errors import InputError
 from roadsight.scene.clusters import euclidean_clusters
 from roadsight.scene.grids import Grid
+from roadsight.scene.normals import nearest_neighbours, plane_residuals_m
 
 _FLOATS = NDArray[np.float64]
 
@@ -33,6 +34,7 @@ class PavementSettings:
     smallest_hole_m2 : holes below this area are filled, crumbs below it dropped.
     smallest_part_share : a separate surface is kept if it has this share of the largest one's area.
     smallest_area_m2 : less pavement than this is no road.
+    roughest_m : three quarters of a pavement's points depart less than this from a local plane.
     """
 
     cluster_distance_m: float = 0.2
@@ -42,6 +44,7 @@ class PavementSettings:
     smallest_hole_m2: float = 20.0
     smallest_part_share: float = 0.2
     smallest_area_m2: float = 200.0
+    roughest_m: float = 0.05
 
 
 def outline_pavement(
@@ -83,9 +86,25 @@ def outline_pavement(
             allowed=f"at least {settings.smallest_area_m2:.0f} m2",
             hint=_HINT,
         )
+    _check_roughness(outline, xyz_m, settings.roughest_m)
     return outline
 
 
+def _check_roughness(outline: MultiPolygon, xyz_m: _FLOATS, roughest_m: float) -> None:
+    """k-means always finds a smoother half of the ground; a road is smooth on an absolute scale."""
+    surface = xyz_m[inside(outline, xyz_m[:, 0], xyz_m[:, 1])]
+    _, neighbours = nearest_neighbours(surface, _PLANE_NEIGHBOURS)
+    roughness_m = float(np.percentile(plane_residuals_m(surface, neighbours), 75))
+    if roughness_m > roughest_m:
+        raise InputError(
+            "no pavement found: even the smoothest connected ground is too rough for a road",
+            found=f"{100 * roughness_m:.1f} cm from a local plane (75th percentile)",
+            allowed=f"up to {100 * roughest_m:.0f} cm",
+            hint=_HINT,
+        )
+
+
+_PLANE_NEIGHBOURS = 8
 _HINT = "give the monitored area as a polygon (placement.tma) or raise pavement.voxel_size_m"
 
 

@@ -1,0 +1,207 @@
+"""Compiled loops over sparse 0/1 matrices: packing, dominance, propagation."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int32]
+Bits = NDArray[np.uint64]
+Mask = NDArray[np.bool_]
+
+
+@njit(cache=True)
+def pack_bits(start: Ints, index: Ints, columns: int) -> Bits:
+    """Bit matrix (rows, words of 64 columns) of a CSR pattern."""
+    bits = np.zeros((len(start) - 1, (columns + 63) // 64), np.uint64)
+    for i in range(len(start) - 1):
+        for p in range(start[i], start[i + 1]):
+            bits[i, index[p] >> 6] |= np.uint64(1) << np.uint64(index[p] & 63)
+    return bits
+
+
+@njit(cache=True)
+def _is_subset(bits: Bits, i: int, j: int, mask: Bits) -> bool:
+    for w in range(bits.shape[1]):
+        if bits[i, w] & mask[w] & ~bits[j, w]:
+            return False
+    return True
+
+
+@njit(cache=True)
+def drop_implied_targets(
+    start: Ints, index: Ints, choice_start: Ints, choice_index: Ints, bits: Bits, need: Ints
+) -> Mask:
+    """Targets to keep: those that no kept target with fewer rows and as great a need implies.
+
+    ``start, index`` is the matrix by target, ``choice_*`` by choice, ``bits`` packed by target.
+    Of equal targets the lowest number stays.
+    """
+    count = len(start) - 1
+    keep = np.ones(count, np.bool_)
+    mask = np.full(bits.shape[1], ~np.uint64(0))
+    for i in range(count):
+        if not keep[i]:
+            continue
+        rarest = index[start[i]]
+        for p in range(start[i], start[i + 1]):
+            row = index[p]
+            width = choice_start[row + 1] - choice_start[row]
+            if width < choice_start[rarest + 1] - choice_start[rarest]:
+                rarest = row
+        size_i = start[i + 1] - start[i]
+        for q in range(choice_start[rarest], choice_start[rarest + 1]):
+            j = choice_index[q]
+            size_j = start[j + 1] - start[j]
+            if j == i or not keep[j] or size_j < size_i or need[j] > need[i]:
+                continue
+            if size_j == size_i and need[j] == need[i] and j < i:
+                continue
+            if _is_subset(bits, i, j, mask):
+                keep[j] = False
+    return keep
+
+
+@njit(cache=True)
+def residual_needs(
+    start: Ints, index: Ints, need: Ints, alive: Mask, fixed: Mask
+) -> tuple[Ints, Ints]:
+    """How often each target is still to be covered, and by how many free rows it can be."""
+    left = need.copy()
+    free = np.zeros(len(need), np.int32)
+    for i in range(len(start) - 1):
+        if fixed[i]:
+            for p in range(start[i], start[i + 1]):
+                left[index[p]] -= 1
+        elif alive[i]:
+            for p in range(start[i], start[i + 1]):
+                free[index[p]] += 1
+    return left, free
+
+
+@njit(cache=True)
+def drop_dominated_choices(
+    start: Ints,
+    index: Ints,
+    target_start: Ints,
+    target_index: Ints,
+    bits: Bits,
+    cost: NDArray[np.float64],
+    group: NDArray[np.int64],
+    left: Ints,
+    free: Ints,
+    alive: Mask,
+    fixed: Mask,
+    extra: Mask,
+) -> int:
+    """Switch off rows that others replace at no greater cost; returns how many.
+
+    Row i goes if a row j of its own group covers all that i still covers, or if k such rows
+    outside all groups do, k being the greatest need left among the targets of i: with fewer, all
+    of them may be taken beside i. A row j of another group cannot stand in, since its group may be
+    taken. Rows go one at a time, the highest number first, so of equal rows the lowest stay.
+    ``extra`` (constraints, rows): further sets of which a row must stay a member.
+    """
+    mask = np.zeros(bits.shape[1], np.uint64)
+    for t in range(len(left)):
+        if left[t] > 0:
+            mask[t >> 6] |= np.uint64(1) << np.uint64(t & 63)
+    gone = 0
+    for i in range(len(start) - 2, -1, -1):
+        if not alive[i] or fixed[i]:
+            continue
+        rarest = -1
+        wanted = 1
+        for p in range(start[i], start[i + 1]):
+            t = index[p]
+            if left[t] > 0:
+                wanted = max(wanted, left[t])
+                if rarest < 0 or free[t] < free[rarest]:
+                    rarest = t
+        if rarest < 0:
+            useful = False
+            for k in range(extra.shape[0]):
+                useful = useful or extra[k, i]
+            if not useful:
+                alive[i] = False
+                gone += 1
+            continue
+        found = 0
+        for q in range(target_start[rarest], target_start[rarest + 1]):
+            j = target_index[q]
+            same = group[j] >= 0 and group[j] == group[i]
+            if j == i or not alive[j] or fixed[j] or cost[j] > cost[i]:
+                continue
+            if (group[j] >= 0 and not same) or not _is_subset(bits, i, j, mask):
+                continue
+            kept = True
+            for k in range(extra.shape[0]):
+                kept = kept and (extra[k, j] or not extra[k, i])
+            if kept:
+                found += wanted if same else 1
+            if found >= wanted:
+                alive[i] = False
+                gone += 1
+                break
+    return gone
+
+
+@njit(cache=True)
+def propagate(
+    start: Ints,
+    index: Ints,
+    target_start: Ints,
+    target_index: Ints,
+    need: Ints,
+    group: NDArray[np.int64],
+    alive: Mask,
+    fixed: Mask,
+    extra: Mask,
+) -> tuple[bool, Ints, Ints]:
+    """Fix rows without alternative and switch off group mates, until nothing changes.
+
+    Returns
+    -------
+    feasible so far, needs left (n,), free rows of each target (n,); alive, fixed change in place.
+    """
+    while True:
+        taken = np.zeros(len(group), np.bool_)  # indexed by group: there are no more than rows
+        for i in range(len(group)):
+            if fixed[i] and group[i] >= 0:
+                if taken[group[i]]:
+                    return False, need, need
+                taken[group[i]] = True
+        for i in range(len(group)):
+            if not fixed[i] and group[i] >= 0 and taken[group[i]]:
+                alive[i] = False
+        left, free = residual_needs(start, index, need, alive, fixed)
+        changed = False
+        for t in range(len(need)):
+            if left[t] > free[t]:
+                return False, left, free
+            if left[t] > 0 and left[t] == free[t]:
+                for q in range(target_start[t], target_start[t + 1]):
+                    row = target_index[q]
+                    if alive[row] and not fixed[row]:
+                        fixed[row] = True
+                        changed = True
+        for k in range(extra.shape[0]):
+            members = 0
+            last = -1
+            done = False
+            for i in range(len(group)):
+                if extra[k, i]:
+                    done = done or fixed[i]
+                    if alive[i]:
+                        members += 1
+                        last = i
+            if done:
+                continue
+            if members == 0:
+                return False, left, free
+            if members == 1:
+                fixed[last] = True
+                changed = True
+        if not changed:
+            return True, left, free

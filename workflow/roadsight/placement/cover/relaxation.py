@@ -1,0 +1,227 @@
+"""Linear relaxation of a cover instance, kept between nodes of the search tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import highspy
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.placement.cover.deadline import Deadline
+from roadsight.placement.cover.problem import Instance
+
+FIRST_TARGETS = 300
+ADDED_TARGETS = 60
+MOST_ROWS = 400
+_TOLERANCE = 1e-6
+_TARGET, _BRANCH, _GROUP = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class Node:
+    """Subproblem of the search.
+
+    Parameters
+    ----------
+    alive, fixed : (m,) rows that may be taken, that are taken (fixed rows are alive).
+    path : numbers of the branch constraints (`Relaxation.add_branch`) that hold.
+    """
+
+    alive: NDArray[np.bool_]
+    fixed: NDArray[np.bool_]
+    path: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Answer of the relaxation.
+
+    Parameters
+    ----------
+    bound : Lagrangian bound of the duals, in steps: valid whatever the solver's tolerances.
+    x : (m,) share of each row.
+    reduced_cost : (m,) of the same duals.
+    target_dual : (n,) dual of each target, 0 where it is not in the relaxation.
+    complete : False where the goal or the time limit stopped it: only ``bound`` is meant then.
+    """
+
+    bound: float
+    x: NDArray[np.float64]
+    reduced_cost: NDArray[np.float64]
+    target_dual: NDArray[np.float64]
+    complete: bool
+
+
+def quiet_highs(**options: object) -> highspy.Highs:
+    """Solver with one thread, a fixed seed and no output."""
+    highs = highspy.Highs()
+    for name, value in {"output_flag": False, "threads": 1, "random_seed": 1, **options}.items():
+        highs.setOptionValue(name, value)
+    return highs
+
+
+class Relaxation:
+    """Relaxation by row generation: targets and groups enter when violated.
+
+    Costs never change, so the last basis is dual feasible at every node and the dual simplex goes
+    on from it.
+    """
+
+    def __init__(self, instance: Instance) -> None:
+        self.instance = instance
+        self.choices, self.targets = instance.shape
+        self.branches: list[NDArray[np.int32]] = []
+        self._kind = np.empty(0, np.int8)
+        self._number = np.empty(0, np.int64)
+        self._columns = np.arange(self.choices, dtype=np.int32)
+        self._highs = quiet_highs(presolve="off", simplex_strategy=1)
+        self._highs.addVars(self.choices, np.zeros(self.choices), np.ones(self.choices))
+        self._highs.changeColsCost(self.choices, self._columns, instance.cost)
+        rare = np.argsort(np.diff(instance.by_target.indptr), kind="stable")
+        self._add_rows(_TARGET, np.sort(rare[:FIRST_TARGETS]))
+
+    def add_branch(self, rows: NDArray[np.int32]) -> int:
+        """Number of the new constraint that one of ``rows`` is taken."""
+        self.branches.append(rows.astype(np.int32))
+        return len(self.branches) - 1
+
+    def members(self, path: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Branch constraints as masks, (len(path), m)."""
+        mask = np.zeros((len(path), self.choices), bool)
+        for k, branch in enumerate(path):
+            mask[k, self.branches[branch]] = True
+        return mask
+
+    def solve(self, node: Node, goal: float, deadline: Deadline) -> Solution:
+        """Solve the relaxation at a node, or stop once its bound exceeds ``goal``."""
+        self._enter(node)
+        if np.isfinite(goal):
+            self._highs.setOptionValue("objective_bound", float(goal) + _TOLERANCE)
+        while True:
+            self._highs.setOptionValue(
+                "time_limit", self._highs.getRunTime() + max(deadline.left_s(), 1e-3)
+            )
+            self._highs.run()
+            if self._highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
+                return self._stopped(np.inf)
+            solution = self._read(node)
+            if solution.bound > goal or not solution.complete or deadline.passed():
+                return Solution(solution.bound, solution.x, solution.reduced_cost,
+                                solution.target_dual, False)  # fmt: skip
+            if not self._separate(solution.x):
+                return solution
+
+    def purge(self, solution: Solution) -> None:
+        """Leave out slack targets once there are too many rows."""
+        if len(self._kind) <= MOST_ROWS:
+            return
+        value = np.array(self._highs.getSolution().row_value)
+        target = self._kind == _TARGET
+        slack = np.zeros(len(target), bool)
+        slack[target] = value[target] > self.instance.need[self._number[target]] + _TOLERANCE
+        slack[target] &= solution.target_dual[self._number[target]] <= 0
+        self._delete(slack)
+
+    def _stopped(self, bound: float) -> Solution:
+        nothing = np.zeros(self.choices)
+        return Solution(bound, nothing, nothing, np.zeros(self.targets), False)
+
+    def _read(self, node: Node) -> Solution:
+        raw = self._highs.getSolution()
+        x, dual = np.array(raw.col_value), np.array(raw.row_dual)
+        if len(dual) != len(self._kind) or not np.isfinite(dual).all():
+            return self._stopped(0.0)
+        dual = np.where(self._kind == _GROUP, np.minimum(dual, 0.0), np.maximum(dual, 0.0))
+        target_dual = np.zeros(self.targets)
+        target = self._kind == _TARGET
+        target_dual[self._number[target]] = dual[target]
+        by_choice = self.instance.by_choice
+        cost = _reduced_costs(by_choice.indptr, by_choice.indices, self.instance.cost, target_dual)
+        bound = float(target_dual @ self.instance.need)
+        for k in np.flatnonzero(~target & (dual != 0)):
+            cost[self._row(self._kind[k], self._number[k])] -= dual[k]
+            bound += dual[k]
+        bound += cost[node.fixed].sum()
+        bound += np.minimum(cost[node.alive & ~node.fixed], 0.0).sum()
+        optimal = self._highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
+        return Solution(float(bound), x, cost, target_dual, optimal)
+
+    def _separate(self, x: NDArray[np.float64]) -> bool:
+        """Add violated targets and groups; False where there are none."""
+        by_choice, group = self.instance.by_choice, self.instance.group
+        missing = self.instance.need - _coverage(
+            by_choice.indptr, by_choice.indices, x, self.targets
+        )
+        missing[self._number[self._kind == _TARGET]] = 0.0
+        bad = np.flatnonzero(missing > _TOLERANCE)
+        bad = bad[np.argsort(-missing[bad], kind="stable")[:ADDED_TARGETS]]
+        grouped = group >= 0
+        load = np.bincount(group[grouped], x[grouped], minlength=1)
+        load[self._number[self._kind == _GROUP]] = 0.0
+        crowded = np.flatnonzero(load > 1 + _TOLERANCE)
+        self._add_rows(_TARGET, bad)
+        self._add_rows(_GROUP, crowded)
+        return bool(len(bad) or len(crowded))
+
+    def _enter(self, node: Node) -> None:
+        """Bounds and branch constraints of a node."""
+        low = node.fixed.astype(np.float64)
+        self._highs.changeColsBounds(self.choices, self._columns, low, node.alive.astype(float))
+        branch = self._kind == _BRANCH
+        self._delete(branch & ~np.isin(self._number, node.path))
+        present = self._number[self._kind == _BRANCH]
+        self._add_rows(_BRANCH, np.setdiff1d(np.array(node.path, np.int64), present))
+
+    def _row(self, kind: int, number: int) -> NDArray[np.int32]:
+        if kind == _BRANCH:
+            return self.branches[number]
+        if kind == _GROUP:
+            return np.flatnonzero(self.instance.group == number).astype(np.int32)
+        by_target = self.instance.by_target
+        return by_target.indices[by_target.indptr[number] : by_target.indptr[number + 1]]
+
+    def _add_rows(self, kind: int, numbers: NDArray[np.int64]) -> None:
+        if not len(numbers):
+            return
+        rows = [self._row(kind, number) for number in numbers]
+        start = np.cumsum([0] + [len(row) for row in rows])
+        low = self.instance.need[numbers] if kind == _TARGET else np.ones(len(rows))
+        low = np.full(len(rows), -np.inf) if kind == _GROUP else low.astype(np.float64)
+        high = np.full(len(rows), 1.0 if kind == _GROUP else np.inf)
+        self._highs.addRows(len(rows), low, high, start[-1], start[:-1].astype(np.int32),
+                            np.concatenate(rows).astype(np.int32), np.ones(start[-1]))  # fmt: skip
+        self._kind = np.append(self._kind, np.full(len(rows), kind, np.int8))
+        self._number = np.append(self._number, numbers)
+
+    def _delete(self, gone: NDArray[np.bool_]) -> None:
+        if gone.any():
+            self._highs.deleteRows(int(gone.sum()), np.flatnonzero(gone).astype(np.int32))
+            self._kind, self._number = self._kind[~gone], self._number[~gone]
+
+
+@njit(cache=True)
+def _coverage(
+    start: NDArray[np.int32], index: NDArray[np.int32], x: NDArray[np.float64], targets: int
+) -> NDArray[np.float64]:
+    total = np.zeros(targets)
+    for i in range(len(x)):
+        if x[i] > 1e-9:
+            for p in range(start[i], start[i + 1]):
+                total[index[p]] += x[i]
+    return total
+
+
+@njit(cache=True)
+def _reduced_costs(
+    start: NDArray[np.int32],
+    index: NDArray[np.int32],
+    cost: NDArray[np.float64],
+    dual: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    reduced = cost.copy()
+    for i in range(len(cost)):
+        for p in range(start[i], start[i + 1]):
+            reduced[i] -= dual[index[p]]
+    return reduced

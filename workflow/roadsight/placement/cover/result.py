@@ -1,0 +1,52 @@
+"""Answer of the cover problems, with its proof."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+OPTIMAL = "optimal"
+TIME_LIMIT = "time_limit"
+INFEASIBLE = "infeasible"
+
+
+@dataclass(frozen=True)
+class Cover:
+    """Chosen rows and how far they are proven.
+
+    Parameters
+    ----------
+    status : "optimal" (proven), "time_limit" (not proven) or "infeasible".
+    chosen : sorted row numbers; empty where nothing feasible was found.
+    objective : cost of the chosen rows, or covered weight for a budget; infinite (cover) where
+        nothing feasible was found.
+    bound : proven lower bound of the cost, or upper bound of the covered weight.
+    gap : distance of objective and bound over the larger of the two; 0 where both are 0.
+    seconds_cpu : CPU seconds of this process.
+    uncoverable : targets that too few rows can cover, sorted.
+    reductions : numbers of rows and columns before and after each step.
+    lp_bound : bound of the linear relaxation, in cost; None where it was not needed.
+    nodes : nodes of the search tree.
+    """
+
+    status: str
+    chosen: NDArray[np.int64]
+    objective: float
+    bound: float
+    gap: float
+    seconds_cpu: float
+    uncoverable: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    reductions: dict[str, int] = field(default_factory=dict)
+    lp_bound: float | None = None
+    nodes: int = 0
+
+
+def relative_gap(objective: float, bound: float) -> float:
+    """Distance of objective and bound over the larger of the two, in [0, 1]."""
+    if objective == bound:
+        return 0.0
+    if not (np.isfinite(objective) and np.isfinite(bound)):
+        return 1.0
+    return abs(objective - bound) / max(abs(objective), abs(bound))
