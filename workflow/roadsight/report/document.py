@@ -11,6 +11,7 @@ import numpy as np
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.placement.sensors import Sensor
 from roadsight.report import wording
 from roadsight.report.page import FORMAT
 from roadsight.report.parameters import figure_rows, setting_groups
@@ -121,7 +122,11 @@ def _site(page: dict[str, Any], identifier: str) -> dict[str, Any]:
         "score_rows": figure_rows(scene.get("pavement_scores") or {}),
         "effects": _effects(summary["effects"]),
         "sensors": sensors,
-        "sensor_keys": list(dict.fromkeys(key for sensor in sensors.values() for key in sensor)),
+        "sensor_keys": [
+            key
+            for key in Sensor.model_fields
+            if any(sensor.get(key) is not None for sensor in sensors.values())
+        ],
         "settings": setting_groups(summary["settings"]),
         "inputs": summary["inputs"],
         "sections": _sections(bool(plans)),

@@ -101,7 +101,7 @@ class SceneView {
     const high = depth * Math.sin(elevation) + (this.sides().z / unit) * Math.cos(elevation);
     const wide = along * (this.element.clientHeight / this.element.clientWidth);
     const away = Math.max(wide, high) / (2 * Math.tan(FIELD_OF_VIEW / 2));
-    const distance = unit * (away + 0.4 * depth * Math.cos(elevation));
+    const distance = unit * (1.04 * away + 0.4 * depth * Math.cos(elevation));
     const across = this.angle - Math.PI / 2;
     const center = { x: middle[0] * unit, y: middle[1] * unit, z: 0 };
     return {
