@@ -8,7 +8,7 @@ empty :=
 space := $(empty) $(empty)
 
 .DEFAULT_GOAL := help
-.PHONY: help run real test test-full bench lint format config lock clean
+.PHONY: help run real test test-full bench lint format config lock dag clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -64,3 +64,8 @@ lock: ## resolve the dependencies anew (needs uv)
 
 clean: ## remove results, logs and the environment
 	rm -rf results logs .snakemake .venv
+
+dag: .venv/.installed ## redraw docs/images/dag.svg (needs graphviz)
+	$(BIN)/snakemake --rulegraph dot | tred \
+	  | sed -E 's/color = "[0-9. ]+", style="rounded"/color="#1d4ed8", style="rounded,filled", fillcolor="#eff6ff"/' \
+	  | dot -Tsvg -o docs/images/dag.svg

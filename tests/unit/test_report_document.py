@@ -182,6 +182,8 @@ class TestReport:
             "Uncovered targets and obstacles",
             "No candidate sees it: hidden",
             "Targets hidden",
+            "87.5",
+            "choices for",
             "Pavement against the reference",
             "No reference for the pavement of this site",
             "candidates.spacing_m",

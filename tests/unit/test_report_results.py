@@ -16,7 +16,6 @@ from roadsight.report.gaps import (
     TOO_FEW,
     gaps_of,
     obstacles_of,
-    reasons_of,
 )
 from roadsight.report.sights import bearing_deg, longitudes_latitudes, sights_of
 
@@ -116,20 +115,37 @@ class TestPlaces:
 
 
 class TestGaps:
-    def test_reasons(self):
-        explained = pd.DataFrame({"target": ["d"], "reason": ["hidden"]})
-        reasons = reasons_of(["c", "d"], explained)
-        assert reasons == {"c": OUT_OF_SIGHT, "d": f"{OUT_OF_SIGHT}: hidden"}
+    explained = pd.DataFrame(
+        {
+            "target": ["b", "d"],
+            "reason": ["too few beams", "hidden"],
+            "nearest_m": [80.5, 12.5],
+            "blocked_share": [0.0, 0.75],
+            "obstacle_x": [np.nan, 4.0],
+            "obstacle_y": [np.nan, 5.0],
+        }
+    )
 
     def test_targets_seen_often_enough_are_no_gaps(self):
-        gaps = gaps_of(TARGETS, np.array([0, 1, 2, 0]), 1, {"d": OUT_OF_SIGHT})
+        gaps = gaps_of(TARGETS, np.array([0, 1, 0, 0]), 1, {"c", "d"}, self.explained)
         assert [(gap["target"], gap["reason"]) for gap in gaps] == [
             ("a", NOT_CHOSEN),
-            ("d", OUT_OF_SIGHT),
+            ("c", OUT_OF_SIGHT),
+            ("d", f"{OUT_OF_SIGHT}: hidden"),
+        ]
+
+    def test_details_are_told_where_they_are_known(self):
+        times_seen = np.array([0, 0, 1, 0])
+        gaps = gaps_of(TARGETS, times_seen, 1, {"b", "d"}, self.explained)
+        keys = ("nearest_m", "blocked_share", "obstacle_x", "obstacle_y")
+        assert [[gap[key] for key in keys] for gap in gaps] == [
+            [None, None, None, None],
+            [80.5, 0.0, None, None],
+            [12.5, 0.75, 4.0, 5.0],
         ]
 
     def test_more_than_one_sensor_asked_for(self):
-        gaps = gaps_of(TARGETS, np.array([2, 1, 2, 2]), 2, {})
+        gaps = gaps_of(TARGETS, np.array([2, 1, 2, 2]), 2, set(), self.explained.iloc[:0])
         assert [(gap["target"], gap["seen"], gap["reason"]) for gap in gaps] == [("b", 1, TOO_FEW)]
 
     def test_obstacles_tell_unknown_heights(self):

@@ -175,7 +175,9 @@ def test_one_sensor_changed_renders_that_sensor_alone(copy_of_finished):
     path.write_text(before + name + rest.replace("range_m: 120", "range_m: 110", 1))
     result = copy_of_finished.snakemake("-n")
     rendered = [
-        line for line in result.stdout.splitlines() if "output:" in line and "depth/" in line
+        line
+        for line in (result.stdout + result.stderr).splitlines()
+        if "output:" in line and "depth/" in line
     ]
     assert rendered
     assert all("/OS-64/" in line for line in rendered)

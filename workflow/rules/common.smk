@@ -5,7 +5,7 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
-from roadsight.config.load import load_config, load_site
+from roadsight.config.load import load_config, load_sites
 from roadsight.errors import InputError
 from roadsight.io.checksums import CachedChecksums
 from roadsight.io.sources import package_digest, stage_sources
@@ -35,10 +35,7 @@ def clearly(function, *arguments):
 
 
 CONFIG = clearly(load_config, config)
-SITES = {
-    resolved.site.site: resolved
-    for resolved in (clearly(load_site, name, CONFIG) for name in CONFIG.sites)
-}
+SITES = clearly(load_sites, CONFIG)
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)
 CHECKSUMS = CachedChecksums(".snakemake/roadsight/checksums.json")
 

@@ -16,16 +16,16 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.clouds import NativeCloud, read_laz
 from roadsight.scene.describe import GroundDescription, describe_ground
-from roadsight.scene.ground import GroundSettings
-from roadsight.scene.pavement import PavementSettings, inside, outline_pavement
+from roadsight.scene.ground import GroundSettings, ground_settings_for
+from roadsight.scene.pavement import (
+    PavementSettings,
+    inside,
+    outline_pavement,
+    pavement_settings_for,
+)
 from roadsight.scene.profile import count_cells, density
 from roadsight.scene.smoothness import fit_smoothness, is_smooth
-from roadsight.scene.spacing import (
-    ground_settings_for,
-    pavement_settings_for,
-    plan_spacing_m,
-    uses_intensity,
-)
+from roadsight.scene.spacing import plan_spacing_m, uses_intensity
 from roadsight.scene.terrain import label_ground
 from roadsight.stages.ingest_cloud import UNITS, survey
 

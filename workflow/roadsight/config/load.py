@@ -51,6 +51,26 @@ def load_config(content: dict[str, Any], where: str = "config/config.yaml") -> C
     return validated(Config, content, where)
 
 
+def load_sites(config: Config) -> dict[str, ResolvedSite]:
+    """All sites of the configuration by their names.
+
+    Raises
+    ------
+    InputError : as `load_site`, or two files name the same site.
+    """
+    sites: dict[str, ResolvedSite] = {}
+    for name in config.sites:
+        resolved = load_site(name, config)
+        known = sites.setdefault(resolved.site.site, resolved)
+        if known is not resolved:
+            raise InputError(
+                f"two site files name the same site {resolved.site.site!r}",
+                where=f"{known.file}, {resolved.file}",
+                hint="give each a name of its own: results go to results/<site>",
+            )
+    return sites
+
+
 def load_site(name: str, config: Config) -> ResolvedSite:
     """Read a site by name (``config/sites/<name>.yaml``) or by the path of its file.
 

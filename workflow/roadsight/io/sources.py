@@ -14,6 +14,8 @@ _PACKAGE_ROOT = Path(__file__).resolve().parents[2]
 def stage_sources(stage: str) -> list[str]:
     """First-party files that ``roadsight.stages.<stage>`` pulls in, relative to the work folder."""
     found: dict[str, Path] = {}
+    if _file(f"roadsight.stages.{stage}") is None:
+        raise ValueError(f"there is no stage {stage!r}")
     todo = [f"roadsight.stages.{stage}"]
     while todo:
         module = todo.pop()

@@ -14,9 +14,11 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.errors import InputError
+
 _FLOATS = NDArray[np.float64]
 Cast = Callable[[_FLOATS, _FLOATS], _FLOATS]
-"""Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 if nothing returns."""
+"""Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 or infinity for none."""
 
 # Heights on a target, as shares of its own, to which sight lines are cast.
 _LEVELS = (0.25, 0.5, 0.75, 1.0)
@@ -45,7 +47,9 @@ def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast)
         _lines_of_sensor(group, target_height_m, cast)
         for _, group in pairs.groupby("candidate", sort=True)
     ]
-    return pd.concat(parts).reindex(pairs.index) if parts else pd.DataFrame(columns=_COLUMNS)
+    if not parts:
+        return pd.DataFrame(columns=_COLUMNS, index=pairs.index, dtype=np.float64)
+    return pd.concat(parts).reindex(pairs.index)
 
 
 _COLUMNS = ["blocked_share", "obstacle_x", "obstacle_y", "obstacle_z"]
@@ -59,11 +63,12 @@ def _lines_of_sensor(pairs: pd.DataFrame, target_height_m: float, cast: Cast) ->
         way = pairs[["x", "y", "z"]].to_numpy(np.float64) - sensor
         way[:, 2] += level * target_height_m
         length = np.linalg.norm(way, axis=1)
-        direction = way / np.maximum(length, 1e-9)[:, None]
+        way[length == 0, 2] = 1.0  # any direction will do: nothing is nearer than the sensor itself
+        direction = way / np.linalg.norm(way, axis=1, keepdims=True)
         reach = np.asarray(cast(sensor, direction), np.float64)
-        blocked[:, column] = (reach > 0) & (reach < length - _NEAR_M)
-        point = sensor + reach[:, None] * direction
-        hits = np.where(blocked[:, column, None], point, hits)
+        hit = (reach > 0) & (reach < length - _NEAR_M)
+        hits[hit] = sensor + reach[hit, None] * direction[hit]
+        blocked[:, column] = hit
     table = np.column_stack([blocked.mean(axis=1), hits])
     return pd.DataFrame(table, columns=_COLUMNS, index=pairs.index)
 
@@ -140,7 +145,13 @@ def explain_gaps(
     a row per target: target, x, y, z, reason ("out of range", "hidden" where most sight lines are
     blocked, else "too few beams"), nearest_m, blocked_share, and the obstacle_x, _y, _z and
     candidate of the nearest candidate that is most blocked.
+
+    Raises
+    ------
+    InputError : there is no candidate.
     """
+    if candidates.empty:
+        raise InputError("no candidate at which to judge the uncovered targets")
     place = candidates[["x", "y", "z"]].to_numpy(np.float64)
     foot = targets[["x", "y", "z"]].to_numpy(np.float64)
     count = min(_NEAREST, len(candidates))

@@ -15,7 +15,7 @@ from roadsight.placement.sensors import Sensor
 from roadsight.report import wording
 from roadsight.report.page import FORMAT
 from roadsight.report.parameters import figure_rows, setting_groups
-from roadsight.report.plan_view import plan_views
+from roadsight.report.plan_view import best_plan, plan_views
 
 STYLES = ("base.css", "parts.css", "views.css")
 SCRIPTS = ("data.js", "map_view.js", "map_layers.js", "scene_view.js", "site.js", "main.js")
@@ -165,9 +165,9 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     cards.append(("Targets", wording.number(len(page["layers"]["targets"]["names"])), "to be seen"))
     remark = f"at {wording.counted(positions, 'position')}"
     cards.append(("Candidates", wording.number(candidates["total"]), remark))
-    fewest = min(page["plans"], key=lambda plan: len(plan["sensors"]))
-    value = wording.counted(len(fewest["sensors"]), "sensor")
-    return [*cards, ("Fewest sensors", value, fewest["title"])]
+    best = best_plan(page["plans"])
+    value = wording.counted(len(best["sensors"]), "sensor")
+    return [*cards, ("Fewest sensors", value, best["title"])]
 
 
 def _sections(placed: bool) -> list[tuple[str, str]]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection
 from typing import Any
 
 import geopandas as gpd
@@ -16,10 +16,15 @@ TOO_FEW = "fewer sensors see it than asked for"
 
 _TEXTS = ("kind", "target", "sensor")
 _NUMBERS = ("height_m", "targets", "sensors", "sight_lines")
+_DETAILS = ("nearest_m", "blocked_share", "obstacle_x", "obstacle_y")
 
 
 def gaps_of(
-    targets: pd.DataFrame, times_seen: NDArray, at_least: int, reasons: dict[str, str]
+    targets: pd.DataFrame,
+    times_seen: NDArray,
+    at_least: int,
+    uncovered: Collection[str],
+    explained: pd.DataFrame,
 ) -> list[dict[str, Any]]:
     """Targets seen by fewer sensors than asked for, in the order of ``targets``.
 
@@ -27,36 +32,34 @@ def gaps_of(
     ----------
     targets : columns target, x, y, z, local metres.
     times_seen : (n,) how many chosen sensors see each target.
-    reasons : why no candidate at all sees a target, for the targets where that is so.
+    uncovered : names of the targets that no candidate sees.
+    explained : columns target, reason, nearest_m (distance of the nearest candidate), blocked_share
+        (of its sight lines), obstacle_x and obstacle_y (local metres) of uncovered targets.
     """
+    details = explained.set_index("target")[["reason", *_DETAILS]].to_dict("index")
+    named = zip(targets["target"], targets["x"], targets["y"], times_seen, strict=True)
     return [
         {
             "target": str(name),
             "x": float(x),
             "y": float(y),
             "seen": int(seen),
-            "reason": reasons.get(str(name)) or (TOO_FEW if seen else NOT_CHOSEN),
+            "reason": _reason(name in uncovered, bool(seen), details.get(name)),
+            **{key: _known(details.get(name, {}).get(key)) for key in _DETAILS},
         }
-        for name, x, y, seen in zip(
-            targets["target"], targets["x"], targets["y"], times_seen, strict=True
-        )
+        for name, x, y, seen in named
         if seen < at_least
     ]
 
 
-def reasons_of(uncovered: Sequence[str], explained: pd.DataFrame) -> dict[str, str]:
-    """Why no candidate sees a target.
+def _reason(uncovered: bool, seen: bool, details: dict[Any, Any] | None) -> str:
+    if uncovered:
+        return OUT_OF_SIGHT if details is None else f"{OUT_OF_SIGHT}: {details['reason']}"
+    return TOO_FEW if seen else NOT_CHOSEN
 
-    Parameters
-    ----------
-    uncovered : names of the targets that no candidate sees.
-    explained : columns target and reason of those for which a reason was found.
-    """
-    why = dict(zip(explained["target"], explained["reason"], strict=True))
-    return {
-        str(name): f"{OUT_OF_SIGHT}: {why[name]}" if name in why else OUT_OF_SIGHT
-        for name in uncovered
-    }
+
+def _known(value: Any) -> float | None:
+    return None if pd.isna(value) else float(value)
 
 
 def obstacles_of(features: gpd.GeoDataFrame) -> list[dict[str, Any]]:
@@ -74,7 +77,7 @@ def obstacles_of(features: gpd.GeoDataFrame) -> list[dict[str, Any]]:
             "x": float(x),
             "y": float(y),
             **{key: str(record[key]) for key in _TEXTS},
-            **{key: None if pd.isna(record[key]) else float(record[key]) for key in _NUMBERS},
+            **{key: _known(record[key]) for key in _NUMBERS},
         }
         for (x, y), record in zip(xy, columns, strict=True)
     ]

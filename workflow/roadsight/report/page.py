@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from roadsight.geometry.frames import Frame
 from roadsight.report.cautions import Caution, data_cautions, is_proven, plan_cautions
 from roadsight.report.cautions import scene_cautions as cautions_of_scene
-from roadsight.report.gaps import gaps_of, obstacles_of, reasons_of
+from roadsight.report.gaps import gaps_of, obstacles_of
 from roadsight.report.layers import (
     CloudSample,
     candidate_layer,
@@ -72,8 +72,8 @@ class PlanResult:
     ----------
     title : name for people. solution : content of solution.json.
     uncovered : names of the targets that no candidate of the plan sees.
-    explained : columns target and reason of those. obstacles : as `obstacles_of` takes them, the
-        greatest first; the page keeps 300.
+    explained, obstacles : as `gaps_of` and `obstacles_of` take them; of the obstacles, the greatest
+        first, the page keeps 300.
     returns_xyz_m, returns_sensor : (n, 3) and (n,) sample of what the sensors would see, and the
         number of the sensor, from 0.
     """
@@ -151,7 +151,6 @@ def _plan(
     sights = sights_of(solution["sensors"], placement.detections, placement.targets)
     costs = [placement.sensors[name]["cost"] for name in solution["sensor_types"]]
     at_least = int(solution["at_least"])
-    reasons = reasons_of(plan.uncovered, plan.explained)
     kept = ("sensor_types", "status", "objective", "bound", "gap", "reductions")
     return {
         "name": solution["plan"],
@@ -170,7 +169,13 @@ def _plan(
         "sensors": _sensors(solution["sensors"], sights, frame),
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
-        "gaps": gaps_of(placement.targets, sights.times_seen, at_least, reasons),
+        "gaps": gaps_of(
+            placement.targets,
+            sights.times_seen,
+            at_least,
+            frozenset(plan.uncovered),
+            plan.explained,
+        ),
         "obstacles": obstacles_of(plan.obstacles.iloc[:_MOST_OBSTACLES]),
         "all_obstacles": len(plan.obstacles),
         "returns": {

@@ -43,7 +43,9 @@ def setting_groups(settings: dict[str, Any]) -> list[Group]:
         section = settings[name]
         if isinstance(section, dict):
             keys = _ordered(_section(name), section)
-            groups.append(Group(_title(name), [_setting((name, key), section[key]) for key in keys]))
+            groups.append(
+                Group(_title(name), [_setting((name, key), section[key]) for key in keys])
+            )
     return [group for group in groups if group.rows]
 
 

@@ -8,18 +8,18 @@ from typing import Any
 import numpy as np
 
 from roadsight.geometry.frames import Frame
-from roadsight.report.wording import label, lower_first, number
+from roadsight.report.wording import number
 
 
 def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]]:
     """Plans of page.json with the widths of their bars and the cells of their tables.
 
-    The plan shown first is the one with the fewest sensors, the first of them in the plans' order.
+    The best plan is shown first.
     """
     counts = [len(plan["sensors"]) for plan in plans]
     most = max(counts, default=0)
     dearest = max((plan["objective"] for plan in plans), default=0.0)
-    first = min(plans, key=lambda plan: len(plan["sensors"]), default=None)
+    first = best_plan(plans) if plans else None
     return [
         plan
         | {
@@ -30,12 +30,17 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
             "covered": plan["targets"] - len(plan["gaps"]),
             "most_seen": max([1, *plan["histogram"]]),
             "reduced": _reductions(plan["reductions"]),
-            "gaps": [gap | {"native": _native(gap, frame)} for gap in plan["gaps"]],
+            "gaps": [_gap(gap, frame) for gap in plan["gaps"]],
             "reasons": _by_count(Counter(gap["reason"] for gap in plan["gaps"])),
             "obstacles": [o | {"native": _native(o, frame)} for o in plan["obstacles"]],
         }
         for plan in plans
     ]
+
+
+def best_plan(plans: list[dict[str, Any]]) -> dict[str, Any]:
+    """Plan with the fewest sensors; of several, the one that covers most, then the first."""
+    return min(plans, key=lambda plan: (len(plan["sensors"]), len(plan["gaps"])))
 
 
 def _models(sensors: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:
@@ -61,11 +66,21 @@ def _by_count(counts: Counter[str]) -> list[tuple[str, int]]:
     return sorted(counts.items(), key=lambda item: (-item[1], item[0]))
 
 
-def _reductions(reductions: dict[str, Any] | None) -> str:
-    """Size of the problem before and after its reductions, as the solver reports them."""
-    parts = [
-        f"{lower_first(label(key))} {number(value)}"
-        for key, value in (reductions or {}).items()
-        if isinstance(value, int | float) and not isinstance(value, bool)
-    ]
-    return f"reductions: {', '.join(parts)}" if parts else ""
+def _reductions(counts: dict[str, int]) -> str:
+    """How small the problem became before it was solved; empty where the solver does not say."""
+    keys = ("rows", "columns", "rows_reduced", "columns_reduced")
+    if not counts.keys() >= set(keys):
+        return ""
+    choices, targets, fewer_choices, fewer_targets = (number(counts[key]) for key in keys)
+    return (
+        f"{choices} choices for {targets} targets, which reductions that cannot change the answer"
+        f" left at {fewer_choices} for {fewer_targets}"
+    )
+
+
+def _gap(gap: dict[str, Any], frame: Frame) -> dict[str, Any]:
+    """A gap with native positions of the target and of its obstacle, if one is known."""
+    obstacle = None
+    if gap["obstacle_x"] is not None:
+        obstacle = _native({"x": gap["obstacle_x"], "y": gap["obstacle_y"]}, frame)
+    return gap | {"native": _native(gap, frame), "obstacle": obstacle}

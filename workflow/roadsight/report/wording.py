@@ -18,7 +18,7 @@ _UNITS = {
     "share": "%",
     "shares": "%",
 }
-_SHARES = {"accuracy", "precision", "recall", "f1", "area_iou"}
+_SHARES = {"accuracy", "precision", "recall", "f1", "area_iou", "outline_found_within_1m"}
 _SPELLING = {
     "f1": "F1",
     "dem": "DEM",
@@ -39,6 +39,7 @@ _NAMES = {
     "f1": "F1 score",
     "has_colour": "Colour recorded",
     "has_intensity": "Intensity recorded",
+    "outline_found_within_1m": "Outline within 1 m of the reference",
     "outline_median_m": "Distance of outlines, median",
     "outline_p90_m": "Distance of outlines, 90th percentile",
     "overhead_cover_share": "Cells with overhead cover",

@@ -9,7 +9,7 @@ be ground at all; pillars then decide to the centimetre.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,6 +44,15 @@ class GroundSettings:
     max_object_width_m: float = 30.0
     slope: float = 0.2
     coarse_tolerance_m: float = 0.35
+
+
+def ground_settings_for(spacing_m: float, settings: GroundSettings) -> GroundSettings:
+    """Pillars and coarse cells at least two point spacings wide."""
+    return replace(
+        settings,
+        pillar_width_m=max(settings.pillar_width_m, 2 * spacing_m),
+        coarse_cell_m=max(settings.coarse_cell_m, 2 * spacing_m),
+    )
 
 
 def coarse_ground(lowest_m: _FLOATS, settings: GroundSettings) -> tuple[_FLOATS, _FLOATS]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -45,6 +45,17 @@ class PavementSettings:
     smallest_part_share: float = 0.2
     smallest_area_m2: float = 200.0
     roughest_m: float = 0.05
+
+
+def pavement_settings_for(column_m: float, settings: PavementSettings) -> PavementSettings:
+    """Distances of the outline at least a few thinned columns wide."""
+    return replace(
+        settings,
+        cluster_distance_m=max(settings.cluster_distance_m, 2.5 * column_m),
+        vote_radius_m=max(settings.vote_radius_m, 3 * column_m),
+        outline_cell_m=max(settings.outline_cell_m, column_m),
+        closing_m=max(settings.closing_m, 4 * column_m),
+    )
 
 
 def outline_pavement(

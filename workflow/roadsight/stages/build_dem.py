@@ -15,8 +15,8 @@ from roadsight.io.atomic import read_json
 from roadsight.io.rasters import write_raster
 from roadsight.io.tables import write_table
 from roadsight.io.tiles import CloudTiles, stack_xyz
-from roadsight.scene.ground import GroundSettings
-from roadsight.scene.spacing import ground_settings_for, plan_spacing_m
+from roadsight.scene.ground import GroundSettings, ground_settings_for
+from roadsight.scene.spacing import plan_spacing_m
 from roadsight.scene.terrain import TerrainModel, label_ground
 from roadsight.stages.command import run_stage
 

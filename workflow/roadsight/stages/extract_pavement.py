@@ -19,8 +19,12 @@ from roadsight.io.atomic import read_json
 from roadsight.io.tables import read_about, read_table, write_table
 from roadsight.io.tiles import CloudTiles, stack_xyz
 from roadsight.io.vectors import read_polygons, write_layers
-from roadsight.scene.pavement import PavementSettings, inside, outline_pavement
-from roadsight.scene.spacing import pavement_settings_for
+from roadsight.scene.pavement import (
+    PavementSettings,
+    inside,
+    outline_pavement,
+    pavement_settings_for,
+)
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("extract_pavement")

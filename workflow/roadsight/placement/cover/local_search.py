@@ -12,7 +12,6 @@ from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.problem import Instance
 from roadsight.placement.cover.reductions import arrays
 
-STEPS = 20_000
 _CHUNK = 2_000
 _NEW_TARGETS = 50
 
@@ -30,43 +29,61 @@ def greedy_cover(instance: Instance) -> NDArray[np.bool_] | None:
     return inside if done else None
 
 
-def improve_cover(
-    instance: Instance,
-    start: NDArray[np.bool_] | None,
-    first: NDArray[np.bool_],
-    lower: float,
-    rng: np.random.Generator,
-    deadline: Deadline,
-) -> NDArray[np.bool_] | None:
-    """Cheaper cover than ``start`` where the search finds one.
+class LocalSearch:
+    """Search for cheaper covers that can go on where it stopped.
+
+    It looks at some targets only; others join once a trial leaves them open.
 
     Parameters
     ----------
-    start : (m,) a cover, or None.
-    first : (n,) targets to look at first; others join when a trial leaves them open.
-    lower : proven bound in steps: a cover at this cost ends the search.
+    best : (m,) a cover, or None.
+    first : (n,) targets to look at first.
     """
-    best, active, left = start, first.copy(), STEPS
-    trial = np.zeros(instance.shape[0], bool) if start is None else start
-    part = None
-    while left > 0 and not deadline.passed():
-        cost = np.inf if best is None else instance.cost[best].sum()
-        if instance.round_up(lower) >= cost:
-            break
-        if part is None:
-            part = instance.select(np.ones(instance.shape[0], bool), active)
-        trial, found, used = _search(*arrays(part), part.cost, part.need, instance.group, trial,
-                                     instance.goal(cost), min(left, _CHUNK), rng)  # fmt: skip
-        left -= max(used, 1)
+
+    def __init__(
+        self,
+        instance: Instance,
+        best: NDArray[np.bool_] | None,
+        first: NDArray[np.bool_],
+        rng: np.random.Generator,
+    ) -> None:
+        self.instance, self.best, self._rng = instance, best, rng
+        self._active = first.copy()
+        self._trial = np.zeros(instance.shape[0], bool) if best is None else best
+        self._weight = np.ones(instance.shape[1], np.int64)
+
+    @property
+    def cost(self) -> float:
+        """Cost of the best cover so far, in steps."""
+        return np.inf if self.best is None else float(self.instance.cost[self.best].sum())
+
+    def run(self, steps: int, bound: float, deadline: Deadline) -> None:
+        """Search for a number of steps, or until the cost is down to a proven ``bound``."""
+        everything = np.ones(self.instance.shape[0], bool)
+        while steps > 0 and self.instance.round_up(bound) < self.cost:
+            part = self.instance.select(everything, self._active)
+            grown = False
+            while steps > 0 and not grown and self.instance.round_up(bound) < self.cost:
+                if deadline.passed():
+                    return
+                used, grown = self._chunk(part, min(steps, _CHUNK))
+                steps -= used
+
+    def _chunk(self, part: Instance, steps: int) -> tuple[int, bool]:
+        """Steps used, and whether more targets became active."""
+        weight = self._weight[self._active]
+        goal = self.instance.goal(self.cost)
+        self._trial, found, used = _search(*arrays(part), part.cost, part.need, part.group,
+                                           self._trial, goal, steps, weight, self._rng)  # fmt: skip
+        self._weight[self._active] = weight
         if not found:
-            continue
-        missing = np.flatnonzero(instance.by_choice.T @ trial.astype(np.int32) < instance.need)
-        if len(missing):
-            active[missing[:_NEW_TARGETS]] = True
-            part, left = None, left - _NEW_TARGETS
-        else:
-            best = trial.copy()
-    return best
+            return used, False
+        seen = self.instance.by_choice.T @ self._trial.astype(np.int32)
+        missing = np.flatnonzero(seen < self.instance.need)
+        if not len(missing):
+            self.best = self._trial.copy()
+        self._active[missing[:_NEW_TARGETS]] = True
+        return used + len(missing[:_NEW_TARGETS]), bool(len(missing))
 
 
 @njit(cache=True)
@@ -191,9 +208,14 @@ def _greedy(start, index, tstart, tindex, cost, need, group, inside):  # type: i
 
 
 @njit(cache=True)
-def _search(start, index, tstart, tindex, cost, need, group, first, goal, steps, rng):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+def _search(start, index, tstart, tindex, cost, need, group, first, goal, steps, weight, rng):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Members, whether they cover all at a cost of at most ``goal``, steps used."""
     state = _new_state(start, index, need, group)
+    state.weight[:] = weight
+    for row in range(len(cost)):
+        state.score[row] = 0
+        for p in range(start[row], start[row + 1]):
+            state.score[row] += weight[index[p]]
     total = 0.0
     for row in range(len(cost)):
         if first[row]:
@@ -235,4 +257,5 @@ def _search(start, index, tstart, tindex, cost, need, group, first, goal, steps,
             for q in range(tstart[t], tstart[t + 1]):
                 # An open target counts for members too where it needs several rows.
                 state.score[tindex[q]] += 1
+    weight[:] = state.weight
     return state.inside.copy(), state.sizes[1] == 0 and total <= goal, steps

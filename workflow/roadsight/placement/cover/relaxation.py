@@ -53,6 +53,10 @@ class Solution:
     target_dual: NDArray[np.float64]
     complete: bool
 
+    def exceeds(self, goal: float) -> bool:
+        """Whether nothing cheap enough is left: the bound is too high, or nothing is feasible."""
+        return self.bound > goal or np.isinf(self.bound)
+
 
 def quiet_highs(**options: object) -> highspy.Highs:
     """Solver with one thread, a fixed seed and no output."""

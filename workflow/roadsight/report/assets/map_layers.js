@@ -148,15 +148,28 @@ function drawSights(map, plan, number) {
   context.setLineDash([]);
 }
 
+// Obstacles by how many targets they hide, and those of targets that nobody sees joined to them.
 function drawObstacles(map, plan) {
-  const { context } = map;
-  context.fillStyle = map.colour("obstacle");
-  context.strokeStyle = map.colour("surface");
+  const { context, colour } = map;
+  const most = Math.max(1, ...plan.obstacles.map(({ targets }) => targets));
   context.lineWidth = 1;
-  for (const obstacle of plan.obstacles) {
-    const [x, y] = map.toScreen(obstacle.x, obstacle.y);
-    symbolPath(context, 2, x, y, 4);
+  context.fillStyle = colour("obstacle");
+  context.strokeStyle = colour("surface");
+  for (const { x, y, targets } of plan.obstacles) {
+    symbolPath(context, 2, ...map.toScreen(x, y), 1.2 + 4 * Math.sqrt(targets / most));
     context.fill();
+    context.stroke();
+  }
+  context.lineWidth = 1.5;
+  context.strokeStyle = colour("seen-0");
+  for (const gap of plan.gaps) {
+    if (gap.obstacle_x === null) continue;
+    const end = map.toScreen(gap.obstacle_x, gap.obstacle_y);
+    context.beginPath();
+    context.moveTo(...map.toScreen(gap.x, gap.y));
+    context.lineTo(...end);
+    context.stroke();
+    symbolPath(context, 2, ...end, 4);
     context.stroke();
   }
 }

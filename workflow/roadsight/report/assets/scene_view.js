@@ -1,6 +1,7 @@
 // The cloud, the sensors and what they see in three dimensions, by plotly.js.
 
 const LONGEST_SIDE = 2;
+const SURROUNDINGS = 1.2;
 const FIELD_OF_VIEW = Math.PI / 4;
 const HIGHEST_SHADE_M = 12;
 const SYMBOLS = ["circle", "square", "diamond"];
@@ -101,7 +102,7 @@ class SceneView {
     const high = depth * Math.sin(elevation) + (this.sides().z / unit) * Math.cos(elevation);
     const wide = along * (this.element.clientHeight / this.element.clientWidth);
     const away = Math.max(wide, high) / (2 * Math.tan(FIELD_OF_VIEW / 2));
-    const distance = unit * (1.04 * away + 0.4 * depth * Math.cos(elevation));
+    const distance = unit * (away + 0.4 * depth * Math.cos(elevation));
     const across = this.angle - Math.PI / 2;
     const center = { x: middle[0] * unit, y: middle[1] * unit, z: 0 };
     return {
@@ -115,22 +116,22 @@ class SceneView {
     };
   }
 
-  // Extent of the cloud along and across the road, and its middle from that of the box, in metres.
+  // Extent of the road and its surroundings along and across it, and its middle from that of the
+  // box, in metres; of the whole cloud where there is no road.
   footprint() {
-    const { x, y } = this.cloud;
+    const lines = [...this.site.pavement.flat(), ...this.site.edges.map((edge) => edge.xy)];
     const [cosine, sine] = [Math.cos(this.angle), Math.sin(this.angle)];
     const low = [Infinity, Infinity], high = [-Infinity, -Infinity];
-    for (let i = 0; i < x.length; i++) {
-      const turned = [x[i] * cosine + y[i] * sine, y[i] * cosine - x[i] * sine];
-      for (const k of [0, 1]) {
-        low[k] = Math.min(low[k], turned[k]);
-        high[k] = Math.max(high[k], turned[k]);
-      }
-    }
+    const include = (x, y) => [x * cosine + y * sine, y * cosine - x * sine].forEach((value, k) => {
+      low[k] = Math.min(low[k], value);
+      high[k] = Math.max(high[k], value);
+    });
+    for (const line of lines) for (let i = 0; i < line.length; i += 2) include(line[i], line[i + 1]);
+    if (lines.length === 0) this.cloud.x.forEach((x, i) => include(x, this.cloud.y[i]));
     const [u, v] = [0, 1].map((k) => (low[k] + high[k]) / 2);
     const box = ["x", "y"].map((axis) => (this.ranges[axis][0] + this.ranges[axis][1]) / 2);
     return {
-      along: high[0] - low[0], depth: high[1] - low[1],
+      along: SURROUNDINGS * (high[0] - low[0]), depth: SURROUNDINGS * (high[1] - low[1]),
       middle: [u * cosine - v * sine - box[0], u * sine + v * cosine - box[1]],
     };
   }

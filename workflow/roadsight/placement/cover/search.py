@@ -1,0 +1,144 @@
+"""Search tree that proves a cover optimal or finds a cheaper one."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.placement.cover.branching import divide
+from roadsight.placement.cover.deadline import Deadline
+from roadsight.placement.cover.kernels import drop_dominated_choices, pack_bits, propagate
+from roadsight.placement.cover.local_search import LocalSearch
+from roadsight.placement.cover.problem import Instance
+from roadsight.placement.cover.reductions import MAX_BITS, arrays
+from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
+
+_WHOLE = 1e-6
+_FIRST_RETRY = 32
+_STEPS_PER_NODE = 400
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Best cover of an instance (None: none found) and its proven bound, in steps."""
+
+    best: NDArray[np.bool_] | None
+    bound: float
+    nodes: int
+
+
+class Search:
+    """Best bound first, the deepest of equals first.
+
+    With whole costs all nodes of one rounded-up bound are equal, so that the search goes deep until
+    that cost is refuted or reached, and its bound rises step by step: it is proven at any time.
+    """
+
+    def __init__(self, relaxation: Relaxation, local: LocalSearch) -> None:
+        self.relaxation = relaxation
+        self.instance: Instance = relaxation.instance
+        self.local = local
+        self.best = local.best
+        self.nodes = 0
+        choices, targets = self.instance.shape
+        rows = self.instance.by_choice
+        small = choices * targets <= MAX_BITS
+        self._bits = pack_bits(rows.indptr, rows.indices, targets) if small else None
+
+    @property
+    def cost(self) -> float:
+        """Cost of the best cover so far, in steps."""
+        return np.inf if self.best is None else float(self.instance.cost[self.best].sum())
+
+    def run(self, root: Solution, deadline: Deadline) -> Outcome:
+        """Search below the root, whose relaxation is solved."""
+        alive = np.ones(self.instance.shape[0], bool)
+        start = self._tighten(Node(alive, np.zeros_like(alive)), root)
+        queue = [(self.instance.round_up(root.bound), 0, 0, start)]
+        pushed = 0
+        while queue:
+            key, depth, _, node = queue[0]
+            if key > self.instance.goal(self.cost):
+                break
+            if deadline.passed():
+                return Outcome(self.best, key, self.nodes)
+            heapq.heappop(queue)
+            bound, children = self._expand(node, deadline)
+            if children is None:
+                return Outcome(self.best, key, self.nodes)
+            key = max(key, self.instance.round_up(bound))
+            self._search_locally(queue[0][0] if queue else key, deadline)
+            for child in children:
+                pushed += 1
+                heapq.heappush(queue, (key, depth - 1, -pushed, child))
+        return Outcome(self.best, self.cost, self.nodes)
+
+    def _search_locally(self, bound: float, deadline: Deadline) -> None:
+        """Look for a better cover again each time the tree has doubled."""
+        if self.nodes < _FIRST_RETRY or self.nodes & (self.nodes - 1):
+            return
+        if self.cost < self.local.cost:
+            self.local.best = self.best
+        self.local.run(self.nodes * _STEPS_PER_NODE, bound, deadline)
+        self.best = self.local.best
+
+    def _expand(self, node: Node, deadline: Deadline) -> tuple[float, tuple[Node, ...] | None]:
+        """Bound and children of a node; None for children where time ran out."""
+        self.nodes += 1
+        node = Node(node.alive.copy(), node.fixed.copy(), node.path)
+        while True:
+            goal = self.instance.goal(self.cost)
+            left = self._propagate(node)
+            if left is None or self.instance.cost[node.fixed].sum() > goal:
+                return np.inf, ()
+            if (left <= 0).all() and self._keeps(node.fixed, node.path):
+                self.best = node.fixed.copy()
+                return np.inf, ()
+            solution = self.relaxation.solve(node, goal, deadline)
+            if solution.exceeds(goal):
+                return solution.bound, ()
+            if not solution.complete:
+                return solution.bound, None
+            if np.abs(solution.x - np.round(solution.x)).max() < _WHOLE:
+                self.best = self._cheaper(solution.x > 0.5)
+                return solution.bound, ()
+            tighter = self._tighten(node, solution)
+            changed = (tighter.alive != node.alive).sum() + (tighter.fixed != node.fixed).sum()
+            node = tighter
+            if changed <= 0.05 * node.alive.sum():
+                break
+        self.relaxation.purge(solution)
+        return solution.bound, divide(self.relaxation, node, solution)
+
+    def _propagate(self, node: Node) -> NDArray[np.int32] | None:
+        """Needs left after forced rows; None where the node is infeasible. Changes the node."""
+        instance = self.instance
+        extra = self.relaxation.members(node.path)
+        feasible, left, free = propagate(*arrays(instance), instance.need, instance.group,
+                                         node.alive, node.fixed, extra)  # fmt: skip
+        if not feasible:
+            return None
+        if self._bits is not None:
+            unmet = extra[~(extra & node.fixed).any(axis=1)]
+            drop_dominated_choices(*arrays(instance), self._bits, instance.cost, instance.group,
+                                   left, free, node.alive, node.fixed, unmet)  # fmt: skip
+        return left
+
+    def _keeps(self, chosen: NDArray[np.bool_], path: tuple[int, ...]) -> bool:
+        return all(chosen[self.relaxation.branches[k]].any() for k in path)
+
+    def _cheaper(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+        cost = float(self.instance.cost[chosen].sum())
+        return chosen if cost < self.cost else self.best
+
+    def _tighten(self, node: Node, solution: Solution) -> Node:
+        """Fix rows whose other value costs more than the goal by the reduced costs alone."""
+        goal = self.instance.goal(self.cost)
+        free = node.alive & ~node.fixed
+        dear = free & (solution.bound + np.maximum(solution.reduced_cost, 0) > goal)
+        needed = free & (solution.bound - np.minimum(solution.reduced_cost, 0) > goal)
+        both = dear & needed
+        return Node(node.alive & ~dear | both, node.fixed | (needed & ~both), node.path)
