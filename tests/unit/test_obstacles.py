@@ -1,18 +1,29 @@
 """Obstacles on sight lines against walls and poles whose place is known."""
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
+import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pyproj import CRS
 
 from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import write_json
+from roadsight.io.detections import write_detections
+from roadsight.io.rasters import write_raster
+from roadsight.io.surfels import write_surfels
+from roadsight.io.tables import write_table
 from roadsight.placement.obstacles import (
     blocked_sight_lines,
     explain_gaps,
     group_obstacles,
     pairs_in_range,
 )
+from roadsight.scene.surfels import Surfels
+from roadsight.stages import find_obstacles
 from roadsight.synthetic.simple_scenes import cylinder_scene, plane_scene, wall_scene
 
 HEIGHT_M = 0.6
@@ -240,3 +251,60 @@ def test_gaps_cannot_be_judged_without_candidates():
     targets, none = table("target", [[30, 0, 0]]), table("candidate", [])
     with pytest.raises(InputError, match="no candidate"):
         explain_gaps(targets, none, 100.0, HEIGHT_M, caster(plane_scene()))
+
+
+FRAME = Frame((458_000.0, 5_428_000.0, 100.0), crs_wkt=CRS.from_epsg(25832).to_wkt())
+SENSORS = """
+sensors:
+  far: {azimuth_step_deg: 1, elevations_deg: [-10, 0], range_m: 60}
+"""
+
+
+def wall_of_surfels(x_m, height_m):
+    """An upright wall across the road, of squares of 0.5 m; none where its height is 0."""
+    y, z = np.meshgrid(np.arange(-10, 10, 0.5), np.arange(0.25, height_m, 0.5))
+    centre = np.stack([np.full(y.size, x_m), y.ravel(), z.ravel()], axis=1).astype(np.float32)
+    normal = np.tile(np.array([1, 0, 0], np.float32), (y.size, 1))
+    return Surfels(centre, normal, np.full(y.size, 0.25, np.float32))
+
+
+def run_stage(folder, height_m, uncovered):
+    """One sensor at the origin, a target before and two behind a wall at 20 m."""
+    write_json(folder / "frame.json", FRAME.to_dict())
+    write_surfels(folder / "surfels.parquet", wall_of_surfels(20.0, height_m))
+    write_raster(folder / "dem.tif", np.zeros((40, 120)), FRAME, -20.0, 20.0, 1.0)
+    write_table(folder / "targets.parquet", table("target", [[10, 0, 0], [30, 0, 0], [33, 2, 0]]))
+    write_table(folder / "candidates.parquet", table("candidate", [[0, 0, 6], [-30, 0, 6]]))
+    seen = pd.DataFrame({"candidate": ["c0"], "target": ["t0"], "hits": np.array([9], np.uint16)})
+    write_detections(folder / "seen.parquet", seen, {"sensor": "far"})
+    (folder / "sensors.yaml").write_text(SENSORS)
+    write_json(folder / "coverage.json", {"plans": {"p": {"uncovered": uncovered}}})
+    chosen = [{"candidate": "c0", "sensor": "far", "x": 0.0, "y": 0.0, "z": 6.0}]
+    write_json(folder / "solution.json", {"sensors": chosen, "sensor_types": ["far"]})
+    files = {name: f"{name}.parquet" for name in ("targets", "surfels", "candidates")}
+    files |= {name: f"{name}.json" for name in ("frame", "coverage", "solution")}
+    files |= {"dem": "dem.tif", "sensors": "sensors.yaml", "detections": "seen.parquet"}
+    paths = [part for n, file in files.items() for part in (f"--{n}", str(folder / file))]
+    out = folder / "obstacles.gpkg"
+    assert find_obstacles.main([*paths, "--plan", "p", "--out", str(out)]) == 0
+    return [gpd.read_file(out, layer=layer) for layer in ("obstacles", "uncovered")]
+
+
+def test_stage_finds_the_wall_and_explains_the_gap(tmp_path):
+    obstacles, gaps = run_stage(tmp_path, 5.0, ["t2"])
+    assert obstacles.crs.to_epsg() == gaps.crs.to_epsg() == 25832
+    place = shapely.get_coordinates(obstacles.geometry.to_numpy(), include_z=True)
+    assert place[:, 0] == pytest.approx(458_020, abs=1e-3)
+    assert obstacles["sight_lines"].sum() == 2
+    heights = [6 + (0.25 * HEIGHT_M - 6) * 20 / x for x in (30, 33)]
+    assert sorted(obstacles["height_m"]) == pytest.approx(sorted(heights), abs=1e-3)
+    assert set(obstacles["kind"]) == {"object"}
+    assert gaps[["target", "reason"]].to_numpy().tolist() == [["t2", "hidden"]]
+    assert gaps["blocked_share"].tolist() == [1.0]
+
+
+def test_stage_without_obstacle_or_gap_writes_empty_layers(tmp_path):
+    obstacles, gaps = run_stage(tmp_path, 0.0, [])
+    assert len(obstacles) == len(gaps) == 0
+    assert {"targets", "sensors", "height_m", "kind"} <= set(obstacles)
+    assert {"target", "reason", "nearest_m"} <= set(gaps)

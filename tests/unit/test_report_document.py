@@ -75,6 +75,14 @@ def elements(html):
     return Elements(html)
 
 
+def rendered(page, folder):
+    """Visible text of the report of one page."""
+    write_json(folder / "given.json", page)
+    out = folder / "report.html"
+    assert write_report.main(["--pages", str(folder / "given.json"), "--out", str(out)]) == 0
+    return Elements(out.read_text(encoding="utf-8")).text
+
+
 class TestPage:
     def test_same_artifacts_give_the_same_bytes(self, sites, pages, tmp_path):
         again = tmp_path / "page.json"
@@ -235,16 +243,28 @@ class TestReport:
         assert message in capsys.readouterr().err
         assert not (tmp_path / "r.html").exists()
 
+    def test_plan_without_gaps(self, tmp_path):
+        site = ReportSite(tmp_path, "whole")
+        assert write_site_page.main(site.arguments) == 0
+        text = rendered(read_json(site.path("page.json")), tmp_path)
+        assert "None: every target is seen by at least 1 sensor." in text
+        assert "no sensor sees" not in text
+
+    def test_two_sensors_asked_for_each_target(self, pages, tmp_path):
+        page = read_json(pages[0])
+        for plan in page["plans"]:
+            plan["at_least"] = 2
+        text = rendered(page, tmp_path)
+        assert "are seen by fewer than 2 sensors" in text
+        assert "seen by at least 2 sensors" in text
+
     def test_effects_are_tabled(self, pages, tmp_path):
         page = read_json(pages[1])
         page["summary"]["effects"] = {
             "rain": {"decision": "skip", "quantity": "rate", "value": 0.0, "reason": "it is <dry>"},
             "tilt": {"decision": "simulate", "threshold": 0.02},
         }
-        write_json(tmp_path / "page.json", page)
-        out = tmp_path / "report.html"
-        assert write_report.main(["--pages", str(tmp_path / "page.json"), "--out", str(out)]) == 0
-        text = Elements(out.read_text(encoding="utf-8")).text
+        text = rendered(page, tmp_path)
         assert "Physical effects considered" in text
         assert "it is <dry>" in text
         assert "simulate" in text

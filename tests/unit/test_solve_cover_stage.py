@@ -14,6 +14,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import write_json
 from roadsight.io.detections import write_detections
 from roadsight.io.tables import write_table
+from roadsight.placement.cover.result import TIME_LIMIT, Cover
 from roadsight.stages import check_coverage, solve_cover
 
 FOOT_M = 0.3048
@@ -299,3 +300,13 @@ def test_a_time_limit_leaves_a_gap_and_says_that_nothing_is_proven(tmp_path, cap
     assert "time limit: not proven" in caplog.text
     chosen = [names.index(sensor["candidate"]) for sensor in solution["sensors"]]
     assert sees[chosen].any(axis=0).all()
+
+
+def test_a_time_limit_before_anything_was_found_is_an_error(site, capsys, monkeypatch):
+    nothing = Cover(TIME_LIMIT, np.empty(0, np.int64), np.inf, 1.0, 1.0, 0.0)
+    monkeypatch.setattr(solve_cover, "solve_cover_problem", lambda *_, **__: nothing)
+    assert site.check("p=S") == 0
+    assert site.solve("S=1", options=["--time-limit-s", "0.5"]) == 2
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "found within the time limit; found 0.5 s; raise cover.time_limit_s" in error
+    assert not any((site.folder / name).exists() for name in OUTPUTS)

@@ -17,10 +17,11 @@ COMMANDS = ("init", "ground", "pavement", "edges", "depthmap", "cover")
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one verb; exit code 0, or 2 with one message."""
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format="%(message)s")
+    logging.getLogger("pyogrio").setLevel(logging.WARNING)
     arguments = build_parser().parse_args(argv)
     try:
         arguments.run(arguments)
-    except InputError as error:
+    except (InputError, OSError) as error:
         print(f"roadsight: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.commands.memory import MemoryCloud, add_cloud_arguments, load_cloud
+from roadsight.commands.memory import MemoryCloud, add_cloud_arguments, check_output, load_cloud
 from roadsight.errors import InputError
 from roadsight.io.atomic import atomic_path
 from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
@@ -48,6 +48,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write ``range_m`` (rows, columns; 0 = no return), ``azimuth_deg`` and ``elevation_deg``."""
+    check_output(arguments, ".npz")
     if not np.all(np.isfinite([*arguments.at, arguments.azimuth_deg])):
         raise InputError("--at and --azimuth-deg must be finite", found=arguments.at)
     sensor = load_sensor(arguments.sensors, arguments.sensor)

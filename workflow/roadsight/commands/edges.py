@@ -6,7 +6,13 @@ import argparse
 
 import geopandas as gpd
 
-from roadsight.commands.memory import add_cloud_arguments, ground_of, load_cloud, pavement_of
+from roadsight.commands.memory import (
+    add_cloud_arguments,
+    check_output,
+    ground_of,
+    load_cloud,
+    pavement_of,
+)
 from roadsight.commands.pavement import add_pavement_arguments
 from roadsight.errors import InputError
 from roadsight.io.vectors import write_layers
@@ -24,6 +30,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write layers ``edges`` and ``pavement`` in the cloud's CRS."""
+    check_output(arguments, ".gpkg")
     cloud = load_cloud(arguments)
     outline, ground = pavement_of(cloud, ground_of(cloud), arguments.intensity, arguments.seed)
     found = outline_edges(outline, ground.xyz_m, OutlineSettings())

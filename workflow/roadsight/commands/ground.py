@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import argparse
 
-from roadsight.commands.memory import add_cloud_arguments, ground_of, labels_of, load_cloud
+from roadsight.commands.memory import (
+    add_cloud_arguments,
+    check_output,
+    ground_of,
+    labels_of,
+    load_cloud,
+)
 from roadsight.io.clouds import write_laz
 
 
@@ -12,12 +18,13 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     """Add the verb."""
     parser = verbs.add_parser("ground", help="label ground points (class 2)")
     add_cloud_arguments(parser)
-    parser.add_argument("-o", "--out", required=True, help="LAZ file to write")
+    parser.add_argument("-o", "--out", required=True, help="LAZ or LAS file to write")
     parser.set_defaults(run=run)
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground labels, all other dimensions kept."""
+    check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
     labels = labels_of(cloud, ground_of(cloud), None)
     write_laz(

@@ -65,6 +65,24 @@ def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--vertical-units", choices=UNITS, default="auto", help="unit of z")
 
 
+def check_output(arguments: argparse.Namespace, *suffixes: str) -> None:
+    """Check the output's name before any work is done.
+
+    Raises
+    ------
+    InputError : it is of another kind, or is the cloud itself.
+    """
+    out = Path(arguments.out)
+    if out.suffix.lower() not in suffixes:
+        raise InputError(
+            "is no name for what this verb writes",
+            where=f"--out {out}",
+            allowed=", ".join(suffixes),
+        )
+    if out.resolve() == arguments.cloud.resolve():
+        raise InputError("is the cloud itself", where=f"--out {out}", hint="choose another name")
+
+
 def load_cloud(arguments: argparse.Namespace) -> MemoryCloud:
     """Read the verb's cloud; without any CRS its coordinates are taken as local metres."""
     native = read_laz(arguments.cloud)

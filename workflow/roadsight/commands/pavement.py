@@ -6,6 +6,7 @@ import argparse
 
 from roadsight.commands.memory import (
     add_cloud_arguments,
+    check_output,
     ground_of,
     labels_of,
     load_cloud,
@@ -19,7 +20,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     parser = verbs.add_parser("pavement", help="label road (class 11) and other ground (class 2)")
     add_cloud_arguments(parser)
     add_pavement_arguments(parser)
-    parser.add_argument("-o", "--out", required=True, help="LAZ file to write")
+    parser.add_argument("-o", "--out", required=True, help="LAZ or LAS file to write")
     parser.set_defaults(run=run)
 
 
@@ -36,6 +37,7 @@ def add_pavement_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground and road labels, all other dimensions kept."""
+    check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
     ground = ground_of(cloud)
     outline, _ = pavement_of(cloud, ground, arguments.intensity, arguments.seed)

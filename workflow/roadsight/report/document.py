@@ -92,34 +92,56 @@ def _check(pages: Sequence[dict[str, Any]]) -> None:
 
 def _site(page: dict[str, Any], identifier: str) -> dict[str, Any]:
     """What the templates show of a site."""
-    summary, about, layers = page["summary"], page["frame"], page["layers"]
-    plans = plan_views(page["plans"], Frame.from_dict(about))
-    scene = summary["scene"]
-    sensors = page["sensors"]
+    plans = plan_views(page["plans"], Frame.from_dict(page["frame"]))
+    costs = [sensor["cost"] for sensor in page["sensors"].values()]
     return {
         "id": identifier,
-        "name": summary["site"],
-        "title": page["title"] or summary["site"],
-        "version": summary["version"],
-        "seed": summary["seed"],
+        "title": page["title"] or page["summary"]["site"],
+        "cards": _cards(page),
+        "cautions": page["cautions"],
+        "plans": plans,
+        "sections": _sections(bool(plans)),
+        "whole_costs": all(float(cost).is_integer() for cost in costs),
+        **_coordinates(page["frame"]),
+        **_cloud(page),
+        **_evidence(page),
+        "data": embedded(_drawn(page)),
+    }
+
+
+def _coordinates(about: dict[str, Any]) -> dict[str, Any]:
+    """Coordinate system and units."""
+    return {
         "crs": about["crs_name"],
-        "points": about["points"],
-        "shown_points": layers["cloud"]["xyz"]["count"] // 3,
-        "has_intensity": layers["cloud"]["intensity"] is not None,
-        "has_colour": layers["cloud"]["colour"] is not None,
+        "located": about["crs_wkt"] is not None,
         "unit": _unit_sign(about["unit"]),
         "vertical_unit": _unit_sign(about["vertical_unit"]),
         "unit_name": about["unit"],
         "vertical_unit_name": about["vertical_unit"],
         "origin": ", ".join(wording.number(value, 3) for value in about["origin"]),
-        "located": about["crs_wkt"] is not None,
-        "whole_costs": all(float(sensor["cost"]).is_integer() for sensor in sensors.values()),
-        "cards": _cards(page),
-        "cautions": page["cautions"],
-        "plans": plans,
-        "edges": layers["edges"],
-        "scene_rows": figure_rows({k: v for k, v in scene.items() if k != "pavement_scores"}),
-        "score_rows": figure_rows(scene.get("pavement_scores") or {}),
+    }
+
+
+def _cloud(page: dict[str, Any]) -> dict[str, Any]:
+    """What there is of the cloud."""
+    cloud = page["layers"]["cloud"]
+    return {
+        "points": page["frame"]["points"],
+        "shown_points": cloud["xyz"]["count"] // 3,
+        "has_intensity": cloud["intensity"] is not None,
+        "has_colour": cloud["colour"] is not None,
+    }
+
+
+def _evidence(page: dict[str, Any]) -> dict[str, Any]:
+    """Scene, parameters and provenance."""
+    summary, sensors = page["summary"], page["sensors"]
+    figures = dict(summary["scene"])
+    scores = figures.pop("pavement_scores", None)
+    return {
+        "edges": page["layers"]["edges"],
+        "scene_rows": figure_rows(figures),
+        "score_rows": figure_rows(scores or {}),
         "effects": _effects(summary["effects"]),
         "sensors": sensors,
         "sensor_keys": [
@@ -128,16 +150,20 @@ def _site(page: dict[str, Any], identifier: str) -> dict[str, Any]:
             if any(sensor.get(key) is not None for sensor in sensors.values())
         ],
         "settings": setting_groups(summary["settings"]),
+        "name": summary["site"],
+        "version": summary["version"],
+        "seed": summary["seed"],
         "inputs": summary["inputs"],
-        "sections": _sections(bool(plans)),
-        "data": embedded(
-            {
-                "layers": layers,
-                "plans": page["plans"],
-                "sensors": sensors,
-                "cell_size_m": summary["settings"]["targets"]["cell_size_m"],
-            }
-        ),
+    }
+
+
+def _drawn(page: dict[str, Any]) -> dict[str, Any]:
+    """What map and 3D view draw."""
+    return {
+        "layers": page["layers"],
+        "plans": page["plans"],
+        "sensors": page["sensors"],
+        "cell_size_m": page["summary"]["settings"]["targets"]["cell_size_m"],
     }
 
 

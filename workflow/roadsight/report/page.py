@@ -12,8 +12,13 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.geometry.frames import Frame
-from roadsight.report.cautions import Caution, data_cautions, is_proven, plan_cautions
-from roadsight.report.cautions import scene_cautions as cautions_of_scene
+from roadsight.report.cautions import (
+    Caution,
+    data_cautions,
+    is_proven,
+    plan_cautions,
+    scene_cautions,
+)
 from roadsight.report.gaps import gaps_of, obstacles_of
 from roadsight.report.layers import (
     CloudSample,
@@ -217,7 +222,7 @@ def _cautions(
     area_m2 = float(scene.pavement.geometry.area.sum())
     found = plan_cautions(plans)
     found += data_cautions(targets, positions, area_m2, summary["settings"])
-    found += cautions_of_scene(
+    found += scene_cautions(
         scene.about,
         summary["scene"].get("pavement_scores") is not None,
         set(scene.edges["source"]),

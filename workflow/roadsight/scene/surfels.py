@@ -25,11 +25,12 @@ from roadsight.scene.voxel_moments import VoxelMoments, coarsen, pack_cells, unp
 _FLOATS = NDArray[np.float32]
 _INTS = NDArray[np.int64]
 
-_FIT_DOUBLINGS = 3  # sparse parts get voxels up to 2**3 times as large
+_COARSEST_M = 0.8  # sparse parts get voxels up to this edge, or two doublings
 _MERGE_DOUBLINGS = 5  # flat parts get patches up to 2**5 times as large
 _MIN_POINTS = 12  # points of a neighbourhood that carry a plane and its coverage
 _HOLE_POINTS = 5  # points around an empty voxel that carry a plane
 _FLAT = 0.08  # variance across a flat neighbourhood, squared voxel edges
+_FLATTER = 0.35  # times that for each doubling, or twigs and wires pass for sparse surfaces
 _WIDE = 0.25  # variance along both axes of a wide surface, squared voxel edges
 _NEAR = 0.05  # points this near to a plane are on it, whatever its spread, voxel edges
 _CLOSE = 0.8  # an empty voxel is a hole if its neighbours' centroid is this near, voxel edges
@@ -64,11 +65,11 @@ def build_surfels(voxels: VoxelMoments) -> Surfels:
     patches that agree merge.
     """
     by_size, thin = _fit_patches(voxels)
-    by_size += [no_patches()] * (_MERGE_DOUBLINGS - _FIT_DOUBLINGS)
+    by_size += [no_patches()] * (_MERGE_DOUBLINGS + 1 - len(by_size))
     parts, merged = [_thin_surfels(thin, voxels)], no_patches()
     for doubling, own in enumerate(by_size):
         size_m, patches = voxels.edge_m * 2**doubling, join([merged, own])
-        if doubling < _MERGE_DOUBLINGS:
+        if doubling < len(by_size) - 1:
             merged, patches = merge_coplanar(patches, size_m, _MERGE * voxels.edge_m)
         centre, normal = centres_and_normals(patches, size_m)
         half_m = np.full(len(centre), size_m / 2 + _OVERLAP * voxels.edge_m)
@@ -81,8 +82,9 @@ def _fit_patches(voxels: VoxelMoments) -> tuple[list[Patches], _INTS]:
     finest, cells = voxels.keys, unpack_keys(voxels.keys)
     points = cells + 0.5 + voxels.moments[:, 1:4] / voxels.moments[:, :1]
     pending, by_size, thin = np.arange(len(finest)), [], []
-    for level in range(_FIT_DOUBLINGS + 1):
-        flat = _FLAT / 2**level
+    doublings = max(round(np.log2(_COARSEST_M / voxels.edge_m)), 2)
+    for level in range(doublings + 1):
+        flat = _FLAT * _FLATTER**level
         keys, member = np.unique(pack_cells(cells[pending] >> level), return_inverse=True)
         planes = fit_planes(keys, voxels, _MIN_POINTS, flat)
         settled = (planes.points >= _MIN_POINTS) & (planes.variance[:, 1] > flat)
@@ -91,7 +93,7 @@ def _fit_patches(voxels: VoxelMoments) -> tuple[list[Patches], _INTS]:
         if level:
             sparse = settled & (planes.spread <= flat)
             if level > 1:
-                sparse &= _is_wide(keys, coarser, flat / 2)
+                sparse &= _is_wide(keys, coarser, flat * _FLATTER)
             near = _near_plane(points[pending] / 2**level, keys[member], planes, member)
             thin.append(finest[pending[settled[member] & ~(sparse[member] & near)]])
             good = sparse & (np.bincount(member[near], minlength=len(keys)) > 0)

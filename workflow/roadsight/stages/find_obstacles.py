@@ -40,7 +40,8 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
     lidar = SurfelLidar(read_surfels(arguments.surfels))
 
     def cast(origin_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
-        return lidar.cast(origin_m, directions.astype(np.float32), 1e4)
+        reach_m = lidar.cast(origin_m, directions)
+        return np.where(np.isinf(reach_m), 0.0, reach_m)
 
     obstacles = _obstacles(arguments, solution, targets, sensors, cast)
     dem = read_raster(arguments.dem, frame)

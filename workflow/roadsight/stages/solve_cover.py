@@ -91,6 +91,13 @@ def _check_solved(arguments: argparse.Namespace, cover: Cover) -> None:
             found=f"{len(cover.uncoverable)} targets seen by too few candidates",
             hint="lower cover.at_least or densify the candidates",
         )
+    if not len(cover.chosen):
+        raise InputError(
+            "no set of sensors was found within the time limit",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            found=f"{arguments.time_limit_s:g} s",
+            hint="raise cover.time_limit_s",
+        )
     if cover.status != "optimal":
         log.warning("time limit: not proven, gap %.1f %%", 100 * cover.gap)
 

@@ -233,15 +233,17 @@ def _search(start, index, tstart, tindex, cost, need, group, first, goal, steps,
             if total <= goal and state.sizes[1] > 0:
                 break
             row = _cheapest_loss(tabu, cost, state)
-        if state.sizes[1] == 0:
-            continue
-        t = state.open[rng.integers(0, state.sizes[1])]
-        best = -1
-        for q in range(tstart[t], tstart[t + 1]):
-            row = tindex[q]
-            if state.ready[row] and not state.inside[row] and _better(row, best, cost, state, 1):
-                best = row
-        if best >= 0 and total + cost[best] <= goal:
+        while state.sizes[1] > 0:
+            t = state.open[rng.integers(0, state.sizes[1])]
+            best = -1
+            for q in range(tstart[t], tstart[t + 1]):
+                row = tindex[q]
+                if not state.ready[row] or state.inside[row] or total + cost[row] > goal:
+                    continue
+                if _better(row, best, cost, state, 1):
+                    best = row
+            if best < 0:
+                break
             mate = state.occupant[group[best]] if group[best] >= 0 else -1
             if mate >= 0:
                 _remove(mate, start, index, tstart, tindex, need, group, state)
@@ -251,6 +253,8 @@ def _search(start, index, tstart, tindex, cost, need, group, first, goal, steps,
             state.stamp[best] = step
             total += cost[best]
             tabu = best
+            if mate >= 0:
+                break  # two rows of one group could replace each other for ever
         for k in range(state.sizes[1]):
             t = state.open[k]
             state.weight[t] += 1

@@ -18,7 +18,7 @@ from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
 
 _WHOLE = 1e-6
 _FIRST_RETRY = 32
-_STEPS_PER_NODE = 400
+_STEPS_PER_NODE = 100
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,9 @@ function followAnchor() {
 }
 
 showSite(sections[0]);
+window.addEventListener("beforeprint", () => {
+  for (const details of document.querySelectorAll("details")) details.open = true;
+});
 window.addEventListener("hashchange", followAnchor);
 followAnchor();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => opened.forEach((site) => site.recolour()));

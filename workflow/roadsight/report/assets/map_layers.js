@@ -35,7 +35,7 @@ function shadeImage(relief, shadow, sunlit) {
     if (shade === 0) return;
     const lit = shade >= FLAT_SHADE;
     const strength = lit ? (shade - FLAT_SHADE) / (255 - FLAT_SHADE) : (FLAT_SHADE - shade) / FLAT_SHADE;
-    image.data.set([...(lit ? light : dark), 200 * strength], 4 * i);
+    image.data.set([...(lit ? light : dark), 170 * strength], 4 * i);
   });
   context.putImageData(image, 0, 0);
   return canvas;

@@ -25,10 +25,10 @@ class MapView {
     this.ratio = window.devicePixelRatio || 1;
     this.canvas.width = Math.round(clientWidth * this.ratio);
     this.canvas.height = Math.round(clientHeight * this.ratio);
-    const first = this.width === undefined;
+    const fitted = this.width === undefined || this.showsAll;
     this.width = clientWidth;
     this.height = clientHeight;
-    if (first) this.fit();
+    if (fitted) this.fit();
     this.draw();
   }
 
@@ -39,6 +39,7 @@ class MapView {
     this.scale = Math.min(wide, high);
     this.fitted = this.scale;
     this.centre = [(west + east) / 2, (south + north) / 2];
+    this.showsAll = true;
     this.draw();
   }
 
@@ -52,12 +53,14 @@ class MapView {
 
   zoom(factor, px = this.width / 2, py = this.height / 2) {
     const [x, y] = this.toGround(px, py);
+    this.showsAll = false;
     this.scale = Math.min(Math.max(this.scale * factor, this.fitted / 4), Math.max(400, this.fitted));
     this.centre = [x - (px - this.width / 2) / this.scale, y + (py - this.height / 2) / this.scale];
     this.draw();
   }
 
   move(dx, dy) {
+    this.showsAll = false;
     this.centre = [this.centre[0] - dx / this.scale, this.centre[1] + dy / this.scale];
     this.draw();
   }

@@ -77,7 +77,10 @@ class SceneView {
     return {
       margin: { l: 0, r: 0, t: 0, b: 0 }, showlegend: false, uirevision: "keep",
       paper_bgcolor: "rgba(0,0,0,0)", font: { family: colour("font"), color: colour("ink") },
-      hoverlabel: { font: { family: colour("font"), size: 12 } },
+      hoverlabel: {
+        bgcolor: colour("ink"), bordercolor: colour("ink"),
+        font: { family: colour("font"), size: 12, color: colour("paper") },
+      },
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("muted"), activecolor: colour("accent") },
       scene: {
         xaxis: hidden(x), yaxis: hidden(y), zaxis: hidden(z),
@@ -178,7 +181,7 @@ class SceneView {
       x: shown.map((i) => xyz[3 * i]), y: shown.map((i) => xyz[3 * i + 1]), z: shown.map((i) => xyz[3 * i + 2] + 0.3),
       hoverinfo: "text", hovertext: shown.map((i) => `Target ${escapeText(this.site.targets.names[i])}: seen by ${plan.times[i]}`),
       marker: {
-        size: unseen ? 4.5 : 3, symbol: unseen ? "x" : "circle", line: { width: 0 }, opacity: 1,
+        size: unseen ? 5 : 3, symbol: unseen ? "square" : "circle", line: { width: 0 }, opacity: 1,
         color: shown.map((i) => colour(`seen-${bucketOf(plan.times[i])}`)),
       },
     };
