@@ -1,5 +1,6 @@
 """roadsight: roadside LiDAR placement and pole mapping on one road scene."""
 
+
 configfile: "config/config.yaml"
 
 
@@ -10,11 +11,11 @@ include: "workflow/rules/report.smk"
 
 
 rule all:
+    default_target: True
     input:
         "results/report.html",
         summaries(),
     localrule: True
-    default_target: True
 
 
 rule scene:

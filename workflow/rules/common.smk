@@ -18,9 +18,12 @@ for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
     os.environ.setdefault(variable, "1")
 
 # Numba notices an edit in a kernel's own file only, not in the kernels that it calls.
-os.environ["NUMBA_CACHE_DIR"] = os.path.abspath(f".snakemake/roadsight/numba-{package_digest()}")
+os.environ["NUMBA_CACHE_DIR"] = os.path.abspath(
+    f".snakemake/roadsight/numba-{package_digest()}"
+)
 
 LOCK = "envs/requirements.lock"
+REPORT_ASSETS = Path("workflow/roadsight/report/assets")
 ENVIRONMENT = "../../envs/roadsight.yaml"
 
 
@@ -97,7 +100,9 @@ def refuse_missing(resolved, file):
 def cloud_checksums(wildcards):
     """SHA-256 of each cloud, cached by path, size and date."""
     resolved = SITES[wildcards.site]
-    return [] if resolved.site.sample else [CHECKSUMS.of(file) for file in resolved.clouds]
+    return (
+        [] if resolved.site.sample else [CHECKSUMS.of(file) for file in resolved.clouds]
+    )
 
 
 def beside_site(path):
@@ -134,7 +139,9 @@ def plans_of(site):
 
 def sensors_of(site):
     """Sensors of all the site's plans, without repeats, in order of first use."""
-    return list(dict.fromkeys(s for plan in plans_of(site).values() for s in plan.sensors))
+    return list(
+        dict.fromkeys(s for plan in plans_of(site).values() for s in plan.sensors)
+    )
 
 
 def scene_results():
@@ -191,7 +198,10 @@ def shard_count(wildcards):
 
 
 def candidates_in(site, rounds):
-    return [f"results/{site}/placement/round-{number}/candidates.parquet" for number in rounds]
+    return [
+        f"results/{site}/placement/round-{number}/candidates.parquet"
+        for number in rounds
+    ]
 
 
 def detections_in(site, rounds, sensors):
@@ -242,17 +252,22 @@ def plan_costs(wildcards):
 
 def plan_sensors(wildcards):
     """``plan=sensor,sensor`` for each plan of the site."""
-    return [f"{name}={','.join(p.sensors)}" for name, p in plans_of(wildcards.site).items()]
+    return [
+        f"{name}={','.join(p.sensors)}" for name, p in plans_of(wildcards.site).items()
+    ]
 
 
 def placement_only(inputs):
     """An input function that gives nothing where a site does not ask for placement."""
-    return lambda wildcards: inputs(wildcards) if wants(wildcards.site, "placement") else []
+    return lambda wildcards: (
+        inputs(wildcards) if wants(wildcards.site, "placement") else []
+    )
 
 
 def per_plan(file):
     return lambda wildcards: [
-        f"results/{wildcards.site}/placement/{plan}/{file}" for plan in plans_of(wildcards.site)
+        f"results/{wildcards.site}/placement/{plan}/{file}"
+        for plan in plans_of(wildcards.site)
     ]
 
 
@@ -284,3 +299,8 @@ def pavement_scores(wildcards):
 def all_settings(wildcards):
     """Every setting of the site as JSON, for the record."""
     return SITES[wildcards.site].settings.model_dump_json()
+
+
+def site_sensors(wildcards):
+    """Definitions of all sensors that the site's plans may place."""
+    return {name: SENSORS[name].to_dict() for name in sensors_of(wildcards.site)}

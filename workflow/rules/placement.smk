@@ -17,13 +17,6 @@ rule place_candidates:
         code=sources("place_candidates"),
     output:
         candidates="results/{site}/placement/round-0/candidates.parquet",
-    params:
-        spacing_m=setting("candidates.spacing_m"),
-        height_min_m=setting("candidates.height_min_m"),
-        height_max_m=setting("candidates.height_max_m"),
-        height_step_m=setting("candidates.height_step_m"),
-        search_radius_m=setting("candidates.search_radius_m"),
-        gap_factor=setting("candidates.gap_factor"),
     log:
         log_of("place_candidates"),
     benchmark:
@@ -32,6 +25,13 @@ rule place_candidates:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(60),
+    params:
+        spacing_m=setting("candidates.spacing_m"),
+        height_min_m=setting("candidates.height_min_m"),
+        height_max_m=setting("candidates.height_max_m"),
+        height_step_m=setting("candidates.height_step_m"),
+        search_radius_m=setting("candidates.search_radius_m"),
+        gap_factor=setting("candidates.gap_factor"),
     shell:
         "python -m roadsight.stages.place_candidates --site {wildcards.site}"
         " --edges {input.edges} --pavement {input.pavement} --dem {input.dem}"
@@ -47,15 +47,15 @@ rule place_targets:
         code=sources("place_targets"),
     output:
         targets="results/{site}/placement/targets.parquet",
-    params:
-        cell_size_m=setting("targets.cell_size_m"),
-        min_points=setting("targets.min_points"),
     log:
         log_of("place_targets"),
     benchmark:
         benchmark_of("place_targets")
     conda:
         ENVIRONMENT
+    params:
+        cell_size_m=setting("targets.cell_size_m"),
+        min_points=setting("targets.min_points"),
     shell:
         "python -m roadsight.stages.place_targets --pavement {input.pavement}"
         " --cell-size-m {params.cell_size_m} --min-points {params.min_points}"
@@ -69,8 +69,6 @@ rule build_surfels:
         code=sources("build_surfels"),
     output:
         surfels="results/{site}/scene/surfels.parquet",
-    params:
-        surfel_size_m=setting("lidar.surfel_size_m"),
     log:
         log_of("build_surfels"),
     benchmark:
@@ -79,6 +77,8 @@ rule build_surfels:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(200),
+    params:
+        surfel_size_m=setting("lidar.surfel_size_m"),
     shell:
         "python -m roadsight.stages.build_surfels --cloud {input.cloud} --profile {input.profile}"
         " --surfel-size-m {params.surfel_size_m} --out {output.surfels} > {log} 2>&1"
@@ -95,13 +95,6 @@ rule render_depth_maps:
             "results/{site}/placement/round-{round}/depth/{sensor}/{shard}.parquet",
             non_empty=True,
         ),
-    params:
-        sensor=sensor_definition,
-        sensors_file=CONFIG.sensors_file,
-        shards=shard_count,
-        model=setting("lidar.model"),
-        min_cell_points=setting("lidar.min_cell_points"),
-        neighbours=setting("lidar.neighbours"),
     log:
         log_of("render_depth_maps", "round-{round}", "{sensor}", "{shard}"),
     benchmark:
@@ -110,6 +103,13 @@ rule render_depth_maps:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(250),
+    params:
+        sensor=sensor_definition,
+        sensors_file=CONFIG.sensors_file,
+        shards=shard_count,
+        model=setting("lidar.model"),
+        min_cell_points=setting("lidar.min_cell_points"),
+        neighbours=setting("lidar.neighbours"),
     shell:
         "python -m roadsight.stages.render_depth_maps --candidates {input.candidates}"
         " --shard {wildcards.shard} --shards {params.shards}"
@@ -130,18 +130,18 @@ rule build_detection_shard:
             "results/{site}/placement/round-{round}/detection/{sensor}/{shard}.parquet",
             non_empty=True,
         ),
-    params:
-        sensor=sensor_definition,
-        sensors_file=CONFIG.sensors_file,
-        radius_m=setting("targets.radius_m"),
-        height_m=setting("targets.height_m"),
-        min_beams=setting("targets.min_beams"),
     log:
         log_of("build_detection_shard", "round-{round}", "{sensor}", "{shard}"),
     benchmark:
         benchmark_of("build_detection_shard", "round-{round}", "{sensor}", "{shard}")
     conda:
         ENVIRONMENT
+    params:
+        sensor=sensor_definition,
+        sensors_file=CONFIG.sensors_file,
+        radius_m=setting("targets.radius_m"),
+        height_m=setting("targets.height_m"),
+        min_beams=setting("targets.min_beams"),
     shell:
         "python -m roadsight.stages.build_detection_shard --depth {input.depth}"
         " --candidates {input.candidates} --targets {input.targets}"
@@ -158,14 +158,14 @@ rule check_coverage:
         code=sources("check_coverage"),
     output:
         coverage="results/{site}/placement/round-{round}/coverage.json",
-    params:
-        plans=plan_sensors,
     log:
         log_of("check_coverage", "round-{round}"),
     benchmark:
         benchmark_of("check_coverage", "round-{round}")
     conda:
         ENVIRONMENT
+    params:
+        plans=plan_sensors,
     shell:
         "python -m roadsight.stages.check_coverage --targets {input.targets}"
         " --candidates {input.candidates} --detections {input.detections}"
@@ -185,6 +185,14 @@ rule densify_candidates:
         code=sources("densify_candidates"),
     output:
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
+    log:
+        log_of("densify_candidates", "round-{round}"),
+    benchmark:
+        benchmark_of("densify_candidates", "round-{round}")
+    wildcard_constraints:
+        round=r"[1-9]\d*",
+    conda:
+        ENVIRONMENT
     params:
         radius_m=setting("coverage.radius_m"),
         spacing_m=setting("candidates.spacing_m"),
@@ -193,14 +201,6 @@ rule densify_candidates:
         height_step_m=setting("candidates.height_step_m"),
         search_radius_m=setting("candidates.search_radius_m"),
         gap_factor=setting("candidates.gap_factor"),
-    wildcard_constraints:
-        round=r"[1-9]\d*",
-    log:
-        log_of("densify_candidates", "round-{round}"),
-    benchmark:
-        benchmark_of("densify_candidates", "round-{round}")
-    conda:
-        ENVIRONMENT
     shell:
         "python -m roadsight.stages.densify_candidates --site {wildcards.site}"
         " --round {wildcards.round} --coverage {input.coverage} --targets {input.targets}"
@@ -224,18 +224,18 @@ rule solve_cover:
         solution="results/{site}/placement/{plan}/solution.json",
         layers="results/{site}/placement/{plan}/solution.gpkg",
         timing="results/{site}/placement/{plan}/timing.json",
-    params:
-        sensors=plan_costs,
-        at_least=setting("cover.at_least"),
-        time_limit_s=setting("cover.time_limit_s"),
-        uncoverable=setting("coverage.uncoverable"),
-        seed=setting("seed"),
     log:
         log_of("solve_cover", "{plan}"),
     benchmark:
         benchmark_of("solve_cover", "{plan}")
     conda:
         ENVIRONMENT
+    params:
+        sensors=plan_costs,
+        at_least=setting("cover.at_least"),
+        time_limit_s=setting("cover.time_limit_s"),
+        uncoverable=setting("coverage.uncoverable"),
+        seed=setting("seed"),
     shell:
         "python -m roadsight.stages.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
         " --coverage {input.coverage} --targets {input.targets} --candidates {input.candidates}"
@@ -259,10 +259,6 @@ rule find_obstacles:
         code=sources("find_obstacles"),
     output:
         obstacles="results/{site}/placement/{plan}/obstacles.gpkg",
-    params:
-        sensors_file=CONFIG.sensors_file,
-        sensors=plan_costs,
-        height_m=setting("targets.height_m"),
     log:
         log_of("find_obstacles", "{plan}"),
     benchmark:
@@ -271,6 +267,10 @@ rule find_obstacles:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(250),
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
+        height_m=setting("targets.height_m"),
     shell:
         "python -m roadsight.stages.find_obstacles --solution {input.solution}"
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
@@ -288,9 +288,6 @@ rule render_scans:
         code=sources("render_scans"),
     output:
         scans="results/{site}/placement/{plan}/scans.laz",
-    params:
-        sensors_file=CONFIG.sensors_file,
-        sensors=plan_costs,
     log:
         log_of("render_scans", "{plan}"),
     benchmark:
@@ -299,6 +296,9 @@ rule render_scans:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(250),
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
     shell:
         "python -m roadsight.stages.render_scans --solution {input.solution}"
         " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file}"

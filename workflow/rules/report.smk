@@ -16,15 +16,15 @@ rule summarise_site:
         code=sources("summarise_site"),
     output:
         summary="results/{site}/summary.json",
-    params:
-        seed=setting("seed"),
-        settings=all_settings,
     log:
         log_of("summarise_site"),
     benchmark:
         benchmark_of("summarise_site")
     conda:
         ENVIRONMENT
+    params:
+        seed=setting("seed"),
+        settings=all_settings,
     shell:
         "python -m roadsight.stages.summarise_site --site {wildcards.site} --seed {params.seed}"
         " --settings {params.settings:q} --frame {input.frame} --profile {input.profile}"
@@ -50,10 +50,6 @@ rule write_site_page:
         code=sources("write_site_page"),
     output:
         page="results/{site}/page.json",
-    params:
-        title=site_field("title"),
-        plans=plan_titles,
-        sensors_file=CONFIG.sensors_file,
     log:
         log_of("write_site_page"),
     benchmark:
@@ -62,6 +58,11 @@ rule write_site_page:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(100),
+    params:
+        title=site_field("title"),
+        plans=plan_titles,
+        sensors=site_sensors,
+        sensors_file=CONFIG.sensors_file,
     shell:
         "python -m roadsight.stages.write_site_page --site {wildcards.site}"
         " --title {params.title:q} --plans {params.plans:q} --sensors {params.sensors_file}"
@@ -76,6 +77,7 @@ rule write_site_page:
 rule write_report:
     input:
         pages=expand("results/{site}/page.json", site=SITES),
+        assets=sorted(str(path) for path in REPORT_ASSETS.iterdir()),
         code=sources("write_report"),
     output:
         report="results/report.html",

@@ -13,11 +13,6 @@ rule generate_sample:
         cloud="results/{site}/sample/cloud.laz",
         truth="results/{site}/sample/truth.gpkg",
         edges="results/{site}/sample/edges.geojson",
-    params:
-        scene=site_field("sample.scene"),
-        points=site_field("sample.points"),
-        length_m=site_field("sample.length_m"),
-        seed=setting("seed"),
     log:
         log_of("generate_sample"),
     benchmark:
@@ -26,6 +21,11 @@ rule generate_sample:
         ENVIRONMENT
     resources:
         mem_mb=2000,
+    params:
+        scene=site_field("sample.scene"),
+        points=site_field("sample.points"),
+        length_m=site_field("sample.length_m"),
+        seed=setting("seed"),
     shell:
         "python -m roadsight.stages.generate_sample --scene {params.scene} --seed {params.seed}"
         " --points {params.points} --length-m {params.length_m}"
@@ -39,13 +39,6 @@ rule ingest_cloud:
     output:
         cloud="results/{site}/scene/cloud.parquet",
         frame="results/{site}/scene/frame.json",
-    params:
-        sha256=cloud_checksums,
-        crs=lambda wildcards: SITES[wildcards.site].site.crs or "auto",
-        units=site_field("units"),
-        vertical_units=site_field("vertical_units"),
-        target_crs=site_field("target_crs"),
-        tile_size_m=setting("scene.tile_size_m"),
     log:
         log_of("ingest_cloud"),
     benchmark:
@@ -54,6 +47,13 @@ rule ingest_cloud:
         ENVIRONMENT
     resources:
         mem_mb=1000,
+    params:
+        sha256=cloud_checksums,
+        crs=lambda wildcards: SITES[wildcards.site].site.crs or "auto",
+        units=site_field("units"),
+        vertical_units=site_field("vertical_units"),
+        target_crs=site_field("target_crs"),
+        tile_size_m=setting("scene.tile_size_m"),
     shell:
         "python -m roadsight.stages.ingest_cloud --site {wildcards.site}"
         " --crs {params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
@@ -90,14 +90,6 @@ rule build_dem:
     output:
         dem="results/{site}/scene/dem.tif",
         ground="results/{site}/scene/ground.parquet",
-    params:
-        pillar_width_m=setting("ground.pillar_width_m"),
-        height_threshold_m=setting("ground.height_threshold_m"),
-        coarse_cell_m=setting("ground.coarse_cell_m"),
-        max_object_width_m=setting("ground.max_object_width_m"),
-        slope=setting("ground.slope"),
-        dem_cell_m=setting("ground.dem_cell_m"),
-        dem_fill_m=setting("ground.dem_fill_m"),
     log:
         log_of("build_dem"),
     benchmark:
@@ -106,6 +98,14 @@ rule build_dem:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(60),
+    params:
+        pillar_width_m=setting("ground.pillar_width_m"),
+        height_threshold_m=setting("ground.height_threshold_m"),
+        coarse_cell_m=setting("ground.coarse_cell_m"),
+        max_object_width_m=setting("ground.max_object_width_m"),
+        slope=setting("ground.slope"),
+        dem_cell_m=setting("ground.dem_cell_m"),
+        dem_fill_m=setting("ground.dem_fill_m"),
     shell:
         "python -m roadsight.stages.build_dem --site {wildcards.site}"
         " --cloud {input.cloud} --frame {input.frame} --profile {input.profile}"
@@ -125,13 +125,6 @@ rule cluster_fpfh:
         code=sources("cluster_fpfh"),
     output:
         clusters="results/{site}/scene/fpfh_clusters.parquet",
-    params:
-        voxel_size_m=setting("pavement.voxel_size_m"),
-        neighbours=setting("pavement.neighbours"),
-        intensity=setting("pavement.intensity"),
-        intensity_weight=setting("pavement.intensity_weight"),
-        sample=setting("pavement.sample"),
-        seed=setting("seed"),
     log:
         log_of("cluster_fpfh"),
     benchmark:
@@ -140,6 +133,13 @@ rule cluster_fpfh:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(150),
+    params:
+        voxel_size_m=setting("pavement.voxel_size_m"),
+        neighbours=setting("pavement.neighbours"),
+        intensity=setting("pavement.intensity"),
+        intensity_weight=setting("pavement.intensity_weight"),
+        sample=setting("pavement.sample"),
+        seed=setting("seed"),
     shell:
         "python -m roadsight.stages.cluster_fpfh"
         " --cloud {input.cloud} --ground {input.ground} --profile {input.profile}"
@@ -160,13 +160,6 @@ rule extract_pavement:
     output:
         pavement="results/{site}/scene/pavement.gpkg",
         points="results/{site}/scene/pavement.parquet",
-    params:
-        cluster_distance_m=setting("pavement.cluster_distance_m"),
-        vote_radius_m=setting("pavement.vote_radius_m"),
-        outline_cell_m=setting("pavement.outline_cell_m"),
-        closing_m=setting("pavement.closing_m"),
-        smallest_hole_m2=setting("pavement.smallest_hole_m2"),
-        smallest_part_share=setting("pavement.smallest_part_share"),
     log:
         log_of("extract_pavement"),
     benchmark:
@@ -175,6 +168,13 @@ rule extract_pavement:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(100),
+    params:
+        cluster_distance_m=setting("pavement.cluster_distance_m"),
+        vote_radius_m=setting("pavement.vote_radius_m"),
+        outline_cell_m=setting("pavement.outline_cell_m"),
+        closing_m=setting("pavement.closing_m"),
+        smallest_hole_m2=setting("pavement.smallest_hole_m2"),
+        smallest_part_share=setting("pavement.smallest_part_share"),
     shell:
         "python -m roadsight.stages.extract_pavement --site {wildcards.site}"
         " --cloud {input.cloud} --frame {input.frame} --ground {input.ground}"
@@ -195,17 +195,17 @@ rule build_edges:
         code=sources("build_edges"),
     output:
         edges="results/{site}/placement/edges.gpkg",
-    params:
-        edges_crs=site_field("placement.edges_crs"),
-        offset_m=setting("edges.offset_m"),
-        knot_spacing_m=setting("edges.knot_spacing_m"),
-        shortest_m=setting("edges.shortest_m"),
     log:
         log_of("build_edges"),
     benchmark:
         benchmark_of("build_edges")
     conda:
         ENVIRONMENT
+    params:
+        edges_crs=site_field("placement.edges_crs"),
+        offset_m=setting("edges.offset_m"),
+        knot_spacing_m=setting("edges.knot_spacing_m"),
+        shortest_m=setting("edges.shortest_m"),
     shell:
         "python -m roadsight.stages.build_edges --site {wildcards.site} --frame {input.frame}"
         " --pavement {input.pavement} --clusters {input.clusters}"
@@ -225,16 +225,18 @@ rule score_pavement:
         code=sources("score_pavement"),
     output:
         scores="results/{site}/scene/pavement_scores.json",
-    params:
-        truth_crs=site_field("truth.pavement_crs"),
-        reach_m=site_field("truth.reach_m"),
-        truth_layer=lambda wildcards: "pavement" if SITES[wildcards.site].site.sample else "",
     log:
         log_of("score_pavement"),
     benchmark:
         benchmark_of("score_pavement")
     conda:
         ENVIRONMENT
+    params:
+        truth_crs=site_field("truth.pavement_crs"),
+        reach_m=site_field("truth.reach_m"),
+        truth_layer=lambda wildcards: (
+            "pavement" if SITES[wildcards.site].site.sample else ""
+        ),
     shell:
         "python -m roadsight.stages.score_pavement --cloud {input.cloud} --frame {input.frame}"
         " --ground {input.ground} --pavement {input.pavement}"

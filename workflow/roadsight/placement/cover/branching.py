@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from roadsight.placement.cover.problem import Instance
 from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
@@ -35,9 +36,7 @@ def divide(relaxation: Relaxation, node: Node, solution: Solution) -> tuple[Node
     )
 
 
-def _shared_rows(
-    instance: Instance, node: Node, solution: Solution
-) -> NDArray[np.int32] | None:
+def _shared_rows(instance: Instance, node: Node, solution: Solution) -> NDArray[np.int32] | None:
     """Free rows that cover both of the two targets whose division promises most."""
     tight = np.flatnonzero(solution.target_dual > 1e-9)
     dual = solution.target_dual[tight]
@@ -45,19 +44,16 @@ def _shared_rows(
     tight, dual = tight[order], dual[order]
     free = node.alive & ~node.fixed
     support = np.flatnonzero((solution.x > 1e-9) & free)
-    covers = instance.by_choice[support][:, tight].toarray().astype(np.float64)
-    share = (covers * solution.x[support][:, None]).T @ covers
+    # Sparse, because the order of sums in a dense product depends on the number of threads.
+    covers = instance.by_choice[support][:, tight].astype(np.float64)
+    share = (covers.T @ sparse.diags_array(solution.x[support]) @ covers).toarray()
     first, second = np.triu_indices(len(tight), 1)
     fraction = np.minimum(share, 1 - share)[first, second]
     if not len(fraction) or fraction.max() < _FRACTION:
         return None
-    score = np.where(
-        fraction < _FRACTION, -1.0, fraction * np.minimum(dual[first], dual[second])
-    )
+    score = np.where(fraction < _FRACTION, -1.0, fraction * np.minimum(dual[first], dual[second]))
     best = int(np.argmax(score))
     start, index = instance.by_target.indptr, instance.by_target.indices
-    one, two = (
-        index[start[t] : start[t + 1]] for t in (tight[first[best]], tight[second[best]])
-    )
+    one, two = (index[start[t] : start[t + 1]] for t in (tight[first[best]], tight[second[best]]))
     shared = np.intersect1d(one, two)
     return shared[free[shared]].astype(np.int32)

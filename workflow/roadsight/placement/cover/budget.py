@@ -64,7 +64,7 @@ def maximise_coverage(
     best = _greedy(coverage)
     bound = _simple_bound(coverage, best)
     value = _value(coverage, best)
-    nodes, lp = 0, None
+    nodes = 0
     if bound > _goal(coverage, value) and not deadline.passed():
         found, limit, nodes = _by_milp(coverage, best, deadline)
         best = found if _value(coverage, found) > value else best
@@ -84,7 +84,6 @@ def maximise_coverage(
         relative_gap(objective, bound),
         time.process_time() - start,
         reductions=counts,
-        lp_bound=lp,
         nodes=nodes,
     )
 
@@ -205,7 +204,7 @@ def _simple_bound(coverage: _Coverage, chosen: NDArray[np.bool_]) -> float:
     order = np.argsort(-gain / coverage.cost, kind="stable")
     spent = np.cumsum(coverage.cost[order])
     part = np.clip((coverage.budget - spent + coverage.cost[order]) / coverage.cost[order], 0, 1)
-    bought = math.fsum(coverage.weight[seen]) + float(part @ gain[order])
+    bought = math.fsum(coverage.weight[seen]) + float((part * gain[order]).sum())
     return min(math.fsum(coverage.weight), bought)
 
 

@@ -23,7 +23,7 @@ def pack_bits(start: Ints, index: Ints, columns: int) -> Bits:
 
 @njit(cache=True)
 def _is_subset(bits: Bits, i: int, j: int, mask: Bits) -> bool:
-    for w in range(bits.shape[1]):
+    for w in range(bits.shape[1]):  # noqa: SIM110 (compiled)
         if bits[i, w] & mask[w] & ~bits[j, w]:
             return False
     return True
@@ -111,40 +111,56 @@ def drop_dominated_choices(
     for i in range(len(start) - 2, -1, -1):
         if not alive[i] or fixed[i]:
             continue
-        rarest = -1
-        wanted = 1
-        for p in range(start[i], start[i + 1]):
-            t = index[p]
-            if left[t] > 0:
-                wanted = max(wanted, left[t])
-                if rarest < 0 or free[t] < free[rarest]:
-                    rarest = t
+        rarest, wanted = _rarest_open(i, start, index, left, free)
         if rarest < 0:
-            useful = False
-            for k in range(extra.shape[0]):
-                useful = useful or extra[k, i]
-            if not useful:
-                alive[i] = False
-                gone += 1
-            continue
-        found = 0
-        for q in range(target_start[rarest], target_start[rarest + 1]):
-            j = target_index[q]
-            same = group[j] >= 0 and group[j] == group[i]
-            if j == i or not alive[j] or fixed[j] or cost[j] > cost[i]:
-                continue
-            if (group[j] >= 0 and not same) or not _is_subset(bits, i, j, mask):
-                continue
-            kept = True
-            for k in range(extra.shape[0]):
-                kept = kept and (extra[k, j] or not extra[k, i])
-            if kept:
-                found += wanted if same else 1
-            if found >= wanted:
-                alive[i] = False
-                gone += 1
-                break
+            dominated = not _is_member(extra, i)
+        else:
+            found = 0
+            for q in range(target_start[rarest], target_start[rarest + 1]):
+                j = target_index[q]
+                if j == i or not alive[j] or fixed[j] or cost[j] > cost[i]:
+                    continue
+                same = group[j] >= 0 and group[j] == group[i]
+                if (group[j] < 0 or same) and _stands_in(bits, i, j, mask, extra):
+                    found += wanted if same else 1
+                if found >= wanted:
+                    break
+            dominated = found >= wanted
+        if dominated:
+            alive[i] = False
+            gone += 1
     return gone
+
+
+@njit(cache=True)
+def _rarest_open(i: int, start: Ints, index: Ints, left: Ints, free: Ints) -> tuple[int, int]:
+    """Open target of row i with the fewest free rows (-1: none), and the greatest need left."""
+    rarest = -1
+    wanted = 1
+    for p in range(start[i], start[i + 1]):
+        t = index[p]
+        if left[t] > 0:
+            wanted = max(wanted, left[t])
+            if rarest < 0 or free[t] < free[rarest]:
+                rarest = t
+    return rarest, wanted
+
+
+@njit(cache=True)
+def _is_member(extra: Mask, i: int) -> bool:
+    for k in range(extra.shape[0]):  # noqa: SIM110 (compiled)
+        if extra[k, i]:
+            return True
+    return False
+
+
+@njit(cache=True)
+def _stands_in(bits: Bits, i: int, j: int, mask: Bits, extra: Mask) -> bool:
+    """Whether row j covers all that i covers within ``mask`` and is in all its extra sets."""
+    for k in range(extra.shape[0]):
+        if extra[k, i] and not extra[k, j]:
+            return False
+    return _is_subset(bits, i, j, mask)
 
 
 @njit(cache=True)
@@ -166,15 +182,8 @@ def propagate(
     feasible so far, needs left (n,), free rows of each target (n,); alive, fixed change in place.
     """
     while True:
-        taken = np.zeros(len(group), np.bool_)  # indexed by group: there are no more than rows
-        for i in range(len(group)):
-            if fixed[i] and group[i] >= 0:
-                if taken[group[i]]:
-                    return False, need, need
-                taken[group[i]] = True
-        for i in range(len(group)):
-            if not fixed[i] and group[i] >= 0 and taken[group[i]]:
-                alive[i] = False
+        if not _close_groups(group, alive, fixed):
+            return False, need, need
         left, free = residual_needs(start, index, need, alive, fixed)
         changed = False
         for t in range(len(need)):
@@ -183,25 +192,44 @@ def propagate(
             if left[t] > 0 and left[t] == free[t]:
                 for q in range(target_start[t], target_start[t + 1]):
                     row = target_index[q]
-                    if alive[row] and not fixed[row]:
-                        fixed[row] = True
-                        changed = True
+                    changed = changed or (alive[row] and not fixed[row])
+                    fixed[row] = fixed[row] or alive[row]
         for k in range(extra.shape[0]):
-            members = 0
-            last = -1
-            done = False
-            for i in range(len(group)):
-                if extra[k, i]:
-                    done = done or fixed[i]
-                    if alive[i]:
-                        members += 1
-                        last = i
-            if done:
-                continue
-            if members == 0:
+            state = _fix_last_member(extra[k], alive, fixed)
+            if state < 0:
                 return False, left, free
-            if members == 1:
-                fixed[last] = True
-                changed = True
+            changed = changed or state > 0
         if not changed:
             return True, left, free
+
+
+@njit(cache=True)
+def _close_groups(group: NDArray[np.int64], alive: Mask, fixed: Mask) -> bool:
+    """Switch off the mates of fixed rows; False where two rows of a group are fixed."""
+    taken = np.zeros(len(group), np.bool_)  # indexed by group: there are no more than rows
+    for i in range(len(group)):
+        if fixed[i] and group[i] >= 0:
+            if taken[group[i]]:
+                return False
+            taken[group[i]] = True
+    for i in range(len(group)):
+        if not fixed[i] and group[i] >= 0 and taken[group[i]]:
+            alive[i] = False
+    return True
+
+
+@njit(cache=True)
+def _fix_last_member(members: Mask, alive: Mask, fixed: Mask) -> int:
+    """Take the only free row of a set; 1 where one was, 0 where nothing was to do, -1: none left."""
+    free = 0
+    last = -1
+    for i in range(len(members)):
+        if members[i] and fixed[i]:
+            return 0
+        if members[i] and alive[i]:
+            free += 1
+            last = i
+    if free == 1:
+        fixed[last] = True
+        return 1
+    return 0 if free else -1

@@ -235,13 +235,7 @@ def _search(start, index, tstart, tindex, cost, need, group, first, goal, steps,
             row = _cheapest_loss(tabu, cost, state)
         while state.sizes[1] > 0:
             t = state.open[rng.integers(0, state.sizes[1])]
-            best = -1
-            for q in range(tstart[t], tstart[t + 1]):
-                row = tindex[q]
-                if not state.ready[row] or state.inside[row] or total + cost[row] > goal:
-                    continue
-                if _better(row, best, cost, state, 1):
-                    best = row
+            best = _best_ready(t, tstart, tindex, cost, total, goal, state)
             if best < 0:
                 break
             mate = state.occupant[group[best]] if group[best] >= 0 else -1
@@ -255,11 +249,29 @@ def _search(start, index, tstart, tindex, cost, need, group, first, goal, steps,
             tabu = best
             if mate >= 0:
                 break  # two rows of one group could replace each other for ever
-        for k in range(state.sizes[1]):
-            t = state.open[k]
-            state.weight[t] += 1
-            for q in range(tstart[t], tstart[t + 1]):
-                # An open target counts for members too where it needs several rows.
-                state.score[tindex[q]] += 1
+        _weigh_open(tstart, tindex, state)
     weight[:] = state.weight
     return state.inside.copy(), state.sizes[1] == 0 and total <= goal, steps
+
+
+@njit(cache=True)
+def _best_ready(t, tstart, tindex, cost, total, goal, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Affordable row over target t that gains most; -1: none."""
+    best = -1
+    for q in range(tstart[t], tstart[t + 1]):
+        row = tindex[q]
+        if not state.ready[row] or state.inside[row] or total + cost[row] > goal:
+            continue
+        if _better(row, best, cost, state, 1):
+            best = row
+    return best
+
+
+@njit(cache=True)
+def _weigh_open(tstart, tindex, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Open targets weigh one more, for members too: a target may need several rows."""
+    for k in range(state.sizes[1]):
+        t = state.open[k]
+        state.weight[t] += 1
+        for q in range(tstart[t], tstart[t + 1]):
+            state.score[tindex[q]] += 1

@@ -58,10 +58,15 @@ class Solution:
         return self.bound > goal or np.isinf(self.bound)
 
 
-def quiet_highs(**options: object) -> highspy.Highs:
+def quiet_highs(**options: bool | int | float | str) -> highspy.Highs:
     """Solver with one thread, a fixed seed and no output."""
     highs = highspy.Highs()
-    for name, value in {"output_flag": False, "threads": 1, "random_seed": 1, **options}.items():
+    settings: dict[str, bool | int | float | str] = {
+        "output_flag": False,
+        "threads": 1,
+        "random_seed": 1,
+    }
+    for name, value in (settings | options).items():
         highs.setOptionValue(name, value)
     return highs
 
@@ -143,7 +148,7 @@ class Relaxation:
         target_dual[self._number[target]] = dual[target]
         by_choice = self.instance.by_choice
         cost = _reduced_costs(by_choice.indptr, by_choice.indices, self.instance.cost, target_dual)
-        bound = float(target_dual @ self.instance.need)
+        bound = float((target_dual * self.instance.need).sum())
         for k in np.flatnonzero(~target & (dual != 0)):
             cost[self._row(self._kind[k], self._number[k])] -= dual[k]
             bound += dual[k]
@@ -191,8 +196,9 @@ class Relaxation:
             return
         rows = [self._row(kind, number) for number in numbers]
         start = np.cumsum([0] + [len(row) for row in rows])
-        low = self.instance.need[numbers] if kind == _TARGET else np.ones(len(rows))
-        low = np.full(len(rows), -np.inf) if kind == _GROUP else low.astype(np.float64)
+        low = np.full(len(rows), -np.inf if kind == _GROUP else 1.0)
+        if kind == _TARGET:
+            low = self.instance.need[numbers].astype(np.float64)
         high = np.full(len(rows), 1.0 if kind == _GROUP else np.inf)
         self._highs.addRows(len(rows), low, high, start[-1], start[:-1].astype(np.int32),
                             np.concatenate(rows).astype(np.int32), np.ones(start[-1]))  # fmt: skip

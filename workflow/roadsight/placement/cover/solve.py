@@ -80,7 +80,7 @@ def _simple_bound(instance: Instance) -> float:
     if not columns.nnz:
         return 0.0
     least = np.minimum.reduceat(share[columns.indices], columns.indptr[:-1])
-    return float(least @ instance.need)
+    return float((least * instance.need).sum())
 
 
 def _infeasible(reduced: Reduced, start: float) -> Cover:
