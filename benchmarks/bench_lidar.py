@@ -6,7 +6,6 @@ of it (with noise, shadows and stray points), so part of every error is what was
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench_measure import Cost, measured, row
 from roadsight.placement.detection import MIN_BEAMS, count_hits
 from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.rays import beam_directions
@@ -35,54 +35,7 @@ SITE = (1_900, 6_239)
 """Candidates and targets of the study's second site."""
 
 Pose = tuple[NDArray[np.float64], float]
-Cost = tuple[str, float, float | None]
-"""Name, CPU seconds, added peak MiB."""
 Render = Callable[[Sensor, NDArray[np.float64], float], NDArray[np.float32]]
-
-
-def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
-    """Result, CPU seconds and added peak memory in MiB (None where the system does not tell)."""
-    before = _memory_mib(reset=True)
-    start = time.process_time()
-    result = function()
-    cpu_s = time.process_time() - start
-    after = _memory_mib(reset=False)
-    known = before is not None and after is not None
-    return result, cpu_s, round(max(after - before, 0.0), 1) if known else None
-
-
-def _memory_mib(reset: bool) -> float | None:
-    try:
-        if reset:
-            Path("/proc/self/clear_refs").write_text("5")
-        status = Path("/proc/self/status").read_text()
-    except OSError:
-        return None
-    field = "VmRSS:" if reset else "VmHWM:"
-    return int(status.split(field)[1].split()[0]) / 1024
-
-
-def row(
-    kernel: str,
-    ours: Cost,
-    against: Cost,
-    agreement: tuple[float, str],
-    workload: str,
-) -> dict[str, Any]:
-    """One comparison."""
-    return {
-        "kernel": kernel,
-        "ours": ours[0],
-        "against": against[0],
-        "cpu_s_ours": ours[1],
-        "cpu_s_against": against[1],
-        "ratio": against[1] / max(ours[1], 1e-9),
-        "peak_mib_ours": ours[2],
-        "peak_mib_against": against[2],
-        "agreement": round(agreement[0], 4),
-        "agreement_metric": agreement[1],
-        "workload": workload,
-    }
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:

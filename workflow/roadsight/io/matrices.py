@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,7 +27,10 @@ def read_matrix(path: str | os.PathLike[str]) -> sparse.csr_matrix:
     """
     _check_exists(path)
     try:
-        matrix = sparse.csr_matrix(sparse.load_npz(path))
+        loaded = sparse.load_npz(path)
+        if loaded.ndim != 2:
+            raise ValueError(f"{loaded.ndim}-D")
+        matrix = sparse.csr_matrix(loaded)
         matrix.check_format(full_check=True)
     except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError) as error:
         raise InputError(
@@ -104,7 +109,8 @@ def read_element_list(path: str | os.PathLike[str]) -> sparse.csr_matrix:
     at = 2
     for _ in range(elements):
         head = values[at : at + 2]
-        if len(head) < 2 or not 0 <= head[0] < elements or at + 2 + head[1] > len(values):
+        known = len(head) == 2 and 0 <= head[0] < elements and head[1] >= 0
+        if not known or at + 2 + head[1] > len(values):
             raise InputError("ends early or names an unknown element", where=str(path))
         columns[head[0]] = values[at + 2 : at + 2 + head[1]]
         at += 2 + int(head[1])
@@ -128,7 +134,7 @@ def _numbers_by_line(path: str | os.PathLike[str]) -> list[NDArray[np.float64]]:
 
 
 def _pattern(
-    path: str | os.PathLike[str], rows: list[NDArray[np.float64]], columns: int
+    path: str | os.PathLike[str], rows: Sequence[NDArray[Any]], columns: int
 ) -> sparse.csr_matrix:
     start = np.cumsum([0] + [len(row) for row in rows])
     index = np.concatenate([*rows, np.empty(0)]).astype(np.int64)

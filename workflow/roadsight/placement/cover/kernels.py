@@ -220,7 +220,7 @@ def _close_groups(group: NDArray[np.int64], alive: Mask, fixed: Mask) -> bool:
 
 @njit(cache=True)
 def _fix_last_member(members: Mask, alive: Mask, fixed: Mask) -> int:
-    """Take the only free row of a set; 1 where one was, 0 where nothing was to do, -1: none left."""
+    """Take the only free row of a set: 1 if there was one, 0 if nothing to do, -1 if none left."""
     free = 0
     last = -1
     for i in range(len(members)):
