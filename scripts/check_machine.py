@@ -12,7 +12,7 @@ if not (3, 11) <= sys.version_info[:2] < (3, 14):
         " install one and run `make run PYTHON=python3.12`"
     )
 if sys.platform == "linux" and platform.libc_ver()[0] != "glibc":
-    PROBLEMS.append("this system has no glibc; the binary packages need it (Debian, Ubuntu, Fedora)")
+    PROBLEMS.append("this system has no glibc, which the binary packages need")
 try:
     import ensurepip  # noqa: F401
     import venv  # noqa: F401

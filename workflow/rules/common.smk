@@ -1,26 +1,19 @@
-"""Helpers for the rule files: resolved settings, stage sources, and what each site asks for."""
+"""Helpers of the other files: resolved settings, stage sources, and what each site asks for."""
 
 import os
+import re
 import sys
 from functools import lru_cache
 from pathlib import Path
 
+from roadsight.config.environment import prepare_environment
 from roadsight.config.load import load_config, load_sites
 from roadsight.errors import InputError
 from roadsight.io.checksums import CachedChecksums
-from roadsight.io.sources import package_digest, stage_sources
+from roadsight.io.sources import stage_sources
 from roadsight.placement.sensors import load_sensors
 
-# Stages run with the interpreter that runs Snakemake, whether or not its environment is active.
-os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-# Kernels are single-threaded by design; shards are what runs in parallel.
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
-
-# Numba notices an edit in a kernel's own file only, not in the kernels that it calls.
-os.environ["NUMBA_CACHE_DIR"] = os.path.abspath(
-    f".snakemake/roadsight/numba-{package_digest()}"
-)
+prepare_environment()
 
 LOCK = "envs/requirements.lock"
 REPORT_ASSETS = Path("workflow/roadsight/report/assets")
@@ -75,11 +68,11 @@ def sources(stage):
 
 
 def log_of(stage, *wildcards):
-    return "/".join(["logs/{site}", *wildcards, f"{stage}.log"])
+    return str(Path("logs/{site}", *wildcards, f"{stage}.log"))
 
 
 def benchmark_of(stage, *wildcards):
-    return "/".join(["results/{site}/benchmarks", *wildcards, f"{stage}.tsv"])
+    return str(Path("results/{site}/benchmarks", *wildcards, f"{stage}.tsv"))
 
 
 def cloud_files(wildcards):
