@@ -24,4 +24,4 @@ def prepare_environment() -> None:
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     cache = f".snakemake/roadsight/numba-{package_digest()}"
-    os.environ["NUMBA_CACHE_DIR"] = os.path.abspath(cache)
+    os.environ["NUMBA_CACHE_DIR"] = str(Path(cache).resolve())
