@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.placement.coverage import detection_matrix, times_seen, uncovered
+from roadsight.placement.coverage import detection_matrix, times_seen
 
 CHOICES = pd.MultiIndex.from_tuples(
     [("VLP-16", "a"), ("VLP-16", "b"), ("OS-128", "a")], names=["sensor", "candidate"]
@@ -48,12 +48,6 @@ def test_nothing_seen_is_an_empty_matrix_of_the_right_shape(rows, columns):
     matrix = detection_matrix(seen(), rows, columns)
     assert matrix.shape == (len(rows), len(columns))
     assert matrix.nnz == 0
-
-
-def test_uncovered_targets_keep_their_order():
-    detections = seen(("VLP-16", "a", "t3"), ("OS-32", "q", "t1"))
-    assert uncovered(TARGETS, detections).tolist() == ["t2", "t4"]
-    assert uncovered(TARGETS, seen()).tolist() == TARGETS.tolist()
 
 
 def test_times_seen_counts_the_chosen_rows_only(rng):

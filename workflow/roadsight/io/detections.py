@@ -30,6 +30,17 @@ def write_detections(
     write_table(path, detections[_COLUMNS], about)
 
 
+def read_seen_targets(path: str | os.PathLike[str]) -> tuple[str, pd.Index]:
+    """Sensor of one file and the targets that it sees from anywhere, each once.
+
+    Raises
+    ------
+    InputError : as `read_detections`.
+    """
+    targets = read_table(path, ["target"])["target"]
+    return _sensor_of(path), pd.Index(targets.unique().astype(str))
+
+
 def read_detections(paths: Iterable[str | os.PathLike[str]]) -> pd.DataFrame:
     """Detections of several files, one after the other.
 
@@ -53,7 +64,12 @@ def read_detections(paths: Iterable[str | os.PathLike[str]]) -> pd.DataFrame:
 
 
 def _read_part(path: str | os.PathLike[str]) -> pd.DataFrame:
-    part = read_table(path, _COLUMNS)
+    part, sensor = read_table(path, _COLUMNS), _sensor_of(path)
+    part["sensor"] = pd.Categorical.from_codes(np.zeros(len(part), np.int8), pd.Index([sensor]))
+    return part.astype({"candidate": "category", "target": "category"})
+
+
+def _sensor_of(path: str | os.PathLike[str]) -> str:
     sensor = read_about(path).get("sensor")
     if not isinstance(sensor, str):
         raise InputError(
@@ -61,5 +77,4 @@ def _read_part(path: str | os.PathLike[str]) -> pd.DataFrame:
             where=str(path),
             hint="delete it and run the workflow again",
         )
-    part["sensor"] = pd.Categorical.from_codes(np.zeros(len(part), np.int8), pd.Index([sensor]))
-    return part.astype({"candidate": "category", "target": "category"})
+    return sensor

@@ -17,18 +17,18 @@ def detection_matrix(
     ----------
     detections : columns sensor, candidate, target; one row per seen target.
     """
-    pairs = pd.MultiIndex.from_frame(detections[["sensor", "candidate"]])
-    rows = choices.get_indexer(pairs)
-    columns = targets.get_indexer(pd.Index(detections["target"]))
+    # Names are looked up once per category, not once per detection.
+    sensor, candidate, target = (
+        detections[name].astype("category").cat for name in ("sensor", "candidate", "target")
+    )
+    pairs = pd.MultiIndex.from_product([sensor.categories, candidate.categories])
+    pair = sensor.codes.to_numpy(np.int64) * len(candidate.categories) + candidate.codes
+    rows = choices.get_indexer(pairs)[pair] if len(pair) else np.empty(0, np.int64)
+    columns = targets.get_indexer(target.categories)[target.codes]
     known = (rows >= 0) & (columns >= 0)
     ones = np.ones(int(known.sum()), dtype=bool)
     shape = (len(choices), len(targets))
     return sparse.csr_matrix((ones, (rows[known], columns[known])), shape=shape, dtype=bool)
-
-
-def uncovered(targets: pd.Index, detections: pd.DataFrame) -> pd.Index:
-    """Targets that no row of the detections names, in the order of ``targets``."""
-    return targets[~targets.isin(detections["target"])]
 
 
 def times_seen(matrix: sparse.csr_matrix, chosen: NDArray[np.int64]) -> NDArray[np.int64]:

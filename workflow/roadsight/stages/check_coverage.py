@@ -5,14 +5,14 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from collections import defaultdict
 
 import pandas as pd
 
 from roadsight.errors import InputError
 from roadsight.io.atomic import write_json
-from roadsight.io.detections import read_detections
+from roadsight.io.detections import read_seen_targets
 from roadsight.io.tables import read_table
-from roadsight.placement.coverage import uncovered
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("check_coverage")
@@ -27,14 +27,19 @@ def check_coverage(arguments: argparse.Namespace) -> None:
             where=arguments.targets,
             hint="lower targets.min_points or raise targets.cell_size_m",
         )
-    detections = read_detections(arguments.detections)
+    seen: dict[str, set[str]] = defaultdict(set)
+    for path in arguments.detections:
+        sensor, names = read_seen_targets(path)
+        seen[sensor] |= set(names)
     plans = {}
     for entry in arguments.plans:
         name, _, sensors = entry.partition("=")
-        seen = detections[detections["sensor"].isin(sensors.split(","))]
-        gaps = uncovered(targets, seen)
-        share = 1 - len(gaps) / len(targets)
-        plans[name] = {"uncovered": list(gaps), "covered_share": share}
+        covered = set().union(*(seen[sensor] for sensor in sensors.split(",")))
+        gaps = targets[~targets.isin(covered)]
+        plans[name] = {
+            "uncovered": list(gaps),
+            "covered_share": 1 - len(gaps) / len(targets),
+        }
         log.info("%s: %d of %d targets uncovered", name, len(gaps), len(targets))
     candidates = sum(len(read_table(path, ["candidate"])) for path in arguments.candidates)
     content = {"targets": len(targets), "candidates": candidates, "plans": plans}
