@@ -343,14 +343,16 @@ class ReportSite:
             geometry=gpd.points_from_xy(*xy.T, self.ground_m(xy) + 1),
         )
         gaps = self.targets[self.targets["target"].isin(uncovered)]
+        aside = gaps[["x", "y"]].to_numpy() + [-3, 2]
+        obstacle_x, obstacle_y = self.frame.to_native(aside).T
         explained = gpd.GeoDataFrame(
             {
                 "target": gaps["target"].to_list(),
                 "reason": "hidden",
                 "nearest_m": 12.5,
                 "blocked_share": 0.875,
-                "obstacle_x": gaps["x"].to_numpy() - 3,
-                "obstacle_y": gaps["y"].to_numpy() + 2,
+                "obstacle_x": obstacle_x,
+                "obstacle_y": obstacle_y,
             },
             geometry=gpd.points_from_xy(gaps["x"], gaps["y"], gaps["z"]),
         )
