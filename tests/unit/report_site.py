@@ -343,7 +343,7 @@ class ReportSite:
             geometry=gpd.points_from_xy(*xy.T, self.ground_m(xy) + 1),
         )
         gaps = self.targets[self.targets["target"].isin(uncovered)]
-        aside = gaps[["x", "y"]].to_numpy() + [-3, 2]
+        aside = gaps[["x", "y"]].to_numpy() + np.array([-3, 2])
         obstacle_x, obstacle_y = self.frame.to_native(aside).T
         explained = gpd.GeoDataFrame(
             {
