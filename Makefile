@@ -32,10 +32,10 @@ real: .venv/.installed ## run the workflow on the real clouds under ROADSIGHT_DA
 	$(BIN)/snakemake --cores $(CORES) --config 'sites=[$(subst $(space),$(comma),$(REAL_SITES))]'
 
 test: .venv/.installed-dev ## the test suite
-	$(BIN)/python -m pytest -m "not full" -n $(CORES)
+	$(BIN)/python -m pytest -m "not full" -n $(CORES) --dist loadgroup
 
 test-full: .venv/.installed-dev ## the test suite with the longest runs
-	$(BIN)/python -m pytest -n $(CORES)
+	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup
 
 bench: .venv/.installed-dev ## side-by-side benchmarks into results/bench/bench.json
 	$(BIN)/python benchmarks/run.py --out results/bench/bench.json
