@@ -129,7 +129,8 @@ MODULES = [
     ("placement/candidates.py", after("place_candidates", "densify_candidates")),
     ("synthetic/highway.py", after("generate_sample")),
     ("commands/ground.py", set()),
-    ("config/schema.py", set()),
+    # The report explains each setting in the schema's words; nothing else reads the schema.
+    ("config/schema.py", {"write_report"}),
 ]
 
 
@@ -177,7 +178,8 @@ def test_one_sensor_changed_renders_that_sensor_alone(copy_of_finished):
     rendered = [
         line
         for line in (result.stdout + result.stderr).splitlines()
-        if "output:" in line and "depth/" in line
+        # Denser candidates of later rounds may follow from any sensor's gaps.
+        if "output:" in line and "round-0/depth/" in line
     ]
     assert rendered
     assert all("/OS-64/" in line for line in rendered)
