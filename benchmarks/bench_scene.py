@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from bench_measure import measured, row
 from numpy.typing import NDArray
 
+from bench_measure import measured, row
 from roadsight.scene.clusters import euclidean_clusters
 from roadsight.scene.describe import describe_ground
 from roadsight.scene.ground import GroundSettings
