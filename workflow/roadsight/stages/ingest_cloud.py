@@ -133,8 +133,8 @@ def _check_arguments(clouds: Sequence[Path], tile_size_m: float) -> None:
 
 def _corners(scans: Sequence[CloudScan]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Least and greatest native x, y, z of all clouds."""
-    lower = np.min([scan.lower for scan in scans], axis=0)
-    return lower, np.max([scan.upper for scan in scans], axis=0)
+    lower = np.stack([scan.lower for scan in scans]).min(axis=0)
+    return lower, np.stack([scan.upper for scan in scans]).max(axis=0)
 
 
 def _columns(chunk: Chunk, frame: Frame, brightest: int) -> dict[str, NDArray]:
