@@ -1,9 +1,9 @@
-"""From a road to a proven optimal set of sensors.
+"""From a road to which sensor position sees which target.
 
 REQUIRED INPUTS  results/{site}/scene/* and placement/edges.gpkg
-OUTPUTS          results/{site}/placement/{plan}/: solution, obstacles, scans of the chosen sensors
+OUTPUTS          results/{site}/placement/round-*/: candidates, depth maps, detections, coverage
 USUAL STEPS      candidates and targets, depth maps and detections by shard, coverage check, rounds
-                 of denser candidates near gaps, covering, obstacles, scans
+                 of denser candidates near gaps
 """
 
 
@@ -210,96 +210,3 @@ rule densify_candidates:
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
         " --gap-factor {params.gap_factor} --out {output.candidates} > {log} 2>&1"
-
-
-rule solve_cover:
-    input:
-        coverage=last_coverage,
-        targets=rules.place_targets.output.targets,
-        candidates=all_candidates,
-        detections=plan_detections,
-        frame=rules.ingest_cloud.output.frame,
-        code=sources("solve_cover"),
-    output:
-        solution="results/{site}/placement/{plan}/solution.json",
-        layers="results/{site}/placement/{plan}/solution.gpkg",
-        timing="results/{site}/placement/{plan}/timing.json",
-    log:
-        log_of("solve_cover", "{plan}"),
-    benchmark:
-        benchmark_of("solve_cover", "{plan}")
-    conda:
-        ENVIRONMENT
-    params:
-        sensors=plan_costs,
-        at_least=setting("cover.at_least"),
-        time_limit_s=setting("cover.time_limit_s"),
-        uncoverable=setting("coverage.uncoverable"),
-        seed=setting("seed"),
-    shell:
-        "python -m roadsight.stages.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
-        " --coverage {input.coverage} --targets {input.targets} --candidates {input.candidates}"
-        " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
-        " --at-least {params.at_least} --time-limit-s {params.time_limit_s}"
-        " --uncoverable {params.uncoverable} --seed {params.seed}"
-        " --solution {output.solution} --layers {output.layers}"
-        " --timing {output.timing} > {log} 2>&1"
-
-
-rule find_obstacles:
-    input:
-        solution=rules.solve_cover.output.solution,
-        coverage=last_coverage,
-        targets=rules.place_targets.output.targets,
-        candidates=all_candidates,
-        detections=plan_detections,
-        surfels=rules.build_surfels.output.surfels,
-        dem=rules.build_dem.output.dem,
-        frame=rules.ingest_cloud.output.frame,
-        code=sources("find_obstacles"),
-    output:
-        obstacles="results/{site}/placement/{plan}/obstacles.gpkg",
-    log:
-        log_of("find_obstacles", "{plan}"),
-    benchmark:
-        benchmark_of("find_obstacles", "{plan}")
-    conda:
-        ENVIRONMENT
-    resources:
-        mem_mb=megabytes(250),
-    params:
-        sensors_file=CONFIG.sensors_file,
-        sensors=plan_costs,
-        height_m=setting("targets.height_m"),
-    shell:
-        "python -m roadsight.stages.find_obstacles --solution {input.solution}"
-        " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
-        " --candidates {input.candidates} --detections {input.detections}"
-        " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
-        " --sensors {params.sensors_file}"
-        " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
-
-
-rule render_scans:
-    input:
-        solution=rules.solve_cover.output.solution,
-        surfels=rules.build_surfels.output.surfels,
-        frame=rules.ingest_cloud.output.frame,
-        code=sources("render_scans"),
-    output:
-        scans="results/{site}/placement/{plan}/scans.laz",
-    log:
-        log_of("render_scans", "{plan}"),
-    benchmark:
-        benchmark_of("render_scans", "{plan}")
-    conda:
-        ENVIRONMENT
-    resources:
-        mem_mb=megabytes(250),
-    params:
-        sensors_file=CONFIG.sensors_file,
-        sensors=plan_costs,
-    shell:
-        "python -m roadsight.stages.render_scans --solution {input.solution}"
-        " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file}"
-        " --out {output.scans} > {log} 2>&1"
