@@ -7,7 +7,6 @@ from roadsight.scene.grids import (
     Grid,
     fill_gaps,
     lowest_per_cell,
-    mean_per_cell,
     sample_bilinear,
 )
 
@@ -58,7 +57,6 @@ class TestGrid:
         grid = Grid.around([], [], 0.5)
         assert grid.shape == (0, 0)
         assert lowest_per_cell(grid, [], [], []).shape == (0, 0)
-        assert mean_per_cell(grid, [], [], []).shape == (0, 0)
         assert fill_gaps(np.empty((0, 0))).shape == (0, 0)
 
     def test_one_point_gives_one_cell(self):
@@ -76,7 +74,7 @@ def literal_per_cell(grid, x, y, z, reduce):
     return out
 
 
-@pytest.mark.parametrize(("function", "reduce"), [(lowest_per_cell, min), (mean_per_cell, np.mean)])
+@pytest.mark.parametrize(("function", "reduce"), [(lowest_per_cell, min)])
 def test_per_cell_statistics_equal_a_literal_loop(rng, function, reduce):
     x, y, z = rng.uniform(-4, 4, 300), rng.uniform(2, 9, 300), rng.normal(size=300)
     grid = Grid.around(x, y, 0.8)

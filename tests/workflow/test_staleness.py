@@ -95,12 +95,12 @@ READERS = {
 def after(*rules: str) -> set[str]:
     """The rules and everything that reads what they write, directly or not."""
     found: set[str] = set()
-    todo = list(rules)
-    while todo:
-        rule = todo.pop()
+    pending = list(rules)
+    while pending:
+        rule = pending.pop()
         if rule not in found:
             found.add(rule)
-            todo += READERS[rule]
+            pending += READERS[rule]
     return found
 
 

@@ -16,16 +16,16 @@ def stage_sources(stage: str) -> list[str]:
     found: dict[str, Path] = {}
     if _file(f"roadsight.stages.{stage}") is None:
         raise ValueError(f"there is no stage {stage!r}")
-    todo = [f"roadsight.stages.{stage}"]
-    while todo:
-        module = todo.pop()
+    pending = [f"roadsight.stages.{stage}"]
+    while pending:
+        module = pending.pop()
         path = _file(module)
         if path is None or module in found:
             continue
         found[module] = path
-        todo += _imports(path)
+        pending += _imports(path)
         if "." in module:
-            todo.append(module.rpartition(".")[0])
+            pending.append(module.rpartition(".")[0])
     return sorted(os.path.relpath(path) for path in found.values())
 
 

@@ -88,16 +88,6 @@ def lowest_per_cell(grid: Grid, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> _FL
     return np.where(np.isfinite(lowest), lowest, np.nan).reshape(grid.shape)
 
 
-def mean_per_cell(grid: Grid, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> _FLOATS:
-    """Mean value per cell (rows, columns); NaN where the cell is empty."""
-    cell = grid.flat(x, y) if np.size(x) else np.empty(0, np.int64)
-    size = grid.rows * grid.columns
-    count = np.bincount(cell, minlength=size)
-    total = np.bincount(cell, weights=np.asarray(z, np.float64), minlength=size)
-    mean = np.divide(total, count, out=np.full(size, np.nan), where=count > 0)
-    return mean.reshape(grid.shape)
-
-
 def fill_gaps(values: _FLOATS) -> _FLOATS:
     """Replace NaN by the nearest known value; an array without any known value stays NaN.
 
