@@ -1,0 +1,63 @@
+"""True north and geographic coordinates of places in a site's local frame."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS, Proj, Transformer
+
+from roadsight.errors import InputError
+from roadsight.geometry.crs import horizontal
+from roadsight.geometry.frames import Frame
+
+_FLOATS = NDArray[np.float64]
+
+
+class SiteNorth:
+    """Between the local frame, latitude and longitude (WGS 84), and true north.
+
+    Parameters
+    ----------
+    frame : local frame of a site that has a CRS.
+
+    Raises
+    ------
+    InputError : the site has no CRS.
+    """
+
+    def __init__(self, frame: Frame) -> None:
+        if frame.crs_wkt is None:
+            raise InputError(
+                "a local system has no latitude and longitude",
+                where="crs",
+                hint="state the cloud's CRS in the site file",
+            )
+        self._frame = frame
+        crs = horizontal(CRS.from_wkt(frame.crs_wkt))
+        self._to_geographic = Transformer.from_crs(crs, CRS.from_epsg(4326), always_xy=True)
+        self._from_geographic = Transformer.from_crs(CRS.from_epsg(4326), crs, always_xy=True)
+        self._projection = Proj(crs)
+        self._geodetic = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
+
+    def to_local(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> _FLOATS:
+        """Local x, y (n, 2) in metres; infinite where the CRS cannot hold the place."""
+        x, y = self._from_geographic.transform(
+            np.asarray(longitude_deg, float), np.asarray(latitude_deg, float)
+        )
+        return self._frame.to_local(np.stack([x, y], axis=-1))
+
+    def to_geographic(self, xy_m: ArrayLike) -> tuple[_FLOATS, _FLOATS]:
+        """Latitude and longitude in degrees of local places (n, 2)."""
+        native = self._frame.to_native(np.asarray(xy_m, float)[..., :2])
+        longitude, latitude = self._to_geographic.transform(native[..., 0], native[..., 1])
+        return np.asarray(latitude), np.asarray(longitude)
+
+    def convergence_deg(self, xy_m: ArrayLike) -> _FLOATS:
+        """Grid north clockwise from true north at local places (n, 2).
+
+        A direction's true bearing is its grid bearing plus this.
+        """
+        native = self._frame.to_native(np.asarray(xy_m, float)[..., :2])
+        longitude, latitude = self._geodetic.transform(native[..., 0], native[..., 1])
+        factors = self._projection.get_factors(longitude, latitude)
+        return np.asarray(factors.meridian_convergence, float)
