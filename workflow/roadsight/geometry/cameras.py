@@ -70,7 +70,7 @@ def compass_deg(angle_deg: ArrayLike) -> _FLOATS:
 
 
 def azimuth_deg(from_xy_m: ArrayLike, to_xy_m: ArrayLike) -> _FLOATS:
-    """Direction (...) between places (..., 2), clockwise from grid north; NaN where they are equal."""
+    """Direction (...) between places (..., 2), clockwise from grid north; NaN if equal."""
     east, north = np.moveaxis(np.asarray(to_xy_m, float) - np.asarray(from_xy_m, float), -1, 0)
     angle = compass_deg(np.degrees(np.arctan2(east, north)))
     return np.where((east == 0) & (north == 0), np.nan, angle)
