@@ -5,6 +5,7 @@ configfile: "config/config.yaml"
 
 
 include: "workflow/rules/common.smk"
+include: "workflow/rules/placement_inputs.smk"
 include: "workflow/rules/scene.smk"
 include: "workflow/rules/placement.smk"
 include: "workflow/rules/cover.smk"

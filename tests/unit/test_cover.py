@@ -11,6 +11,7 @@ from scipy import sparse
 from roadsight.errors import InputError
 from roadsight.io.matrices import read_element_list, read_set_list
 from roadsight.placement.cover import CoverProblem, maximise_coverage, solve_cover_problem
+from roadsight.placement.cover.deadline import WorkLimit
 from roadsight.placement.cover.problem import objective_step
 
 
@@ -118,7 +119,7 @@ def hard_problem():
 def test_without_time_a_cover_is_given_but_not_called_optimal():
     problem = hard_problem()
     proven = solve_cover_problem(problem)
-    quick = solve_cover_problem(problem, time_limit_s=0.0)
+    quick = solve_cover_problem(problem, 0.0)
     assert proven.status == "optimal"
     assert quick.status == "time_limit"
     check_feasible(problem, quick)
@@ -283,9 +284,34 @@ def test_public_optimum(name, best):
 @pytest.mark.parametrize(("name", "known"), [("sc_330_0.txt", 27), ("sc_5000_1.txt", 31)])
 def test_public_open_instance(name, known):
     problem = public(name)
-    cover = solve_cover_problem(problem, time_limit_s=10.0)
+    cover = solve_cover_problem(problem, 10.0)
     assert cover.objective <= known
     assert cover.bound <= cover.objective
     assert cover.bound >= cover.lp_bound
     assert cover.status == ("optimal" if cover.bound == cover.objective else "time_limit")
     check_feasible(problem, cover)
+
+
+def test_a_work_limit_stops_at_the_same_cover_every_time() -> None:
+    rng = np.random.default_rng(4)
+    matrix = sparse.csr_matrix(rng.random((120, 400)) < 0.06)
+    problem = CoverProblem(matrix[:, np.flatnonzero(matrix.sum(axis=0))])
+    found = [solve_cover_problem(problem, WorkLimit(0.2)) for _ in range(2)]
+    assert found[0].status == "time_limit"
+    assert found[0].bound < found[0].objective
+    for name in ("objective", "bound", "nodes"):
+        assert getattr(found[0], name) == getattr(found[1], name)
+    np.testing.assert_array_equal(found[0].chosen, found[1].chosen)
+
+
+def test_parts_share_a_work_limit() -> None:
+    limit = WorkLimit(6.0)
+    part = limit.part(3)
+    part.spend(1.5)
+    assert part.left_s() == 0.5
+    assert limit.left_s() == 4.5
+    assert limit.clock_left_s() == np.inf
+    assert limit.count_left(0.5) == 9
+    part.spend(1.0)
+    assert part.passed()
+    assert part.count_left(0.5) == 1

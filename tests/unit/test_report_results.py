@@ -207,6 +207,7 @@ class TestProofs:
         assert caution.text.startswith("A, C: no sensor sees 1 target (")
 
 
+TRAFFIC = {"points": 400, "cleared_points": 100, "clear_below_m": 4.5}
 SETTINGS = {"targets": {"cell_size_m": 1.0, "min_points": 25}}
 
 
@@ -231,12 +232,13 @@ class TestData:
     def test_scene_notes_are_sentences(self):
         frame = {"crs_wkt": None, "notes": ["z assumed to be in feet"]}
         sensors = {"A": {"cost": 1.0}, "B": {"cost": 1.0}}
-        notes = scene_cautions(frame, False, {"automatic"}, sensors)
-        assert len(notes) == 5
+        notes = scene_cautions(frame, False, TRAFFIC, {"automatic"}, sensors)
+        assert len(notes) == 6
+        assert "of the points were taken for passing vehicles" in notes[4].text
         assert {note.level for note in notes} == {"note"}
         assert notes[0].text == "Z assumed to be in feet."
 
     def test_well_known_scene_needs_no_note(self):
         frame = {"crs_wkt": "PROJCRS[]", "notes": []}
         sensors = {"A": {"cost": 1.0}, "B": {"cost": 3.0}}
-        assert scene_cautions(frame, True, {"digitised"}, sensors) == []
+        assert scene_cautions(frame, True, None, {"digitised"}, sensors) == []

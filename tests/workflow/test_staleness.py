@@ -111,6 +111,11 @@ SETTINGS = [
     ("  shards: 2\n", "  shards: 2\n  pavement: {neighbours: 12}\n", after("cluster_fpfh")),
     ("  shards: 2\n", "  shards: 2\n  pavement: {closing_m: 1.5}\n", after("extract_pavement")),
     ("  shards: 2\n", "  shards: 2\n  lidar: {surfel_size_m: 0.12}\n", after("build_surfels")),
+    (
+        "  shards: 2\n",
+        "  shards: 2\n  lidar: {clear_below_m: 4.5}\n",
+        {"mark_traffic"} | after("build_surfels"),
+    ),
     ("min_points: 10", "min_points: 12", after("place_targets")),
     (
         "min_points: 10",

@@ -62,10 +62,36 @@ rule place_targets:
         " --out {output.targets} > {log} 2>&1"
 
 
+rule mark_traffic:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        pavement=rules.extract_pavement.output.pavement,
+        code=sources("mark_traffic"),
+    output:
+        traffic="results/{site}/scene/traffic.parquet",
+    log:
+        log_of("mark_traffic"),
+    benchmark:
+        benchmark_of("mark_traffic")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(100),
+    params:
+        clear_below_m=setting("lidar.clear_below_m"),
+    shell:
+        "python -m roadsight.stages.mark_traffic --cloud {input.cloud} --frame {input.frame}"
+        " --dem {input.dem} --pavement {input.pavement} --clear-below-m {params.clear_below_m}"
+        " --out {output.traffic} > {log} 2>&1"
+
+
 rule build_surfels:
     input:
         cloud=rules.ingest_cloud.output.cloud,
         profile=rules.profile_scene.output.profile,
+        traffic=traffic_mask,
         code=sources("build_surfels"),
     output:
         surfels="results/{site}/scene/surfels.parquet",
@@ -81,7 +107,7 @@ rule build_surfels:
         surfel_size_m=setting("lidar.surfel_size_m"),
     shell:
         "python -m roadsight.stages.build_surfels --cloud {input.cloud} --profile {input.profile}"
-        " --surfel-size-m {params.surfel_size_m} --out {output.surfels} > {log} 2>&1"
+        " --traffic {input.traffic} --surfel-size-m {params.surfel_size_m} --out {output.surfels} > {log} 2>&1"
 
 
 rule render_depth_maps:
@@ -89,6 +115,7 @@ rule render_depth_maps:
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
         surfels=rules.build_surfels.output.surfels,
         cloud=rules.ingest_cloud.output.cloud,
+        traffic=traffic_mask,
         code=sources("render_depth_maps"),
     output:
         depth=ensure(
@@ -114,7 +141,7 @@ rule render_depth_maps:
         "python -m roadsight.stages.render_depth_maps --candidates {input.candidates}"
         " --shard {wildcards.shard} --shards {params.shards}"
         " --sensor {wildcards.sensor} --sensors {params.sensors_file} --model {params.model}"
-        " --surfels {input.surfels} --cloud {input.cloud}"
+        " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
         " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
         " --out {output.depth} > {log} 2>&1"
 

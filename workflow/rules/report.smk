@@ -10,6 +10,7 @@ rule summarise_site:
         frame=rules.ingest_cloud.output.frame,
         profile=rules.profile_scene.output.profile,
         scores=pavement_scores,
+        traffic=placement_only(traffic_mask),
         coverage=placement_only(last_coverage),
         solutions=placement_only(plan_solutions),
         timings=placement_only(plan_timings),
@@ -28,7 +29,7 @@ rule summarise_site:
     shell:
         "python -m roadsight.stages.summarise_site --site {wildcards.site} --seed {params.seed}"
         " --settings {params.settings:q} --frame {input.frame} --profile {input.profile}"
-        " --scores {input.scores} --coverage {input.coverage} --solutions {input.solutions}"
+        " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
         " --timings {input.timings} --out {output.summary} > {log} 2>&1"
 
 

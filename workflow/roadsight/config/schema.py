@@ -140,6 +140,13 @@ class Lidar(Section):
     surfel_size_m: Metres = Field(
         default=0.1, description="voxel of a surfel, m; at least point spacing"
     )
+    clear_below_m: float = Field(
+        default=0.0,
+        ge=0,
+        le=10,
+        description="smears of passing vehicles on the pavement, lower than this, are no obstacles,"
+        " m; 0 keeps everything",
+    )
     min_cell_points: Count = Field(
         default=5, description="hybrid: cells with fewer points are filled"
     )
@@ -162,7 +169,9 @@ class Cover(Section):
     """Set cover."""
 
     time_limit_s: float = Field(
-        default=300.0, gt=0, description="solver limit for each plan, CPU s"
+        default=300.0,
+        gt=0,
+        description="solver limit for each plan, s; counted in steps of work, so that runs agree",
     )
     at_least: Count = Field(default=1, description="sensors that must see each target")
 

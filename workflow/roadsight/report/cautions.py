@@ -109,9 +109,13 @@ def data_cautions(
 
 
 def scene_cautions(
-    frame: dict[str, Any], scored: bool, edge_sources: set[str], sensors: dict[str, dict[str, Any]]
+    frame: dict[str, Any],
+    scored: bool,
+    traffic: dict[str, Any] | None,
+    edge_sources: set[str],
+    sensors: dict[str, dict[str, Any]],
 ) -> list[Caution]:
-    """Assumptions behind the scene: its CRS, its edges, unscored pavement, unit costs."""
+    """Assumptions behind the scene: its CRS, its edges, unscored pavement, traffic, unit costs."""
     notes = [str(note) for note in frame.get("notes", [])]
     if frame["crs_wkt"] is None:
         notes.append("the site has no CRS: positions are local, without longitude and latitude")
@@ -119,6 +123,12 @@ def scene_cautions(
         notes.append("road edges were traced on the pavement, not digitised: check them on the map")
     if not scored:
         notes.append("no reference data for this site: the pavement's accuracy is not known here")
+    if traffic:
+        notes.append(
+            f"{percent(traffic['cleared_points'] / max(traffic['points'], 1))} of the points were"
+            f" taken for passing vehicles and left out: what stands on the pavement lower than"
+            f" {number(traffic['clear_below_m'])} m, with nothing above it"
+        )
     if len(sensors) > 1 and len({sensor["cost"] for sensor in sensors.values()}) == 1:
         notes.append("every sensor has the same cost, so plans compare by number, not by price")
     return [Caution("note", f"{note[:1].upper()}{note[1:].rstrip('.')}.") for note in notes]

@@ -137,7 +137,7 @@ def _evidence(page: dict[str, Any]) -> dict[str, Any]:
     """Scene, parameters and provenance."""
     summary, sensors = page["summary"], page["sensors"]
     figures = dict(summary["scene"])
-    scores = figures.pop("pavement_scores", None)
+    scores, _ = figures.pop("pavement_scores", None), figures.pop("traffic", None)
     return {
         "edges": page["layers"]["edges"],
         "scene_rows": figure_rows(figures),

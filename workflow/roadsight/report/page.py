@@ -225,6 +225,7 @@ def _cautions(
     found += scene_cautions(
         scene.about,
         summary["scene"].get("pavement_scores") is not None,
+        summary["scene"].get("traffic"),
         set(scene.edges["source"]),
         {} if placement is None else placement.sensors,
     )

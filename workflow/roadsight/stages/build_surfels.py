@@ -7,8 +7,8 @@ import logging
 import sys
 
 from roadsight.io.atomic import read_json
+from roadsight.io.standing import StandingCloud
 from roadsight.io.surfels import write_surfels
-from roadsight.io.tiles import POSITION, CloudTiles, stack_xyz
 from roadsight.scene.spacing import plan_spacing_m
 from roadsight.scene.surfels import build_surfels
 from roadsight.scene.voxel_moments import add_moments, sum_moments
@@ -20,13 +20,11 @@ log = logging.getLogger("build_surfels")
 
 def write_scene_surfels(arguments: argparse.Namespace) -> None:
     """Sum up the cloud in voxels, tile by tile, and turn them into surfels."""
-    cloud = CloudTiles(arguments.cloud)
+    cloud = StandingCloud(arguments.cloud, arguments.traffic)
     density_per_m2 = read_json(arguments.profile)["density_per_m2"]["median"]
     edge_m = max(arguments.surfel_size_m, plan_spacing_m(density_per_m2))
     tiles = logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles")
-    voxels = add_moments(
-        [sum_moments(stack_xyz(cloud.read(POSITION, [tile])), edge_m) for tile in tiles]
-    )
+    voxels = add_moments([sum_moments(cloud.xyz(tile), edge_m) for tile in tiles])
     surfels = build_surfels(voxels)
     log.info(
         "%d points, %d voxels of %.3f m, %d surfels",
@@ -43,6 +41,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("cloud", "profile", "out"):
         parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--traffic", nargs="?", help="mask of points to leave out")
     parser.add_argument("--surfel-size-m", type=float, default=0.1, help="at least point spacing")
     return run_stage(parser, write_scene_surfels, argv)
 

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 from roadsight.io.depth_maps import DepthMapInfo, DepthMapWriter, range_step_m
 from roadsight.io.poses import read_poses
 from roadsight.io.shards import shard_of
+from roadsight.io.standing import StandingCloud
 from roadsight.io.surfels import read_surfels
-from roadsight.io.tiles import POSITION, CloudTiles, stack_xyz
 from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.sensors import Sensor, load_sensor
 from roadsight.placement.surfel_lidar import SurfelLidar
@@ -54,8 +54,8 @@ def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: NDArray[np.f
         return SurfelLidar(read_surfels(arguments.surfels)).depth_map
     west, south = poses[:, :2].min(axis=0) - sensor.range_m
     east, north = poses[:, :2].max(axis=0) + sensor.range_m
-    cloud = CloudTiles(arguments.cloud)
-    xyz_m = stack_xyz(cloud.read_within((west, south, east, north), POSITION))
+    cloud = StandingCloud(arguments.cloud, arguments.traffic)
+    xyz_m = cloud.xyz_within((west, south, east, north))
     log.info("%d points within range", len(xyz_m))
     if arguments.model == "preliminary":
         return partial(preliminary_depth, xyz_m)
@@ -78,6 +78,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--model", choices=["surfel", "hybrid", "preliminary"], default="surfel")
     parser.add_argument("--surfels", required=True, help="used by the model surfel")
     parser.add_argument("--cloud", required=True, help="used by the other models")
+    parser.add_argument("--traffic", nargs="?", help="mask of points to leave out")
     parser.add_argument("--min-cell-points", type=int, default=5)
     parser.add_argument("--neighbours", type=int, default=10)
     parser.add_argument("--out", required=True)

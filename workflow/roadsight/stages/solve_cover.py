@@ -19,6 +19,7 @@ from roadsight.io.detections import read_detections
 from roadsight.io.tables import read_table
 from roadsight.io.vectors import write_layers
 from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
+from roadsight.placement.cover.deadline import WorkLimit
 from roadsight.placement.coverage import detection_matrix, times_seen
 from roadsight.stages.command import run_stage
 
@@ -44,7 +45,7 @@ def solve_cover(arguments: argparse.Namespace) -> None:
             groups=np.tile(np.arange(len(candidates)), len(costs)),
             at_least=arguments.at_least,
         ),
-        time_limit_s=arguments.time_limit_s,
+        WorkLimit(arguments.time_limit_s),
         seed=arguments.seed,
     )
     _check_solved(arguments, cover)

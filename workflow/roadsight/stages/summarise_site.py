@@ -9,6 +9,7 @@ from typing import Any
 
 from roadsight import __version__
 from roadsight.io.atomic import read_json, write_json
+from roadsight.io.tables import read_about
 from roadsight.stages.command import run_stage
 
 
@@ -25,6 +26,7 @@ def summarise_site(arguments: argparse.Namespace) -> None:
         "scene": {
             **read_json(arguments.profile),
             "pavement_scores": scores[0] if scores else None,
+            "traffic": read_about(arguments.traffic[0]) if arguments.traffic else None,
         },
         "effects": {},
     }
@@ -58,7 +60,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("site", "settings", "frame", "profile", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--seed", type=int, required=True)
-    for name in ("scores", "coverage", "solutions", "timings"):
+    for name in ("scores", "traffic", "coverage", "solutions", "timings"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 

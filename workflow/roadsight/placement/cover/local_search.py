@@ -14,6 +14,7 @@ from roadsight.placement.cover.reductions import arrays
 
 _CHUNK = 2_000
 _NEW_TARGETS = 50
+_STEP_S, _ENTRY_S = 5e-6, 6e-10  # work of a step, measured: fixed, and by entry of the matrix
 
 _State = namedtuple(
     "_State", "inside member place score ready stamp count weight open spot occupant sizes"
@@ -66,16 +67,17 @@ class LocalSearch:
             while steps > 0 and not grown and self.instance.round_up(bound) < self.cost:
                 if deadline.passed():
                     return
-                used, grown = self._chunk(part, min(steps, _CHUNK))
+                used, grown = self._chunk(part, min(steps, _CHUNK), deadline)
                 steps -= used
 
-    def _chunk(self, part: Instance, steps: int) -> tuple[int, bool]:
+    def _chunk(self, part: Instance, steps: int, deadline: Deadline) -> tuple[int, bool]:
         """Steps used, and whether more targets became active."""
         weight = self._weight[self._active]
         goal = self.instance.goal(self.cost)
         self._trial, found, used = _search(*arrays(part), part.cost, part.need, part.group,
                                            self._trial, goal, steps, weight, self._rng)  # fmt: skip
         self._weight[self._active] = weight
+        deadline.spend(used * (_STEP_S + _ENTRY_S * part.by_choice.nnz))
         if not found:
             return used, False
         seen = self.instance.by_choice.T @ self._trial.astype(np.int32)

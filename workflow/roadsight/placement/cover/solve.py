@@ -20,25 +20,25 @@ _FIRST_STEPS = 4_000
 
 
 def solve_cover_problem(
-    problem: CoverProblem, time_limit_s: float | None = None, seed: int = 1
+    problem: CoverProblem, limit: Deadline | float | None = None, seed: int = 1
 ) -> Cover:
-    """Cheapest cover, proven, or the best one found within the time limit.
+    """Cheapest cover, proven, or the best one found within the limit.
 
     Reductions, linear relaxation by row generation, greedy and local search, then a search tree
-    over the relaxation. The answer depends on the seed alone while the limit (wall clock) is not
-    reached. Costs that are no multiples of a common step (up to six decimals) are proven to 1e-7
-    of the objective.
+    over the relaxation. The answer depends on the seed alone, also where a `WorkLimit` is reached,
+    but not where a limit by the clock (a number of seconds) is. Costs that are no multiples of a
+    common step (up to six decimals) are proven to 1e-7 of the objective.
     """
     start = time.process_time()
-    deadline = Deadline(time_limit_s)
+    deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     reduced = reduce_problem(problem)
     if len(reduced.uncoverable) or not reduced.feasible:
         return _infeasible(reduced, start)
     rng = np.random.default_rng(seed)
     outcomes, relaxed = [], []
     for number, part in enumerate(reduced.parts):
-        share = deadline.left_s() / (len(reduced.parts) - number)
-        outcome, bound = _solve_part(part, rng, Deadline(share if math.isfinite(share) else None))
+        share = deadline.part(len(reduced.parts) - number)
+        outcome, bound = _solve_part(part, rng, share)
         if outcome.best is None and not np.isfinite(outcome.bound):
             return _infeasible(reduced, start)
         outcomes.append(outcome)

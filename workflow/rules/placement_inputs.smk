@@ -1,0 +1,138 @@
+"""Helpers of the placement rules: plans, sensors, rounds and shards."""
+
+
+def plans_of(site):
+    return SITES[site].plans
+
+
+def sensors_of(site):
+    """Sensors of all the site's plans, without repeats, in order of first use."""
+    return list(
+        dict.fromkeys(s for plan in plans_of(site).values() for s in plan.sensors)
+    )
+
+
+def placement_results():
+    return [
+        f"results/{site}/placement/{plan}/{file}"
+        for site in SITES
+        if wants(site, "placement")
+        for plan in plans_of(site)
+        for file in ("solution.json", "obstacles.gpkg", "scans.laz")
+    ]
+
+
+def sensor_definition(wildcards):
+    """Everything that the sensors file says of the rule's sensor."""
+    return SENSORS[wildcards.sensor].to_dict()
+
+
+def rounds_of(site):
+    """Numbers of the rounds: 0 is the regular spacing, each later one is denser near gaps."""
+    return range(SITES[site].setting("coverage.rounds") + 1)
+
+
+def shards_in(site, round_number):
+    settings = SITES[site].settings
+    return settings.shards if round_number == 0 else settings.coverage.shards
+
+
+def shard_count(wildcards):
+    return shards_in(wildcards.site, int(wildcards.round))
+
+
+def candidates_in(site, rounds):
+    return [
+        f"results/{site}/placement/round-{number}/candidates.parquet"
+        for number in rounds
+    ]
+
+
+def detections_in(site, rounds, sensors):
+    return [
+        f"results/{site}/placement/round-{number}/detection/{sensor}/{shard}.parquet"
+        for number in rounds
+        for sensor in sensors
+        for shard in range(shards_in(site, number))
+    ]
+
+
+def candidates_up_to_round(wildcards):
+    return candidates_in(wildcards.site, range(int(wildcards.round) + 1))
+
+
+def candidates_of_previous_rounds(wildcards):
+    return candidates_in(wildcards.site, range(int(wildcards.round)))
+
+
+def coverage_of_previous_round(wildcards):
+    return f"results/{wildcards.site}/placement/round-{int(wildcards.round) - 1}/coverage.json"
+
+
+def detections_up_to_round(wildcards):
+    rounds = range(int(wildcards.round) + 1)
+    return detections_in(wildcards.site, rounds, sensors_of(wildcards.site))
+
+
+def all_candidates(wildcards):
+    return candidates_in(wildcards.site, rounds_of(wildcards.site))
+
+
+def last_coverage(wildcards):
+    last = rounds_of(wildcards.site)[-1]
+    return f"results/{wildcards.site}/placement/round-{last}/coverage.json"
+
+
+def plan_detections(wildcards):
+    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
+    return detections_in(wildcards.site, rounds_of(wildcards.site), sensors)
+
+
+def plan_costs(wildcards):
+    """``name=cost`` of each sensor of the plan."""
+    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
+    return [f"{name}={SENSORS[name].cost:g}" for name in sensors]
+
+
+def plan_sensors(wildcards):
+    """``plan=sensor,sensor`` for each plan of the site."""
+    return [
+        f"{name}={','.join(p.sensors)}" for name, p in plans_of(wildcards.site).items()
+    ]
+
+
+def per_plan(file):
+    return lambda wildcards: [
+        f"results/{wildcards.site}/placement/{plan}/{file}"
+        for plan in plans_of(wildcards.site)
+    ]
+
+
+plan_solutions = per_plan("solution.json")
+plan_timings = per_plan("timing.json")
+plan_obstacles = per_plan("obstacles.gpkg")
+plan_scans = per_plan("scans.laz")
+
+
+def plan_titles(wildcards):
+    return [f"{name}={plan.title}" for name, plan in plans_of(wildcards.site).items()]
+
+
+def site_targets(wildcards):
+    return f"results/{wildcards.site}/placement/targets.parquet"
+
+
+def all_detections(wildcards):
+    site = wildcards.site
+    return detections_in(site, rounds_of(site), sensors_of(site))
+
+
+def traffic_mask(wildcards):
+    """Points of passing vehicles, where the site asks to clear them."""
+    clear = SITES[wildcards.site].setting("lidar.clear_below_m") > 0
+    return [f"results/{wildcards.site}/scene/traffic.parquet"] if clear else []
+
+
+def site_sensors(wildcards):
+    """Definitions of all sensors that the site's plans may place."""
+    return {name: SENSORS[name].to_dict() for name in sensors_of(wildcards.site)}
