@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 
 import pytest
@@ -63,20 +64,28 @@ def placement(folder, plans=("early", "late")):
 
 def test_summary_holds_the_keys_that_checks_rely_on(folder):
     scores = ["--scores", str(folder / "scores.json")]
-    code, path = summarise(folder, *scores, *placement(folder))
+    (folder / "edges.csv").write_text("x,y\n")
+    options = ["--given", str(folder / "edges.csv"), "--sensors", '{"S": {"cost": 1.0}}']
+    code, path = summarise(folder, *scores, *options, *placement(folder))
     assert code == 0
     assert json.loads(path.read_text()) == {
         "site": "here",
         "version": __version__,
         "seed": 7,
-        "inputs": {"a.laz": "ab12", "b.laz": "cd34"},
+        "inputs": {
+            "a.laz": "ab12",
+            "b.laz": "cd34",
+            str(folder / "edges.csv"): hashlib.sha256(b"x,y\n").hexdigest(),
+        },
         "settings": SETTINGS,
         "scene": {
             "points": 12,
             "density_per_m2": {"median": 3.0},
             "pavement_scores": {"f1": 0.95},
+            "traffic": None,
         },
         "effects": {},
+        "sensors": {"S": {"cost": 1.0}},
         "placement": {
             "early": {
                 "status": "optimal",
@@ -108,7 +117,7 @@ def test_summary_holds_the_keys_that_checks_rely_on(folder):
 
 def test_a_job_that_was_not_asked_for_is_absent(folder):
     # Snakemake gives the options of an absent job without any value.
-    code, path = summarise(folder, "--scores", "--coverage", "--solutions", "--timings")
+    code, path = summarise(folder, "--given", "--scores", "--traffic", "--coverage", "--solutions", "--timings")
     assert code == 0
     summary = json.loads(path.read_text())
     assert "placement" not in summary

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.xdist_group("workflow")
 
 # Who reads whose outputs, written down here on purpose and not taken from the rules.
 READERS = {
-    "generate_sample": {"ingest_cloud", "build_edges", "score_pavement"},
+    "generate_sample": {"ingest_cloud", "build_edges", "score_pavement", "summarise_site"},
     "ingest_cloud": {
         "profile_scene",
         "build_dem",

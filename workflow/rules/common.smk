@@ -1,5 +1,6 @@
 """Helpers of all other files: resolved settings, stage sources, and what each site asks for."""
 
+import json
 import os
 import re
 import sys
@@ -161,6 +162,12 @@ def pavement_scores(wildcards):
     """Scores against truth, where a site has truth."""
     scored = pavement_truth(wildcards)
     return [f"results/{wildcards.site}/scene/pavement_scores.json"] if scored else []
+
+
+def given_files(wildcards):
+    """Files that the user gave beside the clouds."""
+    tma = beside_site("placement.tma")(wildcards)
+    return [*edges_file(wildcards), *tma, *pavement_truth(wildcards)]
 
 
 def all_settings(wildcards):

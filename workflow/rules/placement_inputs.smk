@@ -136,3 +136,8 @@ def traffic_mask(wildcards):
 def site_sensors(wildcards):
     """Definitions of all sensors that the site's plans may place."""
     return {name: SENSORS[name].to_dict() for name in sensors_of(wildcards.site)}
+
+
+def site_sensors_json(wildcards):
+    """The same as JSON, for the record."""
+    return json.dumps(site_sensors(wildcards), sort_keys=True)

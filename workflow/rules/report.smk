@@ -9,6 +9,7 @@ rule summarise_site:
     input:
         frame=rules.ingest_cloud.output.frame,
         profile=rules.profile_scene.output.profile,
+        given=given_files,
         scores=pavement_scores,
         traffic=placement_only(traffic_mask),
         coverage=placement_only(last_coverage),
@@ -26,9 +27,11 @@ rule summarise_site:
     params:
         seed=setting("seed"),
         settings=all_settings,
+        sensors=site_sensors_json,
     shell:
         "python -m roadsight.stages.summarise_site --site {wildcards.site} --seed {params.seed}"
-        " --settings {params.settings:q} --frame {input.frame} --profile {input.profile}"
+        " --settings {params.settings:q} --sensors {params.sensors:q} --given {input.given:q}"
+        " --frame {input.frame} --profile {input.profile}"
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
         " --timings {input.timings} --out {output.summary} > {log} 2>&1"
 

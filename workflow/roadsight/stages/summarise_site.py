@@ -9,6 +9,7 @@ from typing import Any
 
 from roadsight import __version__
 from roadsight.io.atomic import read_json, write_json
+from roadsight.io.checksums import sha256
 from roadsight.io.tables import read_about
 from roadsight.stages.command import run_stage
 
@@ -21,7 +22,7 @@ def summarise_site(arguments: argparse.Namespace) -> None:
         "site": arguments.site,
         "version": __version__,
         "seed": arguments.seed,
-        "inputs": frame["inputs"],
+        "inputs": frame["inputs"] | {path: sha256(path) for path in arguments.given},
         "settings": json.loads(arguments.settings),
         "scene": {
             **read_json(arguments.profile),
@@ -32,6 +33,7 @@ def summarise_site(arguments: argparse.Namespace) -> None:
     }
     if arguments.solutions:
         coverage = read_json(arguments.coverage[0])
+        summary["sensors"] = json.loads(arguments.sensors)
         summary["placement"] = {}
         for solution_path, timing_path in zip(arguments.solutions, arguments.timings, strict=True):
             solution = read_json(solution_path) | read_json(timing_path)
@@ -60,7 +62,8 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("site", "settings", "frame", "profile", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--seed", type=int, required=True)
-    for name in ("scores", "traffic", "coverage", "solutions", "timings"):
+    parser.add_argument("--sensors", default="{}", help="definitions of the sensors as JSON")
+    for name in ("given", "scores", "traffic", "coverage", "solutions", "timings"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 
