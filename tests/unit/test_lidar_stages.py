@@ -2,15 +2,20 @@
 
 import json
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pytest
+from shapely import box
 
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import write_json
 from roadsight.io.depth_maps import DepthMaps
 from roadsight.io.detections import read_detections
 from roadsight.io.surfels import read_surfels
 from roadsight.io.tables import read_table, write_table
 from roadsight.io.tile_writer import TileWriter
+from roadsight.io.vectors import write_layers
 from roadsight.placement.detection import count_hits
 from roadsight.placement.sensors import load_sensor
 from roadsight.stages import build_detection_shard, build_surfels, place_targets, render_depth_maps
@@ -56,7 +61,12 @@ def site(tmp_path_factory):
     surfels = ["--cloud", paths["cloud"], "--profile", str(folder / "profile.json")]
     assert build_surfels.main([*surfels, "--out", paths["surfels"]]) == 0
     targets = str(folder / "targets.parquet")
-    assert place_targets.main(["--pavement", paths["pavement"], "--out", targets]) == 0
+    frame = Frame((0.0, 0.0, 0.0))
+    write_json(folder / "frame.json", frame.to_dict())
+    outline = gpd.GeoDataFrame({"part": [0]}, geometry=[box(-1, -1, 21, 21)])
+    write_layers(folder / "outline.gpkg", {"pavement": outline}, frame)
+    ground = ["--outline", str(folder / "outline.gpkg"), "--frame", str(folder / "frame.json")]
+    assert place_targets.main(["--pavement", paths["pavement"], *ground, "--out", targets]) == 0
     return folder
 
 

@@ -1,8 +1,9 @@
 import numpy as np
 import pytest
+from shapely import MultiPolygon, box
 
 from roadsight.errors import InputError
-from roadsight.placement.targets import place_targets
+from roadsight.placement.targets import place_targets, standing_inside
 
 
 def block(x, y, n, z=0.0):
@@ -70,3 +71,16 @@ def test_bad_input_is_refused():
         place_targets(block(0, 0, 30), 0)
     with pytest.raises(InputError, match="not finite"):
         place_targets(np.array([[0, np.nan, 0]]))
+
+
+def test_targets_stand_on_the_pavement_and_not_beyond_its_edge(rng):
+    targets = place_targets(rng.uniform([0, 0, 0], [4, 4, 0.1], (4000, 3)))
+    outline = MultiPolygon([box(0, 0, 2.4, 4), box(2.6, 0, 4, 0.5)])
+    assert len(targets) == 16
+    assert standing_inside(targets, outline, 0.0)["x"].max() == 3.5
+    kept = standing_inside(targets, outline, 0.6)
+    assert set(zip(kept["x"], kept["y"], strict=True)) == {(1.5, 1.5), (1.5, 2.5)}
+    wider = standing_inside(targets, outline, -0.2)
+    assert len(wider) == len(standing_inside(targets, outline, 0.0)) + 4
+    assert standing_inside(targets, outline, -10.0).equals(targets)
+    assert len(standing_inside(targets, outline, 3.0)) == 0

@@ -19,6 +19,7 @@ READERS = {
         "build_edges",
         "score_pavement",
         "place_candidates",
+        "place_targets",
         "build_surfels",
         "densify_candidates",
         "solve_cover",

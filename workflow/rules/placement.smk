@@ -44,6 +44,8 @@ rule place_candidates:
 rule place_targets:
     input:
         pavement=rules.extract_pavement.output.points,
+        outline=rules.extract_pavement.output.pavement,
+        frame=rules.ingest_cloud.output.frame,
         code=sources("place_targets"),
     output:
         targets="results/{site}/placement/targets.parquet",
@@ -56,8 +58,10 @@ rule place_targets:
     params:
         cell_size_m=setting("targets.cell_size_m"),
         min_points=setting("targets.min_points"),
+        inset_m=setting("targets.inset_m"),
     shell:
         "python -m roadsight.stages.place_targets --pavement {input.pavement}"
+        " --outline {input.outline} --frame {input.frame} --inset-m {params.inset_m}"
         " --cell-size-m {params.cell_size_m} --min-points {params.min_points}"
         " --out {output.targets} > {log} 2>&1"
 

@@ -124,6 +124,12 @@ class Targets(Section):
     min_points: Count = Field(
         default=25, description="pavement points that a cell needs to carry a target"
     )
+    inset_m: float = Field(
+        default=0.0,
+        ge=-10,
+        le=10,
+        description="targets keep this far inside the outline, m; negative: outside",
+    )
     radius_m: Metres = Field(default=0.25, description="radius of a target, m")
     height_m: Metres = Field(default=0.6, description="height of a target, m")
     min_beams: int = Field(
@@ -144,8 +150,7 @@ class Lidar(Section):
         default=0.0,
         ge=0,
         le=10,
-        description="smears of passing vehicles on the pavement, lower than this, are no obstacles,"
-        " m; 0 keeps everything",
+        description="passing vehicles, lower than this, are cleared off the pavement, m; 0: no",
     )
     min_cell_points: Count = Field(
         default=5, description="hybrid: cells with fewer points are filled"

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import NDArray
+from shapely import MultiPolygon
 
 from roadsight.errors import InputError
 from roadsight.scene.grids import Grid
@@ -55,6 +57,16 @@ def place_targets(
             "points": points[dense].astype(np.int32),
         }
     )
+
+
+def standing_inside(targets: pd.DataFrame, outline: MultiPolygon, inset_m: float) -> pd.DataFrame:
+    """Targets that stand inside the pavement's outline by at least ``inset_m``.
+
+    A cell on the outline may hold enough points with its centre beyond the kerb, where nothing
+    drives and what stands on the verge hides it. A negative inset lets targets stand so far out.
+    """
+    area = outline.buffer(-inset_m)
+    return targets[shapely.intersects_xy(area, targets["x"], targets["y"])].reset_index(drop=True)
 
 
 def _names(columns: NDArray[np.int64], rows: NDArray[np.int64]) -> pd.Series:

@@ -6,8 +6,14 @@ import argparse
 import logging
 import sys
 
+import shapely
+from shapely import MultiPolygon
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import read_json
 from roadsight.io.tables import read_table, write_table
-from roadsight.placement.targets import place_targets
+from roadsight.io.vectors import read_layer
+from roadsight.placement.targets import place_targets, standing_inside
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("place_targets")
@@ -17,15 +23,30 @@ def write_targets(arguments: argparse.Namespace) -> None:
     """Write the targets."""
     points = read_table(arguments.pavement, ["x", "y", "z"])
     targets = place_targets(points.to_numpy(), arguments.cell_size_m, arguments.min_points)
-    log.info("%d targets on %d pavement points", len(targets), len(points))
-    settings = {"cell_size_m": arguments.cell_size_m, "min_points": arguments.min_points}
-    write_table(arguments.out, targets, settings)
+    outline = _outline(arguments.outline, Frame.from_dict(read_json(arguments.frame)))
+    inside = standing_inside(targets, outline, arguments.inset_m)
+    log.info(
+        "%d targets on %d pavement points; %d more stand off it or too near its edge",
+        len(inside),
+        len(points),
+        len(targets) - len(inside),
+    )
+    names = ("cell_size_m", "min_points", "inset_m")
+    write_table(arguments.out, inside, {name: getattr(arguments, name) for name in names})
+
+
+def _outline(path: str, frame: Frame) -> MultiPolygon:
+    parts = shapely.get_parts(read_layer(path, "pavement", frame).geometry.to_numpy())
+    return shapely.multipolygons(parts)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--pavement", required=True, help="pavement points")
+    parser.add_argument("--outline", required=True, help="pavement polygons")
+    parser.add_argument("--frame", required=True)
+    parser.add_argument("--inset-m", type=float, default=0.0)
     parser.add_argument("--cell-size-m", type=float, default=1.0)
     parser.add_argument("--min-points", type=int, default=25)
     parser.add_argument("--out", required=True)
