@@ -6,10 +6,15 @@ configfile: "config/config.yaml"
 
 include: "workflow/rules/common.smk"
 include: "workflow/rules/placement_inputs.smk"
+include: "workflow/rules/poles_inputs.smk"
+include: "workflow/rules/sample.smk"
 include: "workflow/rules/scene.smk"
 include: "workflow/rules/placement.smk"
 include: "workflow/rules/cover.smk"
+include: "workflow/rules/road.smk"
+include: "workflow/rules/videolog.smk"
 include: "workflow/rules/report.smk"
+include: "workflow/rules/poles.smk"
 
 
 rule all:
@@ -29,6 +34,12 @@ rule scene:
 rule placement:
     input:
         placement_results(),
+    localrule: True
+
+
+rule poles:
+    input:
+        pole_results(),
     localrule: True
 
 

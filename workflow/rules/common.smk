@@ -127,10 +127,32 @@ def wants(site, job):
     return job in SITES[site].site.jobs
 
 
-def scene_results():
-    return [f"results/{site}/scene/pavement.gpkg" for site in SITES] + [
-        f"results/{site}/placement/edges.gpkg" for site in SITES
+def sites_with_scene(scene):
+    """Pattern of the sites that generate this scene; one that matches nothing if there are none."""
+    found = [
+        s
+        for s, resolved in SITES.items()
+        if resolved.site.sample and resolved.site.sample.scene == scene
     ]
+    return "|".join(map(re.escape, found)) or "(?!)"
+
+
+def has_scene_page(site):
+    """Whether pavement and edges are among what the site asks for."""
+    return wants(site, "scene") or wants(site, "placement")
+
+
+def scene_results():
+    return [
+        f"results/{site}/{file}"
+        for site in SITES
+        if has_scene_page(site)
+        for file in ("scene/pavement.gpkg", "placement/edges.gpkg")
+    ]
+
+
+def site_pages():
+    return [f"results/{site}/page.json" for site in SITES if has_scene_page(site)]
 
 
 def summaries():
@@ -160,14 +182,18 @@ def placement_only(inputs):
 
 def pavement_scores(wildcards):
     """Scores against truth, where a site has truth."""
-    scored = pavement_truth(wildcards)
+    scored = has_scene_page(wildcards.site) and pavement_truth(wildcards)
     return [f"results/{wildcards.site}/scene/pavement_scores.json"] if scored else []
 
 
 def given_files(wildcards):
     """Files that the user gave beside the clouds."""
-    tma = beside_site("placement.tma")(wildcards)
-    return [*edges_file(wildcards), *tma, *pavement_truth(wildcards)]
+    files = []
+    if has_scene_page(wildcards.site):
+        files += [edges_file, beside_site("placement.tma"), pavement_truth]
+    if wants(wildcards.site, "poles"):
+        files += [videolog_file, beside_site("poles.baseline"), known_poles]
+    return [file for named in files for file in named(wildcards)]
 
 
 def all_settings(wildcards):

@@ -12,6 +12,11 @@ rule summarise_site:
         given=given_files,
         scores=pavement_scores,
         traffic=placement_only(traffic_mask),
+        frames=poles_only(pole_frames),
+        cameras=poles_only(all_cameras),
+        sightings=poles_only(all_sightings),
+        poles=poles_only(found_poles),
+        validation=pole_validation,
         coverage=placement_only(last_coverage),
         solutions=placement_only(plan_solutions),
         timings=placement_only(plan_timings),
@@ -33,7 +38,9 @@ rule summarise_site:
         " --settings {params.settings:q} --sensors {params.sensors:q} --given {input.given:q}"
         " --frame {input.frame} --profile {input.profile}"
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
-        " --timings {input.timings} --out {output.summary} > {log} 2>&1"
+        " --timings {input.timings} --frames {input.frames} --cameras {input.cameras}"
+        " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
+        " --out {output.summary} > {log} 2>&1"
 
 
 rule write_site_page:
@@ -80,7 +87,8 @@ rule write_site_page:
 
 rule write_report:
     input:
-        pages=expand("results/{site}/page.json", site=SITES),
+        pages=site_pages(),
+        poles_pages=pole_pages(),
         assets=sorted(str(path) for path in REPORT_ASSETS.iterdir()),
         code=sources("write_report"),
     output:
@@ -93,4 +101,5 @@ rule write_report:
         ENVIRONMENT
     shell:
         "python -m roadsight.stages.write_report --pages {input.pages}"
+        " --poles-pages {input.poles_pages}"
         " --out {output.report} > {log} 2>&1"

@@ -6,32 +6,6 @@ OUTPUTS          results/{site}/scene/: cloud, frame, profile, DEM, ground, pave
 """
 
 
-rule generate_sample:
-    input:
-        code=sources("generate_sample"),
-    output:
-        cloud="results/{site}/sample/cloud.laz",
-        truth="results/{site}/sample/truth.gpkg",
-        edges="results/{site}/sample/edges.geojson",
-    log:
-        log_of("generate_sample"),
-    benchmark:
-        benchmark_of("generate_sample")
-    conda:
-        ENVIRONMENT
-    resources:
-        mem_mb=2000,
-    params:
-        scene=site_field("sample.scene"),
-        points=site_field("sample.points"),
-        length_m=site_field("sample.length_m"),
-        seed=setting("seed"),
-    shell:
-        "python -m roadsight.stages.generate_sample --scene {params.scene} --seed {params.seed}"
-        " --points {params.points} --length-m {params.length_m}"
-        " --cloud {output.cloud} --truth {output.truth} --edges {output.edges} > {log} 2>&1"
-
-
 rule ingest_cloud:
     input:
         clouds=cloud_files,

@@ -4,18 +4,28 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from roadsight.config.poles_schema import (
+    Alignment,
+    Calibration,
+    Hazard,
+    ImageEdges,
+    Networks,
+    RoadEdges,
+    Section,
+    Sightings,
+    TerrainMesh,
+    Triangulation,
+    Validation,
+    Videolog,
+    Voxels,
+)
 
 Metres = Annotated[float, Field(gt=0, le=1000)]
 Count = Annotated[int, Field(ge=1)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]  # safe as a folder and a wildcard
-
-
-class Section(BaseModel):
-    """A group of settings; unknown keys, infinities and NaN are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class Scene(Section):
@@ -195,13 +205,25 @@ class Settings(Section):
     lidar: Lidar = Lidar()
     coverage: Coverage = Coverage()
     cover: Cover = Cover()
+    voxels: Voxels = Voxels()
+    road_edges: RoadEdges = RoadEdges()
+    terrain_mesh: TerrainMesh = TerrainMesh()
+    videolog: Videolog = Videolog()
+    networks: Networks = Networks()
+    image_edges: ImageEdges = ImageEdges()
+    calibration: Calibration = Calibration()
+    alignment: Alignment = Alignment()
+    sightings: Sightings = Sightings()
+    triangulation: Triangulation = Triangulation()
+    hazard: Hazard = Hazard()
+    validation: Validation = Validation()
 
 
 class Config(Settings):
     """The whole of ``config/config.yaml``."""
 
     sites: list[str] = Field(
-        default=["sample"],
+        default=["sample", "sample_rural"],
         min_length=1,
         description="sites to run: names of files in config/sites, or paths of site files",
     )

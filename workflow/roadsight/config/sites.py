@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
-from roadsight.config.schema import Count, Metres, Name, Section
+from roadsight.config.schema import Count, Name, Section
 
 Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
 
@@ -14,9 +14,15 @@ Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
 class Sample(Section):
     """A site that the workflow generates itself, with known truth."""
 
-    scene: Literal["highway"] = Field(default="highway", description="analytic scene")
-    points: Count = Field(default=3_500_000, description="points to scan")
-    length_m: Metres = Field(default=250.0, description="length of road, m")
+    scene: Literal["highway", "rural"] = Field(
+        default="highway",
+        description="highway (mobile LiDAR, for placement) or rural (airborne, with a videolog)",
+    )
+    points: Count = Field(default=3_500_000, description="highway: points to scan")
+    pulses_per_m2: float = Field(
+        default=24.0, gt=0, le=200, description="rural: density of the airborne scan, 1/m2"
+    )
+    length_m: float = Field(default=250.0, gt=0, le=3000, description="length of road, m")
 
 
 class PlacementInputs(Section):
@@ -36,8 +42,65 @@ class PlacementInputs(Section):
     )
 
 
+class Masks(Section):
+    """Where the classes of pixels come from: a network, or label images made elsewhere."""
+
+    model: str | None = Field(default=None, description="manifest of an ONNX model, docs/models.md")
+    labels: str | None = Field(default=None, description="folder of label images")
+    map: str | None = Field(default=None, description="label map of the label images")
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Masks:
+        if (self.model is None) == (self.labels is None) or (self.labels is None) != (
+            self.map is None
+        ):
+            raise ValueError("give either model, or labels with their map")
+        return self
+
+    @property
+    def files(self) -> list[str]:
+        """The files that it names."""
+        return [path for path in (self.model, self.labels, self.map) if path]
+
+
+class Depth(Section):
+    """Where the relative depth of pixels comes from."""
+
+    model: str | None = Field(default=None, description="manifest of an ONNX model, docs/models.md")
+    images: str | None = Field(default=None, description="folder of 16-bit images, 0 = unknown")
+    kind: Literal["inverse_depth", "depth"] = Field(
+        default="inverse_depth", description="what the images hold; larger inverse depth is nearer"
+    )
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Depth:
+        if (self.model is None) == (self.images is None):
+            raise ValueError("give either model or images, not both or neither")
+        return self
+
+
+class PolesInputs(Section):
+    """The videolog of the pole job."""
+
+    videolog: str | None = Field(
+        default=None, description="CSV of images and positions; absent: positions in the images"
+    )
+    images: str | None = Field(default=None, description="folder of the images, or ZIP files")
+    masks: list[Masks] = Field(
+        default=[], description="sources of pixel classes, later ones replace what earlier ones say"
+    )
+    depth: Depth | None = Field(default=None, description="source of relative depth")
+    road: Literal["classes", "pavement"] = Field(
+        default="classes", description="the cloud's road: by its classes, or found as pavement"
+    )
+    baseline: str | None = Field(default=None, description="registered cameras, JSON")
+
+
 class Truth(Section):
     """Reference data for scoring only."""
+
+    poles: str | None = Field(default=None, description="surveyed poles: CSV or vector file")
+    poles_crs: str | None = Field(default=None, description="their CRS if the file names none")
 
     pavement: str | None = Field(default=None, description="surveyed road polygons")
     pavement_crs: str | None = Field(default=None, description="their CRS if the file names none")
@@ -59,12 +122,13 @@ class Site(Section):
     units: Unit = Field(default="auto", description="horizontal unit of the coordinates")
     vertical_units: Unit = Field(default="auto", description="vertical unit of the coordinates")
     target_crs: str | None = Field(default=None, description="reproject to this CRS on reading")
-    jobs: list[Literal["scene", "placement"]] = Field(
+    jobs: list[Literal["scene", "placement", "poles"]] = Field(
         default=["placement"],
         min_length=1,
-        description="scene: ground, pavement, edges; placement: all",
+        description="scene: ground, pavement, edges; placement: sensors; poles: utility poles",
     )
     placement: PlacementInputs = PlacementInputs()
+    poles: PolesInputs = PolesInputs()
     truth: Truth = Truth()
     settings: dict[str, Any] = Field(
         default={}, description="settings of config.yaml that differ at this site"
@@ -74,4 +138,13 @@ class Site(Section):
     def _one_source(self) -> Site:
         if bool(self.clouds) == bool(self.sample):
             raise ValueError("give either clouds (a list of files) or sample, not both or neither")
+        return self
+
+    @model_validator(mode="after")
+    def _videolog(self) -> Site:
+        if "poles" not in self.jobs or self.sample:
+            return self
+        missing = [name for name in ("images", "masks") if not getattr(self.poles, name)]
+        if missing:
+            raise ValueError(f"the job poles needs poles.{missing[0]}")
         return self

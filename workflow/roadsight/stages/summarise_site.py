@@ -7,10 +7,12 @@ import json
 import sys
 from typing import Any
 
+import pandas as pd
+
 from roadsight import __version__
 from roadsight.io.atomic import read_json, write_json
 from roadsight.io.checksums import sha256
-from roadsight.io.tables import read_about
+from roadsight.io.tables import read_about, read_table
 from roadsight.stages.command import run_stage
 
 
@@ -38,7 +40,22 @@ def summarise_site(arguments: argparse.Namespace) -> None:
         for solution_path, timing_path in zip(arguments.solutions, arguments.timings, strict=True):
             solution = read_json(solution_path) | read_json(timing_path)
             summary["placement"][solution["plan"]] = _plan(solution, coverage["candidates"])
+    if arguments.poles:
+        summary["poles"] = _poles(arguments)
     write_json(arguments.out, summary)
+
+
+def _poles(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Counts of the pole job at each step, and its scores where poles are known."""
+    accepted = pd.concat([read_table(path, ["accepted"]) for path in arguments.cameras])
+    kept = pd.concat([read_table(path, ["kept"]) for path in arguments.sightings])
+    return {
+        "images": len(read_table(arguments.frames, ["image"])),
+        "aligned_images": int(accepted["accepted"].sum()),
+        "sightings": int(kept["kept"].sum()),
+        "poles": int(read_table(arguments.poles, ["kept"])["kept"].sum()),
+        "validation": read_json(arguments.validation) if arguments.validation else None,
+    }
 
 
 def _plan(solution: dict[str, Any], candidates: int) -> dict[str, Any]:
@@ -63,7 +80,9 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--sensors", default="{}", help="definitions of the sensors as JSON")
-    for name in ("given", "scores", "traffic", "coverage", "solutions", "timings"):
+    for name in ("frames", "poles", "validation"):
+        parser.add_argument(f"--{name}", nargs="?")
+    for name in ("cameras", "sightings", "given", "scores", "traffic", "coverage", "solutions", "timings"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 

@@ -1,0 +1,163 @@
+"""Schema of the settings of the pole job; each section is what one stage takes."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Positive = Annotated[float, Field(gt=0, le=1e6)]
+Metres = Annotated[float, Field(gt=0, le=1000)]
+Degrees = Annotated[float, Field(ge=-180, le=180)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Count = Annotated[int, Field(ge=1)]
+LasClass = Annotated[int, Field(ge=0, le=255)]
+
+
+class Section(BaseModel):
+    """A group of settings; unknown keys, infinities and NaN are refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Voxels(Section):
+    """Poles: the cloud as classified voxels and their top view."""
+
+    voxel_size_m: Metres = Field(default=0.3048, description="edge of a voxel, m (1 foot)")
+    road_classes: list[LasClass] = Field(default=[11], description="LAS classes that are road")
+    bridge_classes: list[LasClass] = Field(default=[17], description="LAS classes that are bridge")
+
+
+class RoadEdges(Section):
+    """Poles: road edges in the top view."""
+
+    method: Literal["contours", "pixels"] = Field(
+        default="contours", description="smooth outlines, or the edge pixels as published"
+    )
+    closing_cells: int = Field(default=1, ge=0, description="gaps and spurs up to this, cells")
+    smallest_hole_m2: float = Field(default=20.0, ge=0, description="smaller holes are filled, m2")
+    smallest_road_m2: float = Field(default=50.0, ge=0, description="smaller roads are dropped, m2")
+    spacing_m: Metres = Field(default=0.25, description="spacing of edge points, m")
+    smoothing_m: Metres = Field(default=0.6, description="smoothing window, standard deviation, m")
+
+
+class TerrainMesh(Section):
+    """Poles: triangles that hide road from cameras."""
+
+    occlusion: Literal["use", "skip"] = Field(
+        default="use", description="whether road hidden by terrain is left out of the alignment"
+    )
+    terrain_cell_m: Metres = Field(default=1.0, description="one vertex per cell this wide, m")
+
+
+class Videolog(Section):
+    """Poles: the track of the images."""
+
+    heading_images: int = Field(
+        default=3, ge=0, le=50, description="headings are fitted to so many images either side"
+    )
+
+
+class Networks(Section):
+    """Poles: networks that read the images."""
+
+    image_height_px: int = Field(
+        default=0, ge=0, le=16384, description="height that they see, px; 0: as the manifest says"
+    )
+
+
+class ImageEdges(Section):
+    """Poles: road edges in the images; px of an image 1200 px high."""
+
+    min_marking_px: Positive = Field(default=60.0, description="smaller markings are dropped, px2")
+    min_border_px: Positive = Field(default=40.0, description="shorter borders are dropped, px")
+    gap_px: Positive = Field(default=6.0, description="runs closer than this are one marking, px")
+    axis_px: Positive = Field(
+        default=25.0, description="markings this near the middle line's axis are dropped, px"
+    )
+
+
+class Alignment(Section):
+    """Poles: camera poses by road alignment."""
+
+    method: Literal["ours", "published", "none"] = Field(
+        default="ours",
+        description="robust least squares, Nelder-Mead as published, or the track alone",
+    )
+    edge_points: Count = Field(default=800, description="LiDAR edge points of an image")
+    pixels: Count = Field(default=400, description="edge pixels of an image")
+    nearest_m: Metres = Field(default=3.0, description="nearer edges are not used, m")
+    farthest_m: Metres = Field(default=240.0, description="farther edges are not used, m")
+    max_residual_px: Positive = Field(default=4.0, description="larger residuals are rejected, px")
+    max_sigma_heading_deg: Positive = Field(
+        default=0.25, description="less certain headings are rejected, degrees"
+    )
+
+
+class Calibration(Section):
+    """Poles: what the images of a drive share."""
+
+    images: Count = Field(default=60, description="images of a drive that are used")
+    hfov_deg: float = Field(
+        default=0.0, ge=0, lt=180, description="field of view if known to 10 %, degrees; 0: unknown"
+    )
+    gps_sigma_m: Metres = Field(default=0.8, description="slow error of the track, m")
+    gps_length_m: Metres = Field(default=80.0, description="path over which it stays alike, m")
+    gps_own_m: Metres = Field(default=0.1, description="error of each position by itself, m")
+
+
+class Sightings(Section):
+    """Poles: objects in the images; px of an image 1200 px high."""
+
+    kinds: list[Literal["pole", "sign", "tree", "guardrail"]] = Field(
+        default=["pole"], min_length=1, description="objects that are looked for"
+    )
+    bearing: Literal["fused", "image", "lidar"] = Field(
+        default="fused", description="image and LiDAR, the image alone, or LiDAR as published"
+    )
+    height_rule: Literal["metric", "published", "none"] = Field(
+        default="metric", description="what is too low for a pole: in metres, or as published"
+    )
+    min_height_m: Metres = Field(default=3.0, description="metric: lower poles are dropped, m")
+    farthest_m: Metres = Field(default=60.0, description="farther objects are dropped, m")
+    min_aspect: Positive = Field(default=5.0, description="height over width of a pole")
+    min_width_px: Positive = Field(default=4.0, description="thinner objects are dropped, px")
+    min_height_px: Positive = Field(default=40.0, description="lower objects are dropped, px")
+    wire_px: Positive = Field(default=30.0, description="what is thinner upright is wire, px")
+    left_yaw_deg: Degrees = Field(default=-60.0, description="left view from the front, degrees")
+    right_yaw_deg: Degrees = Field(default=60.0, description="right view from the front, degrees")
+
+
+class Triangulation(Section):
+    """Poles: places from sightings."""
+
+    method: Literal["packing", "sweep"] = Field(
+        default="packing",
+        description="best set of disjoint groups of rays, or the paper's deterministic sweep",
+    )
+    max_distance_m: Metres = Field(default=35.0, description="farther sightings are not used, m")
+    sigma_position_m: Metres = Field(
+        default=2.0, description="error of a camera's position, one axis, m"
+    )
+    pole_cost: Positive = Field(
+        default=5.0, description="evidence that a pole needs, half units of chi squared"
+    )
+    max_sigma_m: Metres = Field(default=5.0, description="less certain poles are withheld, m")
+    clearance_m: float = Field(
+        default=1.524, ge=0, le=100, description="poles this near road or building are withheld, m"
+    )
+
+
+class Hazard(Section):
+    """Poles: how dangerous they are."""
+
+    design_speed_kmh: Positive = Field(default=80.0, description="design speed of the road, km/h")
+    aadt: Positive = Field(default=3000.0, description="vehicles a day")
+    window_m: Metres = Field(default=100.0, description="length over which objects are counted, m")
+
+
+class Validation(Section):
+    """Poles: scores against known poles."""
+
+    reach_m: Metres = Field(default=25.0, description="known poles count this near a camera, m")
+    match_m: Metres = Field(default=25.0, description="largest error of a match, m")

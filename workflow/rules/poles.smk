@@ -1,0 +1,211 @@
+"""From what images and cloud show to poles on the map.
+
+REQUIRED INPUTS  results/{site}/poles/: frames, masks, depth, image edges, road edges, terrain, voxels
+OUTPUTS          results/{site}/poles/: calibration, cameras, sightings, poles, hazard, validation, page
+USUAL STEPS      cameras by road alignment, sightings, triangulation, hazard
+"""
+
+
+rule calibrate_drive:
+    input:
+        frames=rules.read_videolog.output.frames,
+        image_edges=all_image_edges,
+        road_edges=rules.extract_road_edges.output.edges,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        terrain=terrain_that_hides,
+        baseline=beside_site("poles.baseline"),
+        code=sources("calibrate_drive"),
+    output:
+        calibration="results/{site}/poles/calibration.json",
+    log:
+        log_of("calibrate_drive"),
+    benchmark:
+        benchmark_of("calibrate_drive")
+    conda:
+        ENVIRONMENT
+    params:
+        options=flags("calibration"),
+        shared=flags("alignment", *ALIGNMENT_ONLY),
+    shell:
+        "python -m roadsight.stages.calibrate_drive --frames {input.frames}"
+        " --image-edges {input.image_edges} --road-edges {input.road_edges}"
+        " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
+        " --baseline {input.baseline} {params.options} {params.shared}"
+        " --out {output.calibration} > {log} 2>&1"
+
+
+rule align_cameras:
+    input:
+        frames=rules.read_videolog.output.frames,
+        image_edges=all_image_edges,
+        road_edges=rules.extract_road_edges.output.edges,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        terrain=terrain_that_hides,
+        calibration=rules.calibrate_drive.output.calibration,
+        code=sources("align_cameras"),
+    output:
+        cameras=ensure("results/{site}/poles/cameras/{shard}.parquet", non_empty=True),
+    log:
+        log_of("align_cameras", "{shard}"),
+    benchmark:
+        benchmark_of("align_cameras", "{shard}")
+    conda:
+        ENVIRONMENT
+    params:
+        shards=setting("shards"),
+        options=flags("alignment"),
+    shell:
+        "python -m roadsight.stages.align_cameras --frames {input.frames}"
+        " --image-edges {input.image_edges} --road-edges {input.road_edges}"
+        " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
+        " --calibration {input.calibration} {params.options} --shard {wildcards.shard}"
+        " --shards {params.shards} --out {output.cameras} > {log} 2>&1"
+
+
+rule measure_poles:
+    input:
+        frames=rules.read_videolog.output.frames,
+        cameras=rules.align_cameras.output.cameras,
+        masks=rules.segment_images.output.masks,
+        depth=rules.estimate_depth.output.depth,
+        dem=rules.build_dem.output.dem,
+        voxels=rules.rasterise_lidar.output.voxels,
+        frame=rules.ingest_cloud.output.frame,
+        code=sources("measure_poles"),
+    output:
+        sightings=ensure(
+            "results/{site}/poles/sightings/{shard}.parquet", non_empty=True
+        ),
+    log:
+        log_of("measure_poles", "{shard}"),
+    benchmark:
+        benchmark_of("measure_poles", "{shard}")
+    conda:
+        ENVIRONMENT
+    params:
+        shards=setting("shards"),
+        options=flags("sightings"),
+    shell:
+        "python -m roadsight.stages.measure_poles --frames {input.frames}"
+        " --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
+        " --dem {input.dem} --voxels {input.voxels} --frame {input.frame} {params.options}"
+        " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings} > {log} 2>&1"
+
+
+rule triangulate_poles:
+    input:
+        sightings=all_sightings,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        voxels=rules.rasterise_lidar.output.voxels,
+        code=sources("triangulate_poles"),
+    output:
+        poles="results/{site}/poles/poles.parquet",
+        layers="results/{site}/poles/poles.gpkg",
+        csv="results/{site}/poles/poles.csv",
+        geojson="results/{site}/poles/poles.geojson",
+    log:
+        log_of("triangulate_poles"),
+    benchmark:
+        benchmark_of("triangulate_poles")
+    conda:
+        ENVIRONMENT
+    params:
+        options=flags("triangulation"),
+    shell:
+        "python -m roadsight.stages.triangulate_poles --sightings {input.sightings}"
+        " --frame {input.frame} --dem {input.dem} --voxels {input.voxels} {params.options}"
+        " --poles {output.poles} --layers {output.layers} --csv {output.csv}"
+        " --geojson {output.geojson} > {log} 2>&1"
+
+
+rule rate_hazard:
+    input:
+        poles=rules.triangulate_poles.output.poles,
+        frame=rules.ingest_cloud.output.frame,
+        frames=rules.read_videolog.output.frames,
+        edges=rules.extract_road_edges.output.edges,
+        dem=rules.build_dem.output.dem,
+        code=sources("rate_hazard"),
+    output:
+        hazard="results/{site}/poles/hazard.parquet",
+        csv="results/{site}/poles/hazard.csv",
+    log:
+        log_of("rate_hazard"),
+    benchmark:
+        benchmark_of("rate_hazard")
+    conda:
+        ENVIRONMENT
+    params:
+        options=flags("hazard"),
+    shell:
+        "python -m roadsight.stages.rate_hazard --poles {input.poles} --frame {input.frame}"
+        " --frames {input.frames} --edges {input.edges} --dem {input.dem} {params.options}"
+        " --out {output.hazard} --csv {output.csv} > {log} 2>&1"
+
+
+rule validate_poles:
+    input:
+        poles=rules.triangulate_poles.output.poles,
+        truth=known_poles,
+        frame=rules.ingest_cloud.output.frame,
+        frames=rules.read_videolog.output.frames,
+        edges=rules.extract_road_edges.output.edges,
+        code=sources("validate_poles"),
+    output:
+        validation="results/{site}/poles/validation.json",
+    log:
+        log_of("validate_poles"),
+    benchmark:
+        benchmark_of("validate_poles")
+    conda:
+        ENVIRONMENT
+    params:
+        truth_crs=site_field("truth.poles_crs"),
+        options=flags("validation"),
+    shell:
+        "python -m roadsight.stages.validate_poles --poles {input.poles}"
+        " --truth {input.truth:q} --truth-crs {params.truth_crs:q} --frame {input.frame}"
+        " --frames {input.frames} --edges {input.edges} {params.options}"
+        " --out {output.validation} > {log} 2>&1"
+
+
+rule write_poles_page:
+    input:
+        summary=rules.summarise_site.output.summary,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        top=rules.rasterise_lidar.output.top,
+        road_edges=rules.extract_road_edges.output.edges,
+        frames=rules.read_videolog.output.frames,
+        images=rendered_images,
+        cameras=all_cameras,
+        image_edges=all_image_edges,
+        sightings=all_sightings,
+        masks=all_masks,
+        depth=all_depths,
+        poles=rules.triangulate_poles.output,
+        hazard=rules.rate_hazard.output.hazard,
+        validation=pole_validation,
+        code=sources("write_poles_page"),
+    output:
+        page="results/{site}/poles/page.json",
+    log:
+        log_of("write_poles_page"),
+    benchmark:
+        benchmark_of("write_poles_page")
+    conda:
+        ENVIRONMENT
+    params:
+        title=site_field("title"),
+        images=images_path,
+    shell:
+        "python -m roadsight.stages.write_poles_page --site {wildcards.site}"
+        " --title {params.title:q} --summary {input.summary} --frame {input.frame}"
+        " --dem {input.dem} --top {input.top} --road-edges {input.road_edges}"
+        " --frames {input.frames} --images {params.images:q} --cameras {input.cameras}"
+        " --image-edges {input.image_edges} --sightings {input.sightings} --masks {input.masks}"
+        " --depth {input.depth} --poles {input.poles[0]} --hazard {input.hazard}"
+        " --validation {input.validation} --files {input.poles} --out {output.page} > {log} 2>&1"

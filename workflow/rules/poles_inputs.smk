@@ -1,0 +1,239 @@
+"""Helpers of the pole rules: images and what is made of them, by shard."""
+
+import shlex
+
+from roadsight.io.texts import read_yaml
+from roadsight.io.videolog_files import files_by_shard
+
+
+def flags(section, *left_out):
+    """Settings of a section as command-line options, for a rule that takes them all."""
+
+    def options(wildcards):
+        values = (
+            SITES[wildcards.site].setting(section).model_dump(exclude=set(left_out))
+        )
+        return " ".join(
+            f"--{name.replace('_', '-')} {option(value)}"
+            for name, value in values.items()
+        )
+
+    return options
+
+
+def option(value):
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
+def image_shards(wildcards):
+    return range(SITES[wildcards.site].settings.shards)
+
+
+def pole_shards(kind, suffix):
+    """All shards of one kind of result."""
+    return lambda wildcards: [
+        f"results/{wildcards.site}/poles/{kind}/{shard}.{suffix}"
+        for shard in image_shards(wildcards)
+    ]
+
+
+all_masks = pole_shards("masks", "zip")
+all_depths = pole_shards("depth", "zip")
+all_image_edges = pole_shards("image_edges", "parquet")
+all_cameras = pole_shards("cameras", "parquet")
+all_sightings = pole_shards("sightings", "parquet")
+
+
+def is_rendered(wildcards):
+    return SITES[wildcards.site].site.sample is not None
+
+
+def videolog_file(wildcards):
+    """The table of the videolog: the site's, the generated one, or none where images are tagged."""
+    if is_rendered(wildcards):
+        return [f"results/{wildcards.site}/sample/videolog.csv"]
+    return beside_site("poles.videolog")(wildcards)
+
+
+def images_path(wildcards):
+    """Folder or archive of the images."""
+    if is_rendered(wildcards):
+        return f"results/{wildcards.site}/sample/images"
+    resolved = SITES[wildcards.site]
+    return resolved.beside(resolved.site.poles.images)
+
+
+def videolog_path(wildcards):
+    """The table, or the images themselves where they are tagged."""
+    return (videolog_file(wildcards) or [images_path(wildcards)])[0]
+
+
+def rendered_images(wildcards):
+    """Archives of rendered images, where the site has them."""
+    if not is_rendered(wildcards):
+        return []
+    return [
+        f"{images_path(wildcards)}/{shard}.zip" for shard in image_shards(wildcards)
+    ]
+
+
+def rendered_shard(wildcards):
+    files = rendered_images(wildcards)
+    return files[int(wildcards.shard)] if files else []
+
+
+def shard_images_path(wildcards):
+    return rendered_shard(wildcards) or images_path(wildcards)
+
+
+@lru_cache(maxsize=None)
+def videolog_shards(site, folders):
+    resolved = SITES[site]
+    table = resolved.beside(resolved.site.poles.videolog) or folders[0]
+    return clearly(files_by_shard, table, list(folders), resolved.settings.shards)
+
+
+def image_digest(*fields):
+    """Checksum of the images of a shard (of all, without one) and of what comes with them."""
+
+    def digest(wildcards):
+        resolved = SITES[wildcards.site]
+        if resolved.site.sample:
+            return ""
+        named = [images_path(wildcards)]
+        named += [path for field in fields for path in named_folders(resolved, field)]
+        shards = videolog_shards(wildcards.site, tuple(named))
+        if "shard" in wildcards.keys():
+            return CHECKSUMS.of_all(shards[int(wildcards.shard)])
+        return CHECKSUMS.of_all({file for files in shards for file in files})
+
+    return digest
+
+
+def named_folders(resolved, field):
+    """Folders of label or depth images that the site names."""
+    poles = resolved.site.poles
+    if field == "depth":
+        named = [poles.depth.images] if poles.depth else []
+    else:
+        named = [source.labels for source in poles.masks]
+    return [resolved.beside(path) for path in named if path]
+
+
+OWN_CLASSES = "resources/manifests/road_classes.yaml"
+OWN_DEPTH = "resources/manifests/road_depth.yaml"
+
+
+def mask_sources(wildcards):
+    """Sources of pixel classes as lists of files: the site's, or the project's own network."""
+    resolved = SITES[wildcards.site]
+    sources = [
+        [resolved.beside(path) for path in source.files]
+        for source in resolved.site.poles.masks
+    ]
+    return sources or [[OWN_CLASSES]]
+
+
+def mask_options(wildcards):
+    return " ".join(
+        "--source " + " ".join(map(shlex.quote, source))
+        for source in mask_sources(wildcards)
+    )
+
+
+def depth_source(wildcards):
+    resolved = SITES[wildcards.site]
+    depth = resolved.site.poles.depth
+    return OWN_DEPTH if depth is None else resolved.beside(depth.model or depth.images)
+
+
+def depth_kind(wildcards):
+    depth = SITES[wildcards.site].site.poles.depth
+    return "inverse_depth" if depth is None else depth.kind
+
+
+def model_files(manifests):
+    """Manifests and label maps with the networks that lie beside them."""
+    files = [file for file in manifests if file.endswith((".yaml", ".yml"))]
+    return [path for file in files for path in (file, *clearly(networks_of, file))]
+
+
+def networks_of(manifest):
+    """The network that a manifest names; label maps name none."""
+    name = os.path.expandvars(str((read_yaml(manifest) or {}).get("file", "")))
+    network = Path(manifest).parent / name
+    return [str(network)] if network.is_file() else []
+
+
+def mask_models(wildcards):
+    return model_files([file for source in mask_sources(wildcards) for file in source])
+
+
+def depth_models(wildcards):
+    return model_files([depth_source(wildcards)])
+
+
+def pavement_for_roads(wildcards):
+    """Pavement that stands for the road class of a cloud without one."""
+    if SITES[wildcards.site].site.poles.road == "classes":
+        return []
+    return f"results/{wildcards.site}/scene/pavement.gpkg"
+
+
+def road_source(wildcards):
+    return "class" if SITES[wildcards.site].site.poles.road == "classes" else "pavement"
+
+
+def ground_for_terrain(wildcards):
+    """Ground labels for the terrain of a cloud without classes."""
+    if SITES[wildcards.site].site.poles.road == "classes":
+        return []
+    return f"results/{wildcards.site}/scene/ground.parquet"
+
+
+def terrain_that_hides(wildcards):
+    """The terrain mesh, where road that it hides is left out."""
+    hides = SITES[wildcards.site].setting("terrain_mesh.occlusion") == "use"
+    return [f"results/{wildcards.site}/poles/terrain.npz"] if hides else []
+
+
+def pole_frames(wildcards):
+    return f"results/{wildcards.site}/poles/frames.parquet"
+
+
+def found_poles(wildcards):
+    return f"results/{wildcards.site}/poles/poles.parquet"
+
+
+def known_poles(wildcards):
+    """Known poles: the site's file, or those of the generated site."""
+    if is_rendered(wildcards):
+        return [f"results/{wildcards.site}/sample/truth_poles.csv"]
+    return beside_site("truth.poles")(wildcards)
+
+
+def pole_validation(wildcards):
+    scored = wants(wildcards.site, "poles") and known_poles(wildcards)
+    return [f"results/{wildcards.site}/poles/validation.json"] if scored else []
+
+
+def pole_results():
+    return [
+        f"results/{site}/poles/{file}"
+        for site in SITES
+        if wants(site, "poles")
+        for file in ("poles.gpkg", "hazard.parquet", "page.json")
+    ]
+
+
+def pole_pages():
+    return [f"results/{site}/poles/page.json" for site in SITES if wants(site, "poles")]
+
+
+def poles_only(inputs):
+    """An input function that gives nothing where a site does not ask for poles."""
+    return lambda wildcards: inputs(wildcards) if wants(wildcards.site, "poles") else []
+
+
+# Settings of the alignment that the calibration of the drive does not know.
+ALIGNMENT_ONLY = ("method", "max_residual_px", "max_sigma_heading_deg")

@@ -1,0 +1,113 @@
+"""What the images of a videolog show, shard by shard.
+
+REQUIRED INPUTS  the site's videolog, images and networks (or masks and depth), results/{site}/scene/*
+OUTPUTS          results/{site}/poles/: frames, masks, depth, image edges
+"""
+
+
+rule read_videolog:
+    input:
+        videolog=videolog_file,
+        images=rendered_images,
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        top=rules.rasterise_lidar.output.top,
+        code=sources("read_videolog"),
+    output:
+        frames="results/{site}/poles/frames.parquet",
+    log:
+        log_of("read_videolog"),
+    benchmark:
+        benchmark_of("read_videolog")
+    conda:
+        ENVIRONMENT
+    params:
+        videolog=videolog_path,
+        images=images_path,
+        images_sha256=image_digest(),
+        options=flags("videolog"),
+    shell:
+        "python -m roadsight.stages.read_videolog --videolog {params.videolog:q}"
+        " --images {params.images:q} --cloud {input.cloud} --frame {input.frame}"
+        " --dem {input.dem} --top {input.top} {params.options} --out {output.frames} > {log} 2>&1"
+
+
+rule segment_images:
+    input:
+        frames=rules.read_videolog.output.frames,
+        images=rendered_shard,
+        models=mask_models,
+        code=sources("segment_images"),
+    output:
+        masks=ensure("results/{site}/poles/masks/{shard}.zip", non_empty=True),
+    log:
+        log_of("segment_images", "{shard}"),
+    benchmark:
+        benchmark_of("segment_images", "{shard}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=2000,
+    params:
+        images=shard_images_path,
+        images_sha256=image_digest("masks"),
+        masks=mask_options,
+        shards=setting("shards"),
+        options=flags("networks"),
+    shell:
+        "python -m roadsight.stages.segment_images --frames {input.frames}"
+        " --images {params.images:q} {params.masks} {params.options}"
+        " --shard {wildcards.shard} --shards {params.shards} --out {output.masks} > {log} 2>&1"
+
+
+rule estimate_depth:
+    input:
+        frames=rules.read_videolog.output.frames,
+        images=rendered_shard,
+        models=depth_models,
+        code=sources("estimate_depth"),
+    output:
+        depth=ensure("results/{site}/poles/depth/{shard}.zip", non_empty=True),
+    log:
+        log_of("estimate_depth", "{shard}"),
+    benchmark:
+        benchmark_of("estimate_depth", "{shard}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=2000,
+    params:
+        images=shard_images_path,
+        images_sha256=image_digest("depth"),
+        source=depth_source,
+        kind=depth_kind,
+        shards=setting("shards"),
+        options=flags("networks"),
+    shell:
+        "python -m roadsight.stages.estimate_depth --frames {input.frames}"
+        " --images {params.images:q} --source {params.source:q} --folder-kind {params.kind}"
+        " {params.options} --shard {wildcards.shard} --shards {params.shards}"
+        " --out {output.depth} > {log} 2>&1"
+
+
+rule trace_image_edges:
+    input:
+        frames=rules.read_videolog.output.frames,
+        masks=rules.segment_images.output.masks,
+        code=sources("trace_image_edges"),
+    output:
+        edges=ensure("results/{site}/poles/image_edges/{shard}.parquet", non_empty=True),
+    log:
+        log_of("trace_image_edges", "{shard}"),
+    benchmark:
+        benchmark_of("trace_image_edges", "{shard}")
+    conda:
+        ENVIRONMENT
+    params:
+        shards=setting("shards"),
+        options=flags("image_edges"),
+    shell:
+        "python -m roadsight.stages.trace_image_edges --frames {input.frames}"
+        " --masks {input.masks} {params.options} --shard {wildcards.shard}"
+        " --shards {params.shards} --out {output.edges} > {log} 2>&1"
