@@ -117,7 +117,9 @@ def test_summary_holds_the_keys_that_checks_rely_on(folder):
 
 def test_a_job_that_was_not_asked_for_is_absent(folder):
     # Snakemake gives the options of an absent job without any value.
-    code, path = summarise(folder, "--given", "--scores", "--traffic", "--coverage", "--solutions", "--timings")
+    code, path = summarise(
+        folder, "--given", "--scores", "--traffic", "--coverage", "--solutions", "--timings"
+    )
     assert code == 0
     summary = json.loads(path.read_text())
     assert "placement" not in summary

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from roadsight import __version__
 from roadsight.errors import InputError
 
-COMMANDS = ("init", "ground", "pavement", "edges", "depthmap", "cover")
+COMMANDS = ("init", "ground", "pavement", "edges", "depthmap", "cover", "triangulate")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

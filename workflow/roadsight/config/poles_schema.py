@@ -135,9 +135,9 @@ class Triangulation(Section):
         default="packing",
         description="best set of disjoint groups of rays, or the paper's deterministic sweep",
     )
-    max_distance_m: Metres = Field(default=35.0, description="farther sightings are not used, m")
+    max_distance_m: Metres = Field(default=40.0, description="farther sightings are not used, m")
     sigma_position_m: Metres = Field(
-        default=2.0, description="error of a camera's position, one axis, m"
+        default=0.7, description="error of a camera's position, one axis, m"
     )
     pole_cost: Positive = Field(
         default=5.0, description="evidence that a pole needs, half units of chi squared"

@@ -16,9 +16,24 @@ from roadsight.report import wording
 from roadsight.report.page import FORMAT
 from roadsight.report.parameters import figure_rows, setting_groups
 from roadsight.report.plan_view import best_plan, plan_views
+from roadsight.report.poles_page import FORMAT as POLES_FORMAT
+from roadsight.report.poles_view import poles_view
 
-STYLES = ("base.css", "parts.css", "views.css")
-SCRIPTS = ("data.js", "map_view.js", "map_layers.js", "scene_view.js", "site.js", "main.js")
+STYLES = ("base.css", "parts.css", "views.css", "poles.css")
+SCRIPTS = (
+    "data.js",
+    "plan_canvas.js",
+    "map_view.js",
+    "map_layers.js",
+    "scene_view.js",
+    "site.js",
+    "poles_data.js",
+    "poles_map.js",
+    "poles_layers.js",
+    "poles_images.js",
+    "poles.js",
+    "main.js",
+)
 TEMPLATES = (
     "report.html.j2",
     "site.html.j2",
@@ -28,6 +43,9 @@ TEMPLATES = (
     "sensors.html.j2",
     "gaps.html.j2",
     "evidence.html.j2",
+    "poles.html.j2",
+    "poles_results.html.j2",
+    "common.html.j2",
 )
 ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)
 """Names of the files that `render_report` needs."""
@@ -37,13 +55,18 @@ _UNIT_SIGNS = {"metre": "m", "foot": "ft", "us-survey-foot": "US ft"}
 
 
 def render_report(
-    pages: Sequence[dict[str, Any]], assets: Mapping[str, str], plotly_js: str, version: str
+    pages: Sequence[dict[str, Any]],
+    poles_pages: Sequence[dict[str, Any]],
+    assets: Mapping[str, str],
+    plotly_js: str,
+    version: str,
 ) -> str:
     """HTML of the report; the same pages give the same text.
 
     Parameters
     ----------
     pages : content of each site's page.json, in the order of the report.
+    poles_pages : content of each site's poles/page.json; a site may have either page, or both.
     assets : text of the files named in `ASSETS`.
     plotly_js : source of plotly.js.
 
@@ -51,7 +74,7 @@ def render_report(
     ------
     InputError : no page, a page of another format, or two pages of one site.
     """
-    _check(pages)
+    sites = _pairs(pages, poles_pages)
     environment = jinja2.Environment(
         loader=jinja2.DictLoader({name: assets[name] for name in TEMPLATES}),
         autoescape=True,
@@ -64,7 +87,7 @@ def render_report(
         for name in ("number", "percent", "seconds", "metres", "bearing", "counted", "label")
     } | {"quantity": wording.quantity}
     return environment.get_template("report.html.j2").render(
-        sites=[_site(page, f"site-{number}") for number, page in enumerate(pages)],
+        sites=[_site(*pair, f"site-{number}") for number, pair in enumerate(sites)],
         css="\n".join(assets[name] for name in STYLES),
         script="\n".join(assets[name] for name in SCRIPTS),
         plotly=plotly_js,
@@ -73,40 +96,73 @@ def render_report(
     )
 
 
-def _check(pages: Sequence[dict[str, Any]]) -> None:
-    if not pages:
+_Page = dict[str, Any]
+
+
+def _pairs(
+    pages: Sequence[_Page], poles_pages: Sequence[_Page]
+) -> list[tuple[_Page | None, _Page | None]]:
+    """Scene page and poles page of each site; sites with poles alone come last."""
+    _check(pages, FORMAT, "--pages")
+    _check(poles_pages, POLES_FORMAT, "--poles-pages")
+    if not pages and not poles_pages:
         raise InputError("no site to report", where="--pages")
+    poles = {page["summary"]["site"]: page for page in poles_pages}
+    scenes = [(page, poles.pop(page["summary"]["site"], None)) for page in pages]
+    return [*scenes, *((None, page) for page in poles.values())]
+
+
+def _check(pages: Sequence[_Page], allowed: str, where: str) -> None:
     for page in pages:
-        if page.get("format") != FORMAT:
+        if page.get("format") != allowed:
             raise InputError(
                 "is no page of this version",
-                where="--pages",
+                where=where,
                 found=page.get("format"),
-                allowed=FORMAT,
+                allowed=allowed,
                 hint="run the workflow again",
             )
     names = [page["summary"]["site"] for page in pages]
     if repeated := sorted({name for name in names if names.count(name) > 1}):
-        raise InputError("two pages of one site", where="--pages", found=repeated[0])
+        raise InputError("two pages of one site", where=where, found=repeated[0])
 
 
-def _site(page: dict[str, Any], identifier: str) -> dict[str, Any]:
+def _site(page: _Page | None, poles_page: _Page | None, identifier: str) -> dict[str, Any]:
     """What the templates show of a site."""
-    plans = plan_views(page["plans"], Frame.from_dict(page["frame"]))
-    costs = [sensor["cost"] for sensor in page["sensors"].values()]
+    about = next(given for given in (page, poles_page) if given is not None)
+    poles = None if poles_page is None else poles_view(poles_page)
+    scene = {"plans": [], "sensors": {}} if page is None else _scene(page)
     return {
         "id": identifier,
-        "title": page["title"] or page["summary"]["site"],
-        "cards": _cards(page),
-        "cautions": page["cautions"],
-        "plans": plans,
-        "sections": _sections(bool(plans)),
+        "title": about["title"] or about["summary"]["site"],
+        "scene": page is not None,
+        "poles": poles,
+        "cards": [*([] if page is None else _cards(page)), *(poles["cards"] if poles else [])],
+        "cautions": _cautions(page, poles_page),
+        "sections": _sections(page, poles),
+        **scene,
+        **_coordinates(about["frame"]),
+        **_provenance(about),
+        "poles_data": None if poles_page is None else embedded(_drawn_poles(poles_page)),
+    }
+
+
+def _scene(page: _Page) -> dict[str, Any]:
+    """Scene and placement."""
+    costs = [sensor["cost"] for sensor in page["sensors"].values()]
+    return {
+        "plans": plan_views(page["plans"], Frame.from_dict(page["frame"])),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
-        **_coordinates(page["frame"]),
         **_cloud(page),
         **_evidence(page),
         "data": embedded(_drawn(page)),
     }
+
+
+def _cautions(page: _Page | None, poles_page: _Page | None) -> list[dict[str, str]]:
+    """Cautions of both jobs, warnings first."""
+    found = [caution for given in (page, poles_page) if given for caution in given["cautions"]]
+    return sorted(found, key=lambda caution: caution["level"] != "warning")
 
 
 def _coordinates(about: dict[str, Any]) -> dict[str, Any]:
@@ -118,6 +174,7 @@ def _coordinates(about: dict[str, Any]) -> dict[str, Any]:
         "vertical_unit": _unit_sign(about["vertical_unit"]),
         "unit_name": about["unit"],
         "vertical_unit_name": about["vertical_unit"],
+        "points": about["points"],
         "origin": ", ".join(wording.number(value, 3) for value in about["origin"]),
     }
 
@@ -126,7 +183,6 @@ def _cloud(page: dict[str, Any]) -> dict[str, Any]:
     """What there is of the cloud."""
     cloud = page["layers"]["cloud"]
     return {
-        "points": page["frame"]["points"],
         "shown_points": cloud["xyz"]["count"] // 3,
         "has_intensity": cloud["intensity"] is not None,
         "has_colour": cloud["colour"] is not None,
@@ -134,7 +190,7 @@ def _cloud(page: dict[str, Any]) -> dict[str, Any]:
 
 
 def _evidence(page: dict[str, Any]) -> dict[str, Any]:
-    """Scene, parameters and provenance."""
+    """Scene, and the sensors' parameters."""
     summary, sensors = page["summary"], page["sensors"]
     figures = dict(summary["scene"])
     scores, _ = figures.pop("pavement_scores", None), figures.pop("traffic", None)
@@ -149,6 +205,13 @@ def _evidence(page: dict[str, Any]) -> dict[str, Any]:
             for key in Sensor.model_fields
             if any(sensor.get(key) is not None for sensor in sensors.values())
         ],
+    }
+
+
+def _provenance(page: _Page) -> dict[str, Any]:
+    """Parameters and what the results were made from."""
+    summary = page["summary"]
+    return {
         "settings": setting_groups(summary["settings"]),
         "name": summary["site"],
         "version": summary["version"],
@@ -165,6 +228,13 @@ def _drawn(page: dict[str, Any]) -> dict[str, Any]:
         "sensors": page["sensors"],
         "cell_size_m": page["summary"]["settings"]["targets"]["cell_size_m"],
     }
+
+
+def _drawn_poles(page: _Page) -> dict[str, Any]:
+    """What the poles' map and images draw."""
+    kept = ("layers", "images", "hazard")
+    errors = (page["validation"] or {}).get("errors", [])
+    return {key: page[key] for key in kept} | {"errors": errors}
 
 
 def embedded(content: Any) -> str:
@@ -196,14 +266,18 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     return [*cards, ("Fewest sensors", value, best["title"])]
 
 
-def _sections(placed: bool) -> list[tuple[str, str]]:
+def _sections(page: _Page | None, poles: dict[str, Any] | None) -> list[tuple[str, str]]:
     """Anchors and titles of a site's sections."""
-    views = [("map", "Map"), ("scene3d", "3D view")]
-    evidence = [("scene", "Scene"), ("parameters", "Parameters"), ("provenance", "Provenance")]
-    if not placed:
-        return [*views, *evidence]
-    results = [("sensors", "Chosen sensors"), ("gaps", "Uncovered targets")]
-    return [("plans", "Plans compared"), *views, *results, *evidence]
+    found = []
+    if page is not None:
+        views = [("map", "Map"), ("scene3d", "3D view")]
+        results = [("sensors", "Chosen sensors"), ("gaps", "Uncovered targets")]
+        found = [("plans", "Plans compared"), *views, *results] if page["plans"] else views
+    if poles is not None:
+        found += poles["sections"]
+    if page is not None:
+        found.append(("scene", "Scene"))
+    return [*found, ("parameters", "Parameters"), ("provenance", "Provenance")]
 
 
 def _effects(effects: Any) -> list[dict[str, Any]]:

@@ -22,16 +22,21 @@ def write_report(arguments: argparse.Namespace) -> None:
     folder = resources.files("roadsight.report") / "assets"
     assets = {name: (folder / name).read_text(encoding="utf-8") for name in ASSETS}
     pages = [read_json(path) for path in arguments.pages]
-    html = render_report(pages, assets, get_plotlyjs(), __version__)
+    poles = [read_json(path) for path in arguments.poles_pages]
+    html = render_report(pages, poles, assets, get_plotlyjs(), __version__)
     with atomic_path(arguments.out) as temporary:
         temporary.write_text(html, encoding="utf-8")
-    log.info("%d sites, %.1f MB", len(pages), len(html) / 1e6)
+    sites = {page["summary"]["site"] for page in (*pages, *poles)}
+    log.info("%d sites, %.1f MB", len(sites), len(html) / 1e6)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pages", nargs="+", required=True, help="page.json of each site")
+    parser.add_argument("--pages", nargs="*", default=[], help="page.json of each site")
+    parser.add_argument(
+        "--poles-pages", nargs="*", default=[], help="poles/page.json of each site with poles"
+    )
     parser.add_argument("--out", required=True, help="HTML file to write")
     return run_stage(parser, write_report, argv)
 

@@ -20,15 +20,20 @@ const opened = new Map();
 function showSite(section) {
   for (const other of sections) {
     other.hidden = other !== section;
-    if (other !== section) opened.get(other)?.pause();
+    if (other !== section) for (const part of opened.get(other) ?? []) part.pause();
   }
   for (const link of document.querySelectorAll(".site-link")) {
     const current = link.hash === `#${section.id}`;
     mark(link, current);
     link.nextElementSibling.hidden = !current;
   }
-  if (opened.has(section)) opened.get(section).resume();
-  else opened.set(section, new Site(section, tooltip));
+  if (opened.has(section)) for (const part of opened.get(section)) part.resume();
+  else opened.set(section, partsOf(section));
+}
+
+function partsOf(section) {
+  const parts = [[".site-data", Site], [".poles-data", PolesPart]];
+  return parts.filter(([data]) => section.querySelector(data)).map(([, Part]) => new Part(section, tooltip));
 }
 
 function followAnchor() {
@@ -45,4 +50,4 @@ window.addEventListener("beforeprint", () => {
 });
 window.addEventListener("hashchange", followAnchor);
 followAnchor();
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => opened.forEach((site) => site.recolour()));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => [...opened.values()].flat().forEach((part) => part.recolour()));

@@ -1,153 +1,34 @@
-// A map on a canvas: moving, zooming, pointing. What it draws is in map_layers.js.
+// The map of scene and placement. What it draws is in map_layers.js.
 
-const MAP_MARGIN_PX = 34;
-
-class MapView {
+class MapView extends PlanCanvas {
   constructor(canvas, site, state, tooltip) {
-    Object.assign(this, { canvas, site, state, tooltip });
-    this.context = canvas.getContext("2d");
+    super(canvas, site, state, tooltip);
     this.layers = { relief: true, pavement: true, edges: true, candidates: true, targets: true, obstacles: true, sensors: true };
-    this.active = false;
-    this.listen();
-    new ResizeObserver(() => this.resize()).observe(canvas);
     this.recolour();
   }
 
   recolour() {
-    this.colour = themeColours();
+    super.recolour();
     this.reliefImage = shadeImage(this.site.relief, this.colour("shadow"), this.colour("sunlit"));
-    this.draw();
   }
 
-  resize() {
-    const { clientWidth, clientHeight } = this.canvas;
-    if (clientWidth === 0) return;
-    this.ratio = window.devicePixelRatio || 1;
-    this.canvas.width = Math.round(clientWidth * this.ratio);
-    this.canvas.height = Math.round(clientHeight * this.ratio);
-    const fitted = this.width === undefined || this.showsAll;
-    this.width = clientWidth;
-    this.height = clientHeight;
-    if (fitted) this.fit();
-    this.draw();
+  paint() {
+    drawMap(this);
   }
 
-  fit() {
-    const { west, south, east, north } = this.site.extent;
-    const wide = (this.width - 2 * MAP_MARGIN_PX) / Math.max(east - west, 1);
-    const high = (this.height - 2 * MAP_MARGIN_PX) / Math.max(north - south, 1);
-    this.scale = Math.min(wide, high);
-    this.fitted = this.scale;
-    this.centre = [(west + east) / 2, (south + north) / 2];
-    this.showsAll = true;
-    this.draw();
+  pick(px, py) {
+    return pick(this, px, py);
   }
 
-  toScreen(x, y) {
-    return [this.width / 2 + (x - this.centre[0]) * this.scale, this.height / 2 - (y - this.centre[1]) * this.scale];
-  }
-
-  toGround(px, py) {
-    return [this.centre[0] + (px - this.width / 2) / this.scale, this.centre[1] - (py - this.height / 2) / this.scale];
-  }
-
-  zoom(factor, px = this.width / 2, py = this.height / 2) {
-    const [x, y] = this.toGround(px, py);
-    this.showsAll = false;
-    this.scale = Math.min(Math.max(this.scale * factor, this.fitted / 4), Math.max(400, this.fitted));
-    this.centre = [x - (px - this.width / 2) / this.scale, y + (py - this.height / 2) / this.scale];
-    this.draw();
-  }
-
-  move(dx, dy) {
-    this.showsAll = false;
-    this.centre = [this.centre[0] - dx / this.scale, this.centre[1] + dy / this.scale];
-    this.draw();
-  }
-
-  draw() {
-    if (this.pending || this.width === undefined) return;
-    this.pending = requestAnimationFrame(() => {
-      this.pending = 0;
-      this.context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-      drawMap(this);
-    });
-  }
-
-  listen() {
-    const { canvas } = this;
-    let last = null, travelled = 0;
-    canvas.addEventListener("pointerdown", (event) => {
-      this.active = true;
-      last = [event.clientX, event.clientY];
-      travelled = 0;
-      canvas.setPointerCapture(event.pointerId);
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      if (last) {
-        const [dx, dy] = [event.clientX - last[0], event.clientY - last[1]];
-        travelled += Math.abs(dx) + Math.abs(dy);
-        last = [event.clientX, event.clientY];
-        this.move(dx, dy);
-      } else this.point(event);
-    });
-    canvas.addEventListener("pointerup", (event) => {
-      last = null;
-      if (travelled < 4) this.click(event);
-    });
-    canvas.addEventListener("pointerleave", () => {
-      this.active = false;
-      this.tooltip.hide();
-    });
-    canvas.addEventListener("wheel", (event) => {
-      if (!this.active && !event.ctrlKey) return;
-      event.preventDefault();
-      this.zoom(Math.exp(-event.deltaY * 0.0015), event.offsetX, event.offsetY);
-    }, { passive: false });
-    canvas.addEventListener("keydown", (event) => this.key(event));
-  }
-
-  key(event) {
-    const step = 60;
-    const actions = {
-      ArrowLeft: () => this.move(step, 0), ArrowRight: () => this.move(-step, 0),
-      ArrowUp: () => this.move(0, step), ArrowDown: () => this.move(0, -step),
-      "+": () => this.zoom(1.4), "=": () => this.zoom(1.4), "-": () => this.zoom(1 / 1.4),
-      0: () => this.fit(), Escape: () => this.state.chooseSensor(null),
-    };
-    if (!actions[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
-    event.preventDefault();
-    actions[event.key]();
-  }
-
-  point(event) {
-    const found = pick(this, event.offsetX, event.offsetY);
-    this.canvas.style.cursor = found?.kind === "sensor" ? "pointer" : "";
-    if (found) this.tooltip.show(found.text, event.clientX, event.clientY);
-    else this.tooltip.hide();
-  }
-
-  click(event) {
-    const found = pick(this, event.offsetX, event.offsetY);
-    if (found?.kind === "sensor") this.state.chooseSensor(this.state.sensor === found.index ? null : found.index);
+  choose(found) {
+    this.state.chooseSensor(found === null || this.state.sensor === found.index ? null : found.index);
   }
 }
-
-const PICK_RADIUS_PX = 11;
 
 // What lies under the pointer: sensors before obstacles, targets and candidates.
 function pick(map, px, py) {
   const { site, state, layers } = map;
   const plan = state.plan;
-  const nearest = (count, place) => {
-    let best = -1, least = PICK_RADIUS_PX;
-    for (let i = 0; i < count; i++) {
-      const [x, y] = map.toScreen(...place(i));
-      const distance = Math.hypot(x - px, y - py);
-      if (distance < least) [best, least] = [i, distance];
-    }
-    return best;
-  };
   const kinds = [
     ["sensor", layers.sensors && plan, () => plan.sensors.length, (i) => [plan.sensors[i].x, plan.sensors[i].y], (i) => sensorText(plan.sensors[i])],
     ["obstacle", layers.obstacles && plan, () => plan.obstacles.length, (i) => [plan.obstacles[i].x, plan.obstacles[i].y], (i) => obstacleText(plan.obstacles[i])],
@@ -155,8 +36,8 @@ function pick(map, px, py) {
     ["candidate", layers.candidates && site.candidates, () => site.candidates.heights.length, (i) => [site.candidates.xy[2 * i], site.candidates.xy[2 * i + 1]], (i) => candidateText(site.candidates, i)],
   ];
   for (const [kind, shown, count, place, text] of kinds) {
-    const index = shown ? nearest(count(), place) : -1;
-    if (index >= 0) return { kind, index, text: text(index) };
+    const index = shown ? map.nearest(px, py, count(), place) : -1;
+    if (index >= 0) return { chosen: kind === "sensor", index, text: text(index) };
   }
   return null;
 }

@@ -1,0 +1,157 @@
+"""The overhead view of a voxelised cloud as a GeoTIFF in the site's CRS and units.
+
+Bands: class, height (native units), share of road points. Rows come in from south to north and go
+out in blocks, so that memory is bounded by one row of blocks.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from types import TracebackType
+
+import numpy as np
+import rasterio
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
+from rasterio.errors import RasterioError
+from rasterio.windows import Window
+
+from roadsight.errors import InputError
+from roadsight.geometry.crs import horizontal
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import atomic_path
+from roadsight.scene.voxel_classes import Columns, VoxelGrid
+
+_BLOCK = 256
+_NODATA = -9999.0
+_BANDS = ("class", "height", "road share")
+
+
+class TopRasterWriter:
+    """Writes columns of voxels; blocks without any are left out of the file.
+
+    Parameters
+    ----------
+    path : GeoTIFF to write. frame : of the site. grid : of the voxels.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], frame: Frame, grid: VoxelGrid) -> None:
+        self._place, self._frame, self._grid = atomic_path(path), frame, grid
+        self._block = -1
+        self._pixels: NDArray[np.float32] = np.empty((0, 0, 0), np.float32)
+
+    def __enter__(self) -> TopRasterWriter:
+        columns, rows, _ = self._grid.shape
+        cell = self._grid.cell_size_m / self._frame.unit_m
+        west_m, south_m = self._grid.corner_m[:2]
+        west, north = self._frame.to_native([west_m, south_m + rows * self._grid.cell_size_m])
+        crs = self._frame.crs_wkt and horizontal(CRS.from_wkt(self._frame.crs_wkt)).to_wkt()
+        self._file = rasterio.open(
+            self._place.__enter__(), "w", driver="GTiff", width=columns, height=rows, count=3,
+            dtype="float32", crs=crs, nodata=_NODATA, compress="deflate", predictor=3, tiled=True,
+            blockxsize=_BLOCK, blockysize=_BLOCK, interleave="band", sparse_ok=True,
+            bigtiff="if_safer", transform=rasterio.Affine(cell, 0.0, west, 0.0, -cell, north),
+        )  # fmt: skip
+        for number, name in enumerate(_BANDS, start=1):
+            self._file.set_band_description(number, name)
+        return self
+
+    def add(self, columns: Columns) -> None:
+        """Add columns that lie north of, or beside, all that came before."""
+        row = self._grid.shape[1] - 1 - columns.row
+        block = row // _BLOCK
+        height = columns.height_m / self._frame.vertical_unit_m + self._frame.origin[2]
+        bands = np.stack([columns.cls, height, columns.road_share])
+        for number in np.unique(block)[::-1].tolist():
+            own = block == number
+            if number != self._block:
+                self._flush()
+                self._block = number
+                self._pixels = np.full((3, _BLOCK, self._grid.shape[0]), _NODATA, np.float32)
+            self._pixels[:, row[own] - number * _BLOCK, columns.column[own]] = bands[:, own]
+
+    def _flush(self) -> None:
+        if self._block < 0:
+            return
+        first = self._block * _BLOCK
+        rows = min(_BLOCK, self._grid.shape[1] - first)
+        for west in range(0, self._grid.shape[0], _BLOCK):
+            part = self._pixels[:, :rows, west : west + _BLOCK]
+            if (part != _NODATA).any():
+                self._file.write(part, window=Window(west, first, part.shape[2], rows))
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self._flush()
+        self._file.close()
+        self._place.__exit__(kind, error, trace)
+
+
+@dataclass(frozen=True)
+class TopRaster:
+    """Overhead view in the local frame, rows from north to south.
+
+    Parameters
+    ----------
+    cls : (rows, columns) class, 0 where nothing was hit.
+    height_m : (rows, columns) float32, NaN where nothing was hit.
+    road_share : (rows, columns) float32, 0 where there is no road.
+    west_m, north_m : outer corner of cell (0, 0). cell_size_m : edge of a cell.
+    """
+
+    cls: NDArray[np.uint8]
+    height_m: NDArray[np.float32]
+    road_share: NDArray[np.float32]
+    west_m: float
+    north_m: float
+    cell_size_m: float
+
+    def xy_m(self, row: ArrayLike, column: ArrayLike) -> NDArray[np.float64]:
+        """Places (n, 2) of fractional pixel positions (n,), whole at pixel centres."""
+        x = self.west_m + (np.asarray(column, np.float64) + 0.5) * self.cell_size_m
+        y = self.north_m - (np.asarray(row, np.float64) + 0.5) * self.cell_size_m
+        return np.stack([x, y], axis=-1)
+
+    def pixels(self, xy_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Fractional rows and columns (n,) of places (n, 2); inverse of `xy_m`."""
+        x, y = np.asarray(xy_m, np.float64)[..., :2].T
+        column = (x - self.west_m) / self.cell_size_m - 0.5
+        return (self.north_m - y) / self.cell_size_m - 0.5, column
+
+
+def read_top(path: str | os.PathLike[str], frame: Frame) -> TopRaster:
+    """Read what `TopRasterWriter` wrote, heights in local metres.
+
+    Raises
+    ------
+    InputError : the file is missing, damaged, or no raster of this kind.
+    """
+    try:
+        with rasterio.open(path) as raster:
+            if raster.descriptions != _BANDS:
+                raise ValueError("its bands are others")
+            cls, share = (_zeroed(raster.read(band)) for band in (1, 3))
+            height, transform = raster.read(2), raster.transform
+    except (RasterioError, OSError, ValueError) as error:
+        raise InputError(
+            f"cannot be read as an overhead view of the cloud ({error})",
+            where=str(path),
+            hint="delete it and run the workflow again",
+        ) from error
+    height[height == _NODATA] = np.nan
+    height -= np.float32(frame.origin[2])
+    height *= np.float32(frame.vertical_unit_m)
+    west_m, north_m = (round(float(m), 6) for m in frame.to_local([transform.c, transform.f]))
+    cell_size_m = round(transform.a * frame.unit_m, 9)
+    return TopRaster(cls.astype(np.uint8), height, share, west_m, north_m, cell_size_m)
+
+
+def _zeroed(band: NDArray[np.float32]) -> NDArray[np.float32]:
+    band[band == _NODATA] = 0.0
+    return band

@@ -1,0 +1,67 @@
+"""Voxels of a site as a Parquet file that is written piece by piece."""
+
+from __future__ import annotations
+
+import json
+import os
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from roadsight.io.atomic import atomic_path
+
+_GROUP = 1 << 20
+_SCHEMA = pa.schema(
+    [("ix", pa.int32()), ("iy", pa.int32()), ("iz", pa.int32()), ("cls", pa.uint8())]
+)
+
+
+class VoxelTableWriter:
+    """Writes columns ix, iy, iz and cls; the bytes do not depend on the pieces.
+
+    Parameters
+    ----------
+    path : the Parquet file. about : JSON description kept in it, read by `io.tables.read_about`.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], about: dict[str, Any]) -> None:
+        self._place = atomic_path(path)
+        self._schema = _SCHEMA.with_metadata(
+            {b"roadsight": json.dumps(about, sort_keys=True).encode()}
+        )
+        self._waiting: list[pa.Table] = []
+        self.rows = 0
+
+    def __enter__(self) -> VoxelTableWriter:
+        self._file = pq.ParquetWriter(self._place.__enter__(), self._schema, compression="zstd")
+        return self
+
+    def add(self, indices: NDArray[np.int32], cls: NDArray[np.uint8]) -> None:
+        """Add voxels: indices ix, iy, iz (n, 3) and classes (n,)."""
+        columns = [*np.ascontiguousarray(indices.T), cls]
+        self._waiting.append(pa.table(columns, schema=self._schema))
+        self.rows += len(cls)
+        if sum(len(part) for part in self._waiting) >= _GROUP:
+            self._flush(whole_groups=True)
+
+    def _flush(self, whole_groups: bool) -> None:
+        waiting = pa.concat_tables([*self._waiting, self._schema.empty_table()]).combine_chunks()
+        cut = len(waiting) // _GROUP * _GROUP if whole_groups else len(waiting)
+        if cut:
+            self._file.write_table(waiting.slice(0, cut), row_group_size=_GROUP)
+        self._waiting = [waiting.slice(cut)]
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if kind is None:
+            self._flush(whole_groups=False)
+        self._file.close()
+        self._place.__exit__(kind, error, trace)

@@ -1,0 +1,1 @@
+"""Camera poses by aligning road edges of the LiDAR with road edges of the image."""

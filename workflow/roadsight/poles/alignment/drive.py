@@ -1,0 +1,145 @@
+"""The images of a drive with their place on the road, ready to be aligned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.poles.alignment.pose import Start
+from roadsight.poles.alignment.roadside import NearEdges, RoadEdges, edges_ahead
+from roadsight.poles.alignment.roadway import roadway_at
+from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
+from roadsight.poles.alignment.track import extended_track, track_headings_deg
+
+_FLOATS = NDArray[np.float64]
+Visible = Callable[[_FLOATS, _FLOATS], NDArray[np.bool_]]
+"""Function of a camera place (3,) and points (n, 3): which of them the terrain does not hide."""
+
+_BEYOND_M = 60.0
+_EYE_M = 2.2
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Which road edges are compared with an image, and how many points of both.
+
+    Parameters
+    ----------
+    nearest_m, farthest_m : range of road edges. edge_points : LiDAR points of an image at most.
+    pixels : edge pixels of an image at most.
+    """
+
+    nearest_m: float = 3.0
+    farthest_m: float = 240.0
+    edge_points: int = 800
+    pixels: int = 400
+
+
+@dataclass(frozen=True)
+class Place:
+    """One image on its route.
+
+    Attributes
+    ----------
+    station_m : path along the route. track_m : (n, 2) the track around it, continued at its ends.
+    """
+
+    image: str
+    route: str
+    station_m: float
+    start: Start
+    track_m: _FLOATS
+
+
+def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None) -> list[Place]:
+    """Places of the images in the order of the table.
+
+    Parameters
+    ----------
+    frames : image, route, sequence, x, y, z_road (local metres), heading_deg, width_px,
+        height_px; one row per image.
+    """
+    reach = reach or Reach()
+    found: dict[int, Place] = {}
+    for route, table in frames.reset_index(drop=True).groupby("route", sort=True):
+        rows = table.sort_values("sequence", kind="stable")
+        track = rows[["x", "y"]].to_numpy(np.float64)
+        z = rows["z_road"].to_numpy(np.float64)
+        heading = track_headings_deg(track, rows["heading_deg"].to_numpy(np.float64))
+        path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track, axis=0).T))])
+        for k, (number, row) in enumerate(zip(rows.index, rows.to_dict("records"), strict=True)):
+            around = np.abs(path - path[k]) <= reach.farthest_m + _BEYOND_M
+            line = extended_track(track[around], _BEYOND_M)
+            start = _start(row, edges, heading[k], _grade(path, z, k))
+            found[int(number)] = Place(str(row["image"]), str(route), float(path[k]), start, line)
+    return [found[number] for number in range(len(frames))]
+
+
+def _grade(path_m: _FLOATS, z_m: _FLOATS, k: int) -> float:
+    """Rise per metre of the road along the track, over at least 4 m where the route has it."""
+    near = np.abs(path_m - path_m[k]) <= 12.0
+    near[max(k - 1, 0) : k + 2] = True
+    near &= np.isfinite(z_m)
+    step = path_m[near] - path_m[k]
+    if len(step) < 2 or np.ptp(step) < 1.0:
+        return 0.0
+    step = step - step.mean()
+    return float(np.clip(step @ z_m[near] / (step @ step), -0.25, 0.25))
+
+
+def _start(row: dict, edges: RoadEdges, heading_deg: float, grade: float) -> Start:
+    x, y, z = float(row["x"]), float(row["y"]), float(row["z_road"])
+    road = roadway_at(edges, np.array([x, y, z]), heading_deg, grade)
+    width, height = int(row["width_px"]), int(row["height_px"])
+    middle = (width - 1) / 2, (height - 1) / 2
+    tilt = road.grade, road.bank
+    return Start(x, y, z, road.heading_deg, *tilt, width, height, *middle, road.bend, road.hump)
+
+
+def near_edges(
+    place: Place, edges: RoadEdges, reach: Reach, visible: Visible | None = None
+) -> NearEdges:
+    """Road edges that the image of a place may show."""
+    start = place.start
+    position = np.array([start.x_m, start.y_m, start.z_road_m])
+    seen = None
+    if visible is not None:
+        index = edges.near(position, reach.farthest_m)
+        seen = np.zeros(len(edges.xyz_m), bool)
+        eye = position + np.array([0.0, 0.0, _EYE_M])
+        seen[index] = visible(eye, edges.xyz_m[index])
+    return edges_ahead(
+        edges,
+        position,
+        start.heading_deg,
+        place.track_m,
+        nearest_m=reach.nearest_m,
+        farthest_m=reach.farthest_m,
+        points=reach.edge_points,
+        visible=seen,
+    )
+
+
+def image_edges_of(rows: pd.DataFrame, reach: Reach) -> ImageEdges:
+    """Edge pixels of one image from its rows u, v, side, kind."""
+    return ImageEdges.from_pixels(
+        rows[["u", "v"]].to_numpy(np.float64),
+        rows["side"].to_numpy(),
+        (rows["kind"] == "lane").to_numpy(),
+        reach.pixels,
+    )
+
+
+def loader(
+    place: Place, seen: ImageEdges, there: NearEdges, noise: Noise
+) -> Callable[[_FLOATS, _FLOATS], Task]:
+    """Maker of the image's task from expected unknowns and their inverse covariance."""
+
+    def load(mean: _FLOATS, information: _FLOATS) -> Task:
+        return Task(place.start, seen, there, noise, mean, information)
+
+    return load

@@ -1,0 +1,241 @@
+"""The pose of one image: coarse search, then damped least squares from the best places."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.poles.alignment.kernel import costs, misfit
+from roadsight.poles.alignment.pose import LATERAL, PITCH, YAW, Start
+from roadsight.poles.alignment.roadside import NearEdges
+
+_FLOATS = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ImageEdges:
+    """Edge pixels of one image, grouped: lane left, lane right, border left, border right.
+
+    Attributes
+    ----------
+    uv_px : (m, 2). groups : (5,) where each group begins and ends.
+    """
+
+    uv_px: _FLOATS
+    groups: NDArray[np.int64]
+
+    @classmethod
+    def from_pixels(
+        cls, uv_px: ArrayLike, side: ArrayLike, lane: ArrayLike, points: int = 400
+    ) -> ImageEdges:
+        """Group the pixels and thin them evenly, whatever their order.
+
+        Parameters
+        ----------
+        uv_px : (m, 2). side : (m,) -1 left, +1 right; others are left out.
+        lane : (m,) whether a pixel is of a painted line rather than of the road's border.
+        points : how many to keep at most.
+        """
+        uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
+        sign, painted = np.asarray(side, int).ravel(), np.asarray(lane, bool).ravel()
+        used = (np.abs(sign) == 1) & np.isfinite(uv).all(axis=1)
+        group = np.where(painted, 0, 2) + (sign > 0)
+        step = max(used.sum() / max(points, 1), 1.0)
+        kept = []
+        for value in range(4):
+            own = np.flatnonzero(used & (group == value))
+            own = own[np.lexsort((uv[own, 0], uv[own, 1]))]
+            kept.append(own[np.floor(np.arange(0.5 * step, len(own), step)).astype(int)])
+        ends = np.concatenate([[0], np.cumsum([len(part) for part in kept])])
+        return cls(np.ascontiguousarray(uv[np.concatenate(kept)]), ends.astype(np.int64))
+
+    def thinned(self, points: int) -> ImageEdges:
+        """Fewer of the same pixels."""
+        group = np.repeat(np.arange(4), np.diff(self.groups))
+        return self.from_pixels(self.uv_px, np.where(group % 2, 1, -1), group < 2, points)
+
+
+@dataclass(frozen=True)
+class Noise:
+    """One standard deviation of a pixel of an image edge and of a point of a road edge.
+
+    ``independent`` is the share of edge pixels that tell something new: errors of neighbours
+    are alike, both in the image and on the road.
+    """
+
+    pixel_px: float = 1.2
+    across_m: float = 0.05
+    height_m: float = 0.05
+    independent: float = 0.08
+
+    def vector(self) -> _FLOATS:
+        """What the kernel takes."""
+        return np.array([self.pixel_px, self.across_m, self.height_m])
+
+
+@dataclass(frozen=True)
+class Task:
+    """One image: what is seen, what is there, where the vehicle is about and how sure that is.
+
+    Attributes
+    ----------
+    mean, information : (k,), (k, k) the unknowns expected, and the inverse of their covariance.
+    scene, coarse : what the kernel takes of start and edges, and few of the pixels, for scans.
+    """
+
+    start: Start
+    seen: ImageEdges
+    there: NearEdges
+    noise: Noise
+    mean: _FLOATS
+    information: _FLOATS
+    scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
+    coarse: ImageEdges = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        origin = np.array([self.start.x_m, self.start.y_m, self.start.z_road_m])
+        edges = (
+            np.ascontiguousarray(self.there.xyz_m - origin),
+            np.ascontiguousarray(self.there.along),
+            np.ascontiguousarray(self.there.inward),
+            np.ascontiguousarray(self.there.half_m),
+        )
+        sides = np.array([0, self.there.left, len(self.there.half_m)], np.int64)
+        # A frozen class has no other way to keep what is computed once.
+        object.__setattr__(self, "scene", (self.start.vector(origin), edges, sides))
+        object.__setattr__(self, "coarse", self.seen.thinned(80))
+
+    def evaluate(
+        self, unknowns: _FLOATS, scale: float, slopes: bool = True
+    ) -> tuple[float, _FLOATS, _FLOATS, _FLOATS]:
+        """Cost with the expectation's part, normal matrix and gradient of the data, residuals."""
+        start, edges, sides = self.scene
+        cost, normal, gradient, residuals = misfit(
+            unknowns,
+            start,
+            edges,
+            sides,
+            self.seen.uv_px,
+            self.seen.groups,
+            self.noise.vector(),
+            scale,
+            slopes,
+        )
+        share = self.noise.independent
+        apart = unknowns - self.mean
+        expected = 0.5 * apart @ self.information @ apart
+        return float(share * cost + expected), share * normal, share * gradient, residuals
+
+    def scan(self, trials: _FLOATS, scale: float) -> _FLOATS:
+        """Cost of many sets of unknowns (t, k), on few of the pixels."""
+        few = self.coarse
+        share = self.noise.independent * len(self.seen.uv_px) / max(len(few.uv_px), 1)
+        start, edges, sides = self.scene
+        data = costs(
+            trials,
+            start,
+            edges,
+            sides,
+            few.uv_px,
+            few.groups,
+            self.noise.vector(),
+            scale,
+        )
+        apart = trials - self.mean
+        return share * data + 0.5 * np.einsum("ti,ij,tj->t", apart, self.information, apart)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A minimum.
+
+    Attributes
+    ----------
+    unknowns : (k,). covariance : (k, k). cost : at the finest scale.
+    residuals : (m, 2) of each pixel: across its edge in pixels, and in standard deviations.
+    normal, gradient : of the data alone, at the minimum.
+    """
+
+    unknowns: _FLOATS
+    covariance: _FLOATS
+    cost: float
+    residuals: _FLOATS
+    normal: _FLOATS
+    gradient: _FLOATS
+
+
+_State = tuple[float, _FLOATS, _FLOATS, _FLOATS]
+FINEST = 3.0
+_STEPS = 5
+
+
+def descend(task: Task, unknowns: _FLOATS, scale: float) -> Fit:
+    """Levenberg-Marquardt from a coarse scale, halved down to the finest.
+
+    Unknowns are measured in their expected standard deviations.
+    """
+    unit = 1.0 / np.sqrt(np.diag(task.information))
+    while True:
+        finest = scale <= FINEST
+        steps = 3 * _STEPS if finest else _STEPS
+        unknowns, state = _settle(task, unknowns, unit, max(scale, FINEST), steps)
+        if finest:
+            break
+        scale *= 0.5
+    cost, normal, gradient, residuals = state
+    covariance = np.linalg.inv(normal + task.information)
+    return Fit(unknowns, 0.5 * (covariance + covariance.T), cost, residuals, normal, gradient)
+
+
+def _settle(
+    task: Task, unknowns: _FLOATS, unit: _FLOATS, scale: float, steps: int
+) -> tuple[_FLOATS, _State]:
+    """Damped steps at one scale, until they no longer pay."""
+    state = task.evaluate(unknowns, scale)
+    damping = 1e-3
+    for _ in range(steps):
+        cost, normal, gradient, _ = state
+        full = (normal + task.information) * np.outer(unit, unit)
+        slope = (gradient + task.information @ (unknowns - task.mean)) * unit
+        damped = full + damping * np.diag(np.diag(full))
+        step = -np.linalg.solve(damped, slope) * unit
+        trial = task.evaluate(unknowns + step, scale)
+        if trial[0] < cost:
+            unknowns, state = unknowns + step, trial
+            damping = max(damping * 0.2, 1e-9)
+            if cost - trial[0] < 1e-4 * (1.0 + 1e-2 * cost):
+                break
+        else:
+            damping *= 10.0
+            if damping > 1e4:
+                break
+    return unknowns, state
+
+
+def coarse_scale(task: Task) -> float:
+    """Scale at which the expected pose pulls from as far as it may be wrong, at least 8."""
+    sigma_deg = np.sqrt(np.linalg.inv(task.information)[YAW, YAW])
+    reach_px = np.exp(task.mean[6]) * np.radians(sigma_deg)
+    return float(max(8.0, reach_px / task.noise.pixel_px))
+
+
+def search(task: Task, starts: int = 3) -> list[Fit]:
+    """Minima, the best first, from a grid over yaw, pitch and lateral place."""
+    sigma = np.sqrt(np.diag(np.linalg.inv(task.information)))
+    scale = coarse_scale(task)
+    grid = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    trials = np.repeat(task.mean[None], len(grid), axis=0)
+    trials[:, [YAW, PITCH, LATERAL]] += grid * sigma[[YAW, PITCH, LATERAL]]
+    values = task.scan(trials, 0.5 * scale)
+    chosen: list[int] = []
+    for number in np.argsort(values, kind="stable"):
+        apart = [np.abs(grid[number] - grid[other]).max() for other in chosen]
+        if not apart or min(apart) > 1:
+            chosen.append(int(number))
+        if len(chosen) == starts:
+            break
+    fits = [descend(task, trials[number], 0.5 * scale) for number in chosen]
+    return sorted(fits, key=lambda fit: fit.cost)

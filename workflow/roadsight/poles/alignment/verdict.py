@@ -1,0 +1,110 @@
+"""Whether an alignment can be trusted, and if not, why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from roadsight.poles.alignment.pose import ALONG, LATERAL, PITCH, UNKNOWNS, YAW
+from roadsight.poles.alignment.solve import FINEST, Fit, Task
+
+_PIXELS_OF_A_SIDE = 10
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of what is accepted.
+
+    Parameters
+    ----------
+    fewest_pixels : edge pixels in the image. fewest_points : LiDAR edge points ahead.
+    residual_px : median distance of the edge pixels across their road edges, at 1,000 pixels of
+        image width. inliers : least share of pixels within three standard deviations.
+    sigma_heading_deg, sigma_lateral_m : one standard deviation.
+    from_expected : how many standard deviations the pose may be from the expected one.
+    ambiguity : how much more a second, different minimum must cost (log-likelihood).
+    """
+
+    fewest_pixels: int = 40
+    fewest_points: int = 30
+    residual_px: float = 4.0
+    inliers: float = 0.5
+    sigma_heading_deg: float = 0.25
+    sigma_lateral_m: float = 0.5
+    from_expected: float = 4.0
+    ambiguity: float = 2.0
+
+
+def too_little(task: Task, limits: Limits) -> str:
+    """Why there is nothing to align, or "" if there is enough."""
+    if len(task.seen.uv_px) < limits.fewest_pixels:
+        return "too few edges in the image"
+    if len(task.there.half_m) < limits.fewest_points:
+        return "too few road edges ahead"
+    return ""
+
+
+def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
+    """Why the best minimum cannot be trusted, or "" if it can."""
+    best = fits[0]
+    sigma = np.sqrt(np.diag(best.covariance))
+    expected = np.sqrt(np.diag(np.linalg.inv(task.information)))
+    apart = np.abs(best.unknowns - task.mean) / expected
+    with np.errstate(invalid="ignore"):
+        inliers = (best.residuals[:, 1] < FINEST).mean()
+    worst = UNKNOWNS[int(np.argmax(apart))]
+    doubts = (
+        (
+            not np.isfinite(best.residuals[:, 0]).all(),
+            "the road edges are behind the camera",
+        ),
+        (inliers < limits.inliers, "the edges of image and road disagree"),
+        (
+            residual_px(best) > limits.residual_px * task.start.width_px / 1000,
+            "the edges fit badly",
+        ),
+        (apart.max() > limits.from_expected, f"{worst} is too far from what was expected"),
+        (is_ambiguous(fits, limits), "ambiguous: two poses fit about as well"),
+        (sigmas(best, task)[0] > limits.sigma_heading_deg, "the heading is too uncertain"),
+        (sigma[LATERAL] > limits.sigma_lateral_m, "the place across the road is too uncertain"),
+    )
+    return next((reason for doubtful, reason in doubts if doubtful), "")
+
+
+def residual_px(fit: Fit) -> float:
+    """Median distance in pixels of the edge pixels across their road edges."""
+    known = np.abs(fit.residuals[:, 0])
+    return float(np.median(known)) if len(known) else float("nan")
+
+
+def is_ambiguous(fits: Sequence[Fit], limits: Limits) -> bool:
+    """Whether another minimum is really elsewhere and costs about the same."""
+    best = fits[0]
+    for other in fits[1:]:
+        gap = (other.unknowns - best.unknowns)[[YAW, PITCH, LATERAL]]
+        limit = np.sqrt(np.diag(best.covariance))[[YAW, PITCH, LATERAL]]
+        if np.abs(gap / limit).max() > 3.0 and other.cost - best.cost < limits.ambiguity:
+            return True
+    return False
+
+
+def is_one_sided(task: Task) -> bool:
+    """Whether only one side of the road has edges in the image."""
+    count = np.diff(task.seen.groups)
+    return bool(min(count[0] + count[2], count[1] + count[3]) < _PIXELS_OF_A_SIDE)
+
+
+def sigmas(fit: Fit, task: Task) -> tuple[float, float, float, float]:
+    """One standard deviation of heading and pitch (degrees), across and along the road (m).
+
+    Heading and pitch include what the road turns over the uncertain place along it.
+    """
+    turn = np.zeros((4, len(fit.unknowns)))
+    turn[[0, 1, 2, 3], [YAW, PITCH, LATERAL, ALONG]] = 1.0
+    turn[0, ALONG] = np.degrees(task.start.bend)
+    turn[1, ALONG] = np.degrees(task.start.hump)
+    variance = np.diag(turn @ fit.covariance @ turn.T)
+    a, b, c, d = (float(v) for v in np.sqrt(variance))
+    return a, b, c, d

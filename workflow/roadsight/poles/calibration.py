@@ -1,0 +1,216 @@
+"""What the images of a drive share: lens, mount, mean offsets; found from all of them together.
+
+Two road edges do not determine the pose of one image, let alone its lens. The images of a drive
+have one lens and one mount, and each differs from these by its own small, unknown amounts. The
+unknowns of one image are taken out of its linearised misfit exactly; what is left adds up over
+the images to the drive's mean and its covariance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.errors import InputError
+from roadsight.poles.alignment.drift import OVERLAP
+from roadsight.poles.alignment.pose import FOCAL, PITCH, SIZE, YAW, Spread
+from roadsight.poles.alignment.solve import Fit, Task, search
+
+_FLOATS = NDArray[np.float64]
+Loader = Callable[[_FLOATS, _FLOATS], Task]
+"""Makes the task of one image from the expected unknowns and the inverse of their covariance."""
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Mean unknowns of a drive.
+
+    Attributes
+    ----------
+    mean : (k,) as `pose.UNKNOWNS`. covariance : (k, k) of the mean.
+    images : how many images it rests on.
+    """
+
+    mean: _FLOATS
+    covariance: _FLOATS
+    images: int = 0
+
+    def expected(self, spread: Spread) -> _FLOATS:
+        """Inverse covariance (k, k) of one image's unknowns."""
+        total = self.covariance + np.diag(spread.vector() ** 2)
+        return np.asarray(np.linalg.inv(total), np.float64)
+
+
+def weak_mount(hfov_deg: float | None, width_px: int) -> Mount:
+    """What is known of a camera on a survey vehicle before anything is measured.
+
+    Parameters
+    ----------
+    hfov_deg : horizontal field of view where it is known to 10 %, else None.
+    """
+    focal = 0.5 * width_px / np.tan(np.radians(hfov_deg or 60.0) / 2)
+    mean = np.array([0.0, 0.0, 2.2, 0.0, -1.0, 0.0, np.log(focal), 0.3, 0.3, 0.0, 0.0])
+    sigma = np.array([1.2, 0.7, 0.5, 3.0, 4.0, 1.5, 0.1 if hfov_deg else 0.6, 0.2, 0.2, 0.03, 0.03])
+    return Mount(mean, np.diag(sigma**2))
+
+
+def usable(fits: Sequence[Fit], pixels: int) -> bool:
+    """Whether the best minimum explains its image well enough to teach about the drive."""
+    if not fits or pixels < 40:
+        return False
+    near = fits[0].residuals[:, 1] < 3.0
+    return bool(near.mean() > 0.5)
+
+
+def calibrate(
+    loaders: Sequence[Loader], prior: Mount, spread: Spread, rounds: int = 6
+) -> tuple[Mount, list[Fit | None]]:
+    """Mean unknowns of a drive from some of its images.
+
+    Alternates between the poses of the images, each searched anew under the current mean, and
+    the mean under their linearised misfits; stops when it no longer moves.
+
+    Parameters
+    ----------
+    loaders : one for each image. prior : what is known beforehand.
+
+    Returns
+    -------
+    the mount, and the fit of each image, None where it was of no use
+
+    Raises
+    ------
+    InputError : fewer than three images can be aligned.
+    """
+    mount = prior
+    fits: list[Fit | None] = []
+    for _ in range(rounds):
+        information = mount.expected(spread)
+        fits = [_fit(loader(mount.mean, information)) for loader in loaders]
+        used = [fit for fit in fits if fit is not None]
+        if len(used) < 3:
+            raise InputError(
+                "too few images of the drive can be aligned with the road edges",
+                where="camera calibration",
+                found=f"{len(used)} of {len(loaders)}",
+                allowed="at least 3",
+                hint="give a baseline from the registration tool, or more images",
+            )
+        before, mount = mount, shared_mean(used, prior, spread)
+        moved = np.abs(mount.mean - before.mean) / np.sqrt(np.diag(mount.covariance))
+        if moved.max() < 0.1:
+            break
+    return mount, fits
+
+
+def _fit(task: Task) -> Fit | None:
+    fits = search(task)
+    return fits[0] if usable(fits, len(task.seen.uv_px)) else None
+
+
+def shared_mean(fits: Sequence[Fit], prior: Mount, spread: Spread) -> Mount:
+    """Mean unknowns under the linearised misfits of the images.
+
+    minimise over the mean m and each image's unknowns q: sum of the images' quadratic misfits
+    + (q - m)' P (q - m) / 2 + the prior of m, where P holds the inverse squares of the spread.
+    Images further from the mean than the others are weighed down (Geman and McClure).
+    """
+    pull = np.diag(1.0 / spread.vector() ** 2)
+    known = np.linalg.inv(prior.covariance)
+    parts = [_marginal(fit, pull) for fit in fits]
+    weights = np.ones(len(parts))
+    mean = prior.mean
+    for _ in range(10):
+        total = known + sum(w * a for w, (a, _) in zip(weights, parts, strict=True))
+        right = known @ prior.mean + sum(w * b for w, (_, b) in zip(weights, parts, strict=True))
+        mean = np.linalg.solve(total, right)
+        apart = np.array([_distance(fit, mean, pull) for fit in fits])
+        weights = (1.0 / (1.0 + apart / (4.0 * SIZE))) ** 2
+    covariance = np.linalg.inv(total)
+    return Mount(mean, 0.5 * (covariance + covariance.T), len(fits))
+
+
+def _marginal(fit: Fit, pull: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
+    """Information on the mean, and that times the mean that the image alone would give.
+
+    Images of a drive see the same stretch of road, and its errors, again and again; how they
+    sway is their own.
+    """
+    normal, gradient = OVERLAP * fit.normal, OVERLAP * fit.gradient
+    gain = np.linalg.solve(normal + pull, np.eye(SIZE))
+    information = pull - pull @ gain @ pull
+    right = pull @ gain @ (normal @ fit.unknowns - gradient)
+    return 0.5 * (information + information.T), right
+
+
+def _distance(fit: Fit, mean: _FLOATS, pull: _FLOATS) -> float:
+    """Squared distance of an image's unknowns from the mean, in standard deviations."""
+    gap = fit.normal @ (fit.unknowns - mean) - fit.gradient
+    own = np.linalg.solve(fit.normal + pull, gap)
+    return float(own @ pull @ own)
+
+
+def find_focal(
+    loaders: Sequence[Loader],
+    prior: Mount,
+    spread: Spread,
+    width_px: int,
+    hfovs_deg: tuple[float, float] = (15.0, 100.0),
+) -> Mount:
+    """Prior whose focal length, pitch and yaw are near the truth, when nobody knows the lens.
+
+    Tries focal lengths a sixth apart; for each the best common pitch and yaw on a coarse scale,
+    then the calibration of the drive; the least misfit of the same pixels wins.
+
+    Raises
+    ------
+    InputError : no focal length aligns three images.
+    """
+    low, high = np.log(0.5 * width_px / np.tan(np.radians(np.sort(hfovs_deg)[::-1]) / 2))
+    best: tuple[float, Mount] | None = None
+    for log_focal in np.linspace(low, high, max(int(np.ceil((high - low) / 0.17)) + 1, 2)):
+        mount = _aimed(loaders, _with_focal(prior, log_focal), spread)
+        try:
+            mount, fits = calibrate(loaders, mount, spread, rounds=2)
+        except InputError:
+            continue
+        # Images of no use count as if none of their pixels were explained.
+        worst = max(fit.cost for fit in fits if fit is not None)
+        cost = sum(worst if fit is None else fit.cost for fit in fits)
+        if best is None or cost < best[0]:
+            best = cost, mount
+    if best is None:
+        raise InputError(
+            "no field of view aligns three images with the road edges",
+            where="camera calibration",
+            allowed=f"{hfovs_deg[0]:g} to {hfovs_deg[1]:g} degrees",
+            hint="give a baseline from the registration tool",
+        )
+    return Mount(best[1].mean, prior.covariance, 0)
+
+
+def _with_focal(prior: Mount, log_focal: float) -> Mount:
+    mean, covariance = prior.mean.copy(), prior.covariance.copy()
+    mean[FOCAL] = log_focal
+    covariance[FOCAL], covariance[:, FOCAL] = 0.0, 0.0
+    covariance[FOCAL, FOCAL] = 0.1**2
+    return Mount(mean, covariance)
+
+
+def _aimed(loaders: Sequence[Loader], prior: Mount, spread: Spread) -> Mount:
+    """Prior with the common pitch and yaw at which all images together fit best, coarsely."""
+    pitch, yaw = np.meshgrid(np.arange(-8.0, 8.5, 1.0), np.arange(-5.0, 5.5, 1.0), indexing="ij")
+    trials = np.repeat(prior.mean[None], pitch.size, axis=0)
+    trials[:, PITCH] += pitch.ravel()
+    trials[:, YAW] += yaw.ravel()
+    information = prior.expected(spread)
+    total = np.zeros(len(trials))
+    for loader in loaders:
+        task = loader(prior.mean, information)
+        reach_px = np.exp(prior.mean[FOCAL]) * np.radians(0.7)
+        total += task.scan(trials, max(8.0, reach_px / task.noise.pixel_px))
+    mean = trials[int(np.argmin(total))]
+    return Mount(mean, prior.covariance)

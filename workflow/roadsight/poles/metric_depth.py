@@ -1,0 +1,234 @@
+"""Metric depth: of a relative depth map, and of a foot on the ground (paper 2, section 3.3.1).
+
+The paper maps relative depth d to the camera's z by d = c1 / (-z) + c2 with z negative in front
+(OpenGL). Here z is positive in front, so d = c1 / z + c2: linear in 1 / z, and fitted there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_FLOATS = NDArray[np.float64]
+_TUKEY = 4.685
+_TO_SIGMA = 1.4826
+_ROUNDS = 30
+_GUARD_SIGMAS = 2.0
+_LEAST_POINTS = 8
+_LEAST_RATIO = 1.3
+
+
+@dataclass(frozen=True)
+class DepthFit:
+    """Relation d = c1 / z + c2 of one image.
+
+    Parameters
+    ----------
+    c1, c2 : coefficients, in units of d (c1 times metres). covariance : (2, 2) of them.
+    sigma_d : scatter of d about the fit. near_m, far_m : planes between which it was fitted.
+    points : that support it. reason : why there is no fit, or "".
+    """
+
+    c1: float
+    c2: float
+    covariance: _FLOATS
+    sigma_d: float
+    near_m: float
+    far_m: float
+    points: int
+    reason: str = ""
+
+    def depth_m(
+        self, relative: ArrayLike, sigma_relative: ArrayLike = 0.0
+    ) -> tuple[_FLOATS, _FLOATS]:
+        """Depth along the optical axis and its sigma (n,); NaN where d is too near the pole.
+
+        The relation has its pole at d = c2, where z is infinite: within two sigmas of it, and
+        beyond, nothing is known about the depth. Sigma carries the coefficients' covariance and
+        the scatter of d.
+        """
+        d = np.asarray(relative, np.float64)
+        if self.reason:
+            return np.full(d.shape, np.nan), np.full(d.shape, np.nan)
+        above = d - self.c2
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = self.c1 / above
+            a, b, c = self.covariance[0, 0], self.covariance[1, 1], self.covariance[0, 1]
+            own = self.sigma_d**2 + np.asarray(sigma_relative, np.float64) ** 2
+            spread = np.sqrt(own + a / z**2 + b + 2.0 * c / z)
+            good = np.isfinite(d) & (z > 0) & (np.abs(above) > _GUARD_SIGMAS * spread)
+            return np.where(good, z, np.nan), np.where(good, z**2 / abs(self.c1) * spread, np.nan)
+
+
+def fit_metric_depth(
+    relative: ArrayLike, z_true_m: ArrayLike, weights: ArrayLike | None = None
+) -> DepthFit:
+    """Fit d = c1 / z + c2 to points of known depth, robustly.
+
+    d is regressed on 1 / z, because the error is in d; by Tukey's bisquare from a least absolute
+    start, so that a third of wrong points does no harm.
+
+    Parameters
+    ----------
+    relative : d (n,), any scale and shift, larger = nearer. z_true_m : depth along the optical
+        axis (n,). weights : (n,), not negative; all one if None.
+
+    Returns
+    -------
+    the fit; its ``reason`` says why there is none (too few points, too little range in depth, or
+    d that does not grow towards the camera).
+    """
+    d, z = np.asarray(relative, np.float64), np.asarray(z_true_m, np.float64)
+    w = np.asarray(np.ones(len(d)) if weights is None else weights, np.float64)
+    good = np.isfinite(d) & np.isfinite(z) & (z > 0) & np.isfinite(w) & (w > 0)
+    d, z, w = d[good], z[good], w[good]
+    if len(d) < _LEAST_POINTS:
+        return _no_fit(f"{len(d)} points of known depth, {_LEAST_POINTS} are needed")
+    near, far = float(z.min()), float(z.max())
+    if far < _LEAST_RATIO * near:
+        return _no_fit("points of known depth are all at one distance")
+    basis = np.column_stack([1.0 / z, np.ones(len(z))])
+    w = w * (len(w) / w.sum())
+    solution, scatter, robust = _bisquare(basis, d, w)
+    if scatter == 0.0 and np.ptp(d) == 0.0:
+        return _no_fit("relative depth is constant")
+    if solution[0] <= 0.0:
+        return _no_fit("relative depth does not grow towards the camera")
+    kept = robust > 0
+    normal = np.linalg.pinv(basis.T @ (basis * robust[:, None]))
+    # Neighbouring points err together: as if every tenth were independent.
+    covariance = normal * scatter**2 * max(min(10.0, kept.sum() / _LEAST_POINTS), 1.0)
+    return DepthFit(
+        float(solution[0]), float(solution[1]), covariance, scatter, near, far, int(kept.sum())
+    )
+
+
+def _bisquare(basis: _FLOATS, d: _FLOATS, w: _FLOATS) -> tuple[_FLOATS, float, _FLOATS]:
+    """Coefficients (2,), scatter of d and final weights (n,)."""
+    robust = w
+    scatter = 0.0
+    solution: _FLOATS = np.zeros(2)
+    floor = 1e-9 * max(float(np.abs(d).max()), 1e-300)
+    for turn in range(2 * _ROUNDS):
+        root = np.sqrt(robust)
+        solution = np.asarray(
+            np.linalg.lstsq(basis * root[:, None], d * root, rcond=None)[0], np.float64
+        )
+        residual = d - basis @ solution
+        scatter = _TO_SIGMA * _weighted_median(np.abs(residual), w)
+        if turn < _ROUNDS:
+            robust = w / np.maximum(np.abs(residual), max(0.1 * scatter, floor))
+        else:
+            robust = w * np.clip(1 - (residual / max(_TUKEY * scatter, floor)) ** 2, 0, None) ** 2
+    return solution, float(scatter), robust
+
+
+def _weighted_median(values: _FLOATS, weights: _FLOATS) -> float:
+    order = np.argsort(values, kind="stable")
+    total = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
+
+
+def _no_fit(reason: str) -> DepthFit:
+    nan = float("nan")
+    return DepthFit(nan, nan, np.full((2, 2), nan), nan, nan, nan, 0, reason)
+
+
+def balancing_weights(z_m: ArrayLike, bins: int = 12) -> _FLOATS:
+    """Weights (n,) that give each stretch of log depth the same say: near points are too many."""
+    z = np.log(np.maximum(np.asarray(z_m, np.float64), 1e-3))
+    if not len(z):
+        return z
+    number = np.clip(((z - z.min()) / max(np.ptp(z), 1e-9) * bins).astype(int), 0, bins - 1)
+    return 1.0 / np.bincount(number, minlength=bins)[number]
+
+
+HeightAt = Callable[[_FLOATS, _FLOATS], _FLOATS]
+"""Ground height (n,) at local x, y (n,), NaN where unknown."""
+
+
+def ground_distance_m(
+    origin_m: ArrayLike,
+    rays: _FLOATS,
+    height_at: HeightAt,
+    nearest_m: float = 1.0,
+    farthest_m: float = 120.0,
+    step_m: float = 0.25,
+) -> _FLOATS:
+    """Horizontal distance (n,) at which rays first go below the ground; NaN if they do not.
+
+    Parameters
+    ----------
+    origin_m : camera centre (3,), local metres. rays : directions (n, 3) in the local frame.
+    height_at : the terrain. nearest_m, farthest_m, step_m : of the march along the ground.
+    """
+    origin = np.asarray(origin_m, np.float64)
+    rays = np.asarray(rays, np.float64)
+    level = np.hypot(rays[:, 0], rays[:, 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        unit = rays / level[:, None]
+    steps = np.arange(nearest_m, farthest_m + step_m, step_m)
+    x = origin[0] + unit[:, :1] * steps
+    y = origin[1] + unit[:, 1:2] * steps
+    flat = np.isfinite(x) & np.isfinite(y)
+    ground = height_at(np.where(flat, x, np.nan).ravel(), np.where(flat, y, np.nan).ravel())
+    above = origin[2] + unit[:, 2:] * steps - ground.reshape(x.shape)
+    crossed = (above[:, :-1] > 0) & (above[:, 1:] <= 0)
+    first = np.argmax(crossed, axis=1)
+    lines = np.arange(len(rays))
+    before, after = above[lines, first], above[lines, first + 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        distance = steps[first] + step_m * before / (before - after)
+    return np.where(crossed.any(axis=1), distance, np.nan)
+
+
+def fuse_depths(
+    depths_m: ArrayLike, sigmas_m: ArrayLike, agree_sigmas: float = 3.0
+) -> tuple[float, float, NDArray[np.bool_]]:
+    """One distance from several by inverse variance, without those that disagree.
+
+    While two used ones differ by more than ``agree_sigmas`` of their common sigma, the one furthest
+    from the weighted mean of the others goes; of two that disagree the surer one stays, and sigma
+    is widened to half of their difference.
+
+    Parameters
+    ----------
+    depths_m, sigmas_m : (k,), NaN where there is none.
+
+    Returns
+    -------
+    distance and sigma (NaN if there is none), and which (k,) were used
+    """
+    depth, sigma = np.asarray(depths_m, np.float64), np.asarray(sigmas_m, np.float64)
+    used = np.isfinite(depth) & np.isfinite(sigma) & (sigma > 0)
+    widened = 0.0
+    while np.count_nonzero(used) > 1:
+        worst, score = _most_apart(depth, sigma, np.flatnonzero(used))
+        if score <= agree_sigmas:
+            break
+        if np.count_nonzero(used) == 2:
+            first, second = np.flatnonzero(used)
+            worst = int(second if sigma[first] <= sigma[second] else first)
+            widened = 0.5 * abs(depth[first] - depth[second])
+        used[worst] = False
+    if not used.any():
+        return float("nan"), float("nan"), used
+    weights = 1.0 / sigma[used] ** 2
+    mean = float(np.sum(weights * depth[used]) / weights.sum())
+    return mean, float(max(np.sqrt(1.0 / weights.sum()), widened)), used
+
+
+def _most_apart(depth: _FLOATS, sigma: _FLOATS, used: NDArray[np.int64]) -> tuple[int, float]:
+    """Which used one is furthest from the mean of the others, in their common sigmas."""
+    worst, score = int(used[0]), -1.0
+    for one in used:
+        others = used[used != one]
+        weights = 1.0 / sigma[others] ** 2
+        mean = np.sum(weights * depth[others]) / weights.sum()
+        apart = abs(depth[one] - mean) / np.sqrt(sigma[one] ** 2 + 1.0 / weights.sum())
+        if apart > score:
+            worst, score = int(one), float(apart)
+    return worst, score

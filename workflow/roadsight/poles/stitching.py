@@ -1,0 +1,162 @@
+"""Left, front and right view as one: cameras that turn about one centre (paper 2, section 3.2.3).
+
+The paper lays the views side by side and uses the front view's parameters for all. Here each view
+is measured with a camera of its own, turned from the front camera by a known yaw: nothing is
+resampled; objects that cross a seam, or that two views show, become one sighting.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.geometry.cameras import Intrinsics, wrap_deg
+
+_FLOATS = NDArray[np.float64]
+_SIGMAS = 3.0
+_SEAM_DEG = 0.5
+
+
+@dataclass(frozen=True)
+class ViewOffsets:
+    """Yaw of the side views from the front view, clockwise, degrees.
+
+    Parameters
+    ----------
+    left_deg, right_deg : for example -60 and 60.
+    """
+
+    left_deg: float = -60.0
+    right_deg: float = 60.0
+
+    def of(self, view: str) -> float:
+        """Yaw of a view; 0 for the front."""
+        return {"front": 0.0, "left": self.left_deg, "right": self.right_deg}[view]
+
+
+def turned(cam_from_world: _FLOATS, yaw_deg: float) -> _FLOATS:
+    """Rotation (3, 3) of a camera that is turned clockwise about the front camera's down axis."""
+    c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
+    side_from_front = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
+    return side_from_front @ cam_from_world
+
+
+def side_intrinsics(front: Intrinsics, width_px: int, height_px: int) -> Intrinsics:
+    """Intrinsics of a side view of another size, with the same field of view down the image."""
+    if (width_px, height_px) == (front.width_px, front.height_px):
+        return front
+    return Intrinsics.centred(width_px, height_px, front.focal_px * height_px / front.height_px)
+
+
+def merge_views(sightings: pd.DataFrame) -> pd.DataFrame:
+    """One sighting of what two views of a place show; the other is no longer kept.
+
+    Two kept sightings of one image and kind in different views are one object if their bearings
+    agree within three sigmas and their own width, or half a degree if the frame cuts both. The one
+    that is not cut stays; of two cut ones the front view stays and takes the bearing of both
+    together, each weighed by its width.
+
+    Parameters
+    ----------
+    sightings : image, view, kind, bearing_grid_deg, sigma_bearing_deg, width_deg, depth_m,
+        sigma_depth_m, cut_side (bool), kept, reason.
+
+    Returns
+    -------
+    the same rows in the same order, with bearing_grid_deg, kept and reason changed
+    """
+    merged = sightings.copy()
+    for _, group in merged[merged["kept"]].groupby(["image", "kind"], sort=True):
+        if group["view"].nunique() > 1:
+            _merge_group(merged, group)
+    return merged
+
+
+def _merge_group(merged: pd.DataFrame, group: pd.DataFrame) -> None:
+    pairs = []
+    for i in group.index[group["view"] == "front"]:
+        for j in group.index[group["view"] != "front"]:
+            apart = _apart_deg(merged.loc[i], merged.loc[j])
+            if apart is not None:
+                pairs.append((apart, i, j))
+    used: set[int] = set()
+    for _, i, j in sorted(pairs):
+        if i in used or j in used:
+            continue
+        used |= {i, j}
+        _join(merged, i, j)
+
+
+def _apart_deg(front: pd.Series, side: pd.Series) -> float | None:
+    """Angle between two sightings, None if they are two objects."""
+    apart = abs(float(wrap_deg(front["bearing_grid_deg"] - side["bearing_grid_deg"])))
+    sigma = np.hypot(front["sigma_bearing_deg"], side["sigma_bearing_deg"])
+    reach = _SIGMAS * sigma + 0.5 * (front["width_deg"] + side["width_deg"])
+    if front["cut_side"] and side["cut_side"]:
+        reach = max(reach, _SEAM_DEG)
+    depth_sigma = np.hypot(front["sigma_depth_m"], side["sigma_depth_m"])
+    depths_differ = abs(front["depth_m"] - side["depth_m"]) > max(_SIGMAS * depth_sigma, 1.0)
+    return None if apart > reach or depths_differ else apart
+
+
+def _join(merged: pd.DataFrame, front: int, side: int) -> None:
+    cut = merged["cut_side"]
+    stays, goes = (side, front) if cut[front] and not cut[side] else (front, side)
+    if cut[front] and cut[side]:
+        width = merged.loc[[front, side], "width_deg"].to_numpy(np.float64)
+        base, other = merged.loc[[front, side], "bearing_grid_deg"].to_numpy(np.float64)
+        turn = float(wrap_deg(other - base))
+        merged.at[stays, "bearing_grid_deg"] = (base + turn * width[1] / width.sum()) % 360.0
+    merged.at[goes, "kept"] = False
+    merged.at[goes, "reason"] = f"same as in the {merged['view'][stays]!s} view"
+
+
+def stitched_picture(
+    images: dict[str, NDArray[np.uint8]],
+    front: Intrinsics,
+    offsets: ViewOffsets,
+    width_px: int = 1600,
+) -> NDArray[np.uint8]:
+    """Views of one place on one cylinder about the camera, for people to look at.
+
+    Parameters
+    ----------
+    images : BGR image of each view that there is; the front must be there. front : its camera.
+    width_px : width of the picture; the height follows.
+
+    Returns
+    -------
+    BGR (rows, width_px, 3); black where no view looks; the front view lies on top
+    """
+    cameras = {
+        view: side_intrinsics(front, image.shape[1], image.shape[0])
+        for view, image in images.items()
+    }
+    reach = [
+        offsets.of(view) + side * cameras[view].hfov_deg / 2 for view in images for side in (-1, 1)
+    ]
+    low, high = np.radians(min(reach)), np.radians(max(reach))
+    azimuth = np.linspace(low, high, width_px)
+    per_px = (high - low) / (width_px - 1)
+    up = (front.cy_px + 0.5) / front.focal_px
+    down = (front.height_px - 0.5 - front.cy_px) / front.focal_px
+    slope = np.arange(-up, down, per_px)
+    picture = np.zeros((len(slope), width_px, 3), np.uint8)
+    for view in sorted(images, key=lambda name: name == "front"):
+        camera, turn = cameras[view], azimuth - np.radians(offsets.of(view))
+        ahead = np.cos(turn) > 0.05
+        tangent = np.tan(np.where(ahead, turn, 0.0))
+        u = np.where(ahead, camera.cx_px + camera.focal_px * tangent, -1e6)
+        v = camera.cy_px + camera.focal_px * slope[:, None] * np.hypot(1.0, tangent)
+        map_u = np.broadcast_to(u, v.shape).astype(np.float32)
+        seen = camera.contains(np.column_stack([map_u.ravel(), v.ravel()]), 1.0).reshape(v.shape)
+        drawn = cv2.remap(
+            images[view], map_u, v.astype(np.float32), cv2.INTER_LINEAR,
+            borderMode=cv2.BORDER_REPLICATE,
+        )  # fmt: skip
+        picture[seen] = drawn[seen]
+    return picture

@@ -1,0 +1,225 @@
+"""The published method: links between rays, chosen by an energy, then clusters of crossings.
+
+Each ray prefers partners whose crossing agrees with its depth, few of them spread in depth, and
+pays for having none (Krylov et al. 2018, eq. 4). Paper 2 visits the links in a fixed order until
+nothing changes; the first code visited them at random.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from roadsight.poles.triangulate.rays import (
+    FURTHEST_CAMERAS,
+    Rays,
+    TriangulationSettings,
+    cross_rays,
+)
+
+_FLOATS = NDArray[np.float64]
+_INTS = NDArray[np.int64]
+
+UNIT_M = 640 / 256
+"""Metres on the equator of the published code's unit of distance; times cos(latitude) elsewhere."""
+PUBLISHED_DISTANCE = 25.0
+"""Its maximum distance, in that unit."""
+
+_EARTH_RATIO = 6_367_000 / 6_371_000
+_DEPTH_IF_UNKNOWN = 5.0
+_SWEEPS = 15
+_MOST_SWEEPS = 1000
+
+
+@dataclass(frozen=True)
+class Energy:
+    """Constants of the energy of a ray.
+
+    Parameters
+    ----------
+    depth_weight : alpha, for each |crossing's distance - monocular depth|.
+    spread_weight : beta, for the largest less the smallest distance of a ray's crossings.
+    lonely : of a ray without partner.
+    """
+
+    depth_weight: float = 0.2
+    spread_weight: float = 0.2
+    lonely: float = 0.6
+
+
+@dataclass(frozen=True)
+class Links:
+    """Possible links between rays.
+
+    Parameters
+    ----------
+    pairs : ray numbers, shape (m, 2). along : distance of the crossing along either ray in the
+        unit of the depths, (m, 2). place_m : the crossing, (m, 2).
+    """
+
+    pairs: _INTS
+    along: _FLOATS
+    place_m: _FLOATS
+
+
+def find_links(rays: Rays, settings: TriangulationSettings, unit_m: float = 1.0) -> Links:
+    """Crossings ahead of both cameras and within the maximum distance of both.
+
+    Parameters
+    ----------
+    unit_m : metres in the unit in which depths and the maximum distance count. In the published
+        code this is not the metre, but the cameras' distance is in metres.
+    """
+    apart_m = FURTHEST_CAMERAS * settings.max_distance_m
+    pairs = cKDTree(rays.camera_m).query_pairs(apart_m, output_type="ndarray").astype(np.int64)
+    pairs.sort(axis=1)
+    pairs = pairs[np.lexsort(pairs.T[::-1])]
+    gap_m = np.hypot(*(rays.camera_m[pairs[:, 0]] - rays.camera_m[pairs[:, 1]]).T)
+    pairs = pairs[gap_m >= settings.min_baseline_m]
+    along_m, place_m = cross_rays(rays, pairs)
+    along = along_m / unit_m
+    # Comparisons with NaN are false, so parallel rays drop out.
+    good = ((along > 0) & (along <= settings.max_distance_m)).all(axis=1)
+    return Links(pairs[good], along[good], place_m[good])
+
+
+def sweep_links(
+    links: Links, depth: _FLOATS, energy: Energy, rng: np.random.Generator | None = None
+) -> NDArray[np.bool_]:
+    """Which links are on at a local minimum of the energy.
+
+    Parameters
+    ----------
+    depth : of each ray, NaN where unknown.
+    rng : visits links at random, 15 times the number of rays in all, as the first code did: a ray
+        first, then one of its links; None visits all links in turn until none changes.
+    """
+    depth = np.where(np.isnan(depth), _DEPTH_IF_UNKNOWN, depth)
+    state = _State(links, depth, energy)
+    if rng is not None:
+        for ray in rng.integers(0, len(depth), _SWEEPS * len(depth)):
+            if len(state.of_ray[ray]):
+                state.visit(state.of_ray[ray][rng.integers(0, len(state.of_ray[ray]))])
+        return state.on
+    for _ in range(_MOST_SWEEPS):
+        changed = [state.visit(link, strictly=True) for link in range(len(links.pairs))]
+        if not any(changed):
+            break
+    return state.on
+
+
+class _State:
+    """Links that are on, and what switching one changes."""
+
+    def __init__(self, links: Links, depth: _FLOATS, energy: Energy) -> None:
+        self.on = np.zeros(len(links.pairs), bool)
+        self.of_ray: list[list[int]] = [[] for _ in depth]
+        for link, (first, second) in enumerate(links.pairs.tolist()):
+            self.of_ray[first].append(link)
+            self.of_ray[second].append(link)
+        self._pairs = links.pairs.tolist()
+        self._along = links.along.tolist()
+        self._depth = depth.tolist()
+        self._energy = energy
+
+    def visit(self, link: int, strictly: bool = False) -> bool:
+        """Switch a link if the energy of its two rays does not rise; True if switched."""
+        before = sum(self._of(ray) for ray in self._pairs[link])
+        self.on[link] = not self.on[link]
+        after = sum(self._of(ray) for ray in self._pairs[link])
+        if after < before or (after == before and not strictly):
+            return True
+        self.on[link] = not self.on[link]
+        return False
+
+    def _of(self, ray: int) -> float:
+        """Energy of one ray."""
+        reach = [
+            self._along[link][0 if self._pairs[link][0] == ray else 1]
+            for link in self.of_ray[ray]
+            if self.on[link]
+        ]
+        if not reach:
+            return self._energy.lonely
+        misfit = sum(abs(distance - self._depth[ray]) for distance in reach)
+        spread = max(reach) - min(reach)
+        return self._energy.depth_weight * misfit + self._energy.spread_weight * spread
+
+
+def cluster_rays(
+    links: Links, on: NDArray[np.bool_], rays: int, cluster_m: float, stretch: _FLOATS | None = None
+) -> tuple[_INTS, _FLOATS]:
+    """Single-linkage clusters of the rays' mean crossings.
+
+    Parameters
+    ----------
+    stretch : (2,), scales x and y before distances are compared with ``cluster_m``.
+
+    Returns
+    -------
+    cluster of each ray, -1 for rays without partner, and the place of each cluster (n, 2): the mean
+    over its rays
+    """
+    ends = np.concatenate([links.pairs[on, 0], links.pairs[on, 1]])
+    crossings = np.concatenate([links.place_m[on]] * 2)
+    counts = np.bincount(ends, minlength=rays)
+    linked = np.flatnonzero(counts)
+    labels = np.full(rays, -1, np.int64)
+    if len(linked) == 0:
+        return labels, np.empty((0, 2))
+    # Far from the origin, sums of coordinates would lose digits.
+    origin = crossings[0]
+    sums = [np.bincount(ends, axis, minlength=rays) for axis in (crossings - origin).T]
+    mean = np.column_stack(sums)[linked] / counts[linked, None]
+    scale = np.ones(2) if stretch is None else stretch
+    near = cKDTree(mean * scale).query_pairs(cluster_m, output_type="ndarray")
+    graph = csr_array((np.ones(len(near)), near.T), shape=(len(linked), len(linked)))
+    clusters, label = connected_components(graph, directed=False)
+    labels[linked] = label
+    size = np.bincount(label, minlength=clusters)
+    places = [np.bincount(label, axis, minlength=clusters) / size for axis in mean.T]
+    return labels, np.column_stack(places) + origin
+
+
+def cluster_reference(places_m: _FLOATS, cluster_m: float) -> _INTS:
+    """Single linkage by SciPy, quadratic: what `cluster_rays` must agree with."""
+    if len(places_m) < 2:
+        return np.zeros(len(places_m), np.int64)
+    return fcluster(linkage(places_m), cluster_m, criterion="distance").astype(np.int64) - 1
+
+
+def published_poles(
+    rays: Rays, settings: TriangulationSettings, latitude_deg: float, seed: int
+) -> tuple[_INTS, _FLOATS]:
+    """Poles as the published code finds them, quirks included, in a seeded random order.
+
+    Its unit of distance is 2.5 cos(latitude) m, its clusters are made in degrees, and images are
+    not told apart.
+
+    Returns
+    -------
+    as `cluster_rays`
+    """
+    narrow = float(np.cos(np.radians(latitude_deg)))
+    far = replace(settings, min_baseline_m=settings.min_baseline_m / _EARTH_RATIO)
+    links = find_links(rays, far, UNIT_M * narrow)
+    on = sweep_links(links, rays.depth_m, Energy(), np.random.default_rng(seed))
+    diagonal = 0.707 * settings.cluster_m * UNIT_M * float(np.hypot(1.0, narrow))
+    return cluster_rays(links, on, len(rays), diagonal, np.array([1 / narrow, 1.0]))
+
+
+def swept_poles(
+    rays: Rays, settings: TriangulationSettings, energy: Energy | None = None
+) -> tuple[_INTS, _FLOATS]:
+    """Poles by the second paper's deterministic sweep, in metres; as `cluster_rays`."""
+    links = find_links(rays, settings)
+    different = rays.image[links.pairs[:, 0]] != rays.image[links.pairs[:, 1]]
+    links = Links(links.pairs[different], links.along[different], links.place_m[different])
+    on = sweep_links(links, rays.depth_m, energy or Energy())
+    return cluster_rays(links, on, len(rays), settings.cluster_m)

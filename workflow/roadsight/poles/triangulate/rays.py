@@ -1,0 +1,202 @@
+"""Sightings as rays in local metres, and the pairs of rays that may show one pole."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+_FLOATS = NDArray[np.float64]
+_INTS = NDArray[np.int64]
+
+FURTHEST_CAMERAS = 1.5
+"""Two cameras may pair up to this many times the maximum distance to a pole."""
+
+
+@dataclass(frozen=True)
+class TriangulationSettings:
+    """How sightings become poles.
+
+    Parameters
+    ----------
+    max_distance_m : furthest pole from a camera that is used. The papers state 25; the published
+        code's unit makes that 39 m in London. Errors grow with distance and far rays are weighted
+        by them.
+    min_baseline_m : cameras nearer to each other than this count as one place.
+    cluster_m : single-linkage distance of the published method.
+    sigma_position_m : error of a camera's position, one axis; an unaided receiver by default.
+    sigma_bearing_deg : error of a bearing where a sighting states none.
+    sigma_depth_ratio : error of a depth over the depth where a sighting states none.
+    calibrate_depth : whether the common scale of the depths is found from the rays themselves.
+    gate_chi2 : a sighting further from its pole (chi squared, 2 degrees of freedom) is better left
+        alone.
+    pole_cost : how much the sum of the members' gains must exceed before a pole is believed, in
+        units of half a chi squared.
+    max_sigma_m : a pole whose error ellipse is longer is withheld.
+    sequence_m : images of one pole lie within this distance along a route (100 ft).
+    beam : groups that are followed up for each sighting.
+    """
+
+    max_distance_m: float = 40.0
+    min_baseline_m: float = 0.5
+    cluster_m: float = 1.0
+    sigma_position_m: float = 2.0
+    sigma_bearing_deg: float = 2.0
+    sigma_depth_ratio: float = 0.3
+    calibrate_depth: bool = True
+    gate_chi2: float = 8.0
+    pole_cost: float = 5.0
+    max_sigma_m: float = 5.0
+    sequence_m: float = 30.48
+    beam: int = 48
+
+
+@dataclass(frozen=True)
+class Rays:
+    """Sightings of one kind of object, one row each, in a canonical order.
+
+    Parameters
+    ----------
+    camera_m : places of the cameras, shape (n, 2), local metres.
+    bearing_deg : clockwise from grid north, in [0, 360).
+    depth_m : monocular horizontal distance; NaN where unknown.
+    sigma_bearing_deg, sigma_depth_m : 1 sigma; NaN where not stated.
+    image : whole number for each image; two rays of one image never show the same pole.
+    route, sequence : whole numbers; -1 where unknown.
+    row : row of the sighting in the caller's table.
+    """
+
+    camera_m: _FLOATS
+    bearing_deg: _FLOATS
+    depth_m: _FLOATS
+    sigma_bearing_deg: _FLOATS
+    sigma_depth_m: _FLOATS
+    image: _INTS
+    route: _INTS
+    sequence: _INTS
+    row: _INTS
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    @property
+    def direction(self) -> _FLOATS:
+        """Unit vectors, shape (n, 2)."""
+        radians = np.radians(self.bearing_deg)
+        return np.column_stack([np.sin(radians), np.cos(radians)])
+
+    def take(self, chosen: NDArray) -> Rays:
+        """Rays at ``chosen`` (numbers or a mask)."""
+        return Rays(*(np.asarray(value)[chosen] for value in vars(self).values()))
+
+    def scaled(self, factor: float) -> Rays:
+        """The same rays with all depths times ``factor``."""
+        return replace(
+            self, depth_m=self.depth_m * factor, sigma_depth_m=self.sigma_depth_m * factor
+        )
+
+
+def make_rays(
+    camera_m: NDArray,
+    bearing_deg: NDArray,
+    depth_m: NDArray | None = None,
+    sigma_bearing_deg: NDArray | None = None,
+    sigma_depth_m: NDArray | None = None,
+    image: NDArray | None = None,
+    route: NDArray | None = None,
+    sequence: NDArray | None = None,
+) -> Rays:
+    """Rays in an order that does not depend on the order of the rows, without exact repeats.
+
+    Depths and sigmas that are not positive and finite are unknown. Without images, cameras at the
+    same place are one image. Rows whose camera or bearing is not finite are left out.
+
+    Parameters
+    ----------
+    camera_m : shape (n, 2). Others: shape (n,); image may be of any kind that sorts.
+    """
+    camera = np.asarray(camera_m, np.float64).reshape(-1, 2)
+    n = len(camera)
+    wrapped = np.mod(np.asarray(bearing_deg, np.float64), 360.0)
+    bearing = np.where(wrapped >= 360.0, 0.0, wrapped)  # from a tiny negative number
+    places = _codes(list(map(tuple, camera.tolist())))
+    depth, sigma_turn, sigma_depth = (
+        _positive(column, n) for column in (depth_m, sigma_bearing_deg, sigma_depth_m)
+    )
+    labels = places if image is None else _codes(list(np.asarray(image).tolist()))
+    route_codes = _whole(None if route is None else _codes(list(np.asarray(route).tolist())), n)
+    sequences = _whole(sequence, n)
+    rays = Rays(
+        camera, bearing, depth, sigma_turn, sigma_depth, labels, route_codes, sequences,
+        np.arange(n),
+    )  # fmt: skip
+    keys = [sequences, route_codes, labels, sigma_depth, sigma_turn, depth, bearing]
+    order = np.lexsort([*map(np.nan_to_num, keys), camera[:, 1], camera[:, 0]])
+    usable = np.isfinite(camera).all(axis=1) & np.isfinite(bearing)
+    order = order[usable[order]]
+    return _without_repeats(rays.take(order))
+
+
+def pair_rays(rays: Rays, settings: TriangulationSettings) -> _INTS:
+    """Pairs (m, 2) of rays of different images whose cameras are neither too near nor too far."""
+    if len(rays) < 2:
+        return np.empty((0, 2), np.int64)
+    reach_m = FURTHEST_CAMERAS * settings.max_distance_m
+    pairs = cKDTree(rays.camera_m).query_pairs(reach_m, output_type="ndarray").astype(np.int64)
+    pairs.sort(axis=1)
+    pairs = pairs[np.lexsort(pairs.T[::-1])]
+    apart = np.hypot(*(rays.camera_m[pairs[:, 0]] - rays.camera_m[pairs[:, 1]]).T)
+    other = rays.image[pairs[:, 0]] != rays.image[pairs[:, 1]]
+    return pairs[other & (apart >= settings.min_baseline_m)]
+
+
+def cross_rays(rays: Rays, pairs: _INTS) -> tuple[_FLOATS, _FLOATS]:
+    """Crossings of pairs of rays.
+
+    Returns
+    -------
+    distances (m, 2) of the crossing along either ray, and its place (m, 2), metres; NaN for
+    parallel rays, negative distances behind a camera
+    """
+    first, second = rays.direction[pairs[:, 0]], rays.direction[pairs[:, 1]]
+    apart = rays.camera_m[pairs[:, 1]] - rays.camera_m[pairs[:, 0]]
+    sine = _cross(first, second)
+    parallel = np.abs(sine) < 1e-12
+    sine = np.where(parallel, np.nan, sine)
+    along = np.column_stack([_cross(apart, second) / sine, _cross(apart, first) / sine])
+    return along, rays.camera_m[pairs[:, 0]] + along[:, :1] * first
+
+
+def _cross(a: _FLOATS, b: _FLOATS) -> _FLOATS:
+    return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+
+
+def _positive(values: NDArray | None, n: int) -> _FLOATS:
+    if values is None:
+        return np.full(n, np.nan)
+    numbers = np.asarray(values, np.float64)
+    return np.where(np.isfinite(numbers) & (numbers > 0), numbers, np.nan)
+
+
+def _whole(values: NDArray | None, n: int) -> _INTS:
+    if values is None:
+        return np.full(n, -1, np.int64)
+    return np.nan_to_num(np.asarray(values, np.float64), nan=-1.0).astype(np.int64)
+
+
+def _codes(labels: list) -> _INTS:
+    """Numbers of labels in sorted order, so that they do not depend on the order of the rows."""
+    known = {label: number for number, label in enumerate(sorted(set(labels)))}
+    return np.array([known[label] for label in labels], np.int64)
+
+
+def _without_repeats(rays: Rays) -> Rays:
+    """Rays without those that repeat another in everything but its row."""
+    if len(rays) == 0:
+        return rays
+    numbers = (rays.image, rays.bearing_deg, np.nan_to_num(rays.depth_m), *rays.camera_m.T)
+    key = np.column_stack(numbers)
+    _, first = np.unique(key, axis=0, return_index=True)
+    return rays.take(np.sort(first))

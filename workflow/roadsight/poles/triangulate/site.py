@@ -1,0 +1,107 @@
+"""Poles of a whole site: each kind of object by itself, rows named and described."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.errors import InputError
+from roadsight.poles.triangulate.groups import locate_points
+from roadsight.poles.triangulate.locate import describe_groups, triangulate
+from roadsight.poles.triangulate.merging import merge_groups
+from roadsight.poles.triangulate.published import swept_poles
+from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, make_rays
+
+SIGHTING_COLUMNS = (
+    "image", "route", "sequence", "kind", "x", "y", "bearing_grid_deg", "depth_m",
+    "sigma_bearing_deg", "sigma_depth_m", "kept",
+)  # fmt: skip
+POLE_COLUMNS = (
+    "id", "kind", "x", "y", "z", "latitude", "longitude", "score", "sigma_major_m",
+    "sigma_minor_m", "sigma_azimuth_deg", "condition", "images", "routes", "kept", "reason",
+)  # fmt: skip
+
+_INTS = NDArray[np.int64]
+_NUMBERS = ("x", "y", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition")
+_METHODS = ("packing", "sweep")
+
+
+def site_poles(
+    sightings: pd.DataFrame, settings: TriangulationSettings, method: str = "packing"
+) -> tuple[pd.DataFrame, _INTS, dict[str, float]]:
+    """Poles of all kinds.
+
+    Parameters
+    ----------
+    sightings : columns `SIGHTING_COLUMNS`, local metres; those not kept are left out.
+    method : ``packing`` (ours) or ``sweep`` (paper 2).
+
+    Returns
+    -------
+    poles : as `POLE_COLUMNS` without z, latitude and longitude; images and routes are parted by
+        semicolons; ids number the poles of a kind from west to east.
+    pole of each sighting : row in ``poles``, -1 for none; shape (n,).
+    scale by kind : what depths were multiplied by.
+
+    Raises
+    ------
+    InputError : ``method`` is unknown.
+    """
+    if method not in _METHODS:
+        raise InputError("unknown method", found=method, allowed=", ".join(_METHODS))
+    pole_of = np.full(len(sightings), -1, np.int64)
+    tables, scales, before = [_empty()], {}, 0
+    usable = sightings["kept"].to_numpy(bool)
+    for kind in sorted(set(sightings["kind"][usable])):
+        rows = np.flatnonzero(usable & (sightings["kind"] == kind).to_numpy())
+        rays = _rays(sightings.iloc[rows])
+        if method == "packing":
+            poles, own, scales[kind] = triangulate(rays, settings)
+        else:
+            poles, own = _sweep(rays, settings)
+            scales[kind] = 1.0
+        pole_of[rows[rays.row[own >= 0]]] = own[own >= 0] + before
+        before += len(poles)
+        tables.append(poles.assign(kind=kind, id=[f"{kind}-{n:05d}" for n in range(len(poles))]))
+    poles = pd.concat([table for table in tables if len(table)] or tables, ignore_index=True)
+    return _with_sources(poles, sightings, pole_of), pole_of, scales
+
+
+def _rays(sightings: pd.DataFrame) -> Rays:
+    names = ("depth_m", "sigma_bearing_deg", "sigma_depth_m", "image", "route", "sequence")
+    columns = {name: sightings[name].to_numpy() for name in names}
+    places = sightings[["x", "y"]].to_numpy(np.float64)
+    return make_rays(places, sightings["bearing_grid_deg"].to_numpy(np.float64), **columns)
+
+
+def _sweep(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, _INTS]:
+    """Poles by the second paper's method; the place of each is weighted by its rays' errors."""
+    labels, _ = swept_poles(rays, settings)
+    groups = [np.flatnonzero(labels == number) for number in range(labels.max(initial=-1) + 1)]
+    points = locate_points(rays, settings)
+    groups = merge_groups(rays, points, groups, settings)
+    pole = np.full(len(rays), -1, np.int64)
+    for number, members in enumerate(groups):
+        pole[members] = number
+    return describe_groups(points, groups, settings), pole
+
+
+def _empty() -> pd.DataFrame:
+    types: dict[str, type] = {"x": float, "y": float, "score": np.int64}
+    types |= dict.fromkeys(_NUMBERS[2:], float) | {"kept": bool}
+    types |= dict.fromkeys(("reason", "id", "kind"), object)
+    return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in types.items()})
+
+
+def _with_sources(poles: pd.DataFrame, sightings: pd.DataFrame, pole_of: _INTS) -> pd.DataFrame:
+    """Poles with the names of the images and routes that show them."""
+    used = sightings.loc[pole_of >= 0, ["image", "route"]].astype(str)
+    owner = pole_of[pole_of >= 0]
+    named = used.groupby(owner).agg(_joined)
+    named = named.reindex(range(len(poles)), fill_value="")
+    return poles.assign(images=named["image"].to_numpy(), routes=named["route"].to_numpy())
+
+
+def _joined(names: pd.Series) -> str:
+    return ";".join(sorted(set(names)))

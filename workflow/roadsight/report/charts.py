@@ -1,0 +1,203 @@
+"""Plots as SVG that follows the page's theme and needs no script."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roadsight.report.wording import number
+
+_LEFT, _RIGHT, _TOP, _BOTTOM = 56.0, 14.0, 12.0, 42.0
+_TICKS = 6
+
+Span = tuple[float, float]
+
+
+def span_of(
+    *values: ArrayLike | Sequence[float | None],
+    start: float | None = None,
+    least: float = 0.0,
+    share: float = 1.0,
+) -> Span:
+    """Range of all values that are finite, a little wider than they are.
+
+    Parameters
+    ----------
+    start : where the range begins, if not at the least value. least : width at the least.
+    share : of the values that must lie within; a few wild ones then lie outside.
+    """
+    # As floats, None becomes NaN.
+    joined = np.concatenate([np.asarray(part, np.float64).ravel() for part in values])
+    known = joined[np.isfinite(joined)]
+    if not len(known):
+        return (start or 0.0), (start or 0.0) + max(least, 1.0)
+    low, high = np.quantile(known, [(1 - share) / 2, (1 + share) / 2])
+    if start is not None:
+        low, high = start, max(high, start)
+    margin = max(0.05 * (high - low), (least - (high - low)) / 2, 1e-9)
+    return (float(low) if start is not None else float(low - margin)), float(high + margin)
+
+
+def ticks(span: Span, most: int = _TICKS) -> list[float]:
+    """Round numbers within a range, in steps of 1, 2 or 5 times a power of ten."""
+    low, high = span
+    rough = (high - low) / max(most - 1, 1)
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = power * next(m for m in (1, 2, 5, 10) if m * power >= rough * (1 - 1e-9))
+    first = math.ceil(low / step - 1e-9)
+    last = math.floor(high / step + 1e-9)
+    return [0.0 if n == 0 else float(f"{n * step:.12g}") for n in range(first, last + 1)]
+
+
+class Chart:
+    """One plot; later parts lie above earlier ones.
+
+    Parameters
+    ----------
+    title : what one sees, for people who cannot see it. x_label, y_label : with units.
+    x_span, y_span : ranges of the axes. width, height : in pixels, axes included.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        x_label: str,
+        y_label: str,
+        x_span: Span,
+        y_span: Span,
+        width: float = 470.0,
+        height: float = 270.0,
+    ) -> None:
+        self.title, self.labels = title, (x_label, y_label)
+        self.spans, self.size = (x_span, y_span), (width, height)
+        self._parts: list[str] = []
+
+    def x(self, value: float) -> float:
+        """Pixel of a value across."""
+        low, high = self.spans[0]
+        return _LEFT + (value - low) / (high - low) * (self.size[0] - _LEFT - _RIGHT)
+
+    def y(self, value: float) -> float:
+        """Pixel of a value upwards; what lies outside the range is drawn on its edge."""
+        low, high = self.spans[1]
+        share = (min(max(value, low), high) - low) / (high - low)
+        return self.size[1] - _BOTTOM - share * (self.size[1] - _TOP - _BOTTOM)
+
+    def line(self, xs: Sequence[float], ys: Sequence[float | None], look: str) -> None:
+        """Line that breaks where a value is missing."""
+        steps, pen_down = [], False
+        for x, y in zip(xs, ys, strict=True):
+            if y is None or not math.isfinite(y):
+                pen_down = False
+                continue
+            steps.append(f"{'L' if pen_down else 'M'}{self.x(x):.1f} {self.y(y):.1f}")
+            pen_down = True
+        self._parts.append(f'<path class="line {look}" d="{"".join(steps)}"/>')
+
+    def band(
+        self,
+        xs: Sequence[float],
+        low: Sequence[float | None],
+        high: Sequence[float | None],
+        look: str,
+    ) -> None:
+        """Areas between two lines, wherever both are known."""
+        run: list[tuple[float, float, float]] = []
+        for x, a, b in [*zip(xs, low, high, strict=True), (0.0, None, None)]:
+            if a is not None and b is not None:
+                run.append((self.x(x), self.y(a), self.y(b)))
+                continue
+            if len(run) > 1:
+                there = [f"{x:.1f} {a:.1f}" for x, a, _ in run]
+                back = [f"{x:.1f} {b:.1f}" for x, _, b in reversed(run)]
+                self._parts.append(f'<path class="band {look}" d="M{"L".join(there + back)}Z"/>')
+            run = []
+
+    def dots(
+        self,
+        xs: Sequence[float],
+        ys: Sequence[float | None],
+        look: str,
+        texts: Sequence[str] | None = None,
+    ) -> None:
+        """Dots, with a text each that shows when one points at them, or all as one path."""
+        known = [
+            (x, y, n)
+            for n, (x, y) in enumerate(zip(xs, ys, strict=True))
+            if y is not None and math.isfinite(y)
+        ]
+        if texts is None:
+            path = "".join(f"M{self.x(x):.1f} {self.y(y):.1f}h0" for x, y, _ in known)
+            self._parts.append(f'<path class="dots {look}" d="{path}"/>')
+            return
+        for x, y, n in known:
+            self._parts.append(
+                f'<circle class="dot {look}" cx="{self.x(x):.1f}" cy="{self.y(y):.1f}" r="4">'
+                f"<title>{escape(texts[n])}</title></circle>"
+            )
+
+    def bars(self, edges: Sequence[float], counts: Sequence[float], look: str) -> None:
+        """Histogram."""
+        floor = self.y(self.spans[1][0])
+        for low, high, count in zip(edges[:-1], edges[1:], counts, strict=True):
+            left, right, top = self.x(low) + 0.5, self.x(high) - 0.5, self.y(count)
+            self._parts.append(
+                f'<rect class="{look}" x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}"'
+                f' height="{floor - top:.1f}"><title>{number(low)} to {number(high)}:'
+                f" {number(count)}</title></rect>"
+            )
+
+    def level(self, value: float, look: str, text: str = "", upright: bool = False) -> None:
+        """Line across the whole plot at a value, with a note."""
+        (low_x, high_x), (low_y, high_y) = self.spans
+        if not (low_x <= value <= high_x if upright else low_y <= value <= high_y):
+            return
+        if upright:
+            ends = [(value, low_y), (value, high_y)]
+            place = f'x="{self.x(value) + 5:.1f}" y="{_TOP + 11:.1f}"'
+        else:
+            ends = [(low_x, value), (high_x, value)]
+            place = (
+                f'x="{self.size[0] - _RIGHT - 4:.1f}" y="{self.y(value) - 5:.1f}" text-anchor="end"'
+            )
+        path = "L".join(f"{self.x(x):.1f} {self.y(y):.1f}" for x, y in ends)
+        self._parts.append(f'<path class="line {look}" d="M{path}"/>')
+        if text:
+            self._parts.append(f"<text {place}>{escape(text)}</text>")
+
+    def svg(self) -> str:
+        """The plot."""
+        width, height = self.size
+        x_label, y_label = self.labels
+        middle = (_TOP + height - _BOTTOM) / 2
+        return (
+            f'<svg class="chart" role="img" aria-label="{escape(self.title, quote=True)}"'
+            f' viewBox="0 0 {width:g} {height:g}" style="max-width:{1.15 * width:g}px">'
+            f"{self._grid()}{''.join(self._parts)}"
+            f'<text x="{(_LEFT + width - _RIGHT) / 2:.1f}" y="{height - 6:.1f}"'
+            f' text-anchor="middle">{escape(x_label)}</text>'
+            f'<text transform="translate(13 {middle:.1f}) rotate(-90)"'
+            f' text-anchor="middle">{escape(y_label)}</text></svg>'
+        )
+
+    def _grid(self) -> str:
+        width, height = self.size
+        floor, parts = height - _BOTTOM, []
+        for value in ticks(self.spans[0], 9 if width > 700 else _TICKS):
+            x, text = self.x(value), number(value)
+            parts.append(f'<path class="tick" d="M{x:.1f} {floor:.1f}v4"/>')
+            parts.append(
+                f'<text x="{x:.1f}" y="{floor + 17:.1f}" text-anchor="middle">{text}</text>'
+            )
+        for value in ticks(self.spans[1], 5 if height < 240 else _TICKS):
+            y = self.y(value)
+            parts.append(f'<path class="grid" d="M{_LEFT:g} {y:.1f}H{width - _RIGHT:g}"/>')
+            parts.append(
+                f'<text x="{_LEFT - 7:g}" y="{y + 4:.1f}" text-anchor="end">{number(value)}</text>'
+            )
+        parts.append(f'<path class="axis" d="M{_LEFT:g} {floor:g}H{width - _RIGHT:g}"/>')
+        return "".join(parts)

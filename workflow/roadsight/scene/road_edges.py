@@ -1,0 +1,299 @@
+"""Edges of the road in the overhead view of a classified cloud (paper 2, section 3.2.1).
+
+The paper takes the edge pixels of the dilated and eroded road image. Ours follows the outline of
+the same image, but finds the edge between the pixels: a pixel that a road covers in part holds
+road points in part, so that the edge runs where half of the points are of the road.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+_FLOATS = NDArray[np.float64]
+_MASK = NDArray[np.bool_]
+_MISSED_HOLES = 1e-4
+_LARGEST_CLOSING = 6
+
+
+@dataclass(frozen=True)
+class EdgeSettings:
+    """Settings of the road edges.
+
+    Parameters
+    ----------
+    closing_cells : least radius of closing and opening; sparse clouds take a larger one.
+    smallest_hole_m2, smallest_road_m2 : smaller holes are filled, smaller roads dropped.
+    spacing_m : distance between edge points. shortest_m : shorter pieces are dropped.
+    smoothing_m : standard deviation of the window that smooths an outline; wider where a sparse
+        cloud needs a wider closing.
+    border_cells : edge points this near to what was not surveyed are ends of the data.
+    """
+
+    closing_cells: int = 1
+    smallest_hole_m2: float = 20.0
+    smallest_road_m2: float = 50.0
+    spacing_m: float = 0.25
+    shortest_m: float = 3.0
+    smoothing_m: float = 0.6
+    border_cells: float = 1.5
+
+    def window_cells(self, image: RoadImage, cell_size_m: float) -> float:
+        """Smoothing window of an image's outlines, cells."""
+        return self.smoothing_m * image.closing / cell_size_m
+
+
+@dataclass(frozen=True)
+class RoadImage:
+    """Cleaned overhead image of a road.
+
+    Parameters
+    ----------
+    road : (rows, columns) whether road. surveyed_cells : (rows, columns) float32, distance to what
+        was not surveyed, cells. closing : radius that cleaned it, cells.
+    """
+
+    road: _MASK
+    surveyed_cells: NDArray[np.float32]
+    closing: int
+
+
+def clean_road(
+    is_road: _MASK, occupied: _MASK, cell_size_m: float, settings: EdgeSettings
+) -> RoadImage:
+    """Close and open the road image, fill small holes and drop small islands.
+
+    Parameters
+    ----------
+    is_road : (rows, columns) pixels with road points. occupied : those with any points.
+    """
+    radius = closing_radius(occupied, is_road, settings.closing_cells)
+    margin = 2 * radius + 1
+    disc = _disc(radius)
+    closed = cv2.morphologyEx(np.pad(is_road, margin).astype(np.uint8), cv2.MORPH_CLOSE, disc)
+    road = cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc).astype(np.uint8)
+    cell_m2 = cell_size_m**2
+    road = _without_small(road, settings.smallest_road_m2 / cell_m2)
+    road = 1 - _without_small(1 - road, settings.smallest_hole_m2 / cell_m2)
+    wide = _disc(radius + 1)
+    seen = cv2.morphologyEx(np.pad(occupied, margin).astype(np.uint8), cv2.MORPH_CLOSE, wide)
+    unknown = (1 - np.maximum(seen, road)).astype(np.uint8)
+    surveyed = 1 - _without_small(unknown, settings.smallest_hole_m2 / cell_m2)
+    distance = cv2.distanceTransform(surveyed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    inner = (slice(margin, -margin), slice(margin, -margin))
+    return RoadImage(road[inner].astype(bool), distance[inner] - 0.5, radius)
+
+
+def closing_radius(occupied: _MASK, is_road: _MASK, least: int) -> int:
+    """Radius in cells at which next to no disc on the road is empty by chance.
+
+    Points that fall at random with a mean of d a cell leave a disc of radius r empty with
+    probability exp(-pi d r^2); d follows from the share of occupied cells around the road.
+    """
+    around = cv2.dilate(is_road.astype(np.uint8), _disc(2)).astype(bool)
+    share = float(np.mean(occupied[around])) if around.any() else 1.0
+    density = -np.log(max(1.0 - share, 1e-3))
+    radius = np.sqrt(-np.log(_MISSED_HOLES) / (np.pi * max(density, 1e-3)))
+    return int(np.clip(np.ceil(radius - 0.25), max(least, 1), max(least, _LARGEST_CLOSING)))
+
+
+def edge_pixels(image: RoadImage, border_cells: float) -> _MASK:
+    """Edge pixels of the road (rows, columns), without the ends of the data (the paper's way)."""
+    road = image.road.astype(np.uint8)
+    inner = cv2.erode(np.pad(road, 1), np.ones((3, 3), np.uint8))[1:-1, 1:-1]
+    return (road > inner) & (image.surveyed_cells > border_cells)
+
+
+def edge_level(road_share: NDArray[np.floating], occupied: _MASK, image: RoadImage) -> _FLOATS:
+    """Smoothed share of road points (rows, columns): the edge runs at a half.
+
+    Pixels without points say nothing. Well inside and well outside the cleaned road, the level is
+    1 and 0, so that what was filled or dropped has no edge.
+    """
+    sigma = max(0.7, 0.5 * image.closing)
+    weight = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), sigma)
+    share = cv2.GaussianBlur(np.where(occupied, road_share, 0.0).astype(np.float32), (0, 0), sigma)
+    road = image.road.astype(np.uint8)
+    level = np.where(weight > 1e-3, share / np.maximum(weight, 1e-3), road)
+    reach = image.closing + 2
+    level[cv2.erode(road, _disc(reach), borderValue=1) > 0] = 1.0
+    level[cv2.dilate(road, _disc(reach), borderValue=0) == 0] = 0.0
+    return level
+
+
+def outlines(image: RoadImage, level: _FLOATS, window_cells: float) -> list[_FLOATS]:
+    """Closed outlines of the road as fractional (row, column) pairs, each (n, 2).
+
+    The chain of edge pixels is smoothed and every place moved across it to where the level is a
+    half, at most a few cells.
+    """
+    padded = np.pad(image.road, 1).astype(np.uint8)
+    chains, _ = cv2.findContours(padded, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    lines = []
+    for chain in chains:
+        pixels = chain[:, 0, ::-1].astype(np.float64) - 1.0
+        if len(pixels) < 8:
+            continue
+        rough = _resampled(_smoothed(pixels, window_cells), 1.0)
+        moved = _to_level(rough, level, image.closing + 1.5)
+        lines.append(_smoothed(moved, window_cells))
+    return lines
+
+
+def _to_level(line: _FLOATS, level: _FLOATS, reach: float) -> _FLOATS:
+    """Move places of a closed line (n, 2) across it to the nearest crossing of level one half."""
+    tangent = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    steps = np.arange(-reach, reach + 0.125, 0.25)
+    places = line[:, None] + steps[:, None] * normal[:, None]
+    values = (
+        ndimage.map_coordinates(level, places.transpose(2, 0, 1), order=1, mode="nearest") - 0.5
+    )
+    crossing = (values[:, :-1] <= 0) != (values[:, 1:] <= 0)
+    share = values[:, :-1] / np.where(crossing, values[:, :-1] - values[:, 1:], 1.0)
+    offset = np.where(crossing, steps[:-1] + 0.25 * share, np.inf)
+    nearest = np.abs(offset).argmin(axis=1)
+    chosen = offset[np.arange(len(line)), nearest]
+    found = np.isfinite(chosen)
+    if not found.any():
+        return line
+    # Where nothing crosses, the line keeps the offset of its neighbours.
+    index = np.arange(len(line))
+    chosen = np.interp(index, index[found], chosen[found], period=len(line))
+    return line + chosen[:, None] * normal
+
+
+def _smoothed(line: _FLOATS, sigma: float) -> _FLOATS:
+    """Closed line (n, 2) smoothed by a Gaussian window that does not shrink arcs."""
+    if sigma <= 0:
+        return line
+    once = ndimage.gaussian_filter1d(line, sigma, axis=0, mode="wrap")
+    return 2 * once - ndimage.gaussian_filter1d(once, sigma, axis=0, mode="wrap")
+
+
+def _resampled(line: _FLOATS, spacing: float) -> _FLOATS:
+    """Closed line (n, 2) at equal steps of about ``spacing``."""
+    ring = np.vstack([line, line[:1]])
+    station = np.append(0.0, np.cumsum(np.hypot(*np.diff(ring, axis=0).T)))
+    count = max(8, round(station[-1] / spacing))
+    at = np.arange(count) * station[-1] / count
+    return np.column_stack([np.interp(at, station, ring[:, axis]) for axis in (0, 1)])
+
+
+@dataclass(frozen=True)
+class EdgeLines:
+    """Edge points along polylines.
+
+    Parameters
+    ----------
+    place : (n, 2) fractional row and column. tangent : (n, 2) unit vector in rows and columns,
+        over a metre to either side.
+    polyline : (n,) number of the line, from 0; the points of a line follow each other.
+    """
+
+    place: _FLOATS
+    tangent: _FLOATS
+    polyline: NDArray[np.int32]
+
+
+def edge_lines(
+    rings: list[_FLOATS], image: RoadImage, cell_size_m: float, settings: EdgeSettings
+) -> EdgeLines:
+    """Cut closed outlines where the data end and sample what is left at equal steps.
+
+    What the window smoothed together with the cut goes too.
+    """
+    step = settings.spacing_m / cell_size_m
+    trim = int(np.ceil(2.0 * settings.window_cells(image, cell_size_m) / step))
+    reach = max(1, round(1.0 / settings.spacing_m))
+    places, tangents = [np.empty((0, 2))], [np.empty((0, 2))]
+    lengths = []
+    for outline in rings:
+        ring = _resampled(outline, step)
+        tangent = np.roll(ring, -reach, axis=0) - np.roll(ring, reach, axis=0)
+        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+        row, column = ring.T
+        inside = ndimage.map_coordinates(
+            image.surveyed_cells, [row, column], order=1, mode="constant", cval=0.0
+        )
+        keep = inside > settings.border_cells
+        keep = ndimage.minimum_filter1d(keep.astype(np.uint8), 2 * trim + 1, mode="wrap") > 0
+        for run in _runs_of(keep):
+            if len(run) * settings.spacing_m >= settings.shortest_m:
+                places.append(ring[run])
+                tangents.append(tangent[run])
+                lengths.append(len(run))
+    number = np.repeat(np.arange(len(lengths), dtype=np.int32), lengths)
+    return EdgeLines(np.concatenate(places), np.concatenate(tangents), number)
+
+
+def _runs_of(keep: _MASK) -> list[NDArray[np.int64]]:
+    """Indices of the runs of kept places on a ring; a ring that is kept whole is one run."""
+    if keep.all():
+        return [np.arange(len(keep))]
+    if not keep.any():
+        return []
+    first = int(np.flatnonzero(~keep)[0])
+    index = (np.arange(len(keep)) + first) % len(keep)
+    kept = keep[index]
+    starts = np.flatnonzero(np.diff(kept.astype(np.int8), prepend=0) == 1)
+    ends = np.flatnonzero(np.diff(kept.astype(np.int8), append=0) == -1) + 1
+    return [index[a:b] for a, b in zip(starts, ends, strict=True)]
+
+
+def surface_heights(
+    place: _FLOATS, height_m: NDArray[np.float32], road: _MASK, radius_cells: int = 4
+) -> _FLOATS:
+    """Height of the road surface at places (n, 2) in rows and columns, NaN without road near.
+
+    A plane through the road pixels around, without those far from their median.
+    """
+    step = np.arange(-radius_cells, radius_cells + 1)
+    rows, columns = (grid.ravel() for grid in np.meshgrid(step, step, indexing="ij"))
+    heights = np.empty(len(place))
+    for start in range(0, len(place), 20_000):
+        part = place[start : start + 20_000]
+        heights[start : start + len(part)] = _planes(part, rows, columns, height_m, road)
+    return heights
+
+
+def _planes(
+    place: _FLOATS, rows: NDArray, columns: NDArray, height_m: NDArray, road: _MASK
+) -> _FLOATS:
+    """Heights at places of planes through the road pixels at offsets ``rows``, ``columns``."""
+    row = np.round(place[:, :1]).astype(int) + rows
+    column = np.round(place[:, 1:]).astype(int) + columns
+    valid = (row >= 0) & (row < road.shape[0]) & (column >= 0) & (column < road.shape[1])
+    row, column = np.where(valid, row, 0), np.where(valid, column, 0)
+    z = height_m[row, column].astype(np.float64)
+    valid &= road[row, column] & np.isfinite(z)
+    some = valid.any(axis=1)
+    z = np.where(valid, z, np.nan)
+    middle = np.full(len(place), np.nan)
+    middle[some] = np.nanmedian(z[some], axis=1)
+    apart = np.where(valid, z - middle[:, None], 0.0)
+    weight = (valid & (np.abs(apart) <= 0.3)).astype(np.float64)
+    terms = np.stack([np.ones(row.shape), row - place[:, :1], column - place[:, 1:]], axis=-1)
+    square = np.einsum("nk,nki,nkj->nij", weight, terms, terms)
+    # As if the slope were known to be some 5 cm a cell, so that few or collinear pixels do.
+    square += np.diag([1e-9, 0.3, 0.3])
+    right = np.einsum("nk,nki,nk->ni", weight, terms, apart)
+    return middle + np.linalg.solve(square, right[..., None])[:, 0, 0]
+
+
+def _without_small(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
+    """Mask without components (of pixels that share a side) of fewer cells."""
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    keep = stats[:, cv2.CC_STAT_AREA] >= least_cells
+    keep[0] = False
+    return keep[labels].astype(np.uint8)
+
+
+def _disc(radius: int) -> NDArray[np.uint8]:
+    step = np.arange(-radius, radius + 1)
+    return (np.hypot(step[:, None], step) <= radius + 0.25).astype(np.uint8)

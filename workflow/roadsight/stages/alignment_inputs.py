@@ -1,0 +1,120 @@
+"""What calibration and alignment read: frames, image edges, road edges, terrain."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+
+from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import read_json
+from roadsight.io.rasters import read_raster
+from roadsight.io.tables import read_table
+from roadsight.io.terrains import read_terrain
+from roadsight.poles.alignment.drive import (
+    Place,
+    Reach,
+    Visible,
+    image_edges_of,
+    loader,
+    near_edges,
+    places_of,
+)
+from roadsight.poles.alignment.roadside import RoadEdges
+from roadsight.poles.alignment.solve import Noise
+from roadsight.poles.calibration import Loader
+from roadsight.scene.occlusion import TerrainSight
+
+_FRAME = ["image", "route", "sequence", "x", "y", "z_road", "heading_deg", "width_px", "height_px"]
+_EDGE = ["image", "u", "v", "side", "kind"]
+
+
+@dataclass(frozen=True)
+class AlignmentScene:
+    """Images of all routes with what is needed to align them."""
+
+    places: list[Place]
+    edges: RoadEdges
+    pixels: dict[str, pd.DataFrame]
+    reach: Reach
+    noise: Noise
+    visible: Visible | None
+
+    def load(self, place: Place) -> Loader:
+        """Maker of the task of one image."""
+        empty = pd.DataFrame({name: [] for name in _EDGE})
+        seen = image_edges_of(self.pixels.get(place.image, empty), self.reach)
+        there = near_edges(place, self.edges, self.reach, self.visible)
+        return loader(place, seen, there, self.noise)
+
+    def loaders(self) -> Iterator[tuple[Place, Loader]]:
+        """Each place with the maker of its task."""
+        for place in self.places:
+            yield place, self.load(place)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of both stages."""
+    for name in ("frames", "road-edges", "frame", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--image-edges", nargs="+", required=True, help="tables of edge pixels")
+    parser.add_argument("--terrain", help="triangles that may hide road")
+    parser.add_argument("--dem", help="ground heights, better than those of the edge raster")
+    reach, noise = Reach(), Noise()
+    parser.add_argument("--nearest-m", type=float, default=reach.nearest_m)
+    parser.add_argument("--farthest-m", type=float, default=reach.farthest_m)
+    parser.add_argument("--edge-points", type=int, default=reach.edge_points, help="of the LiDAR")
+    parser.add_argument("--pixels", type=int, default=reach.pixels, help="of the image's edges")
+    parser.add_argument("--pixel-px", type=float, default=noise.pixel_px, help="sigma of a pixel")
+    parser.add_argument("--across-m", type=float, default=noise.across_m, help="sigma of an edge")
+    parser.add_argument("--independent", type=float, default=noise.independent)
+
+
+def read_scene(arguments: argparse.Namespace) -> AlignmentScene:
+    """Read the inputs that both stages share.
+
+    Raises
+    ------
+    InputError : a file cannot be read, or no image may be used.
+    """
+    frames = read_table(arguments.frames, [*_FRAME, "status"])
+    frames = frames[(frames["status"] == "ok") & np.isfinite(frames["z_road"])]
+    if frames.empty:
+        raise InputError(
+            "has no image that may be used",
+            where=str(arguments.frames),
+            hint="see its column `status` for the reasons",
+        )
+    reach = Reach(
+        arguments.nearest_m, arguments.farthest_m, arguments.edge_points, arguments.pixels
+    )
+    noise = replace(
+        Noise(),
+        pixel_px=arguments.pixel_px,
+        across_m=arguments.across_m,
+        independent=arguments.independent,
+    )
+    edges = _road_edges(arguments)
+    table = pd.concat([read_table(path, _EDGE) for path in arguments.image_edges])
+    pixels = {str(image): part for image, part in table.groupby("image", sort=True)}
+    places = places_of(frames.reset_index(drop=True), edges, reach)
+    return AlignmentScene(places, edges, pixels, reach, noise, _terrain(arguments.terrain))
+
+
+def _road_edges(arguments: argparse.Namespace) -> RoadEdges:
+    xyz = read_table(arguments.road_edges, ["x", "y", "z"]).to_numpy(np.float64)
+    if arguments.dem:
+        frame = Frame.from_dict(read_json(arguments.frame))
+        height = read_raster(arguments.dem, frame).sample(xyz[:, 0], xyz[:, 1])
+        # A bridge stands above the ground: its own heights are the better ones.
+        near = np.isfinite(height) & (np.abs(height - xyz[:, 2]) < 1.0)
+        xyz[near, 2] = height[near]
+    return RoadEdges.from_points(xyz)
+
+
+def _terrain(path: str | None) -> Visible | None:
+    return TerrainSight(read_terrain(path)).visible if path else None

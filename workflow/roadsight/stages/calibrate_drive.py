@@ -1,0 +1,100 @@
+"""What the images of each drive share: lens, mount, and the slow error of the track."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from roadsight.errors import InputError
+from roadsight.io.atomic import read_json, write_json
+from roadsight.poles.alignment.drift import DriftModel
+from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.pose import Spread
+from roadsight.poles.calibration import Loader, Mount, calibrate, find_focal, weak_mount
+from roadsight.poles.calibration_table import (
+    DriveCalibration,
+    Key,
+    baseline_mount,
+    measure_drift,
+    to_content,
+)
+from roadsight.stages.alignment_inputs import add_arguments, read_scene
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("calibrate_drive")
+_FEW = 12
+
+
+def calibrate_drives(arguments: argparse.Namespace) -> None:
+    """Calibrate each drive (route and image size) and measure the error of its track."""
+    scene = read_scene(arguments)
+    baselines = read_json(arguments.baseline) if arguments.baseline else {}
+    drives: dict[Key, list[tuple[Place, Loader]]] = {}
+    for place, load in scene.loaders():
+        key = place.route, place.start.width_px, place.start.height_px
+        drives.setdefault(key, []).append((place, load))
+    content = []
+    for key, images in sorted(drives.items(), key=lambda item: item[0]):
+        calibration = _calibrated(key, images, arguments, baselines)
+        log.info("%s %d x %d: %s", *key, _summary(calibration))
+        content.append(to_content(calibration))
+    write_json(arguments.out, {"drives": content})
+
+
+def _calibrated(
+    key: Key,
+    images: list[tuple[Place, Loader]],
+    arguments: argparse.Namespace,
+    baselines: dict[str, Any],
+) -> DriveCalibration:
+    places, loaders = [p for p, _ in images], [load for _, load in images]
+    spread = Spread()
+    chosen = _evenly(loaders, arguments.images)
+    prior, problem = weak_mount(arguments.hfov_deg, key[1]), ""
+    baseline = baselines.get(f"{key[1]}x{key[2]}", baselines.get("all"))
+    try:
+        if baseline is not None:
+            prior = baseline_mount(baseline, prior, key[1])
+        elif arguments.hfov_deg is None:
+            prior = find_focal(_evenly(loaders, _FEW), prior, spread, key[1])
+        mount, _ = calibrate(chosen, prior, spread)
+    except InputError as error:
+        log.warning("%s: %s", key[0], error)
+        mount, problem = prior, str(error)
+    model = DriftModel(arguments.gps_sigma_m, arguments.gps_length_m, arguments.gps_own_m)
+    drift, measured = measure_drift(places, loaders, mount, spread, model)
+    return DriveCalibration(key, mount, spread, drift, measured, problem)
+
+
+def _evenly(loaders: list[Loader], count: int) -> list[Loader]:
+    index = np.unique(np.linspace(0, len(loaders) - 1, min(count, len(loaders))).round())
+    return [loaders[int(number)] for number in index]
+
+
+def _summary(calibration: DriveCalibration) -> str:
+    mount: Mount = calibration.mount
+    table = pd.Series(to_content(calibration))[["hfov_deg", "yaw_deg", "pitch_deg", "height_m"]]
+    numbers = ", ".join(f"{name} {value:.3f}" for name, value in table.items())
+    return f"{mount.images} images, {len(calibration.measured)} track errors, {numbers}"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_arguments(parser)
+    parser.add_argument("--baseline", help='JSON by image size, {"2000x1200": {...}}, or "all"')
+    parser.add_argument("--hfov-deg", type=float, help="field of view, if known to 10 %%")
+    parser.add_argument("--images", type=int, default=60, help="of a drive, for its calibration")
+    parser.add_argument("--gps-sigma-m", type=float, default=0.8, help="slow error of the track")
+    parser.add_argument("--gps-length-m", type=float, default=80.0, help="path it stays alike")
+    parser.add_argument("--gps-own-m", type=float, default=0.1, help="error of each position")
+    return run_stage(parser, calibrate_drives, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

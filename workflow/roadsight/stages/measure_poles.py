@@ -1,0 +1,186 @@
+"""Poles in a shard's images: pixels, bearings and distances from the camera."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.geometry.cameras import Intrinsics, compass_deg
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.north import SiteNorth
+from roadsight.io.atomic import read_json
+from roadsight.io.image_shards import ImageShard
+from roadsight.io.rasters import Raster, read_raster
+from roadsight.io.tables import read_about, read_table, write_table
+from roadsight.poles.lidar_poles import find_pole_columns
+from roadsight.poles.pole_masks import KINDS, MaskSettings
+from roadsight.poles.sighting_bearing import ViewCamera
+from roadsight.poles.sightings import Evidence, SightingSettings, measure_view
+from roadsight.poles.stitching import ViewOffsets, merge_views, side_intrinsics
+from roadsight.poles.views import View, usable, views_of
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("measure_poles")
+
+_FLOATS = NDArray[np.float64]
+_COLUMNS = (
+    "image", "route", "sequence", "view", "kind", "u_foot", "v_foot", "u_min", "v_min", "u_max",
+    "v_max", "x", "y", "z", "latitude", "longitude", "bearing_grid_deg", "bearing_deg", "depth_m",
+    "sigma_bearing_deg", "sigma_depth_m", "kept", "reason", "method", "depth_from",
+    "depth_network_m", "sigma_depth_network_m", "depth_ground_m", "sigma_depth_ground_m",
+    "depth_lidar_m", "sigma_depth_lidar_m", "height_m", "width_px", "foot_visible",
+)  # fmt: skip
+_TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
+
+
+def measure_poles(arguments: argparse.Namespace) -> None:
+    """Write the sightings of every image of the shard whose camera was accepted."""
+    settings = _settings(arguments)
+    offsets = ViewOffsets(arguments.left_yaw_deg, arguments.right_yaw_deg)
+    frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
+    cameras = read_table(arguments.cameras)
+    accepted = cameras[cameras["accepted"]].set_index("image")
+    poses = {str(image): pose for image, pose in accepted.iterrows()}
+    known = frames[frames["image"].isin(accepted.index)]
+    log.info("%d of %d images have an accepted camera", len(known), len(frames))
+    frame = Frame.from_dict(read_json(arguments.frame))
+    ground = read_raster(arguments.dem, frame)
+    evidence = _Evidence(arguments, ground, accepted.loc[known["image"]], settings)
+    masks, depths = ImageShard(arguments.masks), ImageShard(arguments.depth)
+    views = list(views_of(known))
+    tables = []
+    for view in logged(views, len(views), log, "images"):
+        mask = masks.read(view.name)
+        camera = _camera(view, poses[view.image], offsets, mask.shape)
+        table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
+        if len(table):
+            tables.append(table.assign(image=view.image, view=view.view))
+    sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
+    table = _finished(sightings, known, accepted, frame)
+    for reason, count in table["reason"].value_counts().sort_index().items():
+        log.info("%5d %s", count, reason or "kept")
+    write_table(arguments.out, table, {"settings": asdict(settings), "offsets": asdict(offsets)})
+
+
+class _Evidence:
+    """Terrain and LiDAR around the shard's cameras."""
+
+    def __init__(
+        self,
+        arguments: argparse.Namespace,
+        ground: Raster,
+        cameras: pd.DataFrame,
+        settings: SightingSettings,
+    ) -> None:
+        self._ground, self._reach_m = ground, settings.farthest_m
+        cell_m = float(read_about(arguments.voxels)["cell_size_m"])
+        anchor = np.array(read_about(arguments.voxels)["anchor"], np.float64)
+        voxels = read_table(arguments.voxels, ["ix", "iy", "iz", "cls"])
+        places = cameras[["x", "y"]].to_numpy(np.float64)
+        index = voxels[["ix", "iy", "iz"]].to_numpy(np.float64)
+        near = _near(anchor[:2] + (index[:, :2] + 0.5) * cell_m, places, self._reach_m + 10.0)
+        xyz = anchor + (index[near] + 0.5) * cell_m
+        above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
+        self._columns = find_pole_columns(xyz, above, voxels["cls"].to_numpy()[near], cell_m)
+        self._points = xyz if settings.bearing == "lidar" else np.empty((0, 3))
+        log.info("%d voxels near the cameras, %d pole-like columns", len(xyz), len(self._columns))
+
+    def near(self, camera: ViewCamera) -> Evidence:
+        """What lies within reach of a camera."""
+        offset = self._points - np.asarray(camera.position_m)
+        close = np.hypot(offset[:, 0], offset[:, 1]) <= self._reach_m
+        return Evidence(self._ground.sample, self._columns, self._points[close])
+
+
+def _near(xy_m: _FLOATS, places_m: _FLOATS, reach_m: float) -> NDArray[np.bool_]:
+    """Whether points (n, 2) lie in a cell of the size of the reach beside some camera's cell."""
+    if not len(places_m):
+        return np.zeros(len(xy_m), bool)
+    cells = np.floor(places_m / reach_m).astype(np.int64)
+    around = {(i + a, j + b) for i, j in cells.tolist() for a in (-1, 0, 1) for b in (-1, 0, 1)}
+    low = np.array(sorted(around)).min(axis=0)
+    shape = np.array(sorted(around)).max(axis=0) - low + 3
+    table = np.zeros(tuple(shape), bool)
+    table[tuple((np.array(sorted(around)) - low + 1).T)] = True
+    own = np.clip(np.floor(xy_m / reach_m).astype(np.int64) - low + 1, 0, shape - 1)
+    return table[own[:, 0], own[:, 1]]
+
+
+def _camera(
+    view: View, pose: pd.Series, offsets: ViewOffsets, shape: tuple[int, ...]
+) -> ViewCamera:
+    front = Intrinsics(
+        int(pose["width_px"]), int(pose["height_px"]), float(pose["focal_px"]),
+        float(pose["cx_px"]), float(pose["cy_px"]),
+    )  # fmt: skip
+    own = front if view.view == "front" else side_intrinsics(front, shape[1], shape[0])
+    angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
+    names = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")
+    sigmas = [float(np.nan_to_num(pose[name])) for name in names]
+    position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
+    heading, pitch, roll = angles
+    return ViewCamera(own, position, heading, pitch, roll, offsets.of(view.view), *sigmas)
+
+
+def _finished(
+    sightings: pd.DataFrame, frames: pd.DataFrame, cameras: pd.DataFrame, frame: Frame
+) -> pd.DataFrame:
+    """Columns of the artifact, with the camera's place and bearings from true north."""
+    if sightings.empty:
+        empty = pd.DataFrame({name: pd.Series(dtype=np.float64) for name in _COLUMNS})
+        return empty.astype(
+            dict.fromkeys(_TEXTS, str) | {"sequence": np.int64, "kept": bool, "foot_visible": bool}
+        )
+    table = sightings.join(frames.set_index("image")[["route", "sequence"]], on="image")
+    table = table.join(cameras[["x", "y", "z"]], on="image")
+    xy = table[["x", "y"]].to_numpy(np.float64)
+    nothing = np.full(len(table), np.nan)
+    latitude, longitude, turn = nothing, nothing, nothing
+    if frame.crs_wkt is not None:
+        north = SiteNorth(frame)
+        (latitude, longitude), turn = north.to_geographic(xy), north.convergence_deg(xy)
+    table["latitude"], table["longitude"] = latitude, longitude
+    table["bearing_deg"] = compass_deg(table["bearing_grid_deg"].to_numpy() + turn)
+    return table[list(_COLUMNS)].reset_index(drop=True)
+
+
+def _settings(arguments: argparse.Namespace) -> SightingSettings:
+    mask = MaskSettings(**{f.name: getattr(arguments, f.name) for f in fields(MaskSettings)})
+    own = {f.name: getattr(arguments, f.name) for f in fields(SightingSettings) if f.name != "mask"}
+    return SightingSettings(**own | {"kinds": tuple(arguments.kinds), "mask": mask})
+
+
+def _numbers() -> Iterator[tuple[str, float]]:
+    for part in (SightingSettings, MaskSettings):
+        for field in fields(part):
+            if isinstance(field.default, float):
+                yield field.name, field.default
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("frames", "cameras", "masks", "depth", "dem", "voxels", "frame", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--shard", type=int, default=0)
+    parser.add_argument("--shards", type=int, default=1)
+    parser.add_argument("--left-yaw-deg", type=float, default=ViewOffsets.left_deg)
+    parser.add_argument("--right-yaw-deg", type=float, default=ViewOffsets.right_deg)
+    parser.add_argument("--kinds", nargs="+", choices=sorted(KINDS), default=["pole"])
+    parser.add_argument("--bearing", choices=("fused", "image", "lidar"), default="fused")
+    parser.add_argument("--height-rule", choices=("metric", "published", "none"), default="metric")
+    for name, default in _numbers():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=default)
+    return run_stage(parser, measure_poles, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,153 @@
+"""Voxels of the cloud by class, and the overhead view of them (paper 2, section 3.2.1)."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Iterator
+from itertools import groupby
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import read_json
+from roadsight.io.rasters import read_raster
+from roadsight.io.tiles import CloudTiles, Points
+from roadsight.io.top_rasters import TopRasterWriter
+from roadsight.io.vectors import read_layer
+from roadsight.io.voxel_tables import VoxelTableWriter
+from roadsight.scene.paved import PavedArea
+from roadsight.scene.voxel_classes import (
+    ClassRuns,
+    VoxelGrid,
+    Voxels,
+    add_runs,
+    class_table,
+    count_classes,
+    seen_from_above,
+    settle,
+)
+from roadsight.scene.voxel_kernels import BRIDGE, ROAD
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("rasterise_lidar")
+
+_ROWS = 8
+
+
+def rasterise_lidar(arguments: argparse.Namespace) -> None:
+    """Write the voxels and the overhead view, one row of tiles in memory at a time."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    cloud = CloudTiles(arguments.cloud)
+    table = class_table(arguments.road_classes, arguments.bridge_classes)
+    paved = _paved_area(arguments, cloud, table, frame)
+    bounds = np.array([tile.bounds_m for tile in cloud.tiles])
+    corners = [*bounds[:, :3].min(axis=0), *bounds[:, 3:].max(axis=0)]
+    grid = VoxelGrid.over(frame, arguments.voxel_size_m, corners)
+    about = {"cell_size_m": grid.cell_size_m, "anchor": list(grid.anchor_m)}
+    road = 0
+    with (
+        VoxelTableWriter(arguments.voxels, about) as voxels,
+        TopRasterWriter(arguments.top, frame, grid) as top,
+    ):
+        for part in settled(grid, cloud, table, paved):
+            voxels.add(grid.indices(part.voxel), part.cls)
+            top.add(seen_from_above(grid, part))
+            road += int(np.isin(part.cls, (ROAD, BRIDGE)).sum())
+    log.info("%d points, %d voxels, %d of road or bridge", cloud.points, voxels.rows, road)
+    if road == 0:
+        raise InputError(
+            "no point of the cloud lies on the pavement",
+            where=arguments.pavement,
+            hint="check that pavement, terrain model and cloud belong together",
+        )
+
+
+def settled(
+    grid: VoxelGrid, cloud: CloudTiles, table: NDArray[np.uint8], paved: PavedArea | None
+) -> Iterator[Voxels]:
+    """Voxels of the cloud from south to north, each once, whatever the tiles are."""
+    numbers = logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles")
+    runs: list[ClassRuns] = []
+    done = 0
+    for iy, row in groupby(numbers, key=lambda number: cloud.tiles[number].iy):
+        for number in row:
+            points = cloud.read(("x", "y", "z", "classification"), [number])
+            cls = _classes(points, table, paved)
+            runs.append(count_classes(grid, [points[axis] for axis in "xyz"], cls))
+        open_row = grid.first_open_row((iy + 1) * cloud.tile_size_m)
+        for end in [*range(done + _ROWS, open_row, _ROWS), open_row]:
+            halves = [part.split(grid.row_start(end)) for part in runs]
+            yield settle(add_runs([south for south, _ in halves]))
+            runs = [north for _, north in halves]
+        runs, done = [add_runs(runs)], open_row
+    yield from (settle(part) for part in runs)
+
+
+def _classes(
+    points: Points, table: NDArray[np.uint8], paved: PavedArea | None
+) -> NDArray[np.uint8]:
+    cls = table[points["classification"]]
+    if paved is not None:
+        cls[paved.holds(points["x"], points["y"], points["z"])] = ROAD
+    return cls
+
+
+def _paved_area(
+    arguments: argparse.Namespace, cloud: CloudTiles, table: NDArray[np.uint8], frame: Frame
+) -> PavedArea | None:
+    """Nothing for a cloud that knows its roads, else the pavement found in it or given."""
+    counts = np.zeros(256, np.int64)
+    for number in range(len(cloud.tiles)):
+        counts += np.bincount(
+            cloud.read(["classification"], [number])["classification"], minlength=256
+        )
+    log.info("points by class: %s", {c: int(counts[c]) for c in np.flatnonzero(counts).tolist()})
+    share = counts[table == ROAD].sum() / max(counts.sum(), 1)
+    use_class = arguments.road_source == "class" or (
+        arguments.road_source == "auto" and share >= arguments.least_road_share
+    )
+    if use_class and share > 0:
+        return None
+    if use_class or not (arguments.pavement and arguments.dem):
+        raise InputError(
+            "the cloud has no road points" if share == 0 else "the cloud has too few road points",
+            where=arguments.cloud,
+            found=f"{share:.3%} of classes {arguments.road_classes}",
+            hint="name its road class (poles.road_classes), or have the pavement found",
+        )
+    outline = shapely.union_all(
+        read_layer(arguments.pavement, "pavement", frame).geometry.to_numpy()
+    )
+    log.info("%.0f m2 of pavement stand for the road class", outline.area)
+    return PavedArea(outline, read_raster(arguments.dem, frame).sample, arguments.pavement_height_m)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("cloud", "frame", "voxels", "top"):
+        parser.add_argument(f"--{name}", required=True)
+    for name in ("pavement", "dem"):
+        parser.add_argument(f"--{name}", nargs="?", help="for a cloud without road class")
+    parser.add_argument("--voxel-size-m", type=float, default=0.3048)
+    parser.add_argument("--road-classes", type=int, nargs="*", default=[ROAD])
+    parser.add_argument("--bridge-classes", type=int, nargs="*", default=[BRIDGE])
+    parser.add_argument("--road-source", choices=("auto", "class", "pavement"), default="auto")
+    parser.add_argument(
+        "--least-road-share", type=float, default=1e-4,
+        help="auto: with a smaller share of road points, the pavement is used",
+    )  # fmt: skip
+    parser.add_argument(
+        "--pavement-height-m", type=float, default=0.3, help="farthest from the terrain model"
+    )
+    return run_stage(parser, rasterise_lidar, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,72 @@
+"""Render one shard of the embedded rural site's videolog, with its labels and depth if asked."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import zlib
+from collections.abc import Sequence
+from contextlib import ExitStack
+
+import numpy as np
+
+from roadsight.io.image_shards import ImageShardWriter
+from roadsight.io.shards import shard_of
+from roadsight.io.videolog_shards import JpegShardWriter
+from roadsight.poles.views import view_name
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+from roadsight.synthetic.rendering import RuralRenderer
+from roadsight.synthetic.rendering_look import drive_look, random_finish
+from roadsight.synthetic.rural import build_rural
+from roadsight.synthetic.videolog import random_drives, shots
+
+log = logging.getLogger("render_videolog")
+
+
+def render_videolog(arguments: argparse.Namespace) -> None:
+    """Write the images of the shard's places, and what is true about their pixels."""
+    site = build_rural(arguments.seed, arguments.length_m)
+    renderer = RuralRenderer(site)
+    wanted = [
+        (shot, view, number)
+        for number, drive in enumerate(random_drives(arguments.seed))
+        for shot in shots(site, drive, arguments.seed)
+        if shard_of(shot.name(), arguments.shards) == arguments.shard
+        for view in shot.cameras
+    ]
+    with ExitStack() as stack:
+        images = stack.enter_context(JpegShardWriter(arguments.images))
+        labels, depths = (
+            stack.enter_context(ImageShardWriter(path, {"scale": 1.0})) if path else None
+            for path in (arguments.labels, arguments.depth)
+        )
+        for shot, view, number in logged(wanted, len(wanted), log, "images"):
+            name = shot.name(view)
+            seed = [arguments.seed, zlib.crc32(name.encode())]
+            finish = random_finish(np.random.default_rng(seed))
+            look = drive_look(arguments.seed, number)
+            picture = renderer.render_view(shot.cameras[view], look, finish, seed[1])
+            images.write(name, picture.colour)
+            if labels is not None:
+                labels.write(view_name(shot.name(), view), picture.classes)
+            if depths is not None:
+                depths.write(view_name(shot.name(), view), picture.inverse_depth())
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the stage."""
+    parser = argparse.ArgumentParser(prog="render_videolog", description=__doc__)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--length-m", type=float, default=1000.0, help="of the drive, 60 to 3000")
+    parser.add_argument("--shard", type=int, default=0)
+    parser.add_argument("--shards", type=int, default=1)
+    parser.add_argument("--images", required=True, help="ZIP of JPEGs to write")
+    parser.add_argument("--labels", help="ZIP of PNGs with project classes to write")
+    parser.add_argument("--depth", help="ZIP of 16-bit PNGs with inverse depth to write")
+    return run_stage(parser, render_videolog, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
