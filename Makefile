@@ -2,7 +2,7 @@
 PYTHON ?= python3
 CORES ?= 2
 BIN := .venv/bin
-REAL_SITES := junction_mls autzen_arterial delft montpellier_street
+REAL_SITES := junction_mls autzen_arterial delft montpellier_street kitti_0009 kitti_0009_sparse
 comma := ,
 empty :=
 space := $(empty) $(empty)

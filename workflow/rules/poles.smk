@@ -64,6 +64,30 @@ rule align_cameras:
         " --shards {params.shards} --out {output.cameras} > {log} 2>&1"
 
 
+rule score_cameras:
+    input:
+        cameras=all_cameras,
+        truth=known_cameras,
+        intrinsics=beside_site("truth.intrinsics"),
+        frame=rules.ingest_cloud.output.frame,
+        road_edges=rules.extract_road_edges.output.edges,
+        code=sources("score_cameras"),
+    output:
+        errors="results/{site}/poles/camera_errors.parquet",
+        scores="results/{site}/poles/camera_scores.json",
+    log:
+        log_of("score_cameras"),
+    benchmark:
+        benchmark_of("score_cameras")
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.score_cameras --cameras {input.cameras}"
+        " --truth {input.truth:q} --intrinsics {input.intrinsics:q} --frame {input.frame}"
+        " --road-edges {input.road_edges} --errors {output.errors} --out {output.scores}"
+        " > {log} 2>&1"
+
+
 rule measure_poles:
     input:
         frames=rules.read_videolog.output.frames,
@@ -164,10 +188,11 @@ rule validate_poles:
         ENVIRONMENT
     params:
         truth_crs=site_field("truth.poles_crs"),
+        truth_kind=known_pole_kind,
         options=flags("validation"),
     shell:
         "python -m roadsight.stages.validate_poles --poles {input.poles}"
-        " --truth {input.truth:q} --truth-crs {params.truth_crs:q} --frame {input.frame}"
+        " --truth {input.truth:q} --truth-crs {params.truth_crs:q} --truth-kind {params.truth_kind:q} --frame {input.frame}"
         " --frames {input.frames} --edges {input.edges} {params.options}"
         " --out {output.validation} > {log} 2>&1"
 

@@ -212,6 +212,25 @@ def known_poles(wildcards):
     return beside_site("truth.poles")(wildcards)
 
 
+def known_pole_kind(wildcards):
+    """Which of the known posts are poles."""
+    if is_rendered(wildcards):
+        return "utility"
+    return SITES[wildcards.site].site.truth.poles_kind or ""
+
+
+def known_cameras(wildcards):
+    """Known cameras: the site's file, or those of the generated site."""
+    if is_rendered(wildcards):
+        return [f"results/{wildcards.site}/sample/truth_cameras.csv"]
+    return beside_site("truth.cameras")(wildcards)
+
+
+def camera_scores(wildcards):
+    scored = wants(wildcards.site, "poles") and known_cameras(wildcards)
+    return [f"results/{wildcards.site}/poles/camera_scores.json"] if scored else []
+
+
 def pole_validation(wildcards):
     scored = wants(wildcards.site, "poles") and known_poles(wildcards)
     return [f"results/{wildcards.site}/poles/validation.json"] if scored else []

@@ -17,6 +17,7 @@ rule summarise_site:
         sightings=poles_only(all_sightings),
         poles=poles_only(found_poles),
         validation=pole_validation,
+        camera_scores=camera_scores,
         coverage=placement_only(last_coverage),
         solutions=placement_only(plan_solutions),
         timings=placement_only(plan_timings),
@@ -40,6 +41,7 @@ rule summarise_site:
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
         " --timings {input.timings} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
+        " --camera-scores {input.camera_scores}"
         " --out {output.summary} > {log} 2>&1"
 
 

@@ -53,6 +53,7 @@ class TerrainMesh(Section):
 class Videolog(Section):
     """Poles: the track of the images."""
 
+    every: Count = Field(default=1, description="use every n-th image of a route")
     heading_images: int = Field(
         default=3, ge=0, le=50, description="headings are fitted to so many images either side"
     )

@@ -99,7 +99,10 @@ class PolesInputs(Section):
 class Truth(Section):
     """Reference data for scoring only."""
 
+    cameras: str | None = Field(default=None, description="known camera poses, CSV")
+    intrinsics: str | None = Field(default=None, description="their lens, CSV, if not with them")
     poles: str | None = Field(default=None, description="surveyed poles: CSV or vector file")
+    poles_kind: str | None = Field(default=None, description="only those whose `kind` is this")
     poles_crs: str | None = Field(default=None, description="their CRS if the file names none")
 
     pavement: str | None = Field(default=None, description="surveyed road polygons")

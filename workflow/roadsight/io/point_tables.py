@@ -33,7 +33,7 @@ def read_points(
 
     Returns
     -------
-    columns id (text), x, y
+    columns id (text), kind (text, "" if not given), x, y
 
     Raises
     ------
@@ -69,4 +69,5 @@ def _named(xy_m: np.ndarray, table: pd.DataFrame | gpd.GeoDataFrame) -> pd.DataF
     names = [f"t{n}" for n in range(1, len(xy_m) + 1)]
     if column is not None:
         names = table[column].astype(str).tolist()
-    return pd.DataFrame({"id": names, "x": xy_m[:, 0], "y": xy_m[:, 1]})
+    kinds = table["kind"].astype(str).tolist() if "kind" in table else [""] * len(names)
+    return pd.DataFrame({"id": names, "kind": kinds, "x": xy_m[:, 0], "y": xy_m[:, 1]})

@@ -43,13 +43,20 @@ def read_videolog(arguments: argparse.Namespace) -> None:
     frame = Frame.from_dict(read_json(arguments.frame))
     source = ImageSource(arguments.images)
     table = read_videolog_table(arguments.videolog, source)
-    table = find_images(table, source)
+    table = find_images(every_nth(table, arguments.every), source)
     settings = TrackSettings(
         arguments.heading_images, arguments.standing_m, arguments.jump_m, arguments.jump_factor
     )
     frames = build_frames(table, _site(arguments, frame), settings)
     _tell(table, frames, source)
     write_table(arguments.out, frames[COLUMNS], {"settings": vars(settings)})
+
+
+def every_nth(table: pd.DataFrame, every: int) -> pd.DataFrame:
+    """The first row of each route in its sequence, and every ``every``-th after it."""
+    order = table.sort_values(["route", "sequence"], kind="stable")
+    kept = order[order.groupby("route").cumcount() % every == 0].index
+    return table.loc[kept.sort_values()].reset_index(drop=True)
 
 
 def find_images(table: pd.DataFrame, source: ImageSource) -> pd.DataFrame:
@@ -171,6 +178,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--top", nargs="?", help="overhead view, for the height of the road")
     parser.add_argument("--outside-m", type=float, default=30.0)
+    parser.add_argument("--every", type=int, default=1, help="use every n-th image of a route")
     parser.add_argument("--heading-images", type=int, default=3)
     parser.add_argument("--standing-m", type=float, default=0.5)
     parser.add_argument("--jump-m", type=float, default=50.0)

@@ -55,6 +55,7 @@ def _poles(arguments: argparse.Namespace) -> dict[str, Any]:
         "sightings": int(kept["kept"].sum()),
         "poles": int(read_table(arguments.poles, ["kept"])["kept"].sum()),
         "validation": read_json(arguments.validation) if arguments.validation else None,
+        "cameras": read_json(arguments.camera_scores) if arguments.camera_scores else None,
     }
 
 
@@ -80,9 +81,10 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--sensors", default="{}", help="definitions of the sensors as JSON")
-    for name in ("frames", "poles", "validation"):
+    for name in ("frames", "poles", "validation", "camera-scores"):
         parser.add_argument(f"--{name}", nargs="?")
-    for name in ("cameras", "sightings", "given", "scores", "traffic", "coverage", "solutions", "timings"):
+    shards, tables = ("cameras", "sightings"), ("given", "scores", "traffic", "coverage")
+    for name in (*shards, *tables, "solutions", "timings"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 

@@ -47,6 +47,8 @@ def validate_poles(arguments: argparse.Namespace) -> None:
     poles = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
     frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
     truth = read_points(arguments.truth, frame, arguments.truth_crs)
+    if arguments.truth_kind:
+        truth = truth[truth["kind"] == arguments.truth_kind].reset_index(drop=True)
     cameras_m = frames[["x", "y"]].dropna().to_numpy(np.float64)
     near = within_reach(_xy(truth), cameras_m, arguments.reach_m)
     known = truth[near].reset_index(drop=True)
@@ -143,7 +145,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("poles", "truth", "frame", "frames", "edges", "out"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--truth-crs", help="CRS of a vector file that names none")
+    parser.add_argument("--truth-kind", nargs="?", help="only those whose `kind` is this")
+    parser.add_argument("--truth-crs", nargs="?", help="CRS of a vector file that names none")
     parser.add_argument("--pavement", nargs="?", help="GeoPackage, to find extraneous features")
     parser.add_argument("--pavement-layer", default="pavement")
     parser.add_argument("--reach-m", type=float, default=25.0, help="of cameras, for known poles")

@@ -1,0 +1,122 @@
+"""Scores of camera poses against known ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
+
+_FLOATS = NDArray[np.float64]
+YAW_DEG, PIXELS = 0.1, 2.0
+NEAREST_M, FARTHEST_M = 8.0, 80.0
+_ALONG_M = 0.1
+
+
+def camera_errors(
+    cameras: pd.DataFrame, truth: pd.DataFrame, edges_m: _FLOATS, tangents: _FLOATS
+) -> pd.DataFrame:
+    """Errors of each camera whose true pose is known.
+
+    Parameters
+    ----------
+    cameras : image, x, y, z (local metres), heading_deg, pitch_deg, roll_deg, focal_px, cx_px,
+        cy_px, width_px, height_px, accepted.
+    truth : the same without ``accepted``.
+    edges_m : (n, 3) road edge points. tangents : (n, 2) their directions in plan.
+
+    Returns
+    -------
+    image, accepted, yaw_deg, pitch_deg, roll_deg, along_m, right_m, up_m, focal_ratio, point_px
+    (median distance of road edge points 8 to 80 m away under both poses), edge_px (the part of it
+    across the edge)
+    """
+    both = cameras.merge(truth, on="image", suffixes=("", "_true"))
+    level = np.pad(tangents, ((0, 0), (0, 1)))
+    rows = [_errors(row, edges_m, level) for _, row in both.iterrows()]
+    names = ("yaw_deg", "pitch_deg", "roll_deg", "along_m", "right_m", "up_m", "focal_ratio")
+    found = pd.DataFrame(rows, columns=[*names, "point_px", "edge_px"], dtype=float)
+    return pd.concat([both[["image", "accepted"]], found], axis=1)
+
+
+def _errors(row: pd.Series, edges_m: _FLOATS, tangents: _FLOATS) -> list[float]:
+    turn = [
+        float(wrap_deg(row[f"{name}_deg"] - row[f"{name}_deg_true"]))
+        for name in ("heading", "pitch", "roll")
+    ]
+    heading = np.radians(row["heading_deg_true"])
+    east, north, up = (row[axis] - row[f"{axis}_true"] for axis in "xyz")
+    along = east * np.sin(heading) + north * np.cos(heading)
+    right = east * np.cos(heading) - north * np.sin(heading)
+    focal = row["focal_px"] / row["focal_px_true"]
+    return [*turn, along, right, up, focal, *_pixel_errors(row, edges_m, tangents)]
+
+
+def _pixel_errors(row: pd.Series, edges_m: _FLOATS, tangents: _FLOATS) -> tuple[float, float]:
+    """Median distance of edge points under both poses, and its part across the edge."""
+    apart = np.hypot(edges_m[:, 0] - row["x_true"], edges_m[:, 1] - row["y_true"])
+    near = (apart >= NEAREST_M) & (apart <= FARTHEST_M)
+    points, ahead = edges_m[near], edges_m[near] + _ALONG_M * tangents[near]
+    lens, true = _pose(row, "_true")
+    uv_true, _ = project(lens, *true, points)
+    uv_next, _ = project(lens, *true, ahead)
+    found_lens, found = _pose(row, "")
+    uv, _ = project(found_lens, *found, points)
+    seen = lens.contains(uv_true) & np.isfinite(uv).all(axis=1)
+    if not seen.any():
+        return float("nan"), float("nan")
+    gap, line = (uv - uv_true)[seen], (uv_next - uv_true)[seen]
+    length = np.hypot(*line.T)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        across = np.abs(gap[:, 0] * line[:, 1] - gap[:, 1] * line[:, 0]) / length
+    return float(np.median(np.hypot(*gap.T))), float(np.nanmedian(across))
+
+
+def _pose(row: pd.Series, suffix: str) -> tuple[Intrinsics, tuple[_FLOATS, _FLOATS]]:
+    def value(name: str) -> float:
+        return float(row[f"{name}{suffix}"])
+
+    size = int(row["width_px"]), int(row["height_px"])
+    lens = Intrinsics(*size, value("focal_px"), value("cx_px"), value("cy_px"))
+    angles = (value(f"{name}_deg") for name in ("heading", "pitch", "roll"))
+    return lens, (cam_from_world(*angles), np.array([value(axis) for axis in "xyz"]))
+
+
+def camera_scores(errors: pd.DataFrame, images: int) -> dict[str, Any]:
+    """Shares and percentiles of the errors of accepted cameras.
+
+    Parameters
+    ----------
+    errors : as `camera_errors`. images : all images of the site, scored or not.
+    """
+    good = errors[errors["accepted"].to_numpy(bool)]
+    right = (good["yaw_deg"].abs() <= YAW_DEG) & (good["edge_px"] <= PIXELS)
+    return {
+        "images": images,
+        "known": len(errors),
+        "accepted": len(good),
+        "within_limits": int(right.sum()),
+        "limits": {"yaw_deg": YAW_DEG, "edge_px": PIXELS},
+        "share_of_images_within_limits": _share(right.sum(), len(errors)),
+        "share_of_accepted_within_limits": _share(right.sum(), len(good)),
+        "share_of_accepted_within_yaw_limit": _share(
+            (good["yaw_deg"].abs() <= YAW_DEG).sum(), len(good)
+        ),
+        "errors": {name: _spread(good[name]) for name in errors.columns[2:]},
+    }
+
+
+def _share(part: float, whole: int) -> float | None:
+    return float(part) / whole if whole else None
+
+
+def _spread(values: pd.Series) -> dict[str, float] | None:
+    """Mean, and median and 90th percentile of the absolute values; None without values."""
+    known = values.dropna().to_numpy(np.float64)
+    if not len(known):
+        return None
+    median, high = np.percentile(np.abs(known), [50, 90])
+    return {"mean": float(known.mean()), "median_abs": float(median), "p90_abs": float(high)}

@@ -1,0 +1,74 @@
+"""Known cameras from CSV tables, in the local frame of a site."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable
+
+import numpy as np
+import pandas as pd
+
+from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+
+_ANGLES = {"heading_grid_deg": "heading_deg", "pitch_deg": "pitch_deg", "roll_deg": "roll_deg"}
+_LENS = ("focal_px", "cx_px", "cy_px")
+
+
+def read_cameras(
+    path: str | os.PathLike[str], frame: Frame, intrinsics: str | os.PathLike[str] | None = None
+) -> pd.DataFrame:
+    """Poses of cameras: image, x, y, z (local metres), heading_deg (grid), pitch, roll, lens.
+
+    Parameters
+    ----------
+    path : CSV with image, easting_*, northing_* and height_* in the CRS and units of the site,
+        heading_grid_deg, pitch_deg, roll_deg, and focal_px, cx_px, cy_px unless ``intrinsics`` is
+        given: a CSV with one row fx_px, cx_px, cy_px for all images.
+
+    Raises
+    ------
+    InputError : a table cannot be read, lacks a column or holds what is no number.
+    """
+    table = _read(path)
+    native = [
+        _column(table, rf"{name}_(?!above|px)\w+", path) for name in ("easting", "northing", "height")
+    ]
+    numbers = table[[*native, *_present(table, _ANGLES, path)]].apply(
+        pd.to_numeric, errors="coerce"
+    )
+    found = pd.DataFrame({"image": table[_present(table, ("image",), path)[0]].astype(str)})
+    found[["x", "y", "z"]] = frame.to_local(numbers[native].to_numpy(np.float64))
+    for name, own in _ANGLES.items():
+        found[own] = numbers[name]
+    lens = table if intrinsics is None else _read(intrinsics).rename(columns={"fx_px": "focal_px"})
+    for name in _present(lens, _LENS, intrinsics or path):
+        values = pd.to_numeric(lens[name], errors="coerce")
+        found[name] = values if intrinsics is None else float(values.iloc[0])
+    if not np.isfinite(found.drop(columns="image").to_numpy(np.float64)).all():
+        raise InputError("holds what is no finite number", where=os.fspath(path))
+    return found
+
+
+def _read(path: str | os.PathLike[str]) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read as CSV ({error})", where=os.fspath(path)) from error
+
+
+def _column(table: pd.DataFrame, pattern: str, path: str | os.PathLike[str]) -> str:
+    for name in table.columns:
+        if re.fullmatch(pattern, name):
+            return str(name)
+    raise InputError(
+        "lacks a column", where=os.fspath(path), found=", ".join(table.columns), allowed=pattern
+    )
+
+
+def _present(table: pd.DataFrame, names: Iterable[str], path: str | os.PathLike[str]) -> list[str]:
+    wanted = list(names)
+    for name in wanted:
+        _column(table, re.escape(name), path)
+    return wanted
