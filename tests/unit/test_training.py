@@ -185,6 +185,22 @@ class TestTraining:
             files.append((tmp_path / name).read_bytes())
         assert files[0] == files[1]
 
+    @pytest.mark.parametrize("kind", ["classes", "depth"])
+    def test_training_can_go_on_from_a_file(self, kind, tmp_path):
+        pytest.importorskip("onnx")
+        from roadsight.training.export import export_network
+        from roadsight.training.networks import seeded
+        from roadsight.training.restart import start_from
+
+        network, _ = self.trained(kind)
+        export_network(network, tmp_path / "first.onnx", "output")
+        other = seeded(type(network), 5)
+        images = self.torch.rand(2, 3, 64, 80)
+        start_from(other, tmp_path / "first.onnx", images)
+        with self.torch.no_grad():
+            expected, found = (one.eval()(images) for one in (network, other))
+            np.testing.assert_allclose(found, expected, atol=1e-4 * float(expected.abs().max()))
+
     def test_depth_loss_knows_no_scale_nor_offset(self):
         from roadsight.training.losses import depth_loss, normalised
 

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from roadsight import __version__
 from roadsight.errors import InputError
 
-COMMANDS = ("init", "ground", "pavement", "edges", "depthmap", "cover", "triangulate")
+COMMANDS = ("init", "ground", "pavement", "edges", "depthmap", "cover", "align", "triangulate")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -14,6 +14,8 @@ rule calibrate_drive:
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
         terrain=terrain_that_hides,
+        pole_axes=landmark_axes,
+        columns=landmark_columns,
         baseline=beside_site("poles.baseline"),
         code=sources("calibrate_drive"),
     output:
@@ -26,12 +28,14 @@ rule calibrate_drive:
         ENVIRONMENT
     params:
         options=flags("calibration"),
+        sides=some_flags("sightings", "left_yaw_deg", "right_yaw_deg"),
         shared=flags("alignment", *ALIGNMENT_ONLY),
     shell:
         "python -m roadsight.stages.calibrate_drive --frames {input.frames}"
         " --image-edges {input.image_edges} --road-edges {input.road_edges}"
         " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
-        " --baseline {input.baseline} {params.options} {params.shared}"
+        " --pole-axes {input.pole_axes} --columns {input.columns}"
+        " --baseline {input.baseline} {params.options} {params.sides} {params.shared}"
         " --out {output.calibration} > {log} 2>&1"
 
 
@@ -43,6 +47,8 @@ rule align_cameras:
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
         terrain=terrain_that_hides,
+        pole_axes=landmark_axes,
+        columns=landmark_columns,
         calibration=rules.calibrate_drive.output.calibration,
         code=sources("align_cameras"),
     output:
@@ -55,11 +61,12 @@ rule align_cameras:
         ENVIRONMENT
     params:
         shards=setting("shards"),
-        options=flags("alignment"),
+        options=flags("alignment", "landmarks"),
     shell:
         "python -m roadsight.stages.align_cameras --frames {input.frames}"
         " --image-edges {input.image_edges} --road-edges {input.road_edges}"
         " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
+        " --pole-axes {input.pole_axes} --columns {input.columns}"
         " --calibration {input.calibration} {params.options} --shard {wildcards.shard}"
         " --shards {params.shards} --out {output.cameras} > {log} 2>&1"
 
@@ -95,7 +102,8 @@ rule measure_poles:
         masks=rules.segment_images.output.masks,
         depth=rules.estimate_depth.output.depth,
         dem=rules.build_dem.output.dem,
-        voxels=rules.rasterise_lidar.output.voxels,
+        columns=rules.find_pole_columns.output.columns,
+        voxels=voxels_for_bearings,
         frame=rules.ingest_cloud.output.frame,
         code=sources("measure_poles"),
     output:
@@ -114,7 +122,7 @@ rule measure_poles:
     shell:
         "python -m roadsight.stages.measure_poles --frames {input.frames}"
         " --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
-        " --dem {input.dem} --voxels {input.voxels} --frame {input.frame} {params.options}"
+        " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --frame {input.frame} {params.options}"
         " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings} > {log} 2>&1"
 
 

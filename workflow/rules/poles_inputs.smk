@@ -21,6 +21,18 @@ def flags(section, *left_out):
     return options
 
 
+def some_flags(section, *names):
+    """The same of some settings of a section, for a rule that shares them with another."""
+
+    def options(wildcards):
+        values = SITES[wildcards.site].setting(section).model_dump(include=set(names))
+        return " ".join(
+            f"--{name.replace('_', '-')} {option(values[name])}" for name in names
+        )
+
+    return options
+
+
 def option(value):
     return " ".join(map(str, value)) if isinstance(value, list) else str(value)
 
@@ -40,6 +52,7 @@ def pole_shards(kind, suffix):
 all_masks = pole_shards("masks", "zip")
 all_depths = pole_shards("depth", "zip")
 all_image_edges = pole_shards("image_edges", "parquet")
+all_pole_axes = pole_shards("pole_axes", "parquet")
 all_cameras = pole_shards("cameras", "parquet")
 all_sightings = pole_shards("sightings", "parquet")
 
@@ -197,6 +210,27 @@ def terrain_that_hides(wildcards):
     return [f"results/{wildcards.site}/poles/terrain.npz"] if hides else []
 
 
+def uses_landmarks(wildcards):
+    return SITES[wildcards.site].setting("alignment.landmarks") == "use"
+
+
+def landmark_axes(wildcards):
+    """Pole axes in the images, where poles help to align the cameras."""
+    return all_pole_axes(wildcards) if uses_landmarks(wildcards) else []
+
+
+def landmark_columns(wildcards):
+    """Pole-like columns of the cloud, where they help to align the cameras."""
+    found = f"results/{wildcards.site}/poles/columns.parquet"
+    return [found] if uses_landmarks(wildcards) else []
+
+
+def voxels_for_bearings(wildcards):
+    """Voxels, where bearings are those to the nearest of them, as published."""
+    lidar = SITES[wildcards.site].setting("sightings.bearing") == "lidar"
+    return [f"results/{wildcards.site}/poles/voxels.parquet"] if lidar else []
+
+
 def pole_frames(wildcards):
     return f"results/{wildcards.site}/poles/frames.parquet"
 
@@ -255,4 +289,4 @@ def poles_only(inputs):
 
 
 # Settings of the alignment that the calibration of the drive does not know.
-ALIGNMENT_ONLY = ("method", "max_residual_px", "max_sigma_heading_deg")
+ALIGNMENT_ONLY = ("landmarks", "method", "max_residual_px", "max_sigma_heading_deg")

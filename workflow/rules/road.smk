@@ -1,7 +1,7 @@
 """The road as the cloud shows it from above, for the pole job.
 
 REQUIRED INPUTS  results/{site}/scene/*
-OUTPUTS          results/{site}/poles/: voxels, top view, road edges, terrain
+OUTPUTS          results/{site}/poles/: voxels, top view, road edges, pole-like columns, terrain
 """
 
 
@@ -53,6 +53,27 @@ rule extract_road_edges:
         "python -m roadsight.stages.extract_road_edges --top {input.top}"
         " --frame {input.frame} {params.options} --edges {output.edges}"
         " --lines {output.lines} > {log} 2>&1"
+
+
+rule find_pole_columns:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        code=sources("find_pole_columns"),
+    output:
+        columns="results/{site}/poles/columns.parquet",
+    log:
+        log_of("find_pole_columns"),
+    benchmark:
+        benchmark_of("find_pole_columns")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(60),
+    shell:
+        "python -m roadsight.stages.find_pole_columns --cloud {input.cloud} --frame {input.frame}"
+        " --dem {input.dem} --out {output.columns} > {log} 2>&1"
 
 
 rule build_terrain:

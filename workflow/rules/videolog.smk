@@ -1,7 +1,7 @@
 """What the images of a videolog show, shard by shard.
 
 REQUIRED INPUTS  the site's videolog, images and networks (or masks and depth), results/{site}/scene/*
-OUTPUTS          results/{site}/poles/: frames, masks, depth, image edges
+OUTPUTS          results/{site}/poles/: frames, masks, depth, image edges, pole axes
 """
 
 
@@ -111,3 +111,27 @@ rule trace_image_edges:
         "python -m roadsight.stages.trace_image_edges --frames {input.frames}"
         " --masks {input.masks} {params.options} --shard {wildcards.shard}"
         " --shards {params.shards} --out {output.edges} > {log} 2>&1"
+
+
+rule trace_pole_axes:
+    input:
+        frames=rules.read_videolog.output.frames,
+        masks=rules.segment_images.output.masks,
+        code=sources("trace_pole_axes"),
+    output:
+        axes=ensure("results/{site}/poles/pole_axes/{shard}.parquet", non_empty=True),
+    log:
+        log_of("trace_pole_axes", "{shard}"),
+    benchmark:
+        benchmark_of("trace_pole_axes", "{shard}")
+    conda:
+        ENVIRONMENT
+    params:
+        shards=setting("shards"),
+        options=some_flags(
+            "sightings", "min_aspect", "min_width_px", "min_height_px", "wire_px"
+        ),
+    shell:
+        "python -m roadsight.stages.trace_pole_axes --frames {input.frames} --masks {input.masks}"
+        " {params.options} --shard {wildcards.shard} --shards {params.shards}"
+        " --out {output.axes} > {log} 2>&1"

@@ -85,6 +85,9 @@ class Alignment(Section):
         default="ours",
         description="robust least squares, Nelder-Mead as published, or the track alone",
     )
+    landmarks: Literal["use", "skip"] = Field(
+        default="use", description="whether poles in the cloud help to place the cameras"
+    )
     edge_points: Count = Field(default=800, description="LiDAR edge points of an image")
     pixels: Count = Field(default=400, description="edge pixels of an image")
     nearest_m: Metres = Field(default=3.0, description="nearer edges are not used, m")

@@ -1,0 +1,78 @@
+"""What training minimises, for classes and for relative inverse depth."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from roadsight.poles.classes import PixelClass
+
+CLASS_WEIGHTS = {
+    PixelClass.ROAD: 1.5,
+    PixelClass.MARKING: 2.0,
+    PixelClass.POLE: 3.0,
+    PixelClass.SIGN: 3.0,
+    PixelClass.SKY: 0.7,
+    PixelClass.TREE: 0.8,
+    PixelClass.VEGETATION: 0.8,
+}
+"""Others have 1. Kept small: larger weights widen thin objects, and their borders matter."""
+OVERLAP_CLASSES = (PixelClass.ROAD, PixelClass.MARKING, PixelClass.POLE, PixelClass.SIGN,
+                   PixelClass.WIRE)  # fmt: skip
+_LEAST_SPREAD = 1e-3
+_NEARNESS_FLOOR = 0.3
+_DEPTH_WEIGHTS = {PixelClass.POLE: 12.0, PixelClass.ROAD: 1.5, PixelClass.MARKING: 1.5}
+_STEP_SHARE = 0.2
+
+
+def classes_loss(logits: Tensor, classes: Tensor) -> Tensor:
+    """Weighted cross-entropy plus 1 - Dice over the batch, for logits (n, 13, h, w)."""
+    weights = torch.ones(logits.shape[1])
+    for kind, weight in CLASS_WEIGHTS.items():
+        weights[int(kind)] = weight
+    shares = logits.float().log_softmax(dim=1)
+    entropy = functional.nll_loss(shares, classes, weights)
+    kinds = torch.tensor([int(kind) for kind in OVERLAP_CLASSES])
+    found = shares.index_select(1, kinds).exp()
+    truth = (classes[:, None] == kinds[:, None, None]).float()
+    both, either = (found * truth).sum(dim=(0, 2, 3)), (found + truth).sum(dim=(0, 2, 3))
+    return entropy + 0.5 * (1.0 - (2.0 * both + 1.0) / (either + 1.0)).mean()
+
+
+def normalised(values: Tensor) -> Tensor:
+    """Values (n, h, w) less their median, over their mean distance from it, by image."""
+    flat = values.flatten(1)
+    centred = flat - flat.median(dim=1, keepdim=True).values
+    spread = centred.abs().mean(dim=1, keepdim=True)
+    return (centred / spread.clamp(min=_LEAST_SPREAD)).view_as(values)
+
+
+def depth_loss(found: Tensor, inverse_depth: Tensor, classes: Tensor) -> Tensor:
+    """Loss of relative inverse depth (n, h, w), the same for any scale and offset of the truth.
+
+    Found and true values are normalised by image (Ranftl et al. 2022, section 5), so the network
+    cannot and need not know metres. Errors count by the true nearness, so that far poles weigh as
+    much as the road in front; poles, few as their pixels are, and the road count more. A tenth of
+    the loss ties the network's own numbers to the normalised ones, which leaves its scale no room
+    to drift.
+    """
+    found = found.float()
+    truth, own = normalised(inverse_depth), normalised(found)
+    nearness = truth - truth.flatten(1).min(dim=1).values[:, None, None]
+    weights = 1.0 / (_NEARNESS_FLOOR + nearness)
+    for kind, weight in _DEPTH_WEIGHTS.items():
+        weights = weights * torch.where(classes == int(kind), weight, 1.0)
+    weights = weights / weights.mean(dim=(1, 2), keepdim=True)
+    error = own - truth
+    plain = (weights * error.abs()).mean() + 0.1 * (weights * (found - truth).abs()).mean()
+    return plain + _STEP_SHARE * _step_loss(error)
+
+
+def _step_loss(error: Tensor) -> Tensor:
+    """Mean change of the error between neighbours, at four sizes: keeps the edges of objects."""
+    lost = error.new_zeros(())
+    for step in (1, 2, 4, 8):
+        thinned = error[:, ::step, ::step]
+        lost = lost + thinned.diff(dim=1).abs().mean() + thinned.diff(dim=2).abs().mean()
+    return lost / 4.0
