@@ -41,6 +41,7 @@ def site(tmp_path_factory):
     sightings = pd.DataFrame(
         rows, columns=["image", "sequence", "x", "bearing_grid_deg", "depth_m"]
     ).assign(route="r", kind="pole", y=0.0, sigma_bearing_deg=0.3, sigma_depth_m=1.0, kept=True)
+    sightings["depth_lidar_m"] = np.nan
     write_table(folder / "s0.parquet", sightings.iloc[::2])
     write_table(folder / "s1.parquet", sightings.iloc[1::2])
     write_table(folder / "none.parquet", sightings.iloc[:0])

@@ -14,6 +14,7 @@ from roadsight.poles.triangulate.locate import (
     calibrate_depths,
     drop_near_structures,
     error_ellipse,
+    withhold_thin,
 )
 from roadsight.poles.triangulate.merging import follows_sequence, merge_groups
 from roadsight.poles.triangulate.packing import choose_groups
@@ -259,3 +260,16 @@ def test_site_without_usable_sightings_is_an_empty_table():
     assert len(poles) == 0
     assert (pole_of == -1).all()
     assert scales == {}
+
+
+def test_poles_of_few_views_need_the_cloud():
+    poles = pd.DataFrame(
+        {"score": [2, 2, 3, 2], "kept": [True, True, True, False], "reason": [""] * 3 + ["long"]}
+    )
+    pole_of = np.array([0, 0, 1, 1, 2, 2, 2, -1, 3, 3])
+    in_cloud = np.array([0, 0, 0, 1, 0, 0, 0, 1, 0, 0], bool)
+    found = withhold_thin(poles, pole_of, in_cloud, 3)
+    assert found["kept"].tolist() == [False, True, True, False]
+    assert "fewer than 3 images" in found["reason"][0]
+    assert found["reason"][3] == "long"
+    assert withhold_thin(poles, pole_of, in_cloud, 2)["kept"].tolist() == [True, True, True, False]

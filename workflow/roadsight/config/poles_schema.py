@@ -146,6 +146,9 @@ class Triangulation(Section):
     pole_cost: Positive = Field(
         default=5.0, description="evidence that a pole needs, half units of chi squared"
     )
+    min_views: int = Field(
+        default=3, ge=2, description="views that a pole needs which the cloud does not show"
+    )
     max_sigma_m: Metres = Field(default=5.0, description="less certain poles are withheld, m")
     clearance_m: float = Field(
         default=1.524, ge=0, le=100, description="poles this near road or building are withheld, m"

@@ -21,7 +21,7 @@ from roadsight.io.rasters import read_raster
 from roadsight.io.sighting_tables import write_csv
 from roadsight.io.tables import read_about, read_table, write_table
 from roadsight.io.vectors import write_geojson, write_layers
-from roadsight.poles.triangulate.locate import drop_near_structures
+from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import POLE_COLUMNS, SIGHTING_COLUMNS, site_poles
 from roadsight.stages.command import run_stage
@@ -35,10 +35,13 @@ _CORNERS = 32
 def triangulate_poles(arguments: argparse.Namespace) -> None:
     """Write poles, their ellipses and the rays that show them."""
     frame = Frame.from_dict(read_json(arguments.frame))
-    parts = [read_table(path, list(SIGHTING_COLUMNS)) for path in arguments.sightings]
+    columns = [*SIGHTING_COLUMNS, "depth_lidar_m"]
+    parts = [read_table(path, columns) for path in arguments.sightings]
     sightings = pd.concat(parts, ignore_index=True)
     settings = _settings(arguments)
     poles, pole_of, scales = site_poles(sightings, settings, arguments.method)
+    in_cloud = sightings["depth_lidar_m"].notna().to_numpy()
+    poles = withhold_thin(poles, pole_of, in_cloud, arguments.min_views)
     if arguments.voxels:
         near = _structures(arguments.voxels)
         poles = drop_near_structures(poles, near, arguments.clearance_m)
@@ -128,6 +131,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--dem", help="ground heights, for z")
     parser.add_argument("--voxels", nargs="?", help="withhold poles near road, bridge, building")
+    parser.add_argument("--min-views", type=int, default=2, help="of a pole not in the cloud")
     parser.add_argument("--clearance-m", type=float, default=1.524, help="how near; 5 ft")
     parser.add_argument("--method", choices=("packing", "sweep"), default="packing")
     for name, default in vars(TriangulationSettings()).items():

@@ -137,6 +137,28 @@ def describe_groups(
     return pd.DataFrame(dict(zip(POLE_COLUMNS, columns, strict=True)))
 
 
+def withhold_thin(
+    poles: pd.DataFrame, pole_of: _INTS, in_cloud: NDArray[np.bool_], min_views: int
+) -> pd.DataFrame:
+    """Poles with those withheld that too few images show and the cloud does not confirm.
+
+    Two rays cross by chance far more often than three; a trunk or a post that one image takes for
+    a pole is rarely taken for one again from elsewhere.
+
+    Parameters
+    ----------
+    pole_of : (n,) row in ``poles`` of each sighting, -1 for none.
+    in_cloud : (n,) whether a pole-like column of the cloud stands where the sighting points.
+    min_views : how many views a pole needs that no sighting of it finds in the cloud.
+    """
+    confirmed = np.bincount(pole_of[(pole_of >= 0) & in_cloud], minlength=len(poles)) > 0
+    thin = (poles["score"].to_numpy() < min_views) & ~confirmed & poles["kept"].to_numpy(bool)
+    reason = f"seen in fewer than {min_views} images and not in the cloud"
+    return poles.assign(
+        kept=poles["kept"] & ~thin, reason=np.where(thin, reason, poles["reason"]).astype(object)
+    )
+
+
 def drop_near_structures(
     poles: pd.DataFrame, structures: cKDTree | None, distance_m: float = 1.524
 ) -> pd.DataFrame:
