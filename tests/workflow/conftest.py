@@ -28,19 +28,29 @@ settings:
 """
 
 
+TINY_ROAD = """\
+site: tiny_road
+title: Rural road of 160 m
+sample: {scene: rural, length_m: 160, pulses_per_m2: 16}
+jobs: [poles]
+settings:
+  shards: 2
+"""
+
+
 class Checkout:
     """A copy of the project's own files in a folder of its own.
 
     Parameters
     ----------
-    folder : where it is.
+    folder : where it is. site : the site that its runs are about.
     """
 
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
+    def __init__(self, folder: Path, site: str = "tiny") -> None:
+        self.folder, self.site = folder, site
 
     @classmethod
-    def copy_to(cls, folder: Path) -> Checkout:
+    def copy_to(cls, folder: Path, site: str = "tiny") -> Checkout:
         """Copy every tracked or new file of the project, but nothing that it generated."""
         listed = subprocess.run(
             ["git", "ls-files", "-co", "--exclude-standard"],
@@ -59,13 +69,14 @@ class Checkout:
             else:
                 shutil.copyfile(source, target)
         (folder / "config/sites/tiny.yaml").write_text(TINY_SITE)
-        return cls(folder)
+        (folder / "config/sites/tiny_road.yaml").write_text(TINY_ROAD)
+        return cls(folder, site)
 
     def snakemake(self, *arguments: str, timeout_s: float = 600) -> subprocess.CompletedProcess:
         """Run Snakemake on the small site with this copy's package."""
         command = [sys.executable, "-m", "snakemake", *arguments]
         if "--config" not in arguments:
-            command += ["--config", "sites=[tiny]"]
+            command += ["--config", f"sites=[{self.site}]"]
         environment = {
             "PATH": "/usr/bin:/bin",
             "HOME": str(self.folder),
@@ -114,3 +125,20 @@ def copy_of_finished(finished: Checkout, tmp_path: Path) -> Checkout:
     """The finished checkout in another folder, as a clone that brings its results along."""
     shutil.copytree(finished.folder, tmp_path / "clone", symlinks=True)
     return Checkout(tmp_path / "clone")
+
+
+@pytest.fixture(scope="session")
+def finished_road(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
+    """A checkout whose small pole site has been run to the end."""
+    folder = tmp_path_factory.mktemp("road") / "checkout"
+    checkout = Checkout.copy_to(folder, "tiny_road")
+    result = checkout.snakemake("--cores", "2")
+    assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-8000:]
+    return checkout
+
+
+@pytest.fixture
+def copy_of_road(finished_road: Checkout, tmp_path: Path) -> Checkout:
+    """The finished checkout of the pole site in another folder."""
+    shutil.copytree(finished_road.folder, tmp_path / "clone", symlinks=True)
+    return Checkout(tmp_path / "clone", finished_road.site)

@@ -98,6 +98,7 @@ rule score_cameras:
 rule measure_poles:
     input:
         frames=rules.read_videolog.output.frames,
+        calibration=rules.calibrate_drive.output.calibration,
         cameras=rules.align_cameras.output.cameras,
         masks=rules.segment_images.output.masks,
         depth=rules.estimate_depth.output.depth,
@@ -121,7 +122,7 @@ rule measure_poles:
         options=flags("sightings"),
     shell:
         "python -m roadsight.stages.measure_poles --frames {input.frames}"
-        " --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
+        " --calibration {input.calibration} --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
         " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --frame {input.frame} {params.options}"
         " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings} > {log} 2>&1"
 

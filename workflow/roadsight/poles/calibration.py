@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
-from roadsight.poles.alignment.drift import OVERLAP
+from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP
 from roadsight.poles.alignment.pose import FOCAL, PITCH, SIZE, YAW, Spread
 from roadsight.poles.alignment.solve import Fit, Task, search
 
@@ -139,7 +139,7 @@ def _marginal(fit: Fit, pull: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
     Images of a drive see the same stretch of road, and its errors, again and again; how they
     sway is their own.
     """
-    normal, gradient = OVERLAP * fit.normal, OVERLAP * fit.gradient
+    normal, gradient = fit.taught(OVERLAP, MARK_OVERLAP)
     gain = np.linalg.solve(normal + pull, np.eye(SIZE))
     information = pull - pull @ gain @ pull
     right = pull @ gain @ (normal @ fit.unknowns - gradient)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from roadsight.errors import InputError
 from roadsight.poles.alignment.drift import Drift, DriftModel, expect_place, measured_offset
 from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.landmarks import VIEWS, Turns
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, UNKNOWNS, Spread
-from roadsight.poles.alignment.solve import search
+from roadsight.poles.alignment.solve import Fit, search
 from roadsight.poles.calibration import Loader, Mount, usable
 
 _FLOATS = NDArray[np.float64]
@@ -28,7 +29,7 @@ class DriveCalibration:
     Attributes
     ----------
     measured : numbers of the drift's measurements by image. problem : why there is no better
-    mount than the one given beforehand, or "".
+    mount than the one given beforehand, or "". turns : yaw of the side views.
     """
 
     key: Key
@@ -37,6 +38,7 @@ class DriveCalibration:
     drift: Drift
     measured: Mapping[str, int]
     problem: str = ""
+    turns: Turns = field(default_factory=Turns)
 
     def expected(self, place: Place) -> tuple[_FLOATS, _FLOATS]:
         """Expected unknowns of an image and the inverse of their covariance.
@@ -63,19 +65,28 @@ def measure_drift(
     model: DriftModel,
 ) -> tuple[Drift, dict[str, int]]:
     """Errors of the track of one drive from all images that can be aligned."""
-    covariance = mount.covariance + np.diag(spread.vector() ** 2)
-    information = np.asarray(np.linalg.inv(covariance), np.float64)
-    names, stations, offsets, covariances = [], [], [], []
+    information = mount.expected(spread)
+    found = []
     for place, load in zip(places, loaders, strict=True):
         task = load(mount.mean, information)
         fits = search(task)
-        if not usable(fits, len(task.seen.uv_px)):
-            continue
-        found = measured_offset(fits[0], mount.mean, covariance, place.start.heading_deg)
+        if usable(fits, len(task.seen.uv_px)):
+            found.append((place, fits[0]))
+    return drift_of(found, mount, spread, model)
+
+
+def drift_of(
+    images: Sequence[tuple[Place, Fit]], mount: Mount, spread: Spread, model: DriftModel
+) -> tuple[Drift, dict[str, int]]:
+    """Errors of the track from aligned images, and the number of each image's measurement."""
+    covariance = mount.covariance + np.diag(spread.vector() ** 2)
+    names, stations, offsets, covariances = [], [], [], []
+    for place, fit in images:
+        offset = measured_offset(fit, mount.mean, covariance, place.start.heading_deg)
         names.append(place.image)
         stations.append(place.station_m)
-        offsets.append(found[0])
-        covariances.append(found[1])
+        offsets.append(offset[0])
+        covariances.append(offset[1])
     drift, kept = Drift(
         np.array(stations, float),
         np.array(offsets, float).reshape(-1, 2),
@@ -105,6 +116,7 @@ def to_content(calibration: DriveCalibration) -> dict[str, Any]:
         "sigma": {name: float(v) for name, v in zip(UNKNOWNS, sigma, strict=True)},
         "covariance": mount.covariance.tolist(),
         "spread": vars(calibration.spread),
+        "side_views": _turns_content(calibration.turns),
         "drift_model": vars(drift.model),
         "drift": [
             {"image": name, "station_m": float(s), "offset_m": o.tolist(), "covariance_m2": c}
@@ -113,6 +125,25 @@ def to_content(calibration: DriveCalibration) -> dict[str, Any]:
             )
         ],
     }
+
+
+def _turns_content(turns: Turns) -> dict[str, Any]:
+    """Yaw of the side views whose yaw is known."""
+    return {
+        view: {"yaw_deg": deg, "sigma_deg": sigma}
+        for view, deg, sigma in zip(VIEWS, turns.deg, turns.sigma_deg, strict=True)
+        if view != "front" and np.isfinite(sigma)
+    }
+
+
+def turns_from(content: Mapping[str, Mapping[str, float]]) -> Turns:
+    """Turns of the side views of a drive's content."""
+    nothing = {"yaw_deg": 0.0, "sigma_deg": np.inf}
+    sides = [content.get(view, nothing) for view in VIEWS[1:]]
+    (left, left_sigma), (right, right_sigma) = (
+        (float(side["yaw_deg"]), float(side["sigma_deg"])) for side in sides
+    )
+    return Turns((0.0, left, right), (0.0, left_sigma, right_sigma))
 
 
 def from_content(content: Mapping[str, Any]) -> DriveCalibration:
@@ -138,7 +169,8 @@ def from_content(content: Mapping[str, Any]) -> DriveCalibration:
         key = str(content["route"]), int(content["width_px"]), int(content["height_px"])
         measured = {row["image"]: number for number, row in enumerate(rows)}
         spread = Spread(**content["spread"])
-        return DriveCalibration(key, mount, spread, drift, measured, content["problem"])
+        turns = turns_from(content["side_views"])
+        return DriveCalibration(key, mount, spread, drift, measured, content["problem"], turns)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"is no calibration of a drive ({error!r})",

@@ -1,12 +1,12 @@
-"""Pole-like columns of a voxelised cloud: tall, thin, and with little around them.
+"""Pole-like columns of a cloud: tall, thin, and with little around them.
 
-They are a second opinion about poles seen in images, never poles by themselves: clean trunks and
-lamp posts look alike here.
+They are landmarks for cameras and a second opinion about poles seen in images, never poles by
+themselves: clean trunks and lamp posts look alike here.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,18 @@ _CELL_M = 0.5
 _INNER_M = 0.6
 _OUTER_M = 2.0
 _APART_M = 1.5
+_THIN_M = 0.3
+_HEAD_M = 1.2
+_NOISE_M = 0.03
+_STRAY = 0.02
+_LEAST_SIGMA_M = 0.02
+_CENTRES_M = np.arange(-0.30, 0.301, 0.02)
+_RADII_M = np.arange(0.03, 0.26, 0.02)
+_USUAL_RADIUS_M, _SPREAD_OF_RADII_M = 0.13, 0.05
+
+
+def _nothing() -> _FLOATS:
+    return np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -29,37 +41,59 @@ class PoleColumns:
 
     Parameters
     ----------
-    xy_m : (n, 2) local metres. top_m : (n,) height of their tops above the ground.
-    sigma_m : (n,) of their places.
+    xy_m : (n, 2) axes, local metres. top_m : (n,) height of their tops above the ground.
+    sigma_m : (n,) of their places, each axis. z_ground_m : (n,) ground at their feet.
+    points : (n,) returns that their places rest on. The last two are empty where nobody asks.
     """
 
     xy_m: _FLOATS
     top_m: _FLOATS
     sigma_m: _FLOATS
+    z_ground_m: _FLOATS = field(default_factory=_nothing)
+    points: _FLOATS = field(default_factory=_nothing)
 
     def __len__(self) -> int:
         return len(self.xy_m)
 
 
 def find_pole_columns(
-    xyz_m: _FLOATS, above_ground_m: _FLOATS, cls: NDArray, cell_m: float, min_top_m: float = 3.0
+    xyz_m: _FLOATS, above_ground_m: _FLOATS, cls: NDArray, min_top_m: float = 3.0
 ) -> PoleColumns:
-    """Pole-like columns among voxels, by falling number of layers and then by place.
+    """Pole-like columns among returns, by falling number of layers and then by place.
 
     A column has points in at least three layers of 1 m, reaches ``min_top_m``, and has few points
     around it: at trunk height (below 4.5 m, under the wires) at most half as many as its own, above
-    at most three times as many (wires and arms, but no crown).
+    at most three times as many (wires and arms, but no crown), all counted in cells of 0.3 m.
 
     Parameters
     ----------
-    xyz_m : centres of voxels (n, 3), local metres. above_ground_m : (n,), NaN where unknown.
-    cls : ASPRS class (n,). cell_m : edge of a voxel. min_top_m : lower ones are none.
+    xyz_m : returns (n, 3), local metres. above_ground_m : (n,), NaN where unknown.
+    cls : ASPRS class (n,). min_top_m : lower ones are none.
     """
     with np.errstate(invalid="ignore"):
         high = np.isin(cls, _CLASSES) & (above_ground_m > _LOWEST_M)
-    xy, height = xyz_m[high, :2], above_ground_m[high]
-    if not len(xy):
-        return PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
+    points, height_m = np.asarray(xyz_m, np.float64)[high], above_ground_m[high]
+    if not len(points):
+        return PoleColumns(np.empty((0, 2)), *[_nothing()] * 4)
+    # In order of place, so that the order of the returns does not matter.
+    order = np.lexsort(points.T)
+    points, height_m = points[order], height_m[order]
+    centres = _isolated(*_thinned(points[:, :2], height_m), min_top_m)
+    return _placed(centres, points, height_m)
+
+
+def _thinned(xy: _FLOATS, height: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
+    """One point for each cell of the returns, so that density does not matter."""
+    cell = np.floor(np.column_stack([xy, height]) / _THIN_M).astype(np.int64)
+    _, number = np.unique(cell, axis=0, return_inverse=True)
+    number = number.ravel()
+    weight = np.bincount(number)
+    mean = [np.bincount(number, values) / weight for values in (*xy.T, height)]
+    return np.column_stack(mean[:2]), mean[2]
+
+
+def _isolated(xy: _FLOATS, height: _FLOATS, min_top_m: float) -> _FLOATS:
+    """Rough places (n, 2) of what is tall and thin."""
     centre, layers, top = _tall_cells(xy, height)
     good = (layers >= 3) & (top >= min_top_m)
     centre, layers = centre[good], layers[good]
@@ -70,7 +104,7 @@ def find_pole_columns(
     alone = (outer_trunk - inner_trunk <= 0.5 * inner_trunk + 1) & (outer <= 4 * inner + 2)
     centre, layers, inner = centre[alone], layers[alone], inner[alone]
     order = np.lexsort((centre[:, 1], centre[:, 0], -inner, -layers))
-    return _placed(centre[_apart(centre[order], order)], xy, height, tree, cell_m)
+    return centre[_apart(centre[order], order)]
 
 
 def _tall_cells(xy: _FLOATS, height: _FLOATS) -> tuple[_FLOATS, NDArray[np.int64], _FLOATS]:
@@ -108,18 +142,47 @@ def _apart(ordered: _FLOATS, order: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.array(kept, np.int64)
 
 
-def _placed(
-    centres: _FLOATS, xy: _FLOATS, height: _FLOATS, tree: cKDTree, cell_m: float
-) -> PoleColumns:
-    """Place each column at the median of its own points below the arms and wires."""
-    places, tops, sigmas = [], [], []
-    for centre in centres:
+def _placed(centres: _FLOATS, points: _FLOATS, height: _FLOATS) -> PoleColumns:
+    """Place each column on the axis of its own points below the arms and wires."""
+    tree = cKDTree(points[:, :2])
+    found = np.empty((len(centres), 6))
+    for number, centre in enumerate(centres):
         own = np.array(sorted(tree.query_ball_point(centre, _INNER_M)), np.int64)
         top = float(height[own].max())
-        stem = own[height[own] <= max(0.7 * top, _TRUNK_M)]
+        stem = own[height[own] <= max(top - _HEAD_M, 0.7 * top, _TRUNK_M)]
         stem = stem if len(stem) >= 2 else own
-        places.append(np.median(xy[stem], axis=0))
-        tops.append(top)
-        spread = float(xy[stem].std(axis=0).max()) / np.sqrt(len(stem))
-        sigmas.append(max(spread, cell_m / 2))
-    return PoleColumns(np.array(places).reshape(-1, 2), np.array(tops), np.array(sigmas))
+        xy, sigma, used = stem_axis(points[stem, :2])
+        ground = float(np.median(points[own, 2] - height[own]))
+        found[number] = *xy, top, sigma, ground, used
+    return PoleColumns(found[:, :2].copy(), *np.ascontiguousarray(found[:, 2:].T))
+
+
+def stem_axis(xy_m: _FLOATS) -> tuple[_FLOATS, float, int]:
+    """Axis of a round stem in plan from returns on its surface.
+
+    Returns lie on the side that faces the scanner: their mean is up to a radius off. The posterior
+    of centre and radius (usually 13 cm) is summed on a grid, with noise of 3 cm and strays that may
+    lie anywhere; its mean and spread are given, so that a second place that fits counts too.
+
+    Parameters
+    ----------
+    xy_m : (n, 2) returns, n at least 1.
+
+    Returns
+    -------
+    axis (2,), sigma of either coordinate, and the number of returns that agree
+    """
+    middle = np.median(xy_m, axis=0)
+    offset = xy_m - middle
+    x, y = np.meshgrid(_CENTRES_M, _CENTRES_M, indexing="ij")
+    away = np.hypot(offset[:, 0, None, None] - x, offset[:, 1, None, None] - y)
+    off = (away[..., None] - _RADII_M) / _NOISE_M
+    fits = np.log(np.exp(-0.5 * off**2) + _STRAY).sum(axis=0)
+    fits -= 0.5 * ((_RADII_M - _USUAL_RADIUS_M) / _SPREAD_OF_RADII_M) ** 2
+    weight = np.exp(fits - fits.max())
+    centre = weight.sum(axis=2) / weight.sum()
+    mean = np.array([(centre * x).sum(), (centre * y).sum()])
+    variance = 0.5 * (centre * ((x - mean[0]) ** 2 + (y - mean[1]) ** 2)).sum()
+    best = np.unravel_index(int(np.argmax(fits)), fits.shape)
+    agree = int(np.count_nonzero(np.abs(off[(slice(None), *best)]) < 3.0))
+    return middle + mean, float(np.hypot(np.sqrt(variance), _LEAST_SIGMA_M)), agree

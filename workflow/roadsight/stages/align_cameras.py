@@ -16,11 +16,14 @@ from roadsight.io.atomic import read_json
 from roadsight.io.shards import shard_of
 from roadsight.io.tables import write_table
 from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.landmarks import LandmarkNoise, Turns
+from roadsight.poles.alignment.locate import locate
 from roadsight.poles.alignment.pose import pose_of
 from roadsight.poles.alignment.published import nelder_mead
-from roadsight.poles.alignment.solve import Fit, Task, search
+from roadsight.poles.alignment.solve import Fit, Task
 from roadsight.poles.alignment.verdict import (
     Limits,
+    agreeing_landmarks,
     doubt,
     is_one_sided,
     residual_px,
@@ -38,7 +41,7 @@ _TEXTS = ("image", "reason")
 _COLUMNS = (
     "image", "x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px", "cx_px", "cy_px",
     "width_px", "height_px", "sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m",
-    "sigma_along_m", "residual_px", "edge_points", "one_sided", "accepted", "reason",
+    "sigma_along_m", "residual_px", "edge_points", "landmarks", "one_sided", "accepted", "reason",
 )  # fmt: skip
 
 
@@ -54,9 +57,10 @@ def align_cameras(arguments: argparse.Namespace) -> None:
     own = [p for p in scene.places if shard_of(p.image, arguments.shards) == arguments.shard]
     rows = []
     for place in logged(own, len(own), log, "images"):
-        mean, information = _drive(drives, place).expected(place)
-        task = scene.load(place)(mean, information)
-        rows.append({"image": place.image, **aligned(task, arguments.method, limits)})
+        drive = _drive(drives, place)
+        task = scene.load(place)(*drive.expected(place))
+        row = aligned(task, arguments.method, limits, drive.turns, scene.landmarks)
+        rows.append({"image": place.image, **row})
     table = pd.DataFrame(rows, columns=list(_COLUMNS)).astype(dict.fromkeys(_TEXTS, str))
     for reason, count in sorted(Counter(table["reason"]).items()):
         log.info("%d of %d images: %s", count, len(table), reason or "accepted")
@@ -75,7 +79,13 @@ def _drive(drives: dict[Any, DriveCalibration], place: Place) -> DriveCalibratio
     return drives[key]
 
 
-def aligned(task: Task, method: str, limits: Limits) -> dict[str, Any]:
+def aligned(
+    task: Task,
+    method: str,
+    limits: Limits,
+    turns: Turns | None = None,
+    noise: LandmarkNoise | None = None,
+) -> dict[str, Any]:
     """Pose, uncertainty and verdict of one image, by one of `METHODS`.
 
     An image without an alignment keeps the expected pose.
@@ -86,7 +96,7 @@ def aligned(task: Task, method: str, limits: Limits) -> dict[str, Any]:
     fit = Fit(task.mean, expected, 0.0, nothing, *zero)
     reason = "" if method == "none" else too_little(task, limits)
     if method == "ours" and not reason:
-        fits = search(task)
+        fits = locate(task, turns, noise)
         reason = doubt(task, fits, limits)
         fit = fits[0]
     elif method == "published" and not reason:
@@ -113,6 +123,7 @@ def _row(task: Task, fit: Fit, reason: str) -> dict[str, Any]:
         **dict(zip(names, sigmas(fit, task), strict=True)),
         "residual_px": residual_px(fit),
         "edge_points": len(task.seen.uv_px),
+        "landmarks": agreeing_landmarks(task, fit),
         "one_sided": is_one_sided(task),
         "accepted": not reason,
         "reason": reason,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pandas as pd
@@ -23,13 +23,20 @@ from roadsight.poles.alignment.drive import (
     loader,
     near_edges,
     places_of,
+    sight_of,
 )
+from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.poles.alignment.solve import Noise
 from roadsight.poles.calibration import Loader
+from roadsight.poles.lidar_poles import PoleColumns
 from roadsight.scene.occlusion import TerrainSight
 
 _FRAME = ["image", "route", "sequence", "x", "y", "z_road", "heading_deg", "width_px", "height_px"]
+_AXIS = ["image", "view", "u", "v", "v_foot", "v_top", "width_px", "width_view_px",
+         "height_view_px", "foot_visible", "top_cut"]  # fmt: skip
+_FEWEST_POINTS = 4
+_MOST_SIGMA_M = 0.15
 _EDGE = ["image", "u", "v", "side", "kind"]
 
 
@@ -43,13 +50,18 @@ class AlignmentScene:
     reach: Reach
     noise: Noise
     visible: Visible | None
+    axes: dict[str, pd.DataFrame]
+    columns: PoleColumns
+    landmarks: LandmarkNoise
 
     def load(self, place: Place) -> Loader:
         """Maker of the task of one image."""
         empty = pd.DataFrame({name: [] for name in _EDGE})
         seen = image_edges_of(self.pixels.get(place.image, empty), self.reach)
         there = near_edges(place, self.edges, self.reach, self.visible)
-        return loader(place, seen, there, self.noise)
+        rows = self.axes.get(place.image)
+        sight = None if rows is None else sight_of(place, rows, self.columns, self.landmarks)
+        return loader(place, seen, there, self.noise, sight)
 
     def loaders(self) -> Iterator[tuple[Place, Loader]]:
         """Each place with the maker of its task."""
@@ -62,8 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     for name in ("frames", "road-edges", "frame", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--image-edges", nargs="+", required=True, help="tables of edge pixels")
-    parser.add_argument("--terrain", help="triangles that may hide road")
-    parser.add_argument("--dem", help="ground heights, better than those of the edge raster")
+    parser.add_argument("--terrain", nargs="?", help="triangles that may hide road")
+    parser.add_argument("--dem", nargs="?", help="ground heights, better than the edges' own")
     reach, noise = Reach(), Noise()
     parser.add_argument("--nearest-m", type=float, default=reach.nearest_m)
     parser.add_argument("--farthest-m", type=float, default=reach.farthest_m)
@@ -71,6 +83,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pixels", type=int, default=reach.pixels, help="of the image's edges")
     parser.add_argument("--pixel-px", type=float, default=noise.pixel_px, help="sigma of a pixel")
     parser.add_argument("--across-m", type=float, default=noise.across_m, help="sigma of an edge")
+    landmarks = LandmarkNoise()
+    parser.add_argument("--pole-axes", nargs="*", default=[], help="tables of pole axes")
+    parser.add_argument("--columns", nargs="?", help="pole-like columns of the cloud")
+    parser.add_argument("--axis-px", type=float, default=landmarks.axis_px, help="sigma of an axis")
+    parser.add_argument("--landmark-farthest-m", type=float, default=landmarks.farthest_m)
     parser.add_argument("--independent", type=float, default=noise.independent)
 
 
@@ -102,11 +119,40 @@ def read_scene(arguments: argparse.Namespace) -> AlignmentScene:
     table = pd.concat([read_table(path, _EDGE) for path in arguments.image_edges])
     pixels = {str(image): part for image, part in table.groupby("image", sort=True)}
     places = places_of(frames.reset_index(drop=True), edges, reach)
-    return AlignmentScene(places, edges, pixels, reach, noise, _terrain(arguments.terrain))
+    landmarks = replace(
+        LandmarkNoise(), axis_px=arguments.axis_px, farthest_m=arguments.landmark_farthest_m
+    )
+    return AlignmentScene(
+        places, edges, pixels, reach, noise, _terrain(arguments.terrain),
+        _pole_axes(arguments.pole_axes), _landmark_columns(arguments.columns), landmarks,
+    )  # fmt: skip
+
+
+def _pole_axes(paths: list[str]) -> dict[str, pd.DataFrame]:
+    """Pole axes by image."""
+    if not paths:
+        return {}
+    table = pd.concat([read_table(path, _AXIS) for path in paths])
+    return {str(image): part for image, part in table.groupby("image", sort=True)}
+
+
+def _landmark_columns(path: str | None) -> PoleColumns:
+    """Columns that are good enough to steer by."""
+    columns = read_columns(path)
+    good = (columns.points >= _FEWEST_POINTS) & (columns.sigma_m <= _MOST_SIGMA_M)
+    return PoleColumns(*(getattr(columns, f.name)[good] for f in fields(columns)))
+
+
+def read_columns(path: str | None) -> PoleColumns:
+    """Pole-like columns of a table; none without a path."""
+    names = ["x", "y", "top_m", "sigma_m", "z_ground", "points"]
+    table = read_table(path, names) if path else pd.DataFrame(columns=names, dtype=np.float64)
+    x, y, *rest = (np.ascontiguousarray(table[name].to_numpy(np.float64)) for name in names)
+    return PoleColumns(np.column_stack([x, y]), *rest)
 
 
 def _road_edges(arguments: argparse.Namespace) -> RoadEdges:
-    xyz = read_table(arguments.road_edges, ["x", "y", "z"]).to_numpy(np.float64)
+    xyz = read_table(arguments.road_edges, ["x", "y", "z"]).to_numpy(np.float64, copy=True)
     if arguments.dem:
         frame = Frame.from_dict(read_json(arguments.frame))
         height = read_raster(arguments.dem, frame).sample(xyz[:, 0], xyz[:, 1])

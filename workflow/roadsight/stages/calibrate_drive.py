@@ -14,8 +14,10 @@ from roadsight.errors import InputError
 from roadsight.io.atomic import read_json, write_json
 from roadsight.poles.alignment.drift import DriftModel
 from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.pose import Spread
 from roadsight.poles.calibration import Loader, Mount, calibrate, find_focal, weak_mount
+from roadsight.poles.calibration_landmarks import with_landmarks
 from roadsight.poles.calibration_table import (
     DriveCalibration,
     Key,
@@ -23,6 +25,7 @@ from roadsight.poles.calibration_table import (
     measure_drift,
     to_content,
 )
+from roadsight.poles.stitching import ViewOffsets
 from roadsight.stages.alignment_inputs import add_arguments, read_scene
 from roadsight.stages.command import run_stage
 
@@ -40,7 +43,7 @@ def calibrate_drives(arguments: argparse.Namespace) -> None:
         drives.setdefault(key, []).append((place, load))
     content = []
     for key, images in sorted(drives.items(), key=lambda item: item[0]):
-        calibration = _calibrated(key, images, arguments, baselines)
+        calibration = _calibrated(key, images, arguments, baselines, scene.landmarks)
         log.info("%s %d x %d: %s", *key, _summary(calibration))
         content.append(to_content(calibration))
     write_json(arguments.out, {"drives": content})
@@ -51,16 +54,17 @@ def _calibrated(
     images: list[tuple[Place, Loader]],
     arguments: argparse.Namespace,
     baselines: dict[str, Any],
+    noise: LandmarkNoise,
 ) -> DriveCalibration:
     places, loaders = [p for p, _ in images], [load for _, load in images]
     spread = Spread()
     chosen = _evenly(loaders, arguments.images)
-    prior, problem = weak_mount(arguments.hfov_deg, key[1]), ""
+    prior, problem = weak_mount(arguments.hfov_deg or None, key[1]), ""
     baseline = baselines.get(f"{key[1]}x{key[2]}", baselines.get("all"))
     try:
         if baseline is not None:
             prior = baseline_mount(baseline, prior, key[1])
-        elif arguments.hfov_deg is None:
+        elif not arguments.hfov_deg:
             prior = find_focal(_evenly(loaders, _FEW), prior, spread, key[1])
         mount, _ = calibrate(chosen, prior, spread)
     except InputError as error:
@@ -68,7 +72,9 @@ def _calibrated(
         mount, problem = prior, str(error)
     model = DriftModel(arguments.gps_sigma_m, arguments.gps_length_m, arguments.gps_own_m)
     drift, measured = measure_drift(places, loaders, mount, spread, model)
-    return DriveCalibration(key, mount, spread, drift, measured, problem)
+    calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
+    sides = arguments.left_yaw_deg, arguments.right_yaw_deg
+    return with_landmarks(calibration, places, loaders, prior, noise, sides)
 
 
 def _evenly(loaders: list[Loader], count: int) -> list[Loader]:
@@ -87,12 +93,18 @@ def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_arguments(parser)
-    parser.add_argument("--baseline", help='JSON by image size, {"2000x1200": {...}}, or "all"')
-    parser.add_argument("--hfov-deg", type=float, help="field of view, if known to 10 %%")
+    help_ = 'JSON by image size, {"2000x1200": {...}}, or "all"'
+    parser.add_argument("--baseline", nargs="?", help=help_)
+    parser.add_argument(
+        "--hfov-deg", type=float, default=0.0, help="field of view, if known to 10 %%; 0: unknown"
+    )
     parser.add_argument("--images", type=int, default=60, help="of a drive, for its calibration")
-    parser.add_argument("--gps-sigma-m", type=float, default=0.8, help="slow error of the track")
-    parser.add_argument("--gps-length-m", type=float, default=80.0, help="path it stays alike")
-    parser.add_argument("--gps-own-m", type=float, default=0.1, help="error of each position")
+    model, sides = DriftModel(), ViewOffsets()
+    parser.add_argument("--gps-sigma-m", type=float, default=model.sigma_m, help="slow error")
+    parser.add_argument("--gps-length-m", type=float, default=model.length_m, help="of its path")
+    parser.add_argument("--gps-own-m", type=float, default=model.own_m, help="of each position")
+    parser.add_argument("--left-yaw-deg", type=float, default=sides.left_deg, help="first guess")
+    parser.add_argument("--right-yaw-deg", type=float, default=sides.right_deg, help="first guess")
     return run_stage(parser, calibrate_drives, argv)
 
 

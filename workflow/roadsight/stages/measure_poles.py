@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from roadsight.errors import InputError
 from roadsight.geometry.cameras import Intrinsics, compass_deg
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -19,12 +20,14 @@ from roadsight.io.atomic import read_json
 from roadsight.io.image_shards import ImageShard
 from roadsight.io.rasters import Raster, read_raster
 from roadsight.io.tables import read_about, read_table, write_table
-from roadsight.poles.lidar_poles import find_pole_columns
+from roadsight.poles.alignment.landmarks import Turns
+from roadsight.poles.calibration_table import Key, from_content
 from roadsight.poles.pole_masks import KINDS, MaskSettings
 from roadsight.poles.sighting_bearing import ViewCamera
 from roadsight.poles.sightings import Evidence, SightingSettings, measure_view
 from roadsight.poles.stitching import ViewOffsets, merge_views, side_intrinsics
 from roadsight.poles.views import View, usable, views_of
+from roadsight.stages.alignment_inputs import read_columns
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
@@ -44,7 +47,8 @@ _TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
 def measure_poles(arguments: argparse.Namespace) -> None:
     """Write the sightings of every image of the shard whose camera was accepted."""
     settings = _settings(arguments)
-    offsets = ViewOffsets(arguments.left_yaw_deg, arguments.right_yaw_deg)
+    given = ViewOffsets(arguments.left_yaw_deg, arguments.right_yaw_deg)
+    found = _side_views(arguments.calibration)
     frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
     cameras = read_table(arguments.cameras)
     accepted = cameras[cameras["accepted"]].set_index("image")
@@ -56,10 +60,13 @@ def measure_poles(arguments: argparse.Namespace) -> None:
     evidence = _Evidence(arguments, ground, accepted.loc[known["image"]], settings)
     masks, depths = ImageShard(arguments.masks), ImageShard(arguments.depth)
     views = list(views_of(known))
+    routes = dict(zip(known["image"], known["route"].astype(str), strict=True))
     tables = []
     for view in logged(views, len(views), log, "images"):
         mask = masks.read(view.name)
-        camera = _camera(view, poses[view.image], offsets, mask.shape)
+        pose = poses[view.image]
+        key = routes[view.image], int(pose["width_px"]), int(pose["height_px"])
+        camera = _camera(view, pose, _offsets(found.get(key, Turns()), given), mask.shape)
         table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
         if len(table):
             tables.append(table.assign(image=view.image, view=view.view))
@@ -67,7 +74,20 @@ def measure_poles(arguments: argparse.Namespace) -> None:
     table = _finished(sightings, known, accepted, frame)
     for reason, count in table["reason"].value_counts().sort_index().items():
         log.info("%5d %s", count, reason or "kept")
-    write_table(arguments.out, table, {"settings": asdict(settings), "offsets": asdict(offsets)})
+    write_table(arguments.out, table, {"settings": asdict(settings), "offsets": asdict(given)})
+
+
+def _side_views(path: str | None) -> dict[Key, Turns]:
+    """Yaw of the side views of each drive, where its calibration found them."""
+    drives = read_json(path)["drives"] if path else []
+    return {calibration.key: calibration.turns for calibration in map(from_content, drives)}
+
+
+def _offsets(turns: Turns, given: ViewOffsets) -> ViewOffsets:
+    known = np.isfinite(turns.sigma_deg)
+    left = turns.deg[1] if known[1] else given.left_deg
+    right = turns.deg[2] if known[2] else given.right_deg
+    return ViewOffsets(left, right)
 
 
 class _Evidence:
@@ -81,23 +101,28 @@ class _Evidence:
         settings: SightingSettings,
     ) -> None:
         self._ground, self._reach_m = ground, settings.farthest_m
-        cell_m = float(read_about(arguments.voxels)["cell_size_m"])
-        anchor = np.array(read_about(arguments.voxels)["anchor"], np.float64)
-        voxels = read_table(arguments.voxels, ["ix", "iy", "iz", "cls"])
-        places = cameras[["x", "y"]].to_numpy(np.float64)
-        index = voxels[["ix", "iy", "iz"]].to_numpy(np.float64)
-        near = _near(anchor[:2] + (index[:, :2] + 0.5) * cell_m, places, self._reach_m + 10.0)
-        xyz = anchor + (index[near] + 0.5) * cell_m
-        above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
-        self._columns = find_pole_columns(xyz, above, voxels["cls"].to_numpy()[near], cell_m)
-        self._points = xyz if settings.bearing == "lidar" else np.empty((0, 3))
-        log.info("%d voxels near the cameras, %d pole-like columns", len(xyz), len(self._columns))
+        self._columns = read_columns(arguments.columns)
+        self._points = np.empty((0, 3))
+        if settings.bearing == "lidar":
+            self._points = _voxels(arguments.voxels, cameras, self._reach_m + 10.0)
+        log.info("%d pole-like columns, %d voxels", len(self._columns), len(self._points))
 
     def near(self, camera: ViewCamera) -> Evidence:
         """What lies within reach of a camera."""
         offset = self._points - np.asarray(camera.position_m)
         close = np.hypot(offset[:, 0], offset[:, 1]) <= self._reach_m
         return Evidence(self._ground.sample, self._columns, self._points[close])
+
+
+def _voxels(path: str | None, cameras: pd.DataFrame, reach_m: float) -> _FLOATS:
+    """Centres (n, 3) of the voxels around the cameras."""
+    if not path:
+        raise InputError("the bearing `lidar` needs voxels", where="--voxels")
+    about = read_about(path)
+    cell_m, anchor = float(about["cell_size_m"]), np.array(about["anchor"], np.float64)
+    index = read_table(path, ["ix", "iy", "iz"]).to_numpy(np.float64)
+    xyz = anchor + (index + 0.5) * cell_m
+    return xyz[_near(xyz[:, :2], cameras[["x", "y"]].to_numpy(np.float64), reach_m)]
 
 
 def _near(xy_m: _FLOATS, places_m: _FLOATS, reach_m: float) -> NDArray[np.bool_]:
@@ -168,8 +193,11 @@ def _numbers() -> Iterator[tuple[str, float]]:
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frames", "cameras", "masks", "depth", "dem", "voxels", "frame", "out"):
+    for name in ("frames", "cameras", "masks", "depth", "dem", "frame", "out"):
         parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--columns", nargs="?", help="pole-like columns of the cloud")
+    parser.add_argument("--calibration", nargs="?", help="has the yaw of side views, if found")
+    parser.add_argument("--voxels", nargs="?", help="only for the bearing `lidar`")
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--left-yaw-deg", type=float, default=ViewOffsets.left_deg)

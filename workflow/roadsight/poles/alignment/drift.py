@@ -1,14 +1,15 @@
 """Slowly varying error of the track: what neighbours tell about the place of one image.
 
-A bend seen by one image fixes its place along the road, a straight does not; but the error of
-satellite positions changes slowly. It is taken as a Gauss-Markov process of second order along
-the route (a Matern 3/2 covariance), measured by the images that can; an image's own measurement
-is left out of its expectation, so that nothing counts twice.
+A bend or a landmark seen by one image fixes its place along the road, a straight does not; but the
+error of satellite positions changes slowly. It is taken as a Gauss-Markov process of first order
+along the route, measured by the images that can; an image's own measurement is left out of its
+expectation, so that nothing counts twice.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,12 @@ from roadsight.poles.alignment.pose import ALONG, LATERAL
 from roadsight.poles.alignment.solve import Fit
 
 _FLOATS = NDArray[np.float64]
-_NEIGHBOURS = 40
+_State = tuple[_FLOATS, _FLOATS]
 _UNKNOWN_M = 30.0
-OVERLAP = 0.2
-"""Share of what an image sees that other images do not see again, with the same errors."""
+OVERLAP = 0.05
+"""Share of what an image sees of edges that others do not see again, with the same errors."""
+MARK_OVERLAP = 0.5
+"""The same share of what an image sees of landmarks."""
 
 
 @dataclass(frozen=True)
@@ -29,13 +32,13 @@ class DriftModel:
 
     Parameters
     ----------
-    sigma_m : one standard deviation. length_m : distance over which it stays alike.
-    own_m : what each position has for itself.
+    sigma_m : one standard deviation. length_m : distance over which its correlation falls to
+    1 / e. own_m : what each position has for itself.
     """
 
     sigma_m: float = 0.8
-    length_m: float = 80.0
-    own_m: float = 0.1
+    length_m: float = 100.0
+    own_m: float = 0.2
 
 
 @dataclass(frozen=True)
@@ -51,44 +54,65 @@ class Drift:
     station_m: _FLOATS
     offset_m: _FLOATS
     covariance_m2: _FLOATS
-    model: DriftModel = DriftModel()
+    model: DriftModel = field(default_factory=DriftModel)
 
-    def at(self, station_m: float, leave_out: int | None = None) -> tuple[_FLOATS, _FLOATS]:
+    def at(self, station_m: float, leave_out: int | None = None) -> _State:
         """Expected error (2,) and its covariance (2, 2) at a station.
 
         Parameters
         ----------
         leave_out : number of the measurement not to use, the image's own.
         """
-        model = self.model
-        gap = np.abs(self.station_m - station_m)
-        near = np.argsort(gap, kind="stable")[: _NEIGHBOURS + 1]
-        near = near[(gap[near] < 5 * model.length_m) & (near != leave_out)]
-        prior = np.eye(2) * model.sigma_m**2
-        own = np.eye(2) * model.own_m**2
-        if not len(near):
-            return np.zeros(2), prior + own
-        place = self.station_m[near]
-        among = np.kron(_alike(np.abs(place[:, None] - place), model), np.eye(2))
-        to = np.kron(_alike(gap[near][None], model), np.eye(2))
-        for k, number in enumerate(near):
-            part = slice(2 * k, 2 * k + 2)
-            among[part, part] += self.covariance_m2[number] + own
-        gain = np.linalg.solve(among, to.T).T
-        covariance = prior + own - gain @ to.T
-        return gain @ self.offset_m[near].ravel(), 0.5 * (covariance + covariance.T)
+        order, ahead, back = self._swept
+        place = self.station_m[order]
+        before = int(np.searchsorted(place, station_m, side="right")) - 1
+        if before >= 0 and order[before] == leave_out:
+            before -= 1
+        after = before + 1
+        if after < len(order) and order[after] == leave_out:
+            after += 1
+        states = []
+        if before >= 0:
+            states.append(_moved(ahead[before], station_m - place[before], self.model))
+        if after < len(order):
+            states.append(_moved(back[after], place[after] - station_m, self.model))
+        mean, covariance = _both(states, self.model)
+        return mean, covariance + np.eye(2) * self.model.own_m**2
+
+    @cached_property
+    def _swept(self) -> tuple[NDArray[np.int64], list[_State], list[_State]]:
+        """Order of the stations; what all up to each say there, and what all from each on say."""
+        order = np.argsort(self.station_m, kind="stable")
+        back = self._sweep(order[::-1])[::-1]
+        return order, self._sweep(order), back
+
+    def _sweep(self, order: NDArray[np.int64]) -> list[_State]:
+        states: list[_State] = []
+        for k, number in enumerate(order):
+            state = np.zeros(2), np.eye(2) * self.model.sigma_m**2
+            if k:
+                gap_m = abs(self.station_m[number] - self.station_m[order[k - 1]])
+                state = _moved(states[-1], float(gap_m), self.model)
+            own = self.covariance_m2[number] + np.eye(2) * self.model.own_m**2
+            gain = np.linalg.solve(state[1] + own, state[1]).T
+            mean = state[0] + gain @ (self.offset_m[number] - state[0])
+            covariance = state[1] - gain @ state[1]
+            states.append((mean, 0.5 * (covariance + covariance.T)))
+        return states
 
     def without_outliers(self, limit: float = 4.0) -> tuple[Drift, NDArray[np.bool_]]:
         """Drift without measurements that their neighbours contradict, and which ones stay."""
         kept = np.ones(len(self.station_m), bool)
-        # One at a time, the worst first: an outlier makes its neighbours look like outliers.
-        for _ in range(len(kept) // 4):
+        most = len(kept) // 4
+        # The worst of a stretch first: an outlier makes its neighbours look like outliers.
+        while most > 0:
             rest = self._part(kept)
-            surprise = [rest._surprise(number) for number in range(kept.sum())]
-            worst = int(np.argmax(surprise))
-            if surprise[worst] < 2.0 * limit**2:
+            surprise = np.array([rest._surprise(number) for number in range(kept.sum())])
+            worst = _peaks(rest.station_m, surprise, 2.0 * limit**2, self.model.length_m)[:most]
+            if not len(worst):
                 break
             kept[np.flatnonzero(kept)[worst]] = False
+            most -= len(worst)
         return self._part(kept), kept
 
     def _part(self, kept: NDArray[np.bool_]) -> Drift:
@@ -102,10 +126,33 @@ class Drift:
         return float(gap @ np.linalg.solve(covariance + self.covariance_m2[number], gap))
 
 
-def _alike(gap_m: _FLOATS, model: DriftModel) -> _FLOATS:
-    """Matern 3/2 covariance of one coordinate."""
-    reach = np.sqrt(3.0) * gap_m / model.length_m
-    return model.sigma_m**2 * (1.0 + reach) * np.exp(-reach)
+def _moved(state: _State, gap_m: float, model: DriftModel) -> _State:
+    """State further along, either way."""
+    keep = float(np.exp(-gap_m / model.length_m))
+    return keep * state[0], keep**2 * state[1] + np.eye(2) * (1.0 - keep**2) * model.sigma_m**2
+
+
+def _both(states: list[_State], model: DriftModel) -> _State:
+    """States from before and from behind as one; each holds the process's own spread already."""
+    prior = np.eye(2) / model.sigma_m**2
+    information, right = prior.copy(), np.zeros(2)
+    for mean, covariance in states:
+        own = np.linalg.inv(covariance)
+        information += own - prior
+        right += own @ mean
+    covariance = np.linalg.inv(information)
+    return covariance @ right, 0.5 * (covariance + covariance.T)
+
+
+def _peaks(station_m: _FLOATS, value: _FLOATS, least: float, apart_m: float) -> list[int]:
+    """Numbers of values above a bound, greatest first, none within a distance of a greater one."""
+    found: list[int] = []
+    for number in np.argsort(-value, kind="stable"):
+        if value[number] < least:
+            break
+        if all(abs(station_m[number] - station_m[other]) >= apart_m for other in found):
+            found.append(int(number))
+    return found
 
 
 def axes(heading_deg: float) -> _FLOATS:
@@ -132,7 +179,7 @@ def measured_offset(
     wide[place, :], wide[:, place] = 0.0, 0.0
     wide[place, place] = _UNKNOWN_M**2
     known = np.linalg.inv(wide)
-    normal, gradient = OVERLAP * fit.normal, OVERLAP * fit.gradient
+    normal, gradient = fit.taught(OVERLAP, MARK_OVERLAP)
     full = np.linalg.inv(normal + known)
     unknowns = full @ (normal @ fit.unknowns - gradient + known @ mean)
     turn = axes(heading_deg)

@@ -9,17 +9,21 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from roadsight.poles.alignment.landmarks import VIEWS, Columns, LandmarkNoise, PoleAxes, Sight
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges, edges_ahead
 from roadsight.poles.alignment.roadway import roadway_at
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.alignment.track import extended_track, track_headings_deg
+from roadsight.poles.lidar_poles import PoleColumns
 
 _FLOATS = NDArray[np.float64]
 Visible = Callable[[_FLOATS, _FLOATS], NDArray[np.bool_]]
 """Function of a camera place (3,) and points (n, 3): which of them the terrain does not hide."""
 
 _BEYOND_M = 60.0
+_SLACK_M = 10.0
+_AXIS_NUMBERS = ("u", "v", "v_foot", "v_top", "width_px", "width_view_px", "height_view_px")
 _EYE_M = 2.2
 
 
@@ -134,12 +138,50 @@ def image_edges_of(rows: pd.DataFrame, reach: Reach) -> ImageEdges:
     )
 
 
+def sight_of(
+    place: Place, rows: pd.DataFrame, columns: PoleColumns, noise: LandmarkNoise
+) -> Sight | None:
+    """Landmarks of one place; None where it has no axis or no column.
+
+    Parameters
+    ----------
+    rows : axes of the place: view, u, v, v_foot, v_top, width_px, width_view_px, height_view_px,
+        foot_visible, top_cut.
+    """
+    away_m = np.hypot(*(columns.xy_m - [place.start.x_m, place.start.y_m]).T)
+    near = np.flatnonzero(away_m <= noise.farthest_m + _SLACK_M)
+    if rows.empty or not len(near):
+        return None
+    foot = np.column_stack([columns.xy_m[near], columns.z_ground_m[near]])
+    there = Columns(foot, columns.top_m[near], columns.sigma_m[near])
+    get = {name: rows[name].to_numpy(np.float64) for name in _AXIS_NUMBERS}
+    front = place.start
+    view = np.array([VIEWS.index(name) for name in rows["view"]], np.int64)
+    shape = np.column_stack([get["width_view_px"], get["height_view_px"]])
+    middle = np.where((view == 0)[:, None], [front.cx_px, front.cy_px], 0.5 * (shape - 1.0))
+    axes = PoleAxes(
+        view,
+        np.column_stack([get["u"], get["v"]]) - middle,
+        get["v_foot"] - middle[:, 1],
+        get["v_top"] - middle[:, 1],
+        shape[:, 1] / front.height_px,
+        np.hypot(noise.axis_px, noise.axis_share * get["width_px"]),
+        rows["foot_visible"].to_numpy(bool),
+        rows["top_cut"].to_numpy(bool),
+    )
+    return Sight(axes, there)
+
+
 def loader(
-    place: Place, seen: ImageEdges, there: NearEdges, noise: Noise
+    place: Place,
+    seen: ImageEdges,
+    there: NearEdges,
+    noise: Noise,
+    sight: Sight | None = None,
 ) -> Callable[[_FLOATS, _FLOATS], Task]:
     """Maker of the image's task from expected unknowns and their inverse covariance."""
 
     def load(mean: _FLOATS, information: _FLOATS) -> Task:
-        return Task(place.start, seen, there, noise, mean, information)
+        return Task(place.start, seen, there, noise, mean, information, sight)
 
     return load

@@ -17,7 +17,7 @@ _NEAR_M = 1.0
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def _camera(start: _FLOATS, unknowns: _FLOATS) -> tuple[_FLOATS, _FLOATS, _FLOATS, _FLOATS]:
+def camera(start: _FLOATS, unknowns: _FLOATS) -> tuple[_FLOATS, _FLOATS, _FLOATS, _FLOATS]:
     """cam_from_world, its derivatives by yaw, pitch, roll (degrees), centre, its derivatives."""
     heading = start[3] + start[10] * unknowns[0] + unknowns[3] * _DEGREE
     pitch = start[4] + start[11] * unknowns[0] + unknowns[4] * _DEGREE
@@ -145,7 +145,7 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
     size = len(unknowns)
     normal, gradient = np.zeros((size, size)), np.zeros(size)
     residuals = np.full((len(pixels), 2), np.inf)
-    turn, turns, centre, moves = _camera(start, unknowns)
+    turn, turns, centre, moves = camera(start, unknowns)
     focal = np.exp(unknowns[6])
     row = np.zeros(size)
     offset = np.empty(3)

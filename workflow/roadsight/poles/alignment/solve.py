@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.poles.alignment.kernel import costs, misfit
+from roadsight.poles.alignment.landmarks import Marks, Sight, landmark_misfit
 from roadsight.poles.alignment.pose import LATERAL, PITCH, YAW, Start
 from roadsight.poles.alignment.roadside import NearEdges
 
@@ -69,7 +71,7 @@ class Noise:
     pixel_px: float = 1.2
     across_m: float = 0.05
     height_m: float = 0.05
-    independent: float = 0.08
+    independent: float = 0.03
 
     def vector(self) -> _FLOATS:
         """What the kernel takes."""
@@ -83,6 +85,7 @@ class Task:
     Attributes
     ----------
     mean, information : (k,), (k, k) the unknowns expected, and the inverse of their covariance.
+    sight : landmarks, if there are any. marks : those that were given a column.
     scene, coarse : what the kernel takes of start and edges, and few of the pixels, for scans.
     """
 
@@ -92,11 +95,24 @@ class Task:
     noise: Noise
     mean: _FLOATS
     information: _FLOATS
+    sight: Sight | None = None
+    marks: Marks | None = None
     scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
     coarse: ImageEdges = field(init=False, repr=False, compare=False)
 
+    @property
+    def origin_m(self) -> _FLOATS:
+        """Where the kernel's coordinates begin (3,)."""
+        return np.array([self.start.x_m, self.start.y_m, self.start.z_road_m])
+
+    def with_marks(self, marks: Marks | None) -> Task:
+        """The same image with these landmarks."""
+        task = copy(self)
+        object.__setattr__(task, "marks", marks)
+        return task
+
     def __post_init__(self) -> None:
-        origin = np.array([self.start.x_m, self.start.y_m, self.start.z_road_m])
+        origin = self.origin_m
         edges = (
             np.ascontiguousarray(self.there.xyz_m - origin),
             np.ascontiguousarray(self.there.along),
@@ -111,7 +127,10 @@ class Task:
     def evaluate(
         self, unknowns: _FLOATS, scale: float, slopes: bool = True
     ) -> tuple[float, _FLOATS, _FLOATS, _FLOATS]:
-        """Cost with the expectation's part, normal matrix and gradient of the data, residuals."""
+        """Cost with the expectation's part, normal matrix and gradient of the data, residuals.
+
+        Landmarks count in all but the residuals, which are those of the edge pixels.
+        """
         start, edges, sides = self.scene
         cost, normal, gradient, residuals = misfit(
             unknowns,
@@ -127,7 +146,22 @@ class Task:
         share = self.noise.independent
         apart = unknowns - self.mean
         expected = 0.5 * apart @ self.information @ apart
-        return float(share * cost + expected), share * normal, share * gradient, residuals
+        cost, normal, gradient = share * cost + expected, share * normal, share * gradient
+        if self.marks is not None:
+            own = self.mark_misfit(unknowns, scale, slopes)
+            cost, normal, gradient = cost + own[0], normal + own[1], gradient + own[2]
+        return float(cost), normal, gradient, residuals
+
+    def mark_misfit(
+        self, unknowns: _FLOATS, scale: float, slopes: bool = True
+    ) -> tuple[float, _FLOATS, _FLOATS, _FLOATS]:
+        """Cost, normal matrix, gradient and residuals of the landmarks alone."""
+        marks = self.marks
+        if marks is None:
+            size = len(unknowns)
+            return 0.0, np.zeros((size, size)), np.zeros(size), np.empty(0)
+        given = marks.seen, marks.there, marks.sigma_rad
+        return landmark_misfit(unknowns, self.scene[0], *given, scale, slopes)
 
     def scan(self, trials: _FLOATS, scale: float) -> _FLOATS:
         """Cost of many sets of unknowns (t, k), on few of the pixels."""
@@ -156,7 +190,8 @@ class Fit:
     ----------
     unknowns : (k,). covariance : (k, k). cost : at the finest scale.
     residuals : (m, 2) of each pixel: across its edge in pixels, and in standard deviations.
-    normal, gradient : of the data alone, at the minimum.
+    normal, gradient : of the data alone, at the minimum. marks : the landmarks that count in it.
+    mark_normal, mark_gradient : their part of normal and gradient, None without any.
     """
 
     unknowns: _FLOATS
@@ -165,6 +200,17 @@ class Fit:
     residuals: _FLOATS
     normal: _FLOATS
     gradient: _FLOATS
+    marks: Marks | None = None
+    mark_normal: _FLOATS | None = None
+    mark_gradient: _FLOATS | None = None
+
+    def taught(self, edges: float, landmarks: float) -> tuple[_FLOATS, _FLOATS]:
+        """Normal matrix and gradient with a share of what edges and landmarks say."""
+        normal, gradient = edges * self.normal, edges * self.gradient
+        if self.mark_normal is not None and self.mark_gradient is not None:
+            normal = normal + (landmarks - edges) * self.mark_normal
+            gradient = gradient + (landmarks - edges) * self.mark_gradient
+        return normal, gradient
 
 
 _State = tuple[float, _FLOATS, _FLOATS, _FLOATS]
@@ -187,7 +233,12 @@ def descend(task: Task, unknowns: _FLOATS, scale: float) -> Fit:
         scale *= 0.5
     cost, normal, gradient, residuals = state
     covariance = np.linalg.inv(normal + task.information)
-    return Fit(unknowns, 0.5 * (covariance + covariance.T), cost, residuals, normal, gradient)
+    covariance = 0.5 * (covariance + covariance.T)
+    fit = Fit(unknowns, covariance, cost, residuals, normal, gradient)
+    if task.marks is None:
+        return fit
+    _, own, slope, _ = task.mark_misfit(unknowns, FINEST)
+    return replace(fit, marks=task.marks, mark_normal=own, mark_gradient=slope)
 
 
 def _settle(

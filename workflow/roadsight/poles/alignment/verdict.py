@@ -22,6 +22,8 @@ class Limits:
     fewest_pixels : edge pixels in the image. fewest_points : LiDAR edge points ahead.
     residual_px : median distance of the edge pixels across their road edges, at 1,000 pixels of
         image width. inliers : least share of pixels within three standard deviations.
+    landmarks, inliers_with_landmarks : so many landmarks that agree let less of the edges do, since
+        plants and side roads hide or feign borders.
     sigma_heading_deg, sigma_lateral_m : one standard deviation.
     from_expected : how many standard deviations the pose may be from the expected one.
     ambiguity : how much more a second, different minimum must cost (log-likelihood).
@@ -31,6 +33,8 @@ class Limits:
     fewest_points: int = 30
     residual_px: float = 4.0
     inliers: float = 0.5
+    landmarks: int = 2
+    inliers_with_landmarks: float = 0.15
     sigma_heading_deg: float = 0.25
     sigma_lateral_m: float = 0.5
     from_expected: float = 4.0
@@ -52,6 +56,9 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
     sigma = np.sqrt(np.diag(best.covariance))
     expected = np.sqrt(np.diag(np.linalg.inv(task.information)))
     apart = np.abs(best.unknowns - task.mean) / expected
+    share = limits.inliers
+    if agreeing_landmarks(task, best) >= limits.landmarks:
+        share = limits.inliers_with_landmarks
     with np.errstate(invalid="ignore"):
         inliers = (best.residuals[:, 1] < FINEST).mean()
     worst = UNKNOWNS[int(np.argmax(apart))]
@@ -60,9 +67,9 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
             not np.isfinite(best.residuals[:, 0]).all(),
             "the road edges are behind the camera",
         ),
-        (inliers < limits.inliers, "the edges of image and road disagree"),
+        (inliers < share, "the edges of image and road disagree"),
         (
-            residual_px(best) > limits.residual_px * task.start.width_px / 1000,
+            residual_px(best, share) > limits.residual_px * task.start.width_px / 1000,
             "the edges fit badly",
         ),
         (apart.max() > limits.from_expected, f"{worst} is too far from what was expected"),
@@ -73,10 +80,18 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
     return next((reason for doubtful, reason in doubts if doubtful), "")
 
 
-def residual_px(fit: Fit) -> float:
-    """Median distance in pixels of the edge pixels across their road edges."""
+def residual_px(fit: Fit, share: float = 0.5) -> float:
+    """Distance in pixels within which a share of the edge pixels is from their road edges."""
     known = np.abs(fit.residuals[:, 0])
-    return float(np.median(known)) if len(known) else float("nan")
+    return float(np.quantile(known, share)) if len(known) else float("nan")
+
+
+def agreeing_landmarks(task: Task, fit: Fit) -> int:
+    """How many landmarks are where the pose says, within three standard deviations."""
+    if fit.marks is None:
+        return 0
+    _, _, _, residuals = task.with_marks(fit.marks).mark_misfit(fit.unknowns, FINEST, False)
+    return int(np.count_nonzero(np.abs(residuals) < FINEST))
 
 
 def is_ambiguous(fits: Sequence[Fit], limits: Limits) -> bool:

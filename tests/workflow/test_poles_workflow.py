@@ -1,0 +1,197 @@
+"""The pole job as a workflow: what it leaves behind, and what makes which rules stale."""
+
+from __future__ import annotations
+
+import json
+
+import geopandas as gpd
+import pandas as pd
+import pytest
+import rasterio
+
+pytestmark = pytest.mark.xdist_group("road")
+
+# Who reads whose outputs, written down here on purpose and not taken from the rules.
+READERS = {
+    "generate_rural": {
+        "ingest_cloud",
+        "read_videolog",
+        "score_cameras",
+        "validate_poles",
+        "summarise_site",
+    },
+    "render_videolog": {"read_videolog", "segment_images", "estimate_depth", "write_poles_page"},
+    "ingest_cloud": {
+        "profile_scene",
+        "build_dem",
+        "rasterise_lidar",
+        "extract_road_edges",
+        "find_pole_columns",
+        "build_terrain",
+        "read_videolog",
+        "calibrate_drive",
+        "align_cameras",
+        "score_cameras",
+        "measure_poles",
+        "triangulate_poles",
+        "rate_hazard",
+        "validate_poles",
+        "summarise_site",
+        "write_poles_page",
+    },
+    "profile_scene": {"build_dem", "summarise_site"},
+    "build_dem": {
+        "rasterise_lidar",
+        "find_pole_columns",
+        "read_videolog",
+        "calibrate_drive",
+        "align_cameras",
+        "measure_poles",
+        "triangulate_poles",
+        "rate_hazard",
+        "write_poles_page",
+    },
+    "rasterise_lidar": {
+        "extract_road_edges",
+        "read_videolog",
+        "triangulate_poles",
+        "write_poles_page",
+    },
+    "extract_road_edges": {
+        "calibrate_drive",
+        "align_cameras",
+        "score_cameras",
+        "rate_hazard",
+        "validate_poles",
+        "write_poles_page",
+    },
+    "find_pole_columns": {"calibrate_drive", "align_cameras", "measure_poles"},
+    "build_terrain": {"calibrate_drive", "align_cameras"},
+    "read_videolog": {
+        "segment_images",
+        "estimate_depth",
+        "trace_image_edges",
+        "trace_pole_axes",
+        "calibrate_drive",
+        "align_cameras",
+        "measure_poles",
+        "rate_hazard",
+        "validate_poles",
+        "summarise_site",
+        "write_poles_page",
+    },
+    "segment_images": {
+        "trace_image_edges",
+        "trace_pole_axes",
+        "measure_poles",
+        "write_poles_page",
+    },
+    "estimate_depth": {"measure_poles", "write_poles_page"},
+    "trace_image_edges": {"calibrate_drive", "align_cameras", "write_poles_page"},
+    "trace_pole_axes": {"calibrate_drive", "align_cameras"},
+    "calibrate_drive": {"align_cameras", "measure_poles"},
+    "align_cameras": {"score_cameras", "measure_poles", "summarise_site", "write_poles_page"},
+    "score_cameras": {"summarise_site"},
+    "measure_poles": {"triangulate_poles", "summarise_site", "write_poles_page"},
+    "triangulate_poles": {
+        "rate_hazard",
+        "validate_poles",
+        "summarise_site",
+        "write_poles_page",
+    },
+    "rate_hazard": {"write_poles_page"},
+    "validate_poles": {"summarise_site", "write_poles_page"},
+    "summarise_site": {"write_poles_page"},
+    "write_poles_page": {"write_report"},
+    "write_report": set(),
+}
+
+
+def after(*rules: str) -> set[str]:
+    """The rules and everything that reads what they write, directly or not."""
+    found: set[str] = set()
+    pending = list(rules)
+    while pending:
+        rule = pending.pop()
+        if rule not in found:
+            found.add(rule)
+            pending += READERS[rule]
+    return found
+
+
+SITE = "config/sites/tiny_road.yaml"
+SETTINGS = [
+    ("voxels: {voxel_size_m: 0.5}", after("rasterise_lidar")),
+    ("road_edges: {smoothing_m: 0.8}", after("extract_road_edges")),
+    ("videolog: {heading_images: 2}", after("read_videolog")),
+    ("networks: {image_height_px: 256}", after("segment_images", "estimate_depth")),
+    ("image_edges: {gap_px: 5}", after("trace_image_edges")),
+    ("calibration: {images: 50}", after("calibrate_drive")),
+    ("alignment: {max_residual_px: 3}", after("align_cameras")),
+    ("sightings: {farthest_m: 50}", after("measure_poles")),
+    ("triangulation: {min_views: 4}", after("triangulate_poles")),
+    ("hazard: {aadt: 900}", after("rate_hazard")),
+]
+MODULES = [
+    ("poles/lanes.py", after("trace_image_edges")),
+    ("poles/triangulate/packing.py", after("triangulate_poles")),
+    ("poles/hazard.py", after("rate_hazard")),
+    ("scene/tin.py", after("build_terrain")),
+    ("poles/alignment/published.py", after("align_cameras")),
+    ("synthetic/rendering_look.py", after("render_videolog")),
+    ("commands/triangulate.py", set()),
+]
+
+
+def test_finished_run_leaves_nothing_to_do(finished_road):
+    assert finished_road.stale_rules() == set()
+
+
+@pytest.mark.parametrize(("setting", "expected"), SETTINGS, ids=[s[0] for s in SETTINGS])
+def test_setting(copy_of_road, setting, expected):
+    copy_of_road.edit(SITE, "  shards: 2\n", f"  shards: 2\n  {setting}\n")
+    # Every setting is on record in the summary, so the summary and the report follow it too.
+    assert copy_of_road.stale_rules() == expected | after("summarise_site")
+
+
+@pytest.mark.parametrize(("module", "expected"), MODULES, ids=[m[0] for m in MODULES])
+def test_editing_a_module_re_runs_its_users_only(copy_of_road, module, expected):
+    path = copy_of_road.folder / "workflow/roadsight" / module
+    path.write_text(path.read_text() + "\n# a remark\n")
+    assert copy_of_road.stale_rules() == expected
+
+
+def test_skipped_landmarks_are_not_in_the_dag(copy_of_road):
+    setting = "  alignment: {landmarks: skip}\n"
+    copy_of_road.edit(SITE, "  shards: 2\n", f"  shards: 2\n{setting}")
+    result = copy_of_road.snakemake("-n", "-F")
+    assert "calibrate_drive" in result.stdout + result.stderr
+    assert "trace_pole_axes" not in result.stdout + result.stderr
+
+
+def test_summary_holds_what_checks_rely_on(finished_road):
+    summary = json.loads((finished_road.folder / "results/tiny_road/summary.json").read_text())
+    assert "placement" not in summary
+    poles = summary["poles"]
+    assert poles["images"] >= 25
+    assert poles["aligned_images"] >= 0.7 * poles["images"]
+    assert poles["poles"] >= 2
+    assert poles["sightings"] >= 2 * poles["poles"]
+    assert poles["validation"]["geodesic_m"]["mean"] < 2.0
+    assert poles["cameras"]["errors"]["yaw_deg"]["median_abs"] < 0.2
+
+
+def test_poles_open_in_the_right_crs(finished_road):
+    folder = finished_road.folder / "results/tiny_road/poles"
+    table = pd.read_csv(folder / "poles.csv")
+    for layer in ("poles", "ellipses", "rays"):
+        features = gpd.read_file(folder / "poles.gpkg", layer=layer)
+        assert features.crs.to_epsg() == 6543 or "North Carolina (ftUS)" in features.crs.name
+    world = gpd.read_file(folder / "poles.geojson")
+    assert len(world) == len(table)
+    assert world.total_bounds == pytest.approx([-83.16, 35.33, -83.16, 35.33], abs=0.02)
+    assert table["latitude"].between(35.3, 35.4).all()
+    with rasterio.open(folder / "top.tif") as top:
+        assert top.crs is not None
+    edges = gpd.read_file(folder / "road_edges.gpkg")
+    assert len(edges)

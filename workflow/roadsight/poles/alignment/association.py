@@ -1,0 +1,187 @@
+"""Which pole axis in the image is which column of the cloud.
+
+Every axis may be one of the columns in its gate or none. Hypotheses are grown axis by axis, each
+with the pose that its pairs imply (Kalman updates of the linearised bearings); the likeliest few
+survive. Truth is never asked; two hypotheses that are about as likely stay two minima, and the
+verdict says that the pose is ambiguous.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.poles.alignment.landmarks import (
+    POSE,
+    LandmarkNoise,
+    Marks,
+    Sight,
+    Turns,
+    column_rows,
+    measure,
+    seen_rows,
+    slopes,
+)
+
+_FLOATS = NDArray[np.float64]
+_GATE = 4.0
+_BEAM = 12
+_LOST_TOP = 0.4
+"""Share of a pole's length that a mask may lose at its thin upper end."""
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """Pairs of axis and column, and the pose that they imply.
+
+    Attributes
+    ----------
+    columns : (n,) column of each axis, -1 for none. unknowns : (k,). covariance : (k, k).
+    cost : minus its log-likelihood.
+    """
+
+    columns: NDArray[np.int64]
+    unknowns: _FLOATS
+    covariance: _FLOATS
+    cost: float
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Admissible pairs: numbers of axis and column, gap, slopes (n, POSE) and own variance."""
+
+    axis: NDArray[np.int64]
+    column: NDArray[np.int64]
+    gap: _FLOATS
+    slope: _FLOATS
+    variance: _FLOATS
+    extra: _FLOATS
+
+
+def associate(
+    sight: Sight,
+    turns: Turns,
+    noise: LandmarkNoise,
+    scene: tuple[_FLOATS, _FLOATS],
+    pose: tuple[_FLOATS, _FLOATS],
+    count: int = 2,
+) -> list[Hypothesis]:
+    """Likeliest hypotheses, the best first.
+
+    Parameters
+    ----------
+    scene : `Start.vector` and its origin (3,). pose : unknowns (k,) and their covariance (k, k).
+    count : how many at most.
+    """
+    pairs = admissible(sight, turns, noise, scene, pose)
+    empty = np.full(len(sight.axes), -1, np.int64)
+    beam = [Hypothesis(empty, pose[0], pose[1], 0.0)]
+    candidates = np.bincount(pairs.axis, minlength=len(empty))
+    for axis in np.argsort(candidates, kind="stable"):
+        own = np.flatnonzero(pairs.axis == axis)
+        if not len(own):
+            continue
+        grown = [_without(one, noise.clutter) for one in beam]
+        for one in beam:
+            more = (_with(one, pairs, int(k), pose[0], sight) for k in own)
+            grown += [hypothesis for hypothesis in more if hypothesis is not None]
+        grown.sort(key=lambda one: (one.cost, one.columns.tolist()))
+        beam = grown[:_BEAM]
+    return beam[:count]
+
+
+def _without(one: Hypothesis, clutter: float) -> Hypothesis:
+    return Hypothesis(one.columns, one.unknowns, one.covariance, one.cost + clutter)
+
+
+def _with(one: Hypothesis, pairs: _Pairs, k: int, at: _FLOATS, sight: Sight) -> Hypothesis | None:
+    """Hypothesis with one more pair; None if the pair is too far off or the column is taken."""
+    axis, column = pairs.axis[k], pairs.column[k]
+    same_view = sight.axes.view == sight.axes.view[axis]
+    if (one.columns[same_view] == column).any():
+        return None
+    slope = pairs.slope[k]
+    gap = pairs.gap[k] + slope @ (one.unknowns - at)[:POSE]
+    spread = one.covariance[:, :POSE] @ slope
+    variance = slope @ spread[:POSE] + pairs.variance[k]
+    if gap * gap > _GATE**2 * variance:
+        return None
+    gain = spread / variance
+    columns = one.columns.copy()
+    columns[axis] = column
+    cost = 0.5 * gap * gap / variance + 0.5 * np.log(variance / pairs.variance[k])
+    return Hypothesis(
+        columns,
+        one.unknowns - gain * gap,
+        one.covariance - np.outer(gain, spread),
+        one.cost + float(cost + pairs.extra[k]),
+    )
+
+
+def admissible(
+    sight: Sight,
+    turns: Turns,
+    noise: LandmarkNoise,
+    scene: tuple[_FLOATS, _FLOATS],
+    pose: tuple[_FLOATS, _FLOATS],
+) -> _Pairs:
+    """Pairs whose bearings, feet and tops agree within what the pose leaves open."""
+    axes, columns = sight.axes, sight.columns
+    turn, turn_sigma = turns.of(axes.view)
+    usable = np.flatnonzero(np.isfinite(turn_sigma))
+    axis = np.repeat(usable, len(columns.top_m))
+    column = np.tile(np.arange(len(columns.top_m)), len(usable))
+    seen, there = seen_rows(axes, turn)[axis], column_rows(columns, scene[1])[column]
+    rows = measure(pose[0], scene[0], seen, there)
+    # Most columns are out of sight by far: slopes are for the rest.
+    loose = 0.05 + _GATE * np.sqrt(pose[1][3, 3]) * np.pi / 180.0
+    loose += _GATE * np.sqrt(pose[1][0, 0] + pose[1][1, 1]) / rows[:, 3]
+    near = (rows[:, 3] >= noise.nearest_m) & (rows[:, 3] <= noise.farthest_m)
+    near &= (np.abs(rows[:, 0]) < loose) & np.isfinite(rows[:, 1])
+    axis, column, rows = axis[near], column[near], rows[near]
+    slope = slopes(pose[0], scene[0], seen[near], there[near])
+    open_ = np.einsum("nia,ab,nib->ni", slope, pose[1][:POSE, :POSE], slope)
+    own = own_variance(axes.sigma_px[axis], columns.sigma_m[column], turn_sigma[axis], rows)
+    focal = np.exp(pose[0][6]) * axes.scale[axis]
+    foot, top = (
+        np.sqrt(noise.foot_px**2 + (height_m * focal / rows[:, 3]) ** 2 + open_[:, k])
+        for k, height_m in ((1, noise.ground_m), (2, np.hypot(noise.top_m, noise.ground_m)))
+    )
+    length = columns.top_m[column] * focal / rows[:, 3]
+    foot_good = rows[:, 1] < _GATE * foot
+    visible = axes.foot_visible[axis]
+    foot_good &= ~visible | (rows[:, 1] > -_GATE * foot)
+    top_good = rows[:, 2] > -_GATE * top
+    top_good &= axes.top_cut[axis] | (rows[:, 2] < _GATE * top + _LOST_TOP * length)
+    good = (rows[:, 0] ** 2 < _GATE**2 * (open_[:, 0] + own)) & foot_good & top_good
+    extra = np.where(visible, 0.5 * (rows[:, 1] / foot) ** 2, 0.0)
+    parts = axis, column, rows[:, 0], slope[:, 0], own, extra
+    return _Pairs(*(part[good] for part in parts))
+
+
+def own_variance(
+    sigma_px: _FLOATS, sigma_m: _FLOATS, turn_sigma_rad: _FLOATS, rows: _FLOATS
+) -> _FLOATS:
+    """Variance (n,) of bearings but for the pose, from rows of `measure`."""
+    return (sigma_px * rows[:, 4]) ** 2 + (sigma_m / rows[:, 3]) ** 2 + turn_sigma_rad**2
+
+
+def marks_of(
+    columns: NDArray[np.int64],
+    sight: Sight,
+    turns: Turns,
+    scene: tuple[_FLOATS, _FLOATS],
+    unknowns: _FLOATS,
+) -> Marks:
+    """Pairs of a hypothesis with their sigmas at a pose."""
+    axis = np.flatnonzero(columns >= 0)
+    column = columns[axis]
+    turn, turn_sigma = turns.of(sight.axes.view)
+    seen = np.ascontiguousarray(seen_rows(sight.axes, turn)[axis])
+    there = np.ascontiguousarray(column_rows(sight.columns, scene[1])[column])
+    rows = measure(unknowns, scene[0], seen, there)
+    sigma_m = sight.columns.sigma_m[column]
+    variance = own_variance(sight.axes.sigma_px[axis], sigma_m, turn_sigma[axis], rows)
+    return Marks(np.column_stack([axis, column]), seen, there, np.sqrt(variance))

@@ -1,0 +1,230 @@
+"""Pole axes in the views of one place, and the LiDAR's pole-like columns around it.
+
+Road edges cannot tell a place along a bend from a turn of the camera: a circle looks the same from
+everywhere on it. A column of a few centimetres that the image shows as a pole can.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.poles.alignment.kernel import camera
+
+_FLOATS = NDArray[np.float64]
+VIEWS = ("front", "left", "right")
+POSE = 7
+"""How many of the unknowns move what is seen: all before the insets."""
+_STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5])
+_BEHIND_M = 1.0
+
+
+@dataclass(frozen=True)
+class PoleAxes:
+    """Axes of the poles of one place, each in one of its views.
+
+    Attributes
+    ----------
+    view : (n,) number in `VIEWS`. middle_px : (n, 2) from the view's principal point.
+    foot_px, top_px : (n,) rows of the ends, from the principal point.
+    scale : (n,) focal length of the view, as a multiple of the front camera's.
+    sigma_px : (n,) of an axis across. foot_visible, top_cut : (n,) bool.
+    """
+
+    view: NDArray[np.int64]
+    middle_px: _FLOATS
+    foot_px: _FLOATS
+    top_px: _FLOATS
+    scale: _FLOATS
+    sigma_px: _FLOATS
+    foot_visible: NDArray[np.bool_]
+    top_cut: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.view)
+
+    def seen_by(self, view: str) -> NDArray[np.int64]:
+        """Numbers of the axes in a view."""
+        return np.flatnonzero(self.view == VIEWS.index(view))
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Columns around one place.
+
+    Attributes
+    ----------
+    foot_m : (n, 3) feet of the axes, local metres. top_m : (n,) height of the tops above these.
+    sigma_m : (n,) of a place, each axis.
+    """
+
+    foot_m: _FLOATS
+    top_m: _FLOATS
+    sigma_m: _FLOATS
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What one place has of landmarks."""
+
+    axes: PoleAxes
+    columns: Columns
+
+
+@dataclass(frozen=True)
+class Turns:
+    """Yaw of the views from the front view, clockwise.
+
+    Attributes
+    ----------
+    deg, sigma_deg : (3,) in the order of `VIEWS`; a sigma of infinity: the view cannot be used.
+    """
+
+    deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sigma_deg: tuple[float, float, float] = (0.0, np.inf, np.inf)
+
+    def of(self, view: NDArray[np.int64]) -> tuple[_FLOATS, _FLOATS]:
+        """Yaw and sigma (n,) of axes, radians."""
+        return np.radians(np.array(self.deg)[view]), np.radians(np.array(self.sigma_deg)[view])
+
+
+@dataclass(frozen=True)
+class LandmarkNoise:
+    """What an axis and its ends are worth.
+
+    Parameters
+    ----------
+    axis_px, axis_share : one sigma of an axis across: pixels, and share of the pole's width.
+    foot_px : sigma of a visible foot's and an end's row. ground_m, top_m : sigma of the ground
+        under a column and of its highest return.
+    nearest_m, farthest_m : range of columns. clutter : what an axis without a column costs
+        (log-likelihood).
+    """
+
+    axis_px: float = 0.35
+    axis_share: float = 0.05
+    foot_px: float = 3.0
+    ground_m: float = 0.15
+    top_m: float = 0.5
+    nearest_m: float = 4.0
+    farthest_m: float = 200.0
+    clutter: float = 7.0
+
+
+@dataclass(frozen=True)
+class Marks:
+    """Axes that were given a column, as the kernel takes them.
+
+    Attributes
+    ----------
+    pairs : (k, 2) numbers of axis and column. seen : (k, 6) as `seen_rows`.
+    there : (k, 4) as `column_rows`. sigma_rad : (k,) of the bearings.
+    """
+
+    pairs: NDArray[np.int64]
+    seen: _FLOATS
+    there: _FLOATS
+    sigma_rad: _FLOATS
+
+    def part(self, kept: NDArray[np.bool_]) -> Marks:
+        """Some of them."""
+        return Marks(self.pairs[kept], self.seen[kept], self.there[kept], self.sigma_rad[kept])
+
+
+def seen_rows(axes: PoleAxes, turn_rad: _FLOATS) -> _FLOATS:
+    """Rows (n, 6): middle u, v, foot row, top row (pixels), focal scale, turn of the view."""
+    ends = axes.foot_px, axes.top_px, axes.scale, turn_rad
+    return np.column_stack([axes.middle_px, *ends])
+
+
+def column_rows(columns: Columns, origin_m: _FLOATS) -> _FLOATS:
+    """Rows (m, 4): x, y, height of foot and of top, from an origin."""
+    foot = columns.foot_m - origin_m
+    return np.column_stack([foot, foot[:, 2] + columns.top_m])
+
+
+@njit(cache=True, error_model="numpy")
+def measure(unknowns: _FLOATS, start: _FLOATS, seen: _FLOATS, there: _FLOATS) -> _FLOATS:
+    """Rows (k, 5) of axis against column, pair by pair.
+
+    Bearing of the axis from the column's (radians, clockwise), row of the foot and of the top from
+    those that the column would have (pixels, NaN behind the camera), distance (m), and the turn
+    that one pixel across makes (radians).
+    """
+    turn, _, centre, _ = camera(start, unknowns)
+    focal = np.exp(unknowns[6])
+    rows = np.empty((len(seen), 5))
+    for i in range(len(seen)):
+        f = focal * seen[i, 4]
+        c, s = np.cos(seen[i, 5]), np.sin(seen[i, 5])
+        x, y = seen[i, 0] / f, seen[i, 1] / f
+        right, down, ahead = c * x + s, y, c - s * x
+        east = turn[0, 0] * right + turn[1, 0] * down + turn[2, 0] * ahead
+        north = turn[0, 1] * right + turn[1, 1] * down + turn[2, 1] * ahead
+        dx, dy = there[i, 0] - centre[0], there[i, 1] - centre[1]
+        rows[i, 0] = np.arctan2(east * dy - north * dx, east * dx + north * dy)
+        for end in range(2):
+            dz = there[i, 2 + end] - centre[2]
+            right = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
+            down = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
+            ahead = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
+            depth = s * right + c * ahead
+            row = seen[i, 2 + end] - f * down / depth
+            rows[i, 1 + end] = row if depth > _BEHIND_M else np.nan
+        rows[i, 3] = np.sqrt(dx * dx + dy * dy)
+        rows[i, 4] = 1.0 / (f * (1.0 + x * x))
+    return rows
+
+
+@njit(cache=True, error_model="numpy")
+def slopes(unknowns: _FLOATS, start: _FLOATS, seen: _FLOATS, there: _FLOATS) -> _FLOATS:
+    """Derivatives (k, 3, POSE) of bearing, foot and top of `measure` by the unknowns."""
+    found = np.empty((len(seen), 3, POSE))
+    moved = unknowns.copy()
+    for a in range(POSE):
+        moved[a] = unknowns[a] + _STEPS[a]
+        high = measure(moved, start, seen, there)
+        moved[a] = unknowns[a] - _STEPS[a]
+        low = measure(moved, start, seen, there)
+        moved[a] = unknowns[a]
+        found[:, :, a] = (high[:, :3] - low[:, :3]) / (2.0 * _STEPS[a])
+    return found
+
+
+@njit(cache=True, error_model="numpy")
+def landmark_misfit(
+    unknowns: _FLOATS,
+    start: _FLOATS,
+    seen: _FLOATS,
+    there: _FLOATS,
+    sigma_rad: _FLOATS,
+    scale: float,
+    sloping: bool,
+) -> tuple[float, _FLOATS, _FLOATS, _FLOATS]:
+    """Robust misfit of the bearings (Geman and McClure), as `kernel.misfit` for edges.
+
+    Returns
+    -------
+    cost, normal matrix (k, k), gradient (k,), and residuals (n,) in standard deviations
+    """
+    size = len(unknowns)
+    normal, gradient = np.zeros((size, size)), np.zeros(size)
+    gap = measure(unknowns, start, seen, there)[:, 0] / sigma_rad
+    c2 = scale * scale
+    cost = 0.0
+    for i in range(len(gap)):
+        cost += 0.5 * c2 * gap[i] ** 2 / (c2 + gap[i] ** 2)
+    if not sloping or len(gap) == 0:
+        return cost, normal, gradient, gap
+    slope = slopes(unknowns, start, seen, there)
+    for i in range(len(gap)):
+        weight = (c2 / (c2 + gap[i] ** 2)) ** 2
+        for a in range(POSE):
+            by = slope[i, 0, a] / sigma_rad[i]
+            gradient[a] += weight * by * gap[i]
+            for b in range(POSE):
+                normal[a, b] += weight * by * slope[i, 0, b] / sigma_rad[i]
+    return cost, normal, gradient, gap

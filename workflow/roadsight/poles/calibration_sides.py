@@ -1,0 +1,146 @@
+"""Yaw of a drive's side views, from the poles that they show and the front view's poses.
+
+The angle between two cameras is the same in every image, so every pole axis of a side view and
+every column near its ray vote for one; wrong pairs scatter, right ones agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.poles.alignment.association import own_variance
+from roadsight.poles.alignment.drift import MARK_OVERLAP
+from roadsight.poles.alignment.landmarks import (
+    POSE,
+    VIEWS,
+    LandmarkNoise,
+    Turns,
+    column_rows,
+    measure,
+    seen_rows,
+    slopes,
+)
+from roadsight.poles.alignment.locate import without_view
+from roadsight.poles.alignment.solve import Fit, Task
+
+_FLOATS = NDArray[np.float64]
+_STEP_DEG = 0.02
+_REACH_DEG = 10.0
+_FARTHEST_M = 80.0
+_GATE = 3.0
+_FEWEST = 6
+_WRONG = 0.5
+_APART_DEG = 0.6
+_CLEARER = 6.0
+_LEAST_SIGMA_DEG = 0.005
+
+
+def side_turns(
+    images: Sequence[tuple[Task, Fit]],
+    guesses_deg: dict[str, Sequence[float]],
+    noise: LandmarkNoise,
+) -> Turns:
+    """Yaw of each side view; a view whose poles do not tell stays unused.
+
+    The poses that a view's poles are compared with do not rest on these poles.
+
+    Parameters
+    ----------
+    images : tasks with their poses. guesses_deg : by view; each is searched 10 degrees either way.
+    """
+    turns = Turns()
+    for view, guesses in guesses_deg.items():
+        if not guesses:
+            continue
+        found = _turn(images, view, np.array(guesses, float), noise)
+        number = VIEWS.index(view)
+        deg, sigma = list(turns.deg), list(turns.sigma_deg)
+        deg[number], sigma[number] = found if found is not None else (float(guesses[0]), np.inf)
+        turns = replace(turns, deg=tuple(deg), sigma_deg=tuple(sigma))
+    return turns
+
+
+def _turn(
+    images: Sequence[tuple[Task, Fit]], view: str, guesses_deg: _FLOATS, noise: LandmarkNoise
+) -> tuple[float, float] | None:
+    """Yaw and sigma in degrees, None if the votes do not agree."""
+    guess = float(guesses_deg[0])
+    votes = [_votes(t, without_view(t, fit, view), view, guess, noise) for t, fit in images]
+    votes = [vote for vote in votes if len(vote)]
+    if not votes:
+        return None
+    first = np.concatenate([[0], np.cumsum([vote[:, 0].max() + 1 for vote in votes])[:-1]])
+    table = np.concatenate([v + np.array([n, 0, 0]) for v, n in zip(votes, first, strict=True)])
+    grid = np.arange(-180.0, 180.0, _STEP_DEG)
+    near = np.abs(grid[:, None] - guesses_deg).min(axis=1) <= _REACH_DEG
+    grid = grid[near]
+    score = _score(grid, table, 2 * _REACH_DEG)
+    best = int(np.argmax(score))
+    others = score[np.abs(grid - grid[best]) > _APART_DEG]
+    if len(others) and score[best] - others.max() < _CLEARER:
+        return None
+    return _refined(grid[best], table)
+
+
+def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoise) -> _FLOATS:
+    """Rows (k, 3): number of the axis, yaw that would put it on a column, its sigma (degrees)."""
+    sight = task.sight
+    own = sight.axes.seen_by(view) if sight is not None else np.empty(0, np.int64)
+    if sight is None or not len(own):
+        return np.empty((0, 3))
+    axis = np.repeat(own, len(sight.columns.top_m))
+    column = np.tile(np.arange(len(sight.columns.top_m)), len(own))
+    start, pose = task.scene[0], fit.unknowns
+    seen = seen_rows(sight.axes, np.full(len(sight.axes), np.radians(guess_deg)))[axis]
+    there = column_rows(sight.columns, task.origin_m)[column]
+    for _ in range(2):  # A tilted camera turns its views not quite by the bearings' difference.
+        seen[:, 5] -= measure(pose, start, seen, there)[:, 0]
+    rows = measure(pose, start, seen, there)
+    good = (rows[:, 3] > noise.nearest_m) & (rows[:, 3] < _FARTHEST_M) & np.isfinite(rows[:, 1])
+    axis, column, seen, there, rows = (x[good] for x in (axis, column, seen, there, rows))
+    slope = slopes(pose, start, seen, there)
+    open_ = np.einsum("nia,ab,nib->ni", slope, fit.covariance[:POSE, :POSE], slope)
+    focal = np.exp(pose[6]) * sight.axes.scale[axis]
+    foot, top = (
+        np.sqrt(noise.foot_px**2 + (height_m * focal / rows[:, 3]) ** 2 + open_[:, k])
+        for k, height_m in ((1, noise.ground_m), (2, noise.top_m))
+    )
+    agrees = np.where(
+        sight.axes.foot_visible[axis], np.abs(rows[:, 1]) < _GATE * foot, rows[:, 1] < _GATE * foot
+    )
+    cut = sight.axes.top_cut[axis]
+    agrees &= (rows[:, 2] > -_GATE * top) & (cut | (rows[:, 2] < _GATE * top))
+    sigma_m = sight.columns.sigma_m[column]
+    variance = open_[:, 0] + own_variance(sight.axes.sigma_px[axis], sigma_m, 0.0 * sigma_m, rows)
+    turn_deg = (np.degrees(seen[:, 5]) + 180.0) % 360.0 - 180.0
+    number = np.searchsorted(own, axis)
+    return np.column_stack([number, turn_deg, np.degrees(np.sqrt(variance))])[agrees]
+
+
+def _score(grid: _FLOATS, table: _FLOATS, range_deg: float) -> _FLOATS:
+    """Log-likelihood of yaws, every axis one vote, about half of them astray."""
+    number = table[:, 0].astype(np.int64)
+    total = np.zeros(len(grid))
+    for axis in np.unique(number):
+        _, turn, sigma = table[number == axis].T
+        off = (grid[:, None] - turn) / sigma
+        density = (np.exp(-0.5 * off**2) / (2.5066 * sigma)).sum(axis=1)
+        total += np.log(_WRONG / range_deg + (1.0 - _WRONG) * density)
+    return total
+
+
+def _refined(turn_deg: float, table: _FLOATS) -> tuple[float, float] | None:
+    """Weighted robust mean of the votes around a yaw."""
+    near = np.abs(table[:, 1] - turn_deg) < 4.0 * table[:, 2] + 2.0 * _STEP_DEG
+    if np.count_nonzero(near) < _FEWEST:
+        return None
+    _, turn, sigma = table[near].T
+    mean = turn_deg
+    for _ in range(10):
+        weight = (1.0 + ((turn - mean) / (2.0 * sigma)) ** 2) ** -2 / sigma**2
+        mean = float((weight * turn).sum() / weight.sum())
+    return mean, float(np.hypot(1.0 / np.sqrt(MARK_OVERLAP * weight.sum()), _LEAST_SIGMA_DEG))
