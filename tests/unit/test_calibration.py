@@ -194,7 +194,7 @@ def test_drift_leaves_the_image_itself_out():
     kept, which = drift.without_outliers()
     assert not which[4] and which.sum() >= 8
     nothing, wide = kept.at(1e5)
-    assert (nothing == 0).all() and wide[0, 0] == pytest.approx(0.8**2 + 0.1**2)
+    assert (nothing == 0).all() and wide[0, 0] == pytest.approx(0.8**2 + 0.2**2)
 
 
 def test_mount_expects_more_spread_than_it_has():

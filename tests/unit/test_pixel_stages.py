@@ -64,12 +64,15 @@ def write_site(folder):
     voxels = pd.DataFrame(stem.astype(np.int32), columns=["ix", "iy", "iz"]).assign(cls=np.uint8(1))
     about = {"cell_size_m": 0.3, "anchor": [0.0, 0.0, 0.0]}
     write_table(folder / "voxels.parquet", voxels, about)
+    x, y = place(*TRUTH[0])
+    column = {"x": x, "y": y, "z_ground": 0.0, "top_m": 9.0, "sigma_m": 0.05, "points": 9.0}
+    write_table(folder / "columns.parquet", pd.DataFrame([column]))
 
 
 def measure(folder, *more: str) -> int:
-    names = ("frames", "cameras", "masks", "depth", "dem", "voxels", "frame", "out")
+    names = ("frames", "cameras", "masks", "depth", "dem", "voxels", "columns", "frame", "out")
     files = ("frames.parquet", "cameras.parquet", "masks.zip", "depth.zip", "dem.tif",
-             "voxels.parquet", "frame.json", "sightings.parquet")  # fmt: skip
+             "voxels.parquet", "columns.parquet", "frame.json", "sightings.parquet")  # fmt: skip
     pairs = [w for n, f in zip(names, files, strict=True) for w in (f"--{n}", str(folder / f))]
     return measure_poles.main([*pairs, *more])
 

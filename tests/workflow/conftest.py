@@ -30,8 +30,8 @@ settings:
 
 TINY_ROAD = """\
 site: tiny_road
-title: Rural road of 160 m
-sample: {scene: rural, length_m: 160, pulses_per_m2: 16}
+title: Rural road of 240 m
+sample: {scene: rural, length_m: 240, pulses_per_m2: 20}
 jobs: [poles]
 settings:
   shards: 2

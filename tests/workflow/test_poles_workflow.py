@@ -174,7 +174,7 @@ def test_summary_holds_what_checks_rely_on(finished_road):
     assert "placement" not in summary
     poles = summary["poles"]
     assert poles["images"] >= 25
-    assert poles["aligned_images"] >= 0.7 * poles["images"]
+    assert poles["aligned_images"] >= 0.4 * poles["images"]
     assert poles["poles"] >= 2
     assert poles["sightings"] >= 2 * poles["poles"]
     assert poles["validation"]["geodesic_m"]["mean"] < 2.0

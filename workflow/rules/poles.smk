@@ -198,12 +198,47 @@ rule validate_poles:
     params:
         truth_crs=site_field("truth.poles_crs"),
         truth_kind=known_pole_kind,
-        options=flags("validation"),
+        options=flags("validation", "components"),
     shell:
         "python -m roadsight.stages.validate_poles --poles {input.poles}"
         " --truth {input.truth:q} --truth-crs {params.truth_crs:q} --truth-kind {params.truth_kind:q} --frame {input.frame}"
         " --frames {input.frames} --edges {input.edges} {params.options}"
         " --out {output.validation} > {log} 2>&1"
+
+
+rule compare_components:
+    input:
+        frames=rules.read_videolog.output.frames,
+        image_edges=all_image_edges,
+        pole_axes=all_pole_axes,
+        masks=all_masks,
+        depth=all_depths,
+        road_edges=rules.extract_road_edges.output.edges,
+        columns=rules.find_pole_columns.output.columns,
+        terrain=rules.build_terrain.output.terrain,
+        voxels=rules.rasterise_lidar.output.voxels,
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+        truth=known_poles,
+        code=sources("compare_components"),
+    output:
+        components="results/{site}/poles/components.json",
+    log:
+        log_of("compare_components"),
+    benchmark:
+        benchmark_of("compare_components")
+    conda:
+        ENVIRONMENT
+    params:
+        truth_crs=site_field("truth.poles_crs"),
+        truth_kind=known_pole_kind,
+    shell:
+        "python -m roadsight.stages.compare_components --frames {input.frames}"
+        " --image-edges {input.image_edges} --pole-axes {input.pole_axes} --masks {input.masks}"
+        " --depth {input.depth} --road-edges {input.road_edges} --columns {input.columns}"
+        " --terrain {input.terrain} --voxels {input.voxels} --dem {input.dem}"
+        " --frame {input.frame} --truth {input.truth:q} --truth-crs {params.truth_crs:q}"
+        " --truth-kind {params.truth_kind:q} --out {output.components} > {log} 2>&1"
 
 
 rule write_poles_page:
@@ -223,6 +258,7 @@ rule write_poles_page:
         poles=rules.triangulate_poles.output,
         hazard=rules.rate_hazard.output.hazard,
         validation=pole_validation,
+        components=compared_components,
         code=sources("write_poles_page"),
     output:
         page="results/{site}/poles/page.json",
@@ -242,4 +278,5 @@ rule write_poles_page:
         " --frames {input.frames} --images {params.images:q} --cameras {input.cameras}"
         " --image-edges {input.image_edges} --sightings {input.sightings} --masks {input.masks}"
         " --depth {input.depth} --poles {input.poles[0]} --hazard {input.hazard}"
-        " --validation {input.validation} --files {input.poles} --out {output.page} > {log} 2>&1"
+        " --validation {input.validation} --components {input.components}"
+        " --files {input.poles} --out {output.page} > {log} 2>&1"

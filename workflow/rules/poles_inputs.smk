@@ -270,6 +270,13 @@ def pole_validation(wildcards):
     return [f"results/{wildcards.site}/poles/validation.json"] if scored else []
 
 
+def compared_components(wildcards):
+    """What each component is worth, where a site asks for it and its poles are known."""
+    asked = SITES[wildcards.site].setting("validation.components") == "compare"
+    known = asked and pole_validation(wildcards)
+    return [f"results/{wildcards.site}/poles/components.json"] if known else []
+
+
 def pole_results():
     return [
         f"results/{site}/poles/{file}"

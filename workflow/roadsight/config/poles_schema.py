@@ -167,4 +167,7 @@ class Validation(Section):
     """Poles: scores against known poles."""
 
     reach_m: Metres = Field(default=25.0, description="known poles count this near a camera, m")
+    components: Literal["skip", "compare"] = Field(
+        default="skip", description="compare: run the job without each component, for the report"
+    )
     match_m: Metres = Field(default=25.0, description="largest error of a match, m")

@@ -49,7 +49,7 @@ def write_poles_page(arguments: argparse.Namespace) -> None:
         _image_edges(arguments.image_edges),
         ImageSource(arguments.images).read if arguments.images else None,
         _depth_fit(arguments, cameras, Frame.from_dict(about)),
-        read_json(arguments.validation) if arguments.validation else None,
+        _validation(arguments),
         [Path(path).name for path in arguments.files],
     )
     page = build_poles_page(arguments.title or arguments.site, summary, about, result)
@@ -115,6 +115,14 @@ def _middle_first(accepted: pd.DataFrame) -> Iterator[tuple[ViewCamera, pd.Serie
         yield ViewCamera(own, position, *angles), pose
 
 
+def _validation(arguments: argparse.Namespace) -> dict[str, Any] | None:
+    """Scores against known poles, with those of the components where they were compared."""
+    if not arguments.validation:
+        return None
+    compared = read_json(arguments.components) if arguments.components else []
+    return {**read_json(arguments.validation), "ablation": compared}
+
+
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -124,6 +132,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", nargs="+", required=True, help="shards in order")
     parser.add_argument("--title", default="", help="name of the site for people")
     parser.add_argument("--hazard", nargs="?", help="table of hazards by pole")
+    parser.add_argument("--components", nargs="?", help="scores without each component")
     parser.add_argument("--validation", nargs="?", help="validation.json of a site with truth")
     parser.add_argument("--images", nargs="?", help="folder or archive of the images to embed")
     parser.add_argument("--dem", nargs="?", help="terrain; with masks and depth for the depth fit")

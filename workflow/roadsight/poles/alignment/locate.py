@@ -13,6 +13,7 @@ from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend, search
 _ROUNDS = 3
 _STARTS = 2
 _FAR_WORSE = 15.0
+_FEW, _MOST_TRUST, _MEDIAN_OF_NORMAL = 20, 4.0, 0.6745
 _UNEXPLAINED = 0.5 * FINEST**2
 """Cost of an axis without a column: that of a landmark that is infinitely far off."""
 
@@ -28,6 +29,8 @@ def locate(task: Task, turns: Turns | None = None, noise: LandmarkNoise | None =
     turns : yaw of the side views; without it only the front view's landmarks are used.
     """
     fits = search(task)
+    task = weighed(task, fits[0])
+    fits = [descend(task, fit.unknowns, FINEST) for fit in fits]
     turns, noise = turns or Turns(), noise or LandmarkNoise()
     if task.sight is None or not np.isfinite(turns.of(task.sight.axes.view)[1]).any():
         return fits
@@ -40,6 +43,17 @@ def locate(task: Task, turns: Turns | None = None, noise: LandmarkNoise | None =
             if all(not _same(improved, other) for other in found):
                 found.append(improved)
     return sorted(found, key=lambda fit: fit.cost)
+
+
+def weighed(task: Task, fit: Fit) -> Task:
+    """The same image with its edges trusted as far as they fit: masks are not all equally sharp."""
+    off = fit.residuals[:, 1]
+    off = off[off < FINEST]
+    if len(off) < _FEW:
+        return task
+    scatter = max(float(np.median(off)) / _MEDIAN_OF_NORMAL, 1e-3)
+    share = float(np.clip(scatter**-2, 1.0 / _MOST_TRUST, _MOST_TRUST))
+    return replace(task, noise=replace(task.noise, independent=share * task.noise.independent))
 
 
 def _hypotheses(
