@@ -119,8 +119,10 @@ def _validation(arguments: argparse.Namespace) -> dict[str, Any] | None:
     """Scores against known poles, with those of the components where they were compared."""
     if not arguments.validation:
         return None
-    compared = read_json(arguments.components) if arguments.components else []
-    return {**read_json(arguments.validation), "ablation": compared}
+    content: dict[str, Any] = read_json(arguments.validation)
+    if arguments.components:
+        content["ablation"] = read_json(arguments.components)
+    return content
 
 
 def main(argv: list[str] | None = None) -> int:
