@@ -14,10 +14,10 @@ from roadsight.io.tables import read_table, write_table
 from roadsight.io.terrains import write_terrain
 from roadsight.poles.alignment.drift import Drift, DriftModel
 from roadsight.poles.alignment.drive import Reach, loader, near_edges, places_of
-from roadsight.poles.alignment.pose import FOCAL, SIZE, Spread
+from roadsight.poles.alignment.pose import FOCAL, HEIGHT, SIZE, Spread
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.poles.alignment.solve import Fit, ImageEdges, Noise
-from roadsight.poles.calibration import Mount, find_focal, shared_mean, weak_mount
+from roadsight.poles.calibration import Mount, find_focal, implausible, shared_mean, weak_mount
 from roadsight.poles.calibration_table import baseline_mount, from_content, to_content
 from roadsight.scene.tin import Terrain
 from roadsight.stages import align_cameras, calibrate_drive
@@ -83,7 +83,7 @@ def test_cameras_are_right(site, bed):
     number = table["image"].str[3:7].astype(int)
     truth = np.array([bed.truth[i].heading_deg for i in number])
     gap = np.abs(wrap_deg(table["heading_deg"] - truth))
-    assert table["accepted"].mean() > 0.9
+    assert table["accepted"].mean() > 0.8
     assert np.mean(gap < 0.15) >= 0.8
     assert (gap[table["accepted"]] < 4 * table["sigma_heading_deg"][table["accepted"]]).all()
     assert set(table.loc[table["accepted"], "reason"]) == {""}
@@ -200,3 +200,15 @@ def test_drift_leaves_the_image_itself_out():
 def test_mount_expects_more_spread_than_it_has():
     mount = Mount(np.zeros(SIZE), np.eye(SIZE))
     assert (np.diag(np.linalg.inv(mount.expected(Spread()))) > 1.0).all()
+
+
+@pytest.mark.parametrize(
+    ("hfov_deg", "height_m", "word"),
+    [(60.0, 2.2, ""), (20.0, 1.2, ""), (4.0, 2.2, "field of view"), (150.0, 2.2, "field of view"),
+     (60.0, 0.1, "above the road"), (60.0, 9.0, "above the road")],
+)  # fmt: skip
+def test_cameras_that_no_vehicle_carries_are_told(hfov_deg, height_m, word):
+    mount = weak_mount(hfov_deg, 1200)
+    mount.mean[HEIGHT] = height_m
+    found = implausible(mount, 1200)
+    assert (word in found) and (bool(found) == bool(word))

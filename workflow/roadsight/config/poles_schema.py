@@ -94,7 +94,7 @@ class Alignment(Section):
     farthest_m: Metres = Field(default=240.0, description="farther edges are not used, m")
     max_residual_px: Positive = Field(default=4.0, description="larger residuals are rejected, px")
     max_sigma_heading_deg: Positive = Field(
-        default=0.25, description="less certain headings are rejected, degrees"
+        default=0.12, description="less certain headings are rejected, degrees"
     )
 
 
@@ -106,8 +106,8 @@ class Calibration(Section):
         default=0.0, ge=0, lt=180, description="field of view if known to 10 %, degrees; 0: unknown"
     )
     gps_sigma_m: Metres = Field(default=0.8, description="slow error of the track, m")
-    gps_length_m: Metres = Field(default=80.0, description="path over which it stays alike, m")
-    gps_own_m: Metres = Field(default=0.1, description="error of each position by itself, m")
+    gps_length_m: Metres = Field(default=100.0, description="path over which it stays alike, m")
+    gps_own_m: Metres = Field(default=0.2, description="error of each position by itself, m")
 
 
 class Sightings(Section):

@@ -33,7 +33,8 @@ def read_cameras(
     """
     table = _read(path)
     native = [
-        _column(table, rf"{name}_(?!above|px)\w+", path) for name in ("easting", "northing", "height")
+        _column(table, rf"{name}_(?!above|px)\w+", path)
+        for name in ("easting", "northing", "height")
     ]
     numbers = table[[*native, *_present(table, _ANGLES, path)]].apply(
         pd.to_numeric, errors="coerce"

@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from roadsight.errors import InputError
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP
-from roadsight.poles.alignment.pose import FOCAL, PITCH, SIZE, YAW, Spread
+from roadsight.poles.alignment.pose import FOCAL, HEIGHT, PITCH, SIZE, YAW, Spread
 from roadsight.poles.alignment.solve import Fit, Task, search
 
 _FLOATS = NDArray[np.float64]
+_HFOV_DEG = (8.0, 130.0)
+_HEIGHT_M = (0.5, 5.0)
 Loader = Callable[[_FLOATS, _FLOATS], Task]
 """Makes the task of one image from the expected unknowns and the inverse of their covariance."""
 
@@ -55,6 +57,21 @@ def weak_mount(hfov_deg: float | None, width_px: int) -> Mount:
     mean = np.array([0.0, 0.0, 2.2, 0.0, -1.0, 0.0, np.log(focal), 0.3, 0.3, 0.0, 0.0])
     sigma = np.array([1.2, 0.7, 0.5, 3.0, 4.0, 1.5, 0.1 if hfov_deg else 0.6, 0.2, 0.2, 0.03, 0.03])
     return Mount(mean, np.diag(sigma**2))
+
+
+def implausible(mount: Mount, width_px: int) -> str:
+    """Why no camera on a vehicle can be like this, or "" if one can.
+
+    Where road edges of image and cloud do not belong together, the best fit is often a lens of a
+    few degrees close to the road: everything then lies near everything.
+    """
+    hfov_deg = float(np.degrees(2 * np.arctan(0.5 * width_px / np.exp(mount.mean[FOCAL]))))
+    height_m = float(mount.mean[HEIGHT])
+    if not _HFOV_DEG[0] <= hfov_deg <= _HFOV_DEG[1]:
+        return f"the drive's calibration is impossible: field of view {hfov_deg:.1f} degrees"
+    if not _HEIGHT_M[0] <= height_m <= _HEIGHT_M[1]:
+        return f"the drive's calibration is impossible: camera {height_m:.1f} m above the road"
+    return ""
 
 
 def usable(fits: Sequence[Fit], pixels: int) -> bool:

@@ -6,8 +6,7 @@ every column near its ray vote for one; wrong pairs scatter, right ones agree.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,7 +40,7 @@ _LEAST_SIGMA_DEG = 0.005
 
 def side_turns(
     images: Sequence[tuple[Task, Fit]],
-    guesses_deg: dict[str, Sequence[float]],
+    guesses_deg: Mapping[str, Sequence[float]],
     noise: LandmarkNoise,
 ) -> Turns:
     """Yaw of each side view; a view whose poles do not tell stays unused.
@@ -52,16 +51,14 @@ def side_turns(
     ----------
     images : tasks with their poses. guesses_deg : by view; each is searched 10 degrees either way.
     """
-    turns = Turns()
+    deg, sigma = list(Turns().deg), list(Turns().sigma_deg)
     for view, guesses in guesses_deg.items():
         if not guesses:
             continue
         found = _turn(images, view, np.array(guesses, float), noise)
         number = VIEWS.index(view)
-        deg, sigma = list(turns.deg), list(turns.sigma_deg)
         deg[number], sigma[number] = found if found is not None else (float(guesses[0]), np.inf)
-        turns = replace(turns, deg=tuple(deg), sigma_deg=tuple(sigma))
-    return turns
+    return Turns((deg[0], deg[1], deg[2]), (sigma[0], sigma[1], sigma[2]))
 
 
 def _turn(
@@ -101,7 +98,8 @@ def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoi
         seen[:, 5] -= measure(pose, start, seen, there)[:, 0]
     rows = measure(pose, start, seen, there)
     good = (rows[:, 3] > noise.nearest_m) & (rows[:, 3] < _FARTHEST_M) & np.isfinite(rows[:, 1])
-    axis, column, seen, there, rows = (x[good] for x in (axis, column, seen, there, rows))
+    axis, column = axis[good], column[good]
+    seen, there, rows = seen[good], there[good], rows[good]
     slope = slopes(pose, start, seen, there)
     open_ = np.einsum("nia,ab,nib->ni", slope, fit.covariance[:POSE, :POSE], slope)
     focal = np.exp(pose[6]) * sight.axes.scale[axis]

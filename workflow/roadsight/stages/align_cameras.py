@@ -30,6 +30,7 @@ from roadsight.poles.alignment.verdict import (
     sigmas,
     too_little,
 )
+from roadsight.poles.calibration import implausible
 from roadsight.poles.calibration_table import DriveCalibration, from_content
 from roadsight.stages.alignment_inputs import add_arguments, read_scene
 from roadsight.stages.command import run_stage
@@ -60,6 +61,8 @@ def align_cameras(arguments: argparse.Namespace) -> None:
         drive = _drive(drives, place)
         task = scene.load(place)(*drive.expected(place))
         row = aligned(task, arguments.method, limits, drive.turns, scene.landmarks)
+        if reason := implausible(drive.mount, place.start.width_px):
+            row |= {"accepted": False, "reason": reason}
         rows.append({"image": place.image, **row})
     table = pd.DataFrame(rows, columns=list(_COLUMNS)).astype(dict.fromkeys(_TEXTS, str))
     for reason, count in sorted(Counter(table["reason"]).items()):

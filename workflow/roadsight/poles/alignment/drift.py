@@ -140,7 +140,7 @@ def _both(states: list[_State], model: DriftModel) -> _State:
         own = np.linalg.inv(covariance)
         information += own - prior
         right += own @ mean
-    covariance = np.linalg.inv(information)
+    covariance = np.asarray(np.linalg.inv(information), np.float64)
     return covariance @ right, 0.5 * (covariance + covariance.T)
 
 

@@ -71,7 +71,7 @@ class Noise:
     pixel_px: float = 1.2
     across_m: float = 0.05
     height_m: float = 0.05
-    independent: float = 0.03
+    independent: float = 0.02
 
     def vector(self) -> _FLOATS:
         """What the kernel takes."""
@@ -146,11 +146,11 @@ class Task:
         share = self.noise.independent
         apart = unknowns - self.mean
         expected = 0.5 * apart @ self.information @ apart
-        cost, normal, gradient = share * cost + expected, share * normal, share * gradient
+        total, normal, gradient = share * cost + float(expected), share * normal, share * gradient
         if self.marks is not None:
             own = self.mark_misfit(unknowns, scale, slopes)
-            cost, normal, gradient = cost + own[0], normal + own[1], gradient + own[2]
-        return float(cost), normal, gradient, residuals
+            total, normal, gradient = total + own[0], normal + own[1], gradient + own[2]
+        return float(total), normal, gradient, residuals
 
     def mark_misfit(
         self, unknowns: _FLOATS, scale: float, slopes: bool = True
