@@ -38,6 +38,18 @@ settings:
 """
 
 
+def with_followers(readers: dict[str, set[str]], *rules: str) -> set[str]:
+    """The rules and everything that reads what they write, directly or not."""
+    found: set[str] = set()
+    pending = list(rules)
+    while pending:
+        rule = pending.pop()
+        if rule not in found:
+            found.add(rule)
+            pending += readers[rule]
+    return found
+
+
 class Checkout:
     """A copy of the project's own files in a folder of its own.
 

@@ -6,6 +6,8 @@ import os
 
 import pytest
 
+from tests.workflow.conftest import with_followers
+
 pytestmark = pytest.mark.xdist_group("workflow")
 
 # Who reads whose outputs, written down here on purpose and not taken from the rules.
@@ -94,15 +96,7 @@ READERS = {
 
 
 def after(*rules: str) -> set[str]:
-    """The rules and everything that reads what they write, directly or not."""
-    found: set[str] = set()
-    pending = list(rules)
-    while pending:
-        rule = pending.pop()
-        if rule not in found:
-            found.add(rule)
-            pending += READERS[rule]
-    return found
+    return with_followers(READERS, *rules)
 
 
 SITE = "config/sites/tiny.yaml"

@@ -167,23 +167,23 @@ def _axis(piece: _Piece) -> tuple[float, float]:
 
 def _joined(pieces: list[_Piece], settings: MaskSettings) -> list[_Piece]:
     """Pieces of one axis as one: a sign, a wire or a leaf cuts a pole in two."""
-    todo = sorted(pieces, key=lambda piece: (piece.v[0], piece.u_min))
+    joined = sorted(pieces, key=lambda piece: (piece.v[0], piece.u_min))
     merged = True
     while merged:
         merged = False
-        for i, upper in enumerate(todo):
-            j = _continuation(upper, todo, settings)
+        for i, upper in enumerate(joined):
+            j = _continuation(upper, joined, settings)
             if j is not None:
-                lower = todo[j]
-                todo[i] = _Piece(
+                lower = joined[j]
+                joined[i] = _Piece(
                     np.concatenate([upper.v, lower.v]), np.concatenate([upper.u, lower.u]),
                     np.concatenate([upper.width, lower.width]),
                     min(upper.u_min, lower.u_min), max(upper.u_max, lower.u_max),
                 )  # fmt: skip
-                del todo[j]
+                del joined[j]
                 merged = True
                 break
-    return todo
+    return joined
 
 
 def _continuation(upper: _Piece, pieces: list[_Piece], settings: MaskSettings) -> int | None:
