@@ -1,9 +1,12 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
 
 import pytest
 
+from roadsight.errors import InputError
 from roadsight.io.atomic import atomic_path, read_json, write_json
 
 
@@ -58,3 +61,30 @@ def test_json_refuses_what_other_readers_cannot_read(tmp_path, value):
     with pytest.raises(ValueError, match="JSON"):
         write_json(path, {"lost": value})
     assert read_json(path) == {"kept": True}
+
+
+def test_what_a_killed_process_left_is_removed(tmp_path):
+    target = tmp_path / "cloud [1].parquet"
+    ended = subprocess.Popen(["true"])
+    ended.wait()
+    with atomic_path(target) as temporary:
+        temporary.write_text("whole")
+        own = str(os.getpid())
+        names = [temporary.name.replace(own, str(pid)) for pid in (ended.pid, 1)]
+    for name in (*names, f"{names[0]}-journal", f".other{names[0]}"):
+        (tmp_path / name).write_text("half")
+    with atomic_path(target) as temporary:
+        temporary.write_text("new")
+    # The temporary of a process that still runs, and of another file, are left alone.
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left == {target.name, names[1], f".other{names[0]}"}
+
+
+def test_a_file_that_is_no_json_is_told(tmp_path):
+    path = tmp_path / "a.json"
+    for content in (b'{"a": [1, 2', b"", b"\xff\xfe", b"[" * 100_000):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match="JSON"):
+            read_json(path)
+    with pytest.raises(InputError, match="JSON"):
+        read_json(tmp_path / "none.json")

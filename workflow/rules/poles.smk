@@ -273,7 +273,7 @@ rule write_poles_page:
         images=images_path,
     shell:
         "python -m roadsight.stages.write_poles_page --site {wildcards.site}"
-        " --title {params.title:q} --summary {input.summary} --frame {input.frame}"
+        " --title={params.title:q} --summary {input.summary} --frame {input.frame}"
         " --dem {input.dem} --top {input.top} --road-edges {input.road_edges}"
         " --frames {input.frames} --images {params.images:q} --cameras {input.cameras}"
         " --image-edges {input.image_edges} --sightings {input.sightings} --masks {input.masks}"

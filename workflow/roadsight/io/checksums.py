@@ -8,6 +8,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+from roadsight.errors import InputError
 from roadsight.io.atomic import read_json, write_json
 
 
@@ -29,7 +30,7 @@ class CachedChecksums:
         self._path = Path(path)
         try:
             known = read_json(self._path)
-        except (OSError, ValueError):
+        except InputError:
             known = None
         self._known: dict[str, Any] = known if isinstance(known, dict) else {}
 

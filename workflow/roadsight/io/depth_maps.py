@@ -21,7 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
-from roadsight.io.atomic import atomic_path
+from roadsight.io.atomic import atomic_path, close_within, open_within
 
 _KEY = b"roadsight"
 _VERSION = 1
@@ -72,8 +72,9 @@ class DepthMapWriter:
         self._pending: list[tuple[str, bytes]] = []
 
     def __enter__(self) -> DepthMapWriter:
-        temporary = self._atomic.__enter__()
-        self._writer = pq.ParquetWriter(temporary, self._schema, compression="none")
+        self._writer = open_within(
+            self._atomic, lambda path: pq.ParquetWriter(path, self._schema, compression="none")
+        )
         return self
 
     def __exit__(
@@ -82,10 +83,12 @@ class DepthMapWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if error is None:
-            self._flush()
-        self._writer.close()
-        self._atomic.__exit__(kind, error, trace)
+        def close() -> None:
+            if error is None:
+                self._flush()
+            self._writer.close()
+
+        close_within(self._atomic, close, error)
 
     def append(self, candidate: str, range_m: NDArray[np.float32]) -> None:
         """Add the depth map (rows, columns), metres, 0 where nothing returns, of a candidate."""

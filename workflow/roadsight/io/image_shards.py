@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import zipfile
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
-from roadsight.io.atomic import atomic_path
+from roadsight.io.atomic import atomic_path, close_within, open_within
 
 _ABOUT = "about.json"
 _DATE = (1980, 1, 1, 0, 0, 0)
@@ -31,9 +32,14 @@ class ImageShardWriter:
         self._about = about or {}
 
     def __enter__(self) -> ImageShardWriter:
-        self._zip = zipfile.ZipFile(self._place.__enter__(), "w", zipfile.ZIP_STORED)
-        self._add(_ABOUT, json.dumps(self._about, sort_keys=True).encode())
+        self._zip = open_within(self._place, self._begin)
         return self
+
+    def _begin(self, path: Path) -> zipfile.ZipFile:
+        archive = zipfile.ZipFile(path, "w", zipfile.ZIP_STORED)
+        about = json.dumps(self._about, sort_keys=True).encode()
+        archive.writestr(zipfile.ZipInfo(_ABOUT, _DATE), about)
+        return archive
 
     def write(self, name: str, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
         """Add an image (rows, columns) or (rows, columns, 3 BGR) under ``name`` (no extension)."""
@@ -46,8 +52,7 @@ class ImageShardWriter:
         self._zip.writestr(zipfile.ZipInfo(name, _DATE), content)
 
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        self._zip.close()
-        self._place.__exit__(kind, error, trace)
+        close_within(self._place, self._zip.close, error)
 
 
 class ImageShard:

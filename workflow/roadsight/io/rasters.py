@@ -15,6 +15,7 @@ from roadsight.errors import InputError
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import atomic_path
+from roadsight.io.whole import check_raster
 
 _CONTENT = "CONTENT"
 _HEIGHT, _VALUE = "height", "value"
@@ -99,9 +100,8 @@ def write_raster(
     pixels = np.where(known, native, nodata).astype(np.float32)
     west, north = frame.to_native([west_m, north_m])
     cell_size = cell_size_m / frame.unit_m
-    with (
-        atomic_path(path) as temporary,
-        rasterio.open(
+    with atomic_path(path) as temporary:
+        with rasterio.open(
             temporary,
             "w",
             driver="GTiff",
@@ -114,10 +114,10 @@ def write_raster(
             nodata=nodata,
             compress="deflate",
             predictor=3,
-        ) as raster,
-    ):
-        raster.write(pixels, 1)
-        raster.update_tags(**{_CONTENT: _HEIGHT if is_height else _VALUE})
+        ) as raster:
+            raster.write(pixels, 1)
+            raster.update_tags(**{_CONTENT: _HEIGHT if is_height else _VALUE})
+        check_raster(temporary)
 
 
 def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:

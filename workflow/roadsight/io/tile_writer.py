@@ -7,6 +7,7 @@ import os
 import tempfile
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
 
@@ -16,7 +17,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
-from roadsight.io.atomic import atomic_path
+from roadsight.io.atomic import atomic_path, no_room
 from roadsight.io.tiles import COLOUR, COLUMN_TYPES, METADATA_KEY, POSITION, Tile
 
 _MAX_TILES = 40_000
@@ -49,7 +50,8 @@ class TileWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._spill.close()
+        with suppress(OSError):  # it cannot write out what a full disk did not take
+            self._spill.close()
 
     def append(self, points: Mapping[str, NDArray]) -> None:
         """Add points.
@@ -72,7 +74,7 @@ class TileWriter:
         ends = np.append(starts[1:], len(ix))
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
             self._pieces[int(iy[start]), int(ix[start])].append((self._rows + start, end - start))
-        self._spill.write(records[order].tobytes())
+        self._spill_out(records[order].tobytes())
         self._rows += len(records)
         if len(self._pieces) > _MAX_TILES:
             raise InputError(
@@ -82,6 +84,13 @@ class TileWriter:
                 allowed=f"at most {_MAX_TILES} tiles",
                 hint="choose larger tiles, or remove stray points",
             )
+
+    def _spill_out(self, content: bytes) -> None:
+        try:
+            self._spill.write(content)
+            self._spill.flush()
+        except OSError as error:
+            raise no_room(self._path) from error
 
     def finish(self) -> list[Tile]:
         """Write the file and return its tiles."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass
+from pathlib import Path
 from types import TracebackType
 
 import numpy as np
@@ -15,12 +16,14 @@ import rasterio
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 from rasterio.errors import RasterioError
+from rasterio.io import DatasetWriter
 from rasterio.windows import Window
 
 from roadsight.errors import InputError
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import atomic_path
+from roadsight.io.atomic import atomic_path, close_within, open_within
+from roadsight.io.whole import check_raster
 from roadsight.scene.voxel_classes import Columns, VoxelGrid
 
 _BLOCK = 256
@@ -38,24 +41,28 @@ class TopRasterWriter:
 
     def __init__(self, path: str | os.PathLike[str], frame: Frame, grid: VoxelGrid) -> None:
         self._place, self._frame, self._grid = atomic_path(path), frame, grid
-        self._block = -1
+        self._block, self._written = -1, 0
         self._pixels: NDArray[np.float32] = np.empty((0, 0, 0), np.float32)
 
     def __enter__(self) -> TopRasterWriter:
+        self._file = open_within(self._place, self._create)
+        return self
+
+    def _create(self, path: Path) -> DatasetWriter:
         columns, rows, _ = self._grid.shape
         cell = self._grid.cell_size_m / self._frame.unit_m
         west_m, south_m = self._grid.corner_m[:2]
         west, north = self._frame.to_native([west_m, south_m + rows * self._grid.cell_size_m])
         crs = self._frame.crs_wkt and horizontal(CRS.from_wkt(self._frame.crs_wkt)).to_wkt()
-        self._file = rasterio.open(
-            self._place.__enter__(), "w", driver="GTiff", width=columns, height=rows, count=3,
+        raster = rasterio.open(
+            path, "w", driver="GTiff", width=columns, height=rows, count=3,
             dtype="float32", crs=crs, nodata=_NODATA, compress="deflate", predictor=3, tiled=True,
             blockxsize=_BLOCK, blockysize=_BLOCK, interleave="band", sparse_ok=True,
             bigtiff="if_safer", transform=rasterio.Affine(cell, 0.0, west, 0.0, -cell, north),
         )  # fmt: skip
         for number, name in enumerate(_BANDS, start=1):
-            self._file.set_band_description(number, name)
-        return self
+            raster.set_band_description(number, name)
+        return raster
 
     def add(self, columns: Columns) -> None:
         """Add columns that lie north of, or beside, all that came before."""
@@ -80,6 +87,7 @@ class TopRasterWriter:
             part = self._pixels[:, :rows, west : west + _BLOCK]
             if (part != _NODATA).any():
                 self._file.write(part, window=Window(west, first, part.shape[2], rows))
+                self._written += 1
 
     def __exit__(
         self,
@@ -87,10 +95,14 @@ class TopRasterWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if kind is None:
-            self._flush()
-        self._file.close()
-        self._place.__exit__(kind, error, trace)
+        def close() -> None:
+            if error is None:
+                self._flush()
+            self._file.close()
+            if error is None:
+                check_raster(Path(self._file.name), len(_BANDS) * self._written)
+
+        close_within(self._place, close, error)
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import atomic_path
 from roadsight.io.vector_sources import load_local, map_coordinates, read_features
+from roadsight.io.whole import check_geojson, check_geopackage
 
 KINDS = ("edge", "median", "line")
 """Kinds of lines along which sensors may stand."""
@@ -49,6 +50,7 @@ def write_layers(
             pyogrio.write_dataframe(
                 native, temporary, layer=name, driver="GPKG", geometry_type=kind
             )
+        check_geopackage(temporary, {name: len(features) for name, features in layers.items()})
 
 
 def write_geojson(path: str | os.PathLike[str], features: gpd.GeoDataFrame, frame: Frame) -> None:
@@ -69,6 +71,7 @@ def write_geojson(path: str | os.PathLike[str], features: gpd.GeoDataFrame, fram
         pyogrio.write_dataframe(
             native, temporary, layer=Path(path).stem, driver="GeoJSON", layer_options=options
         )
+        check_geojson(temporary, len(native))
 
 
 def read_layer(path: str | os.PathLike[str], layer: str, frame: Frame) -> gpd.GeoDataFrame:

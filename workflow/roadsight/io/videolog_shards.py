@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
-from roadsight.io.atomic import atomic_path
+from roadsight.io.atomic import atomic_path, close_within, open_within
 
 _DATE = (1980, 1, 1, 0, 0, 0)
 
@@ -33,7 +33,9 @@ class JpegShardWriter:
         self._options = [cv2.IMWRITE_JPEG_QUALITY, quality]
 
     def __enter__(self) -> JpegShardWriter:
-        self._zip = zipfile.ZipFile(self._place.__enter__(), "w", zipfile.ZIP_STORED)
+        self._zip = open_within(
+            self._place, lambda path: zipfile.ZipFile(path, "w", zipfile.ZIP_STORED)
+        )
         return self
 
     def write(self, name: str, image: NDArray[np.uint8]) -> None:
@@ -44,8 +46,7 @@ class JpegShardWriter:
         self._zip.writestr(zipfile.ZipInfo(name, _DATE), encoded.tobytes())
 
     def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        self._zip.close()
-        self._place.__exit__(kind, error, trace)
+        close_within(self._place, self._zip.close, error)
 
 
 def write_csv(path: str | os.PathLike[str], table: pd.DataFrame, decimals: dict[str, int]) -> None:

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from roadsight.io.atomic import atomic_path
+from roadsight.io.atomic import atomic_path, close_within, open_within
 
 _GROUP = 1 << 20
 _SCHEMA = pa.schema(
@@ -37,7 +37,9 @@ class VoxelTableWriter:
         self.rows = 0
 
     def __enter__(self) -> VoxelTableWriter:
-        self._file = pq.ParquetWriter(self._place.__enter__(), self._schema, compression="zstd")
+        self._file = open_within(
+            self._place, lambda path: pq.ParquetWriter(path, self._schema, compression="zstd")
+        )
         return self
 
     def add(self, indices: NDArray[np.int32], cls: NDArray[np.uint8]) -> None:
@@ -61,7 +63,9 @@ class VoxelTableWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        if kind is None:
-            self._flush(whole_groups=False)
-        self._file.close()
-        self._place.__exit__(kind, error, trace)
+        def close() -> None:
+            if error is None:
+                self._flush(whole_groups=False)
+            self._file.close()
+
+        close_within(self._place, close, error)

@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import errno
 import logging
+import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 from roadsight.errors import InputError
+from roadsight.io.atomic import written
 from roadsight.io.usage import own_usage
 
 log = logging.getLogger("roadsight")
+
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_TERMINATED = 128 + signal.SIGTERM
 
 
 def run_stage(
@@ -18,8 +28,9 @@ def run_stage(
     stage: Callable[[argparse.Namespace], None],
     argv: Sequence[str] | None = None,
 ) -> int:
-    """Parse ``argv``, run ``stage`` and turn bad input into one line and exit code 2.
+    """Parse ``argv``, run ``stage`` and turn what a user can mend into one line and exit code 2.
 
+    That is bad input, too little memory or disk, and an input that changed while it was read.
     The last line of the log says what the stage used: Snakemake's benchmark files sample it every
     half second at first and every 30 s later, and miss what happens in between.
     """
@@ -28,10 +39,66 @@ def run_stage(
     )
     logging.getLogger("pyogrio").setLevel(logging.WARNING)
     arguments = parser.parse_args(argv)
+    before = _states(vars(arguments).values())
     try:
-        stage(arguments)
-    except InputError as error:
-        print(f"roadsight: {error}", file=sys.stderr)
+        with _clean_termination():
+            stage(arguments)
+        _check_unchanged(before)
+    except (InputError, MemoryError, OSError) as error:
+        print(f"roadsight: {_message(error, parser.prog)}", file=sys.stderr)
         return 2
     log.info("%s", own_usage())
     return 0
+
+
+def _message(error: Exception, stage: str) -> str:
+    """What to tell; errors of the system that nobody foresaw keep their traceback."""
+    if isinstance(error, MemoryError):
+        hint = "give it more, use smaller tiles or more shards"
+        return str(InputError("ran out of memory", where=stage, hint=hint))
+    if isinstance(error, OSError):
+        if error.errno not in _FULL:
+            raise error
+        return str(InputError("the disk is full", where=error.filename or stage, hint="free some"))
+    return str(error)
+
+
+@contextmanager
+def _clean_termination() -> Iterator[None]:
+    """Leave through the usual way out when asked to stop, so that temporary files go."""
+
+    def stop(*_: object) -> None:
+        raise SystemExit(_TERMINATED)
+
+    try:
+        before = signal.signal(signal.SIGTERM, stop)
+    except ValueError:  # signals belong to the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _states(values: Iterable[Any]) -> dict[Path, tuple[int, int]]:
+    """Size and date of each file that the arguments name."""
+    found: dict[Path, tuple[int, int]] = {}
+    for value in values:
+        if isinstance(value, list | tuple):
+            found |= _states(value)
+        elif isinstance(value, str | Path) and os.path.isfile(value):  # noqa: PTH113  # any text
+            found[Path(value).absolute()] = _state(value)
+    return found
+
+
+def _state(path: str | Path) -> tuple[int, int]:
+    stat = os.stat(path)  # noqa: PTH116
+    return stat.st_size, stat.st_mtime_ns
+
+
+def _check_unchanged(before: dict[Path, tuple[int, int]]) -> None:
+    """Check the files that were there when the stage began and that it did not write itself."""
+    for path, state in before.items():
+        if path not in written and not (path.is_file() and _state(path) == state):
+            raise InputError("changed while it was read", where=str(path), hint="run again")

@@ -1,0 +1,160 @@
+"""A full disk: no writer leaves a damaged file under a result's name, or a scrap beside it.
+
+The disk is full for a process when its file may not grow beyond a limit (RLIMIT_FSIZE): writes fail
+in the middle, as they do on a full disk, with EFBIG instead of ENOSPC.
+"""
+
+from __future__ import annotations
+
+import resource
+from contextlib import contextmanager
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+
+from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import write_json
+from roadsight.io.clouds import write_laz
+from roadsight.io.depth_maps import DepthMapInfo, DepthMapWriter
+from roadsight.io.image_shards import ImageShardWriter
+from roadsight.io.rasters import write_raster
+from roadsight.io.tables import write_table
+from roadsight.io.terrains import write_terrain
+from roadsight.io.tile_writer import TileWriter
+from roadsight.io.top_rasters import TopRasterWriter
+from roadsight.io.vectors import write_geojson, write_layers
+from roadsight.io.videolog_shards import JpegShardWriter, write_csv
+from roadsight.io.voxel_tables import VoxelTableWriter
+from roadsight.scene.tin import Terrain
+from roadsight.scene.voxel_classes import Columns, VoxelGrid
+from tests.unit.las_files import wkt_of
+
+FRAME = Frame((458_000.0, 5_428_000.0, 100.0), crs_wkt=wkt_of("EPSG:25832"))
+RNG = np.random.default_rng(5)
+XYZ = RNG.uniform(0, 200, (20_000, 3)).astype(np.float32)
+NOISE = RNG.integers(0, 255, (200, 300, 3), np.uint8)
+
+
+def table(path):
+    write_table(path, pd.DataFrame(XYZ, columns=list("xyz")), {"a": 1})
+
+
+def depth_maps(path):
+    with DepthMapWriter(path, DepthMapInfo("OS-64", "surfel", 40, 500, 0.002)) as writer:
+        for number in range(20):
+            writer.append(f"c{number}", RNG.uniform(1, 90, (40, 500)).astype(np.float32))
+
+
+def tiles(path):
+    points = {axis: XYZ[:, i] for i, axis in enumerate("xyz")}
+    numbers = ("intensity", "classification", "return_number", "number_of_returns")
+    with TileWriter(path, 50.0, coloured=False) as writer:
+        writer.append(points | {name: np.zeros(len(XYZ), np.uint8) for name in numbers})
+        writer.finish()
+
+
+def voxels(path):
+    with VoxelTableWriter(path, {"a": 1}) as writer:
+        for part in np.array_split(RNG.integers(0, 9999, (20_000, 3), np.int32), 5):
+            writer.add(part, np.zeros(len(part), np.uint8))
+
+
+def raster(path):
+    write_raster(path, RNG.uniform(0, 9, (200, 200)), FRAME, 0, 200, 1)
+
+
+def top(path):
+    grid = VoxelGrid(0.3, (0, 0, 0), (0, 0, 0), (300, 300, 1))
+    row, column = (index.ravel() for index in np.indices((300, 300)))
+    height = RNG.uniform(0, 9, len(row))
+    with TopRasterWriter(path, FRAME, grid) as writer:
+        writer.add(Columns(row, column, np.full(len(row), 2, np.uint8), height, height / 9))
+
+
+def features():
+    points = gpd.GeoDataFrame({"n": np.arange(900)}, geometry=shapely.points(XYZ[:900]))
+    return points
+
+
+def layers(path):
+    write_layers(path, {"points": features(), "more": features()}, FRAME)
+
+
+def geojson(path):
+    write_geojson(path, features(), FRAME)
+
+
+def laz(path):
+    write_laz(path, XYZ, FRAME, {"intensity": np.arange(len(XYZ)) % 999})
+
+
+def terrain(path):
+    write_terrain(path, Terrain(XYZ.astype(float), RNG.integers(0, 20_000, (30_000, 3))))
+
+
+def images(path):
+    with ImageShardWriter(path, {"a": 1}) as writer:
+        for number in range(6):
+            writer.write(f"i{number}", NOISE)
+
+
+def jpegs(path):
+    with JpegShardWriter(path) as writer:
+        for number in range(6):
+            writer.write(f"i{number}.jpg", NOISE)
+
+
+def csv(path):
+    write_csv(path, pd.DataFrame(XYZ, columns=list("xyz")), {"x": 3})
+
+
+def json_file(path):
+    write_json(path, {"a": XYZ.tolist()})
+
+
+WRITERS = {
+    "table.parquet": table,
+    "depth.parquet": depth_maps,
+    "cloud.parquet": tiles,
+    "voxels.parquet": voxels,
+    "dem.tif": raster,
+    "top.tif": top,
+    "layers.gpkg": layers,
+    "poles.geojson": geojson,
+    "scans.laz": laz,
+    "terrain.npz": terrain,
+    "masks.zip": images,
+    "images.zip": jpegs,
+    "poles.csv": csv,
+    "page.json": json_file,
+}
+
+
+@contextmanager
+def files_at_most(size):
+    """No file of this process may grow beyond ``size`` bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("name", WRITERS)
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
+def test_writer_on_a_full_disk(tmp_path, name, share):
+    target, old = tmp_path / name, b"what was there before"
+    WRITERS[name](target)
+    limit = int(target.stat().st_size * share)
+    target.write_bytes(old)
+    with files_at_most(limit), pytest.raises(InputError, match="no room") as error:
+        WRITERS[name](target)
+    assert str(target) in str(error.value)
+    assert "\n" not in str(error.value)
+    assert target.read_bytes() == old
+    assert list(tmp_path.iterdir()) == [target]
