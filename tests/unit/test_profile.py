@@ -144,7 +144,7 @@ def test_profile_needs_two_places():
         mean_spacing_m(np.ones((5, 3)))
     cells = count_cells(np.zeros((1, 3)), np.zeros(1, np.uint8))
     with pytest.raises(InputError, match="different places"):
-        describe_scene(cells, np.empty(0), [0] * 6, False, False)
+        describe_scene(cells, np.empty(0), [0] * 6, np.ones(65536, int), False)
 
 
 def scene():
@@ -192,6 +192,10 @@ def test_profile_of_a_known_scene(tmp_path, tile_size_m):
     assert profile["overhead_cover_share"] == pytest.approx(0.1, abs=0.015)
     assert profile["class_shares"]["17"] == pytest.approx(0.1, abs=0.015)
     assert profile["class_shares"]["2"] == pytest.approx(1.0, abs=0.01)
+    assert profile["slope_deg"]["median"] == pytest.approx(np.degrees(np.arctan(0.1)), abs=0.2)
+    # The deck spans 10 m by 20 m; its border is a cell wide.
+    assert profile["cover_core_m2"] == pytest.approx(8 * 18, abs=25)
+    assert profile["intensity"]["median"] == pytest.approx(49, abs=2)
     assert profile["has_intensity"]
     assert not profile["has_colour"]
 

@@ -75,6 +75,13 @@ def elements(html):
     return Elements(html)
 
 
+def effect(decision, **about):
+    """A decision of summary.json."""
+    plain = {"job": "placement", "quantity": "size", "value": 1.0, "unit": "m", "threshold": 0.5}
+    figures = {"expected_change": 0.1, "expected_seconds": 3.0, "reason": "it is so"}
+    return plain | figures | {"decision": decision} | about
+
+
 def rendered(page, folder):
     """Visible text of the report of one page."""
     write_json(folder / "given.json", page)
@@ -261,10 +268,10 @@ class TestReport:
     def test_effects_are_tabled(self, pages, tmp_path):
         page = read_json(pages[1])
         page["summary"]["effects"] = {
-            "rain": {"decision": "skip", "quantity": "rate", "value": 0.0, "reason": "it is <dry>"},
-            "tilt": {"decision": "simulate", "threshold": 0.02},
+            "rain": effect("skip", quantity="rate", value=0.0, reason="it is <dry>"),
+            "tilt": effect("simulate", threshold=0.02),
         }
         text = rendered(page, tmp_path)
-        assert "Physical effects considered" in text
+        assert "1 of 2 effects simulated" in text
         assert "it is <dry>" in text
         assert "simulate" in text

@@ -36,6 +36,7 @@ def solution(plan, **changes):
 @pytest.fixture
 def folder(tmp_path):
     write_json(tmp_path / "frame.json", {"inputs": {"a.laz": "ab12", "b.laz": "cd34"}, "unit_m": 1})
+    write_json(tmp_path / "effects.json", [{"effect": "rain", "decision": "skip"}])
     write_json(tmp_path / "profile.json", {"points": 12, "density_per_m2": {"median": 3.0}})
     write_json(tmp_path / "scores.json", {"f1": 0.95})
     write_json(tmp_path / "coverage.json", {"targets": 10, "candidates": 30, "plans": {}})
@@ -47,7 +48,12 @@ def folder(tmp_path):
 
 
 def summarise(folder, *options, out="summary.json"):
-    named = {"frame": "frame.json", "profile": "profile.json", "out": out}
+    named = {
+        "frame": "frame.json",
+        "profile": "profile.json",
+        "effects": "effects.json",
+        "out": out,
+    }
     paths = [part for n, file in named.items() for part in (f"--{n}", str(folder / file))]
     fixed = ["--site", "here", "--seed", "7", "--settings", json.dumps(SETTINGS)]
     code = main([*fixed, *paths, *options])
@@ -84,7 +90,7 @@ def test_summary_holds_the_keys_that_checks_rely_on(folder):
             "pavement_scores": {"f1": 0.95},
             "traffic": None,
         },
-        "effects": {},
+        "effects": {"rain": {"decision": "skip"}},
         "sensors": {"S": {"cost": 1.0}},
         "placement": {
             "early": {

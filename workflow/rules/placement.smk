@@ -14,6 +14,7 @@ rule place_candidates:
         dem=rules.build_dem.output.dem,
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
+        decided=after_profile("overhead_cover"),
         code=sources("place_candidates"),
     output:
         candidates="results/{site}/placement/round-0/candidates.parquet",
@@ -32,13 +33,15 @@ rule place_candidates:
         height_step_m=setting("candidates.height_step_m"),
         search_radius_m=setting("candidates.search_radius_m"),
         gap_factor=setting("candidates.gap_factor"),
+        overhead_cover=decision_on("overhead_cover"),
     shell:
         "python -m roadsight.stages.place_candidates --site {wildcards.site}"
         " --edges {input.edges} --pavement {input.pavement} --dem {input.dem}"
         " --cloud {input.cloud} --frame {input.frame} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --gap-factor {params.gap_factor} --out {output.candidates} > {log} 2>&1"
+        " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
+        " --out {output.candidates} > {log} 2>&1"
 
 
 rule place_targets:
@@ -213,6 +216,7 @@ rule densify_candidates:
         dem=rules.build_dem.output.dem,
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
+        decided=after_profile("overhead_cover"),
         code=sources("densify_candidates"),
     output:
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
@@ -232,6 +236,7 @@ rule densify_candidates:
         height_step_m=setting("candidates.height_step_m"),
         search_radius_m=setting("candidates.search_radius_m"),
         gap_factor=setting("candidates.gap_factor"),
+        overhead_cover=decision_on("overhead_cover"),
     shell:
         "python -m roadsight.stages.densify_candidates --site {wildcards.site}"
         " --round {wildcards.round} --coverage {input.coverage} --targets {input.targets}"
@@ -240,4 +245,5 @@ rule densify_candidates:
         " --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --gap-factor {params.gap_factor} --out {output.candidates} > {log} 2>&1"
+        " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
+        " --out {output.candidates} > {log} 2>&1"

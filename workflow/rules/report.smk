@@ -9,6 +9,7 @@ rule summarise_site:
     input:
         frame=rules.ingest_cloud.output.frame,
         profile=rules.profile_scene.output.profile,
+        effects=rules.plan_effects.output.effects,
         given=given_files,
         scores=pavement_scores,
         traffic=placement_only(traffic_mask),
@@ -38,6 +39,7 @@ rule summarise_site:
         "python -m roadsight.stages.summarise_site --site {wildcards.site} --seed {params.seed}"
         " --settings {params.settings:q} --sensors {params.sensors:q} --given {input.given:q}"
         " --frame {input.frame} --profile {input.profile}"
+        " --effects {input.effects}"
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
         " --timings {input.timings} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"

@@ -35,7 +35,7 @@ rule ingest_cloud:
         " --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
 
 
-rule profile_scene:
+checkpoint profile_scene:
     input:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,

@@ -12,6 +12,7 @@ from roadsight.config.plans import Plan, load_plans
 from roadsight.config.schema import Config, Settings
 from roadsight.config.sites import Site
 from roadsight.config.validate import validated
+from roadsight.effects.catalogue import check_names, load_catalogue
 from roadsight.errors import InputError
 from roadsight.io.texts import read_yaml
 
@@ -88,8 +89,9 @@ def load_site(name: str, config: Config) -> ResolvedSite:
             hint="write one with 'roadsight init CLOUD'",
         )
     site = validated(Site, read_yaml(file), str(file))
-    base = config.model_dump(exclude={"sites", "sensors_file", "plans_file"})
+    base = config.model_dump(exclude={"sites", "sensors_file", "plans_file", "effects_file"})
     settings = validated(Settings, _merged(base, site.settings), f"{file}: settings")
+    check_names(settings.effect_modes, load_catalogue(config.effects_file), f"{file}: effects")
     plans = load_plans(config.plans_file, config.sensors_file)
     chosen = site.placement.plans if site.placement.plans is not None else list(plans)
     _check_plans(chosen, plans, str(file))

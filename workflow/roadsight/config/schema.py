@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from roadsight.config.poles_schema import (
     Alignment,
@@ -156,6 +156,9 @@ class Lidar(Section):
     surfel_size_m: Metres = Field(
         default=0.1, description="voxel of a surfel, m; at least point spacing"
     )
+    mounting: Literal["levelled", "normal"] = Field(
+        default="levelled", description="sensors stand upright, or normal to the ground's slope"
+    )
     clear_below_m: float = Field(
         default=0.0,
         ge=0,
@@ -166,6 +169,29 @@ class Lidar(Section):
         default=5, description="hybrid: cells with fewer points are filled"
     )
     neighbours: Count = Field(default=10, description="K2, hybrid: neighbours that fill a cell")
+
+
+class Conditions(Section):
+    """Conditions in which sensors work."""
+
+    rain_mm_h: float = Field(default=0.0, ge=0, le=300, description="rain, mm/h")
+    visibility_m: float = Field(
+        default=20000.0, gt=0, le=1e6, description="visibility in fog or haze, m; 20000: clear"
+    )
+    target_reflectivity: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="reflectivity of targets; 0: that at which sensors' ranges are stated",
+    )
+    aadt: float = Field(default=0.0, ge=0, le=1e6, description="vehicles a day, all lanes; 0: none")
+    truck_share: Share = Field(default=0.1, description="share of trucks among the vehicles")
+    peak_share: Share = Field(default=0.1, description="share of a day's vehicles in its peak hour")
+    speed_kmh: float = Field(default=80.0, gt=0, le=300, description="speed of vehicles, km/h")
+    lane_width_m: float = Field(default=3.5, gt=1, le=10, description="width of a lane, m")
+    availability: float = Field(
+        default=0.9, gt=0, lt=1, description="targets are seen if free of traffic so often, share"
+    )
 
 
 class Coverage(Section):
@@ -203,6 +229,11 @@ class Settings(Section):
     candidates: Candidates = Candidates()
     targets: Targets = Targets()
     lidar: Lidar = Lidar()
+    conditions: Conditions = Conditions()
+    effects: dict[str, str] | str = Field(
+        default={},
+        description="{effect: simulate | skip | auto} where not as in effects_file; or audit",
+    )
     coverage: Coverage = Coverage()
     cover: Cover = Cover()
     voxels: Voxels = Voxels()
@@ -218,6 +249,22 @@ class Settings(Section):
     hazard: Hazard = Hazard()
     validation: Validation = Validation()
 
+    @field_validator("effects")
+    @classmethod
+    def _known_modes(cls, value: dict[str, str] | str) -> dict[str, str] | str:
+        modes = ("auto", "simulate", "skip")
+        if isinstance(value, str) and value != "audit":
+            raise ValueError("must be audit, or a mapping of effects to auto, simulate or skip")
+        for name, mode in value.items() if isinstance(value, dict) else ():
+            if mode not in modes:
+                raise ValueError(f"{name}: {mode!r} is none of {', '.join(modes)}")
+        return value
+
+    @property
+    def effect_modes(self) -> dict[str, str]:
+        """Modes of the effects that the site decides itself; an audit decides as usual."""
+        return self.effects if isinstance(self.effects, dict) else {}
+
 
 class Config(Settings):
     """The whole of ``config/config.yaml``."""
@@ -231,3 +278,6 @@ class Config(Settings):
         default="config/sensors.yaml", description="sensors that plans may use"
     )
     plans_file: str = Field(default="config/plans.yaml", description="deployment plans to compare")
+    effects_file: str = Field(
+        default="config/effects.yaml", description="physical effects and what calls for them"
+    )

@@ -43,3 +43,15 @@ def files_by_shard(
             for shard in range(shards) if shared else owner.get(file.stem, ()):
                 found[shard].add(file)
     return [sorted(files) for files in found]
+
+
+def side_views_per_image(table: str | os.PathLike[str], images: str) -> float:
+    """How many side images the videolog names for each front image, 0 to 2.
+
+    Raises
+    ------
+    InputError : the table cannot be read.
+    """
+    rows = read_videolog_table(table, ImageSource(images))
+    named = (rows[["left_image", "right_image"]] != "").to_numpy()
+    return float(named.sum() / max(len(rows), 1))

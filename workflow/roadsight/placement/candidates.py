@@ -29,6 +29,7 @@ class HeightSettings:
     height_step_m : vertical spacing.
     search_radius_m : points within this plan distance obstruct a position.
     gap_factor : a gap between points is free when it is wider than this many steps; at least 2.
+    roofs : whether roofs end the search for heights.
     """
 
     height_min_m: float = 4.0
@@ -36,6 +37,7 @@ class HeightSettings:
     height_step_m: float = 0.5
     search_radius_m: float = 0.5
     gap_factor: float = 2.0
+    roofs: bool = True
 
 
 def free_heights_m(point_heights_m: _FLOATS, settings: HeightSettings) -> _FLOATS:
@@ -148,7 +150,8 @@ def stack_candidates(
         point_heights = obstacle_heights_m[index]
         offsets = obstacles_xyz_m[index][:, :2] - xy[row]
         free = free_heights_m(point_heights, settings)
-        free = free[free < roof_height_m(offsets, point_heights, settings)]
+        if settings.roofs:
+            free = free[free < roof_height_m(offsets, point_heights, settings)]
         rows += [row] * len(free)
         heights.append(free)
     stacked = positions.iloc[rows].reset_index(drop=True)

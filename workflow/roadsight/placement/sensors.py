@@ -24,6 +24,7 @@ _MAX_BEAMS = 20_000_000
 
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
 
 
 class Sensor(BaseModel):
@@ -44,6 +45,15 @@ class Sensor(BaseModel):
     channels: int | None = Field(None, ge=1, description="number of evenly spread channels")
     elevations_deg: tuple[Elevation, ...] | None = Field(None, description="channel table, deg")
     range_m: float = Field(gt=0, le=5000, description="detection range, m")
+    range_reflectivity: Share = Field(0.8, description="target reflectivity at that range, 0 to 1")
+    range_10_m: Positive | None = Field(None, description="range at 10 % target reflectivity, m")
+    divergence_mrad: tuple[Positive, Positive] | None = Field(
+        None, description="beam divergence across and upright, full angle, mrad"
+    )
+    aperture_mm: float = Field(
+        0.0, ge=0, le=1000, description="width of the beam at the sensor, mm"
+    )
+    wavelength_nm: float = Field(905.0, ge=300, le=2000, description="wavelength, nm")
     cost: float = Field(1.0, ge=0, le=1e9, description="cost of placing one (paper: 1)")
     price: float | None = Field(None, ge=0, description="list price, any currency, for the report")
 

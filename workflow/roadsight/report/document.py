@@ -13,6 +13,7 @@ from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.placement.sensors import Sensor
 from roadsight.report import wording
+from roadsight.report.effects import effect_rows
 from roadsight.report.page import FORMAT
 from roadsight.report.parameters import figure_rows, setting_groups
 from roadsight.report.plan_view import best_plan, plan_views
@@ -43,6 +44,7 @@ TEMPLATES = (
     "sensors.html.j2",
     "gaps.html.j2",
     "evidence.html.j2",
+    "effects.html.j2",
     "poles.html.j2",
     "poles_results.html.j2",
     "common.html.j2",
@@ -139,7 +141,8 @@ def _site(page: _Page | None, poles_page: _Page | None, identifier: str) -> dict
         "poles": poles,
         "cards": [*([] if page is None else _cards(page)), *(poles["cards"] if poles else [])],
         "cautions": _cautions(page, poles_page),
-        "sections": _sections(page, poles),
+        "sections": _sections(page, poles, bool(about["summary"]["effects"])),
+        "effects": effect_rows(about["summary"]["effects"]),
         **scene,
         **_coordinates(about["frame"]),
         **_provenance(about),
@@ -198,7 +201,6 @@ def _evidence(page: dict[str, Any]) -> dict[str, Any]:
         "edges": page["layers"]["edges"],
         "scene_rows": figure_rows(figures),
         "score_rows": figure_rows(scores or {}),
-        "effects": _effects(summary["effects"]),
         "sensors": sensors,
         "sensor_keys": [
             key
@@ -266,7 +268,9 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     return [*cards, ("Fewest sensors", value, best["title"])]
 
 
-def _sections(page: _Page | None, poles: dict[str, Any] | None) -> list[tuple[str, str]]:
+def _sections(
+    page: _Page | None, poles: dict[str, Any] | None, effects: bool
+) -> list[tuple[str, str]]:
     """Anchors and titles of a site's sections."""
     found = []
     if page is not None:
@@ -277,19 +281,9 @@ def _sections(page: _Page | None, poles: dict[str, Any] | None) -> list[tuple[st
         found += poles["sections"]
     if page is not None:
         found.append(("scene", "Scene"))
+    if effects:
+        found.append(("effects", "Effects"))
     return [*found, ("parameters", "Parameters"), ("provenance", "Provenance")]
-
-
-def _effects(effects: Any) -> list[dict[str, Any]]:
-    """Decisions on effects as records with the same keys; by name, or already a list."""
-    records = effects
-    if isinstance(effects, dict):
-        records = [
-            {"effect": name, **(about if isinstance(about, dict) else {"decision": about})}
-            for name, about in effects.items()
-        ]
-    keys = list(dict.fromkeys(key for record in records for key in record))
-    return [{key: record.get(key) for key in keys} for record in records]
 
 
 def _unit_sign(name: str) -> str:

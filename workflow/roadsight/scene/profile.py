@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from roadsight.errors import InputError
+from roadsight.scene.relief import cover_core, slopes_deg
 
 CELL_M = 1.0
 """Edge of the cells that are counted; tiles are made of whole ones."""
@@ -232,7 +233,7 @@ def describe_scene(
     cells: Cells,
     distances_m: NDArray[np.float64],
     bounds_m: Sequence[float],
-    has_intensity: bool,
+    intensity: NDArray[np.int64],
     has_colour: bool,
 ) -> dict[str, Any]:
     """Profile of a scene.
@@ -242,12 +243,15 @@ def describe_scene(
     cells : all occupied cells, at least one.
     distances_m : of a sample of points to their nearest neighbours.
     bounds_m : least x, y, z and greatest x, y, z.
+    intensity : points of each intensity from 0, shape (65536,).
 
     Returns
     -------
     points; area_m2; density_per_m2 (see `density`); spacing_m, the median of `distances_m`, as
     Table 2 of the paper gives it; extent_m; relief_m, between the 5th and the 95th percentile of
-    the lowest heights; overhead_cover_share and class_shares, of the occupied cells
+    the lowest heights; slope_deg, percentiles of the slopes of smooth ground;
+    overhead_cover_share and class_shares, of the occupied cells; cover_core_m2, covered ground
+    that is not at the border of the cover; intensity, its percentiles
 
     Raises
     ------
@@ -263,8 +267,27 @@ def describe_scene(
         "spacing_m": _median_spacing_m(distances_m),
         "extent_m": [bounds_m[i + 3] - bounds_m[i] for i in range(3)],
         "relief_m": float(high - low),
+        "slope_deg": _slopes(cells),
         "overhead_cover_share": float(cells.covered.mean()),
+        "cover_core_m2": cover_core(cells.column, cells.row, cells.covered) * CELL_M**2,
         "class_shares": shares,
-        "has_intensity": has_intensity,
+        "has_intensity": int((intensity > 0).sum()) > 1,
+        "intensity": _intensities(intensity),
         "has_colour": has_colour,
     }
+
+
+def _slopes(cells: Cells) -> dict[str, float]:
+    """Percentiles of the ground's slope; level where no ground is smooth enough to tell."""
+    found = slopes_deg(cells.column * CELL_M, cells.row * CELL_M, cells.lowest_m)
+    if len(found) == 0:
+        return {"median": 0.0, "p95": 0.0}
+    median, p95 = np.percentile(found, [50, 95])
+    return {"median": float(median), "p95": float(p95)}
+
+
+def _intensities(counts: NDArray[np.int64]) -> dict[str, int]:
+    """Percentiles of the intensities from how many points have each."""
+    below = np.cumsum(counts)
+    p05, median, p95 = np.searchsorted(below, np.array([0.05, 0.5, 0.95]) * below[-1])
+    return {"p05": int(p05), "median": int(median), "p95": int(p95)}

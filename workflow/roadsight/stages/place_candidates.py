@@ -65,6 +65,7 @@ def candidates_at(
         height_step_m,
         arguments.search_radius_m,
         arguments.gap_factor,
+        arguments.overhead_cover == "simulate",
     )
     dem = read_raster(arguments.dem, frame)
     positions = positions.assign(
@@ -102,6 +103,7 @@ def add_candidate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--height-step-m", type=float, default=0.5)
     parser.add_argument("--search-radius-m", type=float, default=0.5)
     parser.add_argument("--gap-factor", type=float, default=2.0)
+    parser.add_argument("--overhead-cover", choices=["simulate", "skip"], default="simulate")
 
 
 def main(argv: list[str] | None = None) -> int:

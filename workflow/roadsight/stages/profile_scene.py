@@ -25,6 +25,8 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger(__name__)
 
+_INTENSITIES = 65_536
+
 
 def profile_scene(arguments: argparse.Namespace) -> None:
     """Write the profile of a tiled cloud."""
@@ -38,12 +40,12 @@ def profile_scene(arguments: argparse.Namespace) -> None:
             allowed=str(cloud.points),
             hint="run the workflow again",
         )
-    cells, intensities = _cells(cloud)
+    cells, intensity = _cells(cloud)
     profile = describe_scene(
         cells,
         _distances(cloud, cells),
         about["bounds_m"],
-        has_intensity=intensities[0] < intensities[1],
+        intensity,
         has_colour=set(COLOUR) <= set(cloud.columns),
     )
     log.info(
@@ -54,14 +56,14 @@ def profile_scene(arguments: argparse.Namespace) -> None:
     write_json(arguments.out, profile)
 
 
-def _cells(cloud: CloudTiles) -> tuple[Cells, tuple[int, int]]:
-    """Occupied cells of the whole cloud, and its least and greatest intensity."""
-    parts, extremes = [], []
+def _cells(cloud: CloudTiles) -> tuple[Cells, NDArray[np.int64]]:
+    """Occupied cells of the whole cloud, and how many points have each intensity."""
+    parts, intensity = [], np.zeros(_INTENSITIES, np.int64)
     for number in range(len(cloud.tiles)):
         points = cloud.read(("x", "y", "z", "intensity", "classification"), [number])
         parts.append(count_cells(stack_xyz(points), points["classification"]))
-        extremes += [int(points["intensity"].min()), int(points["intensity"].max())]
-    return join_cells(parts), (min(extremes), max(extremes))
+        intensity += np.bincount(points["intensity"], minlength=_INTENSITIES)
+    return join_cells(parts), intensity
 
 
 def _distances(cloud: CloudTiles, cells: Cells) -> NDArray[np.float64]:

@@ -31,7 +31,7 @@ def summarise_site(arguments: argparse.Namespace) -> None:
             "pavement_scores": scores[0] if scores else None,
             "traffic": read_about(arguments.traffic[0]) if arguments.traffic else None,
         },
-        "effects": {},
+        "effects": {effect.pop("effect"): effect for effect in read_json(arguments.effects)},
     }
     if arguments.solutions:
         coverage = read_json(arguments.coverage[0])
@@ -77,7 +77,7 @@ def _plan(solution: dict[str, Any], candidates: int) -> dict[str, Any]:
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "settings", "frame", "profile", "out"):
+    for name in ("site", "settings", "frame", "profile", "effects", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--seed", type=int, required=True)
     parser.add_argument("--sensors", default="{}", help="definitions of the sensors as JSON")

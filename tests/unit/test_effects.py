@@ -1,0 +1,200 @@
+"""Which effects are called for: catalogue, quantities with known values, decisions."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+import yaml
+
+from roadsight.config.load import load_config, load_site
+from roadsight.config.schema import Settings
+from roadsight.effects.catalogue import QUANTITIES, load_catalogue
+from roadsight.effects.circumstances import SECTIONS, Circumstances
+from roadsight.effects.planner import plan
+from roadsight.errors import InputError
+from roadsight.io.atomic import read_json, write_json
+from roadsight.placement.sensors import Sensor
+from roadsight.stages.plan_effects import main
+
+ROOT = Path(__file__).resolve().parents[2]
+CATALOGUE = ROOT / "config/effects.yaml"
+FIELDS = {
+    *("effect", "job", "decision", "quantity", "value", "unit", "threshold", "reason"),
+    *("expected_change", "expected_seconds"),
+}
+PROFILE = {
+    "extent_m": [200.0, 80.0, 20.0],
+    "density_per_m2": {"median": 400.0},
+    "slope_deg": {"median": 1.0, "p95": 4.0},
+    "cover_core_m2": 0.0,
+}
+FRAME = {"location": {"convergence_deg": -1.2, "scale_east": 0.9996, "scale_north": 0.9997}}
+GIVEN = {"camera_poses": False, "distortion_px": 0.0, "side_views": 2.0}
+SENSOR = Sensor(
+    elevation_min_deg=-20,
+    elevation_max_deg=20,
+    channels=41,
+    range_m=100,
+    range_10_m=40,
+    divergence_mrad=(3.0, 1.5),
+)
+
+
+def circumstances(profile=None, sensors=None, **sections):
+    settings = Settings.model_validate(sections).model_dump(mode="json", include=set(SECTIONS))
+    known = {"S": SENSOR} if sensors is None else sensors
+    return Circumstances(PROFILE | (profile or {}), FRAME, settings, known, GIVEN)
+
+
+def decided(jobs=("placement",), modes=None, profile=None, sensors=None, **sections):
+    made = plan(
+        load_catalogue(CATALOGUE), modes or {}, jobs, circumstances(profile, sensors, **sections)
+    )
+    return {decision.effect: decision for decision in made}
+
+
+def simulated(**about):
+    return {name for name, made in decided(**about).items() if made.decision == "simulate"}
+
+
+class TestDecisions:
+    def test_every_effect_of_the_asked_jobs_is_decided(self):
+        assert set(decided()) == set(QUANTITIES["placement"])
+        assert set(decided(jobs=("placement", "poles"))) == {
+            *QUANTITIES["placement"],
+            *QUANTITIES["poles"],
+        }
+        assert decided(jobs=("scene",)) == {}
+
+    def test_conditions_call_for_effects(self):
+        fair = simulated()
+        for condition, effect in [
+            ({"rain_mm_h": 25.0}, "rain"),
+            ({"visibility_m": 200.0}, "fog"),
+            ({"target_reflectivity": 0.1}, "reflectivity"),
+            ({"aadt": 60_000.0}, "moving_vehicles"),
+        ]:
+            assert effect not in fair
+            assert simulated(conditions=condition) == fair | {effect}
+
+    def test_the_scene_calls_for_effects(self):
+        assert "overhead_cover" not in simulated()
+        assert "overhead_cover" in simulated(profile={"cover_core_m2": 200.0})
+        assert "mount_tilt" not in simulated()
+        assert "mount_tilt" in simulated(lidar={"mounting": "normal"})
+        level = {"slope_deg": {"median": 0.0, "p95": 0.05}}
+        assert "mount_tilt" not in simulated(profile=level, lidar={"mounting": "normal"})
+
+    def test_holes_are_filled_in_sparse_clouds_only(self):
+        assert "hole_filling" not in simulated()
+        sparse = {"density_per_m2": {"median": 20.0}}
+        dense = {"density_per_m2": {"median": 1e6}}
+        assert "hole_filling" in simulated(profile=sparse, lidar={"model": "hybrid"})
+        assert "hole_filling" not in simulated(profile=dense, lidar={"model": "hybrid"})
+
+    def test_curvature_never_matters_to_a_roadside_sensor(self):
+        made = decided()["curvature_refraction"]
+        assert made.decision == "skip"
+        # (1 - 0.13) 100^2 / (2 * 6371000)
+        assert made.value == pytest.approx(0.000683, rel=1e-3)
+
+    def test_a_value_at_the_threshold_is_skipped(self):
+        threshold = load_catalogue(CATALOGUE)["overhead_cover"].threshold
+        assert "overhead_cover" not in simulated(profile={"cover_core_m2": threshold})
+        assert "overhead_cover" in simulated(profile={"cover_core_m2": threshold * 1.001})
+
+    def test_a_site_may_decide_itself(self):
+        made = decided(modes={"rain": "simulate", "partial_hits": "skip"})
+        assert made["rain"].decision == "simulate"
+        assert made["partial_hits"].decision == "skip"
+        assert made["partial_hits"].value > made["partial_hits"].threshold
+        assert "settings say skip" in made["partial_hits"].reason
+
+    def test_without_sensors_nothing_of_theirs_is_called_for(self):
+        assert simulated(sensors={}, conditions={"rain_mm_h": 50.0}) == set()
+
+    def test_poles(self):
+        made = decided(jobs=("poles",))
+        assert made["grid_convergence"].value == pytest.approx(1.2)
+        assert made["scale_factor"].value == pytest.approx(400)
+        assert made["road_alignment"].decision == "simulate"
+
+
+class TestStage:
+    def run(self, folder, circumstances_json):
+        write_json(folder / "profile.json", PROFILE)
+        write_json(folder / "frame.json", FRAME)
+        options = ["--profile", folder / "profile.json", "--frame", folder / "frame.json"]
+        options += ["--catalogue", CATALOGUE, "--circumstances", circumstances_json]
+        return main([str(option) for option in [*options, "--out", folder / "effects.json"]])
+
+    def test_fields_are_those_that_checks_rely_on(self, tmp_path):
+        content = {
+            "jobs": ["placement", "poles"],
+            "modes": {"fog": "simulate"},
+            "settings": dict(circumstances().settings),
+            "sensors": {"S": SENSOR.to_dict()},
+            "given": GIVEN,
+        }
+        assert self.run(tmp_path, json.dumps(content)) == 0
+        effects = read_json(tmp_path / "effects.json")
+        assert [set(effect) for effect in effects] == [FIELDS] * len(effects)
+        assert {e["effect"] for e in effects} == set(load_catalogue(CATALOGUE))
+        assert {e["decision"] for e in effects} == {"simulate", "skip"}
+
+
+class TestCatalogue:
+    def written(self, folder, change):
+        content = yaml.safe_load(CATALOGUE.read_text())
+        change(content["effects"])
+        (folder / "effects.yaml").write_text(yaml.safe_dump(content))
+        return folder / "effects.yaml"
+
+    def test_unknown_key_names_the_nearest(self, tmp_path):
+        path = self.written(tmp_path, lambda e: e["rain"].update(treshold=1))
+        with pytest.raises(InputError, match="did you mean 'threshold'"):
+            load_catalogue(path)
+
+    def test_unknown_effect_names_the_nearest(self, tmp_path):
+        path = self.written(tmp_path, lambda e: e.update(rainn=e["rain"]))
+        with pytest.raises(InputError, match="did you mean 'rain'"):
+            load_catalogue(path)
+
+    def test_missing_effect(self, tmp_path):
+        path = self.written(tmp_path, lambda e: e.pop("fog"))
+        with pytest.raises(InputError, match="lacks the effect 'fog'"):
+            load_catalogue(path)
+
+
+class TestSiteModes:
+    @pytest.fixture
+    def site(self, tmp_path, monkeypatch):
+        monkeypatch.chdir(tmp_path)
+        shutil.copytree(ROOT / "config", tmp_path / "config")
+
+        def load(effects):
+            settings = f"settings: {{effects: {effects}}}\n"
+            (tmp_path / "a.yaml").write_text("site: a\nclouds: [a.laz]\n" + settings)
+            return load_site(str(tmp_path / "a.yaml"), load_config({}))
+
+        return load
+
+    def test_modes_and_audit(self, site):
+        assert site("{rain: skip}").settings.effect_modes == {"rain": "skip"}
+        assert site("audit").settings.effect_modes == {}
+        assert site("audit").settings.effects == "audit"
+
+    @pytest.mark.parametrize(
+        ("effects", "message"),
+        [
+            ("{rein: skip}", "did you mean 'rain'"),
+            ("{rain: maybe}", "none of auto, simulate, skip"),
+            ("audits", "must be audit"),
+        ],
+    )
+    def test_bad_modes(self, site, effects, message):
+        with pytest.raises(InputError, match=message):
+            site(effects)

@@ -1,0 +1,1 @@
+"""Which physical effects a scene calls for, from quantities measured on it."""

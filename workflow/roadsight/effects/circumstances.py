@@ -1,0 +1,70 @@
+"""What decisions on effects rest on: the measured scene, the settings, the sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from roadsight.placement.sensors import Sensor
+
+SECTIONS = ("conditions", "lidar", "candidates", "targets", "terrain_mesh", "sightings")
+"""Sections of the settings that quantities depend on."""
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """A site as decisions see it.
+
+    Parameters
+    ----------
+    profile : content of scene/profile.json. frame : content of scene/frame.json.
+    settings : the sections `SECTIONS` of the settings, as plain values.
+    sensors : that plans may place, by name.
+    given : what the site gives beside the cloud, for example ``baseline``: registered cameras.
+    """
+
+    profile: Mapping[str, Any]
+    frame: Mapping[str, Any]
+    settings: Mapping[str, Mapping[str, Any]]
+    sensors: Mapping[str, Sensor]
+    given: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A measured quantity.
+
+    Parameters
+    ----------
+    value : in the catalogue's unit; larger means that the effect matters more.
+    remark : what it was measured on, or why it is zero.
+    """
+
+    value: float
+    remark: str
+
+
+def road_length_m(circumstances: Circumstances) -> float:
+    """Rough length of the road: the longer side of the scene."""
+    return float(max(circumstances.profile["extent_m"][:2]))
+
+
+def occurrences(per: str, circumstances: Circumstances) -> float:
+    """How many times a site simulates an effect, roughly, before anything is placed.
+
+    Candidates stand along both edges of the road, at every height.
+    """
+    candidates = circumstances.settings["candidates"]
+    heights = (candidates["height_max_m"] - candidates["height_min_m"]) / candidates[
+        "height_step_m"
+    ] + 1
+    placed = 2 * (road_length_m(circumstances) / candidates["spacing_m"] + 1) * heights
+    return float(
+        {
+            "site": 1.0,
+            "candidate": placed,
+            "map": placed * len(circumstances.sensors),
+            "image": circumstances.given.get("images") or 0,
+        }[per]
+    )

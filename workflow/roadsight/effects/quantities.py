@@ -1,0 +1,157 @@
+"""What decides on each effect of the placement job, measured on the scene and the sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from roadsight.effects.circumstances import Circumstances, Quantity
+from roadsight.placement.earth import rise_m
+from roadsight.placement.light import (
+    CLEAR_M,
+    fog_extinction_per_m,
+    rain_extinction_per_m,
+    range_in_air_m,
+    reflectivity_range_m,
+)
+from roadsight.placement.passing import CAR, TRUCK, expected_in_the_way, vehicles_per_m
+from roadsight.placement.sensors import Sensor
+
+_NEAREST_LANES = 2.0
+
+
+def hole_filling(site: Circumstances) -> Quantity:
+    """Share of the sensor's range whose road cells hold too few points, of the worst sensor.
+
+    A cell of a by e radians at range r sees r a times r^2 e / h of the road from height h, so that
+    cells nearer than the cube root of N h / (density a e) hold fewer than N points.
+    """
+    lidar = site.settings["lidar"]
+    if lidar["model"] == "surfel":
+        return Quantity(0.0, "surfels have no cells")
+    wanted = lidar["min_cell_points"] * _middle_height_m(site)
+    per_m2 = max(site.profile["density_per_m2"]["median"], 1e-9)
+
+    def share(sensor: Sensor) -> float:
+        tallest = np.radians(np.diff(sensor.elevation_edges_deg).min())
+        cell = np.radians(sensor.azimuth_cell_deg) * tallest
+        return float(min(np.cbrt(wanted / (per_m2 * cell)) / sensor.range_m, 1.0))
+
+    return _of_worst_sensor(site, share)
+
+
+def overhead_cover(site: Circumstances) -> Quantity:
+    """Area under something wider than a wire or a gantry."""
+    area_m2 = site.profile["cover_core_m2"]
+    return Quantity(area_m2, "cells whose neighbours are covered too")
+
+
+def mount_tilt(site: Circumstances) -> Quantity:
+    """Slope that the mounts follow."""
+    if site.settings["lidar"]["mounting"] == "levelled":
+        return Quantity(0.0, "mounts are levelled")
+    return Quantity(site.profile["slope_deg"]["p95"], "95th percentile of smooth ground")
+
+
+def partial_hits(site: Circumstances) -> Quantity:
+    """Width of a beam at half the sensor's range against a target's, of the widest beam."""
+    width_m = 2 * site.settings["targets"]["radius_m"]
+
+    def share(sensor: Sensor) -> float:
+        if sensor.divergence_mrad is None:
+            return 0.0
+        across = sensor.aperture_mm + sensor.divergence_mrad[0] * sensor.range_m / 2
+        return across / 1000 / width_m
+
+    return _of_worst_sensor(site, share)
+
+
+def reflectivity(site: Circumstances) -> Quantity:
+    """Share of the range that dark targets cost, of the sensor that loses most."""
+    given = site.settings["conditions"]["target_reflectivity"]
+    if given == 0:
+        return Quantity(0.0, "no reflectivity of targets is given")
+    return _of_worst_sensor(site, lambda s: 1 - reflectivity_range_m(s, given) / s.range_m)
+
+
+def rain(site: Circumstances) -> Quantity:
+    """Share of the range that rain costs, of the sensor that loses most."""
+    extinction = rain_extinction_per_m(site.settings["conditions"]["rain_mm_h"])
+    return _of_worst_sensor(site, lambda s: 1 - range_in_air_m(s.range_m, extinction) / s.range_m)
+
+
+def fog(site: Circumstances) -> Quantity:
+    """Share of the range that fog costs, of the sensor that loses most."""
+    visibility_m = site.settings["conditions"]["visibility_m"]
+    if visibility_m >= CLEAR_M:
+        return Quantity(0.0, "the air is clear")
+
+    def loss(sensor: Sensor) -> float:
+        extinction = fog_extinction_per_m(visibility_m, sensor.wavelength_nm)
+        return 1 - range_in_air_m(sensor.range_m, extinction) / sensor.range_m
+
+    return _of_worst_sensor(site, loss)
+
+
+def moving_vehicles(site: Circumstances) -> Quantity:
+    """Chance that a vehicle hides a target two lanes off and as far along as is high.
+
+    From half the sensor's range, at the middle height, on a straight level road.
+    """
+    conditions = site.settings["conditions"]
+    if conditions["aadt"] == 0:
+        return Quantity(0.0, "no traffic volume is given")
+    lane_m = conditions["lane_width_m"]
+    per_m = vehicles_per_m(
+        conditions["aadt"],
+        conditions["truck_share"],
+        conditions["speed_kmh"],
+        conditions["peak_share"],
+        2 * _NEAREST_LANES,
+    )
+
+    def chance(sensor: Sensor) -> float:
+        sensor_m = (0.0, 0.0, _middle_height_m(site))
+        target_m = (sensor.range_m / 2, (_NEAREST_LANES + 0.5) * lane_m, 0.3)
+        expected = sum(
+            expected_in_the_way(sensor_m, target_m, (lane + 0.5) * lane_m, density, vehicle)
+            for lane in range(int(_NEAREST_LANES))
+            for density, vehicle in zip(per_m, (CAR, TRUCK), strict=True)
+        )
+        return float(-np.expm1(-expected))
+
+    return _of_worst_sensor(site, chance)
+
+
+def curvature_refraction(site: Circumstances) -> Quantity:
+    """How far the beam of the farthest sensor rises above the level surface."""
+    return _of_worst_sensor(site, lambda sensor: float(rise_m(sensor.range_m)))
+
+
+def _middle_height_m(site: Circumstances) -> float:
+    candidates = site.settings["candidates"]
+    return float(candidates["height_min_m"] + candidates["height_max_m"]) / 2
+
+
+def _of_worst_sensor(site: Circumstances, value: Callable[[Sensor], float]) -> Quantity:
+    """The largest value of all sensors, and whose it is."""
+    values = {name: value(sensor) for name, sensor in site.sensors.items()}
+    if not values:
+        return Quantity(0.0, "no sensor is to be placed")
+    worst = max(values, key=lambda name: values[name])
+    return Quantity(values[worst], f"for {worst}")
+
+
+QUANTITIES: dict[str, Callable[[Circumstances], Quantity]] = {
+    "hole_filling": hole_filling,
+    "overhead_cover": overhead_cover,
+    "mount_tilt": mount_tilt,
+    "partial_hits": partial_hits,
+    "reflectivity": reflectivity,
+    "rain": rain,
+    "fog": fog,
+    "moving_vehicles": moving_vehicles,
+    "curvature_refraction": curvature_refraction,
+}
+"""How the quantity of each effect is measured."""

@@ -1,0 +1,96 @@
+"""How far a beam carries: reflectivity, rain and fog in the lidar equation.
+
+The power that returns from a surface that fills the beam falls with its reflectivity, with the
+square of its range and, both ways, with the extinction of the air (for example Wojtanowski et al.
+2014, "Comparison of 905 nm and 1550 nm semiconductor laser rangefinders' performance deterioration
+due to adverse environmental conditions", Opto-Electronics Review 22, Eq. 1).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import lambertw
+
+from roadsight.errors import InputError
+from roadsight.placement.sensors import Sensor
+
+CLEAR_M = 20_000.0
+"""Visibility from which on the air counts as clear (WMO-No. 8: the haze limit is 5 km)."""
+
+_CONTRAST = 3.912  # minus the logarithm of 2 %, Koschmieder
+_REFERENCE_NM = 550.0
+
+
+def rain_extinction_per_m(rain_mm_h: float) -> float:
+    """Extinction coefficient of rain, 1/m: 0.365 R^0.63 per km.
+
+    Drops are much larger than the wavelength, so that each takes twice its cross-section out of the
+    beam; the drops' sizes are those of Marshall and Palmer (1948, "The distribution of raindrops
+    with size", Journal of Meteorology 5): N(D) = 8000 exp(-4.1 R^-0.21 D) per m3 and mm. The
+    integral over them has this closed form.
+
+    Raises
+    ------
+    InputError : the rain rate is negative.
+    """
+    if not rain_mm_h >= 0:
+        raise InputError("must not be negative", where="rain_mm_h", found=rain_mm_h)
+    # pi N0 / L^3 with L = 4.1 R^-0.21 per mm: 2 (pi / 4) N0 (2 / L^3) 1e-6 m2 per mm2.
+    return float(np.pi * 8000.0 * 1e-6 / 4.1**3 * rain_mm_h**0.63)
+
+
+def fog_extinction_per_m(visibility_m: float, wavelength_nm: float) -> float:
+    """Extinction coefficient of fog or haze, 1/m, at a wavelength.
+
+    Kim, McArthur and Korevaar (2001), "Comparison of laser beam propagation at 785 nm and 1550 nm
+    in fog and haze for optical wireless communications", Proc. SPIE 4214, Eqs. 6 and 8: Kruse's law
+    with an exponent that ends at zero in dense fog.
+
+    Raises
+    ------
+    InputError : the visibility is not positive.
+    """
+    if not visibility_m > 0:
+        raise InputError("must be positive", where="visibility_m", found=visibility_m)
+    km = visibility_m / 1000
+    if km > 50:
+        exponent = 1.6
+    elif km > 6:
+        exponent = 1.3
+    elif km > 1:
+        exponent = 0.16 * km + 0.34
+    else:
+        exponent = max(km - 0.5, 0.0)
+    return float(_CONTRAST / visibility_m * (wavelength_nm / _REFERENCE_NM) ** -exponent)
+
+
+def reflectivity_range_m(sensor: Sensor, reflectivity: float) -> float:
+    """Range at which a surface of a reflectivity returns as much as the sensor needs.
+
+    Range grows with the square root of the reflectivity, through the datasheet's range at 10 %
+    where it gives one, and no farther than the stated range.
+
+    Parameters
+    ----------
+    reflectivity : 0 to 1; 0 stands for that at which the range is stated.
+    """
+    if reflectivity == 0:
+        return sensor.range_m
+    if sensor.range_10_m is not None:
+        return min(sensor.range_10_m * np.sqrt(reflectivity / 0.1), sensor.range_m)
+    return min(sensor.range_m * np.sqrt(reflectivity / sensor.range_reflectivity), sensor.range_m)
+
+
+def range_in_air_m(clear_range_m: float, extinction_per_m: float) -> float:
+    """Range at which the signal is as weak as at ``clear_range_m`` in clear air.
+
+    Solves r exp(a r) = R for r: r = W(a R) / a with Lambert's W.
+
+    Parameters
+    ----------
+    extinction_per_m : a, not negative.
+    """
+    optical_depth = extinction_per_m * clear_range_m
+    if optical_depth < 1e-12:
+        return clear_range_m
+    return float(lambertw(optical_depth).real / extinction_per_m)

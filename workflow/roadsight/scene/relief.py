@@ -1,0 +1,65 @@
+"""Slope of the ground and what covers it, from occupied cells of 1 m."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+_FLOATS = NDArray[np.float64]
+
+_BLOCK_M = 8.0
+_LEAST_CELLS = 24
+_ROUGHEST_M = 0.15
+
+
+def slopes_deg(
+    x_m: NDArray[np.floating], y_m: NDArray[np.floating], z_m: NDArray[np.floating]
+) -> _FLOATS:
+    """Slope (k,) of the plane through each block of 8 m of smooth ground, degrees.
+
+    A block counts where 24 of its cells are known and they lie within 0.15 m of their plane, root
+    mean square: roads, verges and embankments, but no walls, hedges or forest.
+
+    Parameters
+    ----------
+    x_m, y_m, z_m : (n,) places and lowest heights of cells.
+    """
+    if len(x_m) == 0:
+        return np.empty(0)
+    block = np.floor(np.column_stack([x_m, y_m]) / _BLOCK_M).astype(np.int64)
+    _, of, count = np.unique(block, axis=0, return_inverse=True, return_counts=True)
+    of = of.reshape(-1)
+
+    def mean(values: NDArray[np.floating]) -> _FLOATS:
+        return np.bincount(of, values) / count
+
+    dx, dy, dz = (axis - mean(axis)[of] for axis in (x_m, y_m, z_m))
+    xx, yy, xy = mean(dx * dx), mean(dy * dy), mean(dx * dy)
+    xz, yz, zz = mean(dx * dz), mean(dy * dz), mean(dz * dz)
+    area = xx * yy - xy * xy
+    flat = (count >= _LEAST_CELLS) & (area > 1e-6 * (xx + yy) ** 2)
+    xx, yy, xy, xz, yz, zz, area = (v[flat] for v in (xx, yy, xy, xz, yz, zz, area))
+    east, north = (xz * yy - yz * xy) / area, (yz * xx - xz * xy) / area
+    smooth = zz - east * xz - north * yz <= _ROUGHEST_M**2
+    return np.degrees(np.arctan(np.hypot(east, north)[smooth]))
+
+
+def cover_core(
+    column: NDArray[np.int64], row: NDArray[np.int64], covered: NDArray[np.bool_]
+) -> int:
+    """Number of covered cells whose eight neighbours are covered too: no wire and no gantry.
+
+    Parameters
+    ----------
+    column, row : (n,) place of each cell. covered : (n,) whether something spans it.
+    """
+    column, row = column[covered], row[covered]
+    if len(column) == 0:
+        return 0
+    wide = np.int64(column.max() - column.min() + 3)
+    key = (row - row.min() + 1) * wide + column - column.min() + 1
+    core = np.ones(len(key), bool)
+    for down in (-1, 0, 1):
+        for right in (-1, 0, 1):
+            core &= np.isin(key + down * wide + right, key)
+    return int(core.sum())
