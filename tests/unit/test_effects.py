@@ -12,7 +12,7 @@ import yaml
 from roadsight.config.load import load_config, load_site
 from roadsight.config.schema import Settings
 from roadsight.effects.catalogue import QUANTITIES, load_catalogue
-from roadsight.effects.circumstances import SECTIONS, Circumstances
+from roadsight.effects.circumstances import SETTINGS, Circumstances
 from roadsight.effects.planner import plan
 from roadsight.errors import InputError
 from roadsight.io.atomic import read_json, write_json
@@ -44,7 +44,7 @@ SENSOR = Sensor(
 
 
 def circumstances(profile=None, sensors=None, **sections):
-    settings = Settings.model_validate(sections).model_dump(mode="json", include=set(SECTIONS))
+    settings = Settings.model_validate(sections).model_dump(mode="json", include=SETTINGS)
     known = {"S": SENSOR} if sensors is None else sensors
     return Circumstances(PROFILE | (profile or {}), FRAME, settings, known, GIVEN)
 

@@ -25,6 +25,7 @@ READERS = {
     "render_videolog": {"read_videolog", "segment_images", "estimate_depth", "write_poles_page"},
     "ingest_cloud": {
         "profile_scene",
+        "plan_effects",
         "build_dem",
         "rasterise_lidar",
         "extract_road_edges",
@@ -41,7 +42,8 @@ READERS = {
         "summarise_site",
         "write_poles_page",
     },
-    "profile_scene": {"build_dem", "summarise_site"},
+    "profile_scene": {"build_dem", "plan_effects", "summarise_site"},
+    "plan_effects": {"summarise_site"},
     "build_dem": {
         "rasterise_lidar",
         "find_pole_columns",

@@ -15,6 +15,7 @@ READERS = {
     "generate_sample": {"ingest_cloud", "build_edges", "score_pavement", "summarise_site"},
     "ingest_cloud": {
         "profile_scene",
+        "plan_effects",
         "build_dem",
         "cluster_fpfh",
         "extract_pavement",
@@ -30,7 +31,14 @@ READERS = {
         "summarise_site",
         "write_site_page",
     },
-    "profile_scene": {"build_dem", "cluster_fpfh", "build_surfels", "summarise_site"},
+    "profile_scene": {
+        "build_dem",
+        "cluster_fpfh",
+        "build_surfels",
+        "plan_effects",
+        "summarise_site",
+    },
+    "plan_effects": {"summarise_site"},
     "build_dem": {
         "cluster_fpfh",
         "extract_pavement",
@@ -111,18 +119,29 @@ SETTINGS = [
         "  shards: 2\n  lidar: {clear_below_m: 4.5}\n",
         {"mark_traffic"} | after("build_surfels"),
     ),
+    ("  shards: 2\n", "  shards: 2\n  conditions: {speed_kmh: 90}\n", {"plan_effects"}),
+    (
+        "  shards: 2\n",
+        "  shards: 2\n  effects: {overhead_cover: skip}\n",
+        {"plan_effects"} | after("place_candidates", "densify_candidates"),
+    ),
     ("min_points: 10", "min_points: 12", after("place_targets")),
     (
         "min_points: 10",
         "min_points: 10, height_m: 0.5",
         after("build_detection_shard", "find_obstacles"),
     ),
-    ("height_step_m: 2.0", "height_step_m: 3.0", after("place_candidates", "densify_candidates")),
+    (
+        "height_step_m: 2.0",
+        "height_step_m: 3.0",
+        {"plan_effects"} | after("place_candidates", "densify_candidates"),
+    ),
     ("  shards: 2\n", "  shards: 2\n  cover: {time_limit_s: 200}\n", after("solve_cover")),
     ("title: Sixty", "title: Seventy", after("write_site_page")),
 ]
 MODULES = [
     ("scene/fpfh.py", after("cluster_fpfh")),
+    ("effects/quantities.py", after("plan_effects")),
     ("scene/pavement.py", after("extract_pavement")),
     ("placement/obstacles.py", after("find_obstacles")),
     ("evidence/pavement_scores.py", after("score_pavement")),
@@ -189,6 +208,14 @@ def test_a_renamed_site_file_with_other_cloud_content_is_noticed(copy_of_finishe
     cloud = copy_of_finished.folder / "results/tiny/sample/cloud.laz"
     cloud.write_bytes(cloud.read_bytes() + b"\0")
     assert "ingest_cloud" in copy_of_finished.stale_rules()
+
+
+def test_a_threshold_re_runs_rules_only_where_it_changes_a_decision(copy_of_finished):
+    copy_of_finished.edit("config/effects.yaml", "threshold: 10\n", "threshold: 11\n")
+    assert copy_of_finished.stale_rules() == after("plan_effects")
+    copy_of_finished.edit("config/effects.yaml", "threshold: 11\n", "threshold: 1000000\n")
+    moved = after("plan_effects", "place_candidates", "densify_candidates")
+    assert copy_of_finished.stale_rules() == moved
 
 
 def test_dry_run_gives_the_reason(copy_of_finished):

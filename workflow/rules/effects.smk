@@ -8,7 +8,7 @@ OUTPUTS          results/{site}/effects.json
 """
 
 from roadsight.effects.catalogue import load_catalogue
-from roadsight.effects.circumstances import SECTIONS, Circumstances
+from roadsight.effects.circumstances import SETTINGS, Circumstances
 from roadsight.effects.planner import plan
 from roadsight.io.atomic import read_json
 from roadsight.io.videolog_files import side_views_per_image
@@ -19,7 +19,7 @@ EFFECTS = clearly(load_catalogue, CONFIG.effects_file)
 def circumstances(site):
     """What decisions at a site rest on, beside the measured scene."""
     resolved = SITES[site]
-    settings = resolved.settings.model_dump(mode="json", include=set(SECTIONS))
+    settings = resolved.settings.model_dump(mode="json", include=SETTINGS)
     sensors = sensors_of(site) if wants(site, "placement") else []
     return {
         "jobs": resolved.site.jobs,

@@ -8,8 +8,13 @@ from typing import Any
 
 from roadsight.placement.sensors import Sensor
 
-SECTIONS = ("conditions", "lidar", "candidates", "targets", "terrain_mesh", "sightings")
-"""Sections of the settings that quantities depend on."""
+SETTINGS: dict[str, set[str] | bool] = {
+    "conditions": True,
+    "lidar": {"model", "min_cell_points", "mounting"},
+    "candidates": {"spacing_m", "height_min_m", "height_max_m", "height_step_m"},
+    "targets": {"radius_m"},
+}
+"""The settings that quantities depend on: sections, whole or some of their keys."""
 
 
 @dataclass(frozen=True)
@@ -19,7 +24,7 @@ class Circumstances:
     Parameters
     ----------
     profile : content of scene/profile.json. frame : content of scene/frame.json.
-    settings : the sections `SECTIONS` of the settings, as plain values.
+    settings : those named in `SETTINGS`, as plain values.
     sensors : that plans may place, by name.
     given : what the site gives beside the cloud, for example ``baseline``: registered cameras.
     """
