@@ -85,7 +85,7 @@ class TestConfig:
         )
 
     def test_an_unknown_key_far_from_all_others_gets_the_list(self):
-        assert "valid names: at_least, time_limit_s" in message(
+        assert "valid names: at_least, gap, time_limit_s" in message(
             load_config, {"cover": {"zzzzzz": 1}}
         )
 
@@ -248,7 +248,23 @@ class TestSite:
         found = message(files.load, SITE + "placement: {plans: [smal]}\n")
         assert "unknown plan 'smal'" in found
         assert "small, both" in found
-        assert "placement.plans is empty" in message(files.load, SITE + "placement: {plans: []}\n")
+        assert "placement.plans: names no plan" in message(
+            files.load, SITE + "placement: {plans: []}\n"
+        )
+
+    def test_plans_of_the_configuration_beat_those_of_the_site(self, files):
+        site = SITE + "placement: {plans: [small]}\n"
+        assert list(files.load(site, config={"plans": ["both"]}).plans) == ["both"]
+        assert "unknown plan 'big'" in message(files.load, site, config={"plans": ["big"]})
+
+    def test_overrides_beat_the_site_file_value_by_value(self, files):
+        site = SITE + "settings: {cover: {time_limit_s: 60, at_least: 2}}\n"
+        found = files.load(site, config={"overrides": {"cover": {"time_limit_s": 5}}})
+        assert found.setting("cover.time_limit_s") == 5
+        assert found.setting("cover.at_least") == 2
+        wrong = {"overrides": {"cover": {"at_last": 2}}}
+        told = message(files.load, site, config=wrong)
+        assert "overrides: unknown key 'cover.at_last'; did you mean 'at_least'?" in told
 
     def test_only_the_asked_plans_are_kept_in_the_asked_order(self, files):
         assert list(files.load(SITE + "placement: {plans: [both, small]}\n").plans) == [

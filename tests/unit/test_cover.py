@@ -127,6 +127,22 @@ def test_without_time_a_cover_is_given_but_not_called_optimal():
     assert 0 < quick.gap <= 1
 
 
+@pytest.mark.parametrize("gap", [0.05, 0.15, 0.3, 0.6])
+def test_with_a_gap_the_cover_is_proven_as_far_as_asked_and_no_further(gap):
+    problem = hard_problem()
+    best, near = solve_cover_problem(problem), solve_cover_problem(problem, gap=gap)
+    check_feasible(problem, near)
+    assert near.gap <= gap
+    assert near.bound <= best.objective <= near.objective <= best.objective / (1 - gap) + 1e-9
+    assert near.nodes <= best.nodes
+    assert near.status == ("optimal" if near.bound == near.objective else "within_gap")
+
+
+def test_some_gap_saves_the_search():
+    nodes = [solve_cover_problem(hard_problem(), gap=gap).nodes for gap in (0.0, 0.6)]
+    assert nodes[1] < nodes[0]
+
+
 def test_same_seed_same_answer():
     problem = hard_problem()
     first, second = (solve_cover_problem(problem, seed=4) for _ in range(2))

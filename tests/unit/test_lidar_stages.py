@@ -80,13 +80,13 @@ def render(site, out, *extra, candidates="candidates", sensor="tiny"):
     )
 
 
-def detect(site, depth, out, sensor="tiny", candidates="candidates"):
+def detect(site, depth, out, *extra, sensor="tiny", candidates="candidates"):
     tables = {name: str(site / f"{name}.parquet") for name in ("targets",)}
     return build_detection_shard.main(
         [
             *("--depth", str(site / depth), "--candidates", str(site / f"{candidates}.parquet")),
             *("--targets", tables["targets"], "--sensor", sensor),
-            *("--sensors", str(site / "sensors.yaml"), "--out", str(site / out)),
+            *("--sensors", str(site / "sensors.yaml"), "--out", str(site / out), *extra),
         ]
     )
 
@@ -129,6 +129,21 @@ def test_the_wall_hides_what_is_behind_it(site):
     assert left.sum() > 40
     assert x[left].max() < 12
     assert x[right].min() > 12
+
+
+def test_each_of_fewer_azimuths_stands_for_several_beams(site, capsys):
+    thin = ("--azimuth-stride", "2")
+    assert render(site, "half.parquet", *thin) == 0
+    assert detect(site, "half.parquet", "seen-half.parquet", *thin) == 0
+    assert render(site, "full.parquet") == 0
+    assert detect(site, "full.parquet", "seen-full.parquet") == 0
+    half, full = (read_detections([site / f"seen-{name}.parquet"]) for name in ("half", "full"))
+    assert (half["hits"] % 2 == 0).all()
+    both = half.merge(full, on=["candidate", "target"], how="outer", suffixes=("", "_full"))
+    assert both["hits"].notna().mean() > 0.75
+    assert both["hits"].sum() == pytest.approx(both["hits_full"].sum(), rel=0.05)
+    assert detect(site, "half.parquet", "wrong.parquet") == 2
+    assert "is of another sensor" in capsys.readouterr().err
 
 
 def test_a_round_without_candidates_gives_valid_empty_tables(site):

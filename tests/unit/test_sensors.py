@@ -117,3 +117,14 @@ def test_bad_files_end_in_one_message(tmp_path, text, message):
 def test_unknown_sensor_is_told_the_nearest(project):
     with pytest.raises(InputError, match="did you mean 'OS-128'"):
         load_sensor(project / "config" / "sensors.yaml", "OS128")
+
+
+def test_a_thinned_sensor_keeps_its_field_of_view_and_channels(project):
+    sensor = load_sensors(project / "config/sensors.yaml")["OS-64"]
+    thin = sensor.thinned(5)
+    assert thin.shape == (64, 720)
+    assert thin.azimuth_cell_deg == pytest.approx(0.5)
+    assert thin.azimuth_deg == pytest.approx(sensor.azimuth_deg.reshape(-1, 5).mean(axis=1))
+    assert sensor.thinned(1) == sensor
+    with pytest.raises(InputError, match=r"azimuth_stride.*a divisor of 3600"):
+        sensor.thinned(7)

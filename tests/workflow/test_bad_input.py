@@ -190,7 +190,7 @@ def test_site_asks_for_an_unknown_plan_or_none(resolve):
     message = resolve(TINY_SITE.replace("[os-32, os-64]", "[os-99]"))
     assert "unknown plan 'os-99'" in message
     assert "allowed: vlp-16, puck-32c" in message
-    assert "placement.plans is empty" in resolve(TINY_SITE.replace("[os-32, os-64]", "[]"))
+    assert "placement.plans: names no plan" in resolve(TINY_SITE.replace("[os-32, os-64]", "[]"))
 
 
 def test_site_with_neither_or_both_sources(resolve):

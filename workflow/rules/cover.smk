@@ -27,13 +27,14 @@ rule solve_cover:
         sensors=plan_costs,
         at_least=setting("cover.at_least"),
         time_limit_s=setting("cover.time_limit_s"),
+        gap=setting("cover.gap"),
         uncoverable=setting("coverage.uncoverable"),
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
         " --coverage {input.coverage} --targets {input.targets} --candidates {input.candidates}"
         " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
-        " --at-least {params.at_least} --time-limit-s {params.time_limit_s}"
+        " --at-least {params.at_least} --time-limit-s {params.time_limit_s} --gap {params.gap}"
         " --uncoverable {params.uncoverable} --seed {params.seed}"
         " --solution {output.solution} --layers {output.layers}"
         " --timing {output.timing} > {log} 2>&1"

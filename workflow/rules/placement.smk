@@ -142,12 +142,14 @@ rule render_depth_maps:
         sensors_file=CONFIG.sensors_file,
         shards=shard_count,
         model=setting("lidar.model"),
+        azimuth_stride=setting("lidar.azimuth_stride"),
         min_cell_points=setting("lidar.min_cell_points"),
         neighbours=setting("lidar.neighbours"),
     shell:
         "python -m roadsight.stages.render_depth_maps --candidates {input.candidates}"
         " --shard {wildcards.shard} --shards {params.shards}"
         " --sensor {wildcards.sensor} --sensors {params.sensors_file} --model {params.model}"
+        " --azimuth-stride {params.azimuth_stride}"
         " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
         " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
         " --out {output.depth} > {log} 2>&1"
@@ -176,12 +178,13 @@ rule build_detection_shard:
         radius_m=setting("targets.radius_m"),
         height_m=setting("targets.height_m"),
         min_beams=setting("targets.min_beams"),
+        azimuth_stride=setting("lidar.azimuth_stride"),
     shell:
         "python -m roadsight.stages.build_detection_shard --depth {input.depth}"
         " --candidates {input.candidates} --targets {input.targets}"
         " --sensor {wildcards.sensor} --sensors {params.sensors_file}"
         " --radius-m {params.radius_m} --height-m {params.height_m}"
-        " --min-beams {params.min_beams} --out {output.detection} > {log} 2>&1"
+        " --min-beams {params.min_beams} --azimuth-stride {params.azimuth_stride} --out {output.detection} > {log} 2>&1"
 
 
 rule check_coverage:

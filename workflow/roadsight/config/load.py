@@ -1,9 +1,10 @@
-"""Loading and resolving: defaults, then config.yaml, then the site file."""
+"""Loading and resolving: defaults, then config.yaml, then the site file, then overrides."""
 
 from __future__ import annotations
 
 import os
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -89,32 +90,35 @@ def load_site(name: str, config: Config) -> ResolvedSite:
             hint="write one with 'roadsight init CLOUD'",
         )
     site = validated(Site, read_yaml(file), str(file))
-    base = config.model_dump(exclude={"sites", "sensors_file", "plans_file", "effects_file"})
-    settings = validated(Settings, _merged(base, site.settings), f"{file}: settings")
+    base = config.model_dump(include=set(Settings.model_fields))
+    settings = validated(Settings, merged(base, site.settings), f"{file}: settings")
+    settings = validated(Settings, merged(settings.model_dump(), config.overrides), "overrides")
     check_names(settings.effect_modes, load_catalogue(config.effects_file), f"{file}: effects")
     plans = load_plans(config.plans_file, config.sensors_file)
     chosen = site.placement.plans if site.placement.plans is not None else list(plans)
-    _check_plans(chosen, plans, str(file))
+    _check_plans(chosen, plans, f"{file}: placement.plans")
+    if config.plans:
+        chosen = config.plans
+        _check_plans(chosen, plans, "plans")
     clouds = [str(_located(cloud, file)) for cloud in site.clouds]
     return ResolvedSite(site, settings, file, clouds, {name: plans[name] for name in chosen})
 
 
 def _check_plans(chosen: list[str], plans: dict[str, Plan], where: str) -> None:
     if not chosen:
-        raise InputError("placement.plans is empty", where=where, allowed=", ".join(plans))
+        raise InputError("names no plan", where=where, allowed=", ".join(plans))
     for name in chosen:
         if name not in plans:
-            raise InputError(
-                f"unknown plan {name!r} in placement.plans", where=where, allowed=", ".join(plans)
-            )
+            raise InputError(f"unknown plan {name!r}", where=where, allowed=", ".join(plans))
 
 
-def _merged(base: dict[str, Any], override: dict[str, Any]) -> dict[str, Any]:
-    merged = dict(base)
+def merged(base: Mapping[str, Any], override: Mapping[str, Any]) -> dict[str, Any]:
+    """``base`` with the values of ``override``, section by section."""
+    result = dict(base)
     for key, value in override.items():
-        both = isinstance(value, dict) and isinstance(base.get(key), dict)
-        merged[key] = _merged(base[key], value) if both else value
-    return merged
+        both = isinstance(value, Mapping) and isinstance(base.get(key), Mapping)
+        result[key] = merged(base[key], value) if both else value
+    return result
 
 
 def _located(path: str, file: Path) -> Path:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -159,6 +159,9 @@ class Lidar(Section):
     mounting: Literal["levelled", "normal"] = Field(
         default="levelled", description="sensors stand upright, or normal to the ground's slope"
     )
+    azimuth_stride: Count = Field(
+        default=1, description="only every n-th azimuth is simulated and stands for n beams"
+    )
     clear_below_m: float = Field(
         default=0.0,
         ge=0,
@@ -213,6 +216,12 @@ class Cover(Section):
         default=300.0,
         gt=0,
         description="solver limit for each plan, s; counted in steps of work, so that runs agree",
+    )
+    gap: float = Field(
+        default=0.0,
+        ge=0,
+        lt=1,
+        description="a cover proven to cost at most this share too much will do; 0: the best",
     )
     at_least: Count = Field(default=1, description="sensors that must see each target")
 
@@ -280,4 +289,10 @@ class Config(Settings):
     plans_file: str = Field(default="config/plans.yaml", description="deployment plans to compare")
     effects_file: str = Field(
         default="config/effects.yaml", description="physical effects and what calls for them"
+    )
+    plans: list[Name] = Field(
+        default=[], description="plans to solve at every site; empty: those that the site asks for"
+    )
+    overrides: dict[str, Any] = Field(
+        default={}, description="settings that beat those of the site files, by section"
     )

@@ -26,7 +26,15 @@ def stage_sources(stage: str) -> list[str]:
         pending += _imports(path)
         if "." in module:
             pending.append(module.rpartition(".")[0])
-    return sorted(os.path.relpath(path) for path in found.values())
+    return sorted(_shown(path) for path in found.values())
+
+
+def _shown(path: Path) -> str:
+    """Relative to the work folder, or through its link to the package where it has one."""
+    link = Path(_PACKAGE_ROOT.name)
+    if link.exists() and link.samefile(_PACKAGE_ROOT):
+        return str(link / path.relative_to(_PACKAGE_ROOT))
+    return os.path.relpath(path)
 
 
 def _file(module: str) -> Path | None:

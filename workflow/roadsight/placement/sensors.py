@@ -147,6 +147,22 @@ class Sensor(BaseModel):
         """Rows and columns of a depth map."""
         return self.rows, self.columns
 
+    def thinned(self, stride: int) -> Sensor:
+        """Sensor of which only every ``stride``-th azimuth is simulated.
+
+        Raises
+        ------
+        InputError : the columns are no multiple of it.
+        """
+        if self.columns % stride:
+            raise InputError(
+                "does not divide the sensor's azimuths",
+                where="lidar.azimuth_stride",
+                found=stride,
+                allowed=f"a divisor of {self.columns}",
+            )
+        return self.model_copy(update={"azimuth_step_deg": self.azimuth_cell_deg * stride})
+
     def to_dict(self) -> dict[str, Any]:
         """Definition as plain values; equal definitions give equal depth maps."""
         return self.model_dump(mode="json")

@@ -44,7 +44,8 @@ def _hits(
     arguments: argparse.Namespace, feet_m: NDArray[np.float64]
 ) -> Iterator[tuple[str, NDArray[np.int32]]]:
     """Candidates in the order of their depth maps, and their beams on each target."""
-    sensor = load_sensor(arguments.sensors, arguments.sensor)
+    stride = arguments.azimuth_stride
+    sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(stride)
     poses = read_poses(arguments.candidates)
     size = (arguments.radius_m, arguments.height_m)
     maps = _depth_maps(arguments, sensor)
@@ -56,7 +57,7 @@ def _hits(
                 hint=f"render it again for {arguments.candidates}",
             )
         *position_m, yaw_deg = poses[name]
-        yield name, count_hits(depth, sensor, position_m, yaw_deg, feet_m, *size)
+        yield name, stride * count_hits(depth, sensor, position_m, yaw_deg, feet_m, *size)
 
 
 def _table(names: list[str], hits: list[pd.Series], targets: pd.Series) -> pd.DataFrame:
@@ -96,6 +97,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--radius-m", type=float, default=0.25)
     parser.add_argument("--height-m", type=float, default=0.6)
     parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
+    parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
     return run_stage(parser, build_detection_shard, argv)
 
 

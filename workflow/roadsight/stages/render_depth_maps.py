@@ -29,7 +29,7 @@ Render = Callable[[Sensor, ArrayLike, float], NDArray[np.float32]]
 
 def render_depth_maps(arguments: argparse.Namespace) -> None:
     """Write the depth maps of the shard's candidates, in their order."""
-    sensor = load_sensor(arguments.sensors, arguments.sensor)
+    sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(arguments.azimuth_stride)
     poses = {
         name: pose
         for name, pose in read_poses(arguments.candidates).items()
@@ -79,6 +79,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--surfels", required=True, help="used by the model surfel")
     parser.add_argument("--cloud", required=True, help="used by the other models")
     parser.add_argument("--traffic", nargs="?", help="mask of points to leave out")
+    parser.add_argument("--azimuth-stride", type=int, default=1, help="simulate every n-th azimuth")
     parser.add_argument("--min-cell-points", type=int, default=5)
     parser.add_argument("--neighbours", type=int, default=10)
     parser.add_argument("--out", required=True)

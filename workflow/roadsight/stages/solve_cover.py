@@ -20,6 +20,7 @@ from roadsight.io.tables import read_table
 from roadsight.io.vectors import write_layers
 from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
 from roadsight.placement.cover.deadline import WorkLimit
+from roadsight.placement.cover.result import WITHIN_GAP
 from roadsight.placement.coverage import detection_matrix, times_seen
 from roadsight.stages.command import run_stage
 
@@ -47,6 +48,7 @@ def solve_cover(arguments: argparse.Namespace) -> None:
         ),
         WorkLimit(arguments.time_limit_s),
         seed=arguments.seed,
+        gap=arguments.gap,
     )
     _check_solved(arguments, cover)
     sensors = _sensor_table(candidates, list(costs), cover, matrix, frame)
@@ -99,7 +101,9 @@ def _check_solved(arguments: argparse.Namespace, cover: Cover) -> None:
             found=f"{arguments.time_limit_s:g} s",
             hint="raise cover.time_limit_s",
         )
-    if cover.status != "optimal":
+    if cover.status == WITHIN_GAP:
+        log.info("proven as far as was asked for, gap %.1f %%", 100 * cover.gap)
+    elif cover.status != "optimal":
         log.warning("time limit: not proven, gap %.1f %%", 100 * cover.gap)
 
 
@@ -164,6 +168,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--sensors", nargs="+", required=True, help="name=cost")
     parser.add_argument("--at-least", type=int, default=1)
     parser.add_argument("--time-limit-s", type=float, default=300.0)
+    parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")
     parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")
     parser.add_argument("--seed", type=int, default=1)
     return run_stage(parser, solve_cover, argv)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 OPTIMAL = "optimal"
 TIME_LIMIT = "time_limit"
+WITHIN_GAP = "within_gap"
 INFEASIBLE = "infeasible"
 
 
@@ -18,7 +19,8 @@ class Cover:
 
     Parameters
     ----------
-    status : "optimal" (proven), "time_limit" (not proven) or "infeasible".
+    status : "optimal" (proven), "within_gap" (proven as far as was asked for), "time_limit" (not
+        proven) or "infeasible".
     chosen : sorted row numbers; empty where nothing feasible was found.
     objective : cost of the chosen rows, or covered weight for a budget; infinite (cover) where
         nothing feasible was found.
@@ -41,6 +43,11 @@ class Cover:
     reductions: dict[str, int] = field(default_factory=dict)
     lp_bound: float | None = None
     nodes: int = 0
+
+
+def is_within(gap: float, objective: float, bound: float) -> bool:
+    """Whether a cover is proven as far as an allowed gap (0: to the end) asks for."""
+    return gap > 0.0 and relative_gap(objective, bound) <= gap
 
 
 def relative_gap(objective: float, bound: float) -> float:

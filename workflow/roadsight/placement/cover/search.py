@@ -15,6 +15,7 @@ from roadsight.placement.cover.local_search import LocalSearch
 from roadsight.placement.cover.problem import Instance
 from roadsight.placement.cover.reductions import MAX_BITS, arrays
 from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
+from roadsight.placement.cover.result import is_within
 
 _WHOLE = 1e-6
 _FIRST_RETRY = 32
@@ -38,8 +39,8 @@ class Search:
     that cost is refuted or reached, and its bound rises step by step: it is proven at any time.
     """
 
-    def __init__(self, relaxation: Relaxation, local: LocalSearch) -> None:
-        self.relaxation = relaxation
+    def __init__(self, relaxation: Relaxation, local: LocalSearch, gap: float = 0.0) -> None:
+        self.relaxation, self.gap = relaxation, gap
         self.instance: Instance = relaxation.instance
         self.local = local
         self.best = local.best
@@ -64,7 +65,7 @@ class Search:
             key, depth, _, node = queue[0]
             if key > self.instance.goal(self.cost):
                 break
-            if deadline.passed():
+            if deadline.passed() or is_within(self.gap, self.cost, key):
                 return Outcome(self.best, key, self.nodes)
             heapq.heappop(queue)
             bound, children = self._expand(node, deadline)

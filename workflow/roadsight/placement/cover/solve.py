@@ -13,21 +13,33 @@ from roadsight.placement.cover.local_search import LocalSearch, greedy_cover
 from roadsight.placement.cover.problem import CoverProblem, Instance
 from roadsight.placement.cover.reductions import Reduced, reduce_problem
 from roadsight.placement.cover.relaxation import Node, Relaxation
-from roadsight.placement.cover.result import INFEASIBLE, OPTIMAL, TIME_LIMIT, Cover, relative_gap
+from roadsight.placement.cover.result import (
+    INFEASIBLE,
+    OPTIMAL,
+    TIME_LIMIT,
+    WITHIN_GAP,
+    Cover,
+    is_within,
+    relative_gap,
+)
 from roadsight.placement.cover.search import Outcome, Search
 
 _FIRST_STEPS = 4_000
 
 
 def solve_cover_problem(
-    problem: CoverProblem, limit: Deadline | float | None = None, seed: int = 1
+    problem: CoverProblem,
+    limit: Deadline | float | None = None,
+    seed: int = 1,
+    gap: float = 0.0,
 ) -> Cover:
     """Cheapest cover, proven, or the best one found within the limit.
 
     Reductions, linear relaxation by row generation, greedy and local search, then a search tree
     over the relaxation. The answer depends on the seed alone, also where a `WorkLimit` is reached,
     but not where a limit by the clock (a number of seconds) is. Costs that are no multiples of a
-    common step (up to six decimals) are proven to 1e-7 of the objective.
+    common step (up to six decimals) are proven to 1e-7 of the objective. With ``gap``, each part of
+    the problem is left as soon as its cover is proven to cost at most that share too much.
     """
     start = time.process_time()
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
@@ -38,21 +50,21 @@ def solve_cover_problem(
     outcomes, relaxed = [], []
     for number, part in enumerate(reduced.parts):
         share = deadline.part(len(reduced.parts) - number)
-        outcome, bound = _solve_part(part, rng, share)
+        outcome, bound = _solve_part(part, rng, share, gap)
         if outcome.best is None and not np.isfinite(outcome.bound):
             return _infeasible(reduced, start)
         outcomes.append(outcome)
         relaxed.append(bound)
-    return _assemble(problem, reduced, outcomes, relaxed, start)
+    return _assemble(problem, reduced, outcomes, relaxed, start, gap)
 
 
 def _solve_part(
-    instance: Instance, rng: np.random.Generator, deadline: Deadline
+    instance: Instance, rng: np.random.Generator, deadline: Deadline, gap: float
 ) -> tuple[Outcome, float | None]:
     """Outcome of one instance and the bound of its relaxation, in steps."""
     best = greedy_cover(instance)
     bound = instance.round_up(_simple_bound(instance))
-    if _proven(instance, best, bound) or deadline.passed():
+    if _enough(instance, best, bound, gap) or deadline.passed():
         return Outcome(best, bound, 0), None
     relaxation = Relaxation(instance)
     everything = np.ones(instance.shape[0], bool)
@@ -62,14 +74,21 @@ def _solve_part(
     bound = max(bound, instance.round_up(root.bound))
     local = LocalSearch(instance, best, root.target_dual > 0, rng)
     local.run(_FIRST_STEPS, bound, deadline)
-    if _proven(instance, local.best, bound) or not root.complete:
+    if _enough(instance, local.best, bound, gap) or not root.complete:
         return Outcome(local.best, bound, 0), root.bound
-    outcome = Search(relaxation, local).run(root, deadline)
+    outcome = Search(relaxation, local, gap).run(root, deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes), root.bound
 
 
 def _proven(instance: Instance, best: NDArray[np.bool_] | None, bound: float) -> bool:
     return best is not None and bound > instance.goal(float(instance.cost[best].sum()))
+
+
+def _enough(instance: Instance, best: NDArray[np.bool_] | None, bound: float, gap: float) -> bool:
+    if best is None:
+        return False
+    within = is_within(gap, float(instance.cost[best].sum()), bound)
+    return within or _proven(instance, best, bound)
 
 
 def _simple_bound(instance: Instance) -> float:
@@ -102,6 +121,7 @@ def _assemble(
     outcomes: list[Outcome],
     relaxed: list[float | None],
     start: float,
+    gap: float,
 ) -> Cover:
     """Answer of the whole problem from those of its parts."""
     found = all(outcome.best is not None for outcome in outcomes)
@@ -115,9 +135,10 @@ def _assemble(
     chosen = np.sort(chosen) if found else np.empty(0, np.int64)
     objective = math.fsum(problem.costs[chosen]) if found else math.inf
     bound = objective if proven else min(bound, objective)
+    unproven = WITHIN_GAP if is_within(gap, objective, bound) else TIME_LIMIT
     lp = None if None in relaxed else base + reduced.step * math.fsum(b for b in relaxed if b)
     return Cover(
-        OPTIMAL if proven else TIME_LIMIT,
+        OPTIMAL if proven else unproven,
         chosen.astype(np.int64),
         objective,
         bound,

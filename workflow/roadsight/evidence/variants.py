@@ -1,0 +1,183 @@
+"""The workflow's own rules once more on a finished site, with some settings changed.
+
+A variant shares every artifact that the change does not touch: it starts from the finished results
+in a work folder of its own, and Snakemake's own rules of staleness recompute the rest.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from roadsight.config.load import merged
+from roadsight.io.atomic import write_json
+from roadsight.io.mirror import mirror_site
+from roadsight.io.usage import last_usage
+
+_PACKAGE = Path(__file__).resolve().parents[2]
+_CONFIG = "variant.json"
+_JOB = re.compile(r"^(?:local)?(?:rule|checkpoint) (\w+):$", re.MULTILINE)
+
+
+class VariantError(RuntimeError):
+    """The workflow failed in a variant's folder."""
+
+
+@dataclass(frozen=True)
+class JobRecord:
+    """What one job of the workflow used.
+
+    Parameters
+    ----------
+    rule, log : its rule, and its log in the variant's folder. ran : whether the variant ran it; if
+    not, it is the base's own record. cpu_s, peak_mib : processor time of user and system, s, and
+    most resident memory, MiB, as the stage measured them. wall_s : time on the clock, s, from its
+    benchmark file.
+    """
+
+    rule: str
+    log: str
+    ran: bool
+    cpu_s: float
+    wall_s: float
+    peak_mib: float
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A site that is run again with some settings changed.
+
+    Parameters
+    ----------
+    folder : its work folder, deleted by whoever made it. site : name of the site.
+    """
+
+    folder: Path
+    site: str
+
+    @classmethod
+    def prepare(
+        cls,
+        base: str | os.PathLike[str],
+        folder: str | os.PathLike[str],
+        config: Mapping[str, Any],
+        site: str,
+        changes: Mapping[str, Any],
+        plans: Sequence[str] = (),
+    ) -> Variant:
+        """Set up the work folder; nothing is run yet.
+
+        Parameters
+        ----------
+        base : folder where the workflow has finished the site.
+        folder : the work folder, replaced if it is there; within ``base``'s file system, so that
+            results can be linked.
+        config : the whole configuration of the base's run.
+        site : name of the site, as in ``results/<site>``.
+        changes : settings by section that differ, such as ``{"lidar": {"surfel_size_m": 0.2}}``.
+        plans : plans to solve, if not those of the base.
+
+        Raises
+        ------
+        InputError : the site has no results in ``base``.
+        """
+        mirror_site(Path(base).resolve(), Path(folder), site)
+        content = dict(config)
+        content["overrides"] = merged(config.get("overrides", {}), changes)
+        if plans:
+            content["plans"] = list(plans)
+        write_json(Path(folder) / _CONFIG, content)
+        return cls(Path(folder), site)
+
+    def result(self, name: str) -> Path:
+        """Path of one of the site's results."""
+        return self.folder / "results" / self.site / name
+
+    def run(
+        self, targets: Sequence[str], cores: int = 1, again: Sequence[str] = ()
+    ) -> dict[str, int]:
+        """Bring results up to date.
+
+        Parameters
+        ----------
+        targets : names below ``results/<site>``. cores : given to Snakemake.
+        again : rules to run again even if nothing changed, and nothing after them.
+
+        Returns
+        -------
+        Number of jobs that ran, by rule.
+
+        Raises
+        ------
+        VariantError : the workflow failed; what it said at the end.
+        """
+        forced = ["--forcerun", *again, "--until", *again] if again else []
+        output = self._snakemake(targets, "--cores", str(cores), *forced)
+        rules = _JOB.findall(output)
+        return {rule: rules.count(rule) for rule in sorted(set(rules))}
+
+    def repeat(
+        self, targets: Sequence[str], rule: str, times: int, cores: int = 1
+    ) -> list[list[JobRecord]]:
+        """Run the jobs of one rule behind ``targets`` again and again: their records each time.
+
+        What they write must come out as before, or later runs find what follows stale.
+        """
+        found = []
+        for _ in range(times):
+            self.run(targets, cores, again=[rule])
+            found.append([record for record in self.records(targets) if record.rule == rule])
+        return found
+
+    def records(self, targets: Sequence[str]) -> list[JobRecord]:
+        """What each job behind ``targets`` used, whether the variant or its base ran it.
+
+        Jobs whose log says nothing (the base is older than that line) are left out.
+        """
+        listed = self._snakemake(targets, "--summary")
+        rows = csv.DictReader(listed[listed.index("output_file\t") :].splitlines(), delimiter="\t")
+        jobs = {row["log-file(s)"]: row["rule"] for row in rows if row["log-file(s)"] != "-"}
+        found = (self._record(rule, log) for log, rule in sorted(jobs.items()))
+        return [record for record in found if record is not None]
+
+    def _record(self, rule: str, log: str) -> JobRecord | None:
+        usage = last_usage(self.folder / log)
+        inside = Path(log).relative_to(Path("logs") / self.site)
+        benchmark = self.result("benchmarks") / inside.with_suffix(".tsv")
+        if usage is None or not benchmark.is_file():
+            return None
+        lines = list(csv.DictReader(benchmark.read_text().splitlines(), delimiter="\t"))
+        ran = benchmark.stat().st_mtime_ns > (self.folder / _CONFIG).stat().st_mtime_ns
+        return JobRecord(rule, log, ran, usage.cpu_s, float(lines[-1]["s"]), usage.peak_mib)
+
+    def _snakemake(self, targets: Sequence[str], *options: str) -> str:
+        """Standard output and error of Snakemake in the variant's folder."""
+        names = [f"results/{self.site}/{target}" for target in targets]
+        command = [sys.executable, "-m", "snakemake", *names, "--configfile", _CONFIG, *options]
+        finished = subprocess.run(
+            command,
+            cwd=self.folder,
+            env=_environment(),
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            check=False,
+        )
+        if finished.returncode != 0:
+            end = finished.stdout[-4000:]
+            raise VariantError(f"{' '.join(command)} failed in {self.folder}:\n{end}")
+        return finished.stdout
+
+
+def _environment() -> dict[str, str]:
+    """As this process's, with this package first and no profile of the caller's."""
+    given = {key: value for key, value in os.environ.items() if key != "SNAKEMAKE_PROFILE"}
+    path = os.pathsep.join(filter(None, (str(_PACKAGE), given.get("PYTHONPATH", ""))))
+    return given | {"PYTHONPATH": path}
