@@ -86,24 +86,31 @@ class Checkout:
 
     def snakemake(self, *arguments: str, timeout_s: float = 600) -> subprocess.CompletedProcess:
         """Run Snakemake on the small site with this copy's package."""
-        command = [sys.executable, "-m", "snakemake", *arguments]
-        if "--config" not in arguments:
-            command += ["--config", f"sites=[{self.site}]"]
-        environment = {
-            "PATH": "/usr/bin:/bin",
-            "HOME": str(self.folder),
-            "PYTHONPATH": str(self.folder / "workflow"),
-            "NUMBA_CACHE_DIR": str(self.folder.parent / "numba"),
-        }
         return subprocess.run(
-            command,
+            self.command(*arguments),
             cwd=self.folder,
-            env=environment,
+            env=self.environment(),
             capture_output=True,
             text=True,
             timeout=timeout_s,
             check=False,
         )
+
+    def command(self, *arguments: str) -> list[str]:
+        """Command line of Snakemake on the small site."""
+        command = [sys.executable, "-m", "snakemake", *arguments]
+        return (
+            command if "--config" in arguments else [*command, "--config", f"sites=[{self.site}]"]
+        )
+
+    def environment(self) -> dict[str, str]:
+        """Environment in which Snakemake uses this copy's package."""
+        return {
+            "PATH": "/usr/bin:/bin",
+            "HOME": str(self.folder),
+            "PYTHONPATH": str(self.folder / "workflow"),
+            "NUMBA_CACHE_DIR": str(self.folder.parent / "numba"),
+        }
 
     def stale_rules(self, *arguments: str) -> set[str]:
         """Rules that a dry run would execute, targets left out."""

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+_LONGEST = 500
+
 
 class InputError(Exception):
     """Bad input, told in one message: where, what was found, what is allowed, what to do next.
@@ -27,15 +29,22 @@ class InputError(Exception):
         allowed: object = None,
         hint: str = "",
     ) -> None:
-        parts = [f"{where}: {problem}" if where else problem]
+        parts = [_on_one_line(f"{where}: {problem}" if where else problem)]
         if found is not None:
-            parts.append(f"found {found}")
+            parts.append(f"found {_on_one_line(found)}")
         if allowed is not None:
             parts.append(f"allowed: {allowed}")
         if hint:
             parts.append(hint)
         message = "; ".join(part.rstrip(".; ") for part in parts)
         super().__init__(message if message.endswith("?") else message + ".")
+
+
+def _on_one_line(text: object) -> str:
+    """Text of a file or of another program, made fit for a message: short, nothing unprintable."""
+    plain = " ".join(str(text).split())
+    plain = "".join(letter if letter.isprintable() else "?" for letter in plain)
+    return plain if len(plain) <= _LONGEST else f"{plain[:_LONGEST]}..."
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -1,11 +1,17 @@
-"""Size, place and completeness of JPEG and PNG images from their bytes, without decoding them."""
+"""JPEG and PNG images from their bytes: size, place and completeness without decoding; pixels."""
 
 from __future__ import annotations
 
 import math
 import struct
 from dataclasses import dataclass
+from typing import Any
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+_MOST_PIXELS = 1 << 28
 _JPEG, _PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
@@ -47,6 +53,17 @@ def image_facts(content: bytes) -> ImageFacts:
     except (struct.error, IndexError) as error:
         raise ValueError("it ends before its size") from error
     raise ValueError("it is neither JPEG nor PNG")
+
+
+def decoded_image(content: bytes, flags: int) -> NDArray[Any] | None:
+    """Pixels of an image as OpenCV reads it by ``flags``; None if it is none or beyond 268 Mpx."""
+    try:
+        facts = image_facts(content)
+        if facts.width_px * facts.height_px > _MOST_PIXELS:
+            return None
+        return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except (ValueError, cv2.error):
+        return None
 
 
 def _jpeg_facts(content: bytes) -> ImageFacts:

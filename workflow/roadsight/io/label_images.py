@@ -7,10 +7,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import cv2
-import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
+from roadsight.io.exif import decoded_image
 
 
 class LabelImages:
@@ -39,7 +39,7 @@ class LabelImages:
             file = self.folder / name.name
         if not file.is_file():
             raise InputError(f"has no image for {image_path}", where=str(self.folder))
-        pixels = cv2.imdecode(np.fromfile(file, np.uint8), cv2.IMREAD_UNCHANGED)
+        pixels = decoded_image(file.read_bytes(), cv2.IMREAD_UNCHANGED)
         if pixels is None or pixels.ndim != 2:
             raise InputError(
                 "is no image of one channel",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from scipy import sparse
 from roadsight.errors import InputError
 
 _NPZ = "a sparse matrix written by scipy.sparse.save_npz"
+_MOST = 100_000_000
 _NPY = "a 1-D array of numbers written by numpy.save"
 
 
@@ -30,9 +30,10 @@ def read_matrix(path: str | os.PathLike[str]) -> sparse.csr_matrix:
         loaded = sparse.load_npz(path)
         if loaded.ndim != 2:
             raise ValueError(f"{loaded.ndim}-D")
+        _check_size(*loaded.shape)
         matrix = sparse.csr_matrix(loaded)
         matrix.check_format(full_check=True)
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile, EOFError) as error:
+    except Exception as error:  # a damaged archive raises of every kind
         raise InputError(
             f"cannot be read as a sparse matrix ({error})", where=str(path), allowed=_NPZ
         ) from error
@@ -57,7 +58,7 @@ def read_vector(path: str | os.PathLike[str]) -> NDArray[np.generic]:
     _check_exists(path)
     try:
         values = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except Exception as error:  # as above
         raise InputError(
             f"cannot be read as an array ({error})", where=str(path), allowed=_NPY
         ) from error
@@ -105,6 +106,8 @@ def read_element_list(path: str | os.PathLike[str]) -> sparse.csr_matrix:
     if len(values) < 2:
         raise InputError("does not begin with two numbers", where=str(path))
     elements, sets = (int(value) for value in values[:2])
+    if elements < 0 or 2 + 2 * elements > len(values):
+        raise InputError("ends early", where=str(path), found=f"{elements} elements announced")
     columns: list[NDArray[np.int64]] = [np.empty(0, np.int64)] * elements
     at = 2
     for _ in range(elements):
@@ -117,6 +120,11 @@ def read_element_list(path: str | os.PathLike[str]) -> sparse.csr_matrix:
     if at != len(values):
         raise InputError("has spare numbers at its end", where=str(path), found=len(values) - at)
     return _pattern(path, columns, sets).T.tocsr()
+
+
+def _check_size(rows: int, columns: int) -> None:
+    if rows + columns > _MOST:
+        raise ValueError(f"{rows} rows and {columns} columns are more than {_MOST}")
 
 
 def _check_exists(path: str | os.PathLike[str]) -> None:
@@ -136,6 +144,10 @@ def _numbers_by_line(path: str | os.PathLike[str]) -> list[NDArray[np.float64]]:
 def _pattern(
     path: str | os.PathLike[str], rows: Sequence[NDArray[Any]], columns: int
 ) -> sparse.csr_matrix:
+    try:
+        _check_size(len(rows), columns)
+    except ValueError as error:
+        raise InputError("announces too much", where=str(path), found=error) from error
     start = np.cumsum([0] + [len(row) for row in rows])
     index = np.concatenate([*rows, np.empty(0)]).astype(np.int64)
     if len(index) and (index.min() < 0 or index.max() >= columns):

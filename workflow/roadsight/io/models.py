@@ -108,8 +108,8 @@ def _session(file: Path, threads: int) -> onnxruntime.InferenceSession:
         return onnxruntime.InferenceSession(
             str(file), sess_options=options, providers=["CPUExecutionProvider"]
         )
-    except _ORT_ERRORS as error:
-        problem = str(error).splitlines()[0]
+    except (*_ORT_ERRORS, UnicodeDecodeError, MemoryError) as error:
+        problem = (str(error) or type(error).__name__).splitlines()[0]
         raise InputError(f"cannot be opened as a network ({problem})", where=str(file)) from error
 
 

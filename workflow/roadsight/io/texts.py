@@ -10,6 +10,8 @@ import yaml
 
 from roadsight.errors import InputError
 
+_MOST_VALUES = 1_000_000
+
 
 def read_yaml(path: str | os.PathLike[str]) -> Any:
     """Content of a YAML file.
@@ -19,15 +21,32 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
     InputError : missing, not text, or not YAML (with the line).
     """
     try:
-        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        _check_size(content, {})
+        return content
     except OSError as error:
         raise InputError("cannot be read", where=str(path), found=error.strerror) from error
     except UnicodeDecodeError as error:
         raise InputError("is not UTF-8 text", where=str(path)) from error
-    except RecursionError as error:
-        raise InputError("is nested too deeply", where=str(path)) from error
+    except (RecursionError, OverflowError) as error:
+        raise InputError(
+            "is nested too deeply, or repeats itself by aliases without end", where=str(path)
+        ) from error
     except (yaml.YAMLError, ValueError) as error:  # ValueError: a date such as 2024-13-45
         mark = getattr(error, "problem_mark", None)
         line = f"{path}, line {mark.line + 1}" if mark else str(path)
         problem = getattr(error, "problem", None) or getattr(error, "reason", error)
         raise InputError("is not valid YAML", where=line, found=problem) from error
+
+
+def _check_size(content: Any, known: dict[int, int]) -> int:
+    """Number of values with those that aliases repeat; refuses what grows without end."""
+    if not isinstance(content, dict | list):
+        return 1
+    if id(content) not in known:
+        known[id(content)] = _MOST_VALUES  # until it is known: a list within itself has no end
+        parts = content.values() if isinstance(content, dict) else content
+        known[id(content)] = 1 + sum(_check_size(part, known) for part in parts)
+    if known[id(content)] >= _MOST_VALUES:
+        raise OverflowError
+    return known[id(content)]

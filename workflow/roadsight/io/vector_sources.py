@@ -115,7 +115,7 @@ def _names_crs(path: Path) -> bool:
     """Whether a GeoJSON file has a member ``crs``; GDAL does not tell."""
     try:
         return "crs" in json.loads(path.read_text(encoding="utf-8-sig"))
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, RecursionError):
         return False
 
 

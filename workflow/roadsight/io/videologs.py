@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
-from roadsight.io.exif import ImageFacts, image_facts
+from roadsight.io.exif import ImageFacts, decoded_image, image_facts
 
 _SUFFIXES = (".jpg", ".jpeg", ".png")
 _ALIASES = {
@@ -26,6 +26,7 @@ _ALIASES = {
     "left_image": ("left_image", "left"),
     "right_image": ("right_image", "right"),
 }
+_MOST_BYTES = 1 << 28
 _ONE_ROUTE = "route"
 
 
@@ -98,11 +99,17 @@ class ImageSource:
             if name in self._files:
                 return self._files[name].read_bytes()
             archive, member = self._zips[name]
-            return archive.read(member)
+            with archive.open(member) as stream:
+                content = stream.read(_MOST_BYTES + 1)
         except KeyError as error:
             raise InputError("holds no such image", where=str(self.path), found=name) from error
-        except (OSError, zipfile.BadZipFile, EOFError) as error:
+        except Exception as error:  # a damaged archive raises of every kind
             raise InputError(f"cannot be read ({error})", where=f"{self.path}: {name}") from error
+        if len(content) > _MOST_BYTES:
+            raise InputError(
+                "is too large for an image", where=f"{self.path}: {name}", allowed="256 MiB"
+            )
+        return content
 
     def facts(self, name: str) -> ImageFacts:
         """Size, place and completeness of an image, without decoding it.
@@ -129,8 +136,7 @@ class ImageSource:
         ------
         InputError : as `content`, or the image cannot be decoded.
         """
-        content = np.frombuffer(self.content(name), np.uint8)
-        image = cv2.imdecode(content, cv2.IMREAD_COLOR) if content.size else None
+        image = decoded_image(self.content(name), cv2.IMREAD_COLOR)
         if image is None:
             raise InputError("cannot be decoded as an image", where=f"{self.path}: {name}")
         return image.astype(np.uint8, copy=False)
@@ -138,7 +144,7 @@ class ImageSource:
     def _open(self, path: Path) -> None:
         try:
             archive = zipfile.ZipFile(path)
-        except (OSError, zipfile.BadZipFile) as error:
+        except Exception as error:  # as above
             raise InputError(f"is no ZIP file of images ({error})", where=str(path)) from error
         for member in archive.namelist():
             if PurePosixPath(member).suffix.lower() not in _SUFFIXES or "__MACOSX" in member:

@@ -1,0 +1,32 @@
+"""Each kind of fault strikes each job once; tests/faults has the long run."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.faults.disturb import FAULTS, Disturbed, check_same, digests
+
+
+@pytest.mark.xdist_group("workflow")
+def test_each_fault_once_in_the_placement_job(copy_of_finished):
+    expected = digests(copy_of_finished.folder)
+    struck = Disturbed(copy_of_finished, np.random.default_rng(6))
+    struck.forget("tiny/placement/targets.parquet", "tiny/placement/os-32/*")
+    for fault in FAULTS:
+        if not struck.strike(fault):
+            struck.forget("tiny/placement/os-64/*")
+    struck.finish()
+    check_same(struck.checkout.folder, expected)
+
+
+@pytest.mark.xdist_group("road")
+def test_each_fault_once_in_the_pole_job(copy_of_road):
+    expected = digests(copy_of_road.folder)
+    struck = Disturbed(copy_of_road, np.random.default_rng(7))
+    struck.forget("tiny_road/poles/image_edges/0.parquet", "tiny_road/poles/terrain.npz")
+    for fault in FAULTS:
+        if not struck.strike(fault):
+            struck.forget("tiny_road/poles/sightings/1.parquet")
+    struck.finish()
+    check_same(struck.checkout.folder, expected)
