@@ -70,7 +70,7 @@ rule find_obstacles:
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
         " --candidates {input.candidates} --detections {input.detections}"
         " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
-        " --sensors {params.sensors_file}"
+        " --sensors {params.sensors_file:q}"
         " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
 
 
@@ -95,5 +95,5 @@ rule render_scans:
         sensors=plan_costs,
     shell:
         "python -m roadsight.stages.render_scans --solution {input.solution}"
-        " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file}"
+        " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file:q}"
         " --out {output.scans} > {log} 2>&1"

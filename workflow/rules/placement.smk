@@ -148,7 +148,7 @@ rule render_depth_maps:
     shell:
         "python -m roadsight.stages.render_depth_maps --candidates {input.candidates}"
         " --shard {wildcards.shard} --shards {params.shards}"
-        " --sensor {wildcards.sensor} --sensors {params.sensors_file} --model {params.model}"
+        " --sensor {wildcards.sensor} --sensors {params.sensors_file:q} --model {params.model}"
         " --azimuth-stride {params.azimuth_stride}"
         " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
         " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
@@ -182,7 +182,7 @@ rule build_detection_shard:
     shell:
         "python -m roadsight.stages.build_detection_shard --depth {input.depth}"
         " --candidates {input.candidates} --targets {input.targets}"
-        " --sensor {wildcards.sensor} --sensors {params.sensors_file}"
+        " --sensor {wildcards.sensor} --sensors {params.sensors_file:q}"
         " --radius-m {params.radius_m} --height-m {params.height_m}"
         " --min-beams {params.min_beams} --azimuth-stride {params.azimuth_stride} --out {output.detection} > {log} 2>&1"
 

@@ -35,7 +35,7 @@ rule calibrate_drive:
         " --image-edges {input.image_edges} --road-edges {input.road_edges}"
         " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
         " --pole-axes {input.pole_axes} --columns {input.columns}"
-        " --baseline {input.baseline} {params.options} {params.sides} {params.shared}"
+        " --baseline {input.baseline:q} {params.options} {params.sides} {params.shared}"
         " --out {output.calibration} > {log} 2>&1"
 
 
@@ -201,7 +201,7 @@ rule validate_poles:
         options=flags("validation", "components"),
     shell:
         "python -m roadsight.stages.validate_poles --poles {input.poles}"
-        " --truth {input.truth:q} --truth-crs {params.truth_crs:q} --truth-kind {params.truth_kind:q} --frame {input.frame}"
+        " --truth {input.truth:q} --truth-crs={params.truth_crs:q} --truth-kind={params.truth_kind:q} --frame {input.frame}"
         " --frames {input.frames} --edges {input.edges} {params.options}"
         " --out {output.validation} > {log} 2>&1"
 
@@ -237,8 +237,8 @@ rule compare_components:
         " --image-edges {input.image_edges} --pole-axes {input.pole_axes} --masks {input.masks}"
         " --depth {input.depth} --road-edges {input.road_edges} --columns {input.columns}"
         " --terrain {input.terrain} --voxels {input.voxels} --dem {input.dem}"
-        " --frame {input.frame} --truth {input.truth:q} --truth-crs {params.truth_crs:q}"
-        " --truth-kind {params.truth_kind:q} --out {output.components} > {log} 2>&1"
+        " --frame {input.frame} --truth {input.truth:q} --truth-crs={params.truth_crs:q}"
+        " --truth-kind={params.truth_kind:q} --out {output.components} > {log} 2>&1"
 
 
 rule write_poles_page:

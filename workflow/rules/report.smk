@@ -80,7 +80,7 @@ rule write_site_page:
         sensors_file=CONFIG.sensors_file,
     shell:
         "python -m roadsight.stages.write_site_page --site {wildcards.site}"
-        " --title={params.title:q} --plans {params.plans:q} --sensors {params.sensors_file}"
+        " --title={params.title:q} --plans {params.plans:q} --sensors {params.sensors_file:q}"
         " --summary {input.summary} --frame {input.frame} --cloud {input.cloud}"
         " --dem {input.dem} --pavement {input.pavement} --edges {input.edges}"
         " --targets {input.targets} --candidates {input.candidates}"

@@ -30,8 +30,8 @@ rule ingest_cloud:
         tile_size_m=setting("scene.tile_size_m"),
     shell:
         "python -m roadsight.stages.ingest_cloud --site {wildcards.site}"
-        " --crs {params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
-        " --target-crs {params.target_crs:q} --tile-size-m {params.tile_size_m}"
+        " --crs={params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
+        " --target-crs={params.target_crs:q} --tile-size-m {params.tile_size_m}"
         " --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
 
 
@@ -183,7 +183,7 @@ rule build_edges:
     shell:
         "python -m roadsight.stages.build_edges --site {wildcards.site} --frame {input.frame}"
         " --pavement {input.pavement} --clusters {input.clusters}"
-        " --digitised {input.edges:q} --digitised-crs {params.edges_crs:q}"
+        " --digitised {input.edges:q} --digitised-crs={params.edges_crs:q}"
         " --offset-m {params.offset_m}"
         " --knot-spacing-m {params.knot_spacing_m} --shortest-m {params.shortest_m}"
         " --out {output.edges} > {log} 2>&1"
@@ -214,6 +214,6 @@ rule score_pavement:
     shell:
         "python -m roadsight.stages.score_pavement --cloud {input.cloud} --frame {input.frame}"
         " --ground {input.ground} --pavement {input.pavement}"
-        " --truth {input.truth:q} --truth-crs {params.truth_crs:q}"
+        " --truth {input.truth:q} --truth-crs={params.truth_crs:q}"
         " --truth-layer {params.truth_layer} --reach-m {params.reach_m}"
         " --out {output.scores} > {log} 2>&1"

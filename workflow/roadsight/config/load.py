@@ -134,4 +134,11 @@ def _located(path: str, file: Path) -> Path:
         return os.environ[match[1]]
 
     found = Path(re.sub(r"\$\{(\w+)\}", value, path))
+    if set("{}") & set(str(found)):
+        raise InputError(
+            "a path with braces, which Snakemake takes for wildcards",
+            where=str(file),
+            found=str(found),
+            hint="rename the file or folder",
+        )
     return found if found.is_absolute() else Path(os.path.normpath(file.parent / found))

@@ -210,11 +210,11 @@ def load_sensor(path: str | os.PathLike[str], name: str) -> Sensor:
 def _checked_name(name: object, path: str | os.PathLike[str]) -> str:
     """Names appear in file names."""
     text = str(name)
-    if not text.replace("_", "a").replace(".", "a").replace("-", "a").isalnum() or text[0] == ".":
+    if not text.replace("_", "a").replace(".", "a").replace("-", "a").isalnum() or text[0] in ".-":
         raise InputError(
             "a sensor's name appears in file names",
             where=str(path),
             found=repr(text),
-            allowed="letters, digits, '-', '_' and '.', not first '.'",
+            allowed="letters, digits, '-', '_' and '.', first a letter, digit or '_'",
         )
     return text
