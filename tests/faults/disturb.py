@@ -207,11 +207,15 @@ class Disturbed:
         again = self._kept & run.outputs
         assert not again, f"done again: {sorted(again)}\n{run.text[-4000:]}"
 
-    def forget(self, *patterns: str) -> None:
-        """Remove results, so that they and what follows from them are to be done again."""
-        for pattern in patterns:
-            for path in (self.checkout.folder / "results").glob(pattern):
-                path.unlink()
+    def forget(self, *names: str) -> None:
+        """Remove results and all that their site wrote later, so that they are to be done again."""
+        results = self.checkout.folder / "results"
+        for name in names:
+            since = (results / name).stat().st_mtime_ns
+            site = [*(results / name.split("/")[0]).rglob("*"), results / "report.html"]
+            for path in site:
+                if path.is_file() and path.stat().st_mtime_ns >= since:
+                    path.unlink()
         self._kept.clear()
 
 

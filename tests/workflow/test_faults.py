@@ -12,10 +12,10 @@ from tests.faults.disturb import FAULTS, Disturbed, check_same, digests
 def test_each_fault_once_in_the_placement_job(copy_of_finished):
     expected = digests(copy_of_finished.folder)
     struck = Disturbed(copy_of_finished, np.random.default_rng(6))
-    struck.forget("tiny/placement/targets.parquet", "tiny/placement/os-32/*")
+    struck.forget("tiny/placement/round-0/coverage.json")
     for fault in FAULTS:
         if not struck.strike(fault):
-            struck.forget("tiny/placement/os-64/*")
+            struck.forget("tiny/placement/os-64/solution.json")
     struck.finish()
     check_same(struck.checkout.folder, expected)
 
@@ -24,9 +24,9 @@ def test_each_fault_once_in_the_placement_job(copy_of_finished):
 def test_each_fault_once_in_the_pole_job(copy_of_road):
     expected = digests(copy_of_road.folder)
     struck = Disturbed(copy_of_road, np.random.default_rng(7))
-    struck.forget("tiny_road/poles/image_edges/0.parquet", "tiny_road/poles/terrain.npz")
+    struck.forget("tiny_road/poles/sightings/0.parquet")
     for fault in FAULTS:
         if not struck.strike(fault):
-            struck.forget("tiny_road/poles/sightings/1.parquet")
+            struck.forget("tiny_road/poles/poles.parquet")
     struck.finish()
     check_same(struck.checkout.folder, expected)

@@ -12,7 +12,7 @@ from typing import Any
 from roadsight.config.plans import Plan, load_plans
 from roadsight.config.schema import Config, Settings
 from roadsight.config.sites import Site
-from roadsight.config.validate import validated
+from roadsight.config.validate import check_path, validated
 from roadsight.effects.catalogue import check_names, load_catalogue
 from roadsight.errors import InputError
 from roadsight.io.texts import read_yaml
@@ -134,11 +134,5 @@ def _located(path: str, file: Path) -> Path:
         return os.environ[match[1]]
 
     found = Path(re.sub(r"\$\{(\w+)\}", value, path))
-    if set("{}") & set(str(found)):
-        raise InputError(
-            "a path with braces, which Snakemake takes for wildcards",
-            where=str(file),
-            found=str(found),
-            hint="rename the file or folder",
-        )
+    check_path(found, str(file))
     return found if found.is_absolute() else Path(os.path.normpath(file.parent / found))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from roadsight.errors import InputError, nearest
+
+_LONGEST_NAME, _LONGEST_PATH = 255, 4095  # bytes, as Linux has it
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -24,6 +27,22 @@ def validated(model: type[Model], content: Any, where: str) -> Model:
         return model.model_validate(content)
     except ValidationError as error:
         raise _message(model, error, where) from error
+
+
+def check_path(path: Path, where: str) -> None:
+    """Refuse what no file can be called, and braces, which Snakemake takes for wildcards.
+
+    Raises
+    ------
+    InputError : the path cannot be used.
+    """
+    text = str(path)
+    if set("{}\0") & set(text):
+        raise InputError("a path with braces or null characters", where=where, found=repr(text))
+    if len(text.encode()) > _LONGEST_PATH or any(
+        len(part.encode()) > _LONGEST_NAME for part in path.parts
+    ):
+        raise InputError("a path too long for a file", where=where, found=text)
 
 
 def _message(model: type[BaseModel], error: ValidationError, where: str) -> InputError:

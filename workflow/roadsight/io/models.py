@@ -11,7 +11,7 @@ from typing import Any
 import onnxruntime
 from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
 
-from roadsight.config.validate import validated
+from roadsight.config.validate import check_path, validated
 from roadsight.errors import InputError
 from roadsight.io.checksums import sha256
 from roadsight.io.texts import read_yaml
@@ -63,6 +63,7 @@ def open_model(path: str | os.PathLike[str], threads: int = 1) -> Model:
     where = str(path)
     manifest = validated(Manifest, read_yaml(path), where)
     file = _beside(manifest.file, Path(path))
+    check_path(file, where)
     if not file.is_file():
         raise InputError("file is missing", where=where, found=str(file), hint="see docs/models.md")
     if manifest.sha256 is not None and (found := sha256(file)) != manifest.sha256:
