@@ -20,6 +20,7 @@ from scipy import sparse
 from roadsight.config.load import load_config, load_site
 from roadsight.config.plans import load_plans
 from roadsight.config.validate import validated
+from roadsight.effects.catalogue import load_catalogue
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.camera_tables import read_cameras
@@ -265,6 +266,7 @@ READERS = {
         _of_project("config/plans.yaml"),
         lambda p: load_plans(str(p), str(ROOT / "config/sensors.yaml")),
     ),
+    "effects": Reader((".yaml",), _of_project("config/effects.yaml"), load_catalogue),
     "manifest": Reader((".yaml",), _texts(yaml.safe_dump(_manifest("tiny.onnx"))), _read_manifest),
     "label_map": Reader(
         (".yaml",),

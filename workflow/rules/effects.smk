@@ -135,5 +135,5 @@ rule plan_effects:
         circumstances=circumstances_json,
     shell:
         "python -m roadsight.stages.plan_effects --profile {input.profile}"
-        " --frame {input.frame} --catalogue {input.catalogue}"
+        " --frame {input.frame} --catalogue {input.catalogue:q}"
         " --circumstances {params.circumstances:q} --out {output.effects} > {log} 2>&1"
