@@ -16,6 +16,7 @@ include: "workflow/rules/road.smk"
 include: "workflow/rules/videolog.smk"
 include: "workflow/rules/report.smk"
 include: "workflow/rules/poles.smk"
+include: "workflow/rules/hardcases.smk"
 
 
 rule all:
@@ -47,4 +48,11 @@ rule poles:
 rule report:
     input:
         "results/report.html",
+    localrule: True
+
+
+rule hardcases:
+    input:
+        "results/hardcases/hardcases.csv",
+        "results/hardcases/index.html",
     localrule: True

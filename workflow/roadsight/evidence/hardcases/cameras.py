@@ -1,0 +1,176 @@
+"""Camera poses: projection, calibration, alignment, registration."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.evidence.camera_scores import camera_errors
+from roadsight.evidence.hardcases.case import Errors, hard_case
+from roadsight.geometry.cameras import Intrinsics, attitude_deg, cam_from_world, project
+from roadsight.poles.alignment.drift import Drift, DriftModel
+from roadsight.poles.alignment.pose import ALONG, SIZE, Spread, Start
+from roadsight.poles.alignment.roadside import RoadEdges, edges_ahead
+from roadsight.poles.alignment.solve import Fit, ImageEdges, Noise, Task, descend
+from roadsight.poles.alignment.verdict import sigmas
+from roadsight.poles.calibration import Mount, shared_mean
+from roadsight.poles.lidar_poles import stem_axis
+from roadsight.poles.registration import register_camera
+
+_FLOATS = NDArray[Any]
+_LENS = Intrinsics.centred(1920, 1200, 1600.0)
+
+
+@hard_case("measure_poles", bound=0.5, unit="points in the image that are behind the camera")
+def points_behind_the_camera(rng: np.random.Generator) -> Errors:
+    """Divided by a negative depth, what lies behind the camera appears upside down in the image."""
+    points = rng.uniform(-30, 30, (4000, 3)) * [1, 1, 0.1]
+    rotation, at = cam_from_world(0.0, 0.0, 0.0), np.array([0.0, 0.0, 2.0])
+    x, y, z = rotation @ (points - at).T
+    uv = np.column_stack([_LENS.cx_px + 1600 * x / z, _LENS.cy_px + 1600 * y / z])
+    ours, _ = project(_LENS, rotation, at, points)
+    behind = points[:, 1] <= 0
+    return (_LENS.contains(uv) & behind).sum(), (_LENS.contains(ours) & behind).sum()
+
+
+@hard_case("align_cameras", bound=0.01, unit="px")
+def projection_at_map_coordinates(rng: np.random.Generator) -> Errors:
+    """Place and camera in single precision at map coordinates move a near point by many pixels."""
+    origin = np.array([632_000.0, 4_123_000.0, 100.0])
+    points = rng.uniform([-5, 8, -1], [5, 60, 4], (500, 3))
+    rotation, at = cam_from_world(0.0, -1.0, 0.3), np.array([0.3, 0.2, 2.2])
+    true, _ = project(_LENS, rotation, at, points)
+    ours, _ = project(_LENS, rotation, at + origin, points + origin)
+    single = (points + origin).astype(np.float32) - (at + origin).astype(np.float32)
+    x, y, z = rotation @ single.T
+    naive = np.column_stack([_LENS.cx_px + 1600 * x / z, _LENS.cy_px + 1600 * y / z])
+    return np.abs(naive - true).max(), np.abs(ours - true).max()
+
+
+def _straight_road_task() -> Task:
+    """An image of a straight level road whose edges are known and seen without error."""
+    y = np.arange(-30.0, 260.0, 0.25)
+    points = np.concatenate(
+        [np.column_stack([np.full(len(y), x), y, np.zeros(len(y))]) for x in (-3.5, 3.5)]
+    )
+    edges = RoadEdges.from_points(points)
+    track = np.column_stack([np.full(40, 1.5), np.arange(-40, 240, 7.0)])
+    start = Start(1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 1920, 1200, _LENS.cx_px, _LENS.cy_px)
+    there = edges_ahead(edges, (1.5, 0.0, 0.0), 0.0, track)
+    at, rotation = np.array([1.5, 0.0, 2.2]), cam_from_world(0.0, 0.0, 0.0)
+    seen, _ = project(_LENS, rotation, at, points)
+    side = np.where(points[:, 0] < 0, -1, 1)
+    inside = _LENS.contains(seen)
+    pixels = ImageEdges.from_pixels(seen[inside], side[inside], np.zeros(inside.sum(), bool))
+    mean = np.zeros(SIZE)
+    mean[2], mean[6] = 2.2, np.log(1600.0)
+    return Task(start, pixels, there, Noise(), mean, np.diag(1.0 / Spread().vector() ** 2))
+
+
+@hard_case("align_cameras", bound=2.0, unit="m, stated sigma along the road")
+def straight_road_tells_no_place(rng: np.random.Generator) -> Errors:
+    """On a straight road nothing tells the place along it: the normal matrix has no inverse."""
+    task = _straight_road_task()
+    fit = descend(task, task.mean, 3.0)
+    try:
+        naive = np.sqrt(np.abs(np.linalg.inv(fit.normal)[ALONG, ALONG]))
+    except np.linalg.LinAlgError:
+        naive = 1e9
+    return min(float(np.nan_to_num(naive, nan=1e9)), 1e9), sigmas(fit, task)[3]
+
+
+@hard_case("calibrate_drive", bound=0.2, unit="m")
+def images_that_know_one_direction(rng: np.random.Generator) -> Errors:
+    """Images on a straight road say nothing about the place along it, yet a mean counts them."""
+    count, true = 40, np.array([0.6, -0.3])
+    station = np.arange(0.0, 10.0 * count, 10.0)
+    along = np.array([0.0, 1.0])
+    covariance = (
+        0.03**2 * np.eye(2)
+        + 400.0 * np.outer(along, along) * (np.arange(count) % 4 > 0)[:, None, None]
+    )
+    offset = np.array([rng.multivariate_normal(true, one) for one in covariance])
+    drift = Drift(station, offset, covariance, DriftModel(own_m=0.02, length_m=1000.0))
+    ours = np.array([drift.at(place)[0] for place in station])
+    window = np.array([offset[max(k - 5, 0) : k + 6].mean(axis=0) for k in range(count)])
+    naive, found = (np.median(np.hypot(*(part - true).T)) for part in (window, ours))
+    return naive, found
+
+
+@hard_case("calibrate_drive", bound=0.2, unit="deg")
+def images_that_each_know_a_part(rng: np.random.Generator) -> Errors:
+    """No image determines all numbers of the mount: a mean of their own answers is void."""
+    spread, true = Spread(), np.zeros(SIZE)
+    true[3:6] = 1.2, -2.0, 0.4
+    prior = Mount(np.zeros(SIZE), np.diag(np.full(SIZE, 9.0)))
+    fits, alone = [], []
+    for _ in range(60):
+        own = true + rng.normal(0, 1, SIZE) * spread.vector()
+        view = rng.normal(0, 1, (SIZE - 3, SIZE)) / spread.vector() / 0.05
+        normal = view.T @ view
+        zero = np.zeros(SIZE)
+        fits.append(Fit(own, np.eye(SIZE), 0.0, np.zeros((1, 2)), normal, zero))
+        alone.append(np.linalg.lstsq(view, view @ own, rcond=None)[0])
+    ours = shared_mean(fits, prior, spread).mean
+    return np.abs(np.mean(alone, axis=0) - true)[3:6].max(), np.abs(ours - true)[3:6].max()
+
+
+@hard_case("find_pole_columns", bound=0.09, unit="m")
+def stem_seen_from_one_side(rng: np.random.Generator) -> Errors:
+    """Returns lie on the side that faces the scanner: their mean is not the axis of the pole."""
+    naive = ours = 0.0
+    for _ in range(20):
+        axis = rng.uniform(-50, 50, 2)
+        turn = rng.uniform(0, 2 * np.pi) + rng.uniform(-0.6, 0.6, 30)
+        xy = axis + 0.13 * np.column_stack([np.cos(turn), np.sin(turn)])
+        xy = xy + rng.normal(0, 0.005, xy.shape)
+        naive = max(naive, np.hypot(*(xy.mean(axis=0) - axis)))
+        ours = max(ours, np.hypot(*(stem_axis(xy)[0] - axis)))
+    return naive, ours
+
+
+@hard_case("calibrate_drive", bound=1.0, unit="m")
+def clicks_on_the_road_alone(rng: np.random.Generator) -> Errors:
+    """Clicked places that all lie on the road leave the linear camera matrix undetermined."""
+    far = np.array([632_000.0, 4_123_000.0, 100.0])
+    places = rng.uniform([-12, 8, 0], [12, 60, 0], (14, 3))
+    at, rotation = np.array([0.4, -0.6, 2.3]), cam_from_world(3.0, -2.0, 0.5)
+    uv, _ = project(_LENS, rotation, at, places)
+    clicked = uv + rng.normal(0, 0.3, uv.shape)
+    found = register_camera(clicked, places + far, 1920, 1200)
+    centre = _direct_linear_centre(clicked, places + rng.normal(0, 1e-3, places.shape))
+    return min(float(np.linalg.norm(centre - at)), 1e9), np.linalg.norm(found.position_m - at - far)
+
+
+def _direct_linear_centre(uv: _FLOATS, xyz: _FLOATS) -> _FLOATS:
+    """Camera centre by the direct linear transform, as textbooks write it."""
+    rows, ones = [], np.column_stack([xyz, np.ones(len(xyz))])
+    for (u, v), place in zip(uv, ones, strict=True):
+        rows += [np.concatenate([place, np.zeros(4), -u * place])]
+        rows += [np.concatenate([np.zeros(4), place, -v * place])]
+    matrix = np.linalg.svd(np.array(rows))[2][-1].reshape(3, 4)
+    return -np.linalg.solve(matrix[:, :3], matrix[:, 3])
+
+
+@hard_case("align_cameras", bound=1e-6, unit="deg")
+def pitch_of_a_camera_that_looks_up(rng: np.random.Generator) -> Errors:
+    """The arcsine of a rotation's entry near one turns a last digit into hundredths of a degree."""
+    pitch = np.append(rng.uniform(89.0, 90.0, 200), [90.0, -90.0])
+    rotation = cam_from_world(0.0, pitch, 0.0)
+    naive = np.degrees(np.arcsin(rotation.astype(np.float32)[:, 2, 2]))
+    return np.abs(naive - pitch).max(), np.abs(attitude_deg(rotation)[1] - pitch).max()
+
+
+@hard_case("score_cameras", bound=0.5, unit="deg")
+def headings_on_either_side_of_north(rng: np.random.Generator) -> Errors:
+    """A camera at 359.95 degrees that truly looks at 0.05 is scored as 359.9 degrees off."""
+    pose = {"x": 0.0, "y": 0.0, "z": 2.0, "pitch_deg": 0.0, "roll_deg": 0.0, "focal_px": 1600.0}
+    lens = {"cx_px": 959.5, "cy_px": 599.5, "width_px": 1920, "height_px": 1200}
+    found = pd.DataFrame([{"image": "a", "heading_deg": 359.95, "accepted": True} | pose | lens])
+    truth = pd.DataFrame([{"image": "a", "heading_deg": 0.05} | pose | lens])
+    edges = np.column_stack([np.full(80, 3.5), np.arange(0, 80.0), np.zeros(80)])
+    errors = camera_errors(found, truth, edges, np.tile([0.0, 1.0], (80, 1)))
+    return abs(359.95 - 0.05), abs(errors["yaw_deg"][0])

@@ -1,0 +1,28 @@
+"""All hard cases."""
+
+from __future__ import annotations
+
+from roadsight.evidence.hardcases import (
+    cameras,
+    cover,
+    edges,
+    geodesy,
+    ground,
+    images,
+    lidar,
+    normals,
+    raster,
+    rays,
+    scores,
+    track,
+)
+from roadsight.evidence.hardcases.case import HardCase, cases_of
+
+_MODULES = (
+    geodesy, ground, normals, edges, lidar, cover, raster, track, images, cameras, rays, scores,
+)  # fmt: skip
+
+
+def all_cases() -> list[HardCase]:
+    """Every case, in the order of the stages' work."""
+    return [case for module in _MODULES for case in cases_of(module)]

@@ -1,0 +1,114 @@
+"""Road edges, candidates along them, targets between them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from shapely import LineString, MultiPolygon, box
+
+from roadsight.errors import InputError
+from roadsight.evidence.hardcases.case import Errors, fails, hard_case
+from roadsight.placement.candidates import HeightSettings, facing_deg, free_heights_m
+from roadsight.placement.positions import positions_along
+from roadsight.placement.targets import place_targets
+from roadsight.scene.edges import natural_spline
+
+_FLOATS = NDArray[Any]
+
+
+def _arc(angle_rad: _FLOATS, radius_m: float = 50.0) -> _FLOATS:
+    return radius_m * np.column_stack([np.cos(angle_rad), np.sin(angle_rad)])
+
+
+def _off_arc(xy: _FLOATS, radius_m: float = 50.0) -> float:
+    return float(np.abs(np.hypot(*xy.T) - radius_m).max())
+
+
+@hard_case("build_edges", bound=0.5, unit="edges lost")
+def spline_through_repeated_points(rng: np.random.Generator) -> Errors:
+    """A double click repeats a point, and no spline has two values at one place."""
+    points = np.repeat(_arc(np.linspace(0, 1.5, 8)), [1, 2, 1, 1, 3, 1, 1, 2], axis=0)
+    chord = np.append(0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    naive = fails(CubicSpline, chord, points)
+    ours = fails(natural_spline, points, 1.0)
+    return naive, ours + (_off_arc(natural_spline(points, 1.0)[1]) > 0.5)
+
+
+@hard_case("build_edges", bound=0.5, unit="m")
+def edge_that_runs_north(rng: np.random.Generator) -> Errors:
+    """y as a function of x is no curve where the road runs north and turns back."""
+    points = _arc(np.linspace(-1.2, 1.3, 9))
+    order = np.argsort(points[:, 0])
+    x = np.linspace(points[:, 0].min(), points[:, 0].max(), 200)
+    naive = np.column_stack([x, CubicSpline(*points[order].T, bc_type="natural")(x)])
+    return _off_arc(naive), _off_arc(natural_spline(points, 1.0)[1])
+
+
+@hard_case("build_edges", bound=1.0, unit="m")
+def points_clicked_at_uneven_steps(rng: np.random.Generator) -> Errors:
+    """A spline over the number of the point swings out where clicks are 1 m and 30 m apart."""
+    points = _arc(np.array([0.0, 0.02, 0.62, 0.64, 1.24, 1.26, 1.9]))
+    number = np.arange(len(points))
+    naive = CubicSpline(number, points, bc_type="natural")(np.linspace(0, number[-1], 400))
+    return _off_arc(naive), _off_arc(natural_spline(points, 1.0)[1])
+
+
+@hard_case("build_edges", bound=0.5, unit="unexplained failures")
+def edge_without_length(rng: np.random.Generator) -> Errors:
+    """An edge of one place, clicked twice, has no direction."""
+    points = np.zeros((2, 2))
+    naive = fails(CubicSpline, np.zeros(2), points, expected=(InputError,))
+    return naive, fails(natural_spline, points, 1.0, expected=(InputError,))
+
+
+@hard_case("place_candidates", bound=1.0, unit="deg")
+def facing_west(rng: np.random.Generator) -> Errors:
+    """A zero with a minus sign turns a sensor that faces west from +180 to -180 degrees."""
+    xy, direction = np.zeros((2, 2)), np.array([[0.0, 1.0], [-0.0, 1.0]])
+    road = MultiPolygon([box(-20, -5, -1, 5)])
+    naive = np.degrees(np.arctan2(np.array([0.0, -0.0]), [-1.0, -1.0]))
+    ours = facing_deg(xy, direction, road)
+    return np.ptp(naive), np.ptp(ours)
+
+
+@hard_case("place_candidates", bound=0.5, unit="heights too many or too few")
+def heights_in_steps_of_a_tenth(rng: np.random.Generator) -> Errors:
+    """The number of steps of a tenth, rounded down, often leaves out the highest height."""
+    naive = ours = 0
+    for high in np.arange(45, 101) / 10:
+        settings = HeightSettings(4.0, float(high), 0.1)
+        true = round((high - 4.0) * 10) + 1
+        naive += abs(int((high - 4.0) / 0.1) + 1 - true)
+        ours += abs(len(free_heights_m(np.empty(0), settings)) - true)
+    return naive, ours
+
+
+@hard_case("densify_candidates", bound=0.5, unit="positions computed twice")
+def stations_named_twice(rng: np.random.Generator) -> Errors:
+    """Halved spacings reach the same station by other sums, and its name has other digits."""
+    edges = gpd.GeoDataFrame(
+        {"edge": ["e"], "kind": ["verge"]}, geometry=[LineString([(0, 0), (0, 60)])]
+    )
+    none, coarse, fine = MultiPolygon(), 0.6, 0.2
+    tripled = np.cumsum(np.full(299, fine))[2::3]
+    naive = len(set(np.cumsum(np.full(99, coarse)).tolist()) - set(tripled.tolist()))
+    keys = [set(positions_along(edges, none, step)["key"]) for step in (coarse, fine)]
+    return naive, len(keys[0] - keys[1])
+
+
+@hard_case("place_targets", bound=0.02, unit="m")
+def strays_above_the_pavement(rng: np.random.Generator) -> Errors:
+    """A mean or least height of a cell follows the one bird above it or echo below it."""
+    xy = rng.uniform(0, 20, (20_000, 2))
+    z = rng.normal(0, 0.005, 20_000)
+    stray = rng.choice(20_000, 200, replace=False)
+    z[stray] = rng.choice([-2.0, 6.0], 200)
+    cell = np.floor(xy[:, 1]).astype(int) * 20 + np.floor(xy[:, 0]).astype(int)
+    naive = pd.Series(z).groupby(cell).mean().to_numpy()
+    ours = place_targets(np.column_stack([xy, z]))["z"].to_numpy()
+    return np.abs(naive).max(), np.abs(ours).max()

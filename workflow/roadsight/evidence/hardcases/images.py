@@ -1,0 +1,115 @@
+"""Masks, depth maps, edges and poles in images."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.evidence.hardcases.case import Errors, fails, hard_case
+from roadsight.geometry.cameras import Intrinsics
+from roadsight.poles.classes import PixelClass
+from roadsight.poles.image_edges import trace_edges
+from roadsight.poles.lanes import fit_curve
+from roadsight.poles.manifest import LabelMap
+from roadsight.poles.networks import folder_mask, packed_depth
+from roadsight.poles.pole_masks import find_instances
+from roadsight.poles.sighting_bearing import ViewCamera
+from roadsight.poles.sighting_depth import ground_distances, sample_depth
+
+_FLOATS = NDArray[Any]
+
+
+@hard_case("segment_images", bound=0.5, unit="pixels of a class that is not there")
+def labels_are_no_quantities(rng: np.random.Generator) -> Errors:
+    """Resizing a label image by interpolation makes class 3 between classes 1 and 5."""
+    small = np.where(rng.random((40, 60)) < 0.5, 1, 5).astype(np.uint8)
+    naive = cv2.resize(small, (240, 160), interpolation=cv2.INTER_LINEAR)
+    labels = LabelMap(labels=6, classes={1: "road", 3: "kerb", 5: "vegetation"}, over=None)
+    ours = folder_mask(small, labels, (160, 240), "case")
+    return np.count_nonzero(naive == 3), np.count_nonzero(ours == PixelClass.KERB)
+
+
+@hard_case("estimate_depth", bound=0.02, unit="share of the depth")
+def depth_in_8_bits(rng: np.random.Generator) -> Errors:
+    """256 steps of inverse depth leave nothing between 40 m and 60 m."""
+    depth_m = np.linspace(40.0, 60.0, 400)
+    inverse = np.append(1 / depth_m, 1 / 2.0)[None]
+    low, high = inverse.min(), inverse.max()
+    shares = (
+        np.round((inverse - low) / (high - low) * 255) / 255,
+        (packed_depth(inverse, metric=False) - 1.0) / 65534,
+    )
+    naive, ours = (1 / (low + share[0, :-1] * (high - low)) for share in shares)
+    return np.abs(naive / depth_m - 1).max(), np.abs(ours / depth_m - 1).max()
+
+
+@hard_case("estimate_depth", bound=0.5, unit="pixels of made-up depth")
+def depth_map_without_contrast(rng: np.random.Generator) -> Errors:
+    """A constant depth map stretched to its own range is zero over zero, cast to a number."""
+    constant = np.add(0.25, rng.normal(0, 1e-8, (30, 40)), dtype=np.float32)
+    scaled = (constant - constant.min()) / (constant.max() - constant.min())
+    naive = (scaled * 65535).astype(np.uint16)
+    return np.count_nonzero(naive), np.count_nonzero(packed_depth(constant, metric=False))
+
+
+@hard_case("trace_image_edges", bound=0.5, unit="images that break it")
+def masks_without_a_road(rng: np.random.Generator) -> Errors:
+    """A mask without road, without markings, or all road, gives a line fit nothing to fit."""
+    naive = ours = 0.0
+    for value in (PixelClass.OTHER, PixelClass.ROAD, PixelClass.SKY):
+        mask = np.full((120, 160), int(value), np.uint8)
+        row, column = np.nonzero(mask == PixelClass.MARKING)
+        naive += fails(np.polyfit, row, column, 1)
+        ours += fails(trace_edges, mask)
+    return naive, ours
+
+
+@hard_case("trace_image_edges", bound=1.0, unit="px")
+def marking_straight_down(rng: np.random.Generator) -> Errors:
+    """Row as a function of column has no slope where a marking runs straight down the image."""
+    v = np.linspace(600, 1100, 400)
+    u = 812.0 + rng.normal(0, 0.4, 400)
+    slope, level = np.polyfit(u, v, 1)
+    curve = fit_curve(np.column_stack([u, v]), 2.0)
+    ours = np.inf if curve is None else np.abs(curve.at(v) - 812).max()
+    return np.abs((v - level) / slope - 812).max(), min(ours, 1e6)
+
+
+@hard_case("trace_pole_axes", bound=0.5, unit="poles lost")
+def more_than_255_components(rng: np.random.Generator) -> Errors:
+    """Component numbers in 8 bits start again at 256, and two objects become one."""
+    mask = np.zeros((400, 2400), np.uint8)
+    mask[100:160, 4:2400:8] = int(PixelClass.POLE)
+    mask[100:160, 5:2400:8] = int(PixelClass.POLE)
+    true, labels = cv2.connectedComponents((mask > 0).astype(np.uint8))
+    naive = len(np.unique(labels.astype(np.uint8))) - 1
+    return true - 1 - naive, true - 1 - len(find_instances(mask))
+
+
+@hard_case("measure_poles", bound=1.0, unit="m")
+def foot_below_the_image(rng: np.random.Generator) -> Errors:
+    """The lower end of a pole that the image's edge cuts is not its foot."""
+    mask = np.full((1200, 1920), int(PixelClass.SKY), np.uint8)
+    mask[640:] = int(PixelClass.ROAD)
+    mask[200:1200, 1700:1716] = int(PixelClass.POLE)
+    camera = ViewCamera(Intrinsics.centred(1920, 1200, 1000.0), (0.0, 0.0, 2.2), 0.0)
+    found = [one for one in find_instances(mask) if not one.reason]
+    drop = (1199.5 - camera.intrinsics.cy_px) / camera.intrinsics.focal_px
+    aside = (1707.5 - camera.intrinsics.cx_px) / camera.intrinsics.focal_px
+    true_m = 2.5 * np.hypot(1, aside)  # nearer than the picture shows
+    naive = 2.2 / drop * np.hypot(1, aside)
+    ours, _ = ground_distances(camera, found, lambda x, y: np.zeros(len(x)), 8.0, 0.1, 60.0)
+    return abs(naive - true_m), np.nan_to_num(np.abs(ours - true_m)).max()
+
+
+@hard_case("measure_poles", bound=0.5, unit="depths read at another place")
+def foot_beside_the_image(rng: np.random.Generator) -> Errors:
+    """A pixel left of the image is minus one: indexing takes the depth at the right border."""
+    depth = np.tile(np.linspace(1, 65535, 64).astype(np.uint16), (48, 1))
+    uv = np.array([[-3.0, 10.0], [np.nan, 5.0], [5.0, -8.0]])
+    index = np.nan_to_num(np.round(uv)).astype(int)
+    naive = depth[index[:, 1], index[:, 0]]
+    return np.count_nonzero(naive), np.isfinite(sample_depth(depth, uv, depth.shape)).sum()

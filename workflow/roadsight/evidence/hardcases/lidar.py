@@ -1,0 +1,238 @@
+"""Virtual LiDAR: angles, ranges, surfels, beams on targets."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from roadsight.evidence.hardcases.case import Errors, hard_case
+from roadsight.geometry.frames import Frame
+from roadsight.io.clouds import read_laz, write_laz
+from roadsight.placement.detection import count_hits
+from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.obstacles import blocked_sight_lines
+from roadsight.placement.rays import sensor_from_spherical, spherical_from_sensor
+from roadsight.placement.sensors import Sensor
+from roadsight.placement.surfel_lidar import SurfelLidar
+from roadsight.scene.surfels import build_surfels
+from roadsight.scene.voxel_moments import sum_moments
+
+_FLOATS = NDArray[Any]
+_AT = (0.0, 0.0, 0.0)
+
+
+def _sensor(**more: float) -> Sensor:
+    """Sixteen channels over 30 degrees, half a degree around."""
+    about: dict[str, Any] = {"elevation_min_deg": -15, "elevation_max_deg": 15, "channels": 16}
+    return Sensor(**about | {"range_m": 100, "azimuth_step_deg": 0.5} | more)
+
+
+def _textbook_map(xyz: _FLOATS, sensor: Sensor) -> _FLOATS:
+    """Least range per cell by arctangent, arcsine and division; what falls outside is left out."""
+    distance = np.linalg.norm(xyz, axis=1)
+    column = ((np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0])) + 180) / 0.5).astype(int)
+    elevation = np.degrees(np.arcsin(xyz[:, 2] / distance))
+    row = np.searchsorted(sensor.elevation_edges_deg, elevation, side="right") - 1
+    least = np.full(sensor.shape, np.inf)
+    inside = (row >= 0) & (row < sensor.rows) & (column >= 0) & (column < sensor.columns)
+    np.minimum.at(least, (row[inside], column[inside]), distance[inside])
+    return np.where(np.isfinite(least), least, 0.0)
+
+
+def _wall(distance_m: float, points: int, rng: np.random.Generator) -> _FLOATS:
+    """Wall square to x at -distance, behind the sensor, where azimuths jump from 180 to -180."""
+    y, z = rng.uniform(-6, 6, points), rng.uniform(-3, 3, points)
+    return np.column_stack([np.full(points, -distance_m), y, z])
+
+
+@hard_case("render_depth_maps", bound=0.5, unit="returns lost")
+def azimuth_of_plus_180(rng: np.random.Generator) -> Errors:
+    """A point straight behind the sensor falls into column n of n."""
+    sensor = _sensor()
+    xyz = np.column_stack([np.full(16, -20.0), np.zeros(16), 20 * np.tan(_up(sensor))])
+    naive, ours = _textbook_map(xyz, sensor), preliminary_depth(xyz, sensor, _AT, 0.0)
+    return 16 - np.count_nonzero(naive), 16 - np.count_nonzero(ours)
+
+
+def _up(sensor: Sensor) -> _FLOATS:
+    return np.radians(sensor.elevation_deg)
+
+
+@hard_case("render_depth_maps", bound=0.05, unit="m")
+def neighbours_across_the_seam(rng: np.random.Generator) -> Errors:
+    """The nearest point of a beam at 179.9 degrees may lie at -179.9, 360 degrees away."""
+    sensor, wall = _sensor(elevation_min_deg=-8, elevation_max_deg=8), _wall(20.0, 40_000, rng)
+    # On the left of the seam the wall is hidden by a nearer thing that ends 0.3 m beside it.
+    beside = wall[:, 1] > 0.3
+    xyz = np.concatenate([wall[wall[:, 1] <= 0], wall[beside] * 0.5])
+    azimuth, elevation, distance = spherical_from_sensor(xyz)
+    column = int(np.argmax(sensor.azimuth_deg))
+    beam_deg = sensor.azimuth_deg[column]
+    beams = np.column_stack([np.full(sensor.rows, beam_deg), sensor.elevation_deg])
+    nearest = cKDTree(np.column_stack([azimuth, elevation])).query(beams, 10)[1]
+    ours = hybrid_depth(xyz, sensor, _AT, 0.0)[:, column]
+    true = 20 / np.abs(np.cos(np.radians(beam_deg))) / np.cos(_up(sensor))
+    return np.abs(distance[nearest].mean(axis=1) - true).max(), np.abs(ours - true).max()
+
+
+@hard_case("render_depth_maps", bound=0.05, unit="m")
+def points_that_are_no_numbers(rng: np.random.Generator) -> Errors:
+    """NaN and a point at the sensor's centre become cell numbers of minus nine trillion."""
+    sensor = _sensor()
+    wall = _wall(20.0, 60_000, rng)
+    bad = np.array([[np.nan, 1, 1], [np.inf, 0, 0], [0, 0, 0], [-np.inf, np.nan, 2]])
+    xyz = np.concatenate([wall, bad])
+    distance = np.linalg.norm(xyz, axis=1)
+    azimuth = np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0]))
+    elevation = np.degrees(np.arcsin(xyz[:, 2] / distance))
+    column = ((azimuth + 180) / 0.5).astype(int) % sensor.columns
+    row = np.clip(((elevation + 16) / 2).astype(int), 0, sensor.rows - 1)
+    naive = np.full(sensor.shape, np.inf)
+    np.minimum.at(naive, (row, column), distance)
+    naive[np.isinf(naive)] = 0.0
+    clean = preliminary_depth(wall, sensor, _AT, 0.0)
+    ours = preliminary_depth(xyz, sensor, _AT, 0.0)
+    off = np.nan_to_num(np.abs(naive - clean), nan=sensor.range_m)
+    return off.max(), np.abs(ours - clean).max()
+
+
+@hard_case("render_depth_maps", bound=1e-6, unit="deg")
+def elevation_near_the_zenith(rng: np.random.Generator) -> Errors:
+    """The arcsine of height over range has no digits left near the zenith in single precision."""
+    elevation = rng.uniform(89.9, 90.0, 2000)
+    azimuth = rng.uniform(-180, 180, 2000)
+    xyz = sensor_from_spherical(azimuth, elevation, np.full(2000, 30.0))
+    single = xyz.astype(np.float32)
+    share = np.minimum(single[:, 2] / np.linalg.norm(single, axis=1), np.float32(1))
+    naive = np.degrees(np.arcsin(share))
+    return np.abs(naive - elevation).max(), np.abs(spherical_from_sensor(xyz)[1] - elevation).max()
+
+
+@hard_case("render_depth_maps", bound=0.5, unit="m")
+def grazing_road(rng: np.random.Generator) -> Errors:
+    """The least range in a cell of 2 degrees is that of its nearest end, metres short on a road."""
+    step = np.arange(-60, 60, 0.08)
+    x, y = np.meshgrid(step, step[np.abs(step) < 4])
+    xyz = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    sensor, at = _sensor(range_m=60), (0.0, 0.0, 5.0)
+    lidar = SurfelLidar(build_surfels(sum_moments(xyz, 0.1)))
+    maps = preliminary_depth(xyz, sensor, at, 0.0), lidar.depth_map(sensor, at, 0.0)
+    down = -np.sin(_up(sensor))[:, None]
+    true = np.where(down > 0, 5.0 / np.where(down > 0, down, 1.0), np.inf)
+    where = true * np.cos(_up(sensor))[:, None] * np.sin(np.radians(sensor.azimuth_deg))
+    on = (true < 55) & (np.abs(where) < 3)
+    true = np.broadcast_to(true, on.shape)[on]
+    naive, ours = (np.percentile(np.abs(part[on] - true), 95) for part in maps)
+    return naive, ours
+
+
+@hard_case("render_depth_maps", bound=0.01, unit="m")
+def rays_far_from_the_origin(rng: np.random.Generator) -> Errors:
+    """A ray caster in single precision sees a scene at map coordinates in steps of half a metre."""
+    step = np.arange(-5, 5, 0.1) + 0.05
+    y, z = (part.ravel() for part in np.meshgrid(step, step))
+    wall = np.column_stack([np.full(y.size, 20.02), y, z])
+    far = np.array([409_600.0, 5_242_880.0, 0.0])
+    surfels = build_surfels(sum_moments(wall, 0.1))
+    centre = surfels.centre_m.astype(np.float64) + far
+    lidar = SurfelLidar(replace(surfels, centre_m=centre))
+    sensor = _sensor(
+        azimuth_min_deg=-10, azimuth_max_deg=10, elevation_min_deg=-8, elevation_max_deg=8
+    )
+    ways = sensor_from_spherical(sensor.azimuth_deg, sensor.elevation_deg[:, None], 1.0)
+    true = 20.02 / ways[..., 0]
+    ours = lidar.depth_map(sensor, far, 0.0)
+    corners = wall[:, None] + 0.05 * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]])
+    triangles = (corners + far)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 3)
+    scene = EmbreeScene()
+    TriangleMesh(scene, triangles.astype(np.float32))
+    origins = np.broadcast_to(far.astype(np.float32), (true.size, 3)).copy()
+    found = scene.run(origins, ways.reshape(-1, 3).astype(np.float32), query="DISTANCE")
+    naive = np.minimum(found, sensor.range_m) - true.ravel()
+    return np.abs(naive).max(), np.abs(ours - true).max()
+
+
+@hard_case("build_surfels", bound=0.002, unit="m")
+def roughness_on_a_mountain(rng: np.random.Generator) -> Errors:
+    """Sums of squares in single precision lose the millimetres of a surface 4,000 m up."""
+    xyz = np.column_stack([rng.uniform(0, 0.1, (500, 2)), 4000.05 + rng.normal(0, 0.003, 500)])
+    single = xyz[:, 2].astype(np.float32)
+    variance = np.mean(single**2, dtype=np.float32) - np.mean(single, dtype=np.float32) ** 2
+    voxels = sum_moments(xyz, 0.1)
+    count, mean = voxels.moments[:, 0], voxels.moments[:, 3] / voxels.moments[:, 0]
+    own = (voxels.moments[:, 9] / count - mean**2)[np.argmax(count)]
+    true = xyz[:, 2].std()
+    return abs(np.sqrt(abs(variance)) - true), abs(0.1 * np.sqrt(own) - true)
+
+
+@hard_case("build_surfels", bound=0.05, unit="m")
+def walls_are_no_height_functions(rng: np.random.Generator) -> Errors:
+    """A plane fitted as height over x and y cannot stand upright."""
+    y, z = rng.uniform(-4, 4, (2, 20_000))
+    xyz = np.column_stack([20 + rng.normal(0, 0.005, 20_000), y, z])
+    terms = np.column_stack([xyz[:, :2], np.ones(len(xyz))])
+    a, b, c = np.linalg.lstsq(terms, xyz[:, 2], rcond=None)[0]
+    ways = sensor_from_spherical(rng.uniform(-8, 8, 200), rng.uniform(-8, 8, 200), np.ones(200))
+    true = 20 / ways[:, 0]
+    naive = np.clip(c / (ways[:, 2] - a * ways[:, 0] - b * ways[:, 1]), 0, 1e4)
+    lidar = SurfelLidar(build_surfels(sum_moments(xyz, 0.1)))
+    ours = np.minimum(lidar.cast(np.zeros(3), ways), 1e4)
+    return np.median(np.abs(naive - true)), np.percentile(np.abs(ours - true), 95)
+
+
+@hard_case("build_detection_shard", bound=0.5, unit="beams")
+def target_across_the_seam(rng: np.random.Generator) -> Errors:
+    """A target straight behind the sensor spans all columns from -179 to 179 degrees, or none."""
+    sensor, target = _sensor(channels=64), np.array([[-15.0, 0.0, -0.3]])
+    nothing = np.zeros(sensor.shape, np.float32)
+    true = count_hits(nothing, sensor, _AT, 180.0, target)[0]
+    half = np.degrees(np.arcsin(0.25 / 15))
+    left, right = 180 - half, -180 + half
+    columns = np.count_nonzero((sensor.azimuth_deg >= left) & (sensor.azimuth_deg <= right))
+    slope = np.tan(_up(sensor))
+    naive = columns * np.count_nonzero((slope > -0.3 / 14.75) & (slope < 0.3 / 14.75))
+    return abs(naive - true), abs(count_hits(nothing, sensor, _AT, 0.0, target)[0] - true)
+
+
+@hard_case("build_detection_shard", bound=0.5, unit="targets lost")
+def sensor_above_a_target(rng: np.random.Generator) -> Errors:
+    """Right above a target its half angle is the arcsine of more than one."""
+    sensor = _sensor(elevation_min_deg=-90, elevation_max_deg=0, channels=91)
+    feet = np.array([[0.1, 0.05, -5.0], [0.0, 0.0, -5.0], [-0.2, 0.1, -5.0]])
+    half = np.degrees(np.arcsin(0.25 / np.hypot(*feet[:, :2].T)))
+    nothing = np.zeros(sensor.shape, np.float32)
+    ours = count_hits(nothing, sensor, _AT, 0.0, feet)
+    return np.count_nonzero(np.isnan(half)), np.count_nonzero(ours <= 8)
+
+
+@hard_case("render_scans", bound=0.001, unit="m")
+def scans_at_map_coordinates(rng: np.random.Generator) -> Errors:
+    """A scan written in single precision comes back in steps of half a metre."""
+    xyz = np.round(rng.uniform(0, 80, (4000, 3)), 3)
+    frame = Frame((500_000.0, 5_412_000.0, 100.0))
+    native = frame.to_native(xyz)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "scan.laz")
+        write_laz(path, xyz, frame)
+        ours = read_laz(path).xyz
+    return np.abs(native.astype(np.float32) - native).max(), np.abs(ours - native).max()
+
+
+@hard_case("find_obstacles", bound=0.5, unit="sight lines without an answer")
+def target_at_the_sensor(rng: np.random.Generator) -> Errors:
+    """A sight line of no length has no direction: zero over zero."""
+    pairs = pd.DataFrame({"candidate": ["a"] * 3, "x": [0.0, 5.0, 9.0], "y": 0.0, "z": 0.0})
+    pairs[["sensor_x", "sensor_y", "sensor_z"]] = 0.0, 0.0, 0.0
+    way = pairs[["x", "y", "z"]].to_numpy()
+    naive = way / np.linalg.norm(way, axis=1, keepdims=True)
+    lines = blocked_sight_lines(pairs, 0.6, lambda at, ways: np.full(len(ways), np.inf))
+    return np.isnan(naive).any(axis=1).sum(), lines["blocked_share"].isna().sum()
