@@ -1,0 +1,121 @@
+"""Every case of the catalogue, and that the catalogue covers every stage that computes."""
+
+from __future__ import annotations
+
+import csv
+import re
+from dataclasses import replace
+
+import pytest
+
+from roadsight.evidence.hardcases.case import CaseResult, hard_case, measure
+from roadsight.evidence.hardcases.catalogue import all_cases
+from roadsight.report.hardcases_page import ASSETS, render_hardcases, share_of_bound
+from roadsight.stages.run_hardcases import case_table, main
+
+CASES = all_cases()
+NO_NUMERICS = {
+    "alignment_inputs": "reads what two stages share",
+    "command": "shared by all stages",
+    "progress": "shared by all stages",
+    "compare_components": "runs other stages",
+    "generate_rural": "generates a sample",
+    "generate_sample": "generates a sample",
+    "plan_effects": "compares measured numbers with thresholds",
+    "render_videolog": "generates a sample",
+    "run_hardcases": "runs this catalogue",
+    "summarise_site": "collects results",
+    "write_poles_page": "shows results",
+    "write_report": "shows results",
+    "write_site_page": "shows results",
+}
+"""Stages without a case, and why."""
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_ours_holds_the_bound_where_the_naive_way_does_not(case):
+    result = measure(case, seed=1)
+    shown = f"naive {result.naive_error:g}, ours {result.our_error:g}, bound {case.bound:g}"
+    assert result.our_error <= case.bound, shown
+    assert result.naive_error > case.bound, f"not shown to be hard: {shown}"
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("seed", [2, 3, 4])
+def test_the_verdict_does_not_hang_on_the_seed(seed):
+    failed = [case.name for case in CASES if not measure(case, seed).passed]
+    assert failed == []
+
+
+def test_every_stage_that_computes_has_a_case(project):
+    folder = project / "workflow/roadsight/stages"
+    stages = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    covered = {case.stage for case in CASES}
+    assert covered <= stages
+    assert covered.isdisjoint(NO_NUMERICS)
+    missing = stages - covered - set(NO_NUMERICS)
+    assert not missing, f"add a hard case, or say in NO_NUMERICS why there is none: {missing}"
+
+
+def test_the_catalogue_is_whole():
+    assert len(CASES) >= 45
+    assert len({case.name for case in CASES}) == len(CASES)
+    for case in CASES:
+        assert case.bound > 0 and case.unit
+        assert re.fullmatch(r"[A-Z_a-z0-9].*[.]", case.hazard), case.name
+
+
+def test_a_case_gives_the_same_numbers_again():
+    cases = [case for case in CASES if case.stage in ("triangulate_poles", "render_scans")]
+    first = [measure(case, 5) for case in cases]
+    assert first == [measure(case, 5) for case in reversed(cases)][::-1]
+
+
+def test_errors_that_are_no_sizes_are_refused():
+    @hard_case("build_dem", bound=1.0, unit="m")
+    def broken(rng):
+        """Nothing."""
+        return float("nan"), 0.0
+
+    with pytest.raises(ValueError, match="broken"):
+        measure(broken, 1)
+
+
+@pytest.mark.parametrize(
+    ("naive", "ours", "passed"), [(2.0, 1.0, True), (1.0, 0.5, False), (3.0, 2.0, False)]
+)
+def test_a_case_passes_only_if_it_is_hard_and_held(naive, ours, passed):
+    case = replace(CASES[0], bound=1.0)
+    assert CaseResult(case, naive, ours).passed is passed
+
+
+def test_table_and_page(tmp_path, project, monkeypatch):
+    few = CASES[:3]
+    monkeypatch.setattr("roadsight.stages.run_hardcases.all_cases", lambda: few)
+    table, page = tmp_path / "hardcases.csv", tmp_path / "index.html"
+    assert main(["--table", str(table), "--page", str(page)]) == 0
+    with table.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == [
+        "case", "stage", "hazard", "naive_error", "our_error", "bound", "unit", "passed",
+    ]  # fmt: skip
+    assert [row["case"] for row in rows] == [case.name for case in few]
+    assert all(row["passed"] == "true" for row in rows)
+    html = page.read_text()
+    assert all(case.hazard in html for case in few)
+    assert html.count('class="naive" d="M') == len(few) + 1  # one more in the key
+
+
+def test_a_failed_case_is_shown_as_such(project):
+    folder = project / "workflow/roadsight/report/assets"
+    assets = {name: (folder / name).read_text() for name in ASSETS}
+    failed = CaseResult(CASES[0], 1.0, 7.5)
+    html = render_hardcases([failed], assets, "1")
+    assert "chip warn" in html and "chip good" not in html and "0 of 1 cases" in html
+    assert case_table([failed])["passed"].tolist() == ["false"]
+
+
+def test_errors_stay_within_the_picture():
+    assert share_of_bound(0.0, 1.0) == share_of_bound(1e-30, 1.0) == -9
+    assert share_of_bound(1e30, 1.0) == 9
+    assert share_of_bound(0.1, 0.1) == 0
