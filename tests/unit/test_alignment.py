@@ -12,7 +12,14 @@ from roadsight.poles.alignment.pose import FOCAL, SIZE, Spread, Start, pose_of
 from roadsight.poles.alignment.published import nelder_mead, squared_gaps
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, descend, search
-from roadsight.poles.alignment.verdict import Limits, doubt, is_one_sided, sigmas, too_little
+from roadsight.poles.alignment.verdict import (
+    Limits,
+    condition,
+    doubt,
+    is_one_sided,
+    sigmas,
+    too_little,
+)
 from roadsight.stages.align_cameras import aligned
 
 MOUNT = Mount()
@@ -169,6 +176,14 @@ def test_nothing_to_see_keeps_the_expected_pose(bed, tasks):
     assert (row["x"], row["heading_deg"]) == (pose.x_m, pose.heading_deg)
     nowhere = NearEdges(*(np.empty((0, 3)) for _ in range(3)), np.empty(0), 0)
     assert too_little(replace(tasks[0], there=nowhere), Limits()) == "too few road edges ahead"
+
+
+def test_a_pose_carries_its_condition_number(bed, tasks, fits):
+    empty = ImageEdges.from_pixels(np.empty((0, 2)), [], [])
+    unaligned = aligned(replace(tasks[0], seen=empty), "ours", Limits())
+    assert unaligned["condition"] == pytest.approx(1.0)
+    found = [condition(fit[0], task) for fit, task in zip(fits, tasks, strict=True)]
+    assert min(found) > 10 and np.isfinite(found).all()
 
 
 def test_everything_behind_the_camera_is_refused(tasks):

@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import json
 
+import pandas as pd
 import pytest
 
 from roadsight import __version__
 from roadsight.io.atomic import write_json
+from roadsight.io.tables import write_table
 from roadsight.stages.summarise_site import main
 
 SETTINGS = {"seed": 7, "shards": 2, "cover": {"time_limit_s": 300.0}}
@@ -136,3 +138,29 @@ def test_order_of_plans_does_not_change_the_bytes(folder):
     _, first = summarise(folder, *placement(folder))
     _, second = summarise(folder, *placement(folder, ("late", "early")), out="second.json")
     assert first.read_bytes() == second.read_bytes()
+
+
+def test_what_was_withheld_is_counted_by_its_reason(folder):
+    frames = pd.DataFrame({"image": list("abcde"), "status": ["ok", "ok", "ok", "ok", "GPS jump"]})
+    cameras = [
+        pd.DataFrame({"accepted": [True, False], "reason": ["", "the edges fit badly"]}),
+        pd.DataFrame({"accepted": [False, True], "reason": ["the edges fit badly", ""]}),
+    ]
+    sightings = pd.DataFrame({"kept": [True, False, True], "reason": ["", "too far", ""]})
+    weak = "error ellipse longer than 5 m"
+    poles = pd.DataFrame({"kept": [True, False, False], "reason": ["", weak, weak]})
+    named = {"frames": frames, "c0": cameras[0], "c1": cameras[1], "s0": sightings, "poles": poles}
+    path = {name: str(folder / f"{name}.parquet") for name in named}
+    for name, table in named.items():
+        write_table(path[name], table)
+    shards = ["--cameras", path["c0"], path["c1"], "--sightings", path["s0"]]
+    code, out = summarise(folder, "--frames", path["frames"], "--poles", path["poles"], *shards)
+    assert code == 0
+    found = json.loads(out.read_text())["poles"]
+    assert (found["images"], found["aligned_images"]) == (5, 2)
+    assert (found["sightings"], found["poles"]) == (2, 1)
+    assert found["withheld"] == {
+        "images": {"GPS jump": 1, "the edges fit badly": 2},
+        "sightings": {"too far": 1},
+        "poles": {weak: 2},
+    }

@@ -24,6 +24,7 @@ from roadsight.poles.alignment.solve import Fit, Task
 from roadsight.poles.alignment.verdict import (
     Limits,
     agreeing_landmarks,
+    condition,
     doubt,
     is_one_sided,
     residual_px,
@@ -42,7 +43,8 @@ _TEXTS = ("image", "reason")
 _COLUMNS = (
     "image", "x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px", "cx_px", "cy_px",
     "width_px", "height_px", "sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m",
-    "sigma_along_m", "residual_px", "edge_points", "landmarks", "one_sided", "accepted", "reason",
+    "sigma_along_m", "condition", "residual_px", "edge_points", "landmarks", "one_sided",
+    "accepted", "reason",
 )  # fmt: skip
 
 
@@ -124,6 +126,7 @@ def _row(task: Task, fit: Fit, reason: str) -> dict[str, Any]:
         "width_px": start.width_px,
         "height_px": start.height_px,
         **dict(zip(names, sigmas(fit, task), strict=True)),
+        "condition": condition(fit, task),
         "residual_px": residual_px(fit),
         "edge_points": len(task.seen.uv_px),
         "landmarks": agreeing_landmarks(task, fit),

@@ -13,6 +13,7 @@ from roadsight import __version__
 from roadsight.io.atomic import read_json, write_json
 from roadsight.io.checksums import sha256
 from roadsight.io.tables import read_about, read_table
+from roadsight.poles.videolog import OK
 from roadsight.stages.command import run_stage
 
 
@@ -47,16 +48,30 @@ def summarise_site(arguments: argparse.Namespace) -> None:
 
 def _poles(arguments: argparse.Namespace) -> dict[str, Any]:
     """Counts of the pole job at each step, and its scores where poles are known."""
-    accepted = pd.concat([read_table(path, ["accepted"]) for path in arguments.cameras])
-    kept = pd.concat([read_table(path, ["kept"]) for path in arguments.sightings])
+    frames = read_table(arguments.frames, ["status"])
+    cameras = pd.concat([read_table(path, ["accepted", "reason"]) for path in arguments.cameras])
+    sightings = pd.concat([read_table(path, ["kept", "reason"]) for path in arguments.sightings])
+    poles = read_table(arguments.poles, ["kept", "reason"])
+    unused = frames.loc[frames["status"] != OK, "status"]
+    refused = cameras.loc[~cameras["accepted"].astype(bool), "reason"]
     return {
-        "images": len(read_table(arguments.frames, ["image"])),
-        "aligned_images": int(accepted["accepted"].sum()),
-        "sightings": int(kept["kept"].sum()),
-        "poles": int(read_table(arguments.poles, ["kept"])["kept"].sum()),
+        "images": len(frames),
+        "aligned_images": int(cameras["accepted"].sum()),
+        "sightings": int(sightings["kept"].sum()),
+        "poles": int(poles["kept"].sum()),
+        "withheld": {
+            "images": _counts(pd.concat([unused, refused])),
+            "sightings": _counts(sightings.loc[~sightings["kept"].astype(bool), "reason"]),
+            "poles": _counts(poles.loc[~poles["kept"].astype(bool), "reason"]),
+        },
         "validation": read_json(arguments.validation) if arguments.validation else None,
         "cameras": read_json(arguments.camera_scores) if arguments.camera_scores else None,
     }
+
+
+def _counts(reasons: pd.Series) -> dict[str, int]:
+    """How often each reason was given."""
+    return {str(reason): int(count) for reason, count in reasons.value_counts().items()}
 
 
 def _plan(solution: dict[str, Any], candidates: int) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roadsight.poles.alignment.pose import ALONG, LATERAL, PITCH, UNKNOWNS, YAW
+from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, PITCH, UNKNOWNS, YAW
 from roadsight.poles.alignment.solve import FINEST, Fit, Task
 
 _PIXELS_OF_A_SIDE = 10
@@ -109,6 +109,18 @@ def is_one_sided(task: Task) -> bool:
     """Whether only one side of the road has edges in the image."""
     count = np.diff(task.seen.groups)
     return bool(min(count[0] + count[2], count[1] + count[3]) < _PIXELS_OF_A_SIDE)
+
+
+def condition(fit: Fit, task: Task) -> float:
+    """Ratio of the greatest to the least variance of the pose, in expected standard deviations.
+
+    Near 1 where image and road tell nothing; large where they tell one direction of the pose far
+    better than another, as on a straight road.
+    """
+    unit = 1.0 / np.sqrt(np.diag(np.linalg.inv(task.information)))[:FOCAL]
+    scaled = fit.covariance[:FOCAL, :FOCAL] * np.outer(unit, unit)
+    variances = np.linalg.eigvalsh(0.5 * (scaled + scaled.T))
+    return float(variances[-1] / max(variances[0], 1e-300))
 
 
 def sigmas(fit: Fit, task: Task) -> tuple[float, float, float, float]:
