@@ -7,6 +7,7 @@ configfile: "config/config.yaml"
 include: "workflow/rules/common.smk"
 include: "workflow/rules/placement_inputs.smk"
 include: "workflow/rules/poles_inputs.smk"
+include: "workflow/rules/evidence_inputs.smk"
 include: "workflow/rules/effects.smk"
 include: "workflow/rules/sample.smk"
 include: "workflow/rules/scene.smk"
@@ -17,6 +18,7 @@ include: "workflow/rules/videolog.smk"
 include: "workflow/rules/report.smk"
 include: "workflow/rules/poles.smk"
 include: "workflow/rules/hardcases.smk"
+include: "workflow/rules/evidence.smk"
 
 
 rule all:
@@ -42,6 +44,12 @@ rule placement:
 rule poles:
     input:
         pole_results(),
+    localrule: True
+
+
+rule tradeoffs:
+    input:
+        rules.write_tradeoffs.output,
     localrule: True
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from roadsight.config.environment import prepare_environment
 from roadsight.config.load import load_config, load_sites
+from roadsight.config.tradeoffs import load_evidence_sites, load_tradeoffs
 from roadsight.errors import InputError
 from roadsight.io.checksums import CachedChecksums
 from roadsight.io.sources import stage_sources
@@ -32,7 +33,10 @@ def clearly(function, *arguments):
 
 
 CONFIG = clearly(load_config, config)
-SITES = clearly(load_sites, CONFIG)
+ASKED_SITES = clearly(load_sites, CONFIG)
+TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file)
+# Sites on which trade-offs are measured have rules like any other, but only `tradeoffs` asks for them.
+SITES = clearly(load_evidence_sites, CONFIG, TRADEOFFS) | ASKED_SITES
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)
 CHECKSUMS = CachedChecksums(".snakemake/roadsight/checksums.json")
 
@@ -145,18 +149,38 @@ def has_scene_page(site):
 def scene_results():
     return [
         f"results/{site}/{file}"
-        for site in SITES
+        for site in ASKED_SITES
         if has_scene_page(site)
         for file in ("scene/pavement.gpkg", "placement/edges.gpkg")
     ]
 
 
+# Pages of evidence that have targets of their own, by their titles.
+EVIDENCE_PAGES = {
+    "Accuracy and time": "results/tradeoffs/index.html",
+    "Hard cases": "results/hardcases/index.html",
+}
+
+
+def evidence_pages():
+    """``title=path`` of the pages of evidence that there are, relative to the report.
+
+    They are parameters of the report and not inputs: a report would otherwise run hours of sweeps
+    again whenever a page is older than the code.
+    """
+    return [
+        f"{title}={Path(page).relative_to('results')}"
+        for title, page in EVIDENCE_PAGES.items()
+        if Path(page).is_file()
+    ]
+
+
 def site_pages():
-    return [f"results/{site}/page.json" for site in SITES if has_scene_page(site)]
+    return [f"results/{site}/page.json" for site in ASKED_SITES if has_scene_page(site)]
 
 
 def summaries():
-    return [f"results/{site}/summary.json" for site in SITES]
+    return [f"results/{site}/summary.json" for site in ASKED_SITES]
 
 
 def edges_file(wildcards):

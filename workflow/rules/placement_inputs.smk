@@ -15,7 +15,7 @@ def sensors_of(site):
 def placement_results():
     return [
         f"results/{site}/placement/{plan}/{file}"
-        for site in SITES
+        for site in ASKED_SITES
         if wants(site, "placement")
         for plan in plans_of(site)
         for file in ("solution.json", "obstacles.gpkg", "scans.laz")

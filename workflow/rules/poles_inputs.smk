@@ -280,14 +280,18 @@ def compared_components(wildcards):
 def pole_results():
     return [
         f"results/{site}/poles/{file}"
-        for site in SITES
+        for site in ASKED_SITES
         if wants(site, "poles")
         for file in ("poles.gpkg", "hazard.parquet", "page.json")
     ]
 
 
 def pole_pages():
-    return [f"results/{site}/poles/page.json" for site in SITES if wants(site, "poles")]
+    return [
+        f"results/{site}/poles/page.json"
+        for site in ASKED_SITES
+        if wants(site, "poles")
+    ]
 
 
 def poles_only(inputs):

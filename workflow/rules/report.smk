@@ -103,7 +103,9 @@ rule write_report:
         "results/benchmarks/write_report.tsv"
     conda:
         ENVIRONMENT
+    params:
+        evidence=evidence_pages(),
     shell:
         "python -m roadsight.stages.write_report --pages {input.pages}"
-        " --poles-pages {input.poles_pages}"
+        " --poles-pages {input.poles_pages} --evidence {params.evidence:q}"
         " --out {output.report} > {log} 2>&1"

@@ -15,7 +15,15 @@ _HEAD = """\
 # Settings of roadsight. Generated from the schema by `make config`: a site file may override any of
 # them under `settings:`, and `snakemake --configfile my.yaml` any of them for all sites.
 """
-_FIRST = ("sites", "sensors_file", "plans_file", "effects_file", "plans", "overrides")
+_FIRST = (
+    "sites",
+    "sensors_file",
+    "plans_file",
+    "effects_file",
+    "tradeoffs_file",
+    "plans",
+    "overrides",
+)
 
 
 def render_config() -> str:

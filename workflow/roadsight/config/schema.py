@@ -290,6 +290,9 @@ class Config(Settings):
     effects_file: str = Field(
         default="config/effects.yaml", description="physical effects and what calls for them"
     )
+    tradeoffs_file: str = Field(
+        default="config/tradeoffs.yaml", description="what the target tradeoffs varies and measures"
+    )
     plans: list[Name] = Field(
         default=[], description="plans to solve at every site; empty: those that the site asks for"
     )

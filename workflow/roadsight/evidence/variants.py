@@ -124,35 +124,45 @@ class Variant:
         return {rule: rules.count(rule) for rule in sorted(set(rules))}
 
     def repeat(
-        self, targets: Sequence[str], rule: str, times: int, cores: int = 1
+        self, targets: Sequence[str], jobs: Sequence[JobRecord], times: int, cores: int = 1
     ) -> list[list[JobRecord]]:
-        """Run the jobs of one rule behind ``targets`` again and again: their records each time.
+        """Run all jobs of some rules behind ``targets`` again and again.
 
         What they write must come out as before, or later runs find what follows stale.
+
+        Parameters
+        ----------
+        jobs : their records, see `records`.
+
+        Returns
+        -------
+        The same jobs' new records, each time.
         """
+        rules = sorted({job.rule for job in jobs})
         found = []
         for _ in range(times):
-            self.run(targets, cores, again=[rule])
-            found.append([record for record in self.records(targets) if record.rule == rule])
+            self.run(targets, cores, again=rules)
+            found.append([self._record(job.rule, job.log) for job in jobs])
         return found
 
     def records(self, targets: Sequence[str]) -> list[JobRecord]:
         """What each job behind ``targets`` used, whether the variant or its base ran it.
 
-        Jobs whose log says nothing (the base is older than that line) are left out.
+        Raises
+        ------
+        VariantError : a job's log does not say what it used.
         """
         listed = self._snakemake(targets, "--summary")
         rows = csv.DictReader(listed[listed.index("output_file\t") :].splitlines(), delimiter="\t")
         jobs = {row["log-file(s)"]: row["rule"] for row in rows if row["log-file(s)"] != "-"}
-        found = (self._record(rule, log) for log, rule in sorted(jobs.items()))
-        return [record for record in found if record is not None]
+        return [self._record(rule, log) for log, rule in sorted(jobs.items())]
 
-    def _record(self, rule: str, log: str) -> JobRecord | None:
+    def _record(self, rule: str, log: str) -> JobRecord:
         usage = last_usage(self.folder / log)
         inside = Path(log).relative_to(Path("logs") / self.site)
         benchmark = self.result("benchmarks") / inside.with_suffix(".tsv")
         if usage is None or not benchmark.is_file():
-            return None
+            raise VariantError(f"{log} in {self.folder} does not say what the job used")
         lines = list(csv.DictReader(benchmark.read_text().splitlines(), delimiter="\t"))
         ran = benchmark.stat().st_mtime_ns > (self.folder / _CONFIG).stat().st_mtime_ns
         return JobRecord(rule, log, ran, usage.cpu_s, float(lines[-1]["s"]), usage.peak_mib)

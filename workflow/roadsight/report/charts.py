@@ -169,6 +169,14 @@ class Chart:
         if text:
             self._parts.append(f"<text {place}>{escape(text)}</text>")
 
+    def label(self, x: float, y: float, text: str) -> None:
+        """Text beside a place, on the side that has room."""
+        left, anchor = (7, "start") if self.x(x) < 0.6 * self.size[0] else (-7, "end")
+        self._parts.append(
+            f'<text class="note" x="{self.x(x) + left:.1f}" y="{self.y(y) - 6:.1f}"'
+            f' text-anchor="{anchor}">{escape(text)}</text>'
+        )
+
     def svg(self) -> str:
         """The plot."""
         width, height = self.size

@@ -62,6 +62,7 @@ def render_report(
     assets: Mapping[str, str],
     plotly_js: str,
     version: str,
+    evidence: Mapping[str, str] | None = None,
 ) -> str:
     """HTML of the report; the same pages give the same text.
 
@@ -71,6 +72,7 @@ def render_report(
     poles_pages : content of each site's poles/page.json; a site may have either page, or both.
     assets : text of the files named in `ASSETS`.
     plotly_js : source of plotly.js.
+    evidence : titles of further pages and their addresses from the report, for links.
 
     Raises
     ------
@@ -94,6 +96,7 @@ def render_report(
         script="\n".join(assets[name] for name in SCRIPTS),
         plotly=plotly_js,
         version=version,
+        evidence=evidence or {},
         rows=_ROWS_SHOWN,
     )
 

@@ -23,7 +23,8 @@ def write_report(arguments: argparse.Namespace) -> None:
     assets = {name: (folder / name).read_text(encoding="utf-8") for name in ASSETS}
     pages = [read_json(path) for path in arguments.pages]
     poles = [read_json(path) for path in arguments.poles_pages]
-    html = render_report(pages, poles, assets, get_plotlyjs(), __version__)
+    evidence = dict(entry.split("=", 1) for entry in arguments.evidence)
+    html = render_report(pages, poles, assets, get_plotlyjs(), __version__, evidence)
     with atomic_path(arguments.out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     sites = {page["summary"]["site"] for page in (*pages, *poles)}
@@ -36,6 +37,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--pages", nargs="*", default=[], help="page.json of each site")
     parser.add_argument(
         "--poles-pages", nargs="*", default=[], help="poles/page.json of each site with poles"
+    )
+    parser.add_argument(
+        "--evidence", nargs="*", default=[], help="title=path of further pages, from the report"
     )
     parser.add_argument("--out", required=True, help="HTML file to write")
     return run_stage(parser, write_report, argv)

@@ -1,0 +1,71 @@
+"""What a sensor would see in the generated highway itself, without any cloud between."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.geometry.frames import Frame
+from roadsight.placement.detection import MIN_BEAMS, count_hits
+from roadsight.placement.rays import beam_directions
+from roadsight.placement.sensors import Sensor
+from roadsight.synthetic.alignment import to_plan
+from roadsight.synthetic.highway import build_highway
+from roadsight.synthetic.terrain import height_at
+
+_FLOATS = NDArray[np.float64]
+
+WRONG_M = 0.5
+"""A beam is wrong when its range is off by more than this."""
+
+
+class ExactHighway:
+    """The generated highway in the local frame of a site's results.
+
+    Parameters
+    ----------
+    seed, length_m : what the site was generated from. frame : local frame of the results.
+    """
+
+    def __init__(self, seed: int, length_m: float, frame: Frame) -> None:
+        self._highway = build_highway(seed, length_m)
+        own = self._highway.frame()
+        self._shift_m = own.to_local(frame.to_native(np.zeros((1, 3))))[0]
+
+    def depth_map(self, sensor: Sensor, position_m: _FLOATS, yaw_deg: float) -> NDArray[np.float32]:
+        """Exact ranges (rows, columns) at the beams' centres, 0 where nothing is in range."""
+        directions = beam_directions(sensor, yaw_deg).reshape(-1, 3).astype(np.float64)
+        directions /= np.linalg.norm(directions, axis=1)[:, None]
+        origins = np.broadcast_to(position_m + self._shift_m, directions.shape)
+        range_m, _, _ = self._highway.scene.cast(origins, directions, sensor.range_m)
+        found = np.where(np.isfinite(range_m), range_m, 0.0)
+        return found.astype(np.float32).reshape(sensor.shape)
+
+    def share_wrong(
+        self, range_m: NDArray[np.float32], sensor: Sensor, position_m: _FLOATS, yaw_deg: float
+    ) -> float:
+        """Share of a depth map's beams whose range is off by more than `WRONG_M`.
+
+        A beam that returns where nothing is, or does not where something is, is wrong as well.
+        """
+        exact_m = self.depth_map(sensor, position_m, yaw_deg)
+        wrong = np.abs(range_m - exact_m) > WRONG_M
+        return float((wrong | ((range_m == 0) != (exact_m == 0))).mean())
+
+    def sees(
+        self, sensor: Sensor, position_m: _FLOATS, yaw_deg: float, feet_m: _FLOATS
+    ) -> NDArray[np.bool_]:
+        """Which targets (n, 3) a sensor sees, by the threshold and size of the default targets."""
+        exact_m = self.depth_map(sensor, position_m, yaw_deg)
+        return np.asarray(count_hits(exact_m, sensor, position_m, yaw_deg, feet_m) > MIN_BEAMS)
+
+    def road_heights(self, step_m: float) -> tuple[_FLOATS, _FLOATS]:
+        """Places (n, 2) on both carriageways, ``step_m`` apart, and their exact heights (n,)."""
+        inner, outer = self._highway.section.pavement_m
+        across = np.arange(inner + step_m / 2, outer, step_m)
+        stations = np.arange(step_m / 2, self._highway.length_m, step_m)
+        offsets = np.concatenate([-across, across])
+        road = np.stack(np.meshgrid(stations, offsets), axis=-1).reshape(-1, 2)
+        plan_m = to_plan(self._highway.alignment, road)
+        height_m = height_at(self._highway.terrain, plan_m)
+        return plan_m - self._shift_m[:2], height_m - self._shift_m[2]
