@@ -111,7 +111,8 @@ def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoi
         sight.axes.foot_visible[axis], np.abs(rows[:, 1]) < _GATE * foot, rows[:, 1] < _GATE * foot
     )
     cut = sight.axes.top_cut[axis]
-    agrees &= (rows[:, 2] > -_GATE * top) & (cut | (rows[:, 2] < _GATE * top))
+    open_top = sight.columns.open_top[column]
+    agrees &= (open_top | (rows[:, 2] > -_GATE * top)) & (cut | (rows[:, 2] < _GATE * top))
     sigma_m = sight.columns.sigma_m[column]
     variance = open_[:, 0] + own_variance(sight.axes.sigma_px[axis], sigma_m, 0.0 * sigma_m, rows)
     turn_deg = (np.degrees(seen[:, 5]) + 180.0) % 360.0 - 180.0

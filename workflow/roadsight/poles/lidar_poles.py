@@ -43,7 +43,8 @@ class PoleColumns:
     ----------
     xy_m : (n, 2) axes, local metres. top_m : (n,) height of their tops above the ground.
     sigma_m : (n,) of their places, each axis. z_ground_m : (n,) ground at their feet.
-    points : (n,) returns that their places rest on. The last two are empty where nobody asks.
+    points : (n,) returns that their places rest on. open_top : (n,) 1 where the cloud does not show
+    how high they are, else 0. The last three are empty where nobody asks.
     """
 
     xy_m: _FLOATS
@@ -51,6 +52,7 @@ class PoleColumns:
     sigma_m: _FLOATS
     z_ground_m: _FLOATS = field(default_factory=_nothing)
     points: _FLOATS = field(default_factory=_nothing)
+    open_top: _FLOATS = field(default_factory=_nothing)
 
     def __len__(self) -> int:
         return len(self.xy_m)
@@ -74,7 +76,7 @@ def find_pole_columns(
         high = np.isin(cls, _CLASSES) & (above_ground_m > _LOWEST_M)
     points, height_m = np.asarray(xyz_m, np.float64)[high], above_ground_m[high]
     if not len(points):
-        return PoleColumns(np.empty((0, 2)), *[_nothing()] * 4)
+        return PoleColumns(np.empty((0, 2)), *[_nothing()] * 5)
     # In order of place, so that the order of the returns does not matter.
     order = np.lexsort(points.T)
     points, height_m = points[order], height_m[order]
@@ -154,7 +156,8 @@ def _placed(centres: _FLOATS, points: _FLOATS, height: _FLOATS) -> PoleColumns:
         xy, sigma, used = stem_axis(points[stem, :2])
         ground = float(np.median(points[own, 2] - height[own]))
         found[number] = *xy, top, sigma, ground, used
-    return PoleColumns(found[:, :2].copy(), *np.ascontiguousarray(found[:, 2:].T))
+    rest = np.ascontiguousarray(found[:, 2:].T)
+    return PoleColumns(found[:, :2].copy(), *rest, np.zeros(len(found)))
 
 
 def stem_axis(xy_m: _FLOATS) -> tuple[_FLOATS, float, int]:

@@ -37,6 +37,7 @@ _AXIS = ["image", "view", "u", "v", "v_foot", "v_top", "width_px", "width_view_p
          "height_view_px", "foot_visible", "top_cut"]  # fmt: skip
 _FEWEST_POINTS = 4
 _MOST_SIGMA_M = 0.15
+_MOST_SIGMA_OF_STEM_M = 0.3
 _EDGE = ["image", "u", "v", "side", "kind"]
 
 
@@ -139,13 +140,14 @@ def _pole_axes(paths: list[str]) -> dict[str, pd.DataFrame]:
 def _landmark_columns(path: str | None) -> PoleColumns:
     """Columns that are good enough to steer by."""
     columns = read_columns(path)
-    good = (columns.points >= _FEWEST_POINTS) & (columns.sigma_m <= _MOST_SIGMA_M)
+    most_m = np.where(columns.open_top > 0, _MOST_SIGMA_OF_STEM_M, _MOST_SIGMA_M)
+    good = (columns.points >= _FEWEST_POINTS) & (columns.sigma_m <= most_m)
     return PoleColumns(*(getattr(columns, f.name)[good] for f in fields(columns)))
 
 
 def read_columns(path: str | None) -> PoleColumns:
     """Pole-like columns of a table; none without a path."""
-    names = ["x", "y", "top_m", "sigma_m", "z_ground", "points"]
+    names = ["x", "y", "top_m", "sigma_m", "z_ground", "points", "open_top"]
     table = read_table(path, names) if path else pd.DataFrame(columns=names, dtype=np.float64)
     x, y, *rest = (np.ascontiguousarray(table[name].to_numpy(np.float64)) for name in names)
     return PoleColumns(np.column_stack([x, y]), *rest)

@@ -15,11 +15,12 @@ from roadsight.io.rasters import read_raster
 from roadsight.io.tables import write_table
 from roadsight.io.tiles import CloudTiles
 from roadsight.poles.lidar_poles import PoleColumns, find_pole_columns
+from roadsight.poles.stems import find_stems, with_stems
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("find_pole_columns")
-COLUMNS = ("x", "y", "z_ground", "top_m", "sigma_m", "points")
+COLUMNS = ("x", "y", "z_ground", "top_m", "sigma_m", "points", "open_top")
 _HALO_M = 6.0
 
 
@@ -32,7 +33,9 @@ def find_columns(arguments: argparse.Namespace) -> None:
     for (west, south, east, north), points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
         above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
-        found = find_pole_columns(xyz, above, points["classification"], arguments.min_top_m)
+        cls = points["classification"]
+        tall = find_pole_columns(xyz, above, cls, arguments.min_top_m)
+        found = with_stems(tall, find_stems(xyz, above, cls))
         x, y = found.xy_m.T
         inside = (x >= west) & (x < east) & (y >= south) & (y < north)
         tables.append(_table(found)[inside])
@@ -44,7 +47,8 @@ def find_columns(arguments: argparse.Namespace) -> None:
 
 
 def _table(found: PoleColumns) -> pd.DataFrame:
-    values = *found.xy_m.T, found.z_ground_m, found.top_m, found.sigma_m, found.points
+    values = *found.xy_m.T, found.z_ground_m, found.top_m, found.sigma_m
+    values += (found.points, found.open_top)
     return pd.DataFrame(dict(zip(COLUMNS, values, strict=True)))
 
 

@@ -153,7 +153,7 @@ def admissible(
     foot_good = rows[:, 1] < _GATE * foot
     visible = axes.foot_visible[axis]
     foot_good &= ~visible | (rows[:, 1] > -_GATE * foot)
-    top_good = rows[:, 2] > -_GATE * top
+    top_good = columns.open_top[column] | (rows[:, 2] > -_GATE * top)
     top_good &= axes.top_cut[axis] | (rows[:, 2] < _GATE * top + _LOST_TOP * length)
     good = (rows[:, 0] ** 2 < _GATE**2 * (open_[:, 0] + own)) & foot_good & top_good
     extra = np.where(visible, 0.5 * (rows[:, 1] / foot) ** 2, 0.0)

@@ -153,7 +153,8 @@ def sight_of(
     if rows.empty or not len(near):
         return None
     foot = np.column_stack([columns.xy_m[near], columns.z_ground_m[near]])
-    there = Columns(foot, columns.top_m[near], columns.sigma_m[near])
+    open_top = columns.open_top[near] > 0 if len(columns.open_top) else np.zeros(len(near), bool)
+    there = Columns(foot, columns.top_m[near], columns.sigma_m[near], open_top)
     get = {name: rows[name].to_numpy(np.float64) for name in _AXIS_NUMBERS}
     front = place.start
     view = np.array([VIEWS.index(name) for name in rows["view"]], np.int64)

@@ -58,12 +58,13 @@ class Columns:
     Attributes
     ----------
     foot_m : (n, 3) feet of the axes, local metres. top_m : (n,) height of the tops above these.
-    sigma_m : (n,) of a place, each axis.
+    sigma_m : (n,) of a place, each axis. open_top : (n,) whether they may be higher than that.
     """
 
     foot_m: _FLOATS
     top_m: _FLOATS
     sigma_m: _FLOATS
+    open_top: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
