@@ -225,6 +225,21 @@ def landmark_columns(wildcards):
     return [found] if uses_landmarks(wildcards) else []
 
 
+def _where_curbs(wildcards, path):
+    curbs = SITES[wildcards.site].setting("road_edges.method") == "curbs"
+    return [f"results/{wildcards.site}/{path}"] if curbs else []
+
+
+def cloud_for_curbs(wildcards):
+    """Cloud, where road edges are curbs."""
+    return _where_curbs(wildcards, "scene/cloud.parquet")
+
+
+def track_for_curbs(wildcards):
+    """Track beside which curbs are looked for."""
+    return _where_curbs(wildcards, "poles/frames.parquet")
+
+
 def voxels_for_bearings(wildcards):
     """Voxels, where bearings are those to the nearest of them, as published."""
     lidar = SITES[wildcards.site].setting("sightings.bearing") == "lidar"

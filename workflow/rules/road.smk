@@ -37,6 +37,8 @@ rule extract_road_edges:
     input:
         top=rules.rasterise_lidar.output.top,
         frame=rules.ingest_cloud.output.frame,
+        cloud=cloud_for_curbs,
+        frames=track_for_curbs,
         code=sources("extract_road_edges"),
     output:
         edges="results/{site}/poles/road_edges.parquet",
@@ -51,7 +53,8 @@ rule extract_road_edges:
         options=flags("road_edges"),
     shell:
         "python -m roadsight.stages.extract_road_edges --top {input.top}"
-        " --frame {input.frame} {params.options} --edges {output.edges}"
+        " --frame {input.frame} --cloud {input.cloud} --frames {input.frames}"
+        " {params.options} --edges {output.edges}"
         " --lines {output.lines} > {log} 2>&1"
 
 

@@ -31,8 +31,9 @@ class Voxels(Section):
 class RoadEdges(Section):
     """Poles: road edges in the top view."""
 
-    method: Literal["contours", "pixels"] = Field(
-        default="contours", description="smooth outlines, or the edge pixels as published"
+    method: Literal["contours", "pixels", "curbs"] = Field(
+        default="contours",
+        description="smooth outlines, edge pixels as published, or steps beside the track",
     )
     closing_cells: int = Field(default=1, ge=0, description="gaps and spurs up to this, cells")
     smallest_hole_m2: float = Field(default=20.0, ge=0, description="smaller holes are filled, m2")

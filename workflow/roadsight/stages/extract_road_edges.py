@@ -11,13 +11,16 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+from numpy.typing import NDArray
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
-from roadsight.io.tables import write_table
+from roadsight.io.tables import read_table, write_table
+from roadsight.io.tiles import CloudTiles
 from roadsight.io.top_rasters import TopRaster, read_top
 from roadsight.io.vectors import write_layers
+from roadsight.scene.curbs import Curbs, CurbSettings, find_curbs
 from roadsight.scene.road_edges import (
     EdgeLines,
     EdgeSettings,
@@ -34,12 +37,65 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("extract_road_edges")
 
-METHODS = ("contours", "pixels")
+_BESIDE_M = 45.0
+METHODS = ("contours", "pixels", "curbs")
 
 
 def extract_road_edges(arguments: argparse.Namespace) -> None:
     """Write the edge points as a table and as lines."""
     frame = Frame.from_dict(read_json(arguments.frame))
+    if arguments.method == "curbs":
+        edges, about = _curbs(arguments), {"method": "curbs", "settings": vars(CurbSettings())}
+    else:
+        edges, about = _outlined(arguments, frame)
+    write_table(arguments.edges, edges, about)
+    write_layers(arguments.lines, {"road_edges": _layer(edges)}, frame)
+
+
+def _curbs(arguments: argparse.Namespace) -> pd.DataFrame:
+    """Curbs beside the track of each route."""
+    if not (arguments.cloud and arguments.frames):
+        raise InputError("curbs are looked for in the cloud, beside the track", found="no --cloud, --frames")
+    cloud = CloudTiles(arguments.cloud)
+    frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
+    tables = []
+    for route, rows in frames.groupby("route", sort=True):
+        track = rows.sort_values("sequence", kind="stable")[["x", "y"]].to_numpy(np.float64)
+        curbs = find_curbs(_beside(cloud, track), track)
+        first = sum(int(table["polyline"].nunique()) for table in tables)
+        tables.append(_curb_table(curbs, first))
+        log.info("%s: %d curb points, steps of %.3f m (median)", route, len(tables[-1]),
+                 np.median(curbs.step_m) if len(curbs.step_m) else np.nan)  # fmt: skip
+    edges = pd.concat(tables, ignore_index=True)
+    if edges.empty:
+        raise InputError(
+            "no curb found beside the track",
+            where=arguments.cloud,
+            hint="use road_edges.method contours; curbs need some hundred points per m2",
+        )
+    return edges
+
+
+def _beside(cloud: CloudTiles, track_xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3) of the tiles around a track."""
+    low, high = track_xy_m.min(axis=0) - _BESIDE_M, track_xy_m.max(axis=0) + _BESIDE_M
+    bounds = np.array([tile.bounds_m for tile in cloud.tiles])
+    near = ((bounds[:, :2] <= high) & (bounds[:, 3:5] >= low)).all(axis=1)
+    points = cloud.read(("x", "y", "z"), np.flatnonzero(near).tolist())
+    return np.column_stack([points[axis] for axis in "xyz"]).astype(np.float64)
+
+
+def _curb_table(curbs: Curbs, first: int) -> pd.DataFrame:
+    columns = dict(zip("xyz", curbs.xyz_m.T, strict=True))
+    columns |= {"polyline": (curbs.polyline + first).astype(np.int32)}
+    columns |= {"tangent_x": curbs.tangent[:, 0], "tangent_y": curbs.tangent[:, 1]}
+    return pd.DataFrame(columns)
+
+
+def _outlined(
+    arguments: argparse.Namespace, frame: Frame
+) -> tuple[pd.DataFrame, dict[str, object]]:
+    """Edges of the road class in the overhead view, and how they were made."""
     top = read_top(arguments.top, frame)
     names = [field.name for field in fields(EdgeSettings)]
     settings = EdgeSettings(**{name: getattr(arguments, name) for name in names})
@@ -59,8 +115,7 @@ def extract_road_edges(arguments: argparse.Namespace) -> None:
         image.closing,
     )
     about = {"cell_size_m": top.cell_size_m, "method": arguments.method, "settings": vars(settings)}
-    write_table(arguments.edges, edges, about)
-    write_layers(arguments.lines, {"road_edges": _layer(edges)}, frame)
+    return edges, about
 
 
 def _lines(top: TopRaster, image: RoadImage, settings: EdgeSettings) -> pd.DataFrame:
@@ -109,6 +164,8 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("top", "frame", "edges", "lines"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--method", choices=METHODS, default="contours")
+    parser.add_argument("--cloud", nargs="?", help="curbs: where they are looked for")
+    parser.add_argument("--frames", nargs="?", help="curbs: the track that they lie beside")
     for field in fields(EdgeSettings):
         kind = int if isinstance(field.default, int) else float
         parser.add_argument(f"--{field.name.replace('_', '-')}", type=kind, default=field.default)
