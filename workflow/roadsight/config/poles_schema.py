@@ -77,6 +77,9 @@ class ImageEdges(Section):
     axis_px: Positive = Field(
         default=25.0, description="markings this near the middle line's axis are dropped, px"
     )
+    borders: Literal["all", "nearest"] = Field(
+        default="all", description="road borders, or only the first beside the camera's path"
+    )
 
 
 class Alignment(Section):

@@ -19,6 +19,7 @@ from roadsight.poles.lanes import (
     middle_lines,
     without_specks,
 )
+from roadsight.poles.nearest_borders import on_nearest_border
 
 _FLOATS = NDArray[np.float64]
 LANE, BORDER = "lane", "border"
@@ -79,6 +80,9 @@ def trace_edges(mask: NDArray[np.uint8], settings: EdgeSettings | None = None) -
     )
     border = border[~_between(border, lanes, mask.shape[0])]
     dividing = _dividing_line(axes, lanes, road, tolerance)
+    if settings.borders == "nearest":
+        reach = max(settings.gap_px * settings.scale(mask.shape[0]), 2.0)
+        border = border[on_nearest_border(border, mask, road, dividing, reach)]
     points = np.concatenate([lanes, border])
     row = np.clip(np.round(points[:, 1]), 0, len(mask) - 1).astype(np.int64)
     side = np.where(points[:, 0] < dividing[row], -1, 1).astype(np.int8)

@@ -7,6 +7,7 @@ and along columns where it is flat, so that it is thin and finer than a pixel.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import cv2
 import numpy as np
@@ -29,7 +30,8 @@ class EdgeSettings:
     min_marking_px : smaller markings are dropped (pixels, scaled by area). min_border_px :
     shorter borders are dropped. gap_px : runs closer than this are one marking. axis_px : markings
     this near the middle line's axis are dropped. dense_rows_px : rows with three or more markings
-    that a middle line needs. widest_px : thicker runs are no lines.
+    that a middle line needs. widest_px : thicker runs are no lines. borders : `all`, or `nearest`:
+    only the first of each row and side.
     """
 
     min_marking_px: float = 60.0
@@ -38,6 +40,7 @@ class EdgeSettings:
     axis_px: float = 25.0
     dense_rows_px: float = 20.0
     widest_px: float = 120.0
+    borders: Literal["all", "nearest"] = "all"
 
     def scale(self, height_px: int) -> float:
         """Pixels of this image in one pixel of the published size."""

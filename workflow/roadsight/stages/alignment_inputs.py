@@ -33,7 +33,7 @@ from roadsight.poles.lidar_poles import PoleColumns
 from roadsight.scene.occlusion import TerrainSight
 
 _FRAME = ["image", "route", "sequence", "x", "y", "z_road", "heading_deg", "width_px", "height_px"]
-_AXIS = ["image", "view", "u", "v", "v_foot", "v_top", "width_px", "width_view_px",
+_AXIS = ["image", "view", "u", "v", "slope", "v_foot", "v_top", "width_px", "width_view_px",
          "height_view_px", "foot_visible", "top_cut"]  # fmt: skip
 _FEWEST_POINTS = 4
 _MOST_SIGMA_M = 0.15

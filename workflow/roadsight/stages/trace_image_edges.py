@@ -62,7 +62,10 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
+    parser.add_argument("--borders", choices=("all", "nearest"), default=EdgeSettings.borders)
     for field in fields(EdgeSettings):
+        if field.name == "borders":
+            continue
         parser.add_argument(f"--{field.name.replace('_', '-')}", type=float, default=field.default)
     return run_stage(parser, trace_image_edges, argv)
 

@@ -23,7 +23,7 @@ Visible = Callable[[_FLOATS, _FLOATS], NDArray[np.bool_]]
 
 _BEYOND_M = 60.0
 _SLACK_M = 10.0
-_AXIS_NUMBERS = ("u", "v", "v_foot", "v_top", "width_px", "width_view_px", "height_view_px")
+_AXIS_NUMBERS = ("u", "v", "slope", "v_foot", "v_top", "width_px", "width_view_px", "height_view_px")
 _EYE_M = 2.2
 
 
@@ -145,7 +145,7 @@ def sight_of(
 
     Parameters
     ----------
-    rows : axes of the place: view, u, v, v_foot, v_top, width_px, width_view_px, height_view_px,
+    rows : axes of the place: view, u, v, slope, v_foot, v_top, width_px, width_view_px, height_view_px,
         foot_visible, top_cut.
     """
     away_m = np.hypot(*(columns.xy_m - [place.start.x_m, place.start.y_m]).T)
@@ -169,6 +169,7 @@ def sight_of(
         np.hypot(noise.axis_px, noise.axis_share * get["width_px"]),
         rows["foot_visible"].to_numpy(bool),
         rows["top_cut"].to_numpy(bool),
+        get["slope"],
     )
     return Sight(axes, there)
 

@@ -32,6 +32,7 @@ class PoleAxes:
     foot_px, top_px : (n,) rows of the ends, from the principal point.
     scale : (n,) focal length of the view, as a multiple of the front camera's.
     sigma_px : (n,) of an axis across. foot_visible, top_cut : (n,) bool.
+    slope : (n,) columns to the right per row down.
     """
 
     view: NDArray[np.int64]
@@ -42,6 +43,7 @@ class PoleAxes:
     sigma_px: _FLOATS
     foot_visible: NDArray[np.bool_]
     top_cut: NDArray[np.bool_]
+    slope: _FLOATS
 
     def __len__(self) -> int:
         return len(self.view)
