@@ -79,11 +79,11 @@ def axis_rows(bed, number, columns, rng, views=("front",)):
                     "view": view, "u": 0.5 * (u0 + u1) + rng.normal(0, 0.3), "v": 0.5 * (low + top),
                     "v_foot": low, "v_top": top, "width_px": 4.0, "width_view_px": bed.width_px,
                     "height_view_px": bed.height_px, "foot_visible": bool(inside[0]),
-                    "top_cut": not inside[-1],
+                    "top_cut": not inside[-1], "slope": (u0 - u1) / (low - top),
                 }
             )  # fmt: skip
     names = ["view", "u", "v", "v_foot", "v_top", "width_px", "width_view_px", "height_view_px",
-             "foot_visible", "top_cut"]  # fmt: skip
+             "foot_visible", "top_cut", "slope"]  # fmt: skip
     return pd.DataFrame(rows, columns=names)
 
 

@@ -65,7 +65,15 @@ def write_site(folder):
     about = {"cell_size_m": 0.3, "anchor": [0.0, 0.0, 0.0]}
     write_table(folder / "voxels.parquet", voxels, about)
     x, y = place(*TRUTH[0])
-    column = {"x": x, "y": y, "z_ground": 0.0, "top_m": 9.0, "sigma_m": 0.05, "points": 9.0}
+    column = {
+        "x": x,
+        "y": y,
+        "z_ground": 0.0,
+        "top_m": 9.0,
+        "sigma_m": 0.05,
+        "points": 9.0,
+        "open_top": 0.0,
+    }
     write_table(folder / "columns.parquet", pd.DataFrame([column]))
 
 

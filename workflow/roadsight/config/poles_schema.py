@@ -109,6 +109,10 @@ class Calibration(Section):
     hfov_deg: float = Field(
         default=0.0, ge=0, lt=180, description="field of view if known to 10 %, degrees; 0: unknown"
     )
+    start: Literal["edges", "landmarks"] = Field(
+        default="edges",
+        description="what says first where the camera looks; landmarks need a known field of view",
+    )
     gps_sigma_m: Metres = Field(default=0.8, description="slow error of the track, m")
     gps_length_m: Metres = Field(default=100.0, description="path over which it stays alike, m")
     gps_own_m: Metres = Field(default=0.2, description="error of each position by itself, m")

@@ -23,7 +23,7 @@ from roadsight.poles.alignment.landmarks import (
 )
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, ROLL, YAW, Spread
 from roadsight.poles.alignment.solve import Task
-from roadsight.poles.calibration import Mount
+from roadsight.poles.calibration import Loader, Mount
 
 _FLOATS = NDArray[np.float64]
 _LEAN_DEG = 1.5
@@ -43,6 +43,13 @@ _FRONT = 0
 _YAW_DEG, _PLACE_M = np.arange(-4.0, 4.1, 0.5), np.arange(-2.0, 2.1, 1.0)
 _FOCAL = np.array([-0.10, -0.05, 0.0, 0.05, 0.10])
 _Pairs = tuple[Task, _FLOATS, _FLOATS, NDArray[np.int64], _FLOATS]
+
+
+def aimed(prior: Mount, loaders: Sequence[Loader], noise: LandmarkNoise, spread: Spread) -> Mount:
+    """Prior of a drive after a look at its upright things; the same one if there are too few."""
+    information = prior.expected(spread)
+    tasks = [load(prior.mean, information) for load in loaders]
+    return aimed_at_landmarks(level_roll(prior, tasks), tasks, noise, spread)
 
 
 def level_roll(prior: Mount, tasks: Sequence[Task]) -> Mount:

@@ -156,8 +156,8 @@ def _placed(centres: _FLOATS, points: _FLOATS, height: _FLOATS) -> PoleColumns:
         xy, sigma, used = stem_axis(points[stem, :2])
         ground = float(np.median(points[own, 2] - height[own]))
         found[number] = *xy, top, sigma, ground, used
-    rest = np.ascontiguousarray(found[:, 2:].T)
-    return PoleColumns(found[:, :2].copy(), *rest, np.zeros(len(found)))
+    rest = np.ascontiguousarray(np.column_stack([found[:, 2:], np.zeros(len(found))]).T)
+    return PoleColumns(found[:, :2].copy(), *rest)
 
 
 def stem_axis(xy_m: _FLOATS) -> tuple[_FLOATS, float, int]:

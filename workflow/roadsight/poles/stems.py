@@ -29,6 +29,7 @@ _CORE_CELLS, _WIDE_CELLS = 2, 6
 _DIRECTIONS = 8
 _DENSE = 0.25
 _MOST_DENSE = 2
+_WALL = 0.7
 _FEWEST_IN_SLICE = 8
 _SLICES = 4
 _SHIFT_M = 0.15
@@ -84,31 +85,47 @@ def _discs(xy: _FLOATS, layer: NDArray[np.int64]) -> _Discs:
         own = flat[layer == number]
         count = np.bincount(own, minlength=rows * columns).reshape(rows, columns)
         image = count.astype(np.float32)
-        inner = cv2.filter2D(image, -1, core, borderType=cv2.BORDER_CONSTANT)
+        inner = _summed(image, core)
         peak = (inner >= _FEWEST_IN_SLICE) & (inner >= cv2.dilate(inner, wide))
         peak &= _dense_around(image, inner) <= _MOST_DENSE
         row, column = np.nonzero(peak)
         layers.append(np.full(len(row), number))
-        places.append((np.column_stack([column, row]) + west_south + 0.5) * _CELL_M)
+        offset = [_summed(image, core * reach)[row, column] for reach in _reaches(_CORE_CELLS)]
+        middle = np.column_stack(offset) / inner[row, column, None]
+        places.append((np.column_stack([column, row]) + west_south + 0.5 + middle) * _CELL_M)
         counts.append(inner[row, column])
     return _Discs(np.concatenate(layers), np.concatenate(places), np.concatenate(counts))
 
 
 def _dense_around(image: NDArray[np.float32], inner: NDArray[np.float32]) -> NDArray[np.int64]:
-    """In how many of eight directions a neighbouring disc has a quarter of the own returns."""
+    """In how many of eight directions a neighbouring disc has a quarter of the own returns.
+
+    One that has nearly as many is a wall's: it counts as too many.
+    """
     dense = np.zeros(image.shape, np.int64)
+    most = _MOST_DENSE + 1
     reach = _CORE_CELLS + _WIDE_CELLS
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    x, y = _reaches(reach)
     for turn in np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS:
         away = np.hypot(x - _WIDE_CELLS * np.cos(turn), y - _WIDE_CELLS * np.sin(turn))
         disc = (away <= _CORE_CELLS + 0.5).astype(np.float32)
-        beside = cv2.filter2D(image, -1, disc, borderType=cv2.BORDER_CONSTANT)
-        dense += beside > _DENSE * inner
+        beside = _summed(image, disc)
+        dense += np.where(beside > _WALL * inner, most, beside > _DENSE * inner)
     return dense
 
 
+def _summed(image: NDArray[np.float32], window: NDArray[np.float32]) -> NDArray[np.float32]:
+    return np.asarray(cv2.filter2D(image, -1, window, borderType=cv2.BORDER_CONSTANT), np.float32)
+
+
+def _reaches(cells: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Columns and rows from the middle of a window."""
+    y, x = np.mgrid[-cells : cells + 1, -cells : cells + 1].astype(np.float32)
+    return x, y
+
+
 def _disc(cells: int) -> NDArray[np.float32]:
-    y, x = np.mgrid[-cells : cells + 1, -cells : cells + 1]
+    x, y = _reaches(cells)
     return (x * x + y * y <= cells * cells).astype(np.float32)
 
 
@@ -130,6 +147,9 @@ def _placed(discs: _Discs, points: _FLOATS, height: _FLOATS) -> PoleColumns:
     found = []
     for number in np.flatnonzero(np.bincount(chain) >= _SLICES):
         own = np.flatnonzero(chain == number)
+        # What follows above or below may lead away from the stem.
+        aside = discs.xy_m[own] - np.median(discs.xy_m[own], axis=0)
+        own = own[np.hypot(aside[:, 0], aside[:, 1]) <= _SHIFT_M]
         middle = _middle(discs.xy_m[own], discs.layer[own])
         if middle is None:
             continue
@@ -163,8 +183,8 @@ def _middle(xy: _FLOATS, layer: NDArray[np.int64]) -> _FLOATS | None:
 
 def _columns(rows: list[tuple[float, ...]]) -> PoleColumns:
     table = np.array(sorted(rows), np.float64).reshape(-1, 6)
-    rest = np.ascontiguousarray(table[:, 2:].T)
-    return PoleColumns(table[:, :2].copy(), *rest, np.ones(len(table)))
+    rest = np.ascontiguousarray(np.column_stack([table[:, 2:], np.ones(len(table))]).T)
+    return PoleColumns(table[:, :2].copy(), *rest)
 
 
 def with_stems(columns: PoleColumns, stems: PoleColumns) -> PoleColumns:

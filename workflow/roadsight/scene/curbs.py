@@ -2,7 +2,9 @@
 
 Pavement found by smoothness runs on into forecourts and drives. What bounds a street is a small
 step: a curb of 5 to 25 cm, less where it is lowered. The cloud is laid out along the track; on
-each side the line of steps that runs on most evenly is followed by dynamic programming.
+each side the line of steps that runs on most evenly is followed by dynamic programming. The
+lower side of a parked car counts as a step, too: cars stand at the edge of the carriageway, and
+what is behind them was not seen.
 """
 
 from __future__ import annotations
@@ -136,14 +138,12 @@ def _tangents(line: _FLOATS) -> _FLOATS:
     return np.asarray(step / np.hypot(step[:, 0], step[:, 1])[:, None], np.float64)
 
 
-def _side(
-    heights: _FLOATS, line: _FLOATS, side: int, first: int, settings: CurbSettings
-) -> Curbs:
+def _side(heights: _FLOATS, line: _FLOATS, side: int, first: int, settings: CurbSettings) -> Curbs:
     """Curb of one side; pieces are numbered from ``first``."""
     half = heights.shape[1] // 2
     outwards = heights[:, half:] if side > 0 else heights[:, half - 1 :: -1]
     step, foot = steps(outwards, settings)
-    cell = follow(step, settings)
+    cell = _sharpest(step, follow(step, settings))
     row = np.arange(len(cell))
     found = step[row, cell] >= settings.least_step_m
     right = side * ((cell + 0.5) * settings.across_m)
@@ -168,7 +168,10 @@ def steps(outwards: _FLOATS, settings: CurbSettings) -> tuple[_FLOATS, _FLOATS]:
     slope = np.where(np.isfinite(before), inner - before, 0.0) * 2.0
     rise = outer - inner - np.clip(slope, -0.05, 0.05)
     open_ground = np.fmax.accumulate(np.nan_to_num(outwards, nan=-np.inf), axis=1)
-    road = np.nanmedian(outwards[:, : max(round(1.5 / settings.across_m), 1)], axis=1)
+    lane = outwards[:, : max(round(1.5 / settings.across_m), 1)]
+    road = np.full(len(lane), np.nan)
+    known = np.isfinite(lane).any(axis=1)
+    road[known] = np.nanmedian(lane[known], axis=1)
     hidden = open_ground > road[:, None] + 2 * settings.most_step_m
     with np.errstate(invalid="ignore"):
         curb = (rise >= settings.least_step_m) & (rise <= settings.most_step_m) & ~hidden
@@ -216,6 +219,14 @@ def follow(step_m: _FLOATS, settings: CurbSettings) -> NDArray[np.int64]:
     for row in range(len(step_m) - 1, 0, -1):
         cell[row - 1] = cell[row] + aside[back[row, cell[row]]]
     return cell
+
+
+def _sharpest(step_m: _FLOATS, cell: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Cell of the greatest step within two cells of each station's."""
+    near = np.clip(cell[:, None] + np.arange(-2, 3), 0, step_m.shape[1] - 1)
+    best = np.take_along_axis(step_m, near, axis=1).argmax(axis=1)
+    found = near[np.arange(len(cell)), best]
+    return np.where(step_m[np.arange(len(cell)), found] > 0, found, cell)
 
 
 def _pieces(

@@ -25,6 +25,7 @@ from roadsight.poles.calibration_table import (
     measure_drift,
     to_content,
 )
+from roadsight.poles.calibration_upright import aimed
 from roadsight.poles.stitching import ViewOffsets
 from roadsight.stages.alignment_inputs import add_arguments, read_scene
 from roadsight.stages.command import run_stage
@@ -66,6 +67,8 @@ def _calibrated(
             prior = baseline_mount(baseline, prior, key[1])
         elif not arguments.hfov_deg:
             prior = find_focal(_evenly(loaders, _FEW), prior, spread, key[1])
+        if arguments.start == "landmarks":
+            prior = aimed(prior, loaders, noise, spread)
         mount, _ = calibrate(chosen, prior, spread)
     except InputError as error:
         log.warning("%s: %s", key[0], error)
@@ -99,6 +102,10 @@ def main(argv: list[str] | None = None) -> int:
         "--hfov-deg", type=float, default=0.0, help="field of view, if known to 10 %%; 0: unknown"
     )
     parser.add_argument("--images", type=int, default=60, help="of a drive, for its calibration")
+    parser.add_argument(
+        "--start", choices=("edges", "landmarks"), default="edges",
+        help="whether the road edges or the poles say first where the camera looks",
+    )  # fmt: skip
     model, sides = DriftModel(), ViewOffsets()
     parser.add_argument("--gps-sigma-m", type=float, default=model.sigma_m, help="slow error")
     parser.add_argument("--gps-length-m", type=float, default=model.length_m, help="of its path")

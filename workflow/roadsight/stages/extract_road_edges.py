@@ -45,7 +45,8 @@ def extract_road_edges(arguments: argparse.Namespace) -> None:
     """Write the edge points as a table and as lines."""
     frame = Frame.from_dict(read_json(arguments.frame))
     if arguments.method == "curbs":
-        edges, about = _curbs(arguments), {"method": "curbs", "settings": vars(CurbSettings())}
+        edges = _curbs(arguments)
+        about: dict[str, object] = {"method": "curbs", "settings": vars(CurbSettings())}
     else:
         edges, about = _outlined(arguments, frame)
     write_table(arguments.edges, edges, about)
@@ -55,15 +56,19 @@ def extract_road_edges(arguments: argparse.Namespace) -> None:
 def _curbs(arguments: argparse.Namespace) -> pd.DataFrame:
     """Curbs beside the track of each route."""
     if not (arguments.cloud and arguments.frames):
-        raise InputError("curbs are looked for in the cloud, beside the track", found="no --cloud, --frames")
+        raise InputError(
+            "curbs are looked for in the cloud, beside the track", found="no --cloud, --frames"
+        )
     cloud = CloudTiles(arguments.cloud)
     frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
-    tables = []
+    frames = frames.dropna(subset=["x", "y"])
+    tables: list[pd.DataFrame] = []
+    first = 0
     for route, rows in frames.groupby("route", sort=True):
         track = rows.sort_values("sequence", kind="stable")[["x", "y"]].to_numpy(np.float64)
         curbs = find_curbs(_beside(cloud, track), track)
-        first = sum(int(table["polyline"].nunique()) for table in tables)
         tables.append(_curb_table(curbs, first))
+        first += int(curbs.polyline.max(initial=-1)) + 1
         log.info("%s: %d curb points, steps of %.3f m (median)", route, len(tables[-1]),
                  np.median(curbs.step_m) if len(curbs.step_m) else np.nan)  # fmt: skip
     edges = pd.concat(tables, ignore_index=True)

@@ -23,7 +23,16 @@ Visible = Callable[[_FLOATS, _FLOATS], NDArray[np.bool_]]
 
 _BEYOND_M = 60.0
 _SLACK_M = 10.0
-_AXIS_NUMBERS = ("u", "v", "slope", "v_foot", "v_top", "width_px", "width_view_px", "height_view_px")
+_AXIS_NUMBERS = (
+    "u",
+    "v",
+    "slope",
+    "v_foot",
+    "v_top",
+    "width_px",
+    "width_view_px",
+    "height_view_px",
+)
 _EYE_M = 2.2
 
 
@@ -145,8 +154,8 @@ def sight_of(
 
     Parameters
     ----------
-    rows : axes of the place: view, u, v, slope, v_foot, v_top, width_px, width_view_px, height_view_px,
-        foot_visible, top_cut.
+    rows : axes of the place: view, u, v, slope, v_foot, v_top, width_px, width_view_px,
+        height_view_px, foot_visible, top_cut.
     """
     away_m = np.hypot(*(columns.xy_m - [place.start.x_m, place.start.y_m]).T)
     near = np.flatnonzero(away_m <= noise.farthest_m + _SLACK_M)
