@@ -73,7 +73,10 @@ class DepthMapWriter:
 
     def __enter__(self) -> DepthMapWriter:
         self._writer = open_within(
-            self._atomic, lambda path: pq.ParquetWriter(path, self._schema, compression="none")
+            self._atomic,
+            lambda path: pq.ParquetWriter(
+                path, self._schema, compression="none", write_page_checksum=True
+            ),
         )
         return self
 
@@ -121,7 +124,7 @@ class DepthMaps:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path)
         try:
-            self._file = pq.ParquetFile(self._path)
+            self._file = pq.ParquetFile(self._path, page_checksum_verification=True)
             about = json.loads(self._file.schema_arrow.metadata[_KEY])
             if about.pop("version") != _VERSION:
                 raise ValueError("written by another version")

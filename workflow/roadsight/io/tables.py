@@ -25,7 +25,12 @@ def write_table(
     table = pa.Table.from_pandas(frame, preserve_index=False)
     metadata = {_KEY: json.dumps(about or {}, sort_keys=True).encode()}
     with atomic_path(path) as temporary:
-        pq.write_table(table.replace_schema_metadata(metadata), temporary, compression="zstd")
+        pq.write_table(
+            table.replace_schema_metadata(metadata),
+            temporary,
+            compression="zstd",
+            write_page_checksum=True,
+        )
 
 
 def read_table(path: str | os.PathLike[str], columns: list[str] | None = None) -> pd.DataFrame:
@@ -36,7 +41,7 @@ def read_table(path: str | os.PathLike[str], columns: list[str] | None = None) -
     InputError : the file is missing, unreadable or lacks a column.
     """
     with _readable(path):
-        return pq.read_table(path, columns=columns).to_pandas()
+        return pq.read_table(path, columns=columns, page_checksum_verification=True).to_pandas()
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:

@@ -99,7 +99,9 @@ class TileWriter:
         tiles = []
         with (
             atomic_path(self._path) as temporary,
-            pq.ParquetWriter(temporary, schema, compression="zstd") as writer,
+            pq.ParquetWriter(
+                temporary, schema, compression="zstd", write_page_checksum=True
+            ) as writer,
         ):
             for iy, ix in sorted(self._pieces):
                 records = self._gather(self._pieces[iy, ix])

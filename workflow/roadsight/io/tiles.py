@@ -71,7 +71,7 @@ class CloudTiles:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path)
         with _readable(self._path):
-            self._file = pq.ParquetFile(self._path)
+            self._file = pq.ParquetFile(self._path, page_checksum_verification=True)
             index = json.loads(self._file.metadata.metadata[METADATA_KEY])
             self.tile_size_m = float(index["tile_size_m"])
             self.tiles = [

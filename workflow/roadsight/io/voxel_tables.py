@@ -38,7 +38,10 @@ class VoxelTableWriter:
 
     def __enter__(self) -> VoxelTableWriter:
         self._file = open_within(
-            self._place, lambda path: pq.ParquetWriter(path, self._schema, compression="zstd")
+            self._place,
+            lambda path: pq.ParquetWriter(
+                path, self._schema, compression="zstd", write_page_checksum=True
+            ),
         )
         return self
 

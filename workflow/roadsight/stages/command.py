@@ -6,8 +6,10 @@ import argparse
 import errno
 import logging
 import os
+import pickle
 import signal
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -44,7 +46,7 @@ def run_stage(
         with _clean_termination():
             stage(arguments)
         _check_unchanged(before)
-    except (InputError, MemoryError, OSError) as error:
+    except Exception as error:
         print(f"roadsight: {_message(error, parser.prog)}", file=sys.stderr)
         return 2
     log.info("%s", own_usage())
@@ -52,15 +54,26 @@ def run_stage(
 
 
 def _message(error: Exception, stage: str) -> str:
-    """What to tell; errors of the system that nobody foresaw keep their traceback."""
+    """What to tell; a failure that nobody foresaw keeps its traceback."""
     if isinstance(error, MemoryError):
         hint = "give it more, use smaller tiles or more shards"
-        return str(InputError("ran out of memory", where=stage, hint=hint))
-    if isinstance(error, OSError):
-        if error.errno not in _FULL:
-            raise error
-        return str(InputError("the disk is full", where=error.filename or stage, hint="free some"))
+        error = InputError("ran out of memory", where=stage, hint=hint)
+    elif isinstance(error, OSError) and error.errno in _FULL:
+        error = InputError("the disk is full", where=error.filename or stage, hint="free some")
+    elif _in_kernel_cache(error):
+        where = os.environ.get("NUMBA_CACHE_DIR", "__pycache__")
+        error = InputError("the compiled kernels are damaged", where=where, hint="delete them")
+    if not isinstance(error, InputError):
+        raise error
     return str(error)
+
+
+def _in_kernel_cache(error: Exception) -> bool:
+    """Whether Numba failed to read what it compiled before."""
+    if not isinstance(error, EOFError | pickle.UnpicklingError):
+        return False
+    frames = traceback.extract_tb(error.__traceback__)
+    return any(Path(frame.filename).parts[-2:] == ("core", "caching.py") for frame in frames)
 
 
 @contextmanager
