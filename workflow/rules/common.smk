@@ -116,15 +116,33 @@ def beside_site(path):
     return files
 
 
+def million_points(input):
+    """Size of a stage's cloud in million points; 4 where there is none yet."""
+    cloud = getattr(input, "cloud", None)
+    return os.path.getsize(cloud) / 9 / 1e6 if cloud and os.path.exists(cloud) else 4
+
+
 def megabytes(per_million_points, base=600):
-    """Memory for a stage that holds the cloud: calibrated on benchmark files, doubled on retry."""
+    """Memory for a stage that holds the cloud: calibrated on logs, more with each attempt."""
 
     def mem_mb(wildcards, input, attempt):
-        size = getattr(input, "cloud", None)
-        points = os.path.getsize(size) / 9 / 1e6 if size and os.path.exists(size) else 4
-        return int((base + per_million_points * points) * attempt)
+        return int((base + per_million_points * million_points(input)) * attempt)
 
     return mem_mb
+
+
+def minutes(per_million_points=5, base=30):
+    """Time for a stage that works through the cloud: ten times what a slow core needs."""
+
+    def runtime(wildcards, input, attempt):
+        return int((base + per_million_points * million_points(input)) * attempt)
+
+    return runtime
+
+
+def each_attempt(amount):
+    """An amount that grows with each attempt."""
+    return lambda wildcards, attempt: amount * attempt
 
 
 def wants(site, job):

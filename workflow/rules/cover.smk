@@ -61,6 +61,7 @@ rule find_obstacles:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(250),
+        runtime=minutes(),
     params:
         sensors_file=CONFIG.sensors_file,
         sensors=plan_costs,
@@ -90,6 +91,7 @@ rule render_scans:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(250),
+        runtime=minutes(),
     params:
         sensors_file=CONFIG.sensors_file,
         sensors=plan_costs,

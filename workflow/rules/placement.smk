@@ -26,6 +26,7 @@ rule place_candidates:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(60),
+        runtime=minutes(),
     params:
         spacing_m=setting("candidates.spacing_m"),
         height_min_m=setting("candidates.height_min_m"),
@@ -86,6 +87,7 @@ rule mark_traffic:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(100),
+        runtime=minutes(),
     params:
         clear_below_m=setting("lidar.clear_below_m"),
     shell:
@@ -110,6 +112,7 @@ rule build_surfels:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(200),
+        runtime=minutes(),
     params:
         surfel_size_m=setting("lidar.surfel_size_m"),
     shell:
@@ -137,6 +140,7 @@ rule render_depth_maps:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(250),
+        runtime=minutes(),
     params:
         sensor=sensor_definition,
         sensors_file=CONFIG.sensors_file,

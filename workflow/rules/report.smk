@@ -73,6 +73,7 @@ rule write_site_page:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(100),
+        runtime=minutes(),
     params:
         title=site_field("title"),
         plans=plan_titles,

@@ -23,6 +23,7 @@ rule rasterise_lidar:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(50),
+        runtime=minutes(),
     params:
         road_source=road_source,
         options=flags("voxels"),
@@ -74,6 +75,7 @@ rule find_pole_columns:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(60),
+        runtime=minutes(),
     shell:
         "python -m roadsight.stages.find_pole_columns --cloud {input.cloud} --frame {input.frame}"
         " --dem {input.dem} --out {output.columns} > {log} 2>&1"
@@ -94,6 +96,7 @@ rule build_terrain:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(60),
+        runtime=minutes(),
     params:
         road_classes=setting("voxels.road_classes"),
         bridge_classes=setting("voxels.bridge_classes"),

@@ -20,7 +20,7 @@ rule generate_sample:
     conda:
         ENVIRONMENT
     resources:
-        mem_mb=2000,
+        mem_mb=each_attempt(2000),
     params:
         scene=site_field("sample.scene"),
         points=site_field("sample.points"),
@@ -50,7 +50,7 @@ rule generate_rural:
     conda:
         ENVIRONMENT
     resources:
-        mem_mb=2000,
+        mem_mb=each_attempt(2000),
     params:
         pulses_per_m2=site_field("sample.pulses_per_m2"),
         length_m=site_field("sample.length_m"),
@@ -76,7 +76,7 @@ rule render_videolog:
     conda:
         ENVIRONMENT
     resources:
-        mem_mb=2000,
+        mem_mb=each_attempt(2000),
     params:
         length_m=site_field("sample.length_m"),
         seed=setting("seed"),

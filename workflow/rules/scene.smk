@@ -20,7 +20,7 @@ rule ingest_cloud:
     conda:
         ENVIRONMENT
     resources:
-        mem_mb=1000,
+        mem_mb=each_attempt(1000),
     params:
         sha256=cloud_checksums,
         crs=lambda wildcards: SITES[wildcards.site].site.crs or "auto",
@@ -50,6 +50,7 @@ checkpoint profile_scene:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(100),
+        runtime=minutes(),
     shell:
         "python -m roadsight.stages.profile_scene --cloud {input.cloud} --frame {input.frame}"
         " --out {output.profile} > {log} 2>&1"
@@ -72,6 +73,7 @@ rule build_dem:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(60),
+        runtime=minutes(),
     params:
         pillar_width_m=setting("ground.pillar_width_m"),
         height_threshold_m=setting("ground.height_threshold_m"),
@@ -107,6 +109,7 @@ rule cluster_fpfh:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(150),
+        runtime=minutes(),
     params:
         voxel_size_m=setting("pavement.voxel_size_m"),
         neighbours=setting("pavement.neighbours"),
@@ -142,6 +145,7 @@ rule extract_pavement:
         ENVIRONMENT
     resources:
         mem_mb=megabytes(100),
+        runtime=minutes(),
     params:
         cluster_distance_m=setting("pavement.cluster_distance_m"),
         vote_radius_m=setting("pavement.vote_radius_m"),

@@ -48,7 +48,7 @@ rule segment_images:
     conda:
         ENVIRONMENT
     resources:
-        mem_mb=2000,
+        mem_mb=each_attempt(2000),
     params:
         images=shard_images_path,
         images_sha256=image_digest("masks"),
@@ -76,7 +76,7 @@ rule estimate_depth:
     conda:
         ENVIRONMENT
     resources:
-        mem_mb=2000,
+        mem_mb=each_attempt(2000),
     params:
         images=shard_images_path,
         images_sha256=image_digest("depth"),
