@@ -80,6 +80,9 @@ rule render_scans:
         solution=rules.solve_cover.output.solution,
         surfels=rules.build_surfels.output.surfels,
         frame=rules.ingest_cloud.output.frame,
+        tilts=only_if("mount_tilt", tilts_of_all_rounds),
+        air=extinctions,
+        surfaces=placement_effect("reflectivity", "surfaces.parquet"),
         code=sources("render_scans"),
     output:
         scans="results/{site}/placement/{plan}/scans.laz",
@@ -98,4 +101,5 @@ rule render_scans:
     shell:
         "python -m roadsight.stages.render_scans --solution {input.solution}"
         " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file:q}"
+        " --tilts {input.tilts} --air {input.air} --surfaces {input.surfaces}"
         " --out {output.scans} > {log} 2>&1"

@@ -126,6 +126,8 @@ rule render_depth_maps:
         surfels=rules.build_surfels.output.surfels,
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
+        tilts=only_if("mount_tilt", tilts_of_round),
+        decided=after_profile("hole_filling", "curvature_refraction"),
         code=sources("render_depth_maps"),
     output:
         depth=ensure(
@@ -145,8 +147,9 @@ rule render_depth_maps:
         sensor=sensor_definition,
         sensors_file=CONFIG.sensors_file,
         shards=shard_count,
-        model=setting("lidar.model"),
+        model=lidar_model,
         azimuth_stride=setting("lidar.azimuth_stride"),
+        curvature=decision_on("curvature_refraction"),
         min_cell_points=setting("lidar.min_cell_points"),
         neighbours=setting("lidar.neighbours"),
     shell:
@@ -156,7 +159,7 @@ rule render_depth_maps:
         " --azimuth-stride {params.azimuth_stride}"
         " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
         " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
-        " --out {output.depth} > {log} 2>&1"
+        " --tilts {input.tilts} --curvature {params.curvature} --out {output.depth} > {log} 2>&1"
 
 
 rule build_detection_shard:
@@ -164,6 +167,11 @@ rule build_detection_shard:
         depth=rules.render_depth_maps.output.depth,
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
         targets=rules.place_targets.output.targets,
+        tilts=only_if("mount_tilt", tilts_of_round),
+        air=extinctions,
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        lanes=placement_effect("moving_vehicles", "lanes.parquet"),
+        decided=after_profile("partial_hits", "curvature_refraction"),
         code=sources("build_detection_shard"),
     output:
         detection=ensure(
@@ -183,12 +191,18 @@ rule build_detection_shard:
         height_m=setting("targets.height_m"),
         min_beams=setting("targets.min_beams"),
         azimuth_stride=setting("lidar.azimuth_stride"),
+        partial_hits=decision_on("partial_hits"),
+        curvature=decision_on("curvature_refraction"),
     shell:
         "python -m roadsight.stages.build_detection_shard --depth {input.depth}"
         " --candidates {input.candidates} --targets {input.targets}"
         " --sensor {wildcards.sensor} --sensors {params.sensors_file:q}"
         " --radius-m {params.radius_m} --height-m {params.height_m}"
-        " --min-beams {params.min_beams} --azimuth-stride {params.azimuth_stride} --out {output.detection} > {log} 2>&1"
+        " --min-beams {params.min_beams} --azimuth-stride {params.azimuth_stride}"
+        " --tilts {input.tilts} --air {input.air}"
+        " --reflectivity {input.reflectivity} --lanes {input.lanes}"
+        " --partial-hits {params.partial_hits} --curvature {params.curvature}"
+        " --out {output.detection} > {log} 2>&1"
 
 
 rule check_coverage:

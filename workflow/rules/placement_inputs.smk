@@ -141,3 +141,47 @@ def site_sensors(wildcards):
 def site_sensors_json(wildcards):
     """The same as JSON, for the record."""
     return json.dumps(site_sensors(wildcards), sort_keys=True)
+
+
+def sensor_names(wildcards):
+    return sensors_of(wildcards.site)
+
+
+def sensor_wavelengths(wildcards):
+    """``sensor=wavelength`` of each sensor that the site's plans may place."""
+    return [f"{n}={SENSORS[n].wavelength_nm:g}" for n in sensors_of(wildcards.site)]
+
+
+def lidar_model(wildcards):
+    """Model of the depth maps: without its filling, the hybrid model is the preliminary one."""
+    model = SITES[wildcards.site].setting("lidar.model")
+    fills = model == "hybrid" and decision_on("hole_filling")(wildcards)
+    return "preliminary" if fills == "skip" else model
+
+
+def tilts_of_round(wildcards):
+    return f"results/{wildcards.site}/placement/round-{wildcards.round}/tilts.parquet"
+
+
+def tilts_of_all_rounds(wildcards):
+    return [
+        f"results/{wildcards.site}/placement/round-{number}/tilts.parquet"
+        for number in rounds_of(wildcards.site)
+    ]
+
+
+def extinctions(wildcards):
+    """What rain and fog take out of beams, where they are simulated."""
+    folder = f"results/{wildcards.site}/placement/effects"
+    return [
+        file
+        for effect in ("rain", "fog")
+        for file in only_if(effect, lambda _: [f"{folder}/{effect}.json"])(wildcards)
+    ]
+
+
+def placement_effect(effect, file):
+    """A file of ``placement/effects``, where its effect is simulated."""
+    return only_if(
+        effect, lambda wildcards: [f"results/{wildcards.site}/placement/effects/{file}"]
+    )

@@ -72,13 +72,13 @@ def reflectivity(site: Circumstances) -> Quantity:
     given = site.settings["conditions"]["target_reflectivity"]
     if given == 0:
         return Quantity(0.0, "no reflectivity of targets is given")
-    return _of_worst_sensor(site, lambda s: 1 - reflectivity_range_m(s, given) / s.range_m)
+    return _of_worst_sensor(site, lambda s: 1 - float(reflectivity_range_m(s, given)) / s.range_m)
 
 
 def rain(site: Circumstances) -> Quantity:
     """Share of the range that rain costs, of the sensor that loses most."""
     extinction = rain_extinction_per_m(site.settings["conditions"]["rain_mm_h"])
-    return _of_worst_sensor(site, lambda s: 1 - range_in_air_m(s.range_m, extinction) / s.range_m)
+    return _of_worst_sensor(site, lambda sensor: _range_lost(sensor, extinction))
 
 
 def fog(site: Circumstances) -> Quantity:
@@ -87,11 +87,9 @@ def fog(site: Circumstances) -> Quantity:
     if visibility_m >= CLEAR_M:
         return Quantity(0.0, "the air is clear")
 
-    def loss(sensor: Sensor) -> float:
-        extinction = fog_extinction_per_m(visibility_m, sensor.wavelength_nm)
-        return 1 - range_in_air_m(sensor.range_m, extinction) / sensor.range_m
-
-    return _of_worst_sensor(site, loss)
+    return _of_worst_sensor(
+        site, lambda s: _range_lost(s, fog_extinction_per_m(visibility_m, s.wavelength_nm))
+    )
 
 
 def moving_vehicles(site: Circumstances) -> Quantity:
@@ -127,6 +125,11 @@ def moving_vehicles(site: Circumstances) -> Quantity:
 def curvature_refraction(site: Circumstances) -> Quantity:
     """How far the beam of the farthest sensor rises above the level surface."""
     return _of_worst_sensor(site, lambda sensor: float(rise_m(sensor.range_m)))
+
+
+def _range_lost(sensor: Sensor, extinction_per_m: float) -> float:
+    """Share of a sensor's range that the air costs."""
+    return 1 - float(range_in_air_m(sensor.range_m, extinction_per_m)) / sensor.range_m
 
 
 def _middle_height_m(site: Circumstances) -> float:

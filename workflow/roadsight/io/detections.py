@@ -14,6 +14,7 @@ from roadsight.errors import InputError
 from roadsight.io.tables import read_about, read_table, write_table
 
 _COLUMNS = ["candidate", "target", "hits"]
+_AVAILABILITY = "availability"
 
 
 def write_detections(
@@ -24,10 +25,12 @@ def write_detections(
     Parameters
     ----------
     detections : candidate, target (names, best as categories) and hits (beams, uint16); one row
-        per seen target.
+        per seen target; and availability (share of the time that traffic leaves it in sight), if
+        that was simulated.
     about : ``sensor`` (its name) and whatever else describes them.
     """
-    write_table(path, detections[_COLUMNS], about)
+    optional = [name for name in (_AVAILABILITY,) if name in detections]
+    write_table(path, detections[[*_COLUMNS, *optional]], about)
 
 
 def read_seen_targets(path: str | os.PathLike[str]) -> tuple[str, pd.Index]:
@@ -46,7 +49,8 @@ def read_detections(paths: Iterable[str | os.PathLike[str]]) -> pd.DataFrame:
 
     Returns
     -------
-    columns sensor, candidate, target (categories, in the order in which files name them) and hits
+    columns sensor, candidate, target (categories, in the order in which files name them), hits and,
+    where traffic was simulated, availability
 
     Raises
     ------
@@ -55,16 +59,18 @@ def read_detections(paths: Iterable[str | os.PathLike[str]]) -> pd.DataFrame:
     parts = [part for part in map(_read_part, paths) if len(part)]
     if not parts:
         return pd.DataFrame({name: [] for name in ("sensor", *_COLUMNS)})
-    columns = {
+    columns: dict[str, Any] = {
         name: union_categoricals([part[name] for part in parts])
         for name in ("sensor", "candidate", "target")
     }
-    hits = pd.concat([part["hits"] for part in parts], ignore_index=True)
-    return pd.DataFrame({**columns, "hits": hits})
+    numbers = [name for name in ("hits", _AVAILABILITY) if all(name in part for part in parts)]
+    for name in numbers:
+        columns[name] = pd.concat([part[name] for part in parts], ignore_index=True)
+    return pd.DataFrame(columns)
 
 
 def _read_part(path: str | os.PathLike[str]) -> pd.DataFrame:
-    part, sensor = read_table(path, _COLUMNS), _sensor_of(path)
+    part, sensor = read_table(path), _sensor_of(path)
     part["sensor"] = pd.Categorical.from_codes(np.zeros(len(part), np.int8), pd.Index([sensor]))
     return part.astype({"candidate": "category", "target": "category"})
 

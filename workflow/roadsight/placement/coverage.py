@@ -34,3 +34,22 @@ def detection_matrix(
 def times_seen(matrix: sparse.csr_matrix, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
     """How many of the chosen rows see each target (n,)."""
     return np.asarray(matrix[chosen].sum(axis=0, dtype=np.int64)).ravel()
+
+
+def availability(
+    detections: pd.DataFrame, chosen: set[tuple[str, str]], targets: pd.Series
+) -> NDArray[np.float64]:
+    """Share of the time (n,) in which at least one chosen sensor sees each target past traffic.
+
+    Sensors at different places look past different vehicles, so that their shares are taken as
+    independent: 1 - prod(1 - p). A target that none of them sees has 0.
+
+    Parameters
+    ----------
+    detections : columns sensor, candidate, target, availability. chosen : sensor and candidate.
+    """
+    pairs = pd.MultiIndex.from_frame(detections[["sensor", "candidate"]])
+    used = detections[pairs.isin(chosen)]
+    never = (1 - used["availability"].astype(np.float64)).groupby(used["target"].astype(str)).prod()
+    hidden = never.reindex(targets.astype(str), fill_value=1.0).to_numpy(np.float64)
+    return np.asarray(1 - hidden)

@@ -32,6 +32,7 @@ def count_hits(
     targets_xyz_m: NDArray[np.floating],
     radius_m: float = 0.25,
     height_m: float = 0.6,
+    max_range_m: float | None = None,
 ) -> _INTS:
     """Number of beams that return from each target (n,).
 
@@ -48,6 +49,7 @@ def count_hits(
         counter-clockwise.
     targets_xyz_m : (n, 3) feet of the targets, local metres.
     radius_m, height_m : of every target.
+    max_range_m : range from which targets return; the sensor's if not given.
     """
     feet = sensor_from_local(targets_xyz_m, position_m, yaw_deg)
     azimuth = np.radians(sensor.azimuth_deg)
@@ -59,7 +61,7 @@ def count_hits(
         1 / np.cos(elevation),
         sensor.azimuth_min_deg,
         sensor.azimuth_cell_deg,
-        sensor.range_m,
+        sensor.range_m if max_range_m is None else max_range_m,
         np.ascontiguousarray(feet),
         radius_m,
         height_m,
@@ -85,13 +87,13 @@ def _count(
         x, y, low = feet[target]
         if np.sqrt(x * x + y * y) - radius_m >= max_range_m:
             continue
-        for first, last in _column_windows(x, y, radius_m, start_deg, cell_deg, len(heading)):
+        for first, last in column_windows(x, y, radius_m, start_deg, cell_deg, len(heading)):
             for column in range(first, last + 1):
-                near, far = _chord(x, y, heading[column, 0], heading[column, 1], radius_m)
+                near, far = chord(x, y, heading[column, 0], heading[column, 1], radius_m)
                 rectangle = (near, far, low, low + height_m)
-                first_row, last_row = _rows_across(rectangle, slope)
+                first_row, last_row = rows_across(rectangle, slope)
                 for row in range(first_row, last_row):
-                    range_m = _entry(rectangle, slope[row]) * secant[row]
+                    range_m = entry(rectangle, slope[row]) * secant[row]
                     scene_m = depth_m[row, column]
                     if range_m < max_range_m and (scene_m == 0 or range_m < scene_m):
                         hits[target] += 1
@@ -99,7 +101,7 @@ def _count(
 
 
 @njit(cache=True)
-def _column_windows(
+def column_windows(
     x: float, y: float, radius_m: float, start_deg: float, cell_deg: float, columns: int
 ) -> tuple[tuple[int, int], tuple[int, int]]:
     """First and last column of the two runs of columns whose beams may meet a circle.
@@ -127,7 +129,7 @@ def _cut(low_deg: float, high_deg: float, cell_deg: float, columns: int) -> tupl
 
 
 @njit(cache=True)
-def _chord(x: float, y: float, cosine: float, sine: float, radius_m: float) -> tuple[float, float]:
+def chord(x: float, y: float, cosine: float, sine: float, radius_m: float) -> tuple[float, float]:
     """Horizontal distances at which a beam enters and leaves a circle; (0, 0) if it does not."""
     along, beside = x * cosine + y * sine, x * sine - y * cosine
     squared = radius_m * radius_m - beside * beside
@@ -139,7 +141,7 @@ def _chord(x: float, y: float, cosine: float, sine: float, radius_m: float) -> t
 
 
 @njit(cache=True)
-def _rows_across(rectangle: tuple[float, float, float, float], slope: _FLOATS) -> tuple[int, int]:
+def rows_across(rectangle: tuple[float, float, float, float], slope: _FLOATS) -> tuple[int, int]:
     """Range of rows whose slopes lead from the origin into a rectangle (near, far, low, high)."""
     near, far, low, high = rectangle
     if far <= 0.0 or (near == 0.0 and low <= 0.0 <= high):
@@ -155,7 +157,7 @@ def _rows_across(rectangle: tuple[float, float, float, float], slope: _FLOATS) -
 
 
 @njit(cache=True)
-def _entry(rectangle: tuple[float, float, float, float], slope: float) -> float:
+def entry(rectangle: tuple[float, float, float, float], slope: float) -> float:
     """Horizontal distance at which a beam enters a rectangle that it meets."""
     near, _, low, high = rectangle
     if slope * near > high:

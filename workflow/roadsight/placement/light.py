@@ -9,6 +9,7 @@ due to adverse environmental conditions", Opto-Electronics Review 22, Eq. 1).
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from scipy.special import lambertw
 
 from roadsight.errors import InputError
@@ -19,6 +20,7 @@ CLEAR_M = 20_000.0
 
 _CONTRAST = 3.912  # minus the logarithm of 2 %, Koschmieder
 _REFERENCE_NM = 550.0
+_CLEAR_PER_M = 1e-12
 
 
 def rain_extinction_per_m(rain_mm_h: float) -> float:
@@ -64,7 +66,7 @@ def fog_extinction_per_m(visibility_m: float, wavelength_nm: float) -> float:
     return float(_CONTRAST / visibility_m * (wavelength_nm / _REFERENCE_NM) ** -exponent)
 
 
-def reflectivity_range_m(sensor: Sensor, reflectivity: float) -> float:
+def reflectivity_range_m(sensor: Sensor, reflectivity: ArrayLike) -> NDArray[np.float64]:
     """Range at which a surface of a reflectivity returns as much as the sensor needs.
 
     Range grows with the square root of the reflectivity, through the datasheet's range at 10 %
@@ -72,25 +74,24 @@ def reflectivity_range_m(sensor: Sensor, reflectivity: float) -> float:
 
     Parameters
     ----------
-    reflectivity : 0 to 1; 0 stands for that at which the range is stated.
+    reflectivity : 0 to 1, any shape.
     """
-    if reflectivity == 0:
-        return sensor.range_m
+    known_m, at = sensor.range_m, sensor.range_reflectivity
     if sensor.range_10_m is not None:
-        return min(sensor.range_10_m * np.sqrt(reflectivity / 0.1), sensor.range_m)
-    return min(sensor.range_m * np.sqrt(reflectivity / sensor.range_reflectivity), sensor.range_m)
+        known_m, at = sensor.range_10_m, 0.1
+    return np.minimum(known_m * np.sqrt(np.asarray(reflectivity) / at), sensor.range_m)
 
 
-def range_in_air_m(clear_range_m: float, extinction_per_m: float) -> float:
+def range_in_air_m(clear_range_m: ArrayLike, extinction_per_m: float) -> NDArray[np.float64]:
     """Range at which the signal is as weak as at ``clear_range_m`` in clear air.
 
     Solves r exp(a r) = R for r: r = W(a R) / a with Lambert's W.
 
     Parameters
     ----------
-    extinction_per_m : a, not negative.
+    clear_range_m : R, any shape. extinction_per_m : a, not negative.
     """
-    optical_depth = extinction_per_m * clear_range_m
-    if optical_depth < 1e-12:
-        return clear_range_m
-    return float(lambertw(optical_depth).real / extinction_per_m)
+    clear = np.asarray(clear_range_m, np.float64)
+    if extinction_per_m < _CLEAR_PER_M:
+        return clear
+    return np.asarray(lambertw(extinction_per_m * clear).real / extinction_per_m)

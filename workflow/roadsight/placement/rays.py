@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.placement.earth import rise_m
 from roadsight.placement.sensors import Sensor
 
 _FLOATS = NDArray[np.float64]
@@ -57,27 +58,60 @@ def sensor_from_spherical(
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
-def beam_directions(sensor: Sensor, yaw_deg: float) -> NDArray[np.float32]:
-    """Unit vectors of a sensor's beams in the local frame; shape (rows, columns, 3)."""
+def beam_directions(
+    sensor: Sensor, yaw_deg: float, tilt: _FLOATS | None = None
+) -> NDArray[np.float32]:
+    """Unit vectors of a sensor's beams in the local frame; shape (rows, columns, 3).
+
+    Parameters
+    ----------
+    tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame; None: levelled.
+    """
     azimuth = np.radians(sensor.azimuth_deg + yaw_deg)
     elevation = np.radians(sensor.elevation_deg)[:, None]
     directions = np.empty((*sensor.shape, 3), np.float32)
     np.multiply(np.cos(elevation), np.cos(azimuth), out=directions[..., 0], casting="same_kind")
     np.multiply(np.cos(elevation), np.sin(azimuth), out=directions[..., 1], casting="same_kind")
     directions[..., 2] = np.sin(elevation)
-    return directions
+    return directions if tilt is None else directions @ tilt.T.astype(np.float32)
 
 
 def returns_xyz_m(
-    range_m: NDArray[np.float32], sensor: Sensor, position_m: ArrayLike, yaw_deg: float
+    range_m: NDArray[np.float32],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    tilt: _FLOATS | None = None,
 ) -> _FLOATS:
     """Points (n, 3) that a depth map stands for, local metres, row by row (paper 1, Fig. 9).
 
     Parameters
     ----------
-    range_m : (rows, columns), 0 where nothing returns.
+    range_m : (rows, columns), 0 where nothing returns. tilt : as `beam_directions` takes it.
     """
     rows, columns = np.nonzero(range_m)
     azimuth, elevation = sensor.azimuth_deg[columns], sensor.elevation_deg[rows]
     in_sensor = sensor_from_spherical(azimuth, elevation, range_m[rows, columns])
-    return local_from_sensor(in_sensor, position_m, yaw_deg)
+    xyz_m = local_from_sensor(in_sensor, position_m, yaw_deg)
+    if tilt is None:
+        return xyz_m
+    return (xyz_m - np.asarray(position_m)) @ tilt.T + np.asarray(position_m)
+
+
+def as_seen_from(
+    xyz_m: NDArray[np.floating], position_m: ArrayLike, tilt: _FLOATS | None, curved: bool
+) -> NDArray[np.floating]:
+    """Points (n, 3) moved so that a levelled sensor with straight beams sees them as this one does.
+
+    Parameters
+    ----------
+    tilt : as `beam_directions` takes it. curved : beams rise above the level (`rise_m`).
+    """
+    if tilt is None and not curved:
+        return xyz_m
+    offset = xyz_m - np.asarray(position_m, np.float64)
+    if curved:
+        offset[:, 2] -= rise_m(np.hypot(offset[:, 0], offset[:, 1]))
+    if tilt is not None:
+        offset = offset @ tilt
+    return offset + np.asarray(position_m, np.float64)

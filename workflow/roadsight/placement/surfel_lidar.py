@@ -7,6 +7,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.placement.earth import rise_m
 from roadsight.placement.rays import beam_directions
 from roadsight.placement.sensors import Sensor
 from roadsight.scene.surfels import Surfels
@@ -57,18 +58,43 @@ class SurfelLidar:
         return range_m
 
     def depth_map(
-        self, sensor: Sensor, position_m: ArrayLike, yaw_deg: float
+        self,
+        sensor: Sensor,
+        position_m: ArrayLike,
+        yaw_deg: float,
+        tilt: NDArray[np.float64] | None = None,
+        curved: bool = False,
     ) -> NDArray[np.float32]:
         """Range of every beam's first return, metres, 0 for none; shape (rows, columns).
 
         Parameters
         ----------
         position_m : (3,) local metres. yaw_deg : sensor x from local x, counter-clockwise.
+        tilt : as `beam_directions` takes it. curved : beams rise above the level (`rise_m`).
         """
-        directions = beam_directions(sensor, yaw_deg).reshape(-1, 3)
+        directions = beam_directions(sensor, yaw_deg, tilt).reshape(-1, 3)
         range_m = self.cast(position_m, directions, sensor.range_m)
+        if curved:
+            range_m = self.cast(position_m, risen(directions, range_m), sensor.range_m)
         range_m[np.isinf(range_m)] = 0.0
         return range_m.reshape(sensor.shape)
+
+
+def risen(directions: NDArray[np.float32], range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Straight lines (n, 3) to where curved beams are at a range.
+
+    A beam climbs by `rise_m`, so little that the range to which it is straightened hardly matters.
+
+    Parameters
+    ----------
+    directions : (n, 3) unit vectors at the sensor. range_m : (n,), infinite for no return.
+    """
+    known = np.where(np.isinf(range_m), 0.0, range_m).astype(np.float64)
+    at = directions * known[:, None]
+    at[:, 2] += rise_m(np.hypot(at[:, 0], at[:, 1]))
+    length = np.linalg.norm(at, axis=1, keepdims=True)
+    straight = np.divide(at, length, out=directions.astype(np.float64), where=length > 0)
+    return straight.astype(np.float32)
 
 
 def _corners(surfels: Surfels, origin_m: NDArray[np.float64]) -> NDArray[np.float32]:

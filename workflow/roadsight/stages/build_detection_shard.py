@@ -12,12 +12,17 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
+from roadsight.io.atomic import read_json
 from roadsight.io.depth_maps import DepthMaps
 from roadsight.io.detections import write_detections
-from roadsight.io.poses import read_poses
+from roadsight.io.lanes import read_traffic
+from roadsight.io.poses import read_poses, read_tilts
 from roadsight.io.tables import read_table
-from roadsight.placement.detection import MIN_BEAMS, count_hits
+from roadsight.placement.detection import MIN_BEAMS
+from roadsight.placement.lanes import free_shares
+from roadsight.placement.light import range_in_air_m
 from roadsight.placement.sensors import Sensor, load_sensor
+from roadsight.placement.sight import Sight, count_beams
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
@@ -29,12 +34,23 @@ _MOST_HITS = np.iinfo(np.uint16).max
 def build_detection_shard(arguments: argparse.Namespace) -> None:
     """Write a row for each target seen, by candidate and then by target."""
     targets = read_table(arguments.targets, ["target", "x", "y", "z"])
-    names, hits = [], []
-    for name, hits_on_targets in _hits(arguments, targets[["x", "y", "z"]].to_numpy(np.float64)):
-        seen = np.flatnonzero(hits_on_targets > arguments.min_beams)
+    feet_m = targets[["x", "y", "z"]].to_numpy(np.float64)
+    traffic = read_traffic(arguments.lanes[0]) if arguments.lanes else None
+    names, hits, free = [], [], []
+    for name, position_m, beams in _hits(arguments, feet_m):
+        seen = np.flatnonzero(beams > arguments.min_beams)
+        if traffic is not None:
+            middles = feet_m[seen] + np.array([0.0, 0.0, arguments.height_m / 2])
+            shares = free_shares(traffic.lanes, position_m, middles)
+            often = shares >= traffic.availability
+            seen = seen[often]
+            free.append(shares[often])
         names.append(name)
-        hits.append(pd.Series(np.minimum(hits_on_targets[seen], _MOST_HITS), index=seen))
+        counts = np.ceil(beams[seen]).astype(np.int32)
+        hits.append(pd.Series(np.minimum(counts, _MOST_HITS), index=seen))
     detections = _table(names, hits, targets["target"])
+    if traffic is not None:
+        detections["availability"] = np.concatenate([[], *free]).astype(np.float32)
     log.info("%d candidates, %d targets, %d seen", len(names), len(targets), len(detections))
     about = {name: getattr(arguments, name) for name in ("radius_m", "height_m", "min_beams")}
     write_detections(arguments.out, detections, {"sensor": arguments.sensor, **about})
@@ -42,12 +58,13 @@ def build_detection_shard(arguments: argparse.Namespace) -> None:
 
 def _hits(
     arguments: argparse.Namespace, feet_m: NDArray[np.float64]
-) -> Iterator[tuple[str, NDArray[np.int32]]]:
-    """Candidates in the order of their depth maps, and their beams on each target."""
+) -> Iterator[tuple[str, NDArray[np.float64], NDArray]]:
+    """Candidates in the order of their depth maps, where they are, and their beams on targets."""
     stride = arguments.azimuth_stride
     sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(stride)
     poses = read_poses(arguments.candidates)
-    size = (arguments.radius_m, arguments.height_m)
+    size_m = (arguments.radius_m, arguments.height_m)
+    tilts, sight = read_tilts(arguments.tilts), _sight(arguments, sensor)
     maps = _depth_maps(arguments, sensor)
     for name, depth in logged(maps, len(maps), log, "candidates"):
         if name not in poses:
@@ -57,7 +74,22 @@ def _hits(
                 hint=f"render it again for {arguments.candidates}",
             )
         *position_m, yaw_deg = poses[name]
-        yield name, stride * count_hits(depth, sensor, position_m, yaw_deg, feet_m, *size)
+        pose = (np.array(position_m), yaw_deg)
+        beams = count_beams(depth, sensor, *pose, feet_m, size_m, sight, tilts.get(name))
+        yield name, pose[0], stride * beams
+
+
+def _sight(arguments: argparse.Namespace, sensor: Sensor) -> Sight:
+    """What the sensor's sight of targets is like under the effects that are simulated."""
+    clear_m = sensor.range_m
+    for path in arguments.reflectivity:
+        clear_m = read_json(path)["target_range_m"][arguments.sensor]
+    air = [read_json(path)["extinction_per_m"][arguments.sensor] for path in arguments.air]
+    return Sight(
+        float(range_in_air_m(clear_m, sum(air))),
+        arguments.partial_hits == "simulate" and sensor.divergence_mrad is not None,
+        arguments.curvature == "simulate",
+    )
 
 
 def _table(names: list[str], hits: list[pd.Series], targets: pd.Series) -> pd.DataFrame:
@@ -98,6 +130,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--height-m", type=float, default=0.6)
     parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
     parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
+    parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
+    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
+    parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
+    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    for name in ("partial-hits", "curvature"):
+        parser.add_argument(f"--{name}", choices=["simulate", "skip"], default="skip")
     return run_stage(parser, build_detection_shard, argv)
 
 

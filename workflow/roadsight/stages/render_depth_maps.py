@@ -12,11 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.io.depth_maps import DepthMapInfo, DepthMapWriter, range_step_m
-from roadsight.io.poses import read_poses
+from roadsight.io.poses import read_poses, read_tilts
 from roadsight.io.shards import shard_of
 from roadsight.io.standing import StandingCloud
 from roadsight.io.surfels import read_surfels
 from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.rays import as_seen_from
 from roadsight.placement.sensors import Sensor, load_sensor
 from roadsight.placement.surfel_lidar import SurfelLidar
 from roadsight.stages.command import run_stage
@@ -24,7 +25,8 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("render_depth_maps")
 
-Render = Callable[[Sensor, ArrayLike, float], NDArray[np.float32]]
+Tilt = NDArray[np.float64] | None
+Render = Callable[[Sensor, ArrayLike, float, Tilt], NDArray[np.float32]]
 
 
 def render_depth_maps(arguments: argparse.Namespace) -> None:
@@ -43,28 +45,37 @@ def render_depth_maps(arguments: argparse.Namespace) -> None:
             log.info("no candidate in shard %d of %d", arguments.shard, arguments.shards)
             return
         render = _renderer(arguments, sensor, np.stack(list(poses.values())))
+        tilts = read_tilts(arguments.tilts)
         what = f"{arguments.sensor} depth maps"
         for name, (*position_m, yaw_deg) in logged(poses.items(), len(poses), log, what):
-            writer.append(name, render(sensor, position_m, yaw_deg))
+            writer.append(name, render(sensor, position_m, yaw_deg, tilts.get(name)))
 
 
 def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: NDArray[np.float64]) -> Render:
     """The chosen model, ready to render."""
+    curved = arguments.curvature == "simulate"
     if arguments.model == "surfel":
-        return SurfelLidar(read_surfels(arguments.surfels)).depth_map
+        return partial(SurfelLidar(read_surfels(arguments.surfels)).depth_map, curved=curved)
     west, south = poses[:, :2].min(axis=0) - sensor.range_m
     east, north = poses[:, :2].max(axis=0) + sensor.range_m
     cloud = StandingCloud(arguments.cloud, arguments.traffic)
     xyz_m = cloud.xyz_within((west, south, east, north))
     log.info("%d points within range", len(xyz_m))
-    if arguments.model == "preliminary":
-        return partial(preliminary_depth, xyz_m)
-    return partial(
-        hybrid_depth,
-        xyz_m,
-        min_cell_points=arguments.min_cell_points,
-        neighbours=arguments.neighbours,
-    )
+    model: Callable[..., NDArray[np.float32]] = preliminary_depth
+    if arguments.model == "hybrid":
+        model = partial(
+            hybrid_depth,
+            min_cell_points=arguments.min_cell_points,
+            neighbours=arguments.neighbours,
+        )
+
+    def render(
+        sensor: Sensor, position_m: ArrayLike, yaw_deg: float, tilt: Tilt
+    ) -> NDArray[np.float32]:
+        seen = as_seen_from(xyz_m, position_m, tilt, curved)
+        return model(seen, sensor, position_m, yaw_deg)
+
+    return render
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -82,6 +93,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--azimuth-stride", type=int, default=1, help="simulate every n-th azimuth")
     parser.add_argument("--min-cell-points", type=int, default=5)
     parser.add_argument("--neighbours", type=int, default=10)
+    parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
+    parser.add_argument("--curvature", choices=["simulate", "skip"], default="skip")
     parser.add_argument("--out", required=True)
     return run_stage(parser, render_depth_maps, argv)
 

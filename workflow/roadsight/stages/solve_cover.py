@@ -21,7 +21,7 @@ from roadsight.io.vectors import write_layers
 from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
 from roadsight.placement.cover.deadline import WorkLimit
 from roadsight.placement.cover.result import WITHIN_GAP
-from roadsight.placement.coverage import detection_matrix, times_seen
+from roadsight.placement.coverage import availability, detection_matrix, times_seen
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("solve_cover")
@@ -54,6 +54,13 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     sensors = _sensor_table(candidates, list(costs), cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(arguments, cover, sensors, targets, uncovered)
+    if "availability" in detections:
+        chosen = sensors[["sensor", "candidate"]].apply(tuple, axis=1)
+        wanted["availability"] = availability(detections, set(chosen), wanted["target"])
+        content["availability"] = {
+            "mean": float(wanted["availability"].mean()),
+            "least": float(wanted["availability"].min()),
+        }
     write_layers(arguments.layers, {"sensors": _points(sensors), "targets": _points(wanted)}, frame)
     write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
     write_json(arguments.solution, content)

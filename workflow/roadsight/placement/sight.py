@@ -1,0 +1,68 @@
+"""Beams on targets under the effects that a site simulates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.placement.detection import count_hits
+from roadsight.placement.earth import rise_m
+from roadsight.placement.footprints import count_shared_hits
+from roadsight.placement.mounted import count_tilted_hits
+from roadsight.placement.sensors import Sensor
+
+_FLOATS = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What a sensor's sight of targets is like; the defaults are the plain case.
+
+    Parameters
+    ----------
+    max_range_m : range from which targets return.
+    footprints : whether beams have the sensor's divergence.
+    curved : whether beams rise above the level (`rise_m`).
+    """
+
+    max_range_m: float
+    footprints: bool = False
+    curved: bool = False
+
+
+def count_beams(
+    range_m: NDArray[np.float32],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    targets_xyz_m: _FLOATS,
+    size_m: tuple[float, float],
+    sight: Sight,
+    tilt: _FLOATS | None = None,
+) -> NDArray[np.int32] | _FLOATS:
+    """Beams, or shares of beams, that return from each target (n,).
+
+    Parameters
+    ----------
+    range_m, position_m, yaw_deg, targets_xyz_m : as `count_hits` takes them.
+    size_m : radius and height of every target.
+    tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame; None: levelled.
+    """
+    if sight.curved:
+        # Seen along a straight beam, what is far lies deeper.
+        offset = targets_xyz_m[:, :2] - np.asarray(position_m)[:2]
+        targets_xyz_m = targets_xyz_m.copy()
+        targets_xyz_m[:, 2] -= rise_m(np.hypot(*offset.T))
+    if sight.footprints:
+        return count_shared_hits(
+            range_m, sensor, position_m, yaw_deg, tilt, targets_xyz_m, *size_m, sight.max_range_m
+        )
+    if tilt is not None:
+        return count_tilted_hits(
+            range_m, sensor, position_m, yaw_deg, tilt, targets_xyz_m, *size_m, sight.max_range_m
+        )
+    return count_hits(
+        range_m, sensor, position_m, yaw_deg, targets_xyz_m, *size_m, sight.max_range_m
+    )

@@ -1,0 +1,44 @@
+"""Mounts that stand normal to the ground instead of upright."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+_FLOATS = NDArray[np.float64]
+
+_RING_M = 4.0
+_RING_POINTS = 16
+
+
+def ground_normals(xy_m: _FLOATS, ground_m: Callable[[_FLOATS, _FLOATS], _FLOATS]) -> _FLOATS:
+    """Unit normals (n, 3) of the ground around places (n, 2), local frame.
+
+    The gradient is that of the plane of best fit through a ring of 4 m, which for evenly spread
+    points is twice their first harmonic over the radius. Where the ring leaves the known ground the
+    mount stands upright.
+
+    Parameters
+    ----------
+    ground_m : heights of the ground at x and y, NaN where unknown.
+    """
+    angle = 2 * np.pi * np.arange(_RING_POINTS) / _RING_POINTS
+    spokes = np.column_stack([np.cos(angle), np.sin(angle)])
+    ring = np.asarray(xy_m, np.float64)[:, None] + _RING_M * spokes
+    height = ground_m(ring[..., 0].ravel(), ring[..., 1].ravel()).reshape(len(xy_m), -1)
+    gradient = 2 * height @ spokes / (_RING_POINTS * _RING_M)
+    gradient[~np.isfinite(gradient).all(axis=1)] = 0.0
+    normal = np.column_stack([-gradient, np.ones(len(gradient))])
+    return normal / np.linalg.norm(normal, axis=1, keepdims=True)
+
+
+def tilt_rotation(normal: ArrayLike) -> _FLOATS:
+    """Smallest rotation (3, 3) that takes the vertical to a unit normal (3,) that points up.
+
+    Rodrigues' formula for the axis z x n: I + [v] + [v]^2 / (1 + cos).
+    """
+    nx, ny, nz = np.asarray(normal, np.float64)
+    cross = np.array([[0.0, 0.0, nx], [0.0, 0.0, ny], [-nx, -ny, 0.0]])
+    return np.eye(3) + cross + cross @ cross / (1 + nz)

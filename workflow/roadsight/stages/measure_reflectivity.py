@@ -1,0 +1,67 @@
+"""How far each sensor sees targets and the road's own surfaces, by their reflectivity."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+
+import numpy as np
+import pandas as pd
+import shapely
+from shapely import MultiPolygon
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import read_json, write_json
+from roadsight.io.tables import write_table
+from roadsight.io.tiles import CloudTiles, stack_xyz
+from roadsight.io.vectors import read_layer
+from roadsight.placement.light import reflectivity_range_m
+from roadsight.placement.sensors import load_sensors
+from roadsight.scene.reflectivity import reflectivity_of, voxel_means
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("measure_reflectivity")
+
+
+def measure_reflectivity(arguments: argparse.Namespace) -> None:
+    """Write ranges by sensor, and the reflectivity of surfaces from the cloud's intensities."""
+    definitions = load_sensors(arguments.sensors)
+    rho = arguments.target_reflectivity
+    ranges = {name: float(reflectivity_range_m(definitions[name], rho)) for name in arguments.names}
+    write_table(arguments.surfaces, _surfaces(arguments))
+    for name, range_m in ranges.items():
+        log.info("%s sees targets of reflectivity %g up to %.1f m", name, rho, range_m)
+    write_json(arguments.out, {"target_reflectivity": rho, "target_range_m": ranges})
+
+
+def _surfaces(arguments: argparse.Namespace) -> pd.DataFrame:
+    """Places of half a metre and the reflectivity of what is there."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    pavement = MultiPolygon(list(read_layer(arguments.pavement, "pavement", frame).geometry))
+    shapely.prepare(pavement)
+    cloud = CloudTiles(arguments.cloud)
+    parts, paved = [], []
+    for number in range(len(cloud.tiles)):
+        points = cloud.read(("x", "y", "z", "intensity"), [number])
+        means = voxel_means(stack_xyz(points), points["intensity"])
+        inside = shapely.contains_xy(pavement, means["x"], means["y"])
+        paved.append(means.loc[inside, "intensity"].to_numpy())
+        parts.append(means)
+    table = pd.concat(parts, ignore_index=True)
+    table["reflectivity"] = reflectivity_of(table["intensity"].to_numpy(), np.concatenate(paved))
+    return table.drop(columns="intensity")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("cloud", "frame", "pavement", "sensors", "surfaces", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--names", nargs="+", required=True, help="names of the sensors")
+    parser.add_argument("--target-reflectivity", type=float, required=True)
+    return run_stage(parser, measure_reflectivity, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

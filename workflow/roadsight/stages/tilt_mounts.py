@@ -1,0 +1,44 @@
+"""How mounts lean that stand normal to the ground."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+
+import numpy as np
+import pandas as pd
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import read_json
+from roadsight.io.rasters import read_raster
+from roadsight.io.tables import read_table, write_table
+from roadsight.placement.tilt import ground_normals
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("tilt_mounts")
+
+
+def tilt_mounts(arguments: argparse.Namespace) -> None:
+    """Write the normal of the ground at each candidate."""
+    dem = read_raster(arguments.dem, Frame.from_dict(read_json(arguments.frame)))
+    candidates = read_table(arguments.candidates, ["candidate", "x", "y"])
+    normals = ground_normals(candidates[["x", "y"]].to_numpy(np.float64), dem.sample)
+    table = pd.DataFrame(normals, columns=["normal_x", "normal_y", "normal_z"])
+    table.insert(0, "candidate", candidates["candidate"])
+    if len(normals):
+        leaning = np.degrees(np.arccos(np.clip(normals[:, 2], -1, 1)))
+        log.info("mounts lean %.2f deg on average, %.2f at most", leaning.mean(), leaning.max())
+    write_table(arguments.out, table)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("candidates", "dem", "frame", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    return run_stage(parser, tilt_mounts, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
