@@ -87,7 +87,7 @@ rule measure_reflectivity:
         target_reflectivity=setting("conditions.target_reflectivity"),
     shell:
         "python -m roadsight.stages.measure_reflectivity --cloud {input.cloud}"
-        " --frame {input.frame} --pavement {input.pavement} --sensors {params.sensors_file}"
+        " --frame {input.frame} --pavement {input.pavement} --sensors {params.sensors_file:q}"
         " --names {params.sensors} --target-reflectivity {params.target_reflectivity}"
         " --surfaces {output.surfaces} --out {output.ranges} > {log} 2>&1"
 
