@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS, Proj, Transformer
+from pyproj.proj import Factors
 
 from roadsight.errors import InputError
 from roadsight.geometry.crs import horizontal
@@ -57,7 +58,17 @@ class SiteNorth:
 
         A direction's true bearing is its grid bearing plus this.
         """
+        return np.asarray(self._factors(xy_m).meridian_convergence, float)
+
+    def scale(self, xy_m: ArrayLike) -> _FLOATS:
+        """Metres of the grid for each metre on the ellipsoid at local places (n, 2).
+
+        The root of the factor of areas: the factor itself where the projection is conformal, the
+        mean over all directions to second order elsewhere.
+        """
+        return np.sqrt(np.asarray(self._factors(xy_m).areal_scale, float))
+
+    def _factors(self, xy_m: ArrayLike) -> Factors:
         native = self._frame.to_native(np.asarray(xy_m, float)[..., :2])
         longitude, latitude = self._geodetic.transform(native[..., 0], native[..., 1])
-        factors = self._projection.get_factors(longitude, latitude)
-        return np.asarray(factors.meridian_convergence, float)
+        return self._projection.get_factors(longitude, latitude)

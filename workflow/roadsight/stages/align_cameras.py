@@ -39,8 +39,8 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("align_cameras")
 METHODS = ("ours", "published", "none")
-_TEXTS = ("image", "reason")
-_COLUMNS = (
+TEXTS = ("image", "reason")
+CAMERA_COLUMNS = (
     "image", "x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px", "cx_px", "cy_px",
     "width_px", "height_px", "sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m",
     "sigma_along_m", "condition", "residual_px", "edge_points", "landmarks", "one_sided",
@@ -66,7 +66,7 @@ def align_cameras(arguments: argparse.Namespace) -> None:
         if reason := implausible(drive.mount, place.start.width_px):
             row |= {"accepted": False, "reason": reason}
         rows.append({"image": place.image, **row})
-    table = pd.DataFrame(rows, columns=list(_COLUMNS)).astype(dict.fromkeys(_TEXTS, str))
+    table = pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(dict.fromkeys(TEXTS, str))
     for reason, count in sorted(Counter(table["reason"]).items()):
         log.info("%d of %d images: %s", count, len(table), reason or "accepted")
     write_table(arguments.out, table, {"method": arguments.method})

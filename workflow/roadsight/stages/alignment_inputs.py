@@ -26,8 +26,8 @@ from roadsight.poles.alignment.drive import (
     sight_of,
 )
 from roadsight.poles.alignment.landmarks import LandmarkNoise
-from roadsight.poles.alignment.roadside import RoadEdges
-from roadsight.poles.alignment.solve import Noise
+from roadsight.poles.alignment.roadside import NearEdges, RoadEdges
+from roadsight.poles.alignment.solve import ImageEdges, Noise
 from roadsight.poles.calibration import Loader
 from roadsight.poles.lidar_poles import PoleColumns
 from roadsight.scene.occlusion import TerrainSight
@@ -55,11 +55,15 @@ class AlignmentScene:
     columns: PoleColumns
     landmarks: LandmarkNoise
 
-    def load(self, place: Place) -> Loader:
-        """Maker of the task of one image."""
+    def edges_of(self, place: Place) -> tuple[ImageEdges, NearEdges]:
+        """Road edges in one image, and those of the cloud that it may show."""
         empty = pd.DataFrame({name: [] for name in _EDGE})
         seen = image_edges_of(self.pixels.get(place.image, empty), self.reach)
-        there = near_edges(place, self.edges, self.reach, self.visible)
+        return seen, near_edges(place, self.edges, self.reach, self.visible)
+
+    def load(self, place: Place) -> Loader:
+        """Maker of the task of one image."""
+        seen, there = self.edges_of(place)
         rows = self.axes.get(place.image)
         sight = None if rows is None else sight_of(place, rows, self.columns, self.landmarks)
         return loader(place, seen, there, self.noise, sight)

@@ -24,7 +24,7 @@ from roadsight.poles.networks import (
     packed_depth,
     tensor_of,
 )
-from roadsight.poles.views import View, usable, views_of
+from roadsight.poles.views import VIEWS, View, usable, views_of
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
@@ -38,7 +38,7 @@ Depth = Callable[[View], NDArray[np.uint16]]
 def estimate_depth(arguments: argparse.Namespace) -> None:
     """Write the depth of every view of every usable frame of the shard."""
     frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
-    views = list(views_of(frames))
+    views = list(views_of(frames, tuple(arguments.views)))
     metric, key, depth_of = _open(arguments)
     about = {"source": arguments.source, "metric_nearest_m": METRIC_NEAREST_M if metric else None}
     trends: list[float] = []
@@ -121,6 +121,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--folder-kind", choices=("inverse_depth", "depth"), default="inverse_depth"
     )
+    parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1, help="threads of a network")

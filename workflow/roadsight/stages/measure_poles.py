@@ -26,7 +26,7 @@ from roadsight.poles.pole_masks import KINDS, MaskSettings
 from roadsight.poles.sighting_bearing import ViewCamera
 from roadsight.poles.sightings import Evidence, SightingSettings, measure_view
 from roadsight.poles.stitching import ViewOffsets, merge_views, side_intrinsics
-from roadsight.poles.views import View, usable, views_of
+from roadsight.poles.views import VIEWS, View, usable, views_of
 from roadsight.stages.alignment_inputs import read_columns
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
@@ -59,7 +59,7 @@ def measure_poles(arguments: argparse.Namespace) -> None:
     ground = read_raster(arguments.dem, frame)
     evidence = _Evidence(arguments, ground, accepted.loc[known["image"]], settings)
     masks, depths = ImageShard(arguments.masks), ImageShard(arguments.depth)
-    views = list(views_of(known))
+    views = list(views_of(known, tuple(arguments.views)))
     routes = dict(zip(known["image"], known["route"].astype(str), strict=True))
     tables = []
     for view in logged(views, len(views), log, "images"):
@@ -198,6 +198,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--columns", nargs="?", help="pole-like columns of the cloud")
     parser.add_argument("--calibration", nargs="?", help="has the yaw of side views, if found")
     parser.add_argument("--voxels", nargs="?", help="only for the bearing `lidar`")
+    parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--left-yaw-deg", type=float, default=ViewOffsets.left_deg)

@@ -19,7 +19,7 @@ from roadsight.io.videologs import ImageSource
 from roadsight.poles.classes import PixelClass
 from roadsight.poles.manifest import Labels
 from roadsight.poles.networks import class_mask, folder_mask, merge_masks, tensor_of
-from roadsight.poles.views import View, usable, views_of
+from roadsight.poles.views import VIEWS, View, usable, views_of
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
@@ -32,7 +32,7 @@ def segment_images(arguments: argparse.Namespace) -> None:
     """Write the mask of every view of every usable frame of the shard."""
     sources = [_open(source, arguments) for source in arguments.source]
     frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
-    views = list(views_of(frames))
+    views = list(views_of(frames, tuple(arguments.views)))
     images = ImageSource(arguments.images)
     pixels = np.zeros(256, np.int64)
     about = {"sources": [" ".join(s) for s in arguments.source], "scale": 1.0}
@@ -83,6 +83,7 @@ def main(argv: list[str] | None = None) -> int:
         "--source", nargs="+", action="append", required=True, metavar="MANIFEST | FOLDER MAP",
         help="repeat it: later sources replace what earlier ones say, with their own classes only",
     )  # fmt: skip
+    parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1, help="threads of a network")

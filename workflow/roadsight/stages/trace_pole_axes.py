@@ -13,7 +13,7 @@ import pandas as pd
 from roadsight.io.image_shards import ImageShard
 from roadsight.io.tables import read_table, write_table
 from roadsight.poles.pole_masks import Instance, MaskSettings, find_instances
-from roadsight.poles.views import View, usable, views_of
+from roadsight.poles.views import VIEWS, View, usable, views_of
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
@@ -29,7 +29,7 @@ def trace_pole_axes(arguments: argparse.Namespace) -> None:
     settings = MaskSettings(**{f.name: getattr(arguments, f.name) for f in fields(MaskSettings)})
     frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
     masks = ImageShard(arguments.masks)
-    views = list(views_of(frames))
+    views = list(views_of(frames, tuple(arguments.views)))
     rows = []
     for view in logged(views, len(views), log, "images"):
         mask = masks.read(view.name)
@@ -71,6 +71,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("frames", "masks", "out"):
         parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     for field in fields(MaskSettings):

@@ -1,0 +1,179 @@
+"""What a drive is like, as far as effects hang on it; measured before anything is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.errors import InputError
+from roadsight.geometry.lens import RadialLens
+from roadsight.poles.front_view import left_out_share
+from roadsight.poles.plumb_line import fit_lens
+from roadsight.poles.upright_curves import upright_curves
+from roadsight.scene.sight_lines import Height, hidden_road_share
+
+_FLOATS = NDArray[np.float64]
+Key = tuple[str, int, int]
+"""Route, width and height of images that share a camera."""
+Picture = Callable[[str], NDArray[np.uint8]]
+
+EYE_M = 2.2
+_CAMERAS = 60
+_PICTURES = 120
+_ROADSIDE_M = (3.0, 6.0, 9.0, 12.0)
+_ROADSIDE_STEP_M = 4.0
+_KNOWN_TO = 0.9
+
+
+def evenly(count: int, most: int) -> NDArray[np.int64]:
+    """Numbers of at most so many items, spread evenly over all of them."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round()).astype(np.int64)
+
+
+def hidden_share(
+    frames: pd.DataFrame, edges_m: _FLOATS, height: Height, farthest_m: float
+) -> float | None:
+    """Share of the road edges within reach that the ground hides from up to 60 cameras.
+
+    Parameters
+    ----------
+    frames : usable ones: x, y, z_road, heading_deg. edges_m : road edge points (n, 3).
+    """
+    if frames.empty:
+        return None
+    few = frames.iloc[evenly(len(frames), _CAMERAS)]
+    eyes = few[["x", "y", "z_road"]].to_numpy(np.float64) + np.array([0.0, 0.0, EYE_M])
+    heading = few["heading_deg"].to_numpy(np.float64)
+    share = hidden_road_share(height, eyes, heading, edges_m, farthest_m)
+    return share if np.isfinite(share) else None
+
+
+def roadside(frames: pd.DataFrame) -> _FLOATS:
+    """Places (n, 2) along both sides of a track, 3 m to 12 m from it, where poles may stand."""
+    xy = frames[["x", "y"]].to_numpy(np.float64)
+    if len(xy) < 2:
+        return np.empty((0, 2))
+    path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
+    moved = np.concatenate([[True], np.diff(path) > 0])
+    if path[-1] <= 0.0:
+        return np.empty((0, 2))
+    station = np.arange(0.0, path[-1], _ROADSIDE_STEP_M)
+    on_track = np.column_stack([np.interp(station, path[moved], xy[moved, k]) for k in (0, 1)])
+    heading = np.unwrap(np.radians(frames["heading_deg"].to_numpy(np.float64)[moved]))
+    turn = np.interp(station, path[moved], heading)
+    right = np.column_stack([np.cos(turn), -np.sin(turn)])
+    offsets = [side * offset for offset in _ROADSIDE_M for side in (-1.0, 1.0)]
+    return np.concatenate([on_track + offset * right for offset in offsets])
+
+
+def front_view_gap(
+    frames: pd.DataFrame, hfov_deg: float, reach_m: float, views: int
+) -> float | None:
+    """Share of the roadside of drives with side images that the front view cannot measure.
+
+    Parameters
+    ----------
+    hfov_deg : field of view, known to 10 %: taken as that much narrower. views : images that a
+        pole needs within ``reach_m``.
+
+    Returns
+    -------
+    None where it cannot be told
+    """
+    shares, lengths = [], []
+    for _, route in frames[has_sides(frames)].groupby("route", sort=True):
+        drive = route.sort_values("sequence", kind="stable")
+        places = roadside(drive)
+        camera = drive[["x", "y"]].to_numpy(np.float64)
+        heading = drive["heading_deg"].to_numpy(np.float64)
+        share = left_out_share(places, camera, heading, _KNOWN_TO * hfov_deg, reach_m, views)
+        if np.isfinite(share):
+            shares.append(share)
+            lengths.append(len(places))
+    return float(np.average(shares, weights=lengths)) if shares else None
+
+
+def has_sides(frames: pd.DataFrame) -> NDArray[np.bool_]:
+    """Whether each frame has a left or a right image."""
+    named = [frames[name].fillna("").astype(str) != "" for name in ("left_path", "right_path")]
+    return np.asarray(named[0] | named[1], bool)
+
+
+def keys_of(frames: pd.DataFrame) -> list[Key]:
+    """Drives of the frames, sorted."""
+    names = ["route", "width_px", "height_px"]
+    rows = frames[names].drop_duplicates().itertuples(index=False)
+    return sorted((str(route), int(width), int(height)) for route, width, height in rows)
+
+
+def frames_of(frames: pd.DataFrame, key: Key) -> pd.DataFrame:
+    """Frames of one drive in the order in which they were taken."""
+    own = (frames["route"].astype(str) == key[0]) & (frames["width_px"] == key[1])
+    own &= frames["height_px"] == key[2]
+    return frames[own].sort_values("sequence", kind="stable")
+
+
+def given_lens(key: Key, lenses: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
+    """The lens that the site gives for a drive: the first one of its route or of all.
+
+    Raises
+    ------
+    InputError : it cannot have made such images.
+    """
+    for given in lenses:
+        if given.get("route") in (None, "", key[0]):
+            lens = RadialLens.centred(given["k1"], given["k2"], *key[1:], given["focal_px"])
+            lens.check(*key[1:], where=f"poles.lenses: {key[0]}")
+            return lens_content(key, lens, lens.corner_px(*key[1:]), 0.0, "given")
+    return None
+
+
+def measured_lens(key: Key, paths: Iterable[str], picture: Picture) -> dict[str, Any]:
+    """The lens of a drive from upright outlines in its images; none where there are too few."""
+    curves: list[_FLOATS] = []
+    owner: list[int] = []
+    names = list(paths)
+    for number in evenly(len(names), _PICTURES) if names else ():
+        found = upright_curves(picture(names[number]))
+        curves += found
+        owner += [int(number)] * len(found)
+    fitted = fit_lens(curves, *key[1:], owner)
+    if fitted is None:
+        return lens_content(key, RadialLens.centred(0.0, 0.0, *key[1:]), 0.0, None, "unknown")
+    content = lens_content(key, fitted.lens, fitted.corner_px, fitted.sigma_px, "plumb lines")
+    return content | {"curves": fitted.curves, "bow_px": fitted.bow_px}
+
+
+def lens_content(
+    key: Key, lens: RadialLens, corner_px: float, sigma_px: float | None, source: str
+) -> dict[str, Any]:
+    """JSON content of a lens; `lens_of` reads it back."""
+    known = sigma_px if sigma_px is not None and np.isfinite(sigma_px) else None
+    return {
+        "route": key[0], "width_px": key[1], "height_px": key[2],
+        "k1": float(lens.k1), "k2": float(lens.k2), "scale_px": float(lens.scale_px),
+        "corner_px": float(corner_px), "sigma_px": known,
+        "source": source,
+    }  # fmt: skip
+
+
+def lens_of(lenses: Sequence[Mapping[str, Any]], key: Key, shape: tuple[int, int]) -> RadialLens:
+    """Lens of an image of a drive; a side view has the same one down the image.
+
+    Parameters
+    ----------
+    shape : rows and columns of the image.
+
+    Raises
+    ------
+    InputError : the drive is not among the lenses.
+    """
+    for one in lenses:
+        if (one["route"], one["width_px"], one["height_px"]) == key:
+            scale_px = one["scale_px"] * shape[0] / key[2]
+            return RadialLens.centred(one["k1"], one["k2"], shape[1], shape[0], scale_px)
+    raise InputError("a drive has no lens", where="drive profile", found=key)
