@@ -234,7 +234,12 @@ def given_files(wildcards):
     if has_scene_page(wildcards.site):
         files += [edges_file, beside_site("placement.tma"), pavement_truth]
     if wants(wildcards.site, "poles"):
-        files += [videolog_file, beside_site("poles.baseline"), known_poles]
+        files += [
+            videolog_file,
+            beside_site("poles.baseline"),
+            cameras_of_videolog,
+            known_poles,
+        ]
     return [file for named in files for file in named(wildcards)]
 
 

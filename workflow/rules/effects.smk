@@ -1,9 +1,10 @@
 """Which physical effects each site simulates.
 
-Decisions hang on the measured scene, so that `profile_scene` is the one checkpoint of a site. Before
-it has run, `snakemake -n` shows inputs that hang on a decision as <TBD>; after it, the whole DAG.
+Decisions hang on what was measured: `profile_scene` is the one checkpoint of the placement job,
+`profile_drive` that of the pole job. Before it has run, `snakemake -n` shows inputs that hang on a
+decision as <TBD>; after it, the whole DAG.
 
-REQUIRED INPUTS  results/{site}/scene/profile.json, frame.json; config/effects.yaml
+REQUIRED INPUTS  results/{site}/scene/profile.json, frame.json, poles/drive.json; config/effects.yaml
 OUTPUTS          results/{site}/effects.json
 """
 
@@ -11,7 +12,7 @@ from roadsight.effects.catalogue import load_catalogue
 from roadsight.effects.circumstances import SETTINGS, Circumstances
 from roadsight.effects.planner import plan
 from roadsight.io.atomic import read_json
-from roadsight.io.videolog_files import side_views_per_image
+from roadsight.io.videolog_files import posed_share
 
 EFFECTS = clearly(load_catalogue, CONFIG.effects_file)
 
@@ -35,12 +36,24 @@ def given_to_poles(site):
     """What a site gives the pole job beside the cloud."""
     resolved = SITES[site]
     poles = resolved.site.poles
-    sides = 2.0
-    if not resolved.site.sample:
-        images = resolved.beside(poles.images)
-        table = resolved.beside(poles.videolog) or images
-        sides = clearly(side_views_per_image, table, images)
-    return {"camera_poses": False, "distortion_px": 0.0, "side_views": sides}
+    baseline = resolved.beside(poles.baseline)
+    return {
+        "posed_share": posed_share_of(resolved),
+        "lenses": [lens.model_dump() for lens in poles.lenses],
+        "baseline": clearly(read_json, baseline) if baseline else {},
+    }
+
+
+def posed_share_of(resolved):
+    """Share of the images whose camera the site gives."""
+    poles = resolved.site.poles
+    if not poles.cameras:
+        return 0.0
+    if poles.cameras == "sample":
+        return 1.0
+    images = resolved.beside(poles.images)
+    table = resolved.beside(poles.videolog) or images
+    return clearly(posed_share, table, images, resolved.beside(poles.cameras))
 
 
 def circumstances_json(wildcards):
@@ -48,14 +61,23 @@ def circumstances_json(wildcards):
 
 
 @lru_cache(maxsize=None)
-def decisions(site, files, changed):
-    """Decision on each effect of a site, from the content of its profile and its frame."""
+def decisions(site, job, files, changed):
+    """Decision on each effect of a job at a site, from the content of what was measured."""
     about = circumstances(site)
     sensors = {name: SENSORS[name] for name in about["sensors"]}
-    profile, frame = map(read_json, files)
-    measured = Circumstances(profile, frame, about["settings"], sensors, about["given"])
-    made = plan(EFFECTS, about["modes"], about["jobs"], measured)
+    profile, frame, *drive = map(read_json, files)
+    measured = Circumstances(
+        profile, frame, about["settings"], sensors, about["given"], *drive
+    )
+    made = plan(EFFECTS, about["modes"], [job], measured)
     return {decision.effect: decision.decision for decision in made}
+
+
+def measured_files(job, site):
+    """What decisions on a job's effects rest on."""
+    files = ["scene/profile.json", "scene/frame.json"]
+    files += ["poles/drive.json"] if job == "poles" else []
+    return tuple(f"results/{site}/{file}" for file in files)
 
 
 def mode_of(effect, wildcards):
@@ -71,10 +93,10 @@ def decided(effect, wildcards):
     mode = mode_of(effect, wildcards)
     if mode != "auto":
         return mode
-    scene = Path("results", wildcards.site, "scene")
-    files = (str(scene / "profile.json"), str(scene / "frame.json"))
+    job = EFFECTS[effect].job
+    files = measured_files(job, wildcards.site)
     changed = tuple(os.stat(file).st_mtime_ns for file in files)
-    return decisions(wildcards.site, files, changed)[effect]
+    return decisions(wildcards.site, job, files, changed)[effect]
 
 
 def only_if(effect, inputs):
@@ -98,8 +120,13 @@ def after_profile(*effects):
     """No input, but what makes a rule wait for the profile where that decides on an effect."""
 
     def waited(wildcards):
-        if any(mode_of(effect, wildcards) == "auto" for effect in effects):
-            checkpoints.profile_scene.get(site=wildcards.site)
+        for effect in effects:
+            if mode_of(effect, wildcards) == "auto":
+                poles = EFFECTS[effect].job == "poles"
+                measured = (
+                    checkpoints.profile_drive if poles else checkpoints.profile_scene
+                )
+                measured.get(site=wildcards.site)
         return []
 
     return waited
@@ -110,8 +137,8 @@ def decision_on(effect):
 
     def decision(wildcards):
         # Before the profile is there this is never used: the rule waits for it and is asked again.
-        profile = Path("results", wildcards.site, "scene/profile.json")
-        known = mode_of(effect, wildcards) != "auto" or profile.exists()
+        files = measured_files(EFFECTS[effect].job, wildcards.site)
+        known = mode_of(effect, wildcards) != "auto" or all(map(os.path.exists, files))
         return decided(effect, wildcards) if known else "open"
 
     return decision
@@ -121,6 +148,7 @@ rule plan_effects:
     input:
         profile="results/{site}/scene/profile.json",
         frame="results/{site}/scene/frame.json",
+        drive=poles_only(drive_profile),
         catalogue=CONFIG.effects_file,
         code=sources("plan_effects"),
     output:
@@ -135,5 +163,5 @@ rule plan_effects:
         circumstances=circumstances_json,
     shell:
         "python -m roadsight.stages.plan_effects --profile {input.profile}"
-        " --frame {input.frame} --catalogue {input.catalogue:q}"
+        " --frame {input.frame} --drive {input.drive} --catalogue {input.catalogue:q}"
         " --circumstances {params.circumstances:q} --out {output.effects} > {log} 2>&1"

@@ -13,7 +13,8 @@ rule calibrate_drive:
         road_edges=rules.extract_road_edges.output.edges,
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
-        terrain=terrain_that_hides,
+        terrain=only_if("terrain_occlusion", rules.build_terrain.output.terrain),
+        decided=after_profile("sight_curvature"),
         pole_axes=landmark_axes,
         columns=landmark_columns,
         baseline=beside_site("poles.baseline"),
@@ -30,12 +31,14 @@ rule calibrate_drive:
         options=flags("calibration"),
         sides=some_flags("sightings", "left_yaw_deg", "right_yaw_deg"),
         shared=flags("alignment", *ALIGNMENT_ONLY),
+        curvature=decision_on("sight_curvature"),
     shell:
         "python -m roadsight.stages.calibrate_drive --frames {input.frames}"
         " --image-edges {input.image_edges} --road-edges {input.road_edges}"
         " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
         " --pole-axes {input.pole_axes} --columns {input.columns}"
         " --baseline {input.baseline:q} {params.options} {params.sides} {params.shared}"
+        " --curvature {params.curvature}"
         " --out {output.calibration} > {log} 2>&1"
 
 
@@ -46,7 +49,8 @@ rule align_cameras:
         road_edges=rules.extract_road_edges.output.edges,
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
-        terrain=terrain_that_hides,
+        terrain=only_if("terrain_occlusion", rules.build_terrain.output.terrain),
+        decided=after_profile("sight_curvature"),
         pole_axes=landmark_axes,
         columns=landmark_columns,
         calibration=rules.calibrate_drive.output.calibration,
@@ -62,12 +66,44 @@ rule align_cameras:
     params:
         shards=setting("shards"),
         options=flags("alignment", "landmarks"),
+        curvature=decision_on("sight_curvature"),
     shell:
         "python -m roadsight.stages.align_cameras --frames {input.frames}"
         " --image-edges {input.image_edges} --road-edges {input.road_edges}"
         " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
         " --pole-axes {input.pole_axes} --columns {input.columns}"
-        " --calibration {input.calibration} {params.options} --shard {wildcards.shard}"
+        " --calibration {input.calibration} --curvature {params.curvature} {params.options} --shard {wildcards.shard}"
+        " --shards {params.shards} --out {output.cameras} > {log} 2>&1"
+
+
+rule use_given_cameras:
+    input:
+        frames=rules.read_videolog.output.frames,
+        image_edges=rules.trace_image_edges.output.edges,
+        road_edges=rules.extract_road_edges.output.edges,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        cameras=cameras_of_videolog,
+        intrinsics=beside_site("poles.intrinsics"),
+        code=sources("use_given_cameras"),
+    output:
+        cameras=ensure(
+            "results/{site}/poles/given_cameras/{shard}.parquet", non_empty=True
+        ),
+    log:
+        log_of("use_given_cameras", "{shard}"),
+    benchmark:
+        benchmark_of("use_given_cameras", "{shard}")
+    conda:
+        ENVIRONMENT
+    params:
+        shards=setting("shards"),
+        shared=flags("alignment", *ALIGNMENT_ONLY),
+    shell:
+        "python -m roadsight.stages.use_given_cameras --frames {input.frames}"
+        " --image-edges {input.image_edges} --road-edges {input.road_edges}"
+        " --frame {input.frame} --dem {input.dem} --cameras {input.cameras:q}"
+        " --intrinsics {input.intrinsics:q} {params.shared} --shard {wildcards.shard}"
         " --shards {params.shards} --out {output.cameras} > {log} 2>&1"
 
 
@@ -98,14 +134,15 @@ rule score_cameras:
 rule measure_poles:
     input:
         frames=rules.read_videolog.output.frames,
-        calibration=rules.calibrate_drive.output.calibration,
-        cameras=rules.align_cameras.output.cameras,
-        masks=rules.segment_images.output.masks,
-        depth=rules.estimate_depth.output.depth,
+        calibration=calibration_if_aligned,
+        cameras=cameras_of_shard,
+        masks=without_distortion("masks"),
+        depth=without_distortion("depth"),
         dem=rules.build_dem.output.dem,
         columns=rules.find_pole_columns.output.columns,
         voxels=voxels_for_bearings,
         frame=rules.ingest_cloud.output.frame,
+        decided=after_profile("side_views", "grid_convergence"),
         code=sources("measure_poles"),
     output:
         sightings=ensure(
@@ -120,10 +157,13 @@ rule measure_poles:
     params:
         shards=setting("shards"),
         options=flags("sightings"),
+        views=used_views,
+        grid_convergence=decision_on("grid_convergence"),
     shell:
         "python -m roadsight.stages.measure_poles --frames {input.frames}"
         " --calibration {input.calibration} --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
         " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --frame {input.frame} {params.options}"
+        " --views {params.views} --grid-convergence {params.grid_convergence}"
         " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings} > {log} 2>&1"
 
 
@@ -161,6 +201,7 @@ rule rate_hazard:
         frames=rules.read_videolog.output.frames,
         edges=rules.extract_road_edges.output.edges,
         dem=rules.build_dem.output.dem,
+        decided=after_profile("scale_factor"),
         code=sources("rate_hazard"),
     output:
         hazard="results/{site}/poles/hazard.parquet",
@@ -173,9 +214,11 @@ rule rate_hazard:
         ENVIRONMENT
     params:
         options=flags("hazard"),
+        scale_factor=decision_on("scale_factor"),
     shell:
         "python -m roadsight.stages.rate_hazard --poles {input.poles} --frame {input.frame}"
-        " --frames {input.frames} --edges {input.edges} --dem {input.dem} {params.options}"
+        " --frames {input.frames} --edges {input.edges} --dem {input.dem}"
+        " --scale-factor {params.scale_factor} {params.options}"
         " --out {output.hazard} --csv {output.csv} > {log} 2>&1"
 
 

@@ -49,11 +49,8 @@ def pole_shards(kind, suffix):
     ]
 
 
-all_masks = pole_shards("masks", "zip")
-all_depths = pole_shards("depth", "zip")
 all_image_edges = pole_shards("image_edges", "parquet")
 all_pole_axes = pole_shards("pole_axes", "parquet")
-all_cameras = pole_shards("cameras", "parquet")
 all_sightings = pole_shards("sightings", "parquet")
 
 
@@ -204,10 +201,80 @@ def ground_for_terrain(wildcards):
     return f"results/{wildcards.site}/scene/ground.parquet"
 
 
-def terrain_that_hides(wildcards):
-    """The terrain mesh, where road that it hides is left out."""
-    hides = SITES[wildcards.site].setting("terrain_mesh.occlusion") == "use"
-    return [f"results/{wildcards.site}/poles/terrain.npz"] if hides else []
+def drive_profile(wildcards):
+    return f"results/{wildcards.site}/poles/drive.json"
+
+
+def used_views(wildcards):
+    """Views that are looked at; its rule takes `after_profile` among its inputs."""
+    skipped = decision_on("side_views")(wildcards) == "skip"
+    return "front" if skipped else "front left right"
+
+
+def without_distortion(kind):
+    """Masks or depth of a shard: straightened ones where the lenses distort."""
+
+    def path(wildcards):
+        after_profile("lens_distortion")(wildcards)
+        distorted = decided("lens_distortion", wildcards) == "simulate"
+        folder = f"straight/{kind}" if distorted else kind
+        return f"results/{wildcards.site}/poles/{folder}/{wildcards.shard}.zip"
+
+    return path
+
+
+def all_without_distortion(kind):
+    """The same of all shards."""
+
+    def paths(wildcards):
+        after_profile("lens_distortion")(wildcards)
+        distorted = decided("lens_distortion", wildcards) == "simulate"
+        folder = f"straight/{kind}" if distorted else kind
+        return pole_shards(folder, "zip")(wildcards)
+
+    return paths
+
+
+all_masks = all_without_distortion("masks")
+all_depths = all_without_distortion("depth")
+
+
+def given_lenses(wildcards):
+    """Lenses of the site file as JSON."""
+    lenses = SITES[wildcards.site].site.poles.lenses
+    return json.dumps([lens.model_dump() for lens in lenses])
+
+
+def aligns(wildcards):
+    """Whether cameras are found by aligning them with the road."""
+    after_profile("road_alignment")(wildcards)
+    return decided("road_alignment", wildcards) == "simulate"
+
+
+def camera_folder(wildcards):
+    return "cameras" if aligns(wildcards) else "given_cameras"
+
+
+def all_cameras(wildcards):
+    return pole_shards(camera_folder(wildcards), "parquet")(wildcards)
+
+
+def cameras_of_shard(wildcards):
+    folder = camera_folder(wildcards)
+    return f"results/{wildcards.site}/poles/{folder}/{wildcards.shard}.parquet"
+
+
+def calibration_if_aligned(wildcards):
+    """The drives' calibration, which given cameras do not need."""
+    found = f"results/{wildcards.site}/poles/calibration.json"
+    return [found] if aligns(wildcards) else []
+
+
+def cameras_of_videolog(wildcards):
+    """Cameras that come with the videolog: the site's file, or those of the generated site."""
+    if SITES[wildcards.site].site.poles.cameras == "sample":
+        return [f"results/{wildcards.site}/sample/truth_cameras.csv"]
+    return beside_site("poles.cameras")(wildcards)
 
 
 def uses_landmarks(wildcards):

@@ -32,6 +32,20 @@ rule generate_sample:
         " --cloud {output.cloud} --truth {output.truth} --edges {output.edges} > {log} 2>&1"
 
 
+def rural_options(wildcards):
+    """Options of a rural scene that are not as usual."""
+    sample = SITES[wildcards.site].site.sample
+    options = [f"--relief {sample.relief}"] if sample.relief != 1 else []
+    options += [f"--hfov-deg {sample.hfov_deg}"] if sample.hfov_deg else []
+    return " ".join(options + ([] if sample.side_views else ["--side-views no"]))
+
+
+def rural_lens(wildcards):
+    """Distortion of the lenses, where they have any."""
+    sample = SITES[wildcards.site].site.sample
+    return f"--k1 {sample.k1} --k2 {sample.k2}" if sample.k1 or sample.k2 else ""
+
+
 rule generate_rural:
     input:
         code=sources("generate_rural"),
@@ -54,10 +68,11 @@ rule generate_rural:
     params:
         pulses_per_m2=site_field("sample.pulses_per_m2"),
         length_m=site_field("sample.length_m"),
+        scene=rural_options,
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.generate_rural --seed {params.seed}"
-        " --length-m {params.length_m} --pulses-per-m2 {params.pulses_per_m2}"
+        " --length-m {params.length_m} --pulses-per-m2 {params.pulses_per_m2} {params.scene}"
         " --cloud {output.cloud} --truth {output.truth} --poles {output.poles}"
         " --cameras {output.cameras} --videolog {output.videolog} > {log} 2>&1"
 
@@ -79,9 +94,11 @@ rule render_videolog:
         mem_mb=each_attempt(2000),
     params:
         length_m=site_field("sample.length_m"),
+        scene=rural_options,
+        lens=rural_lens,
         seed=setting("seed"),
         shards=setting("shards"),
     shell:
         "python -m roadsight.stages.render_videolog --seed {params.seed}"
-        " --length-m {params.length_m} --shard {wildcards.shard} --shards {params.shards}"
+        " --length-m {params.length_m} {params.scene} {params.lens} --shard {wildcards.shard} --shards {params.shards}"
         " --images {output.images} > {log} 2>&1"

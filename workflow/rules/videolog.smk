@@ -1,7 +1,7 @@
 """What the images of a videolog show, shard by shard.
 
 REQUIRED INPUTS  the site's videolog, images and networks (or masks and depth), results/{site}/scene/*
-OUTPUTS          results/{site}/poles/: frames, masks, depth, image edges, pole axes
+OUTPUTS          results/{site}/poles/: frames, profile of the drive, masks, depth, image edges, pole axes
 """
 
 
@@ -33,11 +33,36 @@ rule read_videolog:
         " --dem {input.dem} --top {input.top} {params.options} --out {output.frames} > {log} 2>&1"
 
 
+checkpoint profile_drive:
+    input:
+        frames=rules.read_videolog.output.frames,
+        images=rendered_images,
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+        profile=rules.profile_scene.output.profile,
+        code=sources("profile_drive"),
+    output:
+        drive="results/{site}/poles/drive.json",
+    log:
+        log_of("profile_drive"),
+    benchmark:
+        benchmark_of("profile_drive")
+    conda:
+        ENVIRONMENT
+    params:
+        images=images_path,
+        images_sha256=image_digest(),
+    shell:
+        "python -m roadsight.stages.profile_drive --frames {input.frames} --dem {input.dem}"
+        " --frame {input.frame} --images {params.images:q} --out {output.drive} > {log} 2>&1"
+
+
 rule segment_images:
     input:
         frames=rules.read_videolog.output.frames,
         images=rendered_shard,
         models=mask_models,
+        decided=after_profile("side_views"),
         code=sources("segment_images"),
     output:
         masks=ensure("results/{site}/poles/masks/{shard}.zip", non_empty=True),
@@ -53,11 +78,12 @@ rule segment_images:
         images=shard_images_path,
         images_sha256=image_digest("masks"),
         masks=mask_options,
+        views=used_views,
         shards=setting("shards"),
         options=flags("networks"),
     shell:
         "python -m roadsight.stages.segment_images --frames {input.frames}"
-        " --images {params.images:q} {params.masks} {params.options}"
+        " --images {params.images:q} {params.masks} --views {params.views} {params.options}"
         " --shard {wildcards.shard} --shards {params.shards} --out {output.masks} > {log} 2>&1"
 
 
@@ -66,6 +92,7 @@ rule estimate_depth:
         frames=rules.read_videolog.output.frames,
         images=rendered_shard,
         models=depth_models,
+        decided=after_profile("side_views"),
         code=sources("estimate_depth"),
     output:
         depth=ensure("results/{site}/poles/depth/{shard}.zip", non_empty=True),
@@ -82,19 +109,50 @@ rule estimate_depth:
         images_sha256=image_digest("depth"),
         source=depth_source,
         kind=depth_kind,
+        views=used_views,
         shards=setting("shards"),
         options=flags("networks"),
     shell:
         "python -m roadsight.stages.estimate_depth --frames {input.frames}"
         " --images {params.images:q} --source {params.source:q} --folder-kind {params.kind}"
-        " {params.options} --shard {wildcards.shard} --shards {params.shards}"
-        " --out {output.depth} > {log} 2>&1"
+        " --views {params.views} {params.options} --shard {wildcards.shard}"
+        " --shards {params.shards} --out {output.depth} > {log} 2>&1"
+
+
+rule undistort_views:
+    input:
+        frames=rules.read_videolog.output.frames,
+        images=rendered_shard,
+        drive=rules.profile_drive.output.drive,
+        maps="results/{site}/poles/{kind}/{shard}.zip",
+        decided=after_profile("side_views"),
+        code=sources("undistort_views"),
+    output:
+        maps=ensure("results/{site}/poles/straight/{kind}/{shard}.zip", non_empty=True),
+    log:
+        log_of("undistort_views", "{kind}", "{shard}"),
+    benchmark:
+        benchmark_of("undistort_views", "{kind}", "{shard}")
+    wildcard_constraints:
+        kind="masks|depth",
+    conda:
+        ENVIRONMENT
+    params:
+        images=shard_images_path,
+        lenses=given_lenses,
+        views=used_views,
+        shards=setting("shards"),
+    shell:
+        "python -m roadsight.stages.undistort_views --frames {input.frames}"
+        " --images {params.images:q} --drive {input.drive} --lenses {params.lenses:q}"
+        " --maps {input.maps} --views {params.views} --shard {wildcards.shard}"
+        " --shards {params.shards} --out {output.maps} > {log} 2>&1"
 
 
 rule trace_image_edges:
     input:
         frames=rules.read_videolog.output.frames,
-        masks=rules.segment_images.output.masks,
+        masks=without_distortion("masks"),
         code=sources("trace_image_edges"),
     output:
         edges=ensure("results/{site}/poles/image_edges/{shard}.parquet", non_empty=True),
@@ -116,7 +174,8 @@ rule trace_image_edges:
 rule trace_pole_axes:
     input:
         frames=rules.read_videolog.output.frames,
-        masks=rules.segment_images.output.masks,
+        masks=without_distortion("masks"),
+        decided=after_profile("side_views"),
         code=sources("trace_pole_axes"),
     output:
         axes=ensure("results/{site}/poles/pole_axes/{shard}.parquet", non_empty=True),
@@ -128,10 +187,12 @@ rule trace_pole_axes:
         ENVIRONMENT
     params:
         shards=setting("shards"),
+        views=used_views,
         options=some_flags(
             "sightings", "min_aspect", "min_width_px", "min_height_px", "wire_px"
         ),
     shell:
         "python -m roadsight.stages.trace_pole_axes --frames {input.frames} --masks {input.masks}"
-        " {params.options} --shard {wildcards.shard} --shards {params.shards}"
+        " --views {params.views} {params.options} --shard {wildcards.shard}"
+        " --shards {params.shards}"
         " --out {output.axes} > {log} 2>&1"

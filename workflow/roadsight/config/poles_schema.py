@@ -45,9 +45,6 @@ class RoadEdges(Section):
 class TerrainMesh(Section):
     """Poles: triangles that hide road from cameras."""
 
-    occlusion: Literal["use", "skip"] = Field(
-        default="use", description="whether road hidden by terrain is left out of the alignment"
-    )
     terrain_cell_m: Metres = Field(default=1.0, description="one vertex per cell this wide, m")
 
 

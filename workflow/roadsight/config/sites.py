@@ -23,6 +23,15 @@ class Sample(Section):
         default=24.0, gt=0, le=200, description="rural: density of the airborne scan, 1/m2"
     )
     length_m: float = Field(default=250.0, gt=0, le=3000, description="length of road, m")
+    relief: float = Field(
+        default=1.0, ge=0, le=2, description="rural: heights against the usual; 0 is level"
+    )
+    side_views: bool = Field(default=True, description="rural: first drive has side images")
+    hfov_deg: float = Field(
+        default=0.0, ge=0, le=110, description="rural: first camera, degrees; 0: about 20"
+    )
+    k1: float = Field(default=0.0, ge=-1, le=1, description="rural: radial distortion of lenses")
+    k2: float = Field(default=0.0, ge=-1, le=1, description="rural: the same, second coefficient")
 
 
 class PlacementInputs(Section):
@@ -79,6 +88,15 @@ class Depth(Section):
         return self
 
 
+class Lens(Section):
+    """Radial distortion (Brown's model, as OpenCV gives it) of the cameras of a route."""
+
+    route: str | None = Field(default=None, description="route; all of them if absent")
+    k1: float = Field(description="first coefficient")
+    k2: float = Field(default=0.0, description="second coefficient")
+    focal_px: float = Field(gt=0, description="focal length that they belong to, px")
+
+
 class PolesInputs(Section):
     """The videolog of the pole job."""
 
@@ -94,6 +112,11 @@ class PolesInputs(Section):
         default="classes", description="the cloud's road: by its classes, or found as pavement"
     )
     baseline: str | None = Field(default=None, description="registered cameras, JSON")
+    cameras: str | None = Field(
+        default=None, description="camera poses that come with the videolog, CSV"
+    )
+    intrinsics: str | None = Field(default=None, description="their lens, CSV, if not with them")
+    lenses: list[Lens] = Field(default=[], description="radial distortion; measured if absent")
 
 
 class Truth(Section):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from roadsight.placement.sensors import Sensor
@@ -13,6 +13,8 @@ SETTINGS: dict[str, set[str] | bool] = {
     "lidar": {"model", "min_cell_points", "mounting"},
     "candidates": {"spacing_m", "height_min_m", "height_max_m", "height_step_m"},
     "targets": {"radius_m"},
+    "calibration": {"hfov_deg"},
+    "alignment": {"farthest_m"},
 }
 """The settings that quantities depend on: sections, whole or some of their keys."""
 
@@ -26,7 +28,9 @@ class Circumstances:
     profile : content of scene/profile.json. frame : content of scene/frame.json.
     settings : those named in `SETTINGS`, as plain values.
     sensors : that plans may place, by name.
-    given : what the site gives beside the cloud, for example ``baseline``: registered cameras.
+    given : what the site gives the pole job beside the cloud: ``posed_share`` of its images,
+        ``lenses``, ``baseline`` (registered cameras).
+    drive : content of poles/drive.json, where the site asks for poles.
     """
 
     profile: Mapping[str, Any]
@@ -34,6 +38,7 @@ class Circumstances:
     settings: Mapping[str, Mapping[str, Any]]
     sensors: Mapping[str, Sensor]
     given: Mapping[str, Any]
+    drive: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,6 @@ def occurrences(per: str, circumstances: Circumstances) -> float:
             "site": 1.0,
             "candidate": placed,
             "map": placed * len(circumstances.sensors),
-            "image": circumstances.given.get("images") or 0,
+            "image": circumstances.drive.get("images", 0),
         }[per]
     )

@@ -4,22 +4,73 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import numpy as np
+
 from roadsight.effects.circumstances import Circumstances, Quantity
+from roadsight.placement.earth import rise_m
+from roadsight.poles.drive_profile import with_given
+
+_KNOWN_TO = 0.9
+"""Fields of view are known to 10 %: a narrower one shows less of the roadside."""
+_CERTAIN_SIGMAS = 3.0
+_WIDTH_PX = 1000.0
+"""Image width that pixels are told at."""
 
 
 def terrain_occlusion(site: Circumstances) -> Quantity:
-    """Slope of the ground: level ground hides no road."""
-    return Quantity(site.profile["slope_deg"]["p95"], "95th percentile of smooth ground")
+    """Share of the road within 240 m ahead of cameras that the ground hides."""
+    share = site.drive["hidden_road_share"]
+    if share is None:
+        return Quantity(0.0, "no camera has road ahead")
+    return Quantity(share, "sight lines over the height model")
 
 
 def side_views(site: Circumstances) -> Quantity:
-    """Side images for each front image."""
-    return Quantity(float(site.given["side_views"]), "named by the videolog")
+    """Share of the roadside that the front view cannot measure, where there are side images."""
+    if site.drive["side_share"] == 0:
+        return Quantity(0.0, "there are no side images")
+    hfov_deg = _hfov_deg(site)
+    if hfov_deg is None:
+        return Quantity(1.0, "there are side images, and the field of view is not known")
+    known = [(fov, gap) for fov, gap in site.drive["front_view_gaps"] if gap is not None]
+    if not known:
+        return Quantity(0.0, "the drive has no roadside")
+    gap = float(np.interp(_KNOWN_TO * hfov_deg, *np.array(known, np.float64).T))
+    return Quantity(gap, f"field of view of {hfov_deg:.0f} degrees")
+
+
+def _hfov_deg(site: Circumstances) -> float | None:
+    """Narrowest field of view that setting, cameras or baselines state; None if one is unknown."""
+    if site.settings["calibration"]["hfov_deg"]:
+        return float(site.settings["calibration"]["hfov_deg"])
+    fields = []
+    for lens in site.drive["lenses"]:
+        width = lens["width_px"]
+        baselines = site.given["baseline"]
+        stated = baselines.get(f"{width}x{lens['height_px']}", baselines.get("all", {}))
+        if "focal_px" in stated:
+            fields.append(float(np.degrees(2 * np.arctan(0.5 * width / stated["focal_px"]))))
+        elif "hfov_deg" in stated:
+            fields.append(float(stated["hfov_deg"]))
+        else:
+            return None
+    return min(fields, default=None)
 
 
 def lens_distortion(site: Circumstances) -> Quantity:
-    """Displacement of pixels at the image's corner by the lens, where the site gives a lens."""
-    return Quantity(float(site.given["distortion_px"]), "of the cameras that the site gives")
+    """Largest displacement at the corner of an image, at 1,000 pixels of image width."""
+    worst = Quantity(0.0, "no image has enough upright outlines to tell")
+    for lens in with_given(site.drive["lenses"], site.given["lenses"]):
+        if lens["source"] == "unknown":
+            continue
+        to_px = _WIDTH_PX / lens["width_px"]
+        moved_px, sigma_px = abs(lens["corner_px"]) * to_px, (lens["sigma_px"] or 0.0) * to_px
+        certain = lens["sigma_px"] is not None and moved_px > _CERTAIN_SIGMAS * sigma_px
+        told = f"{lens['source']}, {moved_px:.1f} +- {sigma_px:.1f} px on {lens['route']}"
+        found = Quantity(moved_px, told) if certain else Quantity(0.0, f"{told}: may be none")
+        if found.value >= worst.value:
+            worst = found
+    return worst
 
 
 def grid_convergence(site: Circumstances) -> Quantity:
@@ -41,8 +92,14 @@ def scale_factor(site: Circumstances) -> Quantity:
 
 def road_alignment(site: Circumstances) -> Quantity:
     """Share of images whose camera pose is not given."""
-    known = bool(site.given["camera_poses"])
-    return Quantity(0.0 if known else 1.0, "poses are given" if known else "no pose is given")
+    share = float(site.given["posed_share"])
+    return Quantity(1.0 - share, "poses are given" if share else "no pose is given")
+
+
+def sight_curvature(site: Circumstances) -> Quantity:
+    """How much lower than on a plane the farthest road edge looks that cameras are aligned to."""
+    farthest_m = site.settings["alignment"]["farthest_m"]
+    return Quantity(float(rise_m(farthest_m)), f"at {farthest_m:.0f} m")
 
 
 QUANTITIES: dict[str, Callable[[Circumstances], Quantity]] = {
@@ -52,5 +109,6 @@ QUANTITIES: dict[str, Callable[[Circumstances], Quantity]] = {
     "grid_convergence": grid_convergence,
     "scale_factor": scale_factor,
     "road_alignment": road_alignment,
+    "sight_curvature": sight_curvature,
 }
 """How the quantity of each effect is measured."""

@@ -52,6 +52,17 @@ def read_cameras(
     return found
 
 
+def posed_images(path: str | os.PathLike[str]) -> set[str]:
+    """Names of the images whose camera a table has.
+
+    Raises
+    ------
+    InputError : it cannot be read or names no images.
+    """
+    table = _read(path)
+    return set(table[_present(table, ("image",), path)[0]].astype(str))
+
+
 def _read(path: str | os.PathLike[str]) -> pd.DataFrame:
     try:
         return pd.read_csv(path)

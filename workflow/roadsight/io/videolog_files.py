@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path, PurePosixPath
 
+from roadsight.io.camera_tables import posed_images
 from roadsight.io.shards import shard_of
 from roadsight.io.videologs import ImageSource, read_videolog_table
 
@@ -45,13 +46,13 @@ def files_by_shard(
     return [sorted(files) for files in found]
 
 
-def side_views_per_image(table: str | os.PathLike[str], images: str) -> float:
-    """How many side images the videolog names for each front image, 0 to 2.
+def posed_share(table: str | os.PathLike[str], images: str, cameras: str) -> float:
+    """Share of a videolog's images that a table of cameras names.
 
     Raises
     ------
-    InputError : the table cannot be read.
+    InputError : one of the tables cannot be read.
     """
     rows = read_videolog_table(table, ImageSource(images))
-    named = (rows[["left_image", "right_image"]] != "").to_numpy()
-    return float(named.sum() / max(len(rows), 1))
+    named = posed_images(cameras)
+    return float(rows["image"].isin(named).mean()) if len(rows) else 0.0

@@ -22,11 +22,15 @@ Key = tuple[str, int, int]
 Picture = Callable[[str], NDArray[np.uint8]]
 
 EYE_M = 2.2
+REACH_M = 240.0
+FIELDS_DEG = (10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0, 110.0)
 _CAMERAS = 60
 _PICTURES = 120
 _ROADSIDE_M = (3.0, 6.0, 9.0, 12.0)
 _ROADSIDE_STEP_M = 4.0
-_KNOWN_TO = 0.9
+_ROAD_M = (3.0,)
+_NEAR_M = 40.0
+_VIEWS = 3
 
 
 def evenly(count: int, most: int) -> NDArray[np.int64]:
@@ -34,27 +38,32 @@ def evenly(count: int, most: int) -> NDArray[np.int64]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round()).astype(np.int64)
 
 
-def hidden_share(
-    frames: pd.DataFrame, edges_m: _FLOATS, height: Height, farthest_m: float
-) -> float | None:
-    """Share of the road edges within reach that the ground hides from up to 60 cameras.
+def hidden_share(frames: pd.DataFrame, height: Height) -> float | None:
+    """Share of the road within 240 m ahead that the ground hides from up to 60 cameras.
 
     Parameters
     ----------
-    frames : usable ones: x, y, z_road, heading_deg. edges_m : road edge points (n, 3).
+    frames : usable ones: route, sequence, x, y, z_road, heading_deg. The road is 3 m to either
+        side of their tracks.
     """
-    if frames.empty:
+    routes = [rows for _, rows in frames.groupby("route", sort=True)]
+    sides = [beside_track(rows, _ROAD_M) for rows in routes]
+    road = np.concatenate([np.empty((0, 2)), *sides])
+    edges_m = np.column_stack([road, height(*road.T)])
+    edges_m = edges_m[np.isfinite(edges_m[:, 2])]
+    if not len(edges_m):
         return None
     few = frames.iloc[evenly(len(frames), _CAMERAS)]
     eyes = few[["x", "y", "z_road"]].to_numpy(np.float64) + np.array([0.0, 0.0, EYE_M])
     heading = few["heading_deg"].to_numpy(np.float64)
-    share = hidden_road_share(height, eyes, heading, edges_m, farthest_m)
+    share = hidden_road_share(height, eyes, heading, edges_m, REACH_M)
     return share if np.isfinite(share) else None
 
 
-def roadside(frames: pd.DataFrame) -> _FLOATS:
-    """Places (n, 2) along both sides of a track, 3 m to 12 m from it, where poles may stand."""
-    xy = frames[["x", "y"]].to_numpy(np.float64)
+def beside_track(frames: pd.DataFrame, offsets_m: Sequence[float]) -> _FLOATS:
+    """Places (n, 2) every 4 m along both sides of a track, at offsets from it."""
+    drive = frames.sort_values("sequence", kind="stable")
+    xy = drive[["x", "y"]].to_numpy(np.float64)
     if len(xy) < 2:
         return np.empty((0, 2))
     path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(xy, axis=0).T))])
@@ -63,22 +72,21 @@ def roadside(frames: pd.DataFrame) -> _FLOATS:
         return np.empty((0, 2))
     station = np.arange(0.0, path[-1], _ROADSIDE_STEP_M)
     on_track = np.column_stack([np.interp(station, path[moved], xy[moved, k]) for k in (0, 1)])
-    heading = np.unwrap(np.radians(frames["heading_deg"].to_numpy(np.float64)[moved]))
+    heading = np.unwrap(np.radians(drive["heading_deg"].to_numpy(np.float64)[moved]))
     turn = np.interp(station, path[moved], heading)
     right = np.column_stack([np.cos(turn), -np.sin(turn)])
-    offsets = [side * offset for offset in _ROADSIDE_M for side in (-1.0, 1.0)]
+    offsets = [side * offset for offset in offsets_m for side in (-1.0, 1.0)]
     return np.concatenate([on_track + offset * right for offset in offsets])
 
 
-def front_view_gap(
-    frames: pd.DataFrame, hfov_deg: float, reach_m: float, views: int
-) -> float | None:
+def front_view_gap(frames: pd.DataFrame, hfov_deg: float) -> float | None:
     """Share of the roadside of drives with side images that the front view cannot measure.
+
+    Poles may stand 3 m to 12 m from the track, and need three images within 40 m.
 
     Parameters
     ----------
-    hfov_deg : field of view, known to 10 %: taken as that much narrower. views : images that a
-        pole needs within ``reach_m``.
+    hfov_deg : field of view of the front view.
 
     Returns
     -------
@@ -87,10 +95,10 @@ def front_view_gap(
     shares, lengths = [], []
     for _, route in frames[has_sides(frames)].groupby("route", sort=True):
         drive = route.sort_values("sequence", kind="stable")
-        places = roadside(drive)
+        places = beside_track(drive, _ROADSIDE_M)
         camera = drive[["x", "y"]].to_numpy(np.float64)
         heading = drive["heading_deg"].to_numpy(np.float64)
-        share = left_out_share(places, camera, heading, _KNOWN_TO * hfov_deg, reach_m, views)
+        share = left_out_share(places, camera, heading, hfov_deg, _NEAR_M, _VIEWS)
         if np.isfinite(share):
             shares.append(share)
             lengths.append(len(places))
@@ -117,19 +125,31 @@ def frames_of(frames: pd.DataFrame, key: Key) -> pd.DataFrame:
     return frames[own].sort_values("sequence", kind="stable")
 
 
-def given_lens(key: Key, lenses: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
-    """The lens that the site gives for a drive: the first one of its route or of all.
+def with_given(
+    lenses: Sequence[Mapping[str, Any]], given: Sequence[Mapping[str, Any]]
+) -> list[dict[str, Any]]:
+    """Lenses of the drives, where the site gives one instead of the measured one.
+
+    Parameters
+    ----------
+    lenses : see `lens_content`. given : k1, k2, focal_px and perhaps the route; the first one of a
+        drive's route or of all routes counts.
 
     Raises
     ------
-    InputError : it cannot have made such images.
+    InputError : a given lens cannot have made such images.
     """
-    for given in lenses:
-        if given.get("route") in (None, "", key[0]):
-            lens = RadialLens.centred(given["k1"], given["k2"], *key[1:], given["focal_px"])
-            lens.check(*key[1:], where=f"poles.lenses: {key[0]}")
-            return lens_content(key, lens, lens.corner_px(*key[1:]), 0.0, "given")
-    return None
+    found = []
+    for measured in lenses:
+        key = str(measured["route"]), int(measured["width_px"]), int(measured["height_px"])
+        own = next((one for one in given if one.get("route") in (None, "", key[0])), None)
+        if own is None:
+            found.append(dict(measured))
+            continue
+        lens = RadialLens.centred(own["k1"], own["k2"], *key[1:], own["focal_px"])
+        lens.check(*key[1:], where=f"poles.lenses: {key[0]}")
+        found.append(lens_content(key, lens, lens.corner_px(*key[1:]), 0.0, "given"))
+    return found
 
 
 def measured_lens(key: Key, paths: Iterable[str], picture: Picture) -> dict[str, Any]:

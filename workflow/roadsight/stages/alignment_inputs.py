@@ -15,6 +15,7 @@ from roadsight.io.atomic import read_json
 from roadsight.io.rasters import read_raster
 from roadsight.io.tables import read_table
 from roadsight.io.terrains import read_terrain
+from roadsight.placement.earth import rise_m
 from roadsight.poles.alignment.drive import (
     Place,
     Reach,
@@ -54,12 +55,14 @@ class AlignmentScene:
     axes: dict[str, pd.DataFrame]
     columns: PoleColumns
     landmarks: LandmarkNoise
+    curved: bool = False
 
     def edges_of(self, place: Place) -> tuple[ImageEdges, NearEdges]:
         """Road edges in one image, and those of the cloud that it may show."""
         empty = pd.DataFrame({name: [] for name in _EDGE})
         seen = image_edges_of(self.pixels.get(place.image, empty), self.reach)
-        return seen, near_edges(place, self.edges, self.reach, self.visible)
+        there = near_edges(place, self.edges, self.reach, self.visible)
+        return seen, lowered(there, place) if self.curved else there
 
     def load(self, place: Place) -> Loader:
         """Maker of the task of one image."""
@@ -74,6 +77,13 @@ class AlignmentScene:
             yield place, self.load(place)
 
 
+def lowered(there: NearEdges, place: Place) -> NearEdges:
+    """Road edges as low as a place sees them over the curved Earth through refracting air."""
+    away_m = np.hypot(*(there.xyz_m[:, :2] - [place.start.x_m, place.start.y_m]).T)
+    drop_m = np.column_stack([np.zeros((len(away_m), 2)), rise_m(away_m)])
+    return replace(there, xyz_m=there.xyz_m - drop_m)
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of both stages."""
     for name in ("frames", "road-edges", "frame", "out"):
@@ -81,6 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--image-edges", nargs="+", required=True, help="tables of edge pixels")
     parser.add_argument("--terrain", nargs="?", help="triangles that may hide road")
     parser.add_argument("--dem", nargs="?", help="ground heights, better than the edges' own")
+    parser.add_argument("--curvature", choices=("simulate", "skip"), default="skip")
     reach, noise = Reach(), Noise()
     parser.add_argument("--nearest-m", type=float, default=reach.nearest_m)
     parser.add_argument("--farthest-m", type=float, default=reach.farthest_m)
@@ -130,6 +141,7 @@ def read_scene(arguments: argparse.Namespace) -> AlignmentScene:
     return AlignmentScene(
         places, edges, pixels, reach, noise, _terrain(arguments.terrain),
         _pole_axes(arguments.pole_axes), _landmark_columns(arguments.columns), landmarks,
+        arguments.curvature == "simulate",
     )  # fmt: skip
 
 

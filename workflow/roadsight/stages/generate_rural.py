@@ -34,14 +34,16 @@ OBJECT_DIMENSION = "truth_object"
 
 def generate_rural(arguments: argparse.Namespace) -> None:
     """Build the site, scan it, drive along it, and write cloud, truth and tables."""
-    site = build_rural(arguments.seed, arguments.length_m)
+    site = build_rural(arguments.seed, arguments.length_m, relief=arguments.relief)
     scanner = AirborneScanner(pulses_per_m2=arguments.pulses_per_m2)
     rng = np.random.default_rng([arguments.seed, 31])
     xyz_m, dims = _cloud(scan_rural(RuralRenderer(site), rng, scanner))
     write_laz(arguments.cloud, xyz_m, site.frame(), dims)
     write_layers(arguments.truth, rural_layers(site), site.frame())
     write_csv(arguments.poles, pole_table(site), POLE_DECIMALS)
-    places = [p for d in random_drives(arguments.seed) for p in shots(site, d, arguments.seed)]
+    sides = arguments.side_views == "yes"
+    drives = random_drives(arguments.seed, hfov_deg=arguments.hfov_deg, side_views=sides)
+    places = [place for drive in drives for place in shots(site, drive, arguments.seed)]
     write_csv(arguments.videolog, videolog_table(site, places), VIDEOLOG_DECIMALS)
     write_csv(arguments.cameras, camera_table(site, places), CAMERA_DECIMALS)
     logging.info("%d points, %d places, %d posts", len(xyz_m), len(places), len(site.poles))
@@ -67,6 +69,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--length-m", type=float, default=1000.0, help="of the drive, 60 to 3000")
     parser.add_argument("--pulses-per-m2", type=float, default=24.0, help="of the laser")
+    parser.add_argument("--relief", type=float, default=1.0, help="heights; 0 is level")
+    parser.add_argument("--hfov-deg", type=float, default=0.0, help="first camera; 0: about 20")
+    parser.add_argument("--side-views", choices=("yes", "no"), default="yes")
     parser.add_argument("--cloud", required=True, help="LAZ to write, classified")
     parser.add_argument("--truth", required=True, help="GeoPackage to write")
     parser.add_argument("--poles", required=True, help="CSV of every post to write")

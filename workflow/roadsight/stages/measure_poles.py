@@ -71,7 +71,8 @@ def measure_poles(arguments: argparse.Namespace) -> None:
         if len(table):
             tables.append(table.assign(image=view.image, view=view.view))
     sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
-    table = _finished(sightings, known, accepted, frame)
+    turned = arguments.grid_convergence == "simulate"
+    table = _finished(sightings, known, accepted, frame, turned)
     for reason, count in table["reason"].value_counts().sort_index().items():
         log.info("%5d %s", count, reason or "kept")
     write_table(arguments.out, table, {"settings": asdict(settings), "offsets": asdict(given)})
@@ -156,9 +157,18 @@ def _camera(
 
 
 def _finished(
-    sightings: pd.DataFrame, frames: pd.DataFrame, cameras: pd.DataFrame, frame: Frame
+    sightings: pd.DataFrame,
+    frames: pd.DataFrame,
+    cameras: pd.DataFrame,
+    frame: Frame,
+    turned: bool,
 ) -> pd.DataFrame:
-    """Columns of the artifact, with the camera's place and bearings from true north."""
+    """Columns of the artifact, with the camera's place and bearings from true north.
+
+    Parameters
+    ----------
+    turned : whether grid north differs from true north by what matters.
+    """
     if sightings.empty:
         empty = pd.DataFrame({name: pd.Series(dtype=np.float64) for name in _COLUMNS})
         return empty.astype(
@@ -171,7 +181,8 @@ def _finished(
     latitude, longitude, turn = nothing, nothing, nothing
     if frame.crs_wkt is not None:
         north = SiteNorth(frame)
-        (latitude, longitude), turn = north.to_geographic(xy), north.convergence_deg(xy)
+        latitude, longitude = north.to_geographic(xy)
+        turn = north.convergence_deg(xy) if turned else np.zeros(len(table))
     table["latitude"], table["longitude"] = latitude, longitude
     table["bearing_deg"] = compass_deg(table["bearing_grid_deg"].to_numpy() + turn)
     return table[list(_COLUMNS)].reset_index(drop=True)
@@ -203,6 +214,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--left-yaw-deg", type=float, default=ViewOffsets.left_deg)
     parser.add_argument("--right-yaw-deg", type=float, default=ViewOffsets.right_deg)
+    parser.add_argument("--grid-convergence", choices=("simulate", "skip"), default="simulate")
     parser.add_argument("--kinds", nargs="+", choices=sorted(KINDS), default=["pole"])
     parser.add_argument("--bearing", choices=("fused", "image", "lidar"), default="fused")
     parser.add_argument("--height-rule", choices=("metric", "published", "none"), default="metric")

@@ -32,6 +32,7 @@ def plan_effects(arguments: argparse.Namespace) -> None:
             asked["settings"],
             {name: Sensor.model_validate(about) for name, about in asked["sensors"].items()},
             asked["given"],
+            read_json(arguments.drive) if arguments.drive else {},
         ),
     )
     for decision in decisions:
@@ -44,6 +45,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("profile", "frame", "catalogue", "circumstances", "out"):
         parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--drive", nargs="?", help="profile of the drives, where poles are asked")
     return run_stage(parser, plan_effects, argv)
 
 

@@ -8,15 +8,17 @@ import sys
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.north import SiteNorth
 from roadsight.io.atomic import read_json
 from roadsight.io.rasters import read_raster
 from roadsight.io.sighting_tables import write_csv
 from roadsight.io.tables import read_table, write_table
 from roadsight.poles.clear_zone import SOURCE
-from roadsight.poles.hazard import RULE, HazardSettings, rate_poles
+from roadsight.poles.hazard import RULE, HazardSettings, Height, rate_poles
 from roadsight.poles.scenarios import RouteTracks
 from roadsight.stages.command import run_stage
 
@@ -31,9 +33,10 @@ def rate_hazard(arguments: argparse.Namespace) -> None:
     poles = read_table(arguments.poles)
     poles = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
     edges_m = read_table(arguments.edges, ["x", "y"]).to_numpy(np.float64)
-    tracks = RouteTracks(read_table(arguments.frames, ["route", "sequence", "x", "y"]))
+    frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
     height = read_raster(arguments.dem, frame).sample if arguments.dem else None
-    rated = rate_poles(poles, edges_m, tracks, height, settings)
+    scale = grid_scale(poles, frame) if arguments.scale_factor == "simulate" else 1.0
+    rated = rate_on_ground(poles, edges_m, frames, height, settings, scale)
     table = pd.concat([poles[["id", "kind", "x", "y", "latitude", "longitude"]], rated], axis=1)
     log.info("%d poles: %s", len(table), table["rating"].value_counts().to_dict())
     about = {"clear_zone": SOURCE, "rule": RULE, "settings": vars(settings)}
@@ -41,6 +44,39 @@ def rate_hazard(arguments: argparse.Namespace) -> None:
     named = {"x": "x_local_m", "y": "y_local_m", "latitude": "latitude_deg",
              "longitude": "longitude_deg"}  # fmt: skip
     write_csv(arguments.csv, table.rename(columns=named))
+
+
+def grid_scale(poles: pd.DataFrame, frame: Frame) -> float:
+    """Metres of the grid for each metre on the ellipsoid, mean over the poles; 1 without any."""
+    if frame.crs_wkt is None or poles.empty:
+        return 1.0
+    return float(SiteNorth(frame).scale(poles[["x", "y"]].to_numpy(np.float64)).mean())
+
+
+def rate_on_ground(
+    poles: pd.DataFrame,
+    edges_m: NDArray[np.float64],
+    frames: pd.DataFrame,
+    height: Height | None,
+    settings: HazardSettings,
+    scale: float,
+) -> pd.DataFrame:
+    """Hazard with distances on the ground: `rate_poles` in a grid without its scale.
+
+    Parameters
+    ----------
+    scale : metres of the grid for each metre on the ground.
+    """
+    plan = ["x", "y"]
+    ground = None if height is None else lambda x, y: height(scale * x, scale * y)
+    lengths = [*plan, "sigma_major_m"]
+    return rate_poles(
+        poles.assign(**{name: poles[name] / scale for name in lengths}),
+        edges_m / scale,
+        RouteTracks(frames.assign(**{name: frames[name] / scale for name in plan})),
+        ground,
+        settings,
+    )
 
 
 def _check(settings: HazardSettings) -> None:
@@ -55,6 +91,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("poles", "frame", "frames", "edges", "out", "csv"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--dem", nargs="?", help="ground heights, for side slopes")
+    parser.add_argument("--scale-factor", choices=("simulate", "skip"), default="skip")
     for name, default in vars(HazardSettings()).items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=default)
     return run_stage(parser, rate_hazard, argv)

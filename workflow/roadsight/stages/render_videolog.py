@@ -11,6 +11,8 @@ from contextlib import ExitStack
 
 import numpy as np
 
+from roadsight.geometry.cameras import Intrinsics
+from roadsight.geometry.lens import RadialLens
 from roadsight.io.image_shards import ImageShardWriter
 from roadsight.io.shards import shard_of
 from roadsight.io.videolog_shards import JpegShardWriter
@@ -20,18 +22,18 @@ from roadsight.stages.progress import logged
 from roadsight.synthetic.rendering import RuralRenderer
 from roadsight.synthetic.rendering_look import drive_look, random_finish
 from roadsight.synthetic.rural import build_rural
-from roadsight.synthetic.videolog import random_drives, shots
+from roadsight.synthetic.videolog import Drive, random_drives, shots
 
 log = logging.getLogger("render_videolog")
 
 
 def render_videolog(arguments: argparse.Namespace) -> None:
     """Write the images of the shard's places, and what is true about their pixels."""
-    site = build_rural(arguments.seed, arguments.length_m)
+    site = build_rural(arguments.seed, arguments.length_m, relief=arguments.relief)
     renderer = RuralRenderer(site)
     wanted = [
         (shot, view, number)
-        for number, drive in enumerate(random_drives(arguments.seed))
+        for number, drive in enumerate(_drives(arguments))
         for shot in shots(site, drive, arguments.seed)
         if shard_of(shot.name(), arguments.shards) == arguments.shard
         for view in shot.cameras
@@ -47,7 +49,8 @@ def render_videolog(arguments: argparse.Namespace) -> None:
             seed = [arguments.seed, zlib.crc32(name.encode())]
             finish = random_finish(np.random.default_rng(seed))
             look = drive_look(arguments.seed, number)
-            picture = renderer.render_view(shot.cameras[view], look, finish, seed[1])
+            lens = _lens(shot.cameras[view].intrinsics, arguments)
+            picture = renderer.render_view(shot.cameras[view], look, finish, seed[1], lens)
             images.write(name, picture.colour)
             if labels is not None:
                 labels.write(view_name(shot.name(), view), picture.classes)
@@ -55,11 +58,31 @@ def render_videolog(arguments: argparse.Namespace) -> None:
                 depths.write(view_name(shot.name(), view), picture.inverse_depth())
 
 
+def _drives(arguments: argparse.Namespace) -> tuple[Drive, Drive]:
+    sides = arguments.side_views == "yes"
+    return random_drives(arguments.seed, hfov_deg=arguments.hfov_deg, side_views=sides)
+
+
+def _lens(camera: Intrinsics, arguments: argparse.Namespace) -> RadialLens | None:
+    """Lens of a camera, None for a pinhole."""
+    if arguments.k1 == arguments.k2 == 0.0:
+        return None
+    size = camera.width_px, camera.height_px
+    lens = RadialLens.centred(arguments.k1, arguments.k2, *size, camera.focal_px)
+    lens.check(*size, where="--k1, --k2")
+    return lens
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the stage."""
     parser = argparse.ArgumentParser(prog="render_videolog", description=__doc__)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--length-m", type=float, default=1000.0, help="of the drive, 60 to 3000")
+    parser.add_argument("--relief", type=float, default=1.0, help="heights; 0 is level")
+    parser.add_argument("--hfov-deg", type=float, default=0.0, help="first camera; 0: about 20")
+    parser.add_argument("--side-views", choices=("yes", "no"), default="yes")
+    parser.add_argument("--k1", type=float, default=0.0, help="of all lenses, focal length 1")
+    parser.add_argument("--k2", type=float, default=0.0)
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--images", required=True, help="ZIP of JPEGs to write")

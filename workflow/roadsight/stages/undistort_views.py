@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import sys
 
@@ -13,7 +14,7 @@ from roadsight.io.atomic import read_json
 from roadsight.io.image_shards import ImageShard, ImageShardWriter
 from roadsight.io.tables import read_table
 from roadsight.io.videologs import ImageSource
-from roadsight.poles.drive_profile import Key, lens_of
+from roadsight.poles.drive_profile import Key, lens_of, with_given
 from roadsight.poles.straightening import source_places, straightened
 from roadsight.poles.views import VIEWS, usable, views_of
 from roadsight.stages.command import run_stage
@@ -24,7 +25,7 @@ log = logging.getLogger("undistort_views")
 
 def undistort_views(arguments: argparse.Namespace) -> None:
     """Write the shard's maps without the distortion of their lenses."""
-    lenses = read_json(arguments.drive)["lenses"]
+    lenses = with_given(read_json(arguments.drive)["lenses"], json.loads(arguments.lenses))
     frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
     maps, images = ImageShard(arguments.maps), ImageSource(arguments.images)
     names = ("route", "width_px", "height_px")
@@ -50,6 +51,9 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("frames", "images", "drive", "maps", "out"):
         parser.add_argument(f"--{name}", required=True)
+    parser.add_argument(
+        "--lenses", default="[]", help="given lenses as JSON: route, k1, k2, focal_px"
+    )
     parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)

@@ -17,6 +17,7 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.geometry.cameras import Intrinsics
+from roadsight.geometry.lens import RadialLens
 from roadsight.synthetic.rendering_shade import Hits, Look, shade
 from roadsight.synthetic.rural import RuralSite
 from roadsight.synthetic.rural_materials import Material
@@ -145,23 +146,31 @@ class RuralRenderer:
         heading = self.site.line.heading(hits.road[:, 0])
         return shade(look, self.site.surface, hits, np.cos(heading), np.sin(heading))
 
-    def render_view(self, camera: Camera, look: Look, finish: Finish, seed: int) -> RenderedView:
+    def render_view(
+        self,
+        camera: Camera,
+        look: Look,
+        finish: Finish,
+        seed: int,
+        lens: RadialLens | None = None,
+    ) -> RenderedView:
         """Render one image; the same arguments give the same pixels.
 
         Parameters
         ----------
         finish : exposure, blur and noise of the camera. seed : of the sensor noise.
+        lens : of the camera, if not that of a pinhole.
         """
         size = camera.intrinsics.height_px, camera.intrinsics.width_px
         uv = np.indices(size, float)[::-1].reshape(2, -1).T
-        directions = _pixel_rays(camera, uv)
+        directions = _pixel_rays(camera, uv, lens)
         cast = self.cast(camera.position_m, directions)
         lit = self.sunlit(cast, look.sun)
         pixel_rad = 1.0 / camera.intrinsics.focal_px
         colour, classes = self._shaded(look, self._hits(cast, directions, lit, pixel_rad))
         rows = self._thin_edges(cast.triangle, size)
         for shift in _SUPER if len(rows) else []:
-            turned = _pixel_rays(camera, uv[rows] + shift)
+            turned = _pixel_rays(camera, uv[rows] + shift, lens)
             extra = self.cast(camera.position_m, turned)
             hits = self._hits(extra, turned, lit[rows], pixel_rad)
             colour[rows] += self._shaded(look, hits)[0]
@@ -184,10 +193,11 @@ class RuralRenderer:
         return np.flatnonzero(outline | (cv2.dilate(wire, np.ones((5, 19), np.uint8)) > 0))
 
 
-def _pixel_rays(camera: Camera, uv_px: _FLOATS) -> _FLOATS:
+def _pixel_rays(camera: Camera, uv_px: _FLOATS, lens: RadialLens | None) -> _FLOATS:
     """`roadsight.geometry.cameras.pixel_directions`, without its temporary arrays."""
-    lens = camera.intrinsics
-    return _rays(uv_px, lens.cx_px, lens.cy_px, lens.focal_px, camera.rotation)
+    own = camera.intrinsics
+    straight = uv_px if lens is None else lens.undistort(uv_px)
+    return _rays(straight, own.cx_px, own.cy_px, own.focal_px, camera.rotation)
 
 
 @njit(cache=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,13 +85,16 @@ class RuralSite:
         return self.ground.height(*self.line.road(xy_m).T)
 
 
-def build_rural(seed: int = 1, length_m: float = 1000.0, detail: float = 1.0) -> RuralSite:
+def build_rural(
+    seed: int = 1, length_m: float = 1000.0, detail: float = 1.0, relief: float = 1.0
+) -> RuralSite:
     """Build the site; the same arguments give the same site.
 
     Parameters
     ----------
     length_m : length of the drive; the road goes on for 130 m at both ends.
     detail : number of leaves against the usual (their area stays).
+    relief : heights of road and hills against the usual; 0 is level.
 
     Raises
     ------
@@ -106,6 +109,8 @@ def build_rural(seed: int = 1, length_m: float = 1000.0, detail: float = 1.0) ->
     line_rng, hill_rng, thing_rng, plant_rng = (np.random.default_rng(s) for s in streams)
     line = random_line(-_LEAD_M, length_m + _LEAD_M, line_rng)
     hills = make_hills(line, hill_rng)
+    line = replace(line, wave_m=relief * line.wave_m)
+    hills = replace(hills, height_m=relief * hills.height_m)
     ground = _ground(line, hills, length_m, thing_rng)
     builder = MeshBuilder()
     triangles, road = _add_land(builder, ground, hills, hill_rng)

@@ -116,20 +116,28 @@ class Shot:
 
 
 def random_drives(
-    seed: int, narrow_px: tuple[int, int] = (640, 416), wide_px: tuple[int, int] = (640, 448)
+    seed: int,
+    narrow_px: tuple[int, int] = (640, 416),
+    wide_px: tuple[int, int] = (640, 448),
+    hfov_deg: float = 0.0,
+    side_views: bool = True,
 ) -> tuple[Drive, Drive]:
     """A narrow camera with side views ahead every 8 m, and a wide one back every 16 m.
 
     Parameters
     ----------
-    narrow_px, wide_px : width and height of the images.
+    narrow_px, wide_px : width and height of the images. hfov_deg : field of view of the first
+    camera, about 20 degrees if 0. side_views : whether it has any.
     """
     rng = np.random.default_rng([seed, 21])
-    fov = rng.uniform(19.0, 22.5)
+    usual = rng.uniform(19.0, 22.5)
+    fov = hfov_deg or usual
     turn = fov - _STITCH_OVERLAP_DEG
     narrow = Intrinsics.from_field_of_view(*narrow_px, fov)
     wide = Intrinsics.from_field_of_view(*wide_px, rng.uniform(55.0, 64.0))
-    views = {"front": 0.0, "left": -turn, "right": turn}
+    views = {"front": 0.0}
+    if side_views:
+        views |= {"left": -turn, "right": turn}
     return (
         Drive("sr1427e", True, 8.0, narrow, _random_mount(2.2, rng), views),
         Drive("sr1427w", False, 16.0, wide, _random_mount(1.6, rng), {"front": 0.0}),
