@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -32,7 +33,18 @@ PROFILE = {
     "cover_core_m2": 0.0,
 }
 FRAME = {"location": {"convergence_deg": -1.2, "scale_east": 0.9996, "scale_north": 0.9997}}
-GIVEN = {"camera_poses": False, "distortion_px": 0.0, "side_views": 2.0}
+GIVEN = {"posed_share": 0.0, "lenses": [], "baseline": {}}
+LENS = {
+    **{"route": "a", "width_px": 1000, "height_px": 600, "k1": -0.01, "k2": 0.0},
+    **{"scale_px": 583.0, "corner_px": -6.0, "sigma_px": 1.5, "source": "plumb lines"},
+}
+DRIVE = {
+    "images": 100,
+    "hidden_road_share": 0.2,
+    "side_share": 1.0,
+    "front_view_gaps": [[20.0, 0.9], [60.0, 0.3], [110.0, 0.0]],
+    "lenses": [LENS],
+}
 SENSOR = Sensor(
     elevation_min_deg=-20,
     elevation_max_deg=20,
@@ -43,16 +55,15 @@ SENSOR = Sensor(
 )
 
 
-def circumstances(profile=None, sensors=None, **sections):
+def circumstances(profile=None, sensors=None, drive=None, given=None, **sections):
     settings = Settings.model_validate(sections).model_dump(mode="json", include=SETTINGS)
     known = {"S": SENSOR} if sensors is None else sensors
-    return Circumstances(PROFILE | (profile or {}), FRAME, settings, known, GIVEN)
+    own = GIVEN | (given or {}), DRIVE | (drive or {})
+    return Circumstances(PROFILE | (profile or {}), FRAME, settings, known, *own)
 
 
-def decided(jobs=("placement",), modes=None, profile=None, sensors=None, **sections):
-    made = plan(
-        load_catalogue(CATALOGUE), modes or {}, jobs, circumstances(profile, sensors, **sections)
-    )
+def decided(jobs=("placement",), modes=None, **about):
+    made = plan(load_catalogue(CATALOGUE), modes or {}, jobs, circumstances(**about))
     return {decision.effect: decision for decision in made}
 
 
@@ -123,12 +134,74 @@ class TestDecisions:
         assert made["road_alignment"].decision == "simulate"
 
 
+class TestDrive:
+    def one(self, effect, **about):
+        return decided(jobs=("poles",), **about)[effect]
+
+    def test_hidden_road(self):
+        assert self.one("terrain_occlusion").decision == "simulate"
+        for share in (0.0, None):
+            made = self.one("terrain_occlusion", drive={"hidden_road_share": share})
+            assert (made.decision, made.value) == ("skip", 0.0)
+
+    def test_side_views_are_needed_unless_the_front_view_is_known_to_be_wide(self):
+        assert self.one("side_views").value == 1.0
+        assert "not known" in self.one("side_views").reason
+        narrow = self.one("side_views", calibration={"hfov_deg": 20.0})
+        assert narrow.decision == "simulate"
+        # Known to 10 %: 66.7 degrees may be 60.
+        made = self.one("side_views", calibration={"hfov_deg": 60.0 / 0.9})
+        assert made.value == pytest.approx(0.3)
+        wide = self.one("side_views", calibration={"hfov_deg": 125.0})
+        assert (wide.decision, wide.value) == ("skip", 0.0)
+        assert self.one("side_views", drive={"side_share": 0.0}).decision == "skip"
+
+    def test_baselines_tell_the_field_of_view(self):
+        by_angle = self.one("side_views", given={"baseline": {"all": {"hfov_deg": 60.0 / 0.9}}})
+        assert by_angle.value == pytest.approx(0.3)
+        focal = 500.0 / np.tan(np.radians(60.0 / 0.9 / 2))
+        by_focal = {"baseline": {"1000x600": {"focal_px": focal}}}
+        assert self.one("side_views", given=by_focal).value == pytest.approx(0.3)
+        other_size = {"baseline": {"640x400": {"focal_px": focal}}}
+        assert self.one("side_views", given=other_size).value == 1.0
+
+    def test_a_lens_is_straightened_where_it_is_certain_that_it_bends(self):
+        assert self.one("lens_distortion").value == 6.0
+        assert self.one("lens_distortion").decision == "simulate"
+        uncertain = {"lenses": [LENS | {"sigma_px": 2.5}]}
+        assert self.one("lens_distortion", drive=uncertain).decision == "skip"
+        unknown = {"lenses": [LENS | {"source": "unknown", "corner_px": 0.0, "sigma_px": None}]}
+        assert self.one("lens_distortion", drive=unknown).decision == "skip"
+        half_as_wide = {"lenses": [LENS | {"width_px": 500}]}
+        assert self.one("lens_distortion", drive=half_as_wide).value == 12.0
+
+    def test_a_given_lens_counts_whatever_was_measured(self):
+        straight = {"route": None, "k1": 0.0, "k2": 0.0, "focal_px": 800.0}
+        assert self.one("lens_distortion", given={"lenses": [straight]}).value == 0.0
+        bent = straight | {"k1": -0.3}
+        assert self.one("lens_distortion", given={"lenses": [bent]}).value > 20
+
+    def test_given_poses_spare_the_alignment(self):
+        assert self.one("road_alignment").decision == "simulate"
+        assert self.one("road_alignment", given={"posed_share": 1.0}).decision == "skip"
+        assert self.one("road_alignment", given={"posed_share": 0.5}).decision == "simulate"
+
+    def test_curvature_never_matters_within_the_reach_of_images(self):
+        made = self.one("sight_curvature")
+        # (1 - 0.13) 240^2 / (2 * 6371000)
+        assert made.value == pytest.approx(0.00393, rel=1e-2)
+        assert made.decision == "skip"
+        assert self.one("sight_curvature", alignment={"farthest_m": 1000.0}).decision == "simulate"
+
+
 class TestStage:
     def run(self, folder, circumstances_json):
         write_json(folder / "profile.json", PROFILE)
         write_json(folder / "frame.json", FRAME)
         options = ["--profile", folder / "profile.json", "--frame", folder / "frame.json"]
+        write_json(folder / "drive.json", DRIVE)
         options += ["--catalogue", CATALOGUE, "--circumstances", circumstances_json]
+        options += ["--drive", folder / "drive.json"]
         return main([str(option) for option in [*options, "--out", folder / "effects.json"]])
 
     def test_fields_are_those_that_checks_rely_on(self, tmp_path):
