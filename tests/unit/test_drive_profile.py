@@ -8,6 +8,7 @@ import pytest
 
 from roadsight.errors import InputError
 from roadsight.geometry.lens import RadialLens
+from roadsight.poles.drive_lenses import lens_content, lens_of, with_given
 from roadsight.poles.drive_profile import (
     EYE_M,
     beside_track,
@@ -15,10 +16,7 @@ from roadsight.poles.drive_profile import (
     front_view_gap,
     hidden_share,
     keys_of,
-    lens_content,
-    lens_of,
     measured_lens,
-    with_given,
 )
 from roadsight.poles.front_view import left_out_share, views_of_places
 from roadsight.scene.occlusion import TerrainSight, visible

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import rasterio
 
-from tests.workflow.conftest import with_followers
+from tests.workflow.conftest import Checkout, with_followers
 
 pytestmark = pytest.mark.xdist_group("road")
 
@@ -22,9 +22,16 @@ READERS = {
         "validate_poles",
         "summarise_site",
     },
-    "render_videolog": {"read_videolog", "segment_images", "estimate_depth", "write_poles_page"},
+    "render_videolog": {
+        "read_videolog",
+        "profile_drive",
+        "segment_images",
+        "estimate_depth",
+        "write_poles_page",
+    },
     "ingest_cloud": {
         "profile_scene",
+        "profile_drive",
         "plan_effects",
         "build_dem",
         "rasterise_lidar",
@@ -44,8 +51,24 @@ READERS = {
     },
     "profile_scene": {"build_dem", "plan_effects", "summarise_site"},
     "plan_effects": {"summarise_site"},
+    # What it measures decides on these.
+    "profile_drive": {
+        "plan_effects",
+        "segment_images",
+        "estimate_depth",
+        "trace_image_edges",
+        "trace_pole_axes",
+        "calibrate_drive",
+        "align_cameras",
+        "measure_poles",
+        "rate_hazard",
+        "score_cameras",
+        "summarise_site",
+        "write_poles_page",
+    },
     "build_dem": {
         "rasterise_lidar",
+        "profile_drive",
         "find_pole_columns",
         "read_videolog",
         "calibrate_drive",
@@ -72,6 +95,7 @@ READERS = {
     "find_pole_columns": {"calibrate_drive", "align_cameras", "measure_poles"},
     "build_terrain": {"calibrate_drive", "align_cameras"},
     "read_videolog": {
+        "profile_drive",
         "segment_images",
         "estimate_depth",
         "trace_image_edges",
@@ -124,6 +148,10 @@ SETTINGS = [
     ("image_edges: {gap_px: 5}", after("trace_image_edges")),
     ("calibration: {images: 50}", after("calibrate_drive")),
     ("alignment: {max_residual_px: 3}", after("align_cameras")),
+    ("effects: {terrain_occlusion: skip}", {"plan_effects"} | after("calibrate_drive")),
+    ("effects: {side_views: skip}", {"plan_effects"} | after("segment_images", "estimate_depth")),
+    ("effects: {grid_convergence: skip}", {"plan_effects"} | after("measure_poles")),
+    ("effects: {scale_factor: simulate}", {"plan_effects"} | after("rate_hazard")),
     ("sightings: {farthest_m: 50}", after("measure_poles")),
     ("triangulation: {min_views: 4}", after("triangulate_poles")),
     ("hazard: {aadt: 900}", after("rate_hazard")),
@@ -133,6 +161,9 @@ MODULES = [
     ("poles/triangulate/packing.py", after("triangulate_poles")),
     ("poles/hazard.py", after("rate_hazard")),
     ("scene/tin.py", after("build_terrain")),
+    ("poles/plumb_line.py", after("profile_drive")),
+    ("poles/straightening.py", set()),
+    ("effects/quantities_poles.py", after("plan_effects")),
     ("poles/alignment/published.py", after("align_cameras")),
     ("synthetic/rendering_look.py", after("render_videolog")),
     ("commands/triangulate.py", set()),
@@ -163,6 +194,64 @@ def test_skipped_landmarks_are_not_in_the_dag(copy_of_road):
     result = copy_of_road.snakemake("-n", "-F")
     assert "calibrate_drive" in result.stdout + result.stderr
     assert "trace_pole_axes" not in result.stdout + result.stderr
+
+
+def jobs_after(checkout: Checkout, setting: str) -> set[str]:
+    """Rules that a setting makes stale or adds."""
+    checkout.edit(SITE, "  shards: 2\n", f"  shards: 2\n  {setting}\n")
+    return checkout.stale_rules()
+
+
+def test_decisions_are_measured_and_told(finished_road):
+    folder = finished_road.folder / "results/tiny_road"
+    made = {e["effect"]: e for e in json.loads((folder / "effects.json").read_text())}
+    drive = json.loads((folder / "poles/drive.json").read_text())
+    assert made["terrain_occlusion"]["value"] == drive["hidden_road_share"]
+    assert made["grid_convergence"]["decision"] == "simulate"
+    assert made["side_views"]["decision"] == "simulate"
+    assert made["road_alignment"]["decision"] == "simulate"
+    assert made["lens_distortion"]["decision"] == "skip"
+    assert made["scale_factor"]["decision"] == made["sight_curvature"]["decision"] == "skip"
+    assert (folder / "poles/terrain.npz").exists()
+    assert not (folder / "poles/straight").exists()
+
+
+def test_skipped_terrain_is_not_triangulated(copy_of_road):
+    (copy_of_road.folder / "results/tiny_road/poles/terrain.npz").unlink()
+    assert "build_terrain" in copy_of_road.stale_rules()
+    jobs = jobs_after(copy_of_road, "effects: {terrain_occlusion: skip}")
+    assert "calibrate_drive" in jobs
+    assert "build_terrain" not in jobs
+
+
+def test_distorted_images_are_straightened_and_others_are_not(copy_of_road):
+    jobs = jobs_after(copy_of_road, "effects: {lens_distortion: simulate}")
+    assert {"undistort_views", "trace_image_edges", "measure_poles"} <= jobs
+    assert not {"segment_images", "profile_drive"} & jobs
+
+
+def test_skipped_side_views_are_not_segmented(copy_of_road):
+    copy_of_road.edit(SITE, "  shards: 2\n", "  shards: 2\n  effects: {side_views: skip}\n")
+    result = copy_of_road.snakemake("-n", "-p")
+    told = result.stdout + result.stderr
+    commands = [line for line in told.splitlines() if "stages.segment_images" in line]
+    assert len(commands) == 2
+    assert all("--views front --" in command for command in commands)
+
+
+def test_given_cameras_spare_the_alignment(copy_of_road):
+    copy_of_road.edit(SITE, "jobs: [poles]\n", "jobs: [poles]\npoles: {cameras: sample}\n")
+    jobs = copy_of_road.stale_rules()
+    assert {"use_given_cameras", "measure_poles", "score_cameras"} <= jobs
+    assert not {"calibrate_drive", "align_cameras", "segment_images"} & jobs
+
+
+def test_before_the_drive_is_measured_a_dry_run_says_what_is_open(copy_of_road):
+    (copy_of_road.folder / "results/tiny_road/poles/drive.json").unlink()
+    result = copy_of_road.snakemake("-n")
+    assert result.returncode == 0, result.stderr[-3000:]
+    assert "profile_drive" in result.stdout + result.stderr
+    assert "checkpoint jobs" in result.stdout + result.stderr
 
 
 def test_summary_holds_what_checks_rely_on(finished_road):

@@ -39,7 +39,6 @@ checkpoint profile_drive:
         images=rendered_images,
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
-        profile=rules.profile_scene.output.profile,
         code=sources("profile_drive"),
     output:
         drive="results/{site}/poles/drive.json",

@@ -8,7 +8,7 @@ import numpy as np
 
 from roadsight.effects.circumstances import Circumstances, Quantity
 from roadsight.placement.earth import rise_m
-from roadsight.poles.drive_profile import with_given
+from roadsight.poles.drive_lenses import with_given
 
 _KNOWN_TO = 0.9
 """Fields of view are known to 10 %: a narrower one shows less of the roadside."""

@@ -14,7 +14,7 @@ from roadsight.io.atomic import read_json
 from roadsight.io.image_shards import ImageShard, ImageShardWriter
 from roadsight.io.tables import read_table
 from roadsight.io.videologs import ImageSource
-from roadsight.poles.drive_profile import Key, lens_of, with_given
+from roadsight.poles.drive_lenses import Key, lens_of, with_given
 from roadsight.poles.straightening import source_places, straightened
 from roadsight.poles.views import VIEWS, usable, views_of
 from roadsight.stages.command import run_stage
