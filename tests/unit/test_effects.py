@@ -178,7 +178,7 @@ class TestDrive:
     def test_a_given_lens_counts_whatever_was_measured(self):
         straight = {"route": None, "k1": 0.0, "k2": 0.0, "focal_px": 800.0}
         assert self.one("lens_distortion", given={"lenses": [straight]}).value == 0.0
-        bent = straight | {"k1": -0.3}
+        bent = straight | {"k1": -0.2}
         assert self.one("lens_distortion", given={"lenses": [bent]}).value > 20
 
     def test_given_poses_spare_the_alignment(self):
