@@ -302,6 +302,7 @@ rule write_poles_page:
         hazard=rules.rate_hazard.output.hazard,
         validation=pole_validation,
         components=compared_components,
+        drive=only_if("lens_distortion", rules.profile_drive.output.drive),
         code=sources("write_poles_page"),
     output:
         page="results/{site}/poles/page.json",
@@ -314,6 +315,7 @@ rule write_poles_page:
     params:
         title=site_field("title"),
         images=images_path,
+        lenses=given_lenses,
     shell:
         "python -m roadsight.stages.write_poles_page --site {wildcards.site}"
         " --title={params.title:q} --summary {input.summary} --frame {input.frame}"
@@ -322,4 +324,5 @@ rule write_poles_page:
         " --image-edges {input.image_edges} --sightings {input.sightings} --masks {input.masks}"
         " --depth {input.depth} --poles {input.poles[0]} --hazard {input.hazard}"
         " --validation {input.validation} --components {input.components}"
+        " --drive {input.drive} --lenses {params.lenses:q}"
         " --files {input.poles} --out {output.page} > {log} 2>&1"

@@ -9,13 +9,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from roadsight.poles.alignment.pose import FOCAL, HEIGHT, PITCH, ROLL, SIZE, Start
+from roadsight.poles.alignment.pose import FOCAL, HEIGHT, INSETS, PITCH, ROLL, SIZE, Start
 from roadsight.poles.alignment.roadside import NearEdges
-from roadsight.poles.alignment.solve import FINEST, ImageEdges, Noise, Task
+from roadsight.poles.alignment.solve import FINEST, ImageEdges, Noise, Task, descend
+from roadsight.poles.calibration import weak_mount
 
 _FLOATS = NDArray[np.float64]
 FEWEST_PIXELS = 40
 FEWEST_POINTS = 30
+_COARSE = 12.0
+_FIXED = 1e10
 
 
 @dataclass(frozen=True)
@@ -33,8 +36,8 @@ class GivenSigma:
 
 def given_task(
     pose: pd.Series, size_px: tuple[int, int], seen: ImageEdges, there: NearEdges
-) -> tuple[Task, _FLOATS]:
-    """The image as an alignment sees it, and the unknowns of the given pose (SIZE,).
+) -> Task:
+    """The image as an alignment sees it, its pose fixed to the given one.
 
     Parameters
     ----------
@@ -47,7 +50,12 @@ def given_task(
     unknowns[[HEIGHT, PITCH, ROLL, FOCAL]] = (
         0.0, float(pose["pitch_deg"]), float(pose["roll_deg"]), np.log(float(pose["focal_px"])),
     )  # fmt: skip
-    return Task(start, seen, there, Noise(), unknowns, np.eye(SIZE)), unknowns
+    weak = weak_mount(None, size_px[0])
+    unknowns[INSETS:] = weak.mean[INSETS:]
+    # The pose is fixed; how far paint and borders lie inside the road's edge is not.
+    information = np.full(SIZE, _FIXED)
+    information[INSETS:] = 1.0 / np.diag(weak.covariance)[INSETS:]
+    return Task(start, seen, there, Noise(), unknowns, np.diag(information))
 
 
 def agreement(
@@ -61,8 +69,8 @@ def agreement(
     """
     if len(seen.uv_px) < FEWEST_PIXELS or len(there.half_m) < FEWEST_POINTS:
         return float("nan"), float("nan")
-    task, unknowns = given_task(pose, size_px, seen, there)
-    _, _, _, residuals = task.evaluate(unknowns, FINEST, slopes=False)
+    task = given_task(pose, size_px, seen, there)
+    residuals = descend(task, task.mean, _COARSE).residuals
     known = np.isfinite(residuals[:, 0])
     if not known.any():
         return float("inf"), 0.0

@@ -66,7 +66,19 @@ def _poles(arguments: argparse.Namespace) -> dict[str, Any]:
         },
         "validation": read_json(arguments.validation) if arguments.validation else None,
         "cameras": read_json(arguments.camera_scores) if arguments.camera_scores else None,
+        **_given_cameras(arguments.cameras),
     }
+
+
+def _given_cameras(paths: list[str]) -> dict[str, Any]:
+    """How cameras that came with the videolog agree with the road, where they did."""
+    shards = [read_about(path) for path in paths]
+    if not shards or shards[0]["method"] != "given":
+        return {}
+    checked = [(s["checked_images"], s["agreeing_share"]) for s in shards if s["checked_images"]]
+    images = sum(count for count, _ in checked)
+    share = sum(count * share for count, share in checked) / images if images else None
+    return {"given_cameras": {"checked_images": images, "agreeing_share": share}}
 
 
 def _counts(reasons: pd.Series) -> dict[str, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import logging
 import sys
 from collections.abc import Iterator
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.frames import Frame
@@ -22,10 +24,12 @@ from roadsight.io.shards import shard_of
 from roadsight.io.tables import read_table
 from roadsight.io.top_rasters import read_top
 from roadsight.io.videologs import ImageSource
+from roadsight.poles.drive_lenses import lens_of, with_given
 from roadsight.poles.sighting_bearing import ViewCamera
+from roadsight.poles.straightening import source_places, straightened
 from roadsight.poles.views import view_name
 from roadsight.report.poles_depth import depth_fit
-from roadsight.report.poles_page import PolesResult, ReadEdges, build_poles_page
+from roadsight.report.poles_page import PolesResult, ReadEdges, ReadImage, build_poles_page
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("write_poles_page")
@@ -47,7 +51,7 @@ def write_poles_page(arguments: argparse.Namespace) -> None:
         read_table(arguments.poles),
         read_table(arguments.hazard) if arguments.hazard else pd.DataFrame(),
         _image_edges(arguments.image_edges),
-        ImageSource(arguments.images).read if arguments.images else None,
+        _pictures(arguments) if arguments.images else None,
         _depth_fit(arguments, cameras, Frame.from_dict(about)),
         _validation(arguments),
         [Path(path).name for path in arguments.files],
@@ -58,6 +62,28 @@ def write_poles_page(arguments: argparse.Namespace) -> None:
         "%d images, %d shown, %d poles", counts["images"], len(page["images"]), counts["poles"]
     )
     write_json(arguments.out, page)
+
+
+def _pictures(arguments: argparse.Namespace) -> ReadImage:
+    """Reader of images by their path; without the distortion of their lenses, if told of any."""
+    source = ImageSource(arguments.images)
+    if not arguments.drive:
+        return source.read
+    lenses = with_given(read_json(arguments.drive)["lenses"], json.loads(arguments.lenses))
+    keys = {
+        str(path): (str(route), int(width), int(height))
+        for path, route, width, height in read_table(arguments.frames)[
+            ["path", "route", "width_px", "height_px"]
+        ].itertuples(index=False)
+    }
+
+    def read(path: str) -> NDArray[np.uint8]:
+        image = source.read(path)
+        lens = lens_of(lenses, keys[path], (image.shape[0], image.shape[1]))
+        places = source_places(lens, image.shape[1::-1], image.shape[:2])
+        return straightened(image, places, smooth=True)
+
+    return read
 
 
 def _joined(paths: list[str]) -> pd.DataFrame:
@@ -137,6 +163,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--components", nargs="?", help="scores without each component")
     parser.add_argument("--validation", nargs="?", help="validation.json of a site with truth")
     parser.add_argument("--images", nargs="?", help="folder or archive of the images to embed")
+    parser.add_argument("--drive", nargs="?", help="profile of the drives, where lenses distort")
+    parser.add_argument("--lenses", default="[]", help="given lenses as JSON")
     parser.add_argument("--dem", nargs="?", help="terrain; with masks and depth for the depth fit")
     for name in ("masks", "depth"):
         parser.add_argument(f"--{name}", nargs="*", default=[], help="shards in order")
