@@ -139,12 +139,16 @@ def posed(folder, bed, turn_deg=0.0, left_out=()):
         if image not in left_out
     ]  # fmt: skip
     pd.DataFrame(rows).to_csv(folder / "cameras.csv", index=False)
+    assert run_given(folder) == 0
+    return read_table(folder / "out.parquet"), read_about(folder / "out.parquet")
+
+
+def run_given(folder):
     options = ["--frames", "frames.parquet", "--image-edges", "edges.parquet", "--frame"]
     options += ["frame.json", "--road-edges", "road_edges.parquet", "--cameras", "cameras.csv"]
     options += ["--out", "out.parquet"]
     named = [str(folder / o) if not o.startswith("--") else o for o in options]
-    assert use_given_cameras.main(named) == 0
-    return read_table(folder / "out.parquet"), read_about(folder / "out.parquet")
+    return use_given_cameras.main(named)
 
 
 def test_given_cameras_are_taken_as_they_are(road, bed):
@@ -157,6 +161,16 @@ def test_given_cameras_are_taken_as_they_are(road, bed):
     assert about["method"] == "given"
     assert about["agreeing_share"] > 0.7
     assert table["residual_px"].median() < 2.5
+
+
+def test_given_uncertainties_replace_the_usual_ones(road, bed):
+    posed(road, bed)
+    cameras = pd.read_csv(road / "cameras.csv").assign(sigma_heading_deg=0.7)
+    cameras.to_csv(road / "cameras.csv", index=False)
+    assert run_given(road) == 0
+    table = read_table(road / "out.parquet")
+    assert set(table["sigma_heading_deg"]) == {0.7}
+    assert set(table["sigma_lateral_m"]) == {0.1}
 
 
 def test_cameras_that_do_not_agree_with_the_road_are_told(road, bed, caplog):

@@ -14,6 +14,7 @@ from roadsight.geometry.frames import Frame
 
 _ANGLES = {"heading_grid_deg": "heading_deg", "pitch_deg": "pitch_deg", "roll_deg": "roll_deg"}
 _LENS = ("focal_px", "cx_px", "cy_px")
+_SIGMAS = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")
 
 
 def read_cameras(
@@ -25,7 +26,8 @@ def read_cameras(
     ----------
     path : CSV with image, easting_*, northing_* and height_* in the CRS and units of the site,
         heading_grid_deg, pitch_deg, roll_deg, and focal_px, cx_px, cy_px unless ``intrinsics`` is
-        given: a CSV with one row fx_px, cx_px, cy_px for all images.
+        given: a CSV with one row fx_px, cx_px, cy_px for all images. Columns sigma_heading_deg,
+        sigma_pitch_deg, sigma_lateral_m, sigma_along_m are taken along where there are any.
 
     Raises
     ------
@@ -47,6 +49,8 @@ def read_cameras(
     for name in _present(lens, _LENS, intrinsics or path):
         values = pd.to_numeric(lens[name], errors="coerce")
         found[name] = values if intrinsics is None else float(values.iloc[0])
+    for name in set(_SIGMAS) & set(table.columns):
+        found[name] = pd.to_numeric(table[name], errors="coerce")
     if not np.isfinite(found.drop(columns="image").to_numpy(np.float64)).all():
         raise InputError("holds what is no finite number", where=os.fspath(path))
     return found
