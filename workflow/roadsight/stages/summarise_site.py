@@ -73,7 +73,7 @@ def _poles(arguments: argparse.Namespace) -> dict[str, Any]:
 def _given_cameras(paths: list[str]) -> dict[str, Any]:
     """How cameras that came with the videolog agree with the road, where they did."""
     shards = [read_about(path) for path in paths]
-    if not shards or shards[0]["method"] != "given":
+    if not shards or shards[0].get("method") != "given":
         return {}
     checked = [(s["checked_images"], s["agreeing_share"]) for s in shards if s["checked_images"]]
     images = sum(count for count, _ in checked)
