@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 
 import geopandas as gpd
 import pandas as pd
@@ -162,12 +163,32 @@ MODULES = [
     ("poles/hazard.py", after("rate_hazard")),
     ("scene/tin.py", after("build_terrain")),
     ("poles/plumb_line.py", after("profile_drive")),
-    ("poles/straightening.py", set()),
+    ("poles/straightening.py", after("write_poles_page")),
     ("effects/quantities_poles.py", after("plan_effects")),
     ("poles/alignment/published.py", after("align_cameras")),
     ("synthetic/rendering_look.py", after("render_videolog")),
     ("commands/triangulate.py", set()),
 ]
+
+
+def check(checkout: Checkout, expected: set[str]) -> None:
+    """That a dry run plans what is expected.
+
+    Where the drive is measured anew, what hangs on its effects is planned once that has been done;
+    nothing else may be planned before.
+    """
+    stale = checkout.stale_rules()
+    if "profile_drive" in expected:
+        assert "profile_drive" in stale
+        assert stale <= expected
+    else:
+        assert stale == expected
+
+
+def remark(checkout: Checkout, module: str) -> None:
+    """Edit a module without changing what it does."""
+    path = checkout.folder / "workflow/roadsight" / module
+    path.write_text(path.read_text() + "\n# a remark\n")
 
 
 def test_finished_run_leaves_nothing_to_do(finished_road):
@@ -178,22 +199,21 @@ def test_finished_run_leaves_nothing_to_do(finished_road):
 def test_setting(copy_of_road, setting, expected):
     copy_of_road.edit(SITE, "  shards: 2\n", f"  shards: 2\n  {setting}\n")
     # Every setting is on record in the summary, so the summary and the report follow it too.
-    assert copy_of_road.stale_rules() == expected | after("summarise_site")
+    check(copy_of_road, expected | after("summarise_site"))
 
 
 @pytest.mark.parametrize(("module", "expected"), MODULES, ids=[m[0] for m in MODULES])
 def test_editing_a_module_re_runs_its_users_only(copy_of_road, module, expected):
-    path = copy_of_road.folder / "workflow/roadsight" / module
-    path.write_text(path.read_text() + "\n# a remark\n")
-    assert copy_of_road.stale_rules() == expected
+    remark(copy_of_road, module)
+    check(copy_of_road, expected)
 
 
 def test_skipped_landmarks_are_not_in_the_dag(copy_of_road):
-    setting = "  alignment: {landmarks: skip}\n"
-    copy_of_road.edit(SITE, "  shards: 2\n", f"  shards: 2\n{setting}")
-    result = copy_of_road.snakemake("-n", "-F")
-    assert "calibrate_drive" in result.stdout + result.stderr
-    assert "trace_pole_axes" not in result.stdout + result.stderr
+    remark(copy_of_road, "stages/trace_pole_axes.py")
+    assert "trace_pole_axes" in copy_of_road.stale_rules()
+    jobs = jobs_after(copy_of_road, "alignment: {landmarks: skip}")
+    assert "calibrate_drive" in jobs
+    assert "trace_pole_axes" not in jobs
 
 
 def jobs_after(checkout: Checkout, setting: str) -> set[str]:
@@ -217,7 +237,7 @@ def test_decisions_are_measured_and_told(finished_road):
 
 
 def test_skipped_terrain_is_not_triangulated(copy_of_road):
-    (copy_of_road.folder / "results/tiny_road/poles/terrain.npz").unlink()
+    remark(copy_of_road, "scene/tin.py")
     assert "build_terrain" in copy_of_road.stale_rules()
     jobs = jobs_after(copy_of_road, "effects: {terrain_occlusion: skip}")
     assert "calibrate_drive" in jobs
@@ -247,11 +267,13 @@ def test_given_cameras_spare_the_alignment(copy_of_road):
 
 
 def test_before_the_drive_is_measured_a_dry_run_says_what_is_open(copy_of_road):
-    (copy_of_road.folder / "results/tiny_road/poles/drive.json").unlink()
+    shutil.rmtree(copy_of_road.folder / "results")
     result = copy_of_road.snakemake("-n")
     assert result.returncode == 0, result.stderr[-3000:]
-    assert "profile_drive" in result.stdout + result.stderr
-    assert "checkpoint jobs" in result.stdout + result.stderr
+    told = result.stdout + result.stderr
+    assert "profile_drive" in told
+    assert "segment_images" not in told
+    assert "checkpoint jobs" in told
 
 
 def test_summary_holds_what_checks_rely_on(finished_road):

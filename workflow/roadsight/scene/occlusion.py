@@ -8,11 +8,11 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.geometry.cameras import wrap_deg
+from roadsight.scene.sight_lines import TOLERANCE_M
 from roadsight.scene.tin import Terrain
 
 _FLOATS = NDArray[np.float64]
 _LAST_SHARE = 0.9999
-TOLERANCE_M = 0.15
 
 
 class TerrainSight:

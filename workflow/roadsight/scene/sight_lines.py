@@ -12,12 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.geometry.cameras import wrap_deg
-from roadsight.scene.occlusion import TOLERANCE_M
 
 _FLOATS = NDArray[np.float64]
 Height = Callable[[_FLOATS, _FLOATS], _FLOATS]
 """Function of x and y (n,), local metres, that gives heights (n,), NaN where unknown."""
 
+TOLERANCE_M = 0.15
+"""Sight lines end this much above the points: they would else meet the ground that these lie on."""
 _HALF_ANGLE_DEG = 45.0
 _STEP_M = 2.0
 _POINTS = 120
