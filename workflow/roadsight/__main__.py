@@ -11,7 +11,17 @@ from collections.abc import Sequence
 from roadsight import __version__
 from roadsight.errors import InputError
 
-COMMANDS = ("init", "ground", "pavement", "edges", "depthmap", "cover", "align", "triangulate")
+COMMANDS = (
+    "init",
+    "ground",
+    "pavement",
+    "edges",
+    "depthmap",
+    "cover",
+    "align",
+    "triangulate",
+    "estimate",
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -1,0 +1,189 @@
+"""``roadsight estimate``: what a run needs, before anyone starts it."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from roadsight.config.load import ResolvedSite, load_config, load_site
+from roadsight.errors import InputError
+from roadsight.evidence.costs import Amounts
+from roadsight.evidence.estimate import Estimate, estimate
+from roadsight.io.atomic import write_json
+from roadsight.io.clouds import read_header
+from roadsight.io.cost_tables import SHIPPED, CostTable, fit_costs, read_costs, write_costs
+from roadsight.io.texts import read_yaml
+from roadsight.io.videologs import ImageSource
+
+log = logging.getLogger("roadsight")
+
+# A mile of the North Carolina study: 34,012,557 points on 6.3 miles, 43 million images on 54,000.
+# Candidates and targets of the generated highway, 1,228 and 5,552 on 250 m.
+A_MILE = Amounts(points_m=5.4, candidates=7_900, sensors=1, targets=35_700, plans=1, images=796)
+_MOST_MILES = 1e7
+
+
+def add_parser(verbs: argparse._SubParsersAction) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("estimate", help="core-hours, memory, storage of runs to come")
+    parser.add_argument("sites", nargs="*", help="sites of config/sites, by name or by file")
+    parser.add_argument("--miles", type=float, help="length of road, instead of sites")
+    parser.add_argument("--run-miles", type=float, default=10.0, help="road of one run, miles")
+    parser.add_argument("--job", action="append", choices=("placement", "poles"), dest="jobs",
+                        help="jobs to do; of a site those that it asks for")  # fmt: skip
+    for name, help_ in (
+        ("points-m", "points, millions"), ("candidates", "sensor positions"),
+        ("targets", "targets"), ("images", "images"),
+    ):  # fmt: skip
+        parser.add_argument(f"--{name}", type=float, help=f"{help_}, of one run")
+    for name, help_ in (("sensors", "kinds of sensor"), ("plans", "plans"), ("shards", "shards")):
+        parser.add_argument(f"--{name}", type=int, help=help_)
+    parser.add_argument("--cores", type=int, default=2, help="cores at one time")
+    parser.add_argument("--costs", type=Path, default=SHIPPED, help="cost model, JSON")
+    parser.add_argument("--fit", nargs="+", type=Path, metavar="RESULTS",
+                        help="fit a cost model on finished results/<site> folders")  # fmt: skip
+    parser.add_argument("-o", "--out", type=Path, help="JSON file to write")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Print the estimate, or fit a cost model.
+
+    Raises
+    ------
+    InputError : neither sites nor miles nor results, or one of them cannot be used.
+    """
+    table = read_costs(arguments.costs)
+    if arguments.fit:
+        _refit(arguments, table)
+        return
+    _check(arguments)
+    if arguments.miles is None:
+        found = [_of_site(name, table, arguments) for name in arguments.sites]
+    else:
+        found = [("road", *_of_miles(table, arguments))]
+    for name, amounts, result in found:
+        print(_text(name, amounts, result, table.factor))
+    if arguments.out:
+        content = [_content(name, amounts, result, table.factor) for name, amounts, result in found]
+        write_json(arguments.out, content)
+
+
+def _refit(arguments: argparse.Namespace, table: CostTable) -> None:
+    if arguments.out is None:
+        raise InputError("needs -o, the JSON file to write", where="--fit")
+    content = fit_costs(arguments.fit, table.dag)
+    write_costs(arguments.out, content)
+    for site, ratio in content["held_out"]["predicted_by_actual"].items():
+        log.info("%s, held out: predicted by actual processor time %.2f", site, ratio)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if bool(arguments.sites) == (arguments.miles is not None):
+        raise InputError("give either sites or --miles", where="roadsight estimate")
+    for name in ("miles", "run_miles", "points_m", "candidates", "targets", "images", "sensors",
+                 "plans", "shards", "cores"):  # fmt: skip
+        value = getattr(arguments, name)
+        least = 0.0 if name in ("points_m", "candidates", "targets", "images") else 1e-6
+        if value is not None and not least <= value <= _MOST_MILES * 1e6:
+            raise InputError("is no usable number", where=f"--{name.replace('_', '-')}",
+                             found=value, allowed=f"{least:g} or more")  # fmt: skip
+
+
+def _given(arguments: argparse.Namespace, amounts: Amounts) -> Amounts:
+    """Amounts with those that the command line states."""
+    names = ("points_m", "candidates", "targets", "images", "sensors", "plans", "shards")
+    stated = {name: getattr(arguments, name) for name in names}
+    return replace(amounts, **{k: v for k, v in stated.items() if v is not None})
+
+
+def _of_miles(table: CostTable, arguments: argparse.Namespace) -> tuple[Amounts, Estimate]:
+    """Equal runs that together are so many miles."""
+    runs = max(round(arguments.miles / arguments.run_miles), 1)
+    length = arguments.miles / runs
+    per_run = {
+        name: getattr(A_MILE, name) * length
+        for name in ("points_m", "candidates", "targets", "images")
+    }
+    amounts = _given(arguments, replace(A_MILE, **per_run, shards=4))
+    jobs = tuple(arguments.jobs or ("placement", "poles"))
+    return amounts, _estimate(table, amounts, jobs, runs, arguments.cores)
+
+
+def _of_site(
+    name: str, table: CostTable, arguments: argparse.Namespace
+) -> tuple[str, Amounts, Estimate]:
+    """One run of a site of the configuration."""
+    site = load_site(name, load_config(read_yaml("config/config.yaml")))
+    amounts = _given(arguments, _amounts(site))
+    jobs = tuple(arguments.jobs or [job for job in site.site.jobs if job != "scene"])
+    return site.site.site, amounts, _estimate(table, amounts, jobs, 1, arguments.cores)
+
+
+def _amounts(site: ResolvedSite) -> Amounts:
+    """What can be told before anything runs; candidates and targets as on a road of that size."""
+    sample = site.site.sample
+    points_m = sum(read_header(cloud).points for cloud in site.clouds) / 1e6
+    if sample is not None:
+        points_m = (sample.points if sample.scene == "highway" else 3_200 * sample.length_m) / 1e6
+    images: float = 0
+    if "poles" in site.site.jobs:
+        images = 0.5 * sample.length_m if sample else _count_images(site)
+    size = points_m / A_MILE.points_m
+    sensors = {name for plan in site.plans.values() for name in plan.sensors}
+    return Amounts(
+        points_m=points_m,
+        candidates=A_MILE.candidates * size,
+        sensors=len(sensors),
+        targets=A_MILE.targets * size,
+        plans=len(site.plans),
+        images=images,
+        shards=site.settings.shards,
+        rounds=site.setting("coverage.rounds") + 1,
+    )
+
+
+def _count_images(site: ResolvedSite) -> int:
+    return len(ImageSource(site.beside(site.site.poles.images) or "").names())
+
+
+def _estimate(
+    table: CostTable, amounts: Amounts, jobs: Sequence[str], runs: int, cores: int
+) -> Estimate:
+    return estimate(table.steps, table.stored, table.dag, amounts, tuple(jobs), runs, cores)
+
+
+def _content(name: str, amounts: Amounts, result: Estimate, factor: float) -> dict[str, Any]:
+    totals = {key: getattr(result, key) for key in ("core_h", "jobs", "peak_mib")}
+    known = factor if math.isfinite(factor) else None
+    return {"name": name, "amounts_a_run": asdict(amounts), "factor": known,
+            **asdict(result), **totals}  # fmt: skip
+
+
+def _text(name: str, amounts: Amounts, result: Estimate, factor: float) -> str:
+    """Table for people."""
+    rows = [f"{s.step:24}{s.jobs:>10,}{s.core_h:>13,.2f}{s.job_s:>11,.0f}{s.peak_mib:>11,.0f}"
+            for s in result.steps]  # fmt: skip
+    given = ", ".join(f"{k} {v:,.6g}" for k, v in asdict(amounts).items())
+    total = (
+        f"{'together':24}{result.jobs:>10,}{result.core_h:>13,.2f}{'':11}{result.peak_mib:>11,.0f}"
+    )
+    dag = f"{result.jobs_a_run:,} jobs a run: {result.dag_s:,.0f} s, {result.dag_mib:,.0f} MiB"
+    return "\n".join(
+        [
+            f"{name}: {result.runs:,} run(s) of {given}",
+            f"{'step':24}{'jobs':>10}{'core-hours':>13}{'s a job':>11}{'MiB a job':>11}",
+            *rows,
+            total,
+            f"{result.wall_h:,.2f} h on {result.cores} cores",
+            f"{result.storage_gib:,.1f} GiB of results; the DAG of {dag}",
+            f"processor time within a factor of {factor:.2f} on two of three sites held out"
+            if math.isfinite(factor)
+            else "how far it is off is not known: it rests on one site",
+        ]
+    )
