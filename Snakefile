@@ -20,6 +20,7 @@ include: "workflow/rules/report.smk"
 include: "workflow/rules/poles.smk"
 include: "workflow/rules/hardcases.smk"
 include: "workflow/rules/evidence.smk"
+include: "workflow/rules/audit.smk"
 
 
 rule all:
@@ -51,6 +52,12 @@ rule poles:
 rule tradeoffs:
     input:
         rules.write_tradeoffs.output,
+    localrule: True
+
+
+rule audit:
+    input:
+        rules.write_audit.output,
     localrule: True
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from roadsight.config.environment import prepare_environment
 from roadsight.config.load import load_config, load_sites
 from roadsight.config.tradeoffs import load_evidence_sites, load_tradeoffs
+from roadsight.effects.catalogue import load_audit_sites
 from roadsight.errors import InputError
 from roadsight.io.checksums import CachedChecksums
 from roadsight.io.sources import stage_sources
@@ -36,7 +37,13 @@ CONFIG = clearly(load_config, config)
 ASKED_SITES = clearly(load_sites, CONFIG)
 TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file)
 # Sites on which trade-offs are measured have rules like any other, but only `tradeoffs` asks for them.
-SITES = clearly(load_evidence_sites, CONFIG, TRADEOFFS) | ASKED_SITES
+# The same holds for those on which decisions on effects are audited.
+AUDIT_SITES = clearly(load_audit_sites, CONFIG.effects_file)
+SITES = (
+    clearly(load_evidence_sites, CONFIG, TRADEOFFS)
+    | clearly(load_sites, CONFIG.model_copy(update={"sites": AUDIT_SITES}))
+    | ASKED_SITES
+)
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)
 CHECKSUMS = CachedChecksums(".snakemake/roadsight/checksums.json")
 
@@ -177,6 +184,7 @@ def scene_results():
 EVIDENCE_PAGES = {
     "Accuracy and time": "results/tradeoffs/index.html",
     "Hard cases": "results/hardcases/index.html",
+    "Effects audited": "results/audit/index.html",
 }
 
 

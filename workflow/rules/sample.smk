@@ -25,10 +25,16 @@ rule generate_sample:
         scene=site_field("sample.scene"),
         points=site_field("sample.points"),
         length_m=site_field("sample.length_m"),
+        radius_m=site_field("sample.radius_m"),
+        grade=site_field("sample.grade"),
+        tunnel=lambda wildcards: (
+            "yes" if SITES[wildcards.site].site.sample.tunnel else "no"
+        ),
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.generate_sample --scene {params.scene} --seed {params.seed}"
-        " --points {params.points} --length-m {params.length_m}"
+        " --points {params.points} --length-m {params.length_m} --radius-m {params.radius_m}"
+        " --grade {params.grade} --tunnel {params.tunnel}"
         " --cloud {output.cloud} --truth {output.truth} --edges {output.edges} > {log} 2>&1"
 
 

@@ -22,6 +22,11 @@ class Sample(Section):
     pulses_per_m2: float = Field(
         default=24.0, gt=0, le=200, description="rural: density of the airborne scan, 1/m2"
     )
+    radius_m: float = Field(
+        default=600.0, ge=100, le=1e6, description="highway: radius of its curve, m; 1e6: straight"
+    )
+    grade: float = Field(default=0.018, ge=-0.12, le=0.12, description="highway: rise over run")
+    tunnel: bool = Field(default=True, description="highway: whether it ends in a tunnel")
     length_m: float = Field(default=250.0, gt=0, le=3000, description="length of road, m")
     relief: float = Field(
         default=1.0, ge=0, le=2, description="rural: heights against the usual; 0 is level"

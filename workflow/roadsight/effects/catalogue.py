@@ -47,6 +47,7 @@ class Effect(Section):
 class Catalogue(Section):
     """The whole of ``config/effects.yaml``."""
 
+    audit: list[str] = Field(default=[], description="sites on which decisions are audited")
     effects: dict[str, Effect] = Field(min_length=1, description="effects by name")
 
 
@@ -70,6 +71,16 @@ def load_catalogue(path: str | os.PathLike[str]) -> dict[str, Effect]:
     if missing:
         raise InputError(f"lacks the effect {missing[0]!r}", where=str(path))
     return effects
+
+
+def load_audit_sites(path: str | os.PathLike[str]) -> list[str]:
+    """Names of the sites on which decisions are audited.
+
+    Raises
+    ------
+    InputError : malformed file.
+    """
+    return validated(Catalogue, read_yaml(path), str(path)).audit
 
 
 def check_names(names: Iterable[str], effects: Mapping[str, Effect], where: str) -> None:

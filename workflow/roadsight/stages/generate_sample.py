@@ -29,6 +29,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--points", type=int, default=3_500_000, help="about so many points")
     parser.add_argument("--length-m", type=float, default=250.0, help="length of road, 40 to 600")
+    parser.add_argument("--radius-m", type=float, default=600.0, help="of the curve to the left")
+    parser.add_argument("--grade", type=float, default=0.018, help="rise over run")
+    parser.add_argument("--tunnel", choices=["yes", "no"], default="yes", help="at its end")
     parser.add_argument("--cloud", required=True, help="LAZ to write; every point unclassified")
     parser.add_argument("--truth", required=True, help="GeoPackage to write")
     parser.add_argument("--edges", required=True, help="GeoJSON to write")
@@ -37,7 +40,13 @@ def _parser() -> argparse.ArgumentParser:
 
 def generate_sample(arguments: argparse.Namespace) -> None:
     """Build the site, scan it and write the three files."""
-    highway = build_highway(arguments.seed, arguments.length_m)
+    highway = build_highway(
+        arguments.seed,
+        arguments.length_m,
+        arguments.radius_m,
+        arguments.grade,
+        arguments.tunnel == "yes",
+    )
     frame = highway.frame()
     scan_rng, click_rng = np.random.default_rng(arguments.seed).spawn(2)
     xyz_m, dims = _cloud(scan(highway, arguments.points, scan_rng))

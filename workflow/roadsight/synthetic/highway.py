@@ -32,6 +32,7 @@ _HEADING_DEG = 25.0
 _HEIGHT_M = 25.0
 _GRADE = 0.018
 _TUNNEL_M = 30.0
+_FAR_M = 200.0
 _SHORTEST_M, _LONGEST_M = 40.0, 600.0
 
 
@@ -84,8 +85,19 @@ class Highway:
         return np.select([marking, paved, median], codes[:3], codes[3]).astype(np.uint8)
 
 
-def build_highway(seed: int = 1, length_m: float = 250.0) -> Highway:
-    """Build the sample site; the same seed and length give the same site.
+def build_highway(
+    seed: int = 1,
+    length_m: float = 250.0,
+    radius_m: float = _RADIUS_M,
+    grade: float = _GRADE,
+    tunnel: bool = True,
+) -> Highway:
+    """Build the sample site; the same arguments give the same site.
+
+    Parameters
+    ----------
+    radius_m : of the curve to the left. grade : rise over run.
+    tunnel : whether the road ends in a tunnel.
 
     Raises
     ------
@@ -100,15 +112,15 @@ def build_highway(seed: int = 1, length_m: float = 250.0) -> Highway:
             found=length_m,
             allowed=f"{_SHORTEST_M:g} to {_LONGEST_M:g}",
         )
-    tunnel_start = length_m - min(_TUNNEL_M, 0.25 * length_m)
+    tunnel_start = length_m - min(_TUNNEL_M, 0.25 * length_m) if tunnel else length_m + _FAR_M
     ground_rng, plant_rng = (
         np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2)
     )
     section = CrossSection()
     heading = math.radians(_HEADING_DEG)
-    alignment = Alignment(0.0, 0.0, math.cos(heading), math.sin(heading), 1.0 / _RADIUS_M)
+    alignment = Alignment(0.0, 0.0, math.cos(heading), math.sin(heading), 1.0 / radius_m)
     terrain = highway_terrain(
-        alignment, section, length_m, tunnel_start, _HEIGHT_M, _GRADE, ground_rng
+        alignment, section, length_m, tunnel_start, _HEIGHT_M, grade, ground_rng
     )
     builder = SceneBuilder()
     builder.add_ground(terrain, "grass")

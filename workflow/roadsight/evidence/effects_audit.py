@@ -1,0 +1,109 @@
+"""How far decisions on effects were right: a site's answer with and without each effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from roadsight.io.atomic import read_json
+from roadsight.io.detections import read_detections
+from roadsight.io.usage import last_usage
+
+RULES = {
+    "mount_tilt": "tilt_mounts",
+    "rain": "model_rain",
+    "fog": "model_fog",
+    "reflectivity": "measure_reflectivity",
+    "moving_vehicles": "trace_lanes",
+}
+"""Rules that run for one effect alone."""
+
+COLUMNS = (
+    *("site", "job", "effect", "decision", "quantity", "value", "unit", "threshold"),
+    *("sensors_with", "sensors_without", "covered_with", "covered_without", "change"),
+    *("tolerance", "right", "cpu_seconds", "expected_change", "expected_seconds"),
+)
+"""Columns of the audit's table."""
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a site's placement comes to.
+
+    Parameters
+    ----------
+    sensors, covered : sensors of the plan, and targets that it covers.
+    pairs : sensor, candidate and target of every detection.
+    cpu_s : processor time of the jobs behind it, s, those of left-out rules not counted.
+    """
+
+    sensors: int
+    covered: int
+    pairs: frozenset[tuple[str, str, str]]
+    cpu_s: float
+
+
+def read_answer(folder: Path, site: str, plan: str, without: str = "") -> Answer:
+    """The answer in a work folder.
+
+    Parameters
+    ----------
+    without : effect that is skipped there: the log of its own rule is of another run.
+    """
+    solution = read_json(folder / "results" / site / "placement" / plan / "solution.json")
+    placement = folder / "results" / site / "placement"
+    found = read_detections(sorted(placement.glob("round-*/detection/*/*.parquet")))
+    pairs = zip(
+        *(found[name].astype(str) for name in ("sensor", "candidate", "target")), strict=True
+    )
+    logs = sorted((folder / "logs" / site).rglob("*.log"))
+    used = [last_usage(log) for log in logs if log.stem != RULES.get(without)]
+    return Answer(
+        len(solution["sensors"]),
+        solution["covered_targets"],
+        frozenset(pairs),
+        sum(usage.cpu_s for usage in used if usage is not None),
+    )
+
+
+def changed_share(one: Answer, other: Answer) -> float:
+    """Share of the detections of either answer that the other lacks."""
+    together = one.pairs | other.pairs
+    return len(one.pairs ^ other.pairs) / len(together) if together else 0.0
+
+
+def audited(
+    site: str, decision: Mapping[str, Any], tolerance: float, simulated: Answer, skipped: Answer
+) -> dict[str, Any]:
+    """One row of the table, with the verdict on the decision.
+
+    A skip is right where simulating the effect would have changed the answer by no more than the
+    tolerance. To simulate what changes little costs time but spoils nothing.
+    """
+    change = changed_share(simulated, skipped)
+    kept = ("job", "effect", "decision", "quantity", "value", "unit", "threshold")
+    return {
+        "site": site,
+        **{name: decision[name] for name in kept},
+        "sensors_with": simulated.sensors,
+        "sensors_without": skipped.sensors,
+        "covered_with": simulated.covered,
+        "covered_without": skipped.covered,
+        "change": change,
+        "tolerance": tolerance,
+        "right": decision["decision"] == "simulate" or change <= tolerance,
+        "cpu_seconds": max(simulated.cpu_s - skipped.cpu_s, 0.0),
+        "expected_change": decision["expected_change"],
+        "expected_seconds": decision["expected_seconds"],
+    }
+
+
+def never_mattering(rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Effects that change the answer by more than their tolerance at no site."""
+    table = pd.DataFrame(rows)
+    matters = (table["change"] > table["tolerance"]).groupby(table["effect"]).any()
+    return [str(name) for name in matters.index[~matters]]

@@ -1,0 +1,75 @@
+"""Page of the audit: each site's answer with and without each effect."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jinja2
+
+from roadsight.report.wording import label, number, percent, seconds
+
+TEMPLATE = "audit.html.j2"
+STYLES = ("base.css", "parts.css")
+
+Row = Mapping[str, Any]
+
+
+def view(row: Row) -> dict[str, Any]:
+    """What page and table show of one row."""
+    unit = f" {row['unit']}" if row["unit"] else ""
+    return {
+        "site": row["site"],
+        "effect": label(row["effect"]),
+        "simulated": row["decision"] == "simulate",
+        "quantity": row["quantity"],
+        "value": f"{number(float(format(row['value'], '.3g')))}{unit}",
+        "threshold": f"{number(row['threshold'])}{unit}",
+        "sensors": f"{number(row['sensors_with'])} / {number(row['sensors_without'])}",
+        "covered": f"{number(row['covered_with'])} / {number(row['covered_without'])}",
+        "change": percent(row["change"]),
+        "tolerance": percent(row["tolerance"]),
+        "right": row["right"],
+        "matters": row["change"] > row["tolerance"],
+        "seconds": seconds(row["cpu_seconds"]),
+    }
+
+
+def render_page(rows: Sequence[Row], assets: Mapping[str, str], version: str) -> str:
+    """HTML of the page; needs nothing else.
+
+    Parameters
+    ----------
+    rows : of the audit's table. assets : text of the template and the styles.
+    """
+    environment = jinja2.Environment(
+        loader=jinja2.DictLoader({TEMPLATE: assets[TEMPLATE]}),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=jinja2.StrictUndefined,
+    )
+    sites = dict.fromkeys(row["site"] for row in rows)
+    return environment.get_template(TEMPLATE).render(
+        sites={name: [view(row) for row in rows if row["site"] == name] for name in sites},
+        wrong=sum(not row["right"] for row in rows),
+        decisions=len(rows),
+        css="\n".join(assets[name] for name in STYLES),
+        version=version,
+    )
+
+
+def plain_table(rows: Sequence[Row]) -> str:
+    """The same as Markdown."""
+    titles = ("Site", "Effect", "Decision", "Measured", "Threshold", "Sensors", "Covered")
+    head = f"| {' | '.join([*titles, 'Change', 'Right', 'CPU'])} |"
+    lines = [head, "|---|---|---|--:|--:|--:|--:|--:|---|--:|"]
+    for row in map(view, rows):
+        decision = "simulated" if row["simulated"] else "skipped"
+        cells = (
+            *(row["site"], row["effect"], decision, row["value"], row["threshold"]),
+            *(row["sensors"], row["covered"], row["change"]),
+            *("yes" if row["right"] else "**no**", row["seconds"]),
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,70 @@
+"""How far decisions on effects were right: sites with `effects: audit` are run both ways.
+
+REQUIRED INPUTS  finished results of the audited sites
+OUTPUTS          results/audit/: one JSON a site, audit.csv, index.html
+"""
+
+
+def audited_sites():
+    """Sites that ask for an audit of the placement job."""
+    return [
+        site
+        for site, resolved in SITES.items()
+        if resolved.settings.effects == "audit" and wants(site, "placement")
+    ]
+
+
+def config_of_audit(wildcards):
+    """The configuration with the audited site alone."""
+    named = str(SITES[wildcards.site].file)
+    return CONFIG.model_copy(update={"sites": [named]}).model_dump_json()
+
+
+def audited_plan(wildcards):
+    return next(iter(plans_of(wildcards.site)))
+
+
+rule audit_effects:
+    input:
+        solution=lambda wildcards: (
+            f"results/{wildcards.site}/placement/{audited_plan(wildcards)}/solution.json"
+        ),
+        effects=rules.plan_effects.output.effects,
+        catalogue=CONFIG.effects_file,
+        code=sources("audit_effects"),
+    output:
+        rows="results/audit/{site}.json",
+    log:
+        "logs/audit/{site}.log",
+    benchmark:
+        "results/audit/benchmarks/{site}.tsv"
+    conda:
+        ENVIRONMENT
+    params:
+        plan=audited_plan,
+        config=config_of_audit,
+        work="results/audit/work/{site}",
+    shell:
+        "python -m roadsight.stages.audit_effects --site {wildcards.site} --plan {params.plan}"
+        " --effects {input.effects} --catalogue {input.catalogue} --config {params.config:q}"
+        " --work {params.work} --out {output.rows} > {log} 2>&1"
+
+
+rule write_audit:
+    input:
+        rows=[f"results/audit/{site}.json" for site in audited_sites()],
+        assets=sorted(str(path) for path in REPORT_ASSETS.iterdir()),
+        code=sources("write_audit"),
+    output:
+        csv="results/audit/audit.csv",
+        table="results/audit/audit.md",
+        page="results/audit/index.html",
+    log:
+        "logs/audit/write_audit.log",
+    benchmark:
+        "results/audit/benchmarks/write_audit.tsv"
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.write_audit --rows {input.rows} --csv {output.csv}"
+        " --table {output.table} --page {output.page} > {log} 2>&1"
