@@ -1,4 +1,4 @@
-"""What `snakemake -n` says of effects: rules of skipped ones are absent, of simulated ones present."""
+"""What `snakemake -n` says of effects: rules of skipped ones are absent, simulated ones present."""
 
 from __future__ import annotations
 
