@@ -15,19 +15,24 @@ from roadsight.stages.run_hardcases import case_table, main
 
 CASES = all_cases()
 NO_NUMERICS = {
+    "audit_pole_effects": "compares results",
     "alignment_inputs": "reads what two stages share",
     "command": "shared by all stages",
     "progress": "shared by all stages",
     "compare_components": "runs other stages",
     "generate_rural": "generates a sample",
     "generate_sample": "generates a sample",
+    "measure_precision": "compares single and double precision",
+    "measure_tradeoff": "runs other stages",
     "plan_effects": "compares measured numbers with thresholds",
     "render_videolog": "generates a sample",
     "run_hardcases": "runs this catalogue",
     "summarise_site": "collects results",
+    "use_given_cameras": "takes poses as they are",
     "write_poles_page": "shows results",
     "write_report": "shows results",
     "write_site_page": "shows results",
+    "write_tradeoffs": "shows results",
 }
 """Stages without a case, and why."""
 

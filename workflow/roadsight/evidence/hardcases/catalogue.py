@@ -6,6 +6,7 @@ from roadsight.evidence.hardcases import (
     cameras,
     cover,
     edges,
+    effects,
     geodesy,
     ground,
     images,
@@ -19,7 +20,8 @@ from roadsight.evidence.hardcases import (
 from roadsight.evidence.hardcases.case import HardCase, cases_of
 
 _MODULES = (
-    geodesy, ground, normals, edges, lidar, cover, raster, track, images, cameras, rays, scores,
+    geodesy, ground, normals, edges, lidar, effects, cover, raster, track, images, cameras, rays,
+    scores,
 )  # fmt: skip
 
 
