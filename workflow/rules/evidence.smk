@@ -36,7 +36,7 @@ rule measure_tradeoff:
 
 rule measure_precision:
     input:
-        cloud=f"results/{site_of_job('placement')}/scene/cloud.parquet",
+        cloud=f"results/{site_of_job('placement')}/sample/cloud.laz",
         frame=f"results/{site_of_job('placement')}/scene/frame.json",
         code=sources("measure_precision"),
     output:

@@ -18,7 +18,7 @@ from roadsight.evidence.precision import (
 )
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json, write_json
-from roadsight.io.tiles import CloudTiles, stack_xyz
+from roadsight.io.clouds import read_laz
 from roadsight.io.usage import own_usage
 from roadsight.stages.command import run_stage
 
@@ -35,8 +35,7 @@ _REPEATS = 3
 def measure_precision(arguments: argparse.Namespace) -> None:
     """Write the errors of each way to store coordinates and the time that normals take."""
     frame = Frame.from_dict(read_json(arguments.frame))
-    local_m = stack_xyz(CloudTiles(arguments.cloud).read(("x", "y", "z")))[:_POINTS]
-    native = frame.to_native(local_m.astype(np.float64))
+    native = read_laz(arguments.cloud).xyz[:_POINTS]
     exact = normals_of(native - native.mean(axis=0), _NEIGHBOURS)
     levels = {name: _level(native, frame, exact, *way) for name, way in LEVELS.items()}
     write_json(arguments.out, {"default": DEFAULT, "repeats": _REPEATS, "levels": levels})
@@ -65,7 +64,8 @@ def _level(
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "frame", "out"):
+    parser.add_argument("--cloud", required=True, help="LAZ file, whose coordinates are exact")
+    for name in ("frame", "out"):
         parser.add_argument(f"--{name}", required=True)
     return run_stage(parser, measure_precision, argv)
 
