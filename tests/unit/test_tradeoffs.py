@@ -14,6 +14,7 @@ from roadsight.config.load import load_config, load_site
 from roadsight.config.schema import Config
 from roadsight.config.tradeoffs import load_overrides, load_tradeoffs
 from roadsight.errors import InputError
+from roadsight.evidence.base_costs import base_costs, with_base_costs
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.tradeoffs import (
     COLUMNS,
@@ -297,3 +298,14 @@ def test_every_metric_says_what_it_reads():
         assert metric.targets, name
         assert metric.job in ("placement", "poles")
         assert metric.unit in ("m", "deg", "share", "count", "1")
+
+
+def test_a_shared_step_costs_what_it_costs_once_its_kernels_are_compiled():
+    cold = [JobRecord("build_dem", "a", False, 5.0, 6.0, 100.0)]
+    warm = [JobRecord("build_dem", "a", True, 1.0, 2.0, 90.0)]
+    base = base_costs([cold, warm])
+    own = {"cpu_s": 5.0, "wall_s": 7.0, "peak_mib": 100.0, "repeats": 1}
+    shared = vars(Cost(5.0, 6.0, 100.0))
+    assert with_base_costs({"build_dem": shared}, base)["build_dem"] == vars(Cost(1, 2, 90, 2))
+    assert with_base_costs({"build_dem": own}, base)["build_dem"] == own
+    assert with_base_costs({"solve_cover": own}, base) == {"solve_cover": own}

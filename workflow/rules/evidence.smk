@@ -34,6 +34,31 @@ rule measure_tradeoff:
         " --cores {threads} --work {params.work} --out {output.level} > {log} 2>&1"
 
 
+rule measure_base:
+    input:
+        base=lambda wildcards: base_of_job(wildcards.job),
+        code=sources("measure_base"),
+    output:
+        costs="results/tradeoffs/base/{job}.json",
+    log:
+        "logs/tradeoffs/base-{job}.log",
+    benchmark:
+        "results/tradeoffs/benchmarks/base-{job}.tsv"
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=4000,
+    params:
+        site=lambda wildcards: site_of_job(wildcards.job),
+        config=lambda wildcards: config_of_job(wildcards.job),
+        targets=lambda wildcards: targets_of_job(wildcards.job),
+        work="results/tradeoffs/work/base-{job}",
+    shell:
+        "python -m roadsight.stages.measure_base --site {params.site}"
+        " --config {params.config:q} --targets {params.targets} --cores {threads}"
+        " --work {params.work} --out {output.costs} > {log} 2>&1"
+
+
 rule measure_precision:
     input:
         cloud=f"results/{site_of_job('placement')}/sample/cloud.laz",
@@ -55,6 +80,7 @@ rule measure_precision:
 rule write_tradeoffs:
     input:
         levels=measured_levels(),
+        base=base_costs(),
         precision=rules.measure_precision.output.precision,
         studies=CONFIG.tradeoffs_file,
         assets=sorted(str(path) for path in REPORT_ASSETS.iterdir()),
@@ -73,7 +99,7 @@ rule write_tradeoffs:
         length_km=measured_length_km(),
     shell:
         "python -m roadsight.stages.write_tradeoffs --studies {input.studies}"
-        " --levels {input.levels} --precision {input.precision} --length-km {params.length_km} --csv {output.csv}"
+        " --levels {input.levels} --base {input.base} --precision {input.precision} --length-km {params.length_km} --csv {output.csv}"
         " --table {output.table} --page {output.page} > {log} 2>&1"
 
 

@@ -8,6 +8,7 @@ STUDIES = TRADEOFFS.studies
 wildcard_constraints:
     study="|".join(map(re.escape, STUDIES)),
     level=r"\d+",
+    job="placement|poles",
 
 
 def level_name(wildcards):
@@ -26,19 +27,40 @@ def site_of_job(job):
 
 
 def config_of_study(wildcards):
-    """The configuration with the study's site alone."""
-    site = TRADEOFFS.sites[STUDIES[wildcards.study].job]
+    return config_of_job(STUDIES[wildcards.study].job)
+
+
+def config_of_job(job):
+    """The configuration with the site of a job's studies alone."""
+    site = TRADEOFFS.sites[job]
     return CONFIG.model_copy(update={"sites": [site]}).model_dump_json()
 
 
-def base_of_study(wildcards):
-    """Everything that any study of the same job reads, at the site's own settings."""
-    job = STUDIES[wildcards.study].job
-    site = site_of_job(job)
-    plan = next(iter(plans_of(site)))
+@lru_cache(maxsize=None)
+def targets_of_job(job):
+    """Everything that any study of a job reads, below the site's results."""
+    plan = next(iter(plans_of(site_of_job(job))), "")
     metrics = [METRICS[m] for s in STUDIES.values() if s.job == job for m in s.metrics]
     targets = dict.fromkeys(target for metric in metrics for target in metric.targets)
-    return [f"results/{site}/{target.format(plan=plan)}" for target in targets]
+    return [target.format(plan=plan) for target in targets]
+
+
+def base_of_job(job):
+    """The same at the site's own settings."""
+    return [f"results/{site_of_job(job)}/{target}" for target in targets_of_job(job)]
+
+
+def base_of_study(wildcards):
+    return base_of_job(STUDIES[wildcards.study].job)
+
+
+def measured_jobs():
+    """Jobs that have studies."""
+    return list(dict.fromkeys(study.job for study in STUDIES.values()))
+
+
+def base_costs():
+    return [f"results/tradeoffs/base/{job}.json" for job in measured_jobs()]
 
 
 def measured_levels():

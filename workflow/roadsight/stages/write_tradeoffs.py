@@ -6,12 +6,14 @@ import argparse
 import logging
 import sys
 from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from roadsight import __version__
 from roadsight.config.tradeoffs import Tradeoffs, load_tradeoffs
+from roadsight.evidence.base_costs import with_base_costs
 from roadsight.evidence.tradeoffs import COLUMNS, Cost, precision_rows, study_rows
 from roadsight.io.atomic import atomic_path, read_json
 from roadsight.report.tradeoffs_page import STYLES, TEMPLATE, plain_table, render_page, stage_rows
@@ -23,7 +25,8 @@ log = logging.getLogger("write_tradeoffs")
 def write_tradeoffs(arguments: argparse.Namespace) -> None:
     """Write the CSV file, the plain table and the page."""
     tradeoffs = load_tradeoffs(arguments.studies)
-    levels = _levels(tradeoffs, arguments.levels)
+    base = {Path(path).stem: read_json(path) for path in arguments.base}
+    levels = _levels(tradeoffs, arguments.levels, base)
     rows = [
         {"study": name, **row}
         for name, study in tradeoffs.studies.items()
@@ -44,13 +47,19 @@ def write_tradeoffs(arguments: argparse.Namespace) -> None:
     _write(arguments.page, render_page(tradeoffs.studies, rows, stages, assets, __version__))
 
 
-def _levels(tradeoffs: Tradeoffs, files: list[str]) -> dict[str, dict[str, Any]]:
+def _levels(
+    tradeoffs: Tradeoffs, files: list[str], base: dict[str, Any]
+) -> dict[str, dict[str, Any]]:
     """Content of the files by study and level, which come in this order."""
     left = iter(files)
-    return {
-        name: {level: read_json(next(left)) for level in study.levels}
-        for name, study in tradeoffs.studies.items()
-    }
+    found: dict[str, dict[str, Any]] = {}
+    for name, study in tradeoffs.studies.items():
+        found[name] = {}
+        for level in study.levels:
+            content = read_json(next(left))
+            shared = with_base_costs(content["stages"], base[study.job])
+            found[name][level] = content | {"stages": shared}
+    return found
 
 
 def _pole_costs(tradeoffs: Tradeoffs, levels: dict[str, dict[str, Any]]) -> dict[str, Cost]:
@@ -76,6 +85,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--studies", required=True, help="config/tradeoffs.yaml")
     parser.add_argument("--levels", nargs="+", required=True, help="in the order of the studies")
+    parser.add_argument("--base", nargs="+", required=True, help="<job>.json of measure_base")
     parser.add_argument("--precision", required=True, help="what measure_precision wrote")
     parser.add_argument("--length-km", type=float, required=True, help="road of the pole site")
     for name in ("csv", "table", "page"):
