@@ -108,7 +108,8 @@ class Variant:
         Parameters
         ----------
         targets : names below ``results/<site>``. cores : given to Snakemake.
-        again : rules to run again even if nothing changed, and nothing after them.
+        again : rules to run again even if nothing changed; after a single one nothing else runs,
+            after several all that builds on them.
 
         Returns
         -------
@@ -118,7 +119,9 @@ class Variant:
         ------
         VariantError : the workflow failed; what it said at the end.
         """
-        forced = ["--forcerun", *again, "--until", *again] if again else []
+        forced = ["--forcerun", *again] if again else []
+        # Of several rules, --until stops at the first that others of them build on.
+        forced += ["--until", *again] if len(again) == 1 else []
         output = self._snakemake(targets, "--cores", str(cores), *forced)
         rules = _JOB.findall(output)
         return {rule: rules.count(rule) for rule in sorted(set(rules))}

@@ -16,7 +16,7 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("measure_base")
 
-# Snakemake ends a run with chosen rules at a checkpoint among them. These compile no kernels.
+# Forcing the checkpoint would have Snakemake plan everything anew. These compile no kernels.
 _UP_TO_THE_CHECKPOINT = {"ingest_cloud", "profile_scene"}
 
 
