@@ -19,6 +19,7 @@ COMMANDS = (
     "depthmap",
     "cover",
     "align",
+    "register",
     "triangulate",
     "estimate",
 )

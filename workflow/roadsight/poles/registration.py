@@ -14,7 +14,7 @@ from roadsight.errors import InputError
 from roadsight.geometry.cameras import attitude_deg
 
 _FLOATS = NDArray[np.float64]
-_FEWEST = 4
+FEWEST_PAIRS = 4
 _HFOVS_DEG = (8.0, 120.0)
 _LOG_FOCAL_SIGMA = 1.0
 _PIXEL_PX = 2.0
@@ -89,7 +89,7 @@ def register_camera(
 
 def _check(uv: _FLOATS, xyz: _FLOATS) -> None:
     where = "registration"
-    if len(uv) != len(xyz) or len(uv) < _FEWEST:
+    if len(uv) != len(xyz) or len(uv) < FEWEST_PAIRS:
         raise InputError("too few clicked pairs", where=where, found=len(uv), allowed=">= 4")
     if not (np.isfinite(uv).all() and np.isfinite(xyz).all()):
         raise InputError("a clicked pair is not finite", where=where)
@@ -101,7 +101,7 @@ def _check(uv: _FLOATS, xyz: _FLOATS) -> None:
                 where=where,
                 hint="click places on both sides of the road and off the ground",
             )
-    if len(np.unique(xyz.round(6), axis=0)) < _FEWEST:
+    if len(np.unique(xyz.round(6), axis=0)) < FEWEST_PAIRS:
         raise InputError("fewer than 4 different places", where=where, allowed=">= 4")
 
 

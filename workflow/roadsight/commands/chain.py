@@ -1,0 +1,122 @@
+"""The workflow's own stages, one after the other, for verbs that need several of them."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+from pathlib import Path
+
+from roadsight.io.atomic import read_json
+from roadsight.stages.ingest_cloud import UNITS
+
+MANIFESTS = Path(__file__).resolve().parents[3] / "resources" / "manifests"
+_ROAD_CLASS, _LEAST_ROAD = "11", 1e-4
+
+
+def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of a verb that starts from a cloud and a videolog's images."""
+    parser.add_argument("--cloud", type=Path, required=True, help="LAS or LAZ file")
+    parser.add_argument("--images", required=True, help="folder or ZIP of the images")
+    parser.add_argument("--crs", default="auto", help="EPSG:nnnn, or auto: the cloud's own")
+    parser.add_argument("--units", choices=UNITS, default="auto", help="unit of x and y")
+    parser.add_argument("--vertical-units", choices=UNITS, default="auto", help="unit of z")
+    parser.add_argument(
+        "--street", action="store_true",
+        help="a street mapped from a vehicle: edges are curbs, masks count to the first border, "
+        "poles say first where the camera looks; needs --hfov-deg",
+    )  # fmt: skip
+
+
+class Chain:
+    """The workflow's own stages, one after the other in one folder."""
+
+    def __init__(self, folder: Path, *, street: bool = False) -> None:
+        self._folder, self._street = folder, street
+
+    def path(self, name: str) -> str:
+        """Path of one of its files."""
+        return str(self._folder / name)
+
+    def _run(self, stage: str, *options: str, **files: str) -> None:
+        """Run a stage; it has told its own message where it ends the verb."""
+        named = [
+            part
+            for name, file in files.items()
+            for part in (f"--{name.replace('_', '-')}", self.path(file))
+        ]
+        code = importlib.import_module(f"roadsight.stages.{stage}").main([*named, *options])
+        if code:
+            sys.exit(code)
+
+    def scene(self, arguments: argparse.Namespace) -> None:
+        """Cloud, terrain and, where the cloud has no road class, pavement."""
+        options = ("--site", arguments.cloud.stem, "--crs", arguments.crs)
+        units = ("--units", arguments.units, "--vertical-units", arguments.vertical_units)
+        self._run("ingest_cloud", *options, *units, str(arguments.cloud),
+                  cloud="cloud.parquet", frame="frame.json")  # fmt: skip
+        files = {"cloud": "cloud.parquet", "frame": "frame.json"}
+        self._run("profile_scene", **files, out="profile.json")
+        self._run("build_dem", *options[:2], **files, profile="profile.json",
+                  dem="dem.tif", ground="ground.parquet")  # fmt: skip
+        shares = read_json(self.path("profile.json"))["class_shares"]
+        self._classified = shares.get(_ROAD_CLASS, 0.0) >= _LEAST_ROAD
+        if not self._classified:
+            self._run("cluster_fpfh", cloud="cloud.parquet", ground="ground.parquet",
+                      profile="profile.json", out="clusters.parquet")  # fmt: skip
+            self._run("extract_pavement", *options[:2], **files, ground="ground.parquet",
+                      clusters="clusters.parquet", pavement="pavement.gpkg",
+                      points="pavement.parquet")  # fmt: skip
+
+    def track(self, arguments: argparse.Namespace) -> None:
+        """Top view, and the frames of the videolog on it."""
+        files = {"cloud": "cloud.parquet", "frame": "frame.json", "dem": "dem.tif"}
+        found = {} if self._classified else {"pavement": "pavement.gpkg"}
+        source = "class" if self._classified else "pavement"
+        self._run("rasterise_lidar", "--road-source", source, **files, **found,
+                  voxels="voxels.parquet", top="top.tif")  # fmt: skip
+        self._run("read_videolog", "--videolog", arguments.videolog, "--images", arguments.images,
+                  **files, top="top.tif", out="frames.parquet")  # fmt: skip
+
+    def road(self) -> None:
+        """Road edges, pole-like columns, terrain."""
+        files = {"cloud": "cloud.parquet", "frame": "frame.json"}
+        curbs = ["--method", "curbs"] if self._street else []
+        self._run("extract_road_edges", *curbs, **files, top="top.tif", frames="frames.parquet",
+                  edges="road_edges.parquet", lines="road_edges.gpkg")  # fmt: skip
+        self._run("find_pole_columns", **files, dem="dem.tif", out="columns.parquet")
+        ground = {} if self._classified else {"ground": "ground.parquet"}
+        self._run("build_terrain", cloud="cloud.parquet", **ground, out="terrain.npz")
+
+    def images(self, arguments: argparse.Namespace) -> None:
+        """What the images show."""
+        source = [str(MANIFESTS / "road_classes.yaml")]
+        if arguments.masks:
+            source = [arguments.masks, arguments.map]
+        images = ("--images", arguments.images)
+        self._run("segment_images", *images, "--source", *source, frames="frames.parquet",
+                  out="masks.zip")  # fmt: skip
+        shown = {"frames": "frames.parquet", "masks": "masks.zip"}
+        first = ["--borders", "nearest"] if self._street else []
+        self._run("trace_image_edges", *first, **shown, out="image_edges.parquet")
+        self._run("trace_pole_axes", **shown, out="pole_axes.parquet")
+
+    def cameras(self, arguments: argparse.Namespace) -> None:
+        """Poses by road alignment."""
+        inputs = {
+            "frames": "frames.parquet",
+            "image_edges": "image_edges.parquet",
+            "road_edges": "road_edges.parquet",
+            "frame": "frame.json",
+            "dem": "dem.tif",
+            "terrain": "terrain.npz",
+            "pole_axes": "pole_axes.parquet",
+            "columns": "columns.parquet",
+        }
+        known = ["--hfov-deg", str(arguments.hfov_deg)]
+        known += ["--baseline", arguments.baseline] if arguments.baseline else []
+        known += ["--start", "landmarks"] if self._street else []
+        self._run("calibrate_drive", *known, **inputs, out="calibration.json")
+        limits = ["--max-sigma-heading-deg", str(arguments.max_sigma_heading_deg)]
+        self._run("align_cameras", "--method", arguments.method, *limits, **inputs,
+                  calibration="calibration.json", out="cameras.parquet")  # fmt: skip

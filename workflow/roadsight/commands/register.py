@@ -1,0 +1,132 @@
+"""``roadsight register``: the baseline of a vehicle's camera from clicked pairs."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from roadsight.commands.chain import Chain, add_cloud_arguments
+from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import read_json, write_json
+from roadsight.io.clicked_pairs import read_pairs
+from roadsight.io.rasters import read_raster
+from roadsight.io.sighting_tables import read_text_table
+from roadsight.io.tables import read_table
+from roadsight.poles.alignment.drive import Place, places_of
+from roadsight.poles.alignment.pose import Start
+from roadsight.poles.alignment.roadside import RoadEdges
+from roadsight.poles.baselines import baseline
+from roadsight.poles.registration import FEWEST_PAIRS, Registration, is_flat, register_camera
+
+
+def add_parser(verbs: argparse._SubParsersAction) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("register", help="solve a camera's baseline from clicked pairs")
+    parser.add_argument(
+        "pairs", metavar="PAIRS", help="CSV: image, pixel_x, pixel_y; x, y or lon, lat; z if known"
+    )
+    parser.add_argument("--videolog", required=True, help="CSV: image, latitude, longitude, ...")
+    add_cloud_arguments(parser)
+    parser.add_argument("-o", "--out", required=True, help="JSON to write, for poles.baseline")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write one baseline for each image size.
+
+    Raises
+    ------
+    InputError : the pairs cannot be read, or those of an image do not determine its camera.
+    """
+    if Path(arguments.out).suffix.lower() != ".json":
+        raise InputError("is no name for it", where=f"--out {arguments.out}", allowed=".json")
+    _check_counts(arguments.pairs)
+    with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
+        chain = Chain(Path(folder), street=arguments.street)
+        chain.scene(arguments)
+        chain.track(arguments)
+        chain.road()
+        frame = Frame.from_dict(read_json(chain.path("frame.json")))
+        pairs = _on_ground(read_pairs(arguments.pairs, frame), chain.path("dem.tif"), frame)
+        places = _places(chain)
+    found: dict[str, list[tuple[Registration, Start]]] = {}
+    for image, own in pairs.groupby("image", sort=True):
+        start = _start(places, str(image), arguments)
+        registration = _registered(own, start, f"{arguments.pairs}: {image}")
+        found.setdefault(f"{start.width_px}x{start.height_px}", []).append((registration, start))
+        _tell(str(image), own, registration)
+    content = {size: baseline(images) for size, images in found.items()}
+    write_json(arguments.out, content)
+    for size, one in content.items():
+        print(
+            f"{size}: focal length {one['focal_px']:.1f} px, height {one['height_m']:.2f} m, "
+            f"yaw {one['yaw_deg']:.2f}, pitch {one['pitch_deg']:.2f}, roll {one['roll_deg']:.2f} "
+            f"degrees; {one['pairs']} pairs within {one['rms_px']:.2f} px: {arguments.out}"
+        )
+
+
+def _check_counts(path: str) -> None:
+    """Too few pairs are told before the cloud is read."""
+    table = read_text_table(path)
+    if "image" not in table:
+        raise InputError("lacks the column image", where=path, found=", ".join(table.columns))
+    counts = table["image"].str.strip().value_counts()
+    if counts.min() < FEWEST_PAIRS:
+        image = str(counts.sort_index().idxmin())
+        raise InputError(
+            "too few clicked pairs", where=f"{path}: {image}", found=int(counts[image]),
+            allowed=f">= {FEWEST_PAIRS} in each image",
+        )  # fmt: skip
+
+
+def _on_ground(pairs: pd.DataFrame, dem: str, frame: Frame) -> pd.DataFrame:
+    """Pairs whose missing heights are those of the terrain."""
+    open_ = pairs["z"].isna().to_numpy()
+    if not open_.any():
+        return pairs
+    height = read_raster(dem, frame).sample(pairs["x"].to_numpy(), pairs["y"].to_numpy())
+    if not np.isfinite(height[open_]).all():
+        row = int(np.flatnonzero(open_ & ~np.isfinite(height))[0])
+        raise InputError(
+            "a place without z lies outside the terrain", where=f"pairs, line {row + 2}",
+            hint="give its z, or check its coordinates",
+        )  # fmt: skip
+    return pairs.assign(z=np.where(open_, height, pairs["z"]))
+
+
+def _places(chain: Chain) -> dict[str, Place]:
+    frames = read_table(chain.path("frames.parquet"))
+    frames = frames[(frames["status"] == "ok") & np.isfinite(frames["z_road"])]
+    xyz = read_table(chain.path("road_edges.parquet"), ["x", "y", "z"]).to_numpy(np.float64)
+    places = places_of(frames.reset_index(drop=True), RoadEdges.from_points(xyz))
+    return {place.image: place for place in places}
+
+
+def _start(places: dict[str, Place], image: str, arguments: argparse.Namespace) -> Start:
+    if image not in places:
+        raise InputError(
+            "an image of the pairs is not in the videolog, or not usable there",
+            where=arguments.pairs, found=image, allowed=f"{len(places)} images",
+        )  # fmt: skip
+    return places[image].start
+
+
+def _registered(own: pd.DataFrame, start: Start, where: str) -> Registration:
+    size = start.width_px, start.height_px
+    try:
+        return register_camera(own[["u", "v"]], own[["x", "y", "z"]], *size)
+    except InputError as error:
+        raise InputError(str(error), where=where) from error
+
+
+def _tell(image: str, own: pd.DataFrame, found: Registration) -> None:
+    """Alignment error of every pair."""
+    flat = "; all places on one plane: the focal length rests on little"
+    print(f"{image}: {len(own)} pairs{flat if is_flat(own[['x', 'y', 'z']]) else ''}")
+    for (_, row), gap in zip(own.iterrows(), found.residuals_px, strict=True):
+        print(f"  pixel {row['u']:.1f}, {row['v']:.1f}: off by {gap:.2f} px")
