@@ -14,6 +14,7 @@ import shutil
 import subprocess
 import sys
 import time
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -97,6 +98,43 @@ def job_of(cluster, rule: str, run: Run, timeout_s: float = 300) -> str:
     raise AssertionError(f"no job of {rule}:\n{run.text[-4000:]}")
 
 
+@dataclass(frozen=True)
+class Misfortune:
+    """What happens to a run: jobs of these rules are cancelled, starved, or running at the end."""
+
+    cancelled: str
+    starved: str
+    running_at_the_end: str
+
+
+def run_with(there: ClusterCheckout, misfortune: Misfortune) -> None:
+    """Cancel a job, let one run out of memory, kill the controller, resume to the end."""
+    # Far too little for the first attempt, enough for the second.
+    there.options = ("--set-resources", f"{misfortune.starved}:mem_mb=100 * 15 ** (attempt - 1)")
+    struck = Disturbed(there, np.random.default_rng(0))
+    run = struck.start()
+    tell(there.slurm, "scancel", job_of(there.slurm, misfortune.cancelled, run))
+    job_of(there.slurm, misfortune.running_at_the_end, run)
+    finished = set(run.finished)
+    run.process.kill()
+    run.end()
+    for _ in range(100):
+        if not tell(there.slurm, "squeue", "-h", "-t", "R,PD").strip():
+            break
+        time.sleep(1)
+    struck.unlock()
+    again = struck.start()
+    assert again.end(timeout_s=1800) == 0, again.text[-6000:]
+
+    text = run.text + again.text
+    retried = re.findall(r"Error in rule (\w+)", text)
+    assert {misfortune.cancelled, misfortune.starved} <= set(retried), text[-6000:]
+    assert text.count("Trying to restart job") >= 2
+    # What was finished when the controller died is not done again.
+    assert not finished & again.outputs
+    assert "Submitted array job" in text
+
+
 def test_both_jobs_on_a_cluster_that_fails(cluster, tmp_path):
     calm = Checkout.copy_to(tmp_path / "calm", ",".join(FAULT_SITES))
     for name, text in FAULT_SITES.items():
@@ -104,31 +142,7 @@ def test_both_jobs_on_a_cluster_that_fails(cluster, tmp_path):
     shutil.copytree(calm.folder, tmp_path / "cluster", symlinks=True)
     result = calm.snakemake("--cores", "2", timeout_s=1200)
     assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-4000:]
-
     there = ClusterCheckout(tmp_path / "cluster", calm.site)
     there.slurm = cluster
-    # Far too little for the first attempt, enough for the second.
-    there.options = ("--set-resources", "build_dem:mem_mb=100 * 15 ** (attempt - 1)")
-    struck = Disturbed(there, np.random.default_rng(0))
-    run = struck.start()
-    tell(cluster, "scancel", job_of(cluster, "ingest_cloud", run))
-    job_of(cluster, "rasterise_lidar", run)
-    finished = set(run.finished)
-    run.process.kill()
-    run.end()
-    for _ in range(100):
-        if not tell(cluster, "squeue", "-h", "-t", "R,PD").strip():
-            break
-        time.sleep(1)
-    struck.unlock()
-    again = struck.start()
-    assert again.end(timeout_s=1800) == 0, again.text[-6000:]
-
-    # Cancelled, and killed for its memory: both were tried again.
-    assert re.search(r"Trying to restart job", run.text)
-    assert re.search(r"ingest_cloud", run.text.split("Trying to restart job")[0])
-    assert "OUT_OF_MEMORY" in run.text or run.text.count("Trying to restart job") >= 2
-    # What was finished when the controller died is not done again.
-    assert not finished & again.outputs
-    assert "Submitted array job" in run.text + again.text
+    run_with(there, Misfortune("ingest_cloud", "build_dem", "rasterise_lidar"))
     check_same(there.folder, digests(calm.folder))
