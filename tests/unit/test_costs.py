@@ -8,8 +8,10 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.unit.las_files import random_points, wkt_of, write_las
 
 from roadsight.__main__ import main
 from roadsight.errors import InputError
@@ -31,6 +33,7 @@ from roadsight.io.cost_records import read_amounts, read_records, read_stored
 from roadsight.io.cost_tables import SHIPPED, read_costs
 from roadsight.io.tables import write_table
 
+FOOT_M = 1200 / 3937
 numbers = st.floats(0.01, 100)
 
 
@@ -200,9 +203,27 @@ def test_a_site_of_the_configuration(tmp_path, project, monkeypatch):
     highway, rural = json.loads(out.read_text())
     assert highway["amounts_a_run"]["points_m"] == pytest.approx(3.5, rel=0.1)
     assert highway["amounts_a_run"]["plans"] == 6
+    assert highway["amounts_a_run"]["candidates"] == pytest.approx(1228, rel=0.05)
     assert rural["amounts_a_run"]["images"] == pytest.approx(441, rel=0.3)
     # What was measured when the model was fitted, within a factor of two.
     assert 0.5 < rural["amounts_a_run"]["points_m"] / 3.2 < 2
+
+
+def test_a_site_of_ones_own(tmp_path, project, monkeypatch):
+    """A hundred thousand points on 1.2 km in feet."""
+    monkeypatch.chdir(project)
+    extent = (1200.0 / FOOT_M, 9.0, 9.0)
+    points = random_points(5000, extent=extent, corner=(2_000_000.0, 700_000.0, 100.0))
+    write_las(tmp_path / "a.laz", points, wkt_of("EPSG:2264"))
+    site = {"site": "own", "clouds": ["a.laz"], "placement": {"plans": ["os-64", "vlp-16"]}}
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(site))
+    out = tmp_path / "own.json"
+    assert run(tmp_path / "own.yaml", "--shards", 3, "-o", out) == 0
+    amounts = json.loads(out.read_text())[0]["amounts_a_run"]
+    assert amounts["points_m"] == pytest.approx(0.005)
+    assert amounts["candidates"] == pytest.approx(7900 * 1200 / 1609.344, rel=0.01)
+    assert (amounts["sensors"], amounts["plans"], amounts["shards"]) == (2, 2, 3)
+    assert amounts["images"] == 0
 
 
 def test_a_model_of_ones_own(finished_site, tmp_path):

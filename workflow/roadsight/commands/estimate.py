@@ -10,13 +10,16 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from roadsight.config.load import ResolvedSite, load_config, load_site
 from roadsight.errors import InputError
 from roadsight.evidence.costs import Amounts
 from roadsight.evidence.estimate import Estimate, estimate
 from roadsight.io.atomic import write_json
-from roadsight.io.clouds import read_header
+from roadsight.io.clouds import read_extent, read_header
 from roadsight.io.cost_tables import SHIPPED, CostTable, fit_costs, read_costs, write_costs
+from roadsight.io.las_header import CloudHeader
 from roadsight.io.texts import read_yaml
 from roadsight.io.videologs import ImageSource
 
@@ -26,6 +29,7 @@ log = logging.getLogger("roadsight")
 # Candidates and targets of the generated highway, 1,228 and 5,552 on 250 m.
 A_MILE = Amounts(points_m=5.4, candidates=7_900, sensors=1, targets=35_700, plans=1, images=796)
 _MOST_MILES = 1e7
+_MILE_M, _DEGREE_M = 1609.344, 111_195.0
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -126,26 +130,40 @@ def _of_site(
 
 
 def _amounts(site: ResolvedSite) -> Amounts:
-    """What can be told before anything runs; candidates and targets as on a road of that size."""
+    """What can be told before anything runs; candidates and targets as on a road so long."""
     sample = site.site.sample
-    points_m = sum(read_header(cloud).points for cloud in site.clouds) / 1e6
-    if sample is not None:
-        points_m = (sample.points if sample.scene == "highway" else 3_200 * sample.length_m) / 1e6
+    if sample is None:
+        headers = [read_header(cloud) for cloud in site.clouds]
+        points_m, length_m = sum(h.points for h in headers) / 1e6, _length_m(headers)
+    else:
+        length_m = sample.length_m
+        points_m = (sample.points if sample.scene == "highway" else 3_200 * length_m) / 1e6
     images: float = 0
     if "poles" in site.site.jobs:
-        images = 0.5 * sample.length_m if sample else _count_images(site)
-    size = points_m / A_MILE.points_m
+        images = 0.45 * length_m if sample else _count_images(site)
+    miles = length_m / _MILE_M
     sensors = {name for plan in site.plans.values() for name in plan.sensors}
     return Amounts(
         points_m=points_m,
-        candidates=A_MILE.candidates * size,
+        candidates=A_MILE.candidates * miles,
         sensors=len(sensors),
-        targets=A_MILE.targets * size,
+        targets=A_MILE.targets * miles,
         plans=len(site.plans),
         images=images,
         shards=site.settings.shards,
         rounds=site.setting("coverage.rounds") + 1,
     )
+
+
+def _length_m(clouds: Sequence[CloudHeader]) -> float:
+    """Diagonal of the clouds' common extent in plan, which is a straight road's length."""
+    corners = np.array([read_extent(cloud.path) for cloud in clouds])
+    low, high = corners[:, 0, :2].min(axis=0), corners[:, 1, :2].max(axis=0)
+    crs = clouds[0].stated.crs
+    if crs is None:
+        return float(np.hypot(*(high - low)))
+    unit_m = _DEGREE_M if crs.is_geographic else crs.axis_info[0].unit_conversion_factor
+    return float(np.hypot(*(high - low)) * unit_m)
 
 
 def _count_images(site: ResolvedSite) -> int:

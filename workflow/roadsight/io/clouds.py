@@ -97,6 +97,17 @@ def read_header(path: str | os.PathLike[str]) -> CloudHeader:
         return cloud_header(Path(path), reader.header)
 
 
+def read_extent(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Lower and upper corner (2, 3) of a cloud as its header states them, native coordinates.
+
+    Raises
+    ------
+    InputError : as `read_header`.
+    """
+    with _open(path) as reader:
+        return np.array([reader.header.mins, reader.header.maxs], np.float64)
+
+
 def iter_chunks(path: str | os.PathLike[str], chunk_points: int = CHUNK_POINTS) -> Iterator[Chunk]:
     """Stream a cloud in file order, at most ``chunk_points`` points at a time.
 
