@@ -7,7 +7,7 @@ import pytest
 from roadsight.errors import InputError
 from roadsight.io.checksums import CachedChecksums
 from roadsight.io.shards import shard_of
-from roadsight.io.videolog_files import files_by_shard
+from roadsight.io.videolog_files import files_by_shard, posed_share
 
 NAMES = [f"r_{n:03d}.jpg" for n in range(20)]
 
@@ -61,3 +61,12 @@ def test_one_checksum_for_many_files(videolog: Path) -> None:
     assert CachedChecksums(cache).of_all(files[1:]) != first
     files[3].write_bytes(b"changed")
     assert CachedChecksums(cache).of_all(files) != first
+
+
+def test_share_of_images_whose_camera_is_given(videolog: Path) -> None:
+    table, images, cameras = (videolog / n for n in ("videolog.csv", "images", "cameras.csv"))
+    cameras.write_text("image,x\n" + "".join(f"{name},1\n" for name in [*NAMES[:15], "other.jpg"]))
+    assert posed_share(table, str(images), str(cameras)) == 0.75
+    cameras.write_text("picture,x\na.jpg,1\n")
+    with pytest.raises(InputError, match="lacks a column"):
+        posed_share(table, str(images), str(cameras))
