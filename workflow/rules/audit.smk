@@ -5,12 +5,12 @@ OUTPUTS          results/audit/: one JSON a site, audit.csv, index.html
 """
 
 
-def audited_sites():
-    """Sites that ask for an audit of the placement job."""
+def audited_sites(job):
+    """Sites that ask for an audit of a job."""
     return [
         site
         for site, resolved in SITES.items()
-        if resolved.settings.effects == "audit" and wants(site, "placement")
+        if resolved.settings.effects == "audit" and wants(site, job)
     ]
 
 
@@ -18,6 +18,12 @@ def config_of_audit(wildcards):
     """The configuration with the audited site alone."""
     named = str(SITES[wildcards.site].file)
     return CONFIG.model_copy(update={"sites": [named]}).model_dump_json()
+
+
+def effects_of_one_way(wildcards):
+    """Effects of the pole job that a site has no choice about: poses that nobody gives."""
+    given = SITES[wildcards.site].site.poles.cameras
+    return "" if given else "--leave-out road_alignment"
 
 
 def audited_plan(wildcards):
@@ -50,9 +56,36 @@ rule audit_effects:
         " --work {params.work} --out {output.rows} > {log} 2>&1"
 
 
+rule audit_pole_effects:
+    input:
+        hazard="results/{site}/poles/hazard.parquet",
+        effects=rules.plan_effects.output.effects,
+        catalogue=CONFIG.effects_file,
+        code=sources("audit_pole_effects"),
+    output:
+        rows="results/audit/poles/{site}.json",
+    log:
+        "logs/audit/poles/{site}.log",
+    benchmark:
+        "results/audit/benchmarks/poles/{site}.tsv"
+    conda:
+        ENVIRONMENT
+    params:
+        one_way=effects_of_one_way,
+        config=config_of_audit,
+        work="results/audit/work/poles/{site}",
+    shell:
+        "python -m roadsight.stages.audit_pole_effects --site {wildcards.site}"
+        " --effects {input.effects} --catalogue {input.catalogue:q} --config {params.config:q}"
+        " {params.one_way} --work {params.work} --out {output.rows} > {log} 2>&1"
+
+
 rule write_audit:
     input:
-        rows=[f"results/audit/{site}.json" for site in audited_sites()],
+        rows=[
+            *(f"results/audit/{site}.json" for site in audited_sites("placement")),
+            *(f"results/audit/poles/{site}.json" for site in audited_sites("poles")),
+        ],
         assets=sorted(str(path) for path in REPORT_ASSETS.iterdir()),
         code=sources("write_audit"),
     output:

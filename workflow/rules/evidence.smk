@@ -101,29 +101,3 @@ rule write_tradeoffs:
         "python -m roadsight.stages.write_tradeoffs --studies {input.studies}"
         " --levels {input.levels} --base {input.base} --precision {input.precision} --length-km {params.length_km} --csv {output.csv}"
         " --table {output.table} --page {output.page} > {log} 2>&1"
-
-
-rule audit_pole_effects:
-    input:
-        base="results/{site}/poles/hazard.parquet",
-        effects="results/{site}/effects.json",
-        catalogue=CONFIG.effects_file,
-        code=sources("audit_pole_effects"),
-    output:
-        audit="results/{site}/pole_effects.csv",
-    log:
-        log_of("audit_pole_effects"),
-    benchmark:
-        benchmark_of("audit_pole_effects")
-    conda:
-        ENVIRONMENT
-    resources:
-        mem_mb=4000,
-    params:
-        config=config_of_site,
-        effects=audited_pole_effects,
-        work="results/{site}/audit",
-    shell:
-        "python -m roadsight.stages.audit_pole_effects --site {wildcards.site}"
-        " --config {params.config:q} --effects {params.effects} --cores {threads}"
-        " --work {params.work} --out {output.audit} > {log} 2>&1"

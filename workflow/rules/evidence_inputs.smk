@@ -74,16 +74,3 @@ def measured_levels():
 def measured_length_km():
     """Length of the road of the pole job's site."""
     return SITES[site_of_job("poles")].site.sample.length_m / 1000
-
-
-def config_of_site(wildcards):
-    """The configuration with one site alone."""
-    file = str(SITES[wildcards.site].file)
-    return CONFIG.model_copy(update={"sites": [file]}).model_dump_json()
-
-
-def audited_pole_effects(wildcards):
-    """Effects of the pole job that can be both ways at a site: given poses, or what needs none."""
-    given = SITES[wildcards.site].site.poles.cameras
-    effects = [name for name, effect in EFFECTS.items() if effect.job == "poles"]
-    return " ".join(e for e in effects if given or e != "road_alignment")

@@ -24,10 +24,11 @@ RULES = {
 
 COLUMNS = (
     *("site", "job", "effect", "decision", "quantity", "value", "unit", "threshold"),
-    *("sensors_with", "sensors_without", "covered_with", "covered_without", "change"),
+    *("found_with", "found_without", "seen_with", "seen_without", "change"),
     *("tolerance", "right", "cpu_seconds", "expected_change", "expected_seconds"),
 )
-"""Columns of the audit's table."""
+"""Columns of the audit's table; found and seen are sensors and covered targets, or poles and their
+sightings."""
 
 
 @dataclass(frozen=True)
@@ -84,22 +85,34 @@ def audited(
     A skip is right where simulating the effect would have changed the answer by no more than the
     tolerance. To simulate what changes little costs time but spoils nothing.
     """
-    change = changed_share(simulated, skipped)
-    kept = ("job", "effect", "decision", "quantity", "value", "unit", "threshold")
-    return {
-        "site": site,
-        **{name: decision[name] for name in kept},
-        "sensors_with": simulated.sensors,
-        "sensors_without": skipped.sensors,
-        "covered_with": simulated.covered,
-        "covered_without": skipped.covered,
-        "change": change,
-        "tolerance": tolerance,
-        "right": decision["decision"] == "simulate" or change <= tolerance,
+    numbers = {
+        "found_with": simulated.sensors,
+        "found_without": skipped.sensors,
+        "seen_with": simulated.covered,
+        "seen_without": skipped.covered,
+        "change": changed_share(simulated, skipped),
         "cpu_seconds": max(simulated.cpu_s - skipped.cpu_s, 0.0),
-        "expected_change": decision["expected_change"],
-        "expected_seconds": decision["expected_seconds"],
     }
+    return row_of(site, decision, tolerance, numbers)
+
+
+def row_of(
+    site: str, decision: Mapping[str, Any], tolerance: float, numbers: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Row of the table from the decision and what the two ways came to, with the verdict.
+
+    Parameters
+    ----------
+    numbers : found and seen, each with and without, change, cpu_seconds.
+    """
+    row = {
+        "site": site,
+        **{name: decision[name] for name in decision if name in COLUMNS},
+        **numbers,
+        "tolerance": tolerance,
+        "right": decision["decision"] == "simulate" or numbers["change"] <= tolerance,
+    }
+    return {name: row[name] for name in COLUMNS}
 
 
 def never_mattering(rows: Sequence[Mapping[str, Any]]) -> list[str]:

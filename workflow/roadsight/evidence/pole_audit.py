@@ -23,11 +23,23 @@ class PoleAnswer:
     ----------
     poles : x, y and kept of each pole. sightings : image, view, u_foot, v_foot, bearing_deg,
     sigma_bearing_deg and kept. hazard : x, y and rating of the kept poles.
+    cpu_s : processor time of the jobs behind it, s.
     """
 
     poles: pd.DataFrame
     sightings: pd.DataFrame
     hazard: pd.DataFrame
+    cpu_s: float = 0.0
+
+    @property
+    def found(self) -> int:
+        """Number of kept poles."""
+        return int(self.poles["kept"].sum())
+
+    @property
+    def seen(self) -> int:
+        """Number of kept sightings."""
+        return int(self.sightings["kept"].sum())
 
 
 def answer_change(one: PoleAnswer, other: PoleAnswer) -> float:

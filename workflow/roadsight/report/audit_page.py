@@ -25,8 +25,8 @@ def view(row: Row) -> dict[str, Any]:
         "quantity": row["quantity"],
         "value": f"{number(float(format(row['value'], '.3g')))}{unit}",
         "threshold": f"{number(row['threshold'])}{unit}",
-        "sensors": f"{number(row['sensors_with'])} / {number(row['sensors_without'])}",
-        "covered": f"{number(row['covered_with'])} / {number(row['covered_without'])}",
+        "found": f"{number(row['found_with'])} / {number(row['found_without'])}",
+        "seen": f"{number(row['seen_with'])} / {number(row['seen_without'])}",
         "change": percent(row["change"]),
         "tolerance": percent(row["tolerance"]),
         "right": row["right"],
@@ -61,14 +61,14 @@ def render_page(rows: Sequence[Row], assets: Mapping[str, str], version: str) ->
 
 def plain_table(rows: Sequence[Row]) -> str:
     """The same as Markdown."""
-    titles = ("Site", "Effect", "Decision", "Measured", "Threshold", "Sensors", "Covered")
+    titles = ("Site", "Effect", "Decision", "Measured", "Threshold", "Found", "Seen")
     head = f"| {' | '.join([*titles, 'Change', 'Right', 'CPU'])} |"
     lines = [head, "|---|---|---|--:|--:|--:|--:|--:|---|--:|"]
     for row in map(view, rows):
         decision = "simulated" if row["simulated"] else "skipped"
         cells = (
             *(row["site"], row["effect"], decision, row["value"], row["threshold"]),
-            *(row["sensors"], row["covered"], row["change"]),
+            *(row["found"], row["seen"], row["change"]),
             *("yes" if row["right"] else "**no**", row["seconds"]),
         )
         lines.append(f"| {' | '.join(cells)} |")
