@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import ClassVar
+
 import numpy as np
 import pandas as pd
 import pytest
 
+from roadsight.evidence.effects_audit import COLUMNS
 from roadsight.evidence.pole_audit import (
     PoleAnswer,
     answer_change,
@@ -14,6 +18,10 @@ from roadsight.evidence.pole_audit import (
     pole_change,
     rating_change,
 )
+from roadsight.evidence.variants import JobRecord
+from roadsight.io.atomic import read_json, write_json
+from roadsight.io.tables import write_table
+from roadsight.stages import audit_pole_effects
 
 POLES = np.array([[0.0, 0.0], [10.0, 0.0], [20.0, 0.0], [30.0, 0.0]])
 
@@ -68,3 +76,64 @@ def test_the_largest_change_counts():
     assert answer_change(one, fewer) == pytest.approx(1 / 3)
     turned = PoleAnswer(poles, sightings(0.2), hazard("low", "low"))
     assert answer_change(one, turned) == 0.75
+
+
+class FakeVariant:
+    """Finished results of a site in which skipping side views loses a pole."""
+
+    changes: ClassVar[list[dict]] = []
+
+    def __init__(self, folder, changes):
+        self.folder = folder
+        self.skipped = changes.get("effects", {}).get("side_views") == "skip"
+
+    @classmethod
+    def prepare(cls, base, folder, config, site, changes):
+        cls.changes.append(changes)
+        made = cls(Path(folder), changes)
+        (made.folder / "poles/sightings").mkdir(parents=True)
+        poles = pd.DataFrame(POLES, columns=["x", "y"]).assign(kept=True)
+        kept = poles.iloc[: 3 if made.skipped else 4]
+        write_table(made.result("poles/poles.parquet"), kept)
+        write_table(made.result("poles/sightings/0.parquet"), sightings())
+        write_table(made.result("poles/hazard.parquet"), kept.assign(rating="low"))
+        return made
+
+    def result(self, name):
+        return self.folder / name
+
+    def run(self, targets):
+        return {"measure_poles": 1}
+
+    def records(self, targets):
+        cpu_s = 10.0 if self.skipped else 16.0
+        return [JobRecord("measure_poles", "l", True, cpu_s, 20.0, 100.0)]
+
+
+def test_rows_of_the_audit(tmp_path, monkeypatch):
+    monkeypatch.setattr(audit_pole_effects, "Variant", FakeVariant)
+    catalogue = Path(__file__).resolve().parents[2] / "config/effects.yaml"
+    names = {"rain": "placement", "side_views": "poles", "scale_factor": "poles"}
+    decisions = [
+        {
+            **{"effect": name, "job": job, "quantity": "q", "value": 1.0, "unit": ""},
+            **{"threshold": 0.5, "expected_change": 0.1, "expected_seconds": 1.0, "reason": "r"},
+            "decision": "skip" if name == "scale_factor" else "simulate",
+        }
+        for name, job in [*names.items(), ("road_alignment", "poles")]
+    ]
+    write_json(tmp_path / "effects.json", decisions)
+    options = ["--site", "s", "--effects", tmp_path / "effects.json", "--catalogue", catalogue]
+    options += ["--config", "{}", "--work", tmp_path / "work", "--out", tmp_path / "rows.json"]
+    options += ["--leave-out", "road_alignment"]
+    assert audit_pole_effects.main([str(option) for option in options]) == 0
+    sides, scale = read_json(tmp_path / "rows.json")
+    assert set(sides) == set(COLUMNS)
+    assert (sides["effect"], sides["found_with"], sides["found_without"]) == ("side_views", 4, 3)
+    assert (sides["change"], sides["right"], sides["cpu_seconds"]) == (0.25, True, 6.0)
+    assert (scale["effect"], scale["change"], scale["right"]) == ("scale_factor", 0.0, True)
+    assert FakeVariant.changes[1:] == [
+        {"effects": {"side_views": "skip"}},
+        {"effects": {"scale_factor": "simulate"}},
+    ]
+    assert not (tmp_path / "work").exists()
