@@ -14,7 +14,7 @@ from roadsight.placement.rays import as_seen_from, beam_directions, returns_xyz_
 from roadsight.placement.sensors import Sensor
 from roadsight.placement.sight import Sight, count_beams
 from roadsight.placement.surfel_lidar import SurfelLidar, risen
-from roadsight.placement.tilt import ground_normals, tilt_rotation
+from roadsight.placement.tilt import road_normals, tilt_rotation
 from roadsight.scene.surfels import Surfels
 
 SENSOR = Sensor(
@@ -63,7 +63,8 @@ class TestTilt:
         def ground(x, y):
             return np.where(x > 50, np.nan, 0.05 * x - 0.02 * y + 7)
 
-        found = ground_normals(np.array([[0.0, 0.0], [10.0, -3.0], [49.0, 0.0]]), ground)
+        places = np.array([[0.0, 0.0], [10.0, -3.0], [44.0, 0.0]])
+        found = road_normals(places, np.array([0.0, 90.0, 0.0]), ground)
         expected = np.array([-0.05, 0.02, 1]) / np.linalg.norm([-0.05, 0.02, 1])
         np.testing.assert_allclose(found[:2], [expected, expected], atol=1e-12)
         np.testing.assert_array_equal(found[2], [0, 0, 1])

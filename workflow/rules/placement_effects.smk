@@ -20,9 +20,12 @@ rule tilt_mounts:
         benchmark_of("tilt_mounts", "round-{round}")
     conda:
         ENVIRONMENT
+    params:
+        mounting=setting("lidar.mounting"),
     shell:
         "python -m roadsight.stages.tilt_mounts --candidates {input.candidates}"
-        " --dem {input.dem} --frame {input.frame} --out {output.tilts} > {log} 2>&1"
+        " --dem {input.dem} --frame {input.frame} --mounting {params.mounting}"
+        " --out {output.tilts} > {log} 2>&1"
 
 
 rule model_rain:

@@ -157,7 +157,7 @@ class Lidar(Section):
         default=0.1, description="voxel of a surfel, m; at least point spacing"
     )
     mounting: Literal["levelled", "normal"] = Field(
-        default="levelled", description="sensors stand upright, or normal to the ground's slope"
+        default="levelled", description="sensors stand upright, or normal to the road"
     )
     azimuth_stride: Count = Field(
         default=1, description="only every n-th azimuth is simulated and stands for n beams"

@@ -74,7 +74,7 @@ def reflectivity_range_m(sensor: Sensor, reflectivity: ArrayLike) -> NDArray[np.
 
     Parameters
     ----------
-    reflectivity : 0 to 1, any shape.
+    reflectivity : 0 to 1, any shape; what reflects nothing is seen from nowhere.
     """
     known_m, at = sensor.range_m, sensor.range_reflectivity
     if sensor.range_10_m is not None:

@@ -1,4 +1,4 @@
-"""Mounts that stand normal to the ground instead of upright."""
+"""Mounts that stand normal to the road instead of upright."""
 
 from __future__ import annotations
 
@@ -9,24 +9,31 @@ from numpy.typing import ArrayLike, NDArray
 
 _FLOATS = NDArray[np.float64]
 
-_RING_M = 4.0
+_RING_M = 3.0
+_AHEAD_M = 4.0
 _RING_POINTS = 16
 
 
-def ground_normals(xy_m: _FLOATS, ground_m: Callable[[_FLOATS, _FLOATS], _FLOATS]) -> _FLOATS:
-    """Unit normals (n, 3) of the ground around places (n, 2), local frame.
+def road_normals(
+    xy_m: _FLOATS, yaw_deg: _FLOATS, ground_m: Callable[[_FLOATS, _FLOATS], _FLOATS]
+) -> _FLOATS:
+    """Unit normals (n, 3) of the road before mounts at places (n, 2), local frame.
 
-    The gradient is that of the plane of best fit through a ring of 4 m, which for evenly spread
-    points is twice their first harmonic over the radius. Where the ring leaves the known ground the
-    mount stands upright.
+    The gradient is that of the plane of best fit through a ring of 3 m about the place 4 m ahead,
+    which for evenly spread points is twice their first harmonic over the radius: the road's grade
+    and cross-fall, not the ditch or the bank behind the mount. Where the ring leaves the known
+    ground the mount stands upright.
 
     Parameters
     ----------
+    yaw_deg : (n,) direction in which the mounts face, counter-clockwise from local x.
     ground_m : heights of the ground at x and y, NaN where unknown.
     """
+    yaw = np.radians(yaw_deg)
+    ahead = _AHEAD_M * np.column_stack([np.cos(yaw), np.sin(yaw)])
     angle = 2 * np.pi * np.arange(_RING_POINTS) / _RING_POINTS
     spokes = np.column_stack([np.cos(angle), np.sin(angle)])
-    ring = np.asarray(xy_m, np.float64)[:, None] + _RING_M * spokes
+    ring = (np.asarray(xy_m, np.float64) + ahead)[:, None] + _RING_M * spokes
     height = ground_m(ring[..., 0].ravel(), ring[..., 1].ravel()).reshape(len(xy_m), -1)
     gradient = 2 * height @ spokes / (_RING_POINTS * _RING_M)
     gradient[~np.isfinite(gradient).all(axis=1)] = 0.0
