@@ -48,7 +48,7 @@ DRIVE = {
 SENSOR = Sensor(
     elevation_min_deg=-20,
     elevation_max_deg=20,
-    channels=41,
+    channels=129,
     range_m=100,
     range_10_m=40,
     divergence_mrad=(3.0, 1.5),
@@ -83,7 +83,7 @@ class TestDecisions:
     def test_conditions_call_for_effects(self):
         fair = simulated()
         for condition, effect in [
-            ({"rain_mm_h": 25.0}, "rain"),
+            ({"rain_mm_h": 150.0}, "rain"),
             ({"visibility_m": 200.0}, "fog"),
             ({"target_reflectivity": 0.1}, "reflectivity"),
             ({"aadt": 60_000.0}, "moving_vehicles"),
@@ -105,6 +105,16 @@ class TestDecisions:
         dense = {"density_per_m2": {"median": 1e6}}
         assert "hole_filling" in simulated(profile=sparse, lidar={"model": "hybrid"})
         assert "hole_filling" not in simulated(profile=dense, lidar={"model": "hybrid"})
+
+    def test_light_matters_only_within_the_range_at_which_beams_are_dense_enough(self):
+        # 0.5 m by 0.6 m seen by 8 beams of 0.1 by 0.3125 deg: 62.8 m.
+        useful_m = (0.3 / (8 * np.radians(0.1) * np.radians(0.3125))) ** 0.5
+        dark = decided(conditions={"target_reflectivity": 0.1})["reflectivity"]
+        assert dark.value == pytest.approx(1 - 40 / useful_m, rel=1e-3)
+        # Rain that leaves 70 of 100 m costs this sensor nothing.
+        assert decided(conditions={"rain_mm_h": 50.0})["rain"].value == 0
+        both = decided(conditions={"rain_mm_h": 50.0, "target_reflectivity": 0.1})["rain"]
+        assert both.value == pytest.approx(1 - 34.5 / 40, abs=0.01)
 
     def test_curvature_never_matters_to_a_roadside_sensor(self):
         made = decided()["curvature_refraction"]
@@ -185,6 +195,16 @@ class TestDrive:
         assert self.one("road_alignment").decision == "simulate"
         assert self.one("road_alignment", given={"posed_share": 1.0}).decision == "skip"
         assert self.one("road_alignment", given={"posed_share": 0.5}).decision == "simulate"
+
+    def test_light_matters_only_within_the_range_at_which_beams_are_dense_enough(self):
+        # 0.5 m by 0.6 m seen by 8 beams of 0.1 by 0.3125 deg: 62.8 m.
+        useful_m = (0.3 / (8 * np.radians(0.1) * np.radians(0.3125))) ** 0.5
+        dark = decided(conditions={"target_reflectivity": 0.1})["reflectivity"]
+        assert dark.value == pytest.approx(1 - 40 / useful_m, rel=1e-3)
+        # Rain that leaves 70 of 100 m costs this sensor nothing.
+        assert decided(conditions={"rain_mm_h": 50.0})["rain"].value == 0
+        both = decided(conditions={"rain_mm_h": 50.0, "target_reflectivity": 0.1})["rain"]
+        assert both.value == pytest.approx(1 - 34.5 / 40, abs=0.01)
 
     def test_curvature_never_matters_within_the_reach_of_images(self):
         made = self.one("sight_curvature")

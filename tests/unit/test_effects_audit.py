@@ -18,6 +18,7 @@ from roadsight.evidence.effects_audit import (
 )
 from roadsight.io.atomic import write_json
 from roadsight.io.detections import write_detections
+from roadsight.io.tables import write_table
 from roadsight.stages.write_audit import main as write_audit
 
 DECISION = {
@@ -34,9 +35,9 @@ DECISION = {
 }
 
 
-def answer(*targets, sensors=1, cpu_s=1.0):
+def answer(*targets, sensors=1, cpu_s=1.0, candidates="a"):
     pairs = frozenset(("S", "a", target) for target in targets)
-    return Answer(sensors, len(targets), pairs, cpu_s)
+    return Answer(sensors, len(targets), frozenset(candidates), pairs, cpu_s)
 
 
 def test_change_is_a_share_of_all_detections():
@@ -44,6 +45,7 @@ def test_change_is_a_share_of_all_detections():
     assert changed_share(answer("1", "2", "3"), answer("2", "3", "4")) == pytest.approx(0.5)
     assert changed_share(answer(), answer()) == 0
     assert changed_share(answer(), answer("1")) == 1
+    assert changed_share(answer("1", candidates="ab"), answer("1", candidates="abcd")) == 0.5
 
 
 def test_a_skip_is_right_within_its_tolerance_only():
@@ -70,6 +72,7 @@ def finished(tmp_path):
     """A folder with one plan's solution, two shards of detections, and logs."""
     placement = tmp_path / "results/s/placement"
     write_json(placement / "p/solution.json", {"sensors": [{}, {}], "covered_targets": 7})
+    write_table(placement / "round-0/candidates.parquet", pd.DataFrame({"candidate": [*"abc"]}))
     for shard, candidate in enumerate("ab"):
         table = pd.DataFrame({"candidate": [candidate], "target": ["t"], "hits": [9]})
         path = placement / f"round-0/detection/S/{shard}.parquet"
@@ -85,6 +88,7 @@ def finished(tmp_path):
 def test_answer_of_a_folder(finished):
     found = read_answer(finished, "s", "p")
     assert (found.sensors, found.covered) == (2, 7)
+    assert found.candidates == {"a", "b", "c"}
     assert found.pairs == {("S", "a", "t"), ("S", "b", "t")}
     assert found.cpu_s == pytest.approx(5.0)
 

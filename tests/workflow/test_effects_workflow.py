@@ -13,8 +13,8 @@ pytestmark = pytest.mark.xdist_group("workflow")
 SITE = "config/sites/tiny.yaml"
 RULES = {
     "mount_tilt": ("tilt_mounts", "lidar: {mounting: normal}"),
-    "rain": ("model_rain", "conditions: {rain_mm_h: 40}"),
-    "fog": ("model_fog", "conditions: {visibility_m: 150}"),
+    "rain": ("model_rain", "conditions: {rain_mm_h: 250}"),
+    "fog": ("model_fog", "conditions: {visibility_m: 80}"),
     "reflectivity": ("measure_reflectivity", "conditions: {target_reflectivity: 0.1}"),
     "moving_vehicles": ("trace_lanes", "conditions: {aadt: 50000}"),
 }

@@ -129,7 +129,7 @@ SETTINGS = [
     (
         "min_points: 10",
         "min_points: 10, height_m: 0.5",
-        after("build_detection_shard", "find_obstacles"),
+        {"plan_effects"} | after("build_detection_shard", "find_obstacles"),
     ),
     (
         "height_step_m: 2.0",

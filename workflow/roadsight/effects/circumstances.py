@@ -10,9 +10,9 @@ from roadsight.placement.sensors import Sensor
 
 SETTINGS: dict[str, set[str] | bool] = {
     "conditions": True,
-    "lidar": {"model", "min_cell_points", "mounting"},
+    "lidar": {"model", "min_cell_points", "mounting", "azimuth_stride"},
     "candidates": {"spacing_m", "height_min_m", "height_max_m", "height_step_m"},
-    "targets": {"radius_m"},
+    "targets": {"radius_m", "height_m", "min_beams"},
     "calibration": {"hfov_deg"},
     "alignment": {"farthest_m"},
 }

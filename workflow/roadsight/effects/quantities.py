@@ -34,8 +34,8 @@ def hole_filling(site: Circumstances) -> Quantity:
     per_m2 = max(site.profile["density_per_m2"]["median"], 1e-9)
 
     def share(sensor: Sensor) -> float:
-        tallest = np.radians(np.diff(sensor.elevation_edges_deg).min())
-        cell = np.radians(sensor.azimuth_cell_deg) * tallest
+        lowest = np.radians(np.diff(sensor.elevation_edges_deg).min())
+        cell = np.radians(sensor.azimuth_cell_deg * lidar["azimuth_stride"]) * lowest
         return float(min(np.cbrt(wanted / (per_m2 * cell)) / sensor.range_m, 1.0))
 
     return _of_worst_sensor(site, share)
@@ -55,40 +55,42 @@ def mount_tilt(site: Circumstances) -> Quantity:
 
 
 def partial_hits(site: Circumstances) -> Quantity:
-    """Width of a beam at half the sensor's range against a target's, of the widest beam."""
+    """Width of a beam where targets are just seen against a target's, of the widest beam."""
     width_m = 2 * site.settings["targets"]["radius_m"]
 
     def share(sensor: Sensor) -> float:
         if sensor.divergence_mrad is None:
             return 0.0
-        across = sensor.aperture_mm + sensor.divergence_mrad[0] * sensor.range_m / 2
+        across = sensor.aperture_mm + sensor.divergence_mrad[0] * _useful_range_m(site, sensor)
         return across / 1000 / width_m
 
     return _of_worst_sensor(site, share)
 
 
 def reflectivity(site: Circumstances) -> Quantity:
-    """Share of the range that dark targets cost, of the sensor that loses most."""
+    """Share of the useful range that dark targets cost, of the sensor that loses most."""
     given = site.settings["conditions"]["target_reflectivity"]
     if given == 0:
         return Quantity(0.0, "no reflectivity of targets is given")
-    return _of_worst_sensor(site, lambda s: 1 - float(reflectivity_range_m(s, given)) / s.range_m)
+    return _of_worst_sensor(
+        site, lambda s: _lost(site, s, s.range_m, float(reflectivity_range_m(s, given)))
+    )
 
 
 def rain(site: Circumstances) -> Quantity:
-    """Share of the range that rain costs, of the sensor that loses most."""
+    """Share of the useful range that rain costs, of the sensor that loses most."""
     extinction = rain_extinction_per_m(site.settings["conditions"]["rain_mm_h"])
-    return _of_worst_sensor(site, lambda sensor: _range_lost(sensor, extinction))
+    return _of_worst_sensor(site, lambda sensor: _lost_to_air(site, sensor, extinction))
 
 
 def fog(site: Circumstances) -> Quantity:
-    """Share of the range that fog costs, of the sensor that loses most."""
+    """Share of the useful range that fog costs, of the sensor that loses most."""
     visibility_m = site.settings["conditions"]["visibility_m"]
     if visibility_m >= CLEAR_M:
         return Quantity(0.0, "the air is clear")
 
     return _of_worst_sensor(
-        site, lambda s: _range_lost(s, fog_extinction_per_m(visibility_m, s.wavelength_nm))
+        site, lambda s: _lost_to_air(site, s, fog_extinction_per_m(visibility_m, s.wavelength_nm))
     )
 
 
@@ -127,9 +129,32 @@ def curvature_refraction(site: Circumstances) -> Quantity:
     return _of_worst_sensor(site, lambda sensor: float(rise_m(sensor.range_m)))
 
 
-def _range_lost(sensor: Sensor, extinction_per_m: float) -> float:
-    """Share of a sensor's range that the air costs."""
-    return 1 - float(range_in_air_m(sensor.range_m, extinction_per_m)) / sensor.range_m
+def _useful_range_m(site: Circumstances, sensor: Sensor) -> float:
+    """Range up to which enough beams meet a target, if light did not limit it.
+
+    A target of width 2 r and height h at range d takes up 2 r / d by h / d; the range is that at
+    which min_beams beams share it. The densest rows count.
+    """
+    targets = site.settings["targets"]
+    rows = np.radians(np.diff(sensor.elevation_edges_deg).min())
+    beam = np.radians(sensor.azimuth_cell_deg) * rows
+    silhouette_m2 = 2 * targets["radius_m"] * targets["height_m"]
+    return float(
+        min(np.sqrt(silhouette_m2 / (beam * max(targets["min_beams"], 1))), sensor.range_m)
+    )
+
+
+def _lost(site: Circumstances, sensor: Sensor, before_m: float, after_m: float) -> float:
+    """Share of the useful range that is lost where light carries less far than before."""
+    useful_m = min(_useful_range_m(site, sensor), before_m)
+    return 1 - min(useful_m, after_m) / useful_m
+
+
+def _lost_to_air(site: Circumstances, sensor: Sensor, extinction_per_m: float) -> float:
+    """Share of the useful range that the air costs, on targets of the given reflectivity."""
+    given = site.settings["conditions"]["target_reflectivity"]
+    clear_m = float(reflectivity_range_m(sensor, given)) if given else sensor.range_m
+    return _lost(site, sensor, clear_m, float(range_in_air_m(clear_m, extinction_per_m)))
 
 
 def _middle_height_m(site: Circumstances) -> float:

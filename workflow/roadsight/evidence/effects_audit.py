@@ -11,6 +11,7 @@ import pandas as pd
 
 from roadsight.io.atomic import read_json
 from roadsight.io.detections import read_detections
+from roadsight.io.tables import read_table
 from roadsight.io.usage import last_usage
 
 RULES = {
@@ -38,12 +39,14 @@ class Answer:
     Parameters
     ----------
     sensors, covered : sensors of the plan, and targets that it covers.
+    candidates : names of all places where a sensor may stand.
     pairs : sensor, candidate and target of every detection.
     cpu_s : processor time of the jobs behind it, s, those of left-out rules not counted.
     """
 
     sensors: int
     covered: int
+    candidates: frozenset[str]
     pairs: frozenset[tuple[str, str, str]]
     cpu_s: float
 
@@ -57,6 +60,7 @@ def read_answer(folder: Path, site: str, plan: str, without: str = "") -> Answer
     """
     solution = read_json(folder / "results" / site / "placement" / plan / "solution.json")
     placement = folder / "results" / site / "placement"
+    places = sorted(placement.glob("round-*/candidates.parquet"))
     found = read_detections(sorted(placement.glob("round-*/detection/*/*.parquet")))
     pairs = zip(
         *(found[name].astype(str) for name in ("sensor", "candidate", "target")), strict=True
@@ -66,15 +70,23 @@ def read_answer(folder: Path, site: str, plan: str, without: str = "") -> Answer
     return Answer(
         len(solution["sensors"]),
         solution["covered_targets"],
+        frozenset(name for path in places for name in read_table(path, ["candidate"])["candidate"]),
         frozenset(pairs),
         sum(usage.cpu_s for usage in used if usage is not None),
     )
 
 
 def changed_share(one: Answer, other: Answer) -> float:
-    """Share of the detections of either answer that the other lacks."""
-    together = one.pairs | other.pairs
-    return len(one.pairs ^ other.pairs) / len(together) if together else 0.0
+    """Share of the detections, or of the candidates if that is more, that only one answer has."""
+    return max(
+        _apart(one.pairs, other.pairs),
+        _apart(one.candidates, other.candidates),
+    )
+
+
+def _apart(one: frozenset[Any], other: frozenset[Any]) -> float:
+    """Share of the members of either set that the other lacks."""
+    return len(one ^ other) / len(one | other) if one or other else 0.0
 
 
 def audited(

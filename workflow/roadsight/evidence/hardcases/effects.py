@@ -18,7 +18,7 @@ from roadsight.placement.light import (
     rain_extinction_per_m,
     range_in_air_m,
 )
-from roadsight.placement.tilt import ground_normals, tilt_rotation
+from roadsight.placement.tilt import road_normals, tilt_rotation
 from roadsight.poles.drive_profile import beside_track
 from roadsight.scene.reflectivity import ASPHALT, reflectivity_of
 
@@ -70,14 +70,17 @@ def level_ground_has_no_axis(rng: np.random.Generator) -> Errors:
 @hard_case("tilt_mounts", bound=0.5, unit="mounts without an attitude")
 def mounts_at_the_end_of_the_terrain(rng: np.random.Generator) -> Errors:
     """Beside the end of the terrain a slope from unknown heights is no number."""
-    places = np.column_stack([np.full(10, 1.0), np.linspace(5, 45, 10)])
+    # The road is looked at four metres before the mount, to the west.
+    places = np.column_stack([np.full(10, 5.0), np.linspace(5, 45, 10)])
+    before = places - np.array([4.0, 0.0])
 
     def height(x: _FLOATS, y: _FLOATS) -> _FLOATS:
         return np.where(np.asarray(x) < 0, np.nan, 0.05 * np.asarray(x))
 
-    east, west = (height(places[:, 0] + step, places[:, 1]) for step in (4.0, -4.0))
-    naive = (east - west) / 8.0
-    return np.isnan(naive).sum(), np.isnan(ground_normals(places, height)).any(axis=1).sum()
+    east, west = (height(before[:, 0] + step, before[:, 1]) for step in (3.0, -3.0))
+    naive = (east - west) / 6.0
+    found = road_normals(places, np.full(10, 180.0), height)
+    return np.isnan(naive).sum(), np.isnan(found).any(axis=1).sum()
 
 
 @hard_case("measure_reflectivity", bound=0.5, unit="surfaces without a reflectivity")
