@@ -31,7 +31,7 @@ def expected(bed):
     m = bed.mount
     angles = [m.yaw_deg, m.pitch_deg, m.roll_deg - 1.146]
     lens = np.log(bed.intrinsics.focal_px)
-    return np.array([0, m.lateral_m, m.height_m, *angles, lens, 0.5, 0.5, 0.0, 0.0])
+    return np.array([0, m.lateral_m, m.height_m, *angles, lens, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0])
 
 
 def tasks_of(bed, pixels=None, information=INFORMATION):
@@ -77,7 +77,7 @@ def test_poses_are_right_and_sigmas_honest(bed, tasks, fits):
 
 def test_derivatives_match_differences(tasks):
     task = tasks[3]
-    noise = Noise(1.0, 0.0, 0.0, 1.0)
+    noise = Noise(1.0, 1.0, 0.0, 0.0, 0.0, 1.0)
     off = np.abs(task.evaluate(task.mean + 0.01, 3.0)[3])
     near = (off < 3.0).all(axis=1)
     group = np.repeat(np.arange(4), np.diff(task.seen.groups))[near]
@@ -153,8 +153,8 @@ def test_left_and_right_are_alike(tasks):
     group = np.repeat(np.arange(4), np.diff(task.seen.groups))
     uv = task.seen.uv_px * [-1, 1] + [task.start.width_px - 1, 0]
     seen = ImageEdges.from_pixels(uv, np.where(group % 2, -1, 1), group < 2)
-    sign = np.array([1, -1, 1, -1, 1, -1, 1, 1, 1, 1, 1.0])
-    swap = [0, 1, 2, 3, 4, 5, 6, 8, 7, 10, 9]
+    sign = np.array([1, -1, 1, -1, 1, -1, 1, 1, 1, 1, 1, -1, -1.0])
+    swap = [0, 1, 2, 3, 4, 5, 6, 8, 7, 10, 9, 12, 11]
     mirrored = Task(start, seen, there, task.noise, task.mean[swap] * sign, task.information)
     near = descend(mirrored, mirrored.mean, 8.0).unknowns[swap] * sign
     direct = descend(task, task.mean, 8.0)

@@ -11,15 +11,13 @@ from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap
 from roadsight.poles.alignment.association import admissible, associate, marks_of
 from roadsight.poles.alignment.drive import Reach, near_edges, places_of, sight_of
 from roadsight.poles.alignment.landmarks import (
-    POSE,
     LandmarkNoise,
-    Turns,
     landmark_misfit,
     measure,
     slopes,
 )
 from roadsight.poles.alignment.locate import locate, without_view
-from roadsight.poles.alignment.pose import Spread, pose_of
+from roadsight.poles.alignment.pose import INSETS, TURNS, Spread, pose_of
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, search
 from roadsight.poles.calibration_sides import side_turns
@@ -87,13 +85,17 @@ def axis_rows(bed, number, columns, rng, views=("front",)):
     return pd.DataFrame(rows, columns=names)
 
 
-def tasks_of(bed, columns, views=("front",), known=None):
+def tasks_of(
+    bed, columns, views=("front",), known=None, side_deg=(0.0, 0.0), side_sigma_deg=60.0
+):
     rng = np.random.default_rng(8)
     edges = RoadEdges.from_points(bed.road_edges)
     m = bed.mount
     mean = np.array([0, m.lateral_m, m.height_m, m.yaw_deg, m.pitch_deg, m.roll_deg - 1.146,
-                     np.log(bed.intrinsics.focal_px), 0.5, 0.5, 0, 0])  # fmt: skip
-    information = np.diag(1.0 / SPREAD.vector() ** 2)
+                     np.log(bed.intrinsics.focal_px), 0.5, 0.5, 0, 0, *side_deg])  # fmt: skip
+    sigma = SPREAD.vector()
+    sigma[TURNS:] = side_sigma_deg
+    information = np.diag(1.0 / sigma**2)
     for number, place in enumerate(places_of(frames_of(bed), edges)):
         rows = bed.seen[number]
         seen = ImageEdges.from_pixels(rows[:, :2], rows[:, 2], rows[:, 3] > 0.5)
@@ -148,10 +150,11 @@ def test_pairs_are_the_true_ones(bed, columns, tasks):
 def test_no_landmarks_change_nothing(tasks):
     task = tasks[2]
     nothing = replace(task, sight=None)
-    for a, b in zip(locate(nothing), locate(nothing, Turns(), NOISE), strict=True):
+    for a, b in zip(locate(nothing), locate(nothing, NOISE), strict=True):
         assert np.array_equal(a.unknowns, b.unknowns)
-    blind = Turns((0.0, 0.0, 0.0), (np.inf, np.inf, np.inf))
-    assert np.array_equal(locate(task, blind)[0].unknowns, locate(nothing)[0].unknowns)
+    axes = replace(task.sight.axes, view=np.ones_like(task.sight.axes.view))
+    blind = replace(task, sight=replace(task.sight, axes=axes))
+    assert np.array_equal(locate(blind)[0].unknowns, locate(nothing)[0].unknowns)
 
 
 def test_columns_that_are_elsewhere_are_no_landmarks(bed, columns, tasks):
@@ -168,21 +171,23 @@ def test_bearings_and_slopes_match_differences(tasks):
     columns = np.full(len(task.sight.axes), -1)
     columns[:2] = [0, 1]
     scene = task.scene[0], task.origin_m
-    marks = marks_of(columns, task.sight, Turns(), scene, task.mean)
-    turn = slopes(task.mean, scene[0], marks.seen, marks.there)
-    for number in range(POSE):
+    marks = marks_of(columns, task.sight, scene, task.mean)
+    seen = marks.seen.copy()
+    seen[:, 5] = [1, 2]
+    turn = slopes(task.mean, scene[0], seen, marks.there)
+    for number in (*range(INSETS), TURNS, TURNS + 1):
         step = np.zeros(len(task.mean))
         step[number] = 1e-5
-        up = measure(task.mean + step, scene[0], marks.seen, marks.there)
-        down = measure(task.mean - step, scene[0], marks.seen, marks.there)
+        up = measure(task.mean + step, scene[0], seen, marks.there)
+        down = measure(task.mean - step, scene[0], seen, marks.there)
         found = (up - down)[:, :3] / 2e-5
         np.testing.assert_allclose(found, turn[:, :, number], rtol=1e-3, atol=1e-6)
-    given = marks.seen, marks.there, marks.sigma_rad
+    given = seen, marks.there, marks.sigma_rad
     cost, normal, gradient, off = landmark_misfit(task.mean, scene[0], *given, 1e6, True)
     assert cost == pytest.approx(0.5 * (off**2).sum(), rel=1e-3)
     by = turn[:, 0] / marks.sigma_rad[:, None]
-    np.testing.assert_allclose(normal[:POSE, :POSE], by.T @ by, rtol=1e-6)
-    np.testing.assert_allclose(gradient[:POSE], by.T @ off, rtol=1e-6)
+    np.testing.assert_allclose(normal, by.T @ by, rtol=1e-6)
+    np.testing.assert_allclose(gradient, by.T @ off, rtol=1e-6)
 
 
 def test_beam_finds_what_trying_all_finds(tasks):
@@ -190,8 +195,8 @@ def test_beam_finds_what_trying_all_finds(tasks):
     task = max(tasks, key=lambda t: 0 if t.sight is None else len(t.sight.axes))
     fit = search(task)[0]
     scene, pose = (task.scene[0], task.origin_m), (fit.unknowns, fit.covariance)
-    pairs = admissible(task.sight, Turns(), NOISE, scene, pose)
-    best = associate(task.sight, Turns(), NOISE, scene, pose)[0]
+    pairs = admissible(task.sight, NOISE, scene, pose)
+    best = associate(task.sight, NOISE, scene, pose)[0]
     options = [[-1, *pairs.column[pairs.axis == a]] for a in range(len(task.sight.axes))]
     costs = {}
     for chosen in np.array(np.meshgrid(*options, indexing="ij")).reshape(len(options), -1).T:
@@ -201,7 +206,7 @@ def test_beam_finds_what_trying_all_finds(tasks):
         rows = [np.flatnonzero((pairs.axis == a) & (pairs.column == c))[0]
                 for a, c in enumerate(chosen) if c >= 0]  # fmt: skip
         slope, gap, own = pairs.slope[rows], pairs.gap[rows], pairs.variance[rows]
-        spread = slope @ pose[1][:POSE, :POSE] @ slope.T + np.diag(own)
+        spread = slope @ pose[1] @ slope.T + np.diag(own)
         axes = [a for a in np.unique(pairs.axis) if chosen[a] < 0]
         cost = 0.5 * gap @ np.linalg.solve(spread, gap) if rows else 0.0
         cost += 0.5 * (np.linalg.slogdet(spread)[1] - np.log(own).sum()) if rows else 0.0
@@ -219,7 +224,9 @@ def test_yaw_of_side_views_is_found(bed, columns):
         assert abs(turns.deg[number] - yaw) < 4.0 * turns.sigma_deg[number] < 1.0
     far = side_turns(images, {"left": [-90.0]}, NOISE)
     assert np.isinf(far.sigma_deg[1])
-    with_sides = [locate(task, turns)[0] for task in tasks]
+    sides = {"side_deg": turns.deg[1:], "side_sigma_deg": turns.sigma_deg[1:]}
+    tasks = list(tasks_of(bed, columns, ("front", "left", "right"), **sides))
+    with_sides = [locate(task)[0] for task in tasks]
     counts = [0 if fit.marks is None else len(fit.marks.pairs) for fit in with_sides]
     task, fit = tasks[int(np.argmax(counts))], with_sides[int(np.argmax(counts))]
     assert (task.sight.axes.view[fit.marks.pairs[:, 0]] > 0).any()

@@ -16,12 +16,25 @@ from numpy.typing import NDArray
 
 from roadsight.errors import InputError
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP
-from roadsight.poles.alignment.pose import FOCAL, HEIGHT, PITCH, SIZE, YAW, Spread
-from roadsight.poles.alignment.solve import Fit, Task, search
+from roadsight.poles.alignment.pose import (
+    FOCAL,
+    HEIGHT,
+    INSETS,
+    PITCH,
+    SIZE,
+    TURNS,
+    YAW,
+    Spread,
+)
+from roadsight.poles.alignment.solve import FINEST, Fit, Task, search
 
 _FLOATS = NDArray[np.float64]
 _HFOV_DEG = (8.0, 130.0)
 _HEIGHT_M = (0.5, 5.0)
+_ANY_TURN_DEG = 60.0
+_FEWEST_PIXELS = 40
+_MIDDLE = 0.75
+"""Share of half the road beyond which a line is no line at its edge."""
 Loader = Callable[[_FLOATS, _FLOATS], Task]
 """Makes the task of one image from the expected unknowns and the inverse of their covariance."""
 
@@ -54,8 +67,11 @@ def weak_mount(hfov_deg: float | None, width_px: int) -> Mount:
     hfov_deg : horizontal field of view where it is known to 10 %, else None.
     """
     focal = 0.5 * width_px / np.tan(np.radians(hfov_deg or 60.0) / 2)
-    mean = np.array([0.0, 0.0, 2.2, 0.0, -1.0, 0.0, np.log(focal), 0.3, 0.3, 0.0, 0.0])
-    sigma = np.array([1.2, 0.7, 0.5, 3.0, 4.0, 1.5, 0.1 if hfov_deg else 0.6, 0.2, 0.2, 0.03, 0.03])
+    lens = 0.1 if hfov_deg else 0.6
+    mean = np.array([0.0, 0.0, 2.2, 0.0, -1.0, 0.0, np.log(focal), 0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
+    sigma = np.array(
+        [1.2, 0.7, 0.5, 3.0, 4.0, 1.5, lens, 0.2, 0.2, 0.03, 0.03, _ANY_TURN_DEG, _ANY_TURN_DEG]
+    )
     return Mount(mean, np.diag(sigma**2))
 
 
@@ -74,16 +90,21 @@ def implausible(mount: Mount, width_px: int) -> str:
     return ""
 
 
-def usable(fits: Sequence[Fit], pixels: int) -> bool:
-    """Whether the best minimum explains its image well enough to teach about the drive."""
-    if not fits or pixels < 40:
+def usable(task: Task, fits: Sequence[Fit]) -> bool:
+    """Whether the best minimum explains its image well enough to teach about the drive.
+
+    A middle line that was taken for the line at the edge fits as well, with an inset of half the
+    road.
+    """
+    if not fits or len(task.seen.uv_px) < _FEWEST_PIXELS:
         return False
-    near = fits[0].residuals[:, 1] < 3.0
-    return bool(near.mean() > 0.5)
+    near = fits[0].residuals[:, 1] < FINEST
+    inset_m = fits[0].unknowns[INSETS:TURNS].max()
+    return bool(near.mean() > 0.5 and inset_m < _MIDDLE * task.there.half_width_m)
 
 
 def calibrate(
-    loaders: Sequence[Loader], prior: Mount, spread: Spread, rounds: int = 6
+    loaders: Sequence[Loader], prior: Mount, spread: Spread, rounds: int = 6, starts: int = 3
 ) -> tuple[Mount, list[Fit | None]]:
     """Mean unknowns of a drive from some of its images.
 
@@ -92,7 +113,7 @@ def calibrate(
 
     Parameters
     ----------
-    loaders : one for each image. prior : what is known beforehand.
+    loaders : one for each image. prior : what is known beforehand. starts : of each search.
 
     Returns
     -------
@@ -106,7 +127,7 @@ def calibrate(
     fits: list[Fit | None] = []
     for _ in range(rounds):
         information = mount.expected(spread)
-        fits = [_fit(loader(mount.mean, information)) for loader in loaders]
+        fits = [_fit(loader(mount.mean, information), starts) for loader in loaders]
         used = [fit for fit in fits if fit is not None]
         if len(used) < 3:
             raise InputError(
@@ -123,9 +144,10 @@ def calibrate(
     return mount, fits
 
 
-def _fit(task: Task) -> Fit | None:
-    fits = search(task)
-    return fits[0] if usable(fits, len(task.seen.uv_px)) else None
+def _fit(task: Task, starts: int) -> Fit | None:
+    task = task.coarser()
+    fits = search(task, starts)
+    return fits[0] if usable(task, fits) else None
 
 
 def shared_mean(fits: Sequence[Fit], prior: Mount, spread: Spread) -> Mount:
@@ -191,7 +213,7 @@ def find_focal(
     for log_focal in np.linspace(low, high, max(int(np.ceil((high - low) / 0.17)) + 1, 2)):
         mount = _aimed(loaders, _with_focal(prior, log_focal), spread)
         try:
-            mount, fits = calibrate(loaders, mount, spread, rounds=2)
+            mount, fits = calibrate(loaders, mount, spread, rounds=2, starts=1)
         except InputError:
             continue
         # Images of no use count as if none of their pixels were explained.
@@ -206,7 +228,10 @@ def find_focal(
             allowed=f"{hfovs_deg[0]:g} to {hfovs_deg[1]:g} degrees",
             hint="give a baseline from the registration tool",
         )
-    return Mount(best[1].mean, prior.covariance, 0)
+    mean = best[1].mean.copy()
+    # At a lens that is wrong, lines go where they fit: that is no news about the road.
+    mean[INSETS:TURNS] = prior.mean[INSETS:TURNS]
+    return Mount(mean, prior.covariance, 0)
 
 
 def _with_focal(prior: Mount, log_focal: float) -> Mount:
@@ -226,7 +251,7 @@ def _aimed(loaders: Sequence[Loader], prior: Mount, spread: Spread) -> Mount:
     information = prior.expected(spread)
     total = np.zeros(len(trials))
     for loader in loaders:
-        task = loader(prior.mean, information)
+        task = loader(prior.mean, information).coarser()
         reach_px = np.exp(prior.mean[FOCAL]) * np.radians(0.7)
         total += task.scan(trials, max(8.0, reach_px / task.noise.pixel_px))
     mean = trials[int(np.argmin(total))]

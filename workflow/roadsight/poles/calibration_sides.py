@@ -92,15 +92,16 @@ def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoi
     axis = np.repeat(own, len(sight.columns.top_m))
     column = np.tile(np.arange(len(sight.columns.top_m)), len(own))
     start, pose = task.scene[0], fit.unknowns
-    seen = seen_rows(sight.axes, np.full(len(sight.axes), np.radians(guess_deg)))[axis]
+    seen = seen_rows(sight.axes)[axis]
+    seen[:, 5:] = 0.0, np.radians(guess_deg)  # As if in the front view, turned by themselves.
     there = column_rows(sight.columns, task.origin_m)[column]
     for _ in range(2):  # A tilted camera turns its views not quite by the bearings' difference.
-        seen[:, 5] -= measure(pose, start, seen, there)[:, 0]
+        seen[:, 6] -= measure(pose, start, seen, there)[:, 0]
     rows = measure(pose, start, seen, there)
     good = (rows[:, 3] > noise.nearest_m) & (rows[:, 3] < _FARTHEST_M) & np.isfinite(rows[:, 1])
     axis, column = axis[good], column[good]
     seen, there, rows = seen[good], there[good], rows[good]
-    slope = slopes(pose, start, seen, there)
+    slope = slopes(pose, start, seen, there)[..., :POSE]
     open_ = np.einsum("nia,ab,nib->ni", slope, fit.covariance[:POSE, :POSE], slope)
     focal = np.exp(pose[6]) * sight.axes.scale[axis]
     foot, top = (
@@ -114,8 +115,8 @@ def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoi
     open_top = sight.columns.open_top[column]
     agrees &= (open_top | (rows[:, 2] > -_GATE * top)) & (cut | (rows[:, 2] < _GATE * top))
     sigma_m = sight.columns.sigma_m[column]
-    variance = open_[:, 0] + own_variance(sight.axes.sigma_px[axis], sigma_m, 0.0 * sigma_m, rows)
-    turn_deg = (np.degrees(seen[:, 5]) + 180.0) % 360.0 - 180.0
+    variance = open_[:, 0] + own_variance(sight.axes.sigma_px[axis], sigma_m, rows)
+    turn_deg = (np.degrees(seen[:, 6]) + 180.0) % 360.0 - 180.0
     number = np.searchsorted(own, axis)
     return np.column_stack([number, turn_deg, np.degrees(np.sqrt(variance))])[agrees]
 

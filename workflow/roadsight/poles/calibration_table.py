@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,7 @@ class DriveCalibration:
     Attributes
     ----------
     measured : numbers of the drift's measurements by image. problem : why there is no better
-    mount than the one given beforehand, or "". turns : yaw of the side views.
+    mount than the one given beforehand, or "".
     """
 
     key: Key
@@ -38,7 +38,11 @@ class DriveCalibration:
     drift: Drift
     measured: Mapping[str, int]
     problem: str = ""
-    turns: Turns = field(default_factory=Turns)
+
+    @property
+    def turns(self) -> Turns:
+        """Yaw of the side views."""
+        return Turns.of(self.mount.mean, self.mount.covariance)
 
     def expected(self, place: Place) -> tuple[_FLOATS, _FLOATS]:
         """Expected unknowns of an image and the inverse of their covariance.
@@ -63,16 +67,22 @@ def measure_drift(
     mount: Mount,
     spread: Spread,
     model: DriftModel,
-) -> tuple[Drift, dict[str, int]]:
-    """Errors of the track of one drive from all images that can be aligned."""
+) -> tuple[Drift, dict[str, int], dict[str, _FLOATS]]:
+    """Errors of the track of one drive from all images that can be aligned.
+
+    Returns
+    -------
+    the drift, the number of each image's measurement, and the unknowns of each image
+    """
     information = mount.expected(spread)
     found = []
     for place, load in zip(places, loaders, strict=True):
-        task = load(mount.mean, information)
+        task = load(mount.mean, information).coarser()
         fits = search(task)
-        if usable(fits, len(task.seen.uv_px)):
+        if usable(task, fits):
             found.append((place, fits[0]))
-    return drift_of(found, mount, spread, model)
+    starts = {place.image: fit.unknowns for place, fit in found}
+    return *drift_of(found, mount, spread, model), starts
 
 
 def drift_of(
@@ -136,16 +146,6 @@ def _turns_content(turns: Turns) -> dict[str, Any]:
     }
 
 
-def turns_from(content: Mapping[str, Mapping[str, float]]) -> Turns:
-    """Turns of the side views of a drive's content."""
-    nothing = {"yaw_deg": 0.0, "sigma_deg": np.inf}
-    sides = [content.get(view, nothing) for view in VIEWS[1:]]
-    (left, left_sigma), (right, right_sigma) = (
-        (float(side["yaw_deg"]), float(side["sigma_deg"])) for side in sides
-    )
-    return Turns((0.0, left, right), (0.0, left_sigma, right_sigma))
-
-
 def from_content(content: Mapping[str, Any]) -> DriveCalibration:
     """Calibration of one drive.
 
@@ -169,8 +169,7 @@ def from_content(content: Mapping[str, Any]) -> DriveCalibration:
         key = str(content["route"]), int(content["width_px"]), int(content["height_px"])
         measured = {row["image"]: number for number, row in enumerate(rows)}
         spread = Spread(**content["spread"])
-        turns = turns_from(content["side_views"])
-        return DriveCalibration(key, mount, spread, drift, measured, content["problem"], turns)
+        return DriveCalibration(key, mount, spread, drift, measured, content["problem"])
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"is no calibration of a drive ({error!r})",

@@ -16,7 +16,7 @@ from roadsight.io.atomic import read_json
 from roadsight.io.shards import shard_of
 from roadsight.io.tables import write_table
 from roadsight.poles.alignment.drive import Place
-from roadsight.poles.alignment.landmarks import LandmarkNoise, Turns
+from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.locate import locate
 from roadsight.poles.alignment.pose import pose_of
 from roadsight.poles.alignment.published import nelder_mead
@@ -62,7 +62,7 @@ def align_cameras(arguments: argparse.Namespace) -> None:
     for place in logged(own, len(own), log, "images"):
         drive = _drive(drives, place)
         task = scene.load(place)(*drive.expected(place))
-        row = aligned(task, arguments.method, limits, drive.turns, scene.landmarks)
+        row = aligned(task, arguments.method, limits, scene.landmarks)
         if reason := implausible(drive.mount, place.start.width_px):
             row |= {"accepted": False, "reason": reason}
         rows.append({"image": place.image, **row})
@@ -88,7 +88,6 @@ def aligned(
     task: Task,
     method: str,
     limits: Limits,
-    turns: Turns | None = None,
     noise: LandmarkNoise | None = None,
 ) -> dict[str, Any]:
     """Pose, uncertainty and verdict of one image, by one of `METHODS`.
@@ -101,7 +100,7 @@ def aligned(
     fit = Fit(task.mean, expected, 0.0, nothing, *zero)
     reason = "" if method == "none" else too_little(task, limits)
     if method == "ours" and not reason:
-        fits = locate(task, turns, noise)
+        fits = locate(task, noise)
         reason = doubt(task, fits, limits)
         fit = fits[0]
     elif method == "published" and not reason:

@@ -74,10 +74,10 @@ def _calibrated(
         log.warning("%s: %s", key[0], error)
         mount, problem = prior, str(error)
     model = DriftModel(arguments.gps_sigma_m, arguments.gps_length_m, arguments.gps_own_m)
-    drift, measured = measure_drift(places, loaders, mount, spread, model)
+    drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
     calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
     sides = arguments.left_yaw_deg, arguments.right_yaw_deg
-    return with_landmarks(calibration, places, loaders, prior, noise, sides)
+    return with_landmarks(calibration, places, loaders, prior, noise, sides, starts)
 
 
 def _evenly(loaders: list[Loader], count: int) -> list[Loader]:

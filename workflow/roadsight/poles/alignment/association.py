@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.poles.alignment.landmarks import (
-    POSE,
     LandmarkNoise,
     Marks,
     Sight,
@@ -50,7 +49,7 @@ class Hypothesis:
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Admissible pairs: numbers of axis and column, gap, slopes (n, POSE) and own variance."""
+    """Admissible pairs: numbers of axis and column, gap, slopes (n, k) and own variance."""
 
     axis: NDArray[np.int64]
     column: NDArray[np.int64]
@@ -62,7 +61,6 @@ class _Pairs:
 
 def associate(
     sight: Sight,
-    turns: Turns,
     noise: LandmarkNoise,
     scene: tuple[_FLOATS, _FLOATS],
     pose: tuple[_FLOATS, _FLOATS],
@@ -75,7 +73,7 @@ def associate(
     scene : `Start.vector` and its origin (3,). pose : unknowns (k,) and their covariance (k, k).
     count : how many at most.
     """
-    pairs = admissible(sight, turns, noise, scene, pose)
+    pairs = admissible(sight, noise, scene, pose)
     empty = np.full(len(sight.axes), -1, np.int64)
     beam = [Hypothesis(empty, pose[0], pose[1], 0.0)]
     candidates = np.bincount(pairs.axis, minlength=len(empty))
@@ -103,9 +101,9 @@ def _with(one: Hypothesis, pairs: _Pairs, k: int, at: _FLOATS, sight: Sight) -> 
     if (one.columns[same_view] == column).any():
         return None
     slope = pairs.slope[k]
-    gap = pairs.gap[k] + slope @ (one.unknowns - at)[:POSE]
-    spread = one.covariance[:, :POSE] @ slope
-    variance = slope @ spread[:POSE] + pairs.variance[k]
+    gap = pairs.gap[k] + slope @ (one.unknowns - at)
+    spread = one.covariance @ slope
+    variance = slope @ spread + pairs.variance[k]
     if gap * gap > _GATE**2 * variance:
         return None
     gain = spread / variance
@@ -122,28 +120,31 @@ def _with(one: Hypothesis, pairs: _Pairs, k: int, at: _FLOATS, sight: Sight) -> 
 
 def admissible(
     sight: Sight,
-    turns: Turns,
     noise: LandmarkNoise,
     scene: tuple[_FLOATS, _FLOATS],
     pose: tuple[_FLOATS, _FLOATS],
 ) -> _Pairs:
-    """Pairs whose bearings, feet and tops agree within what the pose leaves open."""
+    """Pairs whose bearings, feet and tops agree within what the pose leaves open.
+
+    Views whose yaw is not known yet have none.
+    """
     axes, columns = sight.axes, sight.columns
-    turn, turn_sigma = turns.of(axes.view)
-    usable = np.flatnonzero(np.isfinite(turn_sigma))
+    turns = Turns.of(*pose)
+    usable = np.flatnonzero(turns.known(axes.view))
     axis = np.repeat(usable, len(columns.top_m))
     column = np.tile(np.arange(len(columns.top_m)), len(usable))
-    seen, there = seen_rows(axes, turn)[axis], column_rows(columns, scene[1])[column]
+    seen, there = seen_rows(axes)[axis], column_rows(columns, scene[1])[column]
     rows = measure(pose[0], scene[0], seen, there)
     # Most columns are out of sight by far: slopes are for the rest.
-    loose = 0.05 + _GATE * np.sqrt(pose[1][3, 3]) * np.pi / 180.0
+    sides = max(sigma for sigma in turns.sigma_deg if np.isfinite(sigma))
+    loose = 0.05 + _GATE * np.radians(np.sqrt(pose[1][3, 3]) + sides)
     loose += _GATE * np.sqrt(pose[1][0, 0] + pose[1][1, 1]) / rows[:, 3]
     near = (rows[:, 3] >= noise.nearest_m) & (rows[:, 3] <= noise.farthest_m)
     near &= (np.abs(rows[:, 0]) < loose) & np.isfinite(rows[:, 1])
     axis, column, rows = axis[near], column[near], rows[near]
     slope = slopes(pose[0], scene[0], seen[near], there[near])
-    open_ = np.einsum("nia,ab,nib->ni", slope, pose[1][:POSE, :POSE], slope)
-    own = own_variance(axes.sigma_px[axis], columns.sigma_m[column], turn_sigma[axis], rows)
+    open_ = np.einsum("nia,ab,nib->ni", slope, pose[1], slope)
+    own = own_variance(axes.sigma_px[axis], columns.sigma_m[column], rows)
     focal = np.exp(pose[0][6]) * axes.scale[axis]
     foot, top = (
         np.sqrt(noise.foot_px**2 + (height_m * focal / rows[:, 3]) ** 2 + open_[:, k])
@@ -161,27 +162,23 @@ def admissible(
     return _Pairs(*(part[good] for part in parts))
 
 
-def own_variance(
-    sigma_px: _FLOATS, sigma_m: _FLOATS, turn_sigma_rad: _FLOATS, rows: _FLOATS
-) -> _FLOATS:
+def own_variance(sigma_px: _FLOATS, sigma_m: _FLOATS, rows: _FLOATS) -> _FLOATS:
     """Variance (n,) of bearings but for the pose, from rows of `measure`."""
-    return (sigma_px * rows[:, 4]) ** 2 + (sigma_m / rows[:, 3]) ** 2 + turn_sigma_rad**2
+    return (sigma_px * rows[:, 4]) ** 2 + (sigma_m / rows[:, 3]) ** 2
 
 
 def marks_of(
     columns: NDArray[np.int64],
     sight: Sight,
-    turns: Turns,
     scene: tuple[_FLOATS, _FLOATS],
     unknowns: _FLOATS,
 ) -> Marks:
     """Pairs of a hypothesis with their sigmas at a pose."""
     axis = np.flatnonzero(columns >= 0)
     column = columns[axis]
-    turn, turn_sigma = turns.of(sight.axes.view)
-    seen = np.ascontiguousarray(seen_rows(sight.axes, turn)[axis])
+    seen = np.ascontiguousarray(seen_rows(sight.axes)[axis])
     there = np.ascontiguousarray(column_rows(sight.columns, scene[1])[column])
     rows = measure(unknowns, scene[0], seen, there)
     sigma_m = sight.columns.sigma_m[column]
-    variance = own_variance(sight.axes.sigma_px[axis], sigma_m, turn_sigma[axis], rows)
+    variance = own_variance(sight.axes.sigma_px[axis], sigma_m, rows)
     return Marks(np.column_stack([axis, column]), seen, there, np.sqrt(variance))

@@ -133,7 +133,8 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
     sides : (3,) where left and right begin and end in ``edges``.
     pixels : (m, 2) u, v grouped: lane left, lane right, border left, border right.
     groups : (5,) where each group begins and ends.
-    noise : (3,) one sigma of a pixel (px), of an edge across (m) and in height (m).
+    noise : (2, 4) of lanes and borders: one sigma of a pixel (px), of an edge across (m) and in
+        height (m), and how much each pixel counts.
     scale : c, in standard deviations.
     slopes : whether to compute the derivatives.
 
@@ -147,7 +148,7 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
     residuals = np.full((len(pixels), 2), np.inf)
     turn, turns, centre, moves = camera(start, unknowns)
     focal = np.exp(unknowns[6])
-    row = np.zeros(size)
+    row, used = np.empty(8), np.arange(8)
     offset = np.empty(3)
     cost = 0.0
     c2 = scale * scale
@@ -157,10 +158,13 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
         one = slice(sides[group % 2], sides[group % 2 + 1])
         xyz, along, inward, half = edges[0][one], edges[1][one], edges[2][one], edges[3][one]
         inset = unknowns[7 + group]
+        used[7] = 7 + group
+        own = noise[group // 2]
+        pixel2, aside2, upward2, share = own[0] ** 2, own[1] ** 2, own[2] ** 2, own[3]
         rows = _project(xyz, along, inward, half, inset, turn, centre, focal, start)
         for i in range(groups[group], groups[group + 1]):
             if len(rows) == 0:
-                cost += 0.5 * c2
+                cost += 0.5 * share * c2
                 continue
             near = rows[_nearest(rows, pixels[i, 0], pixels[i, 1])]
             du, dv = pixels[i, 0] - near[0], pixels[i, 1] - near[1]
@@ -177,14 +181,14 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
                 aside += column * inward[j, k]
                 if k == 2:
                     upward = column
-            variance = noise[0] ** 2 + (noise[1] * aside) ** 2 + (noise[2] * upward) ** 2
+            variance = pixel2 + aside2 * aside**2 + upward2 * upward**2
             e2 = (across * across + beyond * beyond) / variance
-            cost += 0.5 * c2 * e2 / (c2 + e2)
+            cost += 0.5 * share * c2 * e2 / (c2 + e2)
             residuals[i, 0] = across
             residuals[i, 1] = np.sqrt(e2)
             if not slopes:
                 continue
-            weight = (c2 / (c2 + e2)) ** 2 / variance
+            weight = share * (c2 / (c2 + e2)) ** 2 / variance
             for k in range(3):
                 offset[k] = xyz[j, k] + inset * inward[j, k] - centre[k]
             for a in range(3):
@@ -197,12 +201,12 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
                 row[a], row[3 + a] = shift, swing
             row[0] += (start[10] * row[3] + start[11] * row[4]) / _DEGREE
             row[6] = focal * (nu * x + nv * y) / z
-            row[7:] = 0.0
-            row[7 + group] = aside
-            for a in range(size):
-                gradient[a] -= weight * row[a] * across
+            row[7] = aside
+            for a in range(8):
+                pull = weight * row[a]
+                gradient[used[a]] -= pull * across
                 for b in range(a + 1):
-                    normal[a, b] += weight * row[a] * row[b]
+                    normal[used[a], used[b]] += pull * row[b]
     for a in range(size):
         for b in range(a):
             normal[b, a] = normal[a, b]

@@ -13,6 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.poles.alignment.kernel import camera
+from roadsight.poles.alignment.pose import TURNS
 
 _FLOATS = NDArray[np.float64]
 VIEWS = ("front", "left", "right")
@@ -20,6 +21,8 @@ POSE = 7
 """How many of the unknowns move what is seen: all before the insets."""
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5])
 _BEHIND_M = 1.0
+_BLIND_DEG = 1.0
+_DEGREE = np.pi / 180.0
 
 
 @dataclass(frozen=True)
@@ -89,9 +92,16 @@ class Turns:
     deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     sigma_deg: tuple[float, float, float] = (0.0, np.inf, np.inf)
 
-    def of(self, view: NDArray[np.int64]) -> tuple[_FLOATS, _FLOATS]:
-        """Yaw and sigma (n,) of axes, radians."""
-        return np.radians(np.array(self.deg)[view]), np.radians(np.array(self.sigma_deg)[view])
+    @classmethod
+    def of(cls, unknowns: _FLOATS, covariance: _FLOATS) -> Turns:
+        """Turns of unknowns (k,) with their covariance (k, k)."""
+        sigma = np.sqrt(np.diag(covariance)[TURNS:])
+        left, right = (float(s) if s < _BLIND_DEG else np.inf for s in sigma)
+        return cls((0.0, *map(float, unknowns[TURNS:])), (0.0, left, right))
+
+    def known(self, view: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """Which of the axes (n,) are in a view whose yaw is known."""
+        return np.isfinite(np.array(self.sigma_deg)[view])
 
 
 @dataclass(frozen=True)
@@ -123,7 +133,7 @@ class Marks:
 
     Attributes
     ----------
-    pairs : (k, 2) numbers of axis and column. seen : (k, 6) as `seen_rows`.
+    pairs : (k, 2) numbers of axis and column. seen : (k, 7) as `seen_rows`.
     there : (k, 4) as `column_rows`. sigma_rad : (k,) of the bearings.
     """
 
@@ -137,9 +147,9 @@ class Marks:
         return Marks(self.pairs[kept], self.seen[kept], self.there[kept], self.sigma_rad[kept])
 
 
-def seen_rows(axes: PoleAxes, turn_rad: _FLOATS) -> _FLOATS:
-    """Rows (n, 6): middle u, v, foot row, top row (pixels), focal scale, turn of the view."""
-    ends = axes.foot_px, axes.top_px, axes.scale, turn_rad
+def seen_rows(axes: PoleAxes) -> _FLOATS:
+    """Rows (n, 7): middle u, v, foot row, top row (pixels), focal scale, view, further turn."""
+    ends = axes.foot_px, axes.top_px, axes.scale, axes.view, np.zeros(len(axes))
     return np.column_stack([axes.middle_px, *ends])
 
 
@@ -162,7 +172,9 @@ def measure(unknowns: _FLOATS, start: _FLOATS, seen: _FLOATS, there: _FLOATS) ->
     rows = np.empty((len(seen), 5))
     for i in range(len(seen)):
         f = focal * seen[i, 4]
-        c, s = np.cos(seen[i, 5]), np.sin(seen[i, 5])
+        view = int(seen[i, 5])
+        aside = seen[i, 6] + (unknowns[TURNS - 1 + view] * _DEGREE if view else 0.0)
+        c, s = np.cos(aside), np.sin(aside)
         x, y = seen[i, 0] / f, seen[i, 1] / f
         right, down, ahead = c * x + s, y, c - s * x
         east = turn[0, 0] * right + turn[1, 0] * down + turn[2, 0] * ahead
@@ -184,16 +196,20 @@ def measure(unknowns: _FLOATS, start: _FLOATS, seen: _FLOATS, there: _FLOATS) ->
 
 @njit(cache=True, error_model="numpy")
 def slopes(unknowns: _FLOATS, start: _FLOATS, seen: _FLOATS, there: _FLOATS) -> _FLOATS:
-    """Derivatives (k, 3, POSE) of bearing, foot and top of `measure` by the unknowns."""
-    found = np.empty((len(seen), 3, POSE))
+    """Derivatives (k, 3, n) of bearing, foot and top of `measure` by the unknowns (n,)."""
+    found = np.zeros((len(seen), 3, len(unknowns)))
     moved = unknowns.copy()
-    for a in range(POSE):
-        moved[a] = unknowns[a] + _STEPS[a]
+    sides = seen[:, 5].max() > 0 if len(seen) else False
+    for a in range(len(unknowns)):
+        if POSE <= a < TURNS or (a >= TURNS and not sides):
+            continue
+        step = _STEPS[a] if a < POSE else _STEPS[3]
+        moved[a] = unknowns[a] + step
         high = measure(moved, start, seen, there)
-        moved[a] = unknowns[a] - _STEPS[a]
+        moved[a] = unknowns[a] - step
         low = measure(moved, start, seen, there)
         moved[a] = unknowns[a]
-        found[:, :, a] = (high[:, :3] - low[:, :3]) / (2.0 * _STEPS[a])
+        found[:, :, a] = (high[:, :3] - low[:, :3]) / (2.0 * step)
     return found
 
 
@@ -225,9 +241,9 @@ def landmark_misfit(
     slope = slopes(unknowns, start, seen, there)
     for i in range(len(gap)):
         weight = (c2 / (c2 + gap[i] ** 2)) ** 2
-        for a in range(POSE):
+        for a in range(size):
             by = slope[i, 0, a] / sigma_rad[i]
             gradient[a] += weight * by * gap[i]
-            for b in range(POSE):
+            for b in range(size):
                 normal[a, b] += weight * by * slope[i, 0, b] / sigma_rad[i]
     return cost, normal, gradient, gap

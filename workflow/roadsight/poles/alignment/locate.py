@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roadsight.poles.alignment.association import Hypothesis, associate, marks_of
 from roadsight.poles.alignment.landmarks import VIEWS, LandmarkNoise, Turns
 from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend, search
 
+_FLOATS = NDArray[np.float64]
 _ROUNDS = 3
 _STARTS = 2
 _FAR_WORSE = 15.0
@@ -18,64 +20,81 @@ _UNEXPLAINED = 0.5 * FINEST**2
 """Cost of an axis without a column: that of a landmark that is infinitely far off."""
 
 
-def locate(task: Task, turns: Turns | None = None, noise: LandmarkNoise | None = None) -> list[Fit]:
+def locate(
+    task: Task, noise: LandmarkNoise | None = None, start: _FLOATS | None = None
+) -> list[Fit]:
     """Minima, the best first; with landmarks where the image has any.
 
     The road edges alone lead to one or a few poses; from each the landmarks are associated, the
-    pose is improved with them, and both again until nothing changes.
+    pose is improved with them, and both again until nothing changes. Views whose yaw the
+    expectation leaves open are not used.
 
     Parameters
     ----------
-    turns : yaw of the side views; without it only the front view's landmarks are used.
+    start : unknowns (k,) that are known to be near; else they are searched for.
     """
-    fits = search(task)
+    fits = search(task) if start is None else [descend(task, start, FINEST)]
     task = weighed(task, fits[0])
     fits = [descend(task, fit.unknowns, FINEST) for fit in fits]
-    turns, noise = turns or Turns(), noise or LandmarkNoise()
-    if task.sight is None or not np.isfinite(turns.of(task.sight.axes.view)[1]).any():
+    noise = noise or LandmarkNoise()
+    if not _sees(task):
         return fits
     found: list[Fit] = []
     for fit in fits[:_STARTS]:
         if fit.cost - fits[0].cost > _FAR_WORSE:
             break
-        for one in _hypotheses(task, fit, turns, noise, 2):
-            improved = _improved(task, one, turns, noise)
+        for one in _hypotheses(task, fit, noise, 2):
+            improved = _improved(task, one, noise)
             if all(not _same(improved, other) for other in found):
                 found.append(improved)
     return sorted(found, key=lambda fit: fit.cost)
 
 
+def _sees(task: Task) -> bool:
+    """Whether any axis is in a view whose yaw is known."""
+    if task.sight is None:
+        return False
+    turns = Turns.of(task.mean, np.linalg.inv(task.information))
+    return bool(turns.known(task.sight.axes.view).any())
+
+
 def weighed(task: Task, fit: Fit) -> Task:
-    """The same image with its edges trusted as far as they fit: masks are not all equally sharp."""
-    off = fit.residuals[:, 1]
-    off = off[off < FINEST]
+    """The same image with its edges trusted as far as they fit: masks are not all equally sharp.
+
+    Lanes and borders by themselves: where one is blurred, the other need not be.
+    """
+    middle = task.seen.groups[2]
+    parts = fit.residuals[:middle, 1], fit.residuals[middle:, 1]
+    left, right = (_trust(part[part < FINEST]) for part in parts)
+    return replace(task, noise=replace(task.noise, trust=(left, right)))
+
+
+def _trust(off: _FLOATS) -> float:
+    """How much pixels count that are this far off, in standard deviations."""
     if len(off) < _FEW:
-        return task
+        return 1.0
     scatter = max(float(np.median(off)) / _MEDIAN_OF_NORMAL, 1e-3)
-    share = float(np.clip(scatter**-2, 1.0 / _MOST_TRUST, _MOST_TRUST))
-    return replace(task, noise=replace(task.noise, independent=share * task.noise.independent))
+    return float(np.clip(scatter**-2, 1.0 / _MOST_TRUST, _MOST_TRUST))
 
 
-def _hypotheses(
-    task: Task, fit: Fit, turns: Turns, noise: LandmarkNoise, count: int
-) -> list[Hypothesis]:
+def _hypotheses(task: Task, fit: Fit, noise: LandmarkNoise, count: int) -> list[Hypothesis]:
     assert task.sight is not None
     scene, pose = (task.scene[0], task.origin_m), (fit.unknowns, fit.covariance)
-    return associate(task.sight, turns, noise, scene, pose, count)
+    return associate(task.sight, noise, scene, pose, count)
 
 
-def _improved(task: Task, one: Hypothesis, turns: Turns, noise: LandmarkNoise) -> Fit:
+def _improved(task: Task, one: Hypothesis, noise: LandmarkNoise) -> Fit:
     """Minimum with the landmarks of a hypothesis, and of the hypotheses that follow from it."""
     assert task.sight is not None
     scene = task.scene[0], task.origin_m
     for number in range(_ROUNDS):
-        marks = marks_of(one.columns, task.sight, turns, scene, one.unknowns)
+        marks = marks_of(one.columns, task.sight, scene, one.unknowns)
         fit = descend(task.with_marks(marks if len(marks.pairs) else None), one.unknowns, FINEST)
         if number == _ROUNDS - 1:
             break
         # The pose without the landmarks' own say would gate too widely, with it too narrowly:
         # what was paired stays in the gate of its own fit, and more may come in.
-        again = _hypotheses(task, fit, turns, noise, 1)[0]
+        again = _hypotheses(task, fit, noise, 1)[0]
         if np.array_equal(again.columns, one.columns):
             break
         one = replace(again, unknowns=fit.unknowns)

@@ -2,8 +2,10 @@
 
 The vehicle is on the road at its track position, in the road's direction, tilted with the road;
 further along, the road's direction and grade are those further along.
-The camera differs from that by eleven numbers, ``UNKNOWNS``; the last four say how far painted
-edge lines and road borders lie inside the LiDAR's road edge.
+The camera differs from that by the numbers of ``UNKNOWNS``. Four of them say how far painted edge
+lines and road borders lie inside the LiDAR's road edge, the last two how far the side views are
+turned from the front view. What a drive shares is among them, so that an image is solved with what
+the drive leaves open, and all images together tell what the drive shares.
 """
 
 from __future__ import annotations
@@ -29,8 +31,13 @@ UNKNOWNS = (
     "lane_inset_right_m",
     "border_inset_left_m",
     "border_inset_right_m",
+    "left_yaw_deg",
+    "right_yaw_deg",
 )
 ALONG, LATERAL, HEIGHT, YAW, PITCH, ROLL, FOCAL, INSETS = range(8)
+TURNS = 11
+_TIMES = [1] * INSETS + [2, 2, 2]
+"""How many unknowns share a value of `Spread`."""
 SIZE = len(UNKNOWNS)
 
 
@@ -120,7 +127,7 @@ class Spread:
     """One standard deviation of what changes from image to image, about the drive's mean.
 
     Defaults: GPS error of about 1 m; a vehicle on its springs on a road whose edges a raster
-    knows to a few centimetres in height.
+    knows to a few centimetres in height. Lens and views do not change.
     """
 
     along_m: float = 1.0
@@ -129,11 +136,12 @@ class Spread:
     yaw_deg: float = 0.5
     pitch_deg: float = 0.5
     roll_deg: float = 0.3
-    log_focal: float = 0.0005
+    log_focal: float = 0.0002
     lane_inset_m: float = 0.10
     border_inset_m: float = 0.10
+    side_yaw_deg: float = 0.002
 
     def vector(self) -> _FLOATS:
         """Standard deviations in the order of ``UNKNOWNS``."""
         values = [getattr(self, field.name) for field in fields(self)]
-        return np.array(values[:-2] + [self.lane_inset_m] * 2 + [self.border_inset_m] * 2)
+        return np.repeat(values, _TIMES)

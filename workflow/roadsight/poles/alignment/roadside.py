@@ -14,6 +14,7 @@ from roadsight.poles.alignment.track import sides_of_track
 
 _FLOATS = NDArray[np.float64]
 _BATCH = 20_000
+_FEWEST_ACROSS = 10
 
 
 @dataclass(frozen=True)
@@ -153,6 +154,21 @@ class NearEdges:
     inward: _FLOATS
     half_m: _FLOATS
     left: int
+
+    @property
+    def half_width_m(self) -> float:
+        """Half the usual distance between both sides; infinity where one has too few points."""
+        left, right = self.xyz_m[: self.left, :2], self.xyz_m[self.left :, :2]
+        if min(len(left), len(right)) < _FEWEST_ACROSS:
+            return float("inf")
+        return 0.5 * float(np.median(cKDTree(right).query(left)[0]))
+
+    def thinned(self, step: int) -> NearEdges:
+        """Every so manyeth of the same points of each side."""
+        number = np.arange(len(self.half_m))
+        kept = np.flatnonzero(np.where(number < self.left, number, number - self.left) % step == 0)
+        parts = (part[kept] for part in (self.xyz_m, self.along, self.inward, step * self.half_m))
+        return NearEdges(*parts, int(np.count_nonzero(kept < self.left)))
 
 
 def edges_ahead(

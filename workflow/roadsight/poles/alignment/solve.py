@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from roadsight.poles.alignment.kernel import costs, misfit
 from roadsight.poles.alignment.landmarks import Marks, Sight, landmark_misfit
-from roadsight.poles.alignment.pose import LATERAL, PITCH, YAW, Start
+from roadsight.poles.alignment.pose import INSETS, LATERAL, PITCH, TURNS, YAW, Start
 from roadsight.poles.alignment.roadside import NearEdges
 
 _FLOATS = NDArray[np.float64]
@@ -64,18 +64,33 @@ class ImageEdges:
 class Noise:
     """One standard deviation of a pixel of an image edge and of a point of a road edge.
 
-    ``independent`` is the share of edge pixels that tell something new: errors of neighbours
-    are alike, both in the image and on the road.
+    Painted lines are sharp; where a road's border lies, between pavement, gravel and grass, an
+    image knows less well.
+
+    Parameters
+    ----------
+    independent : share of edge pixels that tell something new: errors of neighbours are alike,
+        both in the image and on the road. trust : by how much more lanes and borders count, as
+        far as they fit better or worse.
     """
 
-    pixel_px: float = 1.2
-    across_m: float = 0.05
-    height_m: float = 0.05
-    independent: float = 0.02
+    pixel_px: float = 0.8
+    border_px: float = 4.0
+    across_m: float = 0.03
+    border_m: float = 0.1
+    height_m: float = 0.03
+    independent: float = 0.03
+    trust: tuple[float, float] = (1.0, 1.0)
 
-    def vector(self) -> _FLOATS:
-        """What the kernel takes."""
-        return np.array([self.pixel_px, self.across_m, self.height_m])
+    def table(self) -> _FLOATS:
+        """What the kernel takes, (2, 4) of lanes and borders."""
+        lanes, borders = (self.independent * trust for trust in self.trust)
+        return np.array(
+            [
+                [self.pixel_px, self.across_m, self.height_m, lanes],
+                [self.border_px, self.border_m, self.height_m, borders],
+            ]
+        )
 
 
 @dataclass(frozen=True)
@@ -111,6 +126,13 @@ class Task:
         object.__setattr__(task, "marks", marks)
         return task
 
+    def coarser(self, pixels: int = 120, step: int = 3) -> Task:
+        """The same image with fewer pixels and points, which together tell as much."""
+        seen = self.seen.thinned(pixels)
+        share = len(self.seen.uv_px) / max(len(seen.uv_px), 1)
+        noise = replace(self.noise, independent=share * self.noise.independent)
+        return replace(self, seen=seen, there=self.there.thinned(step), noise=noise)
+
     def __post_init__(self) -> None:
         origin = self.origin_m
         edges = (
@@ -139,14 +161,13 @@ class Task:
             sides,
             self.seen.uv_px,
             self.seen.groups,
-            self.noise.vector(),
+            self.noise.table(),
             scale,
             slopes,
         )
-        share = self.noise.independent
         apart = unknowns - self.mean
         expected = 0.5 * apart @ self.information @ apart
-        total, normal, gradient = share * cost + float(expected), share * normal, share * gradient
+        total = cost + float(expected)
         if self.marks is not None:
             own = self.mark_misfit(unknowns, scale, slopes)
             total, normal, gradient = total + own[0], normal + own[1], gradient + own[2]
@@ -166,7 +187,7 @@ class Task:
     def scan(self, trials: _FLOATS, scale: float) -> _FLOATS:
         """Cost of many sets of unknowns (t, k), on few of the pixels."""
         few = self.coarse
-        share = self.noise.independent * len(self.seen.uv_px) / max(len(few.uv_px), 1)
+        share = len(self.seen.uv_px) / max(len(few.uv_px), 1)
         start, edges, sides = self.scene
         data = costs(
             trials,
@@ -175,7 +196,7 @@ class Task:
             sides,
             few.uv_px,
             few.groups,
-            self.noise.vector(),
+            self.noise.table(),
             scale,
         )
         apart = trials - self.mean
@@ -216,18 +237,21 @@ class Fit:
 _State = tuple[float, _FLOATS, _FLOATS, _FLOATS]
 FINEST = 3.0
 _STEPS = 5
+_INSETS = np.arange(INSETS, TURNS)
+_HELD = 1e9
 
 
 def descend(task: Task, unknowns: _FLOATS, scale: float) -> Fit:
     """Levenberg-Marquardt from a coarse scale, halved down to the finest.
 
-    Unknowns are measured in their expected standard deviations.
+    Unknowns are measured in their expected standard deviations. Where lines lie in the road moves
+    only at the finest scale: a middle line that shows alone would else become the line at the edge.
     """
     unit = 1.0 / np.sqrt(np.diag(task.information))
     while True:
         finest = scale <= FINEST
         steps = 3 * _STEPS if finest else _STEPS
-        unknowns, state = _settle(task, unknowns, unit, max(scale, FINEST), steps)
+        unknowns, state = _settle(task, unknowns, unit, max(scale, FINEST), steps, finest)
         if finest:
             break
         scale *= 0.5
@@ -242,14 +266,17 @@ def descend(task: Task, unknowns: _FLOATS, scale: float) -> Fit:
 
 
 def _settle(
-    task: Task, unknowns: _FLOATS, unit: _FLOATS, scale: float, steps: int
+    task: Task, unknowns: _FLOATS, unit: _FLOATS, scale: float, steps: int, all_free: bool
 ) -> tuple[_FLOATS, _State]:
     """Damped steps at one scale, until they no longer pay."""
+    held = np.zeros((len(unknowns), len(unknowns)))
+    if not all_free:
+        held[_INSETS, _INSETS] = _HELD
     state = task.evaluate(unknowns, scale)
     damping = 1e-3
     for _ in range(steps):
         cost, normal, gradient, _ = state
-        full = (normal + task.information) * np.outer(unit, unit)
+        full = (normal + task.information) * np.outer(unit, unit) + held
         slope = (gradient + task.information @ (unknowns - task.mean)) * unit
         damped = full + damping * np.diag(np.diag(full))
         step = -np.linalg.solve(damped, slope) * unit
