@@ -11,7 +11,8 @@ from roadsight.poles.alignment.drive import Reach, near_edges, places_of
 from roadsight.poles.alignment.pose import FOCAL, SIZE, Spread, Start, pose_of
 from roadsight.poles.alignment.published import nelder_mead, squared_gaps
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges
-from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, descend, search
+from roadsight.poles.alignment.search import search
+from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, descend
 from roadsight.poles.alignment.verdict import (
     Limits,
     condition,

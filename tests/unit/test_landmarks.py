@@ -19,7 +19,8 @@ from roadsight.poles.alignment.landmarks import (
 from roadsight.poles.alignment.locate import locate, without_view
 from roadsight.poles.alignment.pose import INSETS, TURNS, Spread, pose_of
 from roadsight.poles.alignment.roadside import RoadEdges
-from roadsight.poles.alignment.solve import ImageEdges, Noise, Task, search
+from roadsight.poles.alignment.search import search
+from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.calibration_sides import side_turns
 from roadsight.poles.lidar_poles import PoleColumns
 from roadsight.poles.stitching import turned
@@ -85,9 +86,7 @@ def axis_rows(bed, number, columns, rng, views=("front",)):
     return pd.DataFrame(rows, columns=names)
 
 
-def tasks_of(
-    bed, columns, views=("front",), known=None, side_deg=(0.0, 0.0), side_sigma_deg=60.0
-):
+def tasks_of(bed, columns, views=("front",), known=None, side_deg=(0.0, 0.0), side_sigma_deg=60.0):
     rng = np.random.default_rng(8)
     edges = RoadEdges.from_points(bed.road_edges)
     m = bed.mount

@@ -26,7 +26,8 @@ from roadsight.poles.alignment.pose import (
     YAW,
     Spread,
 )
-from roadsight.poles.alignment.solve import FINEST, Fit, Task, search
+from roadsight.poles.alignment.search import search
+from roadsight.poles.alignment.solve import FINEST, Fit, Task
 
 _FLOATS = NDArray[np.float64]
 _HFOV_DEG = (8.0, 130.0)

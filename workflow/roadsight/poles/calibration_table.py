@@ -14,7 +14,8 @@ from roadsight.poles.alignment.drift import Drift, DriftModel, expect_place, mea
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import VIEWS, Turns
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, UNKNOWNS, Spread
-from roadsight.poles.alignment.solve import Fit, search
+from roadsight.poles.alignment.search import search
+from roadsight.poles.alignment.solve import Fit
 from roadsight.poles.calibration import Loader, Mount, usable
 
 _FLOATS = NDArray[np.float64]

@@ -118,20 +118,20 @@ def aimed_at_landmarks(
 
 def _pairs(task: Task, prior: Mount, noise: LandmarkNoise) -> _Pairs:
     """Every axis of the front view with every column that it might be."""
-    nothing = task, np.empty((0, 6)), np.empty((0, 4)), np.empty(0, np.int64), np.empty(0)
+    nothing = task, np.empty((0, 7)), np.empty((0, 4)), np.empty(0, np.int64), np.empty(0)
     if task.sight is None:
         return nothing
     axes, columns = task.sight.axes, task.sight.columns
     own = np.flatnonzero(axes.view == _FRONT)
     axis = np.repeat(own, len(columns.top_m))
     column = np.tile(np.arange(len(columns.top_m)), len(own))
-    seen = seen_rows(axes, np.zeros(len(axes)))[axis]
+    seen = seen_rows(axes)[axis]
     there = column_rows(columns, task.origin_m)[column]
     rows = measure(prior.mean, task.scene[0], seen, there)
     near = (rows[:, 3] >= noise.nearest_m) & (rows[:, 3] <= _FARTHEST_M)
     near &= np.abs(rows[:, 0]) < 0.5 * _RANGE_RAD
     sigma_m, sigma_px = columns.sigma_m[column], axes.sigma_px[axis]
-    variance = own_variance(sigma_px, sigma_m, 0.0 * sigma_m, rows)
+    variance = own_variance(sigma_px, sigma_m, rows)
     return (
         task,
         np.ascontiguousarray(seen[near]),
@@ -176,7 +176,7 @@ def _expected(
 ) -> tuple[_FLOATS, _FLOATS, float]:
     """Normal matrix and gradient of one image, each pair as far as it is believed; their number."""
     task, seen, there, axis, own = pairs
-    slope = slopes(unknowns, task.scene[0], seen, there)[:, 0]
+    slope = slopes(unknowns, task.scene[0], seen, there)[:, 0, :POSE]
     variance = own + width**2
     density, _ = _density(pairs, unknowns, variance)
     total = np.bincount(axis, density)[axis]

@@ -97,7 +97,8 @@ class Turns:
         """Turns of unknowns (k,) with their covariance (k, k)."""
         sigma = np.sqrt(np.diag(covariance)[TURNS:])
         left, right = (float(s) if s < _BLIND_DEG else np.inf for s in sigma)
-        return cls((0.0, *map(float, unknowns[TURNS:])), (0.0, left, right))
+        deg = 0.0, float(unknowns[TURNS]), float(unknowns[TURNS + 1])
+        return cls(deg, (0.0, left, right))
 
     def known(self, view: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Which of the axes (n,) are in a view whose yaw is known."""

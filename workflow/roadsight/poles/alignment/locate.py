@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from roadsight.poles.alignment.association import Hypothesis, associate, marks_of
 from roadsight.poles.alignment.landmarks import VIEWS, LandmarkNoise, Turns
-from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend, search
+from roadsight.poles.alignment.search import search
+from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend
 
 _FLOATS = NDArray[np.float64]
 _ROUNDS = 3
@@ -54,7 +55,8 @@ def _sees(task: Task) -> bool:
     """Whether any axis is in a view whose yaw is known."""
     if task.sight is None:
         return False
-    turns = Turns.of(task.mean, np.linalg.inv(task.information))
+    covariance = np.asarray(np.linalg.inv(task.information), np.float64)
+    turns = Turns.of(task.mean, covariance)
     return bool(turns.known(task.sight.axes.view).any())
 
 

@@ -167,8 +167,9 @@ class NearEdges:
         """Every so manyeth of the same points of each side."""
         number = np.arange(len(self.half_m))
         kept = np.flatnonzero(np.where(number < self.left, number, number - self.left) % step == 0)
-        parts = (part[kept] for part in (self.xyz_m, self.along, self.inward, step * self.half_m))
-        return NearEdges(*parts, int(np.count_nonzero(kept < self.left)))
+        left = int(np.count_nonzero(kept < self.left))
+        parts = self.xyz_m[kept], self.along[kept], self.inward[kept], step * self.half_m[kept]
+        return NearEdges(*parts, left)
 
 
 def edges_ahead(

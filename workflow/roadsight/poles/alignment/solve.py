@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from roadsight.poles.alignment.kernel import costs, misfit
 from roadsight.poles.alignment.landmarks import Marks, Sight, landmark_misfit
-from roadsight.poles.alignment.pose import INSETS, LATERAL, PITCH, TURNS, YAW, Start
+from roadsight.poles.alignment.pose import INSETS, TURNS, Start
 from roadsight.poles.alignment.roadside import NearEdges
 
 _FLOATS = NDArray[np.float64]
@@ -291,29 +291,3 @@ def _settle(
             if damping > 1e4:
                 break
     return unknowns, state
-
-
-def coarse_scale(task: Task) -> float:
-    """Scale at which the expected pose pulls from as far as it may be wrong, at least 8."""
-    sigma_deg = np.sqrt(np.linalg.inv(task.information)[YAW, YAW])
-    reach_px = np.exp(task.mean[6]) * np.radians(sigma_deg)
-    return float(max(8.0, reach_px / task.noise.pixel_px))
-
-
-def search(task: Task, starts: int = 3) -> list[Fit]:
-    """Minima, the best first, from a grid over yaw, pitch and lateral place."""
-    sigma = np.sqrt(np.diag(np.linalg.inv(task.information)))
-    scale = coarse_scale(task)
-    grid = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    trials = np.repeat(task.mean[None], len(grid), axis=0)
-    trials[:, [YAW, PITCH, LATERAL]] += grid * sigma[[YAW, PITCH, LATERAL]]
-    values = task.scan(trials, 0.5 * scale)
-    chosen: list[int] = []
-    for number in np.argsort(values, kind="stable"):
-        apart = [np.abs(grid[number] - grid[other]).max() for other in chosen]
-        if not apart or min(apart) > 1:
-            chosen.append(int(number))
-        if len(chosen) == starts:
-            break
-    fits = [descend(task, trials[number], 0.5 * scale) for number in chosen]
-    return sorted(fits, key=lambda fit: fit.cost)

@@ -95,12 +95,16 @@ def agreeing_landmarks(task: Task, fit: Fit) -> int:
 
 
 def is_ambiguous(fits: Sequence[Fit], limits: Limits) -> bool:
-    """Whether another minimum is really elsewhere and costs about the same."""
+    """Whether another minimum is really elsewhere and costs about the same.
+
+    One that is nearer than what would be accepted as uncertain does no harm.
+    """
     best = fits[0]
+    allowed = np.array([limits.sigma_heading_deg, limits.sigma_heading_deg, 0.0])
     for other in fits[1:]:
-        gap = (other.unknowns - best.unknowns)[[YAW, PITCH, LATERAL]]
-        limit = np.sqrt(np.diag(best.covariance))[[YAW, PITCH, LATERAL]]
-        if np.abs(gap / limit).max() > 3.0 and other.cost - best.cost < limits.ambiguity:
+        gap = np.abs(other.unknowns - best.unknowns)[[YAW, PITCH, LATERAL]]
+        limit = 3.0 * np.sqrt(np.diag(best.covariance))[[YAW, PITCH, LATERAL]]
+        if (gap > np.maximum(limit, allowed)).any() and other.cost - best.cost < limits.ambiguity:
             return True
     return False
 
