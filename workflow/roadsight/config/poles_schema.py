@@ -95,7 +95,7 @@ class Alignment(Section):
     farthest_m: Metres = Field(default=240.0, description="farther edges are not used, m")
     max_residual_px: Positive = Field(default=4.0, description="larger residuals are rejected, px")
     max_sigma_heading_deg: Positive = Field(
-        default=0.12, description="less certain headings are rejected, degrees"
+        default=0.15, description="less certain headings are rejected, degrees"
     )
 
 
