@@ -248,7 +248,19 @@ def given_lenses(wildcards):
 def aligns(wildcards):
     """Whether cameras are found by aligning them with the road."""
     after_profile("road_alignment")(wildcards)
-    return decided("road_alignment", wildcards) == "simulate"
+    aligned = decided("road_alignment", wildcards) == "simulate"
+    resolved = SITES[wildcards.site]
+    if not aligned and not resolved.site.poles.cameras:
+        clearly(refuse_without_cameras, resolved)
+    return aligned
+
+
+def refuse_without_cameras(resolved):
+    raise InputError(
+        "road_alignment is skipped, but no cameras are given",
+        where=f"{resolved.file}: settings.effects",
+        hint="give poles.cameras, or leave the decision to the share of given cameras",
+    )
 
 
 def camera_folder(wildcards):
