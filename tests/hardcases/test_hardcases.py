@@ -15,26 +15,22 @@ from roadsight.stages.run_hardcases import case_table, main
 
 CASES = all_cases()
 NO_NUMERICS = {
-    "audit_pole_effects": "compares results",
     "alignment_inputs": "reads what two stages share",
     "command": "shared by all stages",
-    "progress": "shared by all stages",
     "compare_components": "runs other stages",
-    "generate_rural": "generates a sample",
-    "generate_sample": "generates a sample",
+    "measure_base": "runs other stages",
     "measure_precision": "compares single and double precision",
     "measure_tradeoff": "runs other stages",
     "plan_effects": "compares measured numbers with thresholds",
+    "progress": "shared by all stages",
     "render_videolog": "generates a sample",
     "run_hardcases": "runs this catalogue",
     "summarise_site": "collects results",
     "use_given_cameras": "takes poses as they are",
-    "write_poles_page": "shows results",
-    "write_report": "shows results",
-    "write_site_page": "shows results",
-    "write_tradeoffs": "shows results",
 }
 """Stages without a case, and why."""
+SHOWN_OR_GENERATED = ("audit_", "generate_", "write_")
+"""How names of stages begin that compare, generate or show results."""
 
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
@@ -58,7 +54,8 @@ def test_every_stage_that_computes_has_a_case(project):
     covered = {case.stage for case in CASES}
     assert covered <= stages
     assert covered.isdisjoint(NO_NUMERICS)
-    missing = stages - covered - set(NO_NUMERICS)
+    others = {stage for stage in stages if stage.startswith(SHOWN_OR_GENERATED)}
+    missing = stages - covered - set(NO_NUMERICS) - others
     assert not missing, f"add a hard case, or say in NO_NUMERICS why there is none: {missing}"
 
 
