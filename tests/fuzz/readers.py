@@ -23,7 +23,9 @@ from roadsight.config.validate import validated
 from roadsight.effects.catalogue import load_catalogue
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
+from roadsight.io.baselines import read_baselines
 from roadsight.io.camera_tables import read_cameras
+from roadsight.io.clicked_pairs import read_pairs
 from roadsight.io.clouds import iter_chunks
 from roadsight.io.label_images import LabelImages
 from roadsight.io.matrices import read_element_list, read_matrix, read_set_list, read_vector
@@ -249,6 +251,12 @@ _CAMERAS = (
     "a.jpg,458000,5428000,102,90,0,0,900,512,300\nb.jpg,458010,5428000,102,90,0,0,900,512,300\n"
 )
 
+_BASELINE = (
+    '{"640x416": {"focal_px": 700.5, "yaw_deg": 0.5, "sigma": {"yaw_deg": 0.1}, "pairs": 12},'
+    ' "all": {"hfov_deg": 90, "height_m": 2.1}}'
+)
+_PAIRS = "image,u,v,x,y,z\na.jpg,10,20,458000,5428000,100\na.jpg,30,40,458010,5428000,\n"
+
 READERS = {
     "cloud": Reader((".las", ".laz"), _clouds, _read_cloud),
     "geojson": Reader((".geojson",), _vectors(".geojson", "GeoJSON"), _read_vectors),
@@ -258,6 +266,8 @@ READERS = {
     "sightings": Reader((".csv",), _texts(_SIGHTINGS), read_sightings),
     "poles": Reader((".csv",), _texts(_POLES, _POLES_XY), lambda p: read_points(p, FRAME)),
     "cameras": Reader((".csv",), _texts(_CAMERAS), lambda p: read_cameras(p, FRAME)),
+    "baseline": Reader((".json",), _texts(_BASELINE), read_baselines),
+    "pairs": Reader((".csv",), _texts(_PAIRS), lambda p: read_pairs(p, FRAME)),
     "config": Reader((".yaml",), _of_project("config/config.yaml"), _read_config),
     "site": Reader((".yaml",), _of_project("config/sites/*.yaml"), _read_site),
     "sensors": Reader((".yaml",), _of_project("config/sensors.yaml"), load_sensors),

@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 
 from roadsight.errors import InputError
-from roadsight.io.atomic import read_json, write_json
+from roadsight.io.atomic import write_json
+from roadsight.io.baselines import read_baselines
 from roadsight.poles.alignment.drift import DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import LandmarkNoise
@@ -37,7 +38,7 @@ _FEW = 12
 def calibrate_drives(arguments: argparse.Namespace) -> None:
     """Calibrate each drive (route and image size) and measure the error of its track."""
     scene = read_scene(arguments)
-    baselines = read_json(arguments.baseline) if arguments.baseline else {}
+    baselines = read_baselines(arguments.baseline) if arguments.baseline else {}
     drives: dict[Key, list[tuple[Place, Loader]]] = {}
     for place, load in scene.loaders():
         key = place.route, place.start.width_px, place.start.height_px
