@@ -133,6 +133,12 @@ SETTINGS = [
     ),
     (
         "height_step_m: 2.0",
+        "height_step_m: 0.5",
+        # Other parameters of the rule have both values.
+        {"plan_effects"} | after("place_candidates", "densify_candidates"),
+    ),
+    (
+        "height_step_m: 2.0",
         "height_step_m: 3.0",
         {"plan_effects"} | after("place_candidates", "densify_candidates"),
     ),

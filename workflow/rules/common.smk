@@ -9,6 +9,7 @@ from pathlib import Path
 
 from roadsight.config.environment import prepare_environment
 from roadsight.config.load import load_config, load_sites
+from roadsight.config.named import NamedValue
 from roadsight.config.tradeoffs import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
 from roadsight.errors import InputError
@@ -58,7 +59,7 @@ wildcard_constraints:
 
 def setting(path):
     """Value of a setting at the wildcards' site."""
-    return lambda wildcards: SITES[wildcards.site].setting(path)
+    return lambda wildcards: NamedValue(path, SITES[wildcards.site].setting(path))
 
 
 def site_field(path):
@@ -68,7 +69,7 @@ def site_field(path):
         content = SITES[wildcards.site].site
         for part in path.split("."):
             content = getattr(content, part)
-        return "" if content is None else content
+        return NamedValue(path, "" if content is None else content)
 
     return value
 
