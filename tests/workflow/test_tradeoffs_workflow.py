@@ -49,7 +49,7 @@ def test_a_sweep_from_settings_to_the_page(copy_of_finished: Checkout) -> None:
     assert tuple(table.columns) == COLUMNS
     rows = table.set_index(["knob", "level", "metric"])
     coarse, usual = (rows.loc[("ground.dem_cell_m", name, "dem_rmse_m")] for name in ("4", "0.5"))
-    assert coarse["value"] > 2 * usual["value"] > 0
+    assert coarse["value"] > 1.5 * usual["value"] > 0
     assert usual["is_default"]
     assert usual["on_frontier"]
     assert (table["cpu_seconds"] > 0).all()

@@ -105,7 +105,7 @@ def _chart(rows: Sequence[Row]) -> str:
         "Processor time, CPU s",
         f"Error{', ' + unit if unit else ''}",
         span_of(x, start=0.0, least=0.1),
-        span_of(y, start=0.0, least=1e-3),
+        span_of(y, start=0.0, least=1e-3 if any(y) else 1.0),
     )
     best = sorted((a, b) for a, b, row in zip(x, y, known, strict=True) if row["on_frontier"])
     chart.line([a for a, _ in best], [b for _, b in best], "fit")
