@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 from importlib import import_module
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -16,10 +18,13 @@ from roadsight.evidence.effects_audit import (
     never_mattering,
     read_answer,
 )
-from roadsight.io.atomic import write_json
+from roadsight.io.atomic import read_json, write_json
 from roadsight.io.detections import write_detections
 from roadsight.io.tables import write_table
+from roadsight.stages import audit_effects as stage
 from roadsight.stages.write_audit import main as write_audit
+
+ROOT = Path(__file__).resolve().parents[2]
 
 DECISION = {
     "job": "placement",
@@ -120,3 +125,43 @@ def test_table_and_page(tmp_path):
     assert "**no**" in lines[3]
     page = (tmp_path / "page").read_text()
     assert "1 of 2 decisions changed the answer" in page
+
+
+def test_the_stage_runs_the_other_decision_on_each_effect(finished, tmp_path, monkeypatch):
+    monkeypatch.chdir(finished)
+    write_json(finished / "results/s/effects.json", [DECISION, DECISION | {"job": "poles"}])
+    asked = []
+
+    class Other:
+        """A run that sees one target less."""
+
+        def __init__(self, folder):
+            self.folder = folder
+
+        @classmethod
+        def prepare(cls, base, folder, config, site, changes):
+            asked.append((config["seed"], site, changes))
+            shutil.copytree(Path(base) / "results", Path(folder) / "results")
+            (Path(folder) / "results/s/placement/round-0/detection/S/1.parquet").unlink()
+            return cls(Path(folder))
+
+        def run(self, targets):
+            assert targets == ["placement/p/solution.json"]
+            return {"solve_cover": 1}
+
+    monkeypatch.setattr(stage, "Variant", Other)
+    options = {
+        "site": "s",
+        "plan": "p",
+        "effects": "results/s/effects.json",
+        "catalogue": ROOT / "config/effects.yaml",
+        "config": '{"seed": 3}',
+        "work": tmp_path / "work",
+        "out": tmp_path / "rows.json",
+    }
+    assert stage.main([part for k, v in options.items() for part in (f"--{k}", str(v))]) == 0
+    assert asked == [(3, "s", {"effects": {"rain": "simulate"}})]
+    (row,) = read_json(tmp_path / "rows.json")
+    assert row["change"] == pytest.approx(0.5)
+    assert not row["right"]
+    assert not (tmp_path / "work").exists()

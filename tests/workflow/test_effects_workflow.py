@@ -13,7 +13,7 @@ pytestmark = pytest.mark.xdist_group("workflow")
 SITE = "config/sites/tiny.yaml"
 RULES = {
     "mount_tilt": ("tilt_mounts", "lidar: {mounting: normal}"),
-    "rain": ("model_rain", "conditions: {rain_mm_h: 250}"),
+    "rain": ("model_rain", "effects: {rain: simulate}"),
     "fog": ("model_fog", "conditions: {visibility_m: 80}"),
     "reflectivity": ("measure_reflectivity", "conditions: {target_reflectivity: 0.1}"),
     "moving_vehicles": ("trace_lanes", "conditions: {aadt: 50000}"),

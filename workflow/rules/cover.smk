@@ -81,7 +81,8 @@ rule render_scans:
         surfels=rules.build_surfels.output.surfels,
         frame=rules.ingest_cloud.output.frame,
         tilts=only_if("mount_tilt", tilts_of_all_rounds),
-        air=extinctions,
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
         surfaces=placement_effect("reflectivity", "surfaces.parquet"),
         code=sources("render_scans"),
     output:
@@ -101,5 +102,5 @@ rule render_scans:
     shell:
         "python -m roadsight.stages.render_scans --solution {input.solution}"
         " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file:q}"
-        " --tilts {input.tilts} --air {input.air} --surfaces {input.surfaces}"
+        " --tilts {input.tilts} --air {input.rain} {input.fog} --surfaces {input.surfaces}"
         " --out {output.scans} > {log} 2>&1"

@@ -168,7 +168,8 @@ rule build_detection_shard:
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
         targets=rules.place_targets.output.targets,
         tilts=only_if("mount_tilt", tilts_of_round),
-        air=extinctions,
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
         reflectivity=placement_effect("reflectivity", "reflectivity.json"),
         lanes=placement_effect("moving_vehicles", "lanes.parquet"),
         decided=after_profile("partial_hits", "curvature_refraction"),
@@ -199,7 +200,7 @@ rule build_detection_shard:
         " --sensor {wildcards.sensor} --sensors {params.sensors_file:q}"
         " --radius-m {params.radius_m} --height-m {params.height_m}"
         " --min-beams {params.min_beams} --azimuth-stride {params.azimuth_stride}"
-        " --tilts {input.tilts} --air {input.air}"
+        " --tilts {input.tilts} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"
         " --out {output.detection} > {log} 2>&1"

@@ -170,16 +170,6 @@ def tilts_of_all_rounds(wildcards):
     ]
 
 
-def extinctions(wildcards):
-    """What rain and fog take out of beams, where they are simulated."""
-    folder = f"results/{wildcards.site}/placement/effects"
-    return [
-        file
-        for effect in ("rain", "fog")
-        for file in only_if(effect, lambda _: [f"{folder}/{effect}.json"])(wildcards)
-    ]
-
-
 def placement_effect(effect, file):
     """A file of ``placement/effects``, where its effect is simulated."""
     return only_if(
