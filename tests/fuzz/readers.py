@@ -72,7 +72,7 @@ def _clouds(folder: Path) -> list[bytes]:
 
 
 def _read_cloud(path: Path) -> object:
-    return survey([path], UnitChoice()), sum(len(chunk) for chunk in iter_chunks(path))
+    return survey([path], UnitChoice("EPSG:25832")), sum(len(chunk) for chunk in iter_chunks(path))
 
 
 def _lines() -> gpd.GeoDataFrame:
@@ -255,7 +255,9 @@ _BASELINE = (
     '{"640x416": {"focal_px": 700.5, "yaw_deg": 0.5, "sigma": {"yaw_deg": 0.1}, "pairs": 12},'
     ' "all": {"hfov_deg": 90, "height_m": 2.1}}'
 )
-_PAIRS = "image,u,v,x,y,z\na.jpg,10,20,458000,5428000,100\na.jpg,30,40,458010,5428000,\n"
+_PAIRS = (
+    "image,pixel_x,pixel_y,x,y,z\na.jpg,10,20,458000,5428000,100\na.jpg,30,40,458010,5428000,\n"
+)
 
 READERS = {
     "cloud": Reader((".las", ".laz"), _clouds, _read_cloud),
@@ -280,7 +282,7 @@ READERS = {
     "manifest": Reader((".yaml",), _texts(yaml.safe_dump(_manifest("tiny.onnx"))), _read_manifest),
     "label_map": Reader(
         (".yaml",),
-        _texts("labels: 3\nclasses: {0: road, 2: pole}\nover: [none]\n"),
+        _texts("labels: 3\nclasses: {0: road, 2: pole}\nover: [other]\n"),
         lambda p: validated(LabelMap, read_yaml(p), str(p)),
     ),
     "network": Reader((".onnx",), _networks, _model_folder),
