@@ -1,7 +1,8 @@
 """Virtual LiDAR and detection beside the published algorithm and exact ray casting.
 
-The scene is analytic, so every beam's true range is known; the cloud is what a mobile scanner saw
-of it (with noise, shadows and stray points), so part of every error is what was never scanned.
+The scene is analytic, so every beam's true range is known. There are two clouds of it: one in which
+every surface was scanned, so that an error is the model's, and what a mobile scanner saw (noise,
+shadows, stray points), so that part of every error is what was never scanned.
 """
 
 from __future__ import annotations
@@ -14,19 +15,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from bench_lidar_scene import (
+    Pose,
+    complete_cloud,
+    exact_depth,
+    mobile_cloud,
+    pavement_targets,
+    sensor_poses,
+)
 from bench_measure import Cost, measured, row
 from roadsight.placement.detection import MIN_BEAMS, count_hits
 from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
-from roadsight.placement.rays import beam_directions
 from roadsight.placement.sensors import Sensor, load_sensors
 from roadsight.placement.surfel_lidar import SurfelLidar
-from roadsight.placement.targets import place_targets
 from roadsight.scene.surfels import Surfels, build_surfels
 from roadsight.scene.voxel_moments import sum_moments
-from roadsight.synthetic.alignment import heading_at, to_plan
 from roadsight.synthetic.highway import Highway, build_highway
-from roadsight.synthetic.mobile_scanner import scan
-from roadsight.synthetic.terrain import height_at
 
 SENSORS = ("OS-128", "VLP-16")
 WRONG_M = 0.5
@@ -34,42 +38,45 @@ SURFEL, HYBRID, EXACT = "surfel", "hybrid (Algorithm 1)", "exact ray casting"
 SITE = (1_900, 6_239)
 """Candidates and targets of the study's second site."""
 
-Pose = tuple[NDArray[np.float64], float]
 Render = Callable[[Sensor, NDArray[np.float64], float], NDArray[np.float32]]
 
 
 def rows(quick: bool) -> list[dict[str, Any]]:
-    """All comparisons; ``quick`` uses a short road and a thin cloud."""
+    """All comparisons; ``quick`` uses a short road and thin clouds."""
     highway = build_highway(1, 60.0 if quick else 250.0)
     points = 300_000 if quick else 3_700_000
-    cloud = np.concatenate(
-        [part.xyz_m for part in scan(highway, points, np.random.default_rng(1))]
-    ).astype(np.float32)
     sensors = load_sensors(Path(__file__).parents[1] / "config" / "sensors.yaml")
-    poses = _poses(highway, 2 if quick else 5)
-    _compile(cloud[:2_000], sensors["VLP-16"], poses[0])
-    surfels, found = _surfel_rows(cloud)
-    lidar = SurfelLidar(surfels)
-    lidar.cast(poses[0][0], [[0.0, 0.0, 1.0]])
+    poses = sensor_poses(highway, 2 if quick else 5)
+    complete = complete_cloud(highway, points)
+    _compile(complete[:2_000], sensors["VLP-16"], poses[0])
+    found = _complete_rows(highway, complete, sensors, poses)
+    cloud = mobile_cloud(highway, points)
+    surfels, surfel_rows = _surfel_rows(cloud)
+    lidar = _built(surfels, poses[0])
     for name in SENSORS:
         depths, costs = _depth_maps(sensors[name], highway, cloud, lidar, poses)
-        found += _depth_rows(name, sensors[name], depths, costs, len(cloud))
+        found += _depth_rows(name, sensors[name], depths, costs, "mobile scan", len(cloud))
         found += _detection_rows(name, sensors[name], highway, poses, depths, costs)
+    return surfel_rows + found
+
+
+def _complete_rows(
+    highway: Highway, cloud: NDArray[np.float32], sensors: dict[str, Sensor], poses: list[Pose]
+) -> list[dict[str, Any]]:
+    """Depth maps where every surface was scanned."""
+    lidar = _built(build_surfels(sum_moments(cloud, 0.1)), poses[0])
+    found = []
+    for name in SENSORS:
+        depths, costs = _depth_maps(sensors[name], highway, cloud, lidar, poses)
+        found += _depth_rows(name, sensors[name], depths, costs, "complete scan", len(cloud))
     return found
 
 
-def _poses(highway: Highway, count: int) -> list[Pose]:
-    """Sensors 4 to 10 m above alternate edges of the pavement, facing it."""
-    edge_m = highway.section.pavement_m[1] + 0.5
-    poses = []
-    for number, share in enumerate(np.linspace(0.2, 0.8, count)):
-        side = 1 if number % 2 else -1
-        station = share * highway.length_m
-        xy = to_plan(highway.alignment, [[station, side * edge_m]])[0]
-        z = height_at(highway.terrain, xy[None])[0] + 4 + 6 * number / max(count - 1, 1)
-        yaw_deg = np.degrees(heading_at(highway.alignment, [station])[0]) - 90 * side
-        poses.append((np.array([*xy, z]), float(yaw_deg)))
-    return poses
+def _built(surfels: Surfels, pose: Pose) -> SurfelLidar:
+    """With its tree, which Embree builds at the first ray."""
+    lidar = SurfelLidar(surfels)
+    lidar.cast(pose[0], [[0.0, 0.0, 1.0]])
+    return lidar
 
 
 def _compile(cloud: NDArray[np.float32], sensor: Sensor, pose: Pose) -> None:
@@ -96,17 +103,6 @@ def _surfel_rows(cloud: NDArray[np.float32]) -> tuple[Surfels, list[dict[str, An
     return surfels, [row("surfels", ours, against, count, f"{len(cloud)} points")]
 
 
-def _exact_depth(
-    highway: Highway, sensor: Sensor, position_m: NDArray[np.float64], yaw_deg: float
-) -> NDArray[np.float32]:
-    directions = beam_directions(sensor, yaw_deg).reshape(-1, 3).astype(np.float64)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    origins = np.broadcast_to(position_m, directions.shape)
-    range_m, _, _ = highway.scene.cast(origins, directions, sensor.range_m)
-    range_m[~np.isfinite(range_m)] = 0.0
-    return range_m.reshape(sensor.shape).astype(np.float32)
-
-
 def _depth_maps(
     sensor: Sensor,
     highway: Highway,
@@ -119,7 +115,7 @@ def _depth_maps(
         SURFEL: lidar.depth_map,
         HYBRID: partial(hybrid_depth, cloud),
         "preliminary (least range)": partial(preliminary_depth, cloud),
-        EXACT: partial(_exact_depth, highway),
+        EXACT: partial(exact_depth, highway),
     }
     depths, costs = {}, {}
     for way, render in ways.items():
@@ -135,11 +131,13 @@ def _depth_rows(
     sensor: Sensor,
     depths: dict[str, NDArray[np.float32]],
     costs: dict[str, Cost],
+    scan: str,
     points: int,
 ) -> list[dict[str, Any]]:
     """Surfels beside the other ways."""
     right = {way: _right(depth, depths[EXACT]) for way, depth in depths.items()}
-    work = f"{sensor.rows * sensor.columns} beams, {points} points, mean of {len(depths[EXACT])}"
+    beams = sensor.rows * sensor.columns
+    work = f"{beams} beams, {points} points of a {scan}, {len(depths[EXACT])} poses"
     return [
         row(
             f"depth map {name}",
@@ -159,19 +157,6 @@ def _right(depth: NDArray[np.float32], exact: NDArray[np.float32]) -> float:
     return float(np.mean(np.where(both, np.abs(depth - exact) <= WRONG_M, depth == exact)))
 
 
-def _targets(highway: Highway) -> NDArray[np.float64]:
-    """Feet of the targets on the true pavement, a metre apart."""
-    edge_m = highway.section.pavement_m[1]
-    stations = np.arange(0.125, highway.length_m, 0.25)
-    offsets = np.arange(-edge_m + 0.125, edge_m, 0.25)
-    road = np.stack(np.meshgrid(stations, offsets), axis=-1).reshape(-1, 2)
-    xy = to_plan(highway.alignment, road)
-    z = height_at(highway.terrain, xy)
-    paved = np.isfinite(z) & (highway.ground_classes(xy) == highway.ground_classes(xy).max())
-    targets = place_targets(np.column_stack([xy, z])[paved], 1.0, 8)
-    return targets[["x", "y", "z"]].to_numpy(np.float64)
-
-
 def _detection_rows(
     name: str,
     sensor: Sensor,
@@ -181,7 +166,7 @@ def _detection_rows(
     costs: dict[str, Cost],
 ) -> list[dict[str, Any]]:
     """Footprints beside rendered targets, and the whole matrix beside the published way."""
-    targets = _targets(highway)
+    targets = pavement_targets(highway)
     counts, spent = {}, {}
     for way in (SURFEL, HYBRID, EXACT):
         counts[way], spent[way], peak = measured(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import gc
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +15,14 @@ Cost = tuple[str, float, float | None]
 
 
 def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
-    """Result, CPU seconds and added peak memory in MiB (None where the system does not tell)."""
+    """Result, CPU seconds and added peak memory in MiB (None where the system does not tell).
+
+    Freed memory goes back to the system first: what a kernel reuses would not be seen to be added.
+    """
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
+    if trim is not None:
+        trim(0)
     before = _memory_mib(reset=True)
     start = time.process_time()
     result = function()
@@ -20,6 +30,27 @@ def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
     after = _memory_mib(reset=False)
     known = before is not None and after is not None
     return result, cpu_s, round(max(after - before, 0.0), 1) if known else None
+
+
+def measured_apart(function: Callable[[], Any]) -> tuple[float, float]:
+    """CPU seconds and peak memory in MiB of a function in a process of its own.
+
+    Raises
+    ------
+    RuntimeError : the function failed there.
+    """
+    child = os.fork()
+    if child == 0:
+        status = 1
+        try:
+            function()
+            status = 0
+        finally:
+            os._exit(status)
+    _, status, used = os.wait4(child, 0)
+    if status:
+        raise RuntimeError(f"{function} failed in its process")
+    return used.ru_utime + used.ru_stime, round(used.ru_maxrss / 1024, 1)
 
 
 def _memory_mib(reset: bool) -> float | None:

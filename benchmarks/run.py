@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
-PROGRAMS = ("bench_scene", "bench_lidar", "bench_cover", "bench_alignment")
+PROGRAMS = ("bench_scene", "bench_lidar", "bench_raster", "bench_alignment", "bench_cover")
 
 
 def main() -> None:
