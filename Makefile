@@ -59,7 +59,7 @@ lock: ## resolve the dependencies anew (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
 	  --custom-compile-command "make lock" pyproject.toml -o envs/requirements.lock
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
-	  --custom-compile-command "make lock" --extra dev --extra peers -c envs/requirements.lock \
+	  --custom-compile-command "make lock" --extra dev --extra peers --extra slurm --extra cluster -c envs/requirements.lock \
 	  pyproject.toml -o envs/requirements-dev.lock
 
 clean: ## remove results, logs and the environment
