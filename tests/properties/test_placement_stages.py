@@ -186,7 +186,9 @@ def test_candidates_turn_and_mirror_with_the_edge(seed, angle, mirror):
     rng = np.random.default_rng(seed)
     line = LineString([(0, 0), (18, 1), (35, 5), (50, 12)])
     # Where neither side or both are paved a position faces left, which no mirror keeps.
-    pavement = MultiPolygon([line.buffer(-8, single_sided=True)])
+    # The pavement goes on beyond the edge, or the ends' probes lie on its border.
+    road = LineString([(-18, -1), (18, 1), (35, 5), (65, 19)])
+    pavement = MultiPolygon([road.buffer(-8, single_sided=True)])
     obstacles = np.column_stack([rng.uniform(0, 50, (60, 2)) * [1, 0.25], rng.uniform(0, 9, 60)])
     here = candidates(line, pavement, obstacles)
     sign = -1.0 if mirror else 1.0

@@ -40,6 +40,12 @@ def write_site(checkout, **content):
     path.write_text(yaml.safe_dump({"site": "tiny", **content}))
 
 
+def decided(checkout):
+    """All effects decided beforehand, so that nothing of a dry run waits for a measurement."""
+    catalogue = yaml.safe_load((checkout.folder / "config/effects.yaml").read_text())
+    return dict.fromkeys(catalogue["effects"], "simulate") | {"lens_distortion": "skip"}
+
+
 def no_harm(checkout):
     return not list(checkout.folder.parent.rglob("pwned*"))
 
@@ -70,8 +76,10 @@ def test_every_text_of_a_user_is_one_word_of_its_command(checkout):
     folder = checkout.folder / "config/sites"
     evil = {
         kind: f"{kind} ';touch pwned;$(touch pwned)`touch pwned`\" &x"
-        for kind in ("edges", "tma", "truth", "images", "labels", "map", "depth", "sensors")
-    }
+        for kind in (
+            "edges", "tma", "truth", "images", "labels", "map", "depth", "sensors", "baseline"
+        )
+    }  # fmt: skip
     for name in ("cloud.laz", *evil.values()):
         (folder / name).write_text("")
     for kind in ("images", "labels", "depth"):
@@ -79,10 +87,12 @@ def test_every_text_of_a_user_is_one_word_of_its_command(checkout):
         (folder / evil[kind]).mkdir()
     sensors = (checkout.folder / "config/sensors.yaml").read_text()
     (folder / evil["sensors"]).write_text(sensors)
+    (folder / evil["baseline"]).write_text('{"all": {"hfov_deg": 60}}')
     (folder / "videolog.csv").write_text("image,lat,lon\na.jpg,49,8\n")
     write_site(
         checkout,
         title=TEXT,
+        settings={"effects": decided(checkout)},
         clouds=["cloud.laz"],
         crs=TEXT,
         target_crs=TEXT,
@@ -93,7 +103,7 @@ def test_every_text_of_a_user_is_one_word_of_its_command(checkout):
             "images": evil["images"],
             "masks": [{"labels": evil["labels"], "map": evil["map"]}],
             "depth": {"images": evil["depth"]},
-            "baseline": evil["truth"],
+            "baseline": evil["baseline"],
         },
         truth={
             "pavement": evil["truth"],

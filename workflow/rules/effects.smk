@@ -12,6 +12,7 @@ from roadsight.effects.catalogue import load_catalogue
 from roadsight.effects.circumstances import SETTINGS, Circumstances
 from roadsight.effects.planner import plan
 from roadsight.io.atomic import read_json
+from roadsight.io.baselines import read_baselines
 from roadsight.io.videolog_files import posed_share
 
 EFFECTS = clearly(load_catalogue, CONFIG.effects_file)
@@ -40,7 +41,7 @@ def given_to_poles(site):
     return {
         "posed_share": posed_share_of(resolved),
         "lenses": [lens.model_dump() for lens in poles.lenses],
-        "baseline": clearly(read_json, baseline) if baseline else {},
+        "baseline": clearly(read_baselines, baseline) if baseline else {},
     }
 
 
