@@ -66,6 +66,6 @@ clean: ## remove results, logs and the environment
 	rm -rf results logs .snakemake .venv
 
 dag: .venv/.installed ## redraw docs/images/dag.svg (needs graphviz)
-	$(BIN)/snakemake --rulegraph dot | tred \
+	$(BIN)/snakemake --rulegraph dot \
 	  | sed -E 's/color = "[0-9. ]+", style="rounded"/color="#1d4ed8", style="rounded,filled", fillcolor="#eff6ff"/' \
-	  | dot -Tsvg -o docs/images/dag.svg
+	  | tred | dot -Tsvg -o docs/images/dag.svg
