@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import marshal
 import os
 import sys
 from pathlib import Path
 
 from roadsight.io.sources import package_digest
 
+_PYC_HEADER_BYTES = 16
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -19,9 +21,25 @@ def prepare_environment() -> None:
     in a kernel's own file only, not in the kernels that it calls: its cache is kept by the digest
     of all sources.
     """
+    drop_damaged_bytecode(Path(__file__).parents[1])
     folder = str(Path(sys.executable).parent)
     os.environ["PATH"] = f"{folder}{os.pathsep}{os.environ.get('PATH', os.defpath)}"
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     cache = f".snakemake/roadsight/numba-{package_digest()}"
     os.environ["NUMBA_CACHE_DIR"] = str(Path(cache).resolve())
+
+
+def drop_damaged_bytecode(package: Path) -> None:
+    """Remove compiled modules below ``package`` that cannot be loaded.
+
+    Python before 3.12.8 keeps what a full disk cut off under its name, and every later import of
+    that module fails.
+    """
+    for path in package.rglob("*.pyc"):
+        try:
+            marshal.loads(path.read_bytes()[_PYC_HEADER_BYTES:])
+        except (EOFError, TypeError, ValueError):
+            path.unlink(missing_ok=True)
+        except OSError:
+            continue

@@ -136,9 +136,13 @@ def _numbers_by_line(path: str | os.PathLike[str]) -> list[NDArray[np.float64]]:
     _check_exists(path)
     try:
         text = Path(path).read_text(encoding="ascii")
-        return [np.array(line.split(), np.float64) for line in text.splitlines()]
+        lines = [np.array(line.split(), np.float64) for line in text.splitlines()]
     except ValueError as error:
         raise InputError(f"holds other than numbers ({error})", where=str(path)) from error
+    endless = [number for number, line in enumerate(lines, 1) if not np.isfinite(line).all()]
+    if endless:
+        raise InputError("holds numbers that are not finite", where=f"{path}: line {endless[0]}")
+    return lines
 
 
 def _pattern(
