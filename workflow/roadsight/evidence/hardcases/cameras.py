@@ -103,7 +103,7 @@ def images_that_know_one_direction(rng: np.random.Generator) -> Errors:
 @hard_case("calibrate_drive", bound=0.4, unit="deg")
 def images_that_each_know_a_part(rng: np.random.Generator) -> Errors:
     """No image determines all numbers of the mount: a mean of their own answers is void."""
-    # A mean of 60 images is off by their spread over the root of 60; the bound is some five times that.
+    # The bound is some five times the spread of 60 images over the root of 60.
     spread, true = Spread(), np.zeros(SIZE)
     true[3:6] = 1.2, -2.0, 0.4
     prior = Mount(np.zeros(SIZE), np.diag(np.full(SIZE, 9.0)))
