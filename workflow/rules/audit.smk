@@ -5,31 +5,6 @@ OUTPUTS          results/audit/: one JSON a site, audit.csv, index.html
 """
 
 
-def audited_sites(job):
-    """Sites that ask for an audit of a job."""
-    return [
-        site
-        for site, resolved in SITES.items()
-        if resolved.settings.effects == "audit" and wants(site, job)
-    ]
-
-
-def config_of_audit(wildcards):
-    """The configuration with the audited site alone."""
-    named = str(SITES[wildcards.site].file)
-    return CONFIG.model_copy(update={"sites": [named]}).model_dump_json()
-
-
-def effects_of_one_way(wildcards):
-    """Effects of the pole job that a site has no choice about: poses that nobody gives."""
-    given = SITES[wildcards.site].site.poles.cameras
-    return "" if given else "--leave-out road_alignment"
-
-
-def audited_plan(wildcards):
-    return next(iter(plans_of(wildcards.site)))
-
-
 rule audit_effects:
     input:
         solution=lambda wildcards: (
