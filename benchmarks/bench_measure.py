@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import gc
 import os
+import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -32,24 +33,18 @@ def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
     return result, cpu_s, round(max(after - before, 0.0), 1) if known else None
 
 
-def measured_apart(function: Callable[[], Any]) -> tuple[float, float]:
-    """CPU seconds and peak memory in MiB of a function in a process of its own.
+def measured_apart(command: list[str]) -> tuple[float, float]:
+    """CPU seconds and peak memory in MiB of a program, its start included.
 
     Raises
     ------
-    RuntimeError : the function failed there.
+    RuntimeError : it failed.
     """
-    child = os.fork()
-    if child == 0:
-        status = 1
-        try:
-            function()
-            status = 0
-        finally:
-            os._exit(status)
-    _, status, used = os.wait4(child, 0)
-    if status:
-        raise RuntimeError(f"{function} failed in its process")
+    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    _, status, used = os.wait4(child.pid, 0)
+    child.returncode = os.waitstatus_to_exitcode(status)
+    if child.returncode:
+        raise RuntimeError(f"{' '.join(command)} failed")
     return used.ru_utime + used.ru_stime, round(used.ru_maxrss / 1024, 1)
 
 
