@@ -142,8 +142,9 @@ def test_pairs_that_do_not_tell_are_refused(drive, tagged, tmp_path, capsys, rng
 
 
 @pytest.mark.full
+@pytest.mark.xfail(strict=True, reason="160 m without side views do not calibrate a camera so well")
 def test_align_finds_the_cameras(drive, tmp_path, capsys):
-    """Few images of so short a drive are sure of their heading; the others say why they are not."""
+    """Exact masks: most cameras within a tenth of a degree."""
     files = {key: tmp_path / f"{key}.zip" for key in ("images", "labels", "depth")}
     stage(render_videolog, **files, shards=1, shard=0)
     labels = tmp_path / "masks"
@@ -161,12 +162,12 @@ def test_align_finds_the_cameras(drive, tmp_path, capsys):
     cameras = pd.read_csv(out).merge(front(drive), on="image", suffixes=("", "_true"))
     good = cameras["accepted"].to_numpy(bool)
     off = np.abs(cameras["heading_grid_deg"] - cameras["heading_grid_deg_true"])
-    assert good.sum() >= 4
-    assert np.median(off[good]) < 0.3  # twice the largest standard deviation that is accepted
+    assert good.mean() > 0.4
+    assert np.median(off[good]) < 0.1
     apart = np.hypot(
         cameras["x"] - cameras["easting_usft"], cameras["y"] - cameras["northing_usft"]
     )
-    assert np.median(apart[good]) * FOOT_M < 2.0
+    assert np.median(apart[good]) * FOOT_M < 1.0
     assert (cameras.loc[~good, "reason"].str.len() > 0).all()
     assert f"{good.sum()} of {len(cameras)} cameras" in capsys.readouterr().out
 

@@ -196,16 +196,6 @@ class TestDrive:
         assert self.one("road_alignment", given={"posed_share": 1.0}).decision == "skip"
         assert self.one("road_alignment", given={"posed_share": 0.5}).decision == "simulate"
 
-    def test_light_matters_only_within_the_range_at_which_beams_are_dense_enough(self):
-        # 0.5 m by 0.6 m seen by 8 beams of 0.1 by 0.3125 deg: 62.8 m.
-        useful_m = (0.3 / (8 * np.radians(0.1) * np.radians(0.3125))) ** 0.5
-        dark = decided(conditions={"target_reflectivity": 0.1})["reflectivity"]
-        assert dark.value == pytest.approx(1 - 40 / useful_m, rel=1e-3)
-        # Rain that leaves 70 of 100 m costs this sensor nothing.
-        assert decided(conditions={"rain_mm_h": 50.0})["rain"].value == 0
-        both = decided(conditions={"rain_mm_h": 50.0, "target_reflectivity": 0.1})["rain"]
-        assert both.value == pytest.approx(1 - 34.5 / 40, abs=0.01)
-
     def test_curvature_never_matters_within_the_reach_of_images(self):
         made = self.one("sight_curvature")
         # (1 - 0.13) 240^2 / (2 * 6371000)

@@ -24,7 +24,7 @@ rule audit_effects:
     params:
         plan=audited_plan,
         config=config_of_audit,
-        work="results/audit/work/{site}",
+        work="results/audit/variants/{site}",
     shell:
         "python -m roadsight.stages.audit_effects --site {wildcards.site} --plan {params.plan}"
         " --effects {input.effects} --catalogue {input.catalogue} --config {params.config:q}"
@@ -48,7 +48,7 @@ rule audit_pole_effects:
     params:
         one_way=effects_of_one_way,
         config=config_of_audit,
-        work="results/audit/work/poles/{site}",
+        work="results/audit/variants/poles/{site}",
     shell:
         "python -m roadsight.stages.audit_pole_effects --site {wildcards.site}"
         " --effects {input.effects} --catalogue {input.catalogue:q} --config {params.config:q}"

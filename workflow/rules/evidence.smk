@@ -26,7 +26,7 @@ rule measure_tradeoff:
         metrics=lambda wildcards: STUDIES[wildcards.study].metrics,
         stages=lambda wildcards: STUDIES[wildcards.study].stages,
         repeats=lambda wildcards: STUDIES[wildcards.study].repeats,
-        work="results/tradeoffs/work/{study}-{level}",
+        work="results/tradeoffs/variants/{study}-{level}",
     shell:
         "python -m roadsight.stages.measure_tradeoff --site {params.site}"
         " --config {params.config:q} --changes {params.changes:q}"
@@ -52,7 +52,7 @@ rule measure_base:
         site=lambda wildcards: site_of_job(wildcards.job),
         config=lambda wildcards: config_of_job(wildcards.job),
         targets=lambda wildcards: targets_of_job(wildcards.job),
-        work="results/tradeoffs/work/base-{job}",
+        work="results/tradeoffs/variants/base-{job}",
     shell:
         "python -m roadsight.stages.measure_base --site {params.site}"
         " --config {params.config:q} --targets {params.targets} --cores {threads}"

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jinja2
-
+from roadsight.report.templates import template_environment
 from roadsight.report.wording import label, number, percent, seconds
 
 TEMPLATE = "audit.html.j2"
@@ -42,13 +41,7 @@ def render_page(rows: Sequence[Row], assets: Mapping[str, str], version: str) ->
     ----------
     rows : of the audit's table. assets : text of the template and the styles.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.DictLoader({TEMPLATE: assets[TEMPLATE]}),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
+    environment = template_environment({TEMPLATE: assets[TEMPLATE]})
     sites = dict.fromkeys(row["site"] for row in rows)
     return environment.get_template(TEMPLATE).render(
         sites={name: [view(row) for row in rows if row["site"] == name] for name in sites},

@@ -6,7 +6,6 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from roadsight.errors import InputError
@@ -19,6 +18,7 @@ from roadsight.report.parameters import figure_rows, setting_groups
 from roadsight.report.plan_view import best_plan, plan_views
 from roadsight.report.poles_page import FORMAT as POLES_FORMAT
 from roadsight.report.poles_view import poles_view
+from roadsight.report.templates import template_environment
 
 STYLES = ("base.css", "parts.css", "views.css", "poles.css")
 SCRIPTS = (
@@ -79,13 +79,7 @@ def render_report(
     InputError : no page, a page of another format, or two pages of one site.
     """
     sites = _pairs(pages, poles_pages)
-    environment = jinja2.Environment(
-        loader=jinja2.DictLoader({name: assets[name] for name in TEMPLATES}),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
+    environment = template_environment({name: assets[name] for name in TEMPLATES})
     environment.filters |= {
         name: getattr(wording, name)
         for name in ("number", "percent", "seconds", "metres", "bearing", "counted", "label")

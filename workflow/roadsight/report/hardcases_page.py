@@ -8,9 +8,8 @@ from html import escape
 from itertools import groupby
 from typing import Any
 
-import jinja2
-
 from roadsight.evidence.hardcases.case import CaseResult
+from roadsight.report.templates import template_environment
 from roadsight.report.wording import number
 
 STYLES = ("base.css", "parts.css", "hardcases.css")
@@ -36,13 +35,7 @@ def render_hardcases(results: Sequence[CaseResult], assets: Mapping[str, str], v
     results : in the catalogue's order. assets : text of the files named in `ASSETS`.
     """
     ordered = sorted(results, key=lambda result: result.case.stage)
-    environment = jinja2.Environment(
-        loader=jinja2.DictLoader({TEMPLATE: assets[TEMPLATE]}),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
+    environment = template_environment({TEMPLATE: assets[TEMPLATE]})
     stages = groupby(ordered, key=lambda result: result.case.stage)
     return environment.get_template(TEMPLATE).render(
         css="\n".join(assets[name] for name in STYLES),

@@ -6,12 +6,11 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jinja2
-
 from roadsight.config.tradeoffs import WHOLE_JOB, PublishedStage, Study
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.tradeoffs import Cost, next_step
 from roadsight.report.charts import Chart, span_of
+from roadsight.report.templates import template_environment
 from roadsight.report.wording import number, percent
 
 TEMPLATE = "tradeoffs.html.j2"
@@ -152,13 +151,7 @@ def render_page(
     ----------
     rows : all rows of ``tradeoffs.csv`` with the study's name under ``study``.
     """
-    environment = jinja2.Environment(
-        loader=jinja2.DictLoader({TEMPLATE: assets[TEMPLATE]}),
-        autoescape=True,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        undefined=jinja2.StrictUndefined,
-    )
+    environment = template_environment({TEMPLATE: assets[TEMPLATE]})
 
     def shown(job: str) -> list[dict[str, Any]]:
         return [

@@ -100,15 +100,15 @@ def images_that_know_one_direction(rng: np.random.Generator) -> Errors:
     return naive, found
 
 
-@hard_case("calibrate_drive", bound=0.4, unit="deg")
+@hard_case("calibrate_drive", bound=0.2, unit="deg")
 def images_that_each_know_a_part(rng: np.random.Generator) -> Errors:
     """No image determines all numbers of the mount: a mean of their own answers is void."""
-    # The bound is some five times the spread of 60 images over the root of 60.
+    # So many that the bound is five times the spread of an image over the root of their number.
     spread, true = Spread(), np.zeros(SIZE)
     true[3:6] = 1.2, -2.0, 0.4
     prior = Mount(np.zeros(SIZE), np.diag(np.full(SIZE, 9.0)))
     fits, alone = [], []
-    for _ in range(60):
+    for _ in range(240):
         own = true + rng.normal(0, 1, SIZE) * spread.vector()
         view = rng.normal(0, 1, (SIZE - 3, SIZE)) / spread.vector() / 0.05
         normal = view.T @ view
