@@ -58,7 +58,7 @@ def test_a_sweep_from_settings_to_the_page(copy_of_finished: Checkout) -> None:
     assert same["value"].nunique() == 1
     assert (rows.loc["coordinates"]["value"] >= 0).all()
     assert "<svg" in (folder / "index.html").read_text()
-    assert not any((folder / "work").iterdir())
+    assert not list(folder.glob("work/*"))
 
     assert (solution.read_bytes(), solution.stat().st_mtime_ns) == before
     assert checkout.stale_rules("tradeoffs") == set()
