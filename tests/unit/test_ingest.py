@@ -119,6 +119,34 @@ def test_wrong_header_bounds_do_not_matter(tmp_path):
     assert about["origin"] == pytest.approx(xyz.min(axis=0), abs=1e-9)
 
 
+def test_clouds_are_read_once_where_headers_are_right_and_the_bytes_are_the_same(tmp_path, caplog):
+    """Too narrow, too wide or late colours: read again, to the same tiles."""
+    import struct
+
+    caplog.set_level("INFO")
+    xyz = random_points(500)
+    colours = {name: np.where(np.arange(500) < 400, 200, 60_000) for name in ("red", "green")}
+    path = write_las(tmp_path / "a.las", xyz, UTM, 7, blue=1, **colours)
+    truth = path.read_bytes()
+    run(tmp_path, [path])
+    expected = (tmp_path / "out" / "cloud.parquet").read_bytes()
+    assert "reading again" not in caplog.text
+    for shift in (3.0, -3.0):
+        data = bytearray(truth)
+        for at, corner in zip((187, 203, 219), xyz.min(axis=0), strict=True):
+            struct.pack_into("<d", data, at, corner + shift)
+        path.write_bytes(data)
+        caplog.clear()
+        run(tmp_path, [path], chunk_points=100)
+        assert "reading again" in caplog.text
+        assert (tmp_path / "out" / "cloud.parquet").read_bytes() == expected
+    path.write_bytes(truth)
+    caplog.clear()
+    run(tmp_path, [path], chunk_points=100)
+    assert "reading again" in caplog.text
+    assert (tmp_path / "out" / "cloud.parquet").read_bytes() == expected
+
+
 def test_colours_are_cut_to_8_bits_file_by_file(tmp_path):
     xyz = random_points(6)
     high = {name: np.arange(6) * 13000 for name in ("red", "green", "blue")}

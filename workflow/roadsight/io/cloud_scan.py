@@ -18,7 +18,11 @@ from roadsight.io.las_header import CloudHeader
 NOISE_CLASSES = (7, 18)
 """ASPRS classes of low and high noise."""
 
+_IS_NOISE = np.isin(np.arange(256), NOISE_CLASSES)
+
 Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+Take = Callable[[str | os.PathLike[str], Chunk], None]
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ def kept_chunks(
     InputError : the cloud cannot be read, or a point cannot be reprojected.
     """
     for chunk in iter_chunks(path, chunk_points):
-        noisy = np.isin(chunk.classification, NOISE_CLASSES) & ~chunk.withheld
+        noisy = _IS_NOISE[chunk.classification] & ~chunk.withheld
         kept = chunk.select(~(chunk.withheld | noisy))
         if move is not None:
             kept = replace(kept, xyz=move(kept.xyz))
@@ -77,9 +81,16 @@ def kept_chunks(
 
 
 def scan_cloud(
-    path: str | os.PathLike[str], move: Move | None = None, chunk_points: int = CHUNK_POINTS
+    path: str | os.PathLike[str],
+    move: Move | None = None,
+    chunk_points: int = CHUNK_POINTS,
+    take: Take | None = None,
 ) -> CloudScan:
     """Read all points of a cloud once and keep what ingest has to know beforehand.
+
+    Parameters
+    ----------
+    take : called with the path and each chunk of points that stay, as they come.
 
     Raises
     ------
@@ -102,6 +113,8 @@ def scan_cloud(
         intense = intense or bool(chunk.intensity.any())
         if chunk.colour is not None:
             brightest = max(brightest, int(chunk.colour.max(initial=0)))
+        if take is not None:
+            take(path, chunk)
     if points == 0:
         raise InputError(
             "holds no points but noise and withheld ones",

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import laspy
 import numpy as np
+from laspy import DecompressionSelection
 from laspy.vlrs.known import WktCoordinateSystemVlr
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
@@ -27,6 +28,16 @@ CHUNK_POINTS = 1_000_000
 _LAZ_SCALE = 0.001
 _LAZ_DATE = date(2000, 1, 1)
 _DEGREES_PER_SCAN_ANGLE = 0.006
+_ALL_LAYERS = DecompressionSelection.all()
+_CHUNK_LAYERS = (
+    DecompressionSelection.base()
+    | DecompressionSelection.Z
+    | DecompressionSelection.CLASSIFICATION
+    | DecompressionSelection.FLAGS
+    | DecompressionSelection.INTENSITY
+    | DecompressionSelection.RGB
+)
+"""What a `Chunk` holds; time, angles and the producer's own fields stay compressed."""
 
 # What laspy logs as an error also arrives as an exception, which becomes one message here.
 logging.getLogger("laspy").setLevel(logging.CRITICAL)
@@ -58,6 +69,8 @@ class Chunk:
 
     def select(self, mask: NDArray[np.bool_]) -> Chunk:
         """Points where ``mask``, of shape (n,), is true."""
+        if mask.all():
+            return self
         return Chunk(
             self.xyz[mask],
             self.intensity[mask],
@@ -100,12 +113,16 @@ def read_header(path: str | os.PathLike[str]) -> CloudHeader:
 def read_extent(path: str | os.PathLike[str]) -> NDArray[np.float64]:
     """Lower and upper corner (2, 3) of a cloud as its header states them, native coordinates.
 
+    They are rounded to the file's own steps, so that they equal the coordinates of points.
+
     Raises
     ------
     InputError : as `read_header`.
     """
     with _open(path) as reader:
-        return np.array([reader.header.mins, reader.header.maxs], np.float64)
+        header = cloud_header(Path(path), reader.header)
+        stated = np.array([reader.header.mins, reader.header.maxs], np.float64)
+        return np.rint((stated - header.offset) / header.scale) * header.scale + header.offset
 
 
 def iter_chunks(path: str | os.PathLike[str], chunk_points: int = CHUNK_POINTS) -> Iterator[Chunk]:
@@ -115,7 +132,7 @@ def iter_chunks(path: str | os.PathLike[str], chunk_points: int = CHUNK_POINTS) 
     ------
     InputError : as `read_header`, or the points end early or cannot be decoded.
     """
-    with _open(path) as reader:
+    with _open(path, _CHUNK_LAYERS) as reader:
         header = cloud_header(Path(path), reader.header)
         for points in _decoded(path, reader, chunk_points):
             yield Chunk(
@@ -181,11 +198,20 @@ def write_laz(
 
 
 @contextmanager
-def _open(path: str | os.PathLike[str]) -> Iterator[laspy.LasReader]:
-    """Open a cloud; whatever laspy and its decoder raise becomes one InputError."""
+def _open(
+    path: str | os.PathLike[str], layers: DecompressionSelection = _ALL_LAYERS
+) -> Iterator[laspy.LasReader]:
+    """Open a cloud; whatever laspy and its decoder raise becomes one InputError.
+
+    Only the ``layers`` of points are decoded, where the point format has layers.
+    """
     check_structure(Path(path))
     try:
-        with laspy.open(os.fspath(path), laz_backend=laspy.LazBackend.Lazrs) as reader:
+        with laspy.open(
+            os.fspath(path),
+            laz_backend=laspy.LazBackend.Lazrs,
+            decompression_selection=layers,
+        ) as reader:
             check_layers(Path(path), reader.header)
             yield reader
     except (InputError, KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -217,8 +243,11 @@ def _decoded(
 
 
 def _native(points: laspy.ScaleAwarePointRecord, header: CloudHeader) -> NDArray[np.float64]:
-    integers = np.stack([points.X, points.Y, points.Z], axis=1)
-    return integers * header.scale + header.offset
+    xyz = np.empty((3, len(points))).T  # each axis in one piece
+    for axis, integers in enumerate((points.X, points.Y, points.Z)):
+        np.multiply(integers, header.scale[axis], out=xyz[:, axis])
+    xyz += header.offset
+    return xyz
 
 
 def _colour(points: laspy.ScaleAwarePointRecord) -> NDArray[np.uint16]:

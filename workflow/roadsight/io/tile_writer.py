@@ -44,12 +44,16 @@ class TileWriter:
         self._pieces: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
         self._rows = 0
         self._path.parent.mkdir(parents=True, exist_ok=True)
-        self._spill = tempfile.TemporaryFile(dir=self._path.parent)  # noqa: SIM115  # see __exit__
+        self._spill = tempfile.TemporaryFile(dir=self._path.parent)  # noqa: SIM115  # see close
 
     def __enter__(self) -> TileWriter:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Drop what was not written by `finish`."""
         with suppress(OSError):  # it cannot write out what a full disk did not take
             self._spill.close()
 
@@ -67,14 +71,16 @@ class TileWriter:
         records = np.empty(len(points["x"]), self._record)
         for name in self._record.names or ():
             records[name] = points[name]
-        ix, iy = (np.floor(records[axis] / np.float64(self._tile_size_m)) for axis in "xy")
-        order = np.lexsort((ix, iy))
-        ix, iy = ix[order].astype(np.int64), iy[order].astype(np.int64)
-        starts = np.flatnonzero(np.diff(ix, prepend=-1) | np.diff(iy, prepend=-1))
-        ends = np.append(starts[1:], len(ix))
+        ix, iy = ((records[axis] / np.float64(self._tile_size_m)).astype(np.int64) for axis in "xy")
+        tile = iy << 32 | ix
+        order = np.argsort(tile, kind="stable")
+        tile = tile[order]
+        starts = np.flatnonzero(np.diff(tile, prepend=-1))
+        ends = np.append(starts[1:], len(tile))
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-            self._pieces[int(iy[start]), int(ix[start])].append((self._rows + start, end - start))
-        self._spill_out(records[order].tobytes())
+            key = int(tile[start])
+            self._pieces[key >> 32, key & 0xFFFFFFFF].append((self._rows + start, end - start))
+        self._spill_out(records[order].data)
         self._rows += len(records)
         if len(self._pieces) > _MAX_TILES:
             raise InputError(
@@ -85,7 +91,7 @@ class TileWriter:
                 hint="choose larger tiles, or remove stray points",
             )
 
-    def _spill_out(self, content: bytes) -> None:
+    def _spill_out(self, content: memoryview) -> None:
         try:
             self._spill.write(content)
             self._spill.flush()
@@ -100,7 +106,12 @@ class TileWriter:
         with (
             atomic_path(self._path) as temporary,
             pq.ParquetWriter(
-                temporary, schema, compression="zstd", write_page_checksum=True
+                temporary,
+                schema,
+                compression="zstd",
+                use_dictionary=[name for name in names if name not in POSITION],
+                column_encoding=dict.fromkeys(POSITION, "BYTE_STREAM_SPLIT"),
+                write_page_checksum=True,
             ) as writer,
         ):
             for iy, ix in sorted(self._pieces):

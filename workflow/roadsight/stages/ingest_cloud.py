@@ -1,7 +1,8 @@
 """Read a site's clouds into the local frame: tiled points and the frame they are in.
 
-The clouds are read twice: once to find the least corner and to check CRS and units before anything
-is written, once to sort the points into tiles. Memory stays bounded by the largest tile.
+The points are sorted into tiles while they are read for the first time, in the frame that the
+headers promise. Where the points prove a header wrong, or are left out at its corner, or are
+reprojected, the clouds are read again. Memory stays bounded by the largest tile.
 """
 
 from __future__ import annotations
@@ -23,10 +24,11 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import Reprojection, SiteFrame, centre_of, reprojection, site_frame
 from roadsight.io.atomic import write_json
-from roadsight.io.cloud_scan import CloudScan, kept_chunks, scan_cloud
-from roadsight.io.clouds import CHUNK_POINTS, Chunk
+from roadsight.io.cloud_scan import CloudScan, Take, kept_chunks, scan_cloud
+from roadsight.io.clouds import CHUNK_POINTS, read_extent, read_header
+from roadsight.io.tile_draft import TileDraft, colour_shift, is_coloured, tile_columns
 from roadsight.io.tile_writer import TileWriter
-from roadsight.io.tiles import COLOUR, Tile
+from roadsight.io.tiles import Tile
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger(__name__)
@@ -58,15 +60,20 @@ def ingest(
     InputError : a cloud cannot be read, or CRS and units are missing, contradictory or impossible.
     """
     _check_arguments(clouds, tile_size_m)
-    site, scans, move = survey(clouds, choice, target_crs, chunk_points)
-    for note in site.reference.notes:
-        log.warning("%s", note)
-    coloured = all(scan.brightest > 0 for scan in scans)
-    with TileWriter(cloud_path, tile_size_m, coloured) as writer:
-        for scan in scans:
-            for chunk, _, _ in kept_chunks(scan.header.path, move, chunk_points):
-                writer.append(_columns(chunk, site.frame, scan.brightest))
-        tiles = writer.finish()
+    promised, coloured = (None, False) if target_crs else _promised(clouds, choice)
+    with TileDraft(cloud_path, tile_size_m, promised, coloured) as draft:
+        site, scans, move = survey(clouds, choice, target_crs, chunk_points, draft.take)
+        for note in site.reference.notes:
+            log.warning("%s", note)
+        tiles = draft.finish(site.frame, scans)
+    if tiles is None:
+        log.info("reading again: the points differ from what the headers say, or are moved")
+        with TileWriter(cloud_path, tile_size_m, is_coloured(scans)) as writer:
+            for scan in scans:
+                shift = colour_shift(scan.brightest)
+                for chunk, _, _ in kept_chunks(scan.header.path, move, chunk_points):
+                    writer.append(tile_columns(chunk, site.frame, shift))
+            tiles = writer.finish()
     write_json(frame_path, describe(site, scans, tiles, tile_size_m))
     log.info("%d points in %d tiles", sum(tile.rows for tile in tiles), len(tiles))
 
@@ -76,14 +83,19 @@ def survey(
     choice: UnitChoice,
     target_crs: str | None = None,
     chunk_points: int = CHUNK_POINTS,
+    take: Take | None = None,
 ) -> tuple[SiteFrame, list[CloudScan], Reprojection | None]:
     """First pass: what the clouds hold, the frame they share and the way into its CRS.
+
+    Parameters
+    ----------
+    take : called with each cloud's path and its points as they come, before reprojection.
 
     Raises
     ------
     InputError : as `ingest`.
     """
-    scans = [scan_cloud(cloud, None, chunk_points) for cloud in clouds]
+    scans = [scan_cloud(cloud, None, chunk_points, take) for cloud in clouds]
     stated = [(str(scan.header.path), scan.header.stated) for scan in scans]
     centre, units_stated = centre_of(*_corners(scans)), choice.units != "auto"
     reference, move = resolve(stated, centre, choice), None
@@ -137,19 +149,18 @@ def _corners(scans: Sequence[CloudScan]) -> tuple[NDArray[np.float64], NDArray[n
     return lower, np.stack([scan.upper for scan in scans]).max(axis=0)
 
 
-def _columns(chunk: Chunk, frame: Frame, brightest: int) -> dict[str, NDArray]:
-    """Columns of the tiled cloud; colours of 16 bits are cut to 8."""
-    columns = dict(zip("xyz", frame.to_local(chunk.xyz).T, strict=True))
-    columns |= {
-        "intensity": chunk.intensity,
-        "classification": chunk.classification,
-        "return_number": chunk.return_number,
-        "number_of_returns": chunk.number_of_returns,
-    }
-    if chunk.colour is not None:
-        shift = 8 if brightest > 255 else 0
-        columns |= dict(zip(COLOUR, (chunk.colour >> shift).T, strict=True))
-    return columns
+def _promised(clouds: Sequence[Path], choice: UnitChoice) -> tuple[Frame | None, bool]:
+    """Frame and colour that the headers promise; no frame where they cannot be right."""
+    try:
+        headers = [read_header(cloud) for cloud in clouds]
+        corners = np.array([read_extent(cloud) for cloud in clouds])
+        lower, upper = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+        stated = [(str(header.path), header.stated) for header in headers]
+        reference = resolve(stated, centre_of(lower, upper), choice)
+        frame = site_frame(reference, lower, upper, "headers", choice.units != "auto").frame
+    except InputError:
+        return None, False
+    return frame, all(header.coloured for header in headers)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
