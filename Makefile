@@ -8,7 +8,7 @@ empty :=
 space := $(empty) $(empty)
 
 .DEFAULT_GOAL := help
-.PHONY: help run real test test-full bench lint format config lock dag clean
+.PHONY: help run real test test-full bench bench-full lint format config lock dag clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -37,8 +37,11 @@ test: .venv/.installed-dev ## the test suite
 test-full: .venv/.installed-dev ## the test suite with the longest runs
 	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup
 
-bench: .venv/.installed-dev ## side-by-side benchmarks into results/bench/bench.json
+bench: .venv/.installed-dev ## side-by-side benchmarks into results/bench: bench.json and a page
 	$(BIN)/python benchmarks/run.py --out results/bench/bench.json
+
+bench-full: .venv/.installed-dev ## the same with the published sizes, and ten times the points
+	$(BIN)/python benchmarks/run.py --size full --out results/bench/bench.json
 
 lint: .venv/.installed-dev ## style, types, rule files
 	$(BIN)/ruff check .

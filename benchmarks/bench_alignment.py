@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench_measure import measured, row
+from bench_measure import Size, measured, row
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.drive import Reach, near_edges, places_of
 from roadsight.poles.alignment.pose import (
@@ -44,9 +44,9 @@ _CROWN_DEG = 1.146
 """Roll of a lane whose road falls 2 % to either side."""
 
 
-def rows(quick: bool) -> list[dict[str, Any]]:
-    """All comparisons; ``quick`` uses few images."""
-    bed = RoadBed(seed=7, images=6 if quick else 40, gps_m=0.3)
+def rows(size: Size) -> list[dict[str, Any]]:
+    """All comparisons; quick ones use few images."""
+    bed = RoadBed(seed=7, images=6 if size == "quick" else 40, gps_m=0.3)
     tasks = _tasks(bed)
     _ours(tasks[:1]), _theirs(tasks[:1])  # Compilation is not what is measured.
     (ours, accepted), ours_s, ours_peak = measured(lambda: _ours(tasks))

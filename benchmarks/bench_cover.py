@@ -9,19 +9,20 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import highspy
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
-from bench_measure import measured, row
+from bench_measure import Size, measured, row
+from roadsight.io.matrices import read_element_list, read_set_list
 from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
 
-LENGTH_M = 250.0
 RADIUS_M, HEIGHT_M, MIN_BEAMS = 0.25, 0.6, 8
 AZIMUTH_STEP_DEG = 0.1
 CURVE_RADIUS_M = 600.0
@@ -30,7 +31,10 @@ LIMIT_S = 120.0
 
 @dataclass(frozen=True)
 class Corridor:
-    """A synthetic site: numbers of targets and candidates, channels, range, shape, seed."""
+    """A synthetic site: numbers of targets and candidates, channels, range, shape, seed, holes.
+
+    ``holes`` is the share of detections that are lost at random: leaves, passers-by, poor returns.
+    """
 
     targets: int
     candidates: int
@@ -39,12 +43,15 @@ class Corridor:
     range_m: float
     curved: bool
     seed: int = 1
+    length_m: float = 250.0
+    holes: float = 0.0
 
     @property
     def name(self) -> str:
         """Short name."""
         shape = "curved" if self.curved else "straight"
-        return f"{self.targets} x {self.candidates}, {self.channels} channels, {shape}"
+        lost = f", {self.holes:.0%} holes" if self.holes else ""
+        return f"{self.targets} x {self.candidates}, {self.channels} channels, {shape}{lost}"
 
 
 SITES = (
@@ -56,28 +63,54 @@ SITES = (
     Corridor(8219, 2019, 32, 22.5, 120.0, True),
     Corridor(8219, 2019, 64, 22.5, 120.0, False),
 )
-QUICK = (Corridor(400, 160, 32, 22.5, 120.0, True),)
+QUICK = Corridor(400, 160, 32, 22.5, 120.0, True)
+HOLES = (
+    Corridor(2045, 956, 16, 15.0, 100.0, False, holes=0.2),
+    Corridor(6239, 1900, 16, 15.0, 100.0, False, holes=0.2),
+    Corridor(8219, 2019, 16, 15.0, 100.0, False, holes=0.2),
+)
+LARGE = Corridor(80_000, 20_000, 64, 22.5, 120.0, False, length_m=4_000.0)
+PUBLIC = {
+    "camera_placement_ac01.txt": 7,
+    "sc_157_0.txt": 94_400,
+    "sc_1000_11.txt": 146,
+    "sc_330_0.txt": 27,
+    "sc_5000_1.txt": 31,
+}
+"""Best values that are listed for the public instances."""
 
 
 def detection_matrix(site: Corridor) -> sparse.csr_matrix:
     """Which candidate sees which target, (candidates, targets); unseen targets are left out."""
     rng = np.random.default_rng(site.seed)
-    lanes = int(np.ceil(site.targets / LENGTH_M))
-    along, across = np.meshgrid(np.arange(LENGTH_M) + 0.5, np.arange(lanes) + 0.5 - lanes / 2)
+    length_m = site.length_m
+    lanes = int(np.ceil(site.targets / length_m))
+    along, across = np.meshgrid(np.arange(length_m) + 0.5, np.arange(lanes) + 0.5 - lanes / 2)
     targets = _plan(site, along.ravel(), across.ravel())
     targets = targets[np.sort(rng.permutation(len(targets))[: site.targets])]
     edge = lanes / 2 + 1
     offsets = [edge, -edge, 0.0] if site.candidates > 1_500 else [edge, -edge]
-    grid = np.meshgrid(np.arange(0, LENGTH_M + 1, 4), offsets, np.arange(4, 10.1, 0.5))
+    grid = np.meshgrid(np.arange(0, length_m + 1, 4), offsets, np.arange(4, 10.1, 0.5))
     stations, sides, heights = (axis.ravel() for axis in grid)
     kept = np.sort(rng.permutation(len(stations))[: site.candidates])
     places, heights = _plan(site, stations[kept], sides[kept]), heights[kept]
-    trunks = _plan(site, rng.uniform(0, LENGTH_M, 25), rng.choice([-edge, edge], 25))
-    radii = rng.uniform(0.15, 0.4, 25)
-    rows = [_seen(site, targets, place, height, trunks, radii)
+    trees = round(length_m / 10)
+    trunks = _plan(site, rng.uniform(0, length_m, trees), rng.choice([-edge, edge], trees))
+    radii = rng.uniform(0.15, 0.4, trees)
+    rows = [sparse.csr_matrix(_seen(site, targets, place, height, trunks, radii))
             for place, height in zip(places, heights, strict=True)]  # fmt: skip
-    seen = sparse.csr_matrix(np.array(rows))
+    seen = sparse.vstack(rows, format="csr")
+    if site.holes:
+        seen = _with_holes(seen, site.holes, rng)
     return seen[:, np.flatnonzero(np.diff(seen.tocsc().indptr))].tocsr()
+
+
+def _with_holes(
+    seen: sparse.csr_matrix, share: float, rng: np.random.Generator
+) -> sparse.csr_matrix:
+    kept = sparse.csr_matrix((rng.random(seen.nnz) >= share, seen.indices, seen.indptr), seen.shape)
+    kept.eliminate_zeros()
+    return kept
 
 
 def _plan(
@@ -90,7 +123,13 @@ def _plan(
 
 
 def _seen(site, targets, place, height, trunks, radii) -> NDArray[np.bool_]:
-    away = targets - place
+    seen = np.zeros(len(targets), bool)
+    near = np.flatnonzero((np.abs(targets - place) <= site.range_m).all(axis=1))
+    seen[near] = _seen_nearby(site, targets[near] - place, height, trunks - place, radii)
+    return seen
+
+
+def _seen_nearby(site, away, height, trunks, radii) -> NDArray[np.bool_]:
     distance = np.hypot(*away.T)
     elevations = np.linspace(-site.half_fov_deg, site.half_fov_deg, site.channels)
     foot = np.degrees(np.arctan2(-height, distance - RADIUS_M))
@@ -98,17 +137,23 @@ def _seen(site, targets, place, height, trunks, radii) -> NDArray[np.bool_]:
     channels = np.searchsorted(elevations, top, "right") - np.searchsorted(elevations, foot)
     columns = np.floor(2 * np.degrees(np.arctan2(RADIUS_M, distance)) / AZIMUTH_STEP_DEG)
     seen = (channels * columns > MIN_BEAMS) & (np.hypot(distance, height) <= site.range_m)
-    for trunk, radius in zip(trunks - place, radii, strict=True):
-        if np.hypot(*trunk) < 1:
+    for trunk, radius in zip(trunks, radii, strict=True):
+        if not 1 <= np.hypot(*trunk) <= site.range_m:
             continue
         share = np.clip(away @ trunk / np.maximum(distance**2, 1e-9), 0, 1)
         seen &= np.hypot(*(trunk - share[:, None] * away).T) > radius
     return seen
 
 
-def plain_highs(matrix: sparse.csr_matrix, limit_s: float) -> tuple[float, float]:
-    """Objective and bound of the whole integer program, unit costs, absolute gap 0.999."""
+def plain_highs(
+    matrix: sparse.csr_matrix, limit_s: float, costs: ArrayLike | None = None
+) -> tuple[float, float]:
+    """Objective and bound of the whole integer program, unit costs or given whole ones.
+
+    The absolute gap is 0.999.
+    """
     choices, targets = matrix.shape
+    price = np.ones(choices) if costs is None else np.asarray(costs, np.float64)
     highs = highspy.Highs()
     settings = {"output_flag": False, "threads": 1, "random_seed": 1, "mip_abs_gap": 0.999,
                 "mip_rel_gap": 0.0, "time_limit": limit_s}  # fmt: skip
@@ -116,7 +161,7 @@ def plain_highs(matrix: sparse.csr_matrix, limit_s: float) -> tuple[float, float
         highs.setOptionValue(name, value)
     columns = np.arange(choices, dtype=np.int32)
     highs.addVars(choices, np.zeros(choices), np.ones(choices))
-    highs.changeColsCost(choices, columns, np.ones(choices))
+    highs.changeColsCost(choices, columns, price)
     highs.changeColsIntegrality(choices, columns, np.full(choices, highspy.HighsVarType.kInteger))
     rows = matrix.T.tocsr()
     highs.addRows(targets, np.ones(targets), np.full(targets, np.inf), rows.nnz,
@@ -151,20 +196,55 @@ def _agreement(cover: Cover, value: float, bound: float) -> tuple[float, str]:
     ), f"bounds agree: ours {ours}, HiGHS {value:.0f} [{lifted:.0f}] {theirs}"
 
 
-def rows(quick: bool) -> list[dict[str, Any]]:
-    """Rows of the benchmark; ``quick`` takes one small corridor."""
-    small = detection_matrix(QUICK[0])
+def rows(size: Size) -> list[dict[str, Any]]:
+    """Rows of the benchmark: one small corridor, the study's sites, and all that is harder."""
+    small = detection_matrix(QUICK)
     solve_cover_problem(CoverProblem(small))  # compiles
-    return [compare(site, 20.0 if quick else LIMIT_S) for site in (QUICK if quick else SITES)]
+    if size == "quick":
+        return [compare(QUICK, 20.0)]
+    found = [compare(site, LIMIT_S) for site in SITES]
+    if size == "usual":
+        return found
+    harder = [compare(site, 60.0) for site in HOLES]
+    return [*found, *_public(), *harder, compare(LARGE, 300.0)]
+
+
+def _public() -> list[dict[str, Any]]:
+    """Public instances, where their folder is known."""
+    folder = Path(os.environ.get("ROADSIGHT_DATA", "")) / "setcover"
+    if not folder.is_dir():
+        print("ROADSIGHT_DATA is not set: public instances are left out")
+        return []
+    return [_public_row(folder / name, best) for name, best in PUBLIC.items()]
+
+
+def _public_row(path: Path, best: float) -> dict[str, Any]:
+    """One public instance beside the best value that is listed for it."""
+    elements = "camera" in path.name
+    matrix, costs = (read_element_list(path), None) if elements else read_set_list(path)
+    problem = CoverProblem(matrix, costs)
+    cover, ours_s, ours_mib = measured(lambda: solve_cover_problem(problem, LIMIT_S))
+    (value, bound), theirs_s, theirs_mib = measured(lambda: plain_highs(matrix, LIMIT_S, costs))
+    return row(
+        "set cover, public instance",
+        ("row-generated relaxation, target-pair branching", ours_s, ours_mib),
+        ("HiGHS", theirs_s, theirs_mib),
+        (
+            float(cover.objective <= best),
+            f"at or below the listed {best:g}: ours {cover.objective:g} [{cover.bound:g}]"
+            f" {cover.status}, HiGHS {value:g} [{bound:g}]",
+        ),
+        f"{path.stem}, {matrix.shape[1]} targets x {matrix.shape[0]} candidates",
+    )
 
 
 def main() -> None:
     """Print a table and write the rows as JSON."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--size", choices=("quick", "usual", "full"), default="usual")
     parser.add_argument("--out", type=Path, help="JSON file to write")
     arguments = parser.parse_args()
-    table = rows(arguments.quick)
+    table = rows(arguments.size)
     for line in table:
         print(f"{line['workload']:36} {line['cpu_s_ours']:8.2f} s {line['cpu_s_against']:8.2f} s"
               f" ratio {line['ratio']:6.3g}  {line['agreement_metric']}")  # fmt: skip

@@ -23,9 +23,10 @@ from bench_lidar_scene import (
     pavement_targets,
     sensor_poses,
 )
-from bench_measure import Cost, measured, row
+from bench_measure import Cost, Size, measured, row
 from roadsight.placement.detection import MIN_BEAMS, count_hits
 from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.rays import beam_directions
 from roadsight.placement.sensors import Sensor, load_sensors
 from roadsight.placement.surfel_lidar import SurfelLidar
 from roadsight.scene.surfels import Surfels, build_surfels
@@ -35,14 +36,16 @@ from roadsight.synthetic.highway import Highway, build_highway
 SENSORS = ("OS-128", "VLP-16")
 WRONG_M = 0.5
 SURFEL, HYBRID, EXACT = "surfel", "hybrid (Algorithm 1)", "exact ray casting"
+RAYS = "bound: rays alone"
 SITE = (1_900, 6_239)
 """Candidates and targets of the study's second site."""
 
 Render = Callable[[Sensor, NDArray[np.float64], float], NDArray[np.float32]]
 
 
-def rows(quick: bool) -> list[dict[str, Any]]:
-    """All comparisons; ``quick`` uses a short road and thin clouds."""
+def rows(size: Size) -> list[dict[str, Any]]:
+    """All comparisons; quick ones use a short road and thin clouds."""
+    quick = size == "quick"
     highway = build_highway(1, 60.0 if quick else 250.0)
     points = 300_000 if quick else 3_700_000
     sensors = load_sensors(Path(__file__).parents[1] / "config" / "sensors.yaml")
@@ -110,7 +113,10 @@ def _depth_maps(
     lidar: SurfelLidar,
     poses: list[Pose],
 ) -> tuple[dict[str, NDArray[np.float32]], dict[str, Cost]]:
-    """Depth maps (poses, rows, columns) of the three models and of the truth; cost of one map."""
+    """Depth maps (poses, rows, columns) of the three models and of the truth; cost of one map.
+
+    The rays alone, with nothing done before or after, are what no map of surfels can undercut.
+    """
     ways: dict[str, Render] = {
         SURFEL: lidar.depth_map,
         HYBRID: partial(hybrid_depth, cloud),
@@ -123,6 +129,15 @@ def _depth_maps(
             lambda render=render: [render(sensor, *pose) for pose in poses]
         )
         depths[way], costs[way] = np.stack(maps), (way, cpu_s / len(poses), peak)
+    beams = [beam_directions(sensor, yaw_deg).reshape(-1, 3) for _, yaw_deg in poses]
+    hits, cpu_s, peak = measured(
+        lambda: [
+            lidar.cast(position_m, beam, sensor.range_m)
+            for (position_m, _), beam in zip(poses, beams, strict=True)
+        ]
+    )
+    ranges = np.where(np.isfinite(hits), hits, 0).reshape(depths[SURFEL].shape)
+    depths[RAYS], costs[RAYS] = ranges, (RAYS, cpu_s / len(poses), peak)
     return depths, costs
 
 
@@ -140,7 +155,7 @@ def _depth_rows(
     work = f"{beams} beams, {points} points of a {scan}, {len(depths[EXACT])} poses"
     return [
         row(
-            f"depth map {name}",
+            f"depth map {name}, {scan}",
             costs[SURFEL],
             costs[way],
             (right[SURFEL], f"beams within {WRONG_M} m of the truth (theirs {right[way]:.4f})"),
@@ -179,7 +194,7 @@ def _detection_rows(
         )
     sample = np.linspace(0, len(targets) - 1, 12).astype(int)
     rendered, render_s, render_peak = measured(
-        lambda: _rendered_hits(depths[SURFEL][0], sensor, poses[0], targets[sample])
+        lambda: rendered_hits(depths[SURFEL][0], sensor, poses[0], targets[sample])
     )
     ours_s = spent[SURFEL] / (len(poses) * len(targets)) * SITE[1]
     theirs_s = render_s / len(sample) * SITE[1]
@@ -204,7 +219,7 @@ def _detection_rows(
     ]
 
 
-def _rendered_hits(
+def rendered_hits(
     depth: NDArray[np.float32], sensor: Sensor, pose: Pose, targets: NDArray[np.float64]
 ) -> list[int]:
     """The published way: a depth map of each target alone, compared with the scene's."""

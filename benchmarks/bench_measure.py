@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import math
 import os
 import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 Cost = tuple[str, float, float | None]
 """Name, CPU seconds, added peak MiB."""
+
+Size = Literal["quick", "usual", "full"]
+"""Workloads: small ones for tests, those of every day, and the published ones with their tens."""
 
 
 def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
@@ -76,7 +80,7 @@ def row(
         "ratio": against[1] / max(ours[1], 1e-9),
         "peak_mib_ours": ours[2],
         "peak_mib_against": against[2],
-        "agreement": round(agreement[0], 4),
+        "agreement": None if math.isnan(agreement[0]) else round(agreement[0], 4),
         "agreement_metric": agreement[1],
         "workload": workload,
     }

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bench_measure import measured, row
+from bench_measure import Size, measured, row
 from roadsight.scene.clusters import euclidean_clusters
 from roadsight.scene.describe import describe_ground
 from roadsight.scene.ground import GroundSettings
@@ -25,9 +25,9 @@ def ground_cloud(points: int, seed: int = 1) -> NDArray[np.float64]:
     return np.column_stack([x, y, 0.02 * x + rng.normal(0, sigma)])
 
 
-def rows(quick: bool) -> list[dict[str, Any]]:
+def rows(size: Size) -> list[dict[str, Any]]:
     """Benchmarks of the scene stages; peers that are not installed are left out."""
-    cloud = ground_cloud(100_000 if quick else 1_000_000)
+    cloud = ground_cloud(100_000 if size == "quick" else 1_000_000)
     found = [_ground(cloud)]
     try:
         import open3d  # noqa: F401, PLC0415

@@ -1,41 +1,61 @@
-"""All side-by-side benchmarks: ``make bench`` writes ``results/bench/bench.json`` and a table."""
+"""All side-by-side benchmarks: ``make bench`` writes ``results/bench/bench.json`` and a page."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
-import json
 import os
 import platform
 import sys
+from importlib import resources
 from pathlib import Path
+from typing import get_args
 
 sys.path.insert(0, str(Path(__file__).parent))
 for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(variable, "1")
 
-PROGRAMS = ("bench_scene", "bench_lidar", "bench_raster", "bench_alignment", "bench_cover")
+from bench_measure import Size  # noqa: E402  # the number of threads is settled before
+from roadsight import __version__  # noqa: E402
+from roadsight.io.atomic import write_json  # noqa: E402
+from roadsight.report.bench_page import ASSETS, render_bench  # noqa: E402
+
+PROGRAMS = (
+    "bench_scene",
+    "bench_lidar",
+    "bench_raster",
+    "bench_alignment",
+    "bench_cover",
+    "bench_jobs",
+)
 
 
 def main() -> None:
-    """Run the programs and print one line per kernel."""
+    """Run the programs, print one line per kernel and write the page."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True)
-    parser.add_argument("--quick", action="store_true", help="small workloads, for tests")
+    parser.add_argument("--size", choices=get_args(Size), default="usual", help="workloads")
     parser.add_argument("--only", choices=PROGRAMS, help="one program")
     arguments = parser.parse_args()
     rows = []
     for name in [arguments.only] if arguments.only else PROGRAMS:
-        rows += importlib.import_module(name).rows(arguments.quick)
-    arguments.out.parent.mkdir(parents=True, exist_ok=True)
-    arguments.out.write_text(json.dumps(rows, indent=2) + "\n")
-    print(f"\n{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
+        rows += importlib.import_module(name).rows(arguments.size)
+        write_json(arguments.out, rows)  # what is there stays, whatever comes next
+    machine = f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}"
+    page = arguments.out.with_name("index.html")
+    page.write_text(render_bench(rows, _assets(), __version__, machine), encoding="utf-8")
+    print(f"\n{machine}; page: {page}")
     for row in rows:
         print(
             f"{row['kernel']:36} {row['cpu_s_ours']:9.3f} s against {row['against']:28}"
             f" {row['cpu_s_against']:9.3f} s  ratio {row['ratio']:7.3g}"
             f"  {row['agreement_metric']} {row['agreement']}"
         )
+
+
+def _assets() -> dict[str, str]:
+    folder = resources.files("roadsight.report") / "assets"
+    return {name: (folder / name).read_text(encoding="utf-8") for name in ASSETS}
 
 
 if __name__ == "__main__":

@@ -186,6 +186,7 @@ EVIDENCE_PAGES = {
     "Accuracy and time": "results/tradeoffs/index.html",
     "Hard cases": "results/hardcases/index.html",
     "Effects audited": "results/audit/index.html",
+    "Benchmarks": "results/bench/index.html",
 }
 
 
