@@ -8,7 +8,7 @@ empty :=
 space := $(empty) $(empty)
 
 .DEFAULT_GOAL := help
-.PHONY: help run real test test-full bench bench-full lint format config lock dag clean
+.PHONY: help run real studio studio-vendor test test-full bench bench-full lint format config lock dag clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -30,6 +30,9 @@ run: .venv/.installed ## install from the lock and run the workflow on the embed
 real: .venv/.installed ## run the workflow on the real clouds under ROADSIGHT_DATA
 	@test -n "$$ROADSIGHT_DATA" || { echo "make real: set ROADSIGHT_DATA to the folder that holds clouds/" >&2; exit 2; }
 	$(BIN)/snakemake --cores $(CORES) --config 'sites=[$(subst $(space),$(comma),$(REAL_SITES))]'
+
+studio: .venv/.installed ## the local web application: see, draw, register, run
+	$(BIN)/roadsight studio
 
 test: .venv/.installed-dev ## the test suite
 	$(BIN)/python -m pytest -m "not full" -n $(CORES) --dist loadgroup
@@ -64,6 +67,10 @@ lock: ## resolve the dependencies anew (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
 	  --custom-compile-command "make lock" --extra dev --extra peers --extra slurm --extra cluster -c envs/requirements.lock \
 	  pyproject.toml -o envs/requirements-dev.lock
+
+studio-vendor: ## bundle the studio's JavaScript libraries anew from web/package-lock.json (needs npm)
+	cd web && npm ci --no-audit --no-fund && npm run build
+	cp web/node_modules/three/LICENSE workflow/roadsight/studio/assets/vendor/three.LICENSE
 
 clean: ## remove results, logs and the environment
 	rm -rf results logs .snakemake .venv

@@ -22,6 +22,7 @@ COMMANDS = (
     "register",
     "triangulate",
     "estimate",
+    "studio",
 )
 
 

@@ -14,6 +14,8 @@ rule place_candidates:
         dem=rules.build_dem.output.dem,
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
+        zones=beside_site("placement.zones"),
+        mounts=beside_site("placement.mounts"),
         decided=after_profile("overhead_cover"),
         code=sources("place_candidates"),
     output:
@@ -34,6 +36,7 @@ rule place_candidates:
         height_step_m=setting("candidates.height_step_m"),
         search_radius_m=setting("candidates.search_radius_m"),
         gap_factor=setting("candidates.gap_factor"),
+        arm_m=setting("candidates.arm_m"),
         overhead_cover=decision_on("overhead_cover"),
     shell:
         "python -m roadsight.stages.place_candidates --site {wildcards.site}"
@@ -41,6 +44,7 @@ rule place_candidates:
         " --cloud {input.cloud} --frame {input.frame} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
+        " --zones {input.zones:q} --mounts {input.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"
 
@@ -238,6 +242,8 @@ rule densify_candidates:
         dem=rules.build_dem.output.dem,
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
+        zones=beside_site("placement.zones"),
+        mounts=beside_site("placement.mounts"),
         decided=after_profile("overhead_cover"),
         code=sources("densify_candidates"),
     output:
@@ -258,6 +264,7 @@ rule densify_candidates:
         height_step_m=setting("candidates.height_step_m"),
         search_radius_m=setting("candidates.search_radius_m"),
         gap_factor=setting("candidates.gap_factor"),
+        arm_m=setting("candidates.arm_m"),
         overhead_cover=decision_on("overhead_cover"),
     shell:
         "python -m roadsight.stages.densify_candidates --site {wildcards.site}"
@@ -267,5 +274,6 @@ rule densify_candidates:
         " --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
+        " --zones {input.zones:q} --mounts {input.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"

@@ -117,6 +117,9 @@ class Candidates(Section):
         le=20,
         description="a gap is free when wider than this many vertical spacings",
     )
+    arm_m: Metres = Field(
+        default=0.75, description="sensors on existing poles hang this far off them, m"
+    )
 
     @model_validator(mode="after")
     def _ordered(self) -> Candidates:

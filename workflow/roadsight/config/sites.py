@@ -51,6 +51,12 @@ class PlacementInputs(Section):
     tma: str | None = Field(
         default=None, description="polygon of the monitored area; found if absent"
     )
+    zones: str | None = Field(
+        default=None, description="polygons in which no sensor may stand, e.g. GeoJSON"
+    )
+    mounts: str | None = Field(
+        default=None, description="existing poles that may carry sensors: points, height_m"
+    )
     plans: list[str] | None = Field(
         default=None, description="plans to solve; all of them if absent"
     )

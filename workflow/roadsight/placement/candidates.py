@@ -133,7 +133,7 @@ def stack_candidates(
     Parameters
     ----------
     positions : columns key (str, stable name of the position), x, y, ground_z_m, yaw_deg, edge,
-        station_m, mount.
+        station_m, mount; and top_m, where a pole ends (NaN: anywhere).
     obstacles_xyz_m : (n, 3) all points of the scene near the edges, local metres.
     obstacle_heights_m : (n,) their heights above ground.
 
@@ -145,11 +145,14 @@ def stack_candidates(
     tree = cKDTree(obstacles_xyz_m[:, :2])
     xy = positions[["x", "y"]].to_numpy()
     near = tree.query_ball_point(xy, settings.search_radius_m, return_sorted=True)
+    tops = positions.get("top_m", pd.Series(np.nan, positions.index)).to_numpy(np.float64)
     rows, heights = [], []
     for row, index in enumerate(near):
         point_heights = obstacle_heights_m[index]
         offsets = obstacles_xyz_m[index][:, :2] - xy[row]
         free = free_heights_m(point_heights, settings)
+        if np.isfinite(tops[row]):
+            free = free[free <= tops[row]]
         if settings.roofs:
             free = free[free < roof_height_m(offsets, point_heights, settings)]
         rows += [row] * len(free)

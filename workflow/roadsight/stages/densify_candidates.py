@@ -17,6 +17,7 @@ from roadsight.stages.command import run_stage
 from roadsight.stages.place_candidates import (
     COLUMNS,
     add_candidate_arguments,
+    allowed_positions,
     candidates_at,
     read_road,
 )
@@ -37,6 +38,7 @@ def densify_candidates(arguments: argparse.Namespace) -> None:
         finer = 2**arguments.round
         edges, pavement = read_road(arguments, frame)
         positions = positions_along(edges, pavement, arguments.spacing_m / finer)
+        positions = allowed_positions(positions, pavement, arguments, frame)
         positions = positions[near_gaps(positions, gaps_xy, arguments.radius_m)]
         if len(positions):
             step_m = arguments.height_step_m / finer

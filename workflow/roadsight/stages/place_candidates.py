@@ -16,12 +16,14 @@ from shapely import MultiPolygon
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
+from roadsight.io.mount_files import read_mounts
 from roadsight.io.rasters import read_raster
 from roadsight.io.tables import write_table
 from roadsight.io.tiles import CloudTiles, stack_xyz
-from roadsight.io.vectors import read_layer
+from roadsight.io.vectors import read_layer, read_polygons
 from roadsight.placement.candidates import HeightSettings, stack_candidates
 from roadsight.placement.positions import positions_along
+from roadsight.placement.sites_for_sensors import outside_zones, positions_on_poles
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("place_candidates")
@@ -36,17 +38,36 @@ def place_candidates(arguments: argparse.Namespace) -> None:
     """Write the candidates of round 0."""
     frame = Frame.from_dict(read_json(arguments.frame))
     edges, pavement = read_road(arguments, frame)
-    positions = positions_along(edges, pavement, arguments.spacing_m)
+    positions = allowed_positions(
+        positions_along(edges, pavement, arguments.spacing_m), pavement, arguments, frame
+    )
     candidates = candidates_at(positions, arguments, frame, arguments.height_step_m)
     if candidates.empty:
         raise InputError(
             "no candidate: every position along the edges is obstructed or off the terrain model",
             where=f"site {arguments.site}",
             found=f"{len(positions)} positions",
-            hint="move the edges (edges.offset_m, placement.edges) or widen the height range",
+            hint="move the edges (edges.offset_m, placement.edges), make the zones without sensors"
+            " smaller (placement.zones) or widen the height range",
         )
     log.info("%d candidates at %d positions", len(candidates), candidates["key"].nunique())
     write_table(arguments.out, candidates[COLUMNS])
+
+
+def allowed_positions(
+    positions: pd.DataFrame, pavement: MultiPolygon, arguments: argparse.Namespace, frame: Frame
+) -> pd.DataFrame:
+    """Positions along the edges and on existing poles, without those in zones for no sensor."""
+    if arguments.mounts:
+        poles = read_mounts(arguments.mounts, frame)
+        hung = positions_on_poles(poles, pavement, arguments.arm_m)
+        positions = pd.concat([positions, hung], ignore_index=True)
+    if not arguments.zones:
+        return positions
+    zones = list(read_polygons(arguments.zones, frame).geometry)
+    free = outside_zones(positions[["x", "y"]].to_numpy(np.float64), zones)
+    log.info("%d of %d positions lie in zones without sensors", (~free).sum(), len(positions))
+    return positions[free].reset_index(drop=True)
 
 
 def read_road(arguments: argparse.Namespace, frame: Frame) -> tuple[gpd.GeoDataFrame, MultiPolygon]:
@@ -103,6 +124,9 @@ def add_candidate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--height-step-m", type=float, default=0.5)
     parser.add_argument("--search-radius-m", type=float, default=0.5)
     parser.add_argument("--gap-factor", type=float, default=2.0)
+    parser.add_argument("--zones", nargs="?", help="polygons in which no sensor may stand")
+    parser.add_argument("--mounts", nargs="?", help="existing poles that may carry sensors")
+    parser.add_argument("--arm-m", type=float, default=0.75, help="from a pole to its sensor")
     parser.add_argument("--overhead-cover", choices=["simulate", "skip"], default="simulate")
 
 

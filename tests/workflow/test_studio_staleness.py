@@ -1,0 +1,41 @@
+"""What is drawn and saved in the studio makes exactly what depends on it stale."""
+
+from __future__ import annotations
+
+import pytest
+
+from roadsight.studio.drawing import load_drawing, save_drawing
+from roadsight.studio.project import Project
+from roadsight.studio.shapes import Drawing
+from tests.workflow.conftest import with_followers
+from tests.workflow.test_staleness import READERS
+
+pytestmark = pytest.mark.xdist_group("workflow")
+
+
+def saved(checkout, monkeypatch, **layers):
+    """Save layers of the small site as the studio does."""
+    monkeypatch.chdir(checkout.folder)
+    return save_drawing(Project(checkout.folder), "tiny", Drawing.model_validate(layers))
+
+
+def drawn(checkout, monkeypatch):
+    monkeypatch.chdir(checkout.folder)
+    return load_drawing(Project(checkout.folder).site("tiny"))
+
+
+def test_saved_edges_make_the_edges_and_what_follows_stale(copy_of_finished, monkeypatch):
+    edges = drawn(copy_of_finished, monkeypatch)["edges"]
+    edges[0]["points"][1][0] += 0.5
+    assert "config/sites/tiny/edges.geojson" in saved(copy_of_finished, monkeypatch, edges=edges)
+    assert copy_of_finished.stale_rules() == with_followers(READERS, "build_edges")
+
+
+def test_saved_zones_make_the_candidates_and_what_follows_stale(copy_of_finished, monkeypatch):
+    x, y = drawn(copy_of_finished, monkeypatch)["edges"][0]["points"][0]
+    zone = {"name": "z", "points": [[x, y], [x + 9, y], [x + 9, y + 9], [x, y + 9]]}
+    saved(copy_of_finished, monkeypatch, zones=[zone])
+    stale = with_followers(READERS, "place_candidates", "densify_candidates")
+    assert copy_of_finished.stale_rules() == stale
+    saved(copy_of_finished, monkeypatch, zones=[])
+    assert copy_of_finished.stale_rules() == set()

@@ -1,0 +1,1 @@
+"""The local web application: see it, draw it, register it, run it."""

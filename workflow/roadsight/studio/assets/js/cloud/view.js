@@ -1,0 +1,304 @@
+// The cloud in plan or in three dimensions, with a canvas over it for drawings.
+//
+// While the camera moves, a frame shows as many points as can be drawn in time, coarse levels first.
+// When it rests, the other points are added over the next frames, without clearing.
+
+import { el, themeColour } from "../dom.js";
+import { Color, MapControls, OrthographicCamera, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "../vendor.js";
+import { modeNumber, pointMaterial } from "./material.js";
+import { Tiles } from "./tiles.js";
+
+const FRAME_MS = { slow: 45, fast: 22 };
+const BUDGET = { least: 60_000, first: 600_000 };
+const FIELD_OF_VIEW_DEG = 50;
+
+export class CloudView {
+  constructor(stem, about, options = {}) {
+    this.about = about;
+    this.canvas = el("canvas", { tabIndex: 0, "aria-label": "Map of the cloud: drag to move, wheel to zoom, right button to turn in 3D" });
+    this.over = el("canvas", { className: "over" });
+    this.element = el("div", { className: "view" }, this.canvas, this.over);
+    this.scene = new Scene();
+    this.scene.matrixWorldAutoUpdate = false;
+    this.material = pointMaterial();
+    this.renderer = new WebGLRenderer({ canvas: this.canvas, antialias: false, preserveDrawingBuffer: true, powerPreference: "high-performance" });
+    this.renderer.autoClear = false;
+    this.tiles = new Tiles(stem, about, this.scene, this.material, () => this.draw());
+    this.tiles.onerror = options.onerror;
+    this.ondraw = options.ondraw ?? (() => {});
+    this.budget = BUDGET.first;
+    this.stats = { frames: [], points: 0 };
+    this.setUpCameras();
+    this.setMode("plan");
+    this.resizing = new ResizeObserver(() => this.resize());
+    this.resizing.observe(this.element);
+    this.themed = () => this.draw();
+    addEventListener("themechange", this.themed);
+  }
+
+  setUpCameras() {
+    const boxes = this.about.tiles.map(({ box }) => box);
+    const low = [0, 1, 2].map((k) => Math.min(...boxes.map((box) => box[k])));
+    const high = [3, 4, 5].map((k) => Math.max(...boxes.map((box) => box[k])));
+    this.box = { low, high };
+    const middle = low.map((value, k) => (value + high[k]) / 2);
+    this.extent = Math.max(high[0] - low[0], high[1] - low[1], 1);
+    const ground = Math.min(low[2] + 0.15 * (high[2] - low[2]), middle[2]);
+    this.cameras = {
+      plan: new OrthographicCamera(-1, 1, 1, -1, 0.1, 10_000),
+      "3d": new PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.3, 20 * this.extent + 500),
+    };
+    this.controls = {};
+    for (const [mode, camera] of Object.entries(this.cameras)) {
+      camera.up.set(0, 0, 1);
+      const target = new Vector3(middle[0], middle[1], ground);
+      if (mode === "plan") {
+        camera.up.set(0, 1, 0);
+        camera.position.set(target.x, target.y, 5000);
+      } else camera.position.set(target.x, target.y - 0.55 * this.extent, ground + 0.35 * this.extent);
+      const controls = new MapControls(camera, this.canvas);
+      Object.assign(controls, { enableDamping: false, zoomToCursor: true, screenSpacePanning: mode === "plan", enableRotate: mode === "3d", maxPolarAngle: (mode === "3d" ? 0.495 : 1) * Math.PI });
+      if (mode === "plan") controls.minZoom = 1e-4;
+      else controls.minDistance = 1;
+      controls.target.copy(target);
+      controls.update();
+      controls.enabled = false;
+      controls.addEventListener("change", () => this.moved());
+      this.controls[mode] = controls;
+    }
+  }
+
+  setMode(mode) {
+    const before = this.control;
+    this.mode = mode;
+    for (const [name, controls] of Object.entries(this.controls)) controls.enabled = name === mode;
+    if (before && before !== this.control) this.lookFrom(before);
+    this.draw();
+  }
+
+  get camera() { return this.cameras[this.mode]; }
+  get control() { return this.controls[this.mode]; }
+
+  // The new mode looks at the same place, about as near.
+  lookFrom(before) {
+    const { target } = before;
+    if (this.mode === "plan") this.centre(target.x, target.y);
+    else {
+      const shift = target.clone().sub(this.control.target).setZ(0);
+      this.control.target.add(shift);
+      this.camera.position.add(shift);
+      const wide = this.size[1] / this.cameras.plan.zoom;
+      const away = wide / (2 * Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360));
+      const ray = this.camera.position.clone().sub(this.control.target).setLength(Math.max(away, 3));
+      this.camera.position.copy(this.control.target).add(ray);
+      this.control.update();
+    }
+  }
+
+  centre(x, y, metresAcross = null) {
+    const { camera, control } = this;
+    const shift = new Vector3(x - control.target.x, y - control.target.y, 0);
+    control.target.add(shift);
+    camera.position.add(shift);
+    if (metresAcross && this.mode === "plan") {
+      camera.zoom = this.size[0] / metresAcross;
+      camera.updateProjectionMatrix();
+    }
+    control.update();
+    this.moved();
+  }
+
+  // Moves and zooms by keys; whether the key meant that.
+  onKey({ key, shiftKey }) {
+    const step = (shiftKey ? 0.4 : 0.1) * this.size[1];
+    const pan = { ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] }[key];
+    if (pan) this.pan(...pan);
+    else if (key === "+" || key === "=") this.zoomBy(1.3);
+    else if (key === "-") this.zoomBy(1 / 1.3);
+    else return false;
+    return true;
+  }
+
+  // Move by pixels, to the right and up as the window shows them.
+  pan(right, up) {
+    const { camera, control } = this;
+    const away = camera.position.distanceTo(control.target);
+    const scale = this.mode === "plan" ? 1 / camera.zoom : (away * 2 * Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360)) / this.size[1];
+    const side = new Vector3().setFromMatrixColumn(camera.matrixWorld, 0);
+    const ahead = new Vector3(-side.y, side.x, 0);
+    const shift = side.multiplyScalar(right * scale).add(ahead.multiplyScalar(up * scale));
+    control.target.add(shift);
+    camera.position.add(shift);
+    control.update();
+    this.moved();
+  }
+
+  zoomBy(factor) {
+    const { camera, control } = this;
+    if (this.mode === "plan") {
+      camera.zoom *= factor;
+      camera.updateProjectionMatrix();
+    } else camera.position.sub(control.target).divideScalar(factor).add(control.target);
+    control.update();
+    this.moved();
+  }
+
+  setColour(name) {
+    this.material.uniforms.u_mode.value = modeNumber(name);
+    this.draw();
+  }
+
+  setPointSize(metres) {
+    this.material.uniforms.u_size.value = metres;
+    this.draw();
+  }
+
+  resize() {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    if (!width || !height) return;
+    const first = !this.size;
+    this.size = [width, height];
+    const ratio = Math.min(devicePixelRatio, 2);
+    this.renderer.setPixelRatio(ratio);
+    this.renderer.setSize(width, height, false);
+    [this.over.width, this.over.height] = [width * ratio, height * ratio];
+    const { plan, "3d": space } = this.cameras;
+    Object.assign(plan, { left: -width / 2, right: width / 2, top: height / 2, bottom: -height / 2 });
+    if (first) {
+      const { low, high } = this.box;
+      plan.zoom = 0.94 * Math.min(width / Math.max(high[0] - low[0], 1), height / Math.max(high[1] - low[1], 1));
+    }
+    plan.updateProjectionMatrix();
+    space.aspect = width / height;
+    space.updateProjectionMatrix();
+    this.moved();
+  }
+
+  moved() {
+    this.movedAt = performance.now();
+    this.draw();
+  }
+
+  // Begin a frame anew; further calls before it is drawn cost nothing.
+  draw() {
+    this.restart = true;
+    this.request();
+  }
+
+  // Only what is drawn over the cloud has changed.
+  redraw() {
+    this.overOnly = true;
+    this.request();
+  }
+
+  request() {
+    if (this.requested || this.closed || !this.size) return;
+    this.requested = requestAnimationFrame((now) => { this.requested = 0; this.frame(now); });
+  }
+
+  pixelsPerMetre(bounds) {
+    if (this.mode === "plan") return this.camera.zoom;
+    const distance = Math.max(bounds.distanceToPoint(this.camera.position), 1);
+    return this.size[1] / (2 * Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360) * distance);
+  }
+
+  frame(now) {
+    const moving = now - (this.movedAt ?? 0) < 150;
+    if (this.restart) this.begin();
+    const drew = this.slice();
+    this.adapt(now, moving && drew);
+    if (this.overOnly || this.began) this.drawOver();
+    this.overOnly = this.began = false;
+    if (this.pending.length) this.request();
+    else if (moving) this.request();
+  }
+
+  begin() {
+    this.restart = false;
+    this.began = true;
+    this.camera.updateMatrixWorld();
+    this.pending = this.tiles.update(this.camera, (bounds) => this.pixelsPerMetre(bounds));
+    const ratio = this.renderer.getPixelRatio();
+    const { uniforms } = this.material;
+    uniforms.u_scale.value = ratio * (this.mode === "plan" ? this.camera.zoom : this.size[1] / (2 * Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360)));
+    uniforms.u_least.value = 2 * ratio;
+    uniforms.u_most.value = 5 * ratio;
+    this.renderer.setClearColor(new Color(themeColour("canvas")), 1);
+    this.renderer.clear();
+    this.stats.points = 0;
+    this.stats.wanted = this.pending.reduce((sum, points) => sum + points.userData.count, 0);
+  }
+
+  // Draw the next points of the frame, as many as fit.
+  slice() {
+    this.pending ??= [];
+    let room = this.budget;
+    const shown = [];
+    while (this.pending.length && (room > 0 || !shown.length)) {
+      const points = this.pending.shift();
+      room -= points.userData.count;
+      shown.push(points);
+    }
+    if (!shown.length) return false;
+    for (const points of shown) points.visible = true;
+    this.renderer.render(this.scene, this.camera);
+    for (const points of shown) points.visible = false;
+    this.stats.points += shown.reduce((sum, points) => sum + points.userData.count, 0);
+    return true;
+  }
+
+  // More points in a frame where frames come fast, fewer where they come late.
+  adapt(now, busy) {
+    const took = now - (this.drawnAt ?? now);
+    this.drawnAt = now;
+    if (!busy || took <= 0 || took > 1000) return;
+    this.stats.frames.push(took);
+    if (this.stats.frames.length > 600) this.stats.frames.shift();
+    if (took > FRAME_MS.slow) this.budget = Math.max(BUDGET.least, 0.7 * this.budget);
+    else if (took < FRAME_MS.fast) this.budget = Math.min(this.tiles.mostPoints, 1.15 * this.budget);
+  }
+
+  get settled() {
+    return !this.requested && !this.restart && this.tiles.complete && !this.tiles.fetching.size;
+  }
+
+  drawOver() {
+    const context = this.over.getContext("2d");
+    const ratio = this.renderer.getPixelRatio();
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.clearRect(0, 0, ...this.size);
+    this.ondraw(context, this);
+  }
+
+  // Pixel of a place; null behind the camera.
+  project(x, y, z = 0) {
+    if (this.mode === "plan") {
+      const { position, zoom } = this.camera;
+      return [this.size[0] / 2 + (x - position.x) * zoom, this.size[1] / 2 - (y - position.y) * zoom];
+    }
+    const place = new Vector3(x, y, z).applyMatrix4(this.camera.matrixWorldInverse);
+    if (place.z > -0.1) return null;
+    place.applyMatrix4(this.camera.projectionMatrix);
+    return [((place.x + 1) / 2) * this.size[0], ((1 - place.y) / 2) * this.size[1]];
+  }
+
+  // Place under a pixel of the plan.
+  unproject(px, py) {
+    const { position, zoom } = this.cameras.plan;
+    return [position.x + (px - this.size[0] / 2) / zoom, position.y - (py - this.size[1] / 2) / zoom];
+  }
+
+  get metresPerPixel() { return 1 / this.cameras.plan.zoom; }
+
+  close() {
+    this.closed = true;
+    cancelAnimationFrame(this.requested);
+    removeEventListener("themechange", this.themed);
+    this.resizing.disconnect();
+    for (const controls of Object.values(this.controls)) controls.dispose();
+    this.tiles.close();
+    this.material.dispose();
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
+  }
+}

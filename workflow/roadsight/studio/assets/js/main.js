@@ -1,0 +1,106 @@
+// The frame around the pages: token, site, theme, keys, and which page is shown.
+
+import { get, takeToken } from "./api.js";
+import { button, el, note, showKeys, typing } from "./dom.js";
+
+const PAGES = {
+  edges: { title: "Road edges", load: () => import("./edges/page.js") },
+};
+const KEYS = { "Alt 1…4": "page", "T": "theme", "?": "these keys" };
+const THEME = "roadsight-theme";
+const studio = (window.studio = { page: null, project: null });
+
+const address = () => {
+  const [, page, stem] = /^#\/(\w+)\/([\w.-]+)$/.exec(location.hash) ?? [];
+  const { sites } = studio.project;
+  return { page: PAGES[page] ? page : "edges", site: sites.find((site) => site.stem === stem) ?? sites[0] };
+};
+
+function setTheme(theme) {
+  document.documentElement.dataset.theme = theme;
+  localStorage.setItem(THEME, theme);
+  const toggle = document.getElementById("theme");
+  toggle.setAttribute("aria-pressed", theme === "dark");
+  window.dispatchEvent(new Event("themechange"));
+}
+
+const flipTheme = () => setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+
+function fillTop(page, site) {
+  const list = document.getElementById("site");
+  list.replaceChildren(...studio.project.sites.map((one) => el("option", { value: one.stem }, one.stem)));
+  list.value = site.stem;
+  list.title = site.title;
+  list.onchange = () => { location.hash = `#/${address().page}/${list.value}`; };
+  document.getElementById("tabs").replaceChildren(...Object.entries(PAGES).map(([name, { title }]) =>
+    el("a", { href: `#/${name}/${site.stem}`, "aria-current": name === page ? "page" : null }, title)));
+}
+
+async function show() {
+  const { page, site } = address();
+  const main = document.getElementById("main");
+  studio.page?.close?.();
+  studio.page = null;
+  fillTop(page, site);
+  document.title = `${PAGES[page].title} · ${site.stem} · roadsight studio`;
+  main.replaceChildren(el("p", { className: "loading" }, "Loading…"));
+  const turn = (studio.turn = Symbol(page));
+  try {
+    if (site.error) throw new Error(site.error);
+    const opened = await (await PAGES[page].load()).open(site, studio.project);
+    if (studio.turn !== turn) return opened.close?.();
+    main.replaceChildren(opened.element);
+    studio.page = opened;
+    opened.onShown?.();
+  } catch (error) {
+    if (studio.turn === turn) main.replaceChildren(problem(error, site));
+  }
+}
+
+// What to do where a page cannot be shown.
+function problem(error, site) {
+  const box = el("div", { className: "page" }, el("h1", {}, site.title), el("p", { className: "message bad", role: "alert" }, error.message));
+  if (site.command && !site.there?.cloud) {
+    box.append(el("p", {}, "This site has no results yet. Run first, in the project's folder:"), el("p", {}, el("code", {}, site.command)));
+    if (PAGES.run) box.append(el("p", {}, el("a", { href: `#/run/${site.stem}` }, "or start it on the page Run")));
+  }
+  box.append(button("Try again", start));
+  return box;
+}
+
+function onKey(event) {
+  if (typing(event) || document.querySelector("dialog[open]")) return;
+  const number = event.altKey && /^Digit[1-9]$/.test(event.code) ? Number(event.code.slice(5)) : 0;
+  const page = Object.keys(PAGES)[number - 1];
+  if (page) location.hash = `#/${page}/${address().site.stem}`;
+  else if (event.key === "?") showKeys({ ...KEYS, ...studio.page?.keys });
+  else if (event.key === "t" && !event.ctrlKey && !event.metaKey) flipTheme();
+  else if (!studio.page?.onKey?.(event)) return;
+  event.preventDefault();
+}
+
+async function start() {
+  const main = document.getElementById("main");
+  try {
+    studio.project = await get("project");
+  } catch (error) {
+    const box = el("div", { className: "page" }, el("h1", {}, "The studio cannot open the project"));
+    main.replaceChildren(box);
+    box.append(el("p", { className: "message bad", role: "alert" }, error.message), button("Try again", start));
+    return;
+  }
+  if (studio.project.broken) note(studio.project.broken, "bad", 60);
+  if (!studio.project.sites.length) {
+    main.replaceChildren(el("div", { className: "page" }, el("p", { className: "message" }, "No site yet. Write one with: roadsight init CLOUD")));
+    return;
+  }
+  await show();
+}
+
+takeToken();
+setTheme(localStorage.getItem(THEME) ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
+document.getElementById("theme").onclick = flipTheme;
+document.getElementById("help").onclick = () => showKeys({ ...KEYS, ...studio.page?.keys });
+addEventListener("hashchange", () => { takeToken(); show(); });
+addEventListener("keydown", onKey);
+await start();

@@ -1,0 +1,32 @@
+"""What a request brings, checked."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+from flask import request
+from pydantic import BaseModel, ValidationError
+
+from roadsight.errors import InputError
+
+Model = TypeVar("Model", bound=BaseModel)
+_JSON = "application/json"
+
+
+def body(model: type[Model]) -> Model:
+    """Content of the request as a model.
+
+    Raises
+    ------
+    InputError : it is no JSON, or not as the model says.
+    """
+    if request.mimetype != _JSON:
+        raise InputError(
+            "is of another kind", where="request", found=request.mimetype, allowed=_JSON
+        )
+    try:
+        return model.model_validate_json(request.get_data())
+    except ValidationError as error:
+        first = error.errors(include_url=False)[0]
+        place = ".".join(map(str, first["loc"])) or "request"
+        raise InputError(first["msg"], where=place, found=first.get("input")) from error

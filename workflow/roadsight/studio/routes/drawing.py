@@ -1,0 +1,38 @@
+"""What people draw: edges, zones, mounts, monitored area."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from flask import Blueprint
+
+from roadsight.studio.drawing import current_area, load_drawing, save_drawing, terrain_of
+from roadsight.studio.preview import preview
+from roadsight.studio.project import Project
+from roadsight.studio.requests import body
+from roadsight.studio.shapes import Drawing
+
+
+def create(project: Project) -> Blueprint:
+    """Routes on the drawing of a site."""
+    routes = Blueprint("drawing", __name__)
+
+    @routes.get("/sites/<stem>/drawing")
+    def load(stem: str) -> dict[str, Any]:
+        return load_drawing(project.site(stem))
+
+    @routes.put("/sites/<stem>/drawing")
+    def save(stem: str) -> dict[str, Any]:
+        return {"changed": save_drawing(project, stem, body(Drawing))}
+
+    @routes.post("/sites/<stem>/preview")
+    def look(stem: str) -> dict[str, Any]:
+        site = project.site(stem)
+        frame = site.frame()
+        settings = site.resolved.settings.candidates
+        return preview(
+            body(Drawing), current_area(site, frame), terrain_of(site, frame),
+            settings.spacing_m, settings.arm_m,
+        )  # fmt: skip
+
+    return routes
