@@ -130,7 +130,7 @@ rule render_depth_maps:
         surfels=rules.build_surfels.output.surfels,
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
-        tilts=only_if("mount_tilt", tilts_of_round),
+        tilts=only_if("mount_tilt", tilts_of_map),
         decided=after_profile("hole_filling", "curvature_refraction"),
         code=sources("render_depth_maps"),
     output:
@@ -148,11 +148,11 @@ rule render_depth_maps:
         mem_mb=megabytes(250),
         runtime=minutes(),
     params:
-        sensor=sensor_definition,
+        sensor=sensor_of_map,
         sensors_file=CONFIG.sensors_file,
         shards=shard_count,
         model=lidar_model,
-        azimuth_stride=setting("lidar.azimuth_stride"),
+        azimuth_stride=stride_of_map,
         curvature=decision_on("curvature_refraction"),
         min_cell_points=setting("lidar.min_cell_points"),
         neighbours=setting("lidar.neighbours"),

@@ -41,7 +41,7 @@ rule model_rain:
         ENVIRONMENT
     params:
         rain_mm_h=setting("conditions.rain_mm_h"),
-        sensors=sensor_names,
+        sensors=optical_names,
     shell:
         "python -m roadsight.stages.model_rain --rain-mm-h {params.rain_mm_h}"
         " --sensors {params.sensors} --out {output.rain} > {log} 2>&1"

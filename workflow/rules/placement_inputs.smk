@@ -1,5 +1,7 @@
 """Helpers of the placement rules: plans, sensors, rounds and shards."""
 
+from roadsight.placement.light import wavelength_nm
+
 
 def plans_of(site):
     return SITES[site].plans
@@ -50,11 +52,15 @@ def candidates_in(site, rounds):
 
 def detections_in(site, rounds, sensors):
     return [
-        f"results/{site}/placement/round-{number}/detection/{sensor}/{shard}.parquet"
+        f"results/{site}/placement/round-{number}/{detections_folder(site, sensor)}/{shard}.parquet"
         for number in rounds
         for sensor in sensors
         for shard in range(shards_in(site, number))
     ]
+
+
+def detections_folder(site, sensor):
+    return f"poses/{sensor}" if is_posed(site, sensor) else f"detection/{sensor}"
 
 
 def candidates_up_to_round(wildcards):
@@ -143,13 +149,18 @@ def site_sensors_json(wildcards):
     return json.dumps(site_sensors(wildcards), sort_keys=True)
 
 
+def optical_names(wildcards):
+    """The site's LiDARs and cameras, which weather blinds."""
+    return [name for name in sensors_of(wildcards.site) if kind_of(name) != "radar"]
+
+
 def sensor_names(wildcards):
     return sensors_of(wildcards.site)
 
 
 def sensor_wavelengths(wildcards):
-    """``sensor=wavelength`` of each sensor that the site's plans may place."""
-    return [f"{n}={SENSORS[n].wavelength_nm:g}" for n in sensors_of(wildcards.site)]
+    """``sensor=wavelength`` of each LiDAR and camera that the site's plans may place."""
+    return [f"{n}={wavelength_nm(SENSORS[n]):g}" for n in optical_names(wildcards)]
 
 
 def lidar_model(wildcards):

@@ -95,7 +95,8 @@ def load_site(name: str, config: Config) -> ResolvedSite:
     settings = validated(Settings, merged(settings.model_dump(), config.overrides), "overrides")
     check_names(settings.effect_modes, load_catalogue(config.effects_file), f"{file}: effects")
     plans = load_plans(config.plans_file, config.sensors_file)
-    chosen = site.placement.plans if site.placement.plans is not None else list(plans)
+    everyday = [name for name, plan in plans.items() if not plan.on_request]
+    chosen = site.placement.plans if site.placement.plans is not None else everyday
     _check_plans(chosen, plans, f"{file}: placement.plans")
     if config.plans:
         chosen = config.plans

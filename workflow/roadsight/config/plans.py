@@ -15,6 +15,9 @@ class Plan(Section):
 
     title: str = Field(description="name for people")
     sensors: list[str] = Field(min_length=1, description="names of sensors that may be placed")
+    on_request: bool = Field(
+        default=False, description="solved only where it is asked for by its name"
+    )
 
 
 class Plans(Section):

@@ -35,6 +35,9 @@ def render_config() -> str:
 
 def _entry(name: str, field: FieldInfo, indent: str = "") -> str:
     default = field.get_default()
+    if isinstance(default, BaseModel) and indent:
+        values = ", ".join(f"{key}: {_value(value)}" for key, value in default)
+        return f"{indent}# {field.description}\n{indent}{name}: {{{values}}}\n"
     if isinstance(default, BaseModel):
         lines = [_entry(key, part, "  ") for key, part in type(default).model_fields.items()]
         about = (type(default).__doc__ or "").rstrip(".")
@@ -45,7 +48,7 @@ def _entry(name: str, field: FieldInfo, indent: str = "") -> str:
 
 def _value(value: object) -> str:
     if isinstance(value, list):
-        return f"[{', '.join(map(str, value))}]"
+        return f"[{', '.join(map(_value, value))}]"
     return f"{value:g}" if isinstance(value, float) and value < 1e5 else str(value)
 
 

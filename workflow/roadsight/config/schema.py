@@ -22,6 +22,7 @@ from roadsight.config.poles_schema import (
     Videolog,
     Voxels,
 )
+from roadsight.config.poses import Poses
 
 Metres = Annotated[float, Field(gt=0, le=1000)]
 Count = Annotated[int, Field(ge=1)]
@@ -149,6 +150,9 @@ class Targets(Section):
     min_beams: int = Field(
         default=8, ge=0, description="seen when more beams than this return from it"
     )
+    rcs_m2: float = Field(
+        default=0.16, gt=0, le=1e6, description="radar cross-section of a target, m2"
+    )
 
 
 class Lidar(Section):
@@ -217,6 +221,7 @@ class Settings(Section):
     pavement: Pavement = Pavement()
     edges: Edges = Edges()
     candidates: Candidates = Candidates()
+    poses: Poses = Poses()
     targets: Targets = Targets()
     lidar: Lidar = Lidar()
     conditions: Conditions = Conditions()

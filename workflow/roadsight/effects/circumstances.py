@@ -6,12 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from roadsight.placement.sensors import Sensor
+from roadsight.placement.sensors import AnySensor
 
 SETTINGS: dict[str, set[str] | bool] = {
     "conditions": True,
     "lidar": {"model", "min_cell_points", "mounting", "azimuth_stride"},
     "candidates": {"spacing_m", "height_min_m", "height_max_m", "height_step_m"},
+    "poses": {"panorama_step_deg"},
     "targets": {"radius_m", "height_m", "min_beams"},
     "calibration": {"hfov_deg"},
     "alignment": {"farthest_m"},
@@ -36,7 +37,7 @@ class Circumstances:
     profile: Mapping[str, Any]
     frame: Mapping[str, Any]
     settings: Mapping[str, Mapping[str, Any]]
-    sensors: Mapping[str, Sensor]
+    sensors: Mapping[str, AnySensor]
     given: Mapping[str, Any]
     drive: Mapping[str, Any] = field(default_factory=dict)
 

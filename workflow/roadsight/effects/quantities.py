@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from roadsight.effects.circumstances import Circumstances, Quantity
+from roadsight.placement.detectors import contrast_range_m
 from roadsight.placement.earth import rise_m
 from roadsight.placement.light import (
     CLEAR_M,
@@ -14,9 +15,10 @@ from roadsight.placement.light import (
     rain_extinction_per_m,
     range_in_air_m,
     reflectivity_range_m,
+    wavelength_nm,
 )
 from roadsight.placement.passing import CAR, TRUCK, expected_in_the_way, vehicles_per_m
-from roadsight.placement.sensors import Sensor
+from roadsight.placement.sensors import AnySensor, Camera, Radar, Rosette, Sensor
 
 _NEAREST_LANES = 2.0
 
@@ -33,9 +35,12 @@ def hole_filling(site: Circumstances) -> Quantity:
     wanted = lidar["min_cell_points"] * _middle_height_m(site)
     per_m2 = max(site.profile["density_per_m2"]["median"], 1e-9)
 
-    def share(sensor: Sensor) -> float:
-        lowest = np.radians(np.diff(sensor.elevation_edges_deg).min())
-        cell = np.radians(sensor.azimuth_cell_deg * lidar["azimuth_stride"]) * lowest
+    def share(sensor: AnySensor) -> float:
+        if isinstance(sensor, Sensor):
+            lowest = np.radians(np.diff(sensor.elevation_edges_deg).min())
+            cell = np.radians(sensor.azimuth_cell_deg * lidar["azimuth_stride"]) * lowest
+        else:
+            cell = np.radians(site.settings["poses"]["panorama_step_deg"]) ** 2
         return float(min(np.cbrt(wanted / (per_m2 * cell)) / sensor.range_m, 1.0))
 
     return _of_worst_sensor(site, share)
@@ -58,8 +63,8 @@ def partial_hits(site: Circumstances) -> Quantity:
     """Width of a beam where targets are just seen against a target's, of the widest beam."""
     width_m = 2 * site.settings["targets"]["radius_m"]
 
-    def share(sensor: Sensor) -> float:
-        if sensor.divergence_mrad is None:
+    def share(sensor: AnySensor) -> float:
+        if not isinstance(sensor, Sensor | Rosette) or sensor.divergence_mrad is None:
             return 0.0
         across = sensor.aperture_mm + sensor.divergence_mrad[0] * _useful_range_m(site, sensor)
         return across / 1000 / width_m
@@ -72,9 +77,13 @@ def reflectivity(site: Circumstances) -> Quantity:
     given = site.settings["conditions"]["target_reflectivity"]
     if given == 0:
         return Quantity(0.0, "no reflectivity of targets is given")
-    return _of_worst_sensor(
-        site, lambda s: _lost(site, s, s.range_m, float(reflectivity_range_m(s, given)))
-    )
+
+    def lost(sensor: AnySensor) -> float:
+        if not isinstance(sensor, Sensor | Rosette):
+            return 0.0
+        return _lost(site, sensor, sensor.range_m, float(reflectivity_range_m(sensor, given)))
+
+    return _of_worst_sensor(site, lost)
 
 
 def rain(site: Circumstances) -> Quantity:
@@ -89,9 +98,13 @@ def fog(site: Circumstances) -> Quantity:
     if visibility_m >= CLEAR_M:
         return Quantity(0.0, "the air is clear")
 
-    return _of_worst_sensor(
-        site, lambda s: _lost_to_air(site, s, fog_extinction_per_m(visibility_m, s.wavelength_nm))
-    )
+    def lost(sensor: AnySensor) -> float:
+        if isinstance(sensor, Radar):
+            return 0.0
+        extinction = fog_extinction_per_m(visibility_m, wavelength_nm(sensor))
+        return _lost_to_air(site, sensor, extinction)
+
+    return _of_worst_sensor(site, lost)
 
 
 def moving_vehicles(site: Circumstances) -> Quantity:
@@ -111,7 +124,7 @@ def moving_vehicles(site: Circumstances) -> Quantity:
         2 * _NEAREST_LANES,
     )
 
-    def chance(sensor: Sensor) -> float:
+    def chance(sensor: AnySensor) -> float:
         sensor_m = (0.0, 0.0, _middle_height_m(site))
         target_m = (sensor.range_m / 2, (_NEAREST_LANES + 0.5) * lane_m, 0.3)
         expected = sum(
@@ -129,29 +142,40 @@ def curvature_refraction(site: Circumstances) -> Quantity:
     return _of_worst_sensor(site, lambda sensor: float(rise_m(sensor.range_m)))
 
 
-def _useful_range_m(site: Circumstances, sensor: Sensor) -> float:
-    """Range up to which enough beams meet a target, if light did not limit it.
+def _useful_range_m(site: Circumstances, sensor: AnySensor) -> float:
+    """Range up to which enough beams, points or pixels meet a target, if light did not limit it.
 
     A target of width 2 r and height h at range d takes up 2 r / d by h / d; the range is that at
-    which min_beams beams share it. The densest rows count.
+    which so many of them share it. The densest rows of a spinning LiDAR count.
     """
     targets = site.settings["targets"]
-    rows = np.radians(np.diff(sensor.elevation_edges_deg).min())
-    beam = np.radians(sensor.azimuth_cell_deg) * rows
+    least = max(targets["min_beams"], 1)
+    if isinstance(sensor, Sensor):
+        rows = np.radians(np.diff(sensor.elevation_edges_deg).min())
+        beam = np.radians(sensor.azimuth_cell_deg) * rows
+    elif isinstance(sensor, Rosette):
+        across, upright = np.radians(sensor.half_view_deg)
+        beam = np.pi * across * upright / sensor.points
+    elif isinstance(sensor, Camera):
+        beam, least = 1 / sensor.focal_px**2, sensor.min_pixels
+    else:
+        return sensor.range_m
     silhouette_m2 = 2 * targets["radius_m"] * targets["height_m"]
-    return float(
-        min(np.sqrt(silhouette_m2 / (beam * max(targets["min_beams"], 1))), sensor.range_m)
-    )
+    return float(min(np.sqrt(silhouette_m2 / (beam * least)), sensor.range_m))
 
 
-def _lost(site: Circumstances, sensor: Sensor, before_m: float, after_m: float) -> float:
+def _lost(site: Circumstances, sensor: AnySensor, before_m: float, after_m: float) -> float:
     """Share of the useful range that is lost where light carries less far than before."""
     useful_m = min(_useful_range_m(site, sensor), before_m)
     return 1 - min(useful_m, after_m) / useful_m
 
 
-def _lost_to_air(site: Circumstances, sensor: Sensor, extinction_per_m: float) -> float:
+def _lost_to_air(site: Circumstances, sensor: AnySensor, extinction_per_m: float) -> float:
     """Share of the useful range that the air costs, on targets of the given reflectivity."""
+    if isinstance(sensor, Camera):
+        return _lost(site, sensor, sensor.range_m, contrast_range_m(extinction_per_m))
+    if not isinstance(sensor, Sensor | Rosette):
+        return 0.0
     given = site.settings["conditions"]["target_reflectivity"]
     clear_m = float(reflectivity_range_m(sensor, given)) if given else sensor.range_m
     return _lost(site, sensor, clear_m, float(range_in_air_m(clear_m, extinction_per_m)))
@@ -162,7 +186,7 @@ def _middle_height_m(site: Circumstances) -> float:
     return float(candidates["height_min_m"] + candidates["height_max_m"]) / 2
 
 
-def _of_worst_sensor(site: Circumstances, value: Callable[[Sensor], float]) -> Quantity:
+def _of_worst_sensor(site: Circumstances, value: Callable[[AnySensor], float]) -> Quantity:
     """The largest value of all sensors, and whose it is."""
     values = {name: value(sensor) for name, sensor in site.sensors.items()}
     if not values:

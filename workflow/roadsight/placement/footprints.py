@@ -99,14 +99,14 @@ def _count(
                     share = overlap(x * sine - y * cosine, wide_m, -radius_m, radius_m)
                     # Upright in slopes, of which an angle takes its secant squared.
                     tall = (beam[2] / range_m + beam[1]) * secant[row] ** 2
-                    share *= overlap(slope[row], tall, *_slopes(rectangle))
+                    share *= overlap(slope[row], tall, *slopes_into(rectangle))
                     if share >= CLEAN_SHARE:
                         shares[target] += share
     return shares
 
 
 @njit(cache=True)
-def _slopes(rectangle: tuple[float, float, float, float]) -> tuple[float, float]:
+def slopes_into(rectangle: tuple[float, float, float, float]) -> tuple[float, float]:
     """Least and greatest slope of lines from the origin into a rectangle (near, far, low, high)."""
     near, far, low, high = rectangle
     if near <= 0.0:

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.special import lambertw
 
 from roadsight.errors import InputError
-from roadsight.placement.sensors import Sensor
+from roadsight.placement.sensors import AnySensor, Rosette, Sensor
 
 CLEAR_M = 20_000.0
 """Visibility from which on the air counts as clear (WMO-No. 8: the haze limit is 5 km)."""
@@ -66,7 +66,12 @@ def fog_extinction_per_m(visibility_m: float, wavelength_nm: float) -> float:
     return float(_CONTRAST / visibility_m * (wavelength_nm / _REFERENCE_NM) ** -exponent)
 
 
-def reflectivity_range_m(sensor: Sensor, reflectivity: ArrayLike) -> NDArray[np.float64]:
+def wavelength_nm(sensor: AnySensor) -> float:
+    """Wavelength at which a LiDAR or a camera sees, nm."""
+    return sensor.wavelength_nm if isinstance(sensor, Sensor | Rosette) else _REFERENCE_NM
+
+
+def reflectivity_range_m(sensor: Sensor | Rosette, reflectivity: ArrayLike) -> NDArray[np.float64]:
     """Range at which a surface of a reflectivity returns as much as the sensor needs.
 
     Range grows with the square root of the reflectivity, through the datasheet's range at 10 %

@@ -92,7 +92,10 @@ def _count(
 
 @njit(cache=True)
 def entry_range_m(
-    direction: NDArray[np.float32], foot: _FLOATS, radius_m: float, height_m: float
+    direction: NDArray[np.float32] | tuple[float, float, float],
+    foot: _FLOATS,
+    radius_m: float,
+    height_m: float,
 ) -> float:
     """Range at which a beam from the origin enters an upright, capped cylinder; 0 if it does not.
 

@@ -24,7 +24,7 @@ from roadsight.placement.obstacles import (
     group_obstacles,
     pairs_in_range,
 )
-from roadsight.placement.sensors import Sensor, load_sensors
+from roadsight.placement.sensors import AnySensor, load_sensors
 from roadsight.placement.surfel_lidar import SurfelLidar
 from roadsight.stages.command import run_stage
 
@@ -60,7 +60,7 @@ def _obstacles(
     arguments: argparse.Namespace,
     solution: dict,
     targets: pd.DataFrame,
-    sensors: dict[str, Sensor],
+    sensors: dict[str, AnySensor],
     cast: Cast,
 ) -> pd.DataFrame:
     """Obstacles on the sight lines of chosen sensors to targets that they do not see."""
@@ -78,7 +78,7 @@ def _obstacles(
 def _gaps(
     arguments: argparse.Namespace,
     targets: pd.DataFrame,
-    sensors: dict[str, Sensor],
+    sensors: dict[str, AnySensor],
     cast: Cast,
 ) -> pd.DataFrame:
     """Targets that no candidate of the plan sees."""

@@ -17,7 +17,7 @@ from roadsight.io.tables import write_table
 from roadsight.io.tiles import CloudTiles, stack_xyz
 from roadsight.io.vectors import read_layer
 from roadsight.placement.light import reflectivity_range_m
-from roadsight.placement.sensors import Sensor, load_sensors
+from roadsight.placement.sensors import Rosette, Sensor, load_sensors
 from roadsight.scene.reflectivity import reflectivity_of, voxel_means
 from roadsight.stages.command import run_stage
 
@@ -28,14 +28,19 @@ def measure_reflectivity(arguments: argparse.Namespace) -> None:
     """Write ranges by sensor, and the reflectivity of surfaces from the cloud's intensities."""
     definitions = load_sensors(arguments.sensors)
     rho = arguments.target_reflectivity
-    ranges = {name: _target_range_m(definitions[name], rho) for name in arguments.names}
+    lidars = {
+        name: sensor
+        for name in arguments.names
+        if isinstance(sensor := definitions[name], Sensor | Rosette)
+    }
+    ranges = {name: _target_range_m(sensor, rho) for name, sensor in lidars.items()}
     write_table(arguments.surfaces, _surfaces(arguments))
     for name, range_m in ranges.items():
         log.info("%s sees targets of reflectivity %g up to %.1f m", name, rho, range_m)
     write_json(arguments.out, {"target_reflectivity": rho, "target_range_m": ranges})
 
 
-def _target_range_m(sensor: Sensor, reflectivity: float) -> float:
+def _target_range_m(sensor: Sensor | Rosette, reflectivity: float) -> float:
     """Range to targets; 0 stands for the reflectivity at which the sensor's range is stated."""
     return float(reflectivity_range_m(sensor, reflectivity)) if reflectivity else sensor.range_m
 

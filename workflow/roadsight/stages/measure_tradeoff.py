@@ -18,7 +18,7 @@ from roadsight.evidence.metrics import METRICS, Results
 from roadsight.evidence.tradeoffs import as_json, cheapest, stage_costs
 from roadsight.evidence.variants import Variant
 from roadsight.io.atomic import write_json
-from roadsight.placement.sensors import load_sensors
+from roadsight.placement.sensors import Sensor, load_sensors
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("measure_tradeoff")
@@ -78,7 +78,11 @@ def _results(variant: Variant, site: ResolvedSite, config: dict[str, Any]) -> Re
         site.settings.seed,
         0.0 if sample is None else sample.length_m,
         plan,
-        {name: sensors[name] for name in site.plans[plan].sensors},
+        {
+            name: sensor
+            for name in site.plans[plan].sensors
+            if isinstance(sensor := sensors[name], Sensor)
+        },
         site.settings.lidar.azimuth_stride,
     )
 

@@ -27,7 +27,7 @@ def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--visibility-m", type=float, required=True)
-    parser.add_argument("--wavelengths-nm", nargs="+", required=True, metavar="SENSOR=NM")
+    parser.add_argument("--wavelengths-nm", nargs="*", required=True, metavar="SENSOR=NM")
     parser.add_argument("--out", required=True)
     return run_stage(parser, model_fog, argv)
 

@@ -24,7 +24,7 @@ def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rain-mm-h", type=float, required=True)
-    parser.add_argument("--sensors", nargs="+", required=True, help="names of the sensors")
+    parser.add_argument("--sensors", nargs="*", required=True, help="names of the sensors")
     parser.add_argument("--out", required=True)
     return run_stage(parser, model_rain, argv)
 

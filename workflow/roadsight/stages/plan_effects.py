@@ -13,7 +13,7 @@ from roadsight.effects.catalogue import load_catalogue
 from roadsight.effects.circumstances import Circumstances
 from roadsight.effects.planner import plan
 from roadsight.io.atomic import read_json, write_json
-from roadsight.placement.sensors import Sensor
+from roadsight.placement.sensors import define_sensor
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("plan_effects")
@@ -30,7 +30,7 @@ def plan_effects(arguments: argparse.Namespace) -> None:
             read_json(arguments.profile),
             read_json(arguments.frame),
             asked["settings"],
-            {name: Sensor.model_validate(about) for name, about in asked["sensors"].items()},
+            {name: define_sensor(about, name) for name, about in asked["sensors"].items()},
             asked["given"],
             read_json(arguments.drive) if arguments.drive else {},
         ),

@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,15 +18,26 @@ from roadsight.io.clouds import write_laz
 from roadsight.io.poses import read_tilts
 from roadsight.io.surfels import read_surfels
 from roadsight.io.tables import read_table
+from roadsight.placement.detectors import contrast_range_m
 from roadsight.placement.light import range_in_air_m, reflectivity_range_m
+from roadsight.placement.poses import AS_MOUNTED, Turn, local_from_sensor
 from roadsight.placement.rays import returns_xyz_m
-from roadsight.placement.sensors import Sensor, load_sensors
+from roadsight.placement.scanning import scan_directions
+from roadsight.placement.sensors import (
+    AimedSensor,
+    AnySensor,
+    Camera,
+    Radar,
+    Rosette,
+    Sensor,
+    load_sensors,
+)
 from roadsight.placement.surfel_lidar import SurfelLidar
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("render_scans")
 
-Hearing = Callable[[str, Sensor, NDArray[np.float64], ArrayLike], NDArray[np.bool_]]
+Hearing = Callable[[str, AnySensor, NDArray[np.float64], ArrayLike], NDArray[np.bool_]]
 
 _ROUNDING_M = 1e-3
 
@@ -39,15 +51,35 @@ def render_scans(arguments: argparse.Namespace) -> None:
     tilts, heard = read_tilts(arguments.tilts), _hearing(arguments)
     parts = [np.empty((0, 3))]
     for place in chosen:
-        sensor, position = sensors[place["sensor"]], (place["x"], place["y"], place["z"])
-        tilt = tilts.get(place["candidate"])
-        range_m = lidar.depth_map(sensor, position, place["yaw_deg"], tilt)
-        returns = returns_xyz_m(range_m, sensor, position, place["yaw_deg"], tilt)
+        sensor, position = sensors[place["sensor"]], np.array([place[axis] for axis in "xyz"])
+        tilt = tilts.get(place.get("position", place["candidate"]))
+        returns = _scan(lidar, sensor, position, place, tilt)
         parts.append(returns[heard(place["sensor"], sensor, returns, position)])
         log.info("%s at %s: %d returns", place["sensor"], place["candidate"], len(parts[-1]))
     source = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     dims = {"point_source_id": source.astype(np.uint16)}
     write_laz(arguments.out, np.concatenate(parts), frame, dims)
+
+
+def _scan(
+    lidar: SurfelLidar,
+    sensor: AnySensor,
+    position_m: NDArray[np.float64],
+    place: dict[str, Any],
+    tilt: NDArray[np.float64] | None,
+) -> NDArray[np.float64]:
+    """Points (n, 3) that a chosen sensor meets in its pose, local metres."""
+    yaw_deg = float(place["yaw_deg"])
+    turn = Turn(0.0, float(place.get("pitch_deg", 0.0)), float(place.get("roll_deg", 0.0)))
+    if isinstance(sensor, AimedSensor):
+        rays = scan_directions(sensor) @ local_from_sensor(yaw_deg, turn, tilt).T
+        range_m = lidar.cast(position_m, rays, sensor.range_m).astype(np.float64)
+        found = np.isfinite(range_m)
+        return np.asarray(position_m + range_m[found, None] * rays[found])
+    if turn != AS_MOUNTED:
+        tilt = local_from_sensor(yaw_deg, turn, tilt) @ local_from_sensor(yaw_deg, AS_MOUNTED).T
+    depth_m = lidar.depth_map(sensor, position_m, yaw_deg, tilt)
+    return returns_xyz_m(depth_m, sensor, position_m, yaw_deg, tilt)
 
 
 def _hearing(arguments: argparse.Namespace) -> Hearing:
@@ -57,13 +89,19 @@ def _hearing(arguments: argparse.Namespace) -> Hearing:
     trees = [cKDTree(table[["x", "y", "z"]].to_numpy()) for table in surfaces]
 
     def heard(
-        name: str, sensor: Sensor, returns: NDArray[np.float64], position_m: ArrayLike
+        name: str, sensor: AnySensor, returns: NDArray[np.float64], position_m: ArrayLike
     ) -> NDArray[np.bool_]:
         reach_m = np.full(len(returns), sensor.range_m)
+        if isinstance(sensor, Radar) or not len(returns):
+            return np.ones(len(returns), bool)
+        if isinstance(sensor, Camera):
+            far_m = contrast_range_m(sum(entry[name] for entry in air))
+            return np.asarray(np.linalg.norm(returns - np.asarray(position_m), axis=1) <= far_m)
         for tree, table in zip(trees, surfaces, strict=True):
             nearest = tree.query(returns)[1]
             reflectivity = table["reflectivity"].to_numpy()[nearest]
-            reach_m = reflectivity_range_m(sensor, reflectivity)
+            if isinstance(sensor, Sensor | Rosette):
+                reach_m = reflectivity_range_m(sensor, reflectivity)
         reach_m = range_in_air_m(reach_m, sum(entry[name] for entry in air))
         return np.asarray(
             np.linalg.norm(returns - np.asarray(position_m), axis=1) <= reach_m + _ROUNDING_M

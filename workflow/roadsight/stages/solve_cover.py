@@ -18,6 +18,7 @@ from roadsight.io.atomic import read_json, write_json
 from roadsight.io.detections import read_detections
 from roadsight.io.tables import read_table
 from roadsight.io.vectors import write_layers
+from roadsight.placement.choices import choices_of, posed_candidates
 from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
 from roadsight.placement.cover.deadline import WorkLimit
 from roadsight.placement.cover.result import WITHIN_GAP
@@ -36,14 +37,15 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
     wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
     _check_uncovered(arguments, len(uncovered), len(targets))
-    choices = pd.MultiIndex.from_product([costs, candidates["candidate"]])
     detections = read_detections(arguments.detections)
-    matrix = detection_matrix(detections, choices, pd.Index(wanted["target"]))
+    choices = choices_of(costs, candidates, detections)
+    pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
+    matrix = detection_matrix(detections, pairs, pd.Index(wanted["target"]))
     cover = solve_cover_problem(
         CoverProblem(
             matrix,
-            np.repeat(list(costs.values()), len(candidates)),
-            groups=np.tile(np.arange(len(candidates)), len(costs)),
+            choices["cost"].to_numpy(),
+            groups=choices["position"].to_numpy(),
             at_least=arguments.at_least,
         ),
         WorkLimit(arguments.time_limit_s),
@@ -51,7 +53,7 @@ def solve_cover(arguments: argparse.Namespace) -> None:
         gap=arguments.gap,
     )
     _check_solved(arguments, cover)
-    sensors = _sensor_table(candidates, list(costs), cover, matrix, frame)
+    sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(arguments, cover, sensors, targets, uncovered)
     if "availability" in detections:
@@ -116,15 +118,16 @@ def _check_solved(arguments: argparse.Namespace, cover: Cover) -> None:
 
 def _sensor_table(
     candidates: pd.DataFrame,
-    names: list[str],
+    choices: pd.DataFrame,
     cover: Cover,
     matrix: sparse.csr_matrix,
     frame: Frame,
 ) -> pd.DataFrame:
     """The chosen candidates, with what each sees and what only it sees."""
     rows = np.asarray(cover.chosen, np.int64)
-    table = candidates.iloc[rows % len(candidates)].reset_index(drop=True)
-    table.insert(1, "sensor", [names[row // len(candidates)] for row in rows])
+    chosen = choices.iloc[rows]
+    table = posed_candidates(chosen, candidates)
+    table.insert(1, "sensor", chosen["sensor"].tolist())
     seen = matrix[rows].astype(np.int64)
     once = np.asarray(seen.sum(axis=0)).ravel() == 1
     table["targets"] = np.asarray(seen.sum(axis=1)).ravel()

@@ -1,0 +1,163 @@
+"""Which targets a sensor sees from the candidates of one shard in each pose worth keeping."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.errors import InputError
+from roadsight.io.atomic import read_json
+from roadsight.io.depth_maps import DepthMaps
+from roadsight.io.detections import write_detections
+from roadsight.io.lanes import SiteTraffic, read_traffic
+from roadsight.io.poses import read_poses, read_tilts
+from roadsight.io.tables import read_table
+from roadsight.placement.aimed import Camera, Radar, Rosette
+from roadsight.placement.detection import MIN_BEAMS
+from roadsight.placement.detectors import Criteria, contrast_range_m, detector_of
+from roadsight.placement.lanes import free_shares
+from roadsight.placement.light import range_in_air_m
+from roadsight.placement.posed import Panorama
+from roadsight.placement.poses import local_from_sensor, not_dominated, pose_name, turns_of
+from roadsight.placement.sensors import AnySensor, Sensor, load_sensor, load_sensors
+from roadsight.placement.shapes import Cylinder
+from roadsight.placement.sight import Sight
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("detect_poses")
+
+_MOST_HITS = np.iinfo(np.uint16).max
+_FLOATS = NDArray[np.float64]
+
+
+def detect_poses(arguments: argparse.Namespace) -> None:
+    """Write a row for each target seen, by candidate, pose and target; ``hits`` as measured."""
+    targets = read_table(arguments.targets, ["target", "x", "y", "z"])
+    feet_m = targets[["x", "y", "z"]].to_numpy(np.float64)
+    traffic = read_traffic(arguments.lanes[0]) if arguments.lanes else None
+    sensor = load_sensors(arguments.sensors)[arguments.sensor]
+    turns = turns_of(arguments.yaw_deg, arguments.pitch_deg, arguments.roll_deg)
+    detector = detector_of(sensor, Criteria(arguments.min_beams, arguments.rcs_m2))
+    shape, sight = Cylinder(arguments.radius_m, arguments.height_m), _sight(arguments, sensor)
+    tilts, parts, tried = read_tilts(arguments.tilts), [], 0
+    for name, panorama in _panoramas(arguments):
+        rotations = [local_from_sensor(panorama.yaw_deg, t, tilts.get(name)) for t in turns]
+        measured = np.stack(
+            [detector.measure(panorama, turned, feet_m, shape, sight) for turned in rotations]
+        )
+        seen, shares = _often(detector.sees(measured), panorama, feet_m, shape, traffic)
+        tried += len(turns)
+        for row in not_dominated(seen):
+            found = np.flatnonzero(seen[row])
+            part = {"target": found, "hits": np.ceil(measured[row, found])}
+            if traffic is not None:
+                part["availability"] = shares[found]
+            parts.append((pose_name(name, turns[row]), pd.DataFrame(part)))
+    log.info("%d of %d poses kept", len(parts), tried)
+    about = {key: getattr(arguments, key) for key in ("radius_m", "height_m", "min_beams")}
+    about |= {"sensor": arguments.sensor, "unit": detector.unit}
+    about |= {"poses_tried": tried, "poses_kept": len(parts)}
+    names = targets["target"].astype(str)
+    write_detections(arguments.out, _table(parts, names, traffic is not None), about)
+
+
+def _often(
+    seen: NDArray[np.bool_],
+    panorama: Panorama,
+    feet_m: _FLOATS,
+    shape: Cylinder,
+    traffic: SiteTraffic | None,
+) -> tuple[NDArray[np.bool_], _FLOATS]:
+    """What the poses (m, n) see often enough past traffic, and how often (n,)."""
+    shares = np.ones(len(feet_m))
+    if traffic is None:
+        return seen, shares
+    any_pose = np.flatnonzero(seen.any(axis=0))
+    middles = feet_m[any_pose] + np.array([0.0, 0.0, shape.height_m / 2])
+    shares[any_pose] = free_shares(traffic.lanes, panorama.position_m, middles)
+    return seen & (shares >= traffic.availability), shares
+
+
+def _panoramas(arguments: argparse.Namespace) -> Iterator[tuple[str, Panorama]]:
+    """Candidates in the order of their panoramas."""
+    maps, poses = DepthMaps(arguments.depth), read_poses(arguments.candidates)
+    beams = load_sensor(arguments.sensors, maps.info.sensor)
+    for name, depth in logged(maps, len(maps), log, "candidates"):
+        if name not in poses:
+            raise InputError(
+                f"has depth maps of the unknown candidate {name!r}",
+                where=arguments.depth,
+                hint=f"render it again for {arguments.candidates}",
+            )
+        *position_m, yaw_deg = poses[name]
+        yield name, Panorama(depth, beams, np.array(position_m), float(yaw_deg))
+
+
+def _sight(arguments: argparse.Namespace, sensor: AnySensor) -> Sight:
+    """How far and how the sensor sees under the effects that are simulated."""
+    curved = arguments.curvature == "simulate"
+    if isinstance(sensor, Radar):
+        return Sight(sensor.range_m, curved=curved)
+    air = sum(read_json(path)["extinction_per_m"][arguments.sensor] for path in arguments.air)
+    if isinstance(sensor, Camera):
+        return Sight(min(sensor.range_m, contrast_range_m(air)), curved=curved)
+    clear_m = sensor.range_m
+    for path in arguments.reflectivity:
+        clear_m = read_json(path)["target_range_m"][arguments.sensor]
+    wide = isinstance(sensor, Sensor | Rosette) and sensor.divergence_mrad is not None
+    wide = wide and arguments.partial_hits == "simulate"
+    return Sight(float(range_in_air_m(clear_m, air)), wide, curved)
+
+
+def _table(
+    parts: list[tuple[str, pd.DataFrame]], targets: pd.Series, available: bool
+) -> pd.DataFrame:
+    """Rows by candidate in a pose and by target."""
+    numbers = ["hits", "availability"] if available else ["hits"]
+    empty = pd.DataFrame(dtype=np.float64, columns=["target", *numbers])
+    rows = pd.concat([empty, *(part for _, part in parts)], ignore_index=True)
+    pose = np.repeat(np.arange(len(parts)), [len(part) for _, part in parts])
+    names = pd.Index([name for name, _ in parts], dtype=str)
+    table = pd.DataFrame(
+        {
+            "candidate": pd.Categorical.from_codes(pose, names),
+            "target": pd.Categorical.from_codes(
+                rows["target"].to_numpy(np.int64), pd.Index(targets, dtype=str)
+            ),
+            "hits": rows["hits"].clip(upper=_MOST_HITS).to_numpy(np.uint16),
+        }
+    )
+    if available:
+        table["availability"] = rows["availability"].to_numpy(np.float32)
+    return table
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("depth", "candidates", "targets", "sensor", "sensors", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    for name in ("yaw-deg", "pitch-deg", "roll-deg"):
+        parser.add_argument(f"--{name}", type=float, nargs="+", default=[0.0])
+    parser.add_argument("--radius-m", type=float, default=0.25)
+    parser.add_argument("--height-m", type=float, default=0.6)
+    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
+    parser.add_argument("--rcs-m2", type=float, default=0.16, help="radar cross-section of targets")
+    parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
+    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
+    parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
+    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    for name in ("partial-hits", "curvature"):
+        parser.add_argument(f"--{name}", choices=["simulate", "skip"], default="skip")
+    return run_stage(parser, detect_poses, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
