@@ -2,7 +2,19 @@ import numpy as np
 import pytest
 
 from roadsight.errors import InputError
-from roadsight.placement.sensors import Sensor, load_sensor, load_sensors
+from roadsight.placement.sensors import (
+    Camera,
+    Radar,
+    Rosette,
+    Sensor,
+    load_sensor,
+    load_sensors,
+    panorama_name,
+)
+
+CAMERA = "kind: camera, range_m: 9, columns_px: 640, rows_px: 480, min_pixels: 20"
+ROSETTE = "kind: rosette, range_m: 9, field_deg: 40, points_per_s: 1000"
+ZONE = "{half_angle_deg: 9, range_m: 90, resolution_deg: 1}"
 
 
 def write(tmp_path, text):
@@ -86,6 +98,24 @@ def test_equal_definitions_are_equal_dictionaries():
         ("range_m: .inf, elevations_deg: [1]", "5000"),
         ("elevations_deg: [1]", "'range_m' is missing"),
         ("range_m: 9, elevations_deg: [1], kind: rotating", "spinning"),
+        ("range_m: 9, kind: 3", "spinning, rosette, camera, radar"),
+        (
+            "kind: camera, range_m: 9, columns_px: 64, rows_px: 64, min_pixels: 1",
+            "'hfov_deg' is mi",
+        ),
+        (f"{CAMERA}, hfov_deg: 170", "less than or equal to 150"),
+        (f"{CAMERA}, hfov_deg: 60, channels: 4", "unknown key 'channels'"),
+        (f"{CAMERA}, hfov_deg: .nan", "hfov_deg"),
+        (f"{ROSETTE}, lasers: 0", "greater than or equal to 1"),
+        (f"{ROSETTE}, points_per_sec: 1", "did you mean 'points_per_s'"),
+        ("kind: radar, zones: []", "at least 1"),
+        (
+            "kind: radar, zones: [{half_angle_deg: 9, resolution_deg: 1}]",
+            "0.range_m' is missing",
+        ),
+        (f"kind: radar, zones: [{ZONE}, {ZONE}]", "must increase"),
+        (f"kind: radar, zones: [{ZONE}], range_m: 99", "leave it out"),
+        (f"kind: radar, zones: [{ZONE}], elevation_min_deg: 10", "must be below"),
     ],
 )
 def test_bad_definitions_end_in_one_message(tmp_path, definition, message):
@@ -105,6 +135,10 @@ def test_bad_definitions_end_in_one_message(tmp_path, definition, message):
         ("sensors: {a: 3}", "must be a mapping"),
         ("sensors: {a: {range_m: 9, elevations_deg: [1]}}\nsensor: 1", "did you mean 'sensors'"),
         ("sensors: {a b: {range_m: 9, elevations_deg: [1]}}", "appears in file names"),
+        (
+            "sensors: {panorama-1deg-9m: {range_m: 9, elevations_deg: [1]}}",
+            "a sensor's name that is in use",
+        ),
         ("sensors: {'': {range_m: 9, elevations_deg: [1]}}", "appears in file names"),
         ("sensors: {../a: {range_m: 9, elevations_deg: [1]}}", "appears in file names"),
     ],
@@ -128,3 +162,36 @@ def test_a_thinned_sensor_keeps_its_field_of_view_and_channels(project):
     assert sensor.thinned(1) == sensor
     with pytest.raises(InputError, match=r"azimuth_stride.*a divisor of 3600"):
         sensor.thinned(7)
+
+
+def test_shipped_sensors_of_other_kinds_have_their_published_fields_of_view(project):
+    sensors = load_sensors(project / "config/sensors.yaml")
+    views = {name: s.half_view_deg for name, s in sensors.items() if not isinstance(s, Sensor)}
+    assert views["Mid-40"] == pytest.approx((38.4 / 2, 38.4 / 2))
+    assert views["Avia"] == pytest.approx((70.4 / 2, 77.2 / 2))
+    assert isinstance(sensors["Avia"], Rosette)
+    assert sensors["Avia"].points == pytest.approx(24_000)
+    camera = sensors["camera-8mp"]
+    assert isinstance(camera, Camera)
+    # 25 px/m, at 1 m width and the focal length: the farthest place at which it detects.
+    assert camera.focal_px / 25 == pytest.approx(133, abs=1)
+    assert isinstance(sensors["radar-77ghz"], Radar)
+    assert sensors["radar-77ghz"].range_m == 250
+
+
+def test_a_sensor_without_a_depth_map_of_its_own_is_told(project):
+    with pytest.raises(InputError, match=r"no depth map of its own.*camera.*spinning"):
+        load_sensor(project / "config/sensors.yaml", "camera-8mp")
+
+
+def test_a_panorama_looks_everywhere_below_the_horizon_and_its_name_says_all():
+    name = panorama_name(0.5, 119.2)
+    assert name == "panorama-0.5deg-120m"
+    panorama = load_sensor("no file is needed", name)
+    assert panorama.range_m == 120
+    assert panorama.azimuth_cell_deg == 0.5
+    assert panorama.elevation_deg[0] < -88.5
+    steps = np.diff(panorama.elevation_deg)
+    fine = panorama.elevation_deg[1:] > -19
+    assert steps[fine] == pytest.approx(0.5)
+    assert steps.max() < 4 * 0.5 * 1.05

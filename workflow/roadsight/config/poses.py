@@ -15,7 +15,7 @@ Pitches = Annotated[list[Pitch], Field(min_length=1, max_length=36)]
 
 
 class PoseGrid(Section):
-    """Angles of one kind of sensor, degrees; every combination is tried; roll lifts the right side."""
+    """Angles of one kind of sensor, degrees, of which every combination is tried."""
 
     yaw_deg: Angles = Field(description="from the road's normal, to the left")
     pitch_deg: Pitches = Field(description="upwards")

@@ -26,6 +26,11 @@ class AimedSensor(BaseModel):
     cost: float = Field(1.0, ge=0, le=1e9, description="cost of placing one (paper: 1)")
     price: float | None = Field(None, ge=0, description="list price, any currency, for the report")
 
+    @property
+    def half_view_deg(self) -> tuple[float, float]:
+        """Half the field of view, across and upright."""
+        raise NotImplementedError
+
     def to_dict(self) -> dict[str, Any]:
         """Definition as plain values; equal definitions give equal detections."""
         return self.model_dump(mode="json")
@@ -121,6 +126,7 @@ class Radar(AimedSensor):
     """
 
     kind: Literal["radar"] = Field(description="echo by the radar equation")
+    range_m: float = Field(1.0, gt=0, le=5000, description="that of the farthest zone, m")
     zones: tuple[Zone, ...] = Field(min_length=1, description="narrowest first")
     elevation_min_deg: Elevation = Field(-10.0, description="lower limit of its beam, deg")
     elevation_max_deg: Elevation = Field(10.0, description="upper limit of its beam, deg")

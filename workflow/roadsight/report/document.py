@@ -10,7 +10,7 @@ import numpy as np
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.placement.sensors import Sensor
+from roadsight.placement.sensors import KINDS
 from roadsight.report import wording
 from roadsight.report.effects import effect_rows
 from roadsight.report.page import FORMAT
@@ -53,6 +53,7 @@ ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)
 """Names of the files that `render_report` needs."""
 
 _ROWS_SHOWN = 100
+_FILTERS = ("number", "percent", "seconds", "metres", "bearing", "counted", "label", "pose")
 _UNIT_SIGNS = {"metre": "m", "foot": "ft", "us-survey-foot": "US ft"}
 
 
@@ -80,10 +81,9 @@ def render_report(
     """
     sites = _pairs(pages, poles_pages)
     environment = template_environment({name: assets[name] for name in TEMPLATES})
-    environment.filters |= {
-        name: getattr(wording, name)
-        for name in ("number", "percent", "seconds", "metres", "bearing", "counted", "label")
-    } | {"quantity": wording.quantity}
+    environment.filters |= {name: getattr(wording, name) for name in _FILTERS} | {
+        "quantity": wording.quantity
+    }
     return environment.get_template("report.html.j2").render(
         sites=[_site(*pair, f"site-{number}") for number, pair in enumerate(sites)],
         css="\n".join(assets[name] for name in STYLES),
@@ -201,7 +201,7 @@ def _evidence(page: dict[str, Any]) -> dict[str, Any]:
         "sensors": sensors,
         "sensor_keys": [
             key
-            for key in Sensor.model_fields
+            for key in dict.fromkeys(key for kind in KINDS.values() for key in kind.model_fields)
             if any(sensor.get(key) is not None for sensor in sensors.values())
         ],
     }

@@ -34,6 +34,7 @@ from roadsight.report.sights import Sights, bearing_deg, longitudes_latitudes, s
 
 FORMAT = "roadsight.page/1"
 _MOST_OBSTACLES = 300
+_POSE = ("position", "pitch_deg", "roll_deg")
 
 
 @dataclass(frozen=True)
@@ -198,6 +199,7 @@ def _sensors(sensors: list[dict[str, Any]], sights: Sights, frame: Frame) -> lis
     return [
         {
             **{key: entry[key] for key in kept},
+            **{key: entry[key] for key in _POSE if key in entry},
             "number": number + 1,
             "bearing_deg": bearing_deg(entry["yaw_deg"]),
             "native": frame.to_native(xyz[number]).tolist(),

@@ -71,15 +71,30 @@ def quantity(key: str, value: Any, default_unit: str = "") -> str:
         return MISSING
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if isinstance(value, list | tuple):
-        between = f" {_TIMES} " if key.startswith("extent") else ", "
-        return between.join(quantity(key, part, default_unit) for part in value) or MISSING
+    if isinstance(value, dict | list | tuple):
+        return _several(key, value, default_unit) or MISSING
     if not isinstance(value, int | float):
         return str(value)
     suffix = unit(key) or default_unit
     if suffix == "%":
         return percent(value)
     return number(value) + ("" if not suffix else suffix if suffix == "°" else f"{_NARROW}{suffix}")
+
+
+def _several(key: str, values: dict[str, Any] | list[Any] | tuple[Any, ...], unit_of: str) -> str:
+    """Values one after the other, those of a mapping with their names."""
+    if isinstance(values, dict):
+        named = (f"{lower_first(label(k))} {quantity(k, v)}" for k, v in values.items())
+        return "; ".join(named)
+    between = f" {_TIMES} " if key.startswith("extent") else ", "
+    return between.join(quantity(key, part, unit_of) for part in values)
+
+
+def pose(pitch_deg: float, roll_deg: float) -> str:
+    """Pitch and roll of a sensor in words."""
+    where = "down" if pitch_deg < 0 else "up"
+    pitched = f"{number(abs(pitch_deg))}° {where}" if pitch_deg else "level"
+    return pitched if not roll_deg else f"{pitched}, roll {number(roll_deg)}°"
 
 
 def number(value: float, decimals: int | None = None) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
@@ -24,7 +25,8 @@ from roadsight.placement.obstacles import (
     group_obstacles,
     pairs_in_range,
 )
-from roadsight.placement.sensors import AnySensor, load_sensors
+from roadsight.placement.poses import Turn, local_from_sensor
+from roadsight.placement.sensors import AimedSensor, AnySensor, load_sensors
 from roadsight.placement.surfel_lidar import SurfelLidar
 from roadsight.stages.command import run_stage
 
@@ -67,12 +69,33 @@ def _obstacles(
     chosen = pd.DataFrame(solution["sensors"], columns=["candidate", "sensor", "x", "y", "z"])
     ranges = np.array([sensors[name].range_m for name in chosen["sensor"]])
     pairs = pairs_in_range(chosen, targets, ranges)
+    pairs = pairs[_in_view(pairs, solution["sensors"], sensors)].reset_index(drop=True)
     seen = read_detections(arguments.detections)
     seen = seen[seen["candidate"].isin(chosen["candidate"])]
     keys = pd.MultiIndex.from_frame(pairs[["candidate", "target"]])
     hidden = ~keys.isin(pd.MultiIndex.from_frame(seen[["candidate", "target"]]))
     pairs = pairs[hidden].reset_index(drop=True)
     return group_obstacles(pairs.join(blocked_sight_lines(pairs, arguments.target_height_m, cast)))
+
+
+def _in_view(
+    pairs: pd.DataFrame, places: list[dict[str, Any]], sensors: dict[str, AnySensor]
+) -> np.ndarray:
+    """Pairs whose target lies in the cone about the field of view of its sensor."""
+    inside = np.ones(len(pairs), bool)
+    for place in places:
+        sensor = sensors[place["sensor"]]
+        if not isinstance(sensor, AimedSensor):
+            continue
+        own = (pairs["candidate"] == place["candidate"]).to_numpy()
+        turn = Turn(0.0, place["pitch_deg"], place["roll_deg"])
+        axis = local_from_sensor(place["yaw_deg"], turn)[:, 0]
+        way = pairs.loc[own, ["x", "y", "z"]].to_numpy(np.float64)
+        way -= np.array([place[name] for name in "xyz"])
+        along = way @ axis / np.maximum(np.linalg.norm(way, axis=1), 1e-9)
+        widest_deg = np.hypot(*sensor.half_view_deg)
+        inside[own] = along >= np.cos(np.radians(min(widest_deg, 180.0)))
+    return inside
 
 
 def _gaps(
@@ -87,7 +110,11 @@ def _gaps(
     candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
     range_m = max(sensors[name].range_m for name in names)
     gaps = targets[targets["target"].isin(uncovered)].reset_index(drop=True)
-    return explain_gaps(gaps, candidates, range_m, arguments.target_height_m, cast)
+    gaps = explain_gaps(gaps, candidates, range_m, arguments.target_height_m, cast)
+    if any(isinstance(sensors[name], AimedSensor) for name in names):
+        other = "out of view, or too few beams, pixels or echo"
+        gaps["reason"] = gaps["reason"].replace("too few beams", other)
+    return gaps
 
 
 def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:

@@ -22,7 +22,7 @@ from roadsight.io.rasters import Raster, read_raster
 from roadsight.io.tables import read_table
 from roadsight.io.tiles import COLOUR, CloudTiles, stack_xyz
 from roadsight.io.vectors import read_layer
-from roadsight.placement.sensors import load_sensors
+from roadsight.placement.sensors import AimedSensor, AnySensor, load_sensors
 from roadsight.report.layers import CloudSample
 from roadsight.report.page import Placement, PlanResult, Relief, Scene, build_page
 from roadsight.report.thinning import sample_mask, thin
@@ -96,9 +96,16 @@ def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
         read_table(arguments.targets[0]),
         [read_table(path) for path in arguments.candidates],
         detections[detections["candidate"].isin(chosen)],
-        {name: definitions[name].to_dict() for name in names},
+        {name: _shown(definitions[name]) for name in names},
         plans,
     )
+
+
+def _shown(sensor: AnySensor) -> dict[str, Any]:
+    """Definition of a sensor, with half its field of view where that is limited."""
+    if not isinstance(sensor, AimedSensor):
+        return sensor.to_dict()
+    return sensor.to_dict() | {"half_view_deg": sensor.half_view_deg}
 
 
 def _plan(

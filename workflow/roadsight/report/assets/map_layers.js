@@ -139,11 +139,17 @@ function drawSights(map, plan, number) {
   }
   context.stroke();
   context.globalAlpha = 1;
-  const range = site.sensors[sensor.sensor]?.range_m;
+  const { range_m: range, half_view_deg: view } = site.sensors[sensor.sensor] ?? {};
   if (!range) return;
   context.setLineDash([8, 6]);
   context.beginPath();
-  context.arc(x, y, range * map.scale, 0, 2 * Math.PI);
+  if (view) {
+    // A limited field of view: the sector that it spans at the horizon; the canvas turns clockwise.
+    const [middle, half] = [-sensor.yaw_deg, view[0]].map((angle) => (angle * Math.PI) / 180);
+    context.moveTo(x, y);
+    context.arc(x, y, range * map.scale, middle - half, middle + half);
+    context.closePath();
+  } else context.arc(x, y, range * map.scale, 0, 2 * Math.PI);
   context.stroke();
   context.setLineDash([]);
 }

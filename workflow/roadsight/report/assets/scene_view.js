@@ -4,6 +4,7 @@ const LONGEST_SIDE = 2;
 const SURROUNDINGS = 1.2;
 const FIELD_OF_VIEW = Math.PI / 4;
 const HIGHEST_SHADE_M = 12;
+const VIEW_M = 12;
 const SYMBOLS = ["circle", "square", "diamond"];
 
 class SceneView {
@@ -199,6 +200,7 @@ class SceneView {
     const visible = this.layers.sensors;
     return [
       { ...base, ...poles, visible, mode: "lines", line: { color: colour("ink"), width: 3 } },
+      { ...base, ...this.viewLines(sensors), visible, mode: "lines", opacity: 0.6, line: { color: colour("accent"), width: 2 } },
       {
         ...base, visible, mode: "markers+text", hoverinfo: "text",
         x: sensors.map((s) => s.x), y: sensors.map((s) => s.y), z: sensors.map((s) => s.z),
@@ -209,6 +211,21 @@ class SceneView {
         marker: { size: 7, symbol: plan.models.map((model) => SYMBOLS[model]), color: fill, line: { color: colour("surface"), width: 1 } },
       },
     ];
+  }
+
+  // Pyramids that show where sensors with a limited field of view look.
+  viewLines(sensors) {
+    const lines = { x: [], y: [], z: [] };
+    const draw = (...points) => [...points, null].forEach((p) => ["x", "y", "z"].forEach((axis, k) => lines[axis].push(p && p[k])));
+    for (const sensor of sensors) {
+      const view = this.site.sensors[sensor.sensor]?.half_view_deg;
+      if (!view) continue;
+      const corners = viewCorners(sensor, view);
+      const place = [sensor.x, sensor.y, sensor.z];
+      for (const corner of corners) draw(place, corner);
+      draw(...corners, corners[0]);
+    }
+    return lines;
   }
 
   sightTrace(base, plan, colour) {
@@ -231,6 +248,26 @@ class SceneView {
       marker: { size: 1.8, color: colour("returns"), line: { width: 0 } },
     };
   }
+}
+
+// Corners of a field of view some metres before a sensor: x forward, y left, z up, then rolled with the
+// right side up, pitched up and turned left.
+function viewCorners({ x, y, z, yaw_deg, pitch_deg = 0, roll_deg = 0 }, view) {
+  const [yaw, pitch, roll] = [yaw_deg, pitch_deg, roll_deg].map((angle) => (angle * Math.PI) / 180);
+  const [across, upright] = view.map((half) => Math.tan((Math.min(half, 75) * Math.PI) / 180));
+  return [[1, 1], [-1, 1], [-1, -1], [1, -1]].map(([side, top]) => {
+    const [left, up] = [side * across, top * upright];
+    const share = VIEW_M / Math.hypot(1, left, up);
+    const l = left * Math.cos(roll) + up * Math.sin(roll);
+    const u = up * Math.cos(roll) - left * Math.sin(roll);
+    const ahead = Math.cos(pitch) - u * Math.sin(pitch);
+    const height = Math.sin(pitch) + u * Math.cos(pitch);
+    return [
+      x + share * (ahead * Math.cos(yaw) - l * Math.sin(yaw)),
+      y + share * (ahead * Math.sin(yaw) + l * Math.cos(yaw)),
+      z + share * height,
+    ];
+  });
 }
 
 // Plotly reads a little HTML in its texts.

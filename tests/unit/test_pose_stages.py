@@ -1,0 +1,205 @@
+"""Poses through the stages: detections, the choice of one pose a position, and scans."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from tests.unit.analytic_scene import panorama_of
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import write_json
+from roadsight.io.clouds import read_laz
+from roadsight.io.depth_maps import DepthMapInfo, DepthMapWriter
+from roadsight.io.detections import read_detections
+from roadsight.io.surfels import write_surfels
+from roadsight.io.tables import read_about, read_table, write_table
+from roadsight.placement.detectors import Criteria, detector_of
+from roadsight.placement.poses import Turn, local_from_sensor, split_pose
+from roadsight.placement.sensors import load_sensors
+from roadsight.placement.shapes import Cylinder
+from roadsight.placement.sight import Sight
+from roadsight.scene.surfels import Surfels
+from roadsight.stages import check_coverage, detect_poses, render_scans, solve_cover
+
+SENSORS = """
+sensors:
+  eye: {kind: camera, columns_px: 800, rows_px: 600, hfov_deg: 60, min_pixels: 40, range_m: 80,
+        cost: 0.4}
+  brush: {kind: rosette, field_deg: 60, points_per_s: 200000, frame_s: 0.2, range_m: 90, cost: 1}
+  ear: {kind: radar, zones: [{half_angle_deg: 40, range_m: 150, resolution_deg: 4}],
+        elevation_min_deg: -30, cost: 1}
+  ring: {kind: spinning, elevation_min_deg: -25, elevation_max_deg: 15, channels: 16, range_m: 60,
+         cost: 1}
+"""
+FRAME = Frame((0.0, 0.0, 0.0), 1.0, 1.0, None)
+YAW, PITCH = ("-60", "0", "60"), ("-30", "-10", "-8")
+PLACES = {"a": (0.0, -4.0), "b": (30.0, -4.0)}
+HEIGHT_M = 6.0
+
+
+@pytest.fixture(scope="module")
+def road(tmp_path_factory):
+    """Targets on a level road, two candidates beside it, and what the stages read."""
+    folder = tmp_path_factory.mktemp("road")
+    (folder / "sensors.yaml").write_text(SENSORS)
+    x, y = (part.ravel() for part in np.meshgrid(np.arange(-9.5, 40), np.arange(0.5, 8)))
+    names = [f"t{number}" for number in range(len(x))]
+    write_table(folder / "targets", pd.DataFrame({"target": names, "x": x, "y": y, "z": 0.0}))
+    table = pd.DataFrame({"candidate": list(PLACES), "key": list(PLACES), "edge": "right"})
+    table[["x", "y"]] = np.array(list(PLACES.values()))
+    table = table.assign(mount="edge", station_m=table["x"], z=HEIGHT_M, height_m=HEIGHT_M)
+    write_table(folder / "candidates", table.assign(ground_z_m=0.0, yaw_deg=90.0))
+    panoramas = {
+        n: panorama_of((*xy, HEIGHT_M), range_m=90, yaw_deg=90) for n, xy in PLACES.items()
+    }
+    shape = panoramas["a"].range_m.shape
+    info = DepthMapInfo("panorama-0.2deg-90m", "surfel", *shape, 0.002)
+    with DepthMapWriter(folder / "depth", info) as writer:
+        for name, panorama in panoramas.items():
+            writer.append(name, panorama.range_m)
+    axis = np.arange(-60, 90, 0.5) + 0.25
+    sx, sy = (part.ravel() for part in np.meshgrid(axis, axis))
+    centre = np.column_stack([sx, sy, 0 * sx]).astype(np.float32)
+    up = np.tile(np.float32([0, 0, 1]), (len(sx), 1))
+    write_surfels(folder / "surfels", Surfels(centre, up, np.full(len(sx), 0.25, np.float32)))
+    write_json(folder / "frame.json", FRAME.to_dict())
+    return folder, panoramas
+
+
+def detect(folder, sensor, *options, out=None):
+    out = folder / (out or f"seen-{sensor}")
+    files = {"depth": "depth", "candidates": "candidates", "targets": "targets",
+             "sensors": "sensors.yaml"}  # fmt: skip
+    named = [part for key, name in files.items() for part in (f"--{key}", str(folder / name))]
+    angles = ("--yaw-deg", *YAW, "--pitch-deg", *PITCH)
+    stage = [*named, "--sensor", sensor, *angles, *options, "--out", str(out)]
+    assert detect_poses.main(stage) == 0
+    return out
+
+
+def solve(folder, costs, seen, *options):
+    plan = ("--plans", "p=" + ",".join(costs), "--out", str(folder / "coverage"))
+    common = ["--targets", str(folder / "targets"), "--candidates", str(folder / "candidates")]
+    found = ["--detections", *map(str, seen)]
+    assert check_coverage.main([*common, *found, *plan]) == 0
+    outputs = {"solution": "solution", "layers": "layers.gpkg", "timing": "timing"}
+    names = [part for key, file in outputs.items() for part in (f"--{key}", str(folder / file))]
+    prices = ("--sensors", *(f"{name}={cost}" for name, cost in costs.items()))
+    site = ("--site", "s", "--plan", "p", "--coverage", str(folder / "coverage"))
+    frame = ("--frame", str(folder / "frame.json"), "--uncoverable", "exclude")
+    assert solve_cover.main([*site, *common, *found, *frame, *prices, *names, *options]) == 0
+    return json.loads((folder / "solution").read_text())
+
+
+class TestDetections:
+    @pytest.mark.parametrize("sensor", ["eye", "brush", "ear", "ring"])
+    def test_kept_poses_see_what_the_detector_says(self, road, sensor):
+        folder, panoramas = road
+        out = detect(folder, sensor)
+        found = read_detections([out])
+        assert read_about(out)["sensor"] == sensor
+        assert read_about(out)["poses_tried"] == len(YAW) * len(PITCH) * len(PLACES)
+        targets = read_table(folder / "targets")
+        feet = targets[["x", "y", "z"]].to_numpy(np.float64)
+        definition = load_sensors(folder / "sensors.yaml")[sensor]
+        detector = detector_of(definition, Criteria(8, 0.16))
+        assert found["candidate"].nunique() == read_about(out)["poses_kept"] > 2
+        for name, rows in found.groupby("candidate", observed=True):
+            candidate, turn = split_pose(str(name))
+            rotation = local_from_sensor(90.0, turn)
+            measured = detector.measure(
+                panoramas[candidate], rotation, feet, Cylinder(0.25, 0.6), Sight(definition.range_m)
+            )
+            expected = set(targets["target"][detector.sees(measured)])
+            # Stored ranges are whole millimetres.
+            assert len(expected ^ set(rows["target"].astype(str))) <= 2
+
+    def test_fog_shortens_what_a_camera_sees_and_not_what_a_radar_does(self, road, tmp_path):
+        folder, _ = road
+        air = tmp_path / "fog.json"
+        write_json(air, {"extinction_per_m": {"eye": 3.912 / 12}})
+        clear, dim = (
+            read_detections([detect(folder, "eye", *options, out="eye-air")])
+            for options in ((), ("--air", str(air)))
+        )
+        assert 0 < dim["target"].nunique() < clear["target"].nunique()
+        one, other = (
+            detect(folder, "ear", *options, out=f"ear{len(options)}").read_bytes()
+            for options in ((), ("--air", str(air)))
+        )
+        assert one == other
+
+
+class TestChoice:
+    def test_one_pose_a_position_and_the_solution_says_which(self, road):
+        folder, _ = road
+        seen = [detect(folder, "eye"), detect(folder, "brush")]
+        solution = solve(folder, {"eye": 0.4, "brush": 1.0}, seen)
+        sensors = solution["sensors"]
+        assert len({entry["position"] for entry in sensors}) == len(sensors) <= len(PLACES)
+        for entry in sensors:
+            candidate, turn = split_pose(entry["candidate"])
+            assert entry["position"] == candidate
+            assert (entry["pitch_deg"], entry["roll_deg"]) == (turn.pitch_deg, turn.roll_deg)
+            assert entry["yaw_deg"] == pytest.approx(90 + turn.yaw_deg)
+        assert solution["objective"] == pytest.approx(
+            sum({"eye": 0.4, "brush": 1.0}[entry["sensor"]] for entry in sensors)
+        )
+
+    def test_the_cheapest_mix_equals_trying_every_combination(self, road):
+        folder, _ = road
+        costs = {"eye": 0.4, "brush": 1.0}
+        seen = [detect(folder, name) for name in costs]
+        solution = solve(folder, costs, seen)
+        detections = read_detections(seen)
+        detections["position"] = [split_pose(str(n))[0] for n in detections["candidate"]]
+        wanted = set(detections["target"]) - set(solution["excluded"])
+        options = {
+            place: [(0.0, set()), *(
+                (costs[str(sensor)], set(rows["target"]))
+                for (sensor, _), rows in part.groupby(["sensor", "candidate"], observed=True))]
+            for place, part in detections.groupby("position")
+        }  # fmt: skip
+        best = min(
+            one[0] + two[0]
+            for one in options["a"] for two in options.get("b", [(0.0, set())])
+            if wanted <= one[1] | two[1]
+        )  # fmt: skip
+        if solution["status"] == "optimal":
+            assert solution["objective"] == pytest.approx(best)
+
+
+class TestScans:
+    @pytest.mark.parametrize("sensor", ["eye", "brush", "ear", "ring"])
+    def test_returns_lie_on_the_road_within_range_and_view(self, road, tmp_path, sensor):
+        folder, _ = road
+        definition = load_sensors(folder / "sensors.yaml")[sensor]
+        place = {"candidate": "a@y+60p-20r+5", "position": "a", "sensor": sensor,
+                 "x": 0.0, "y": -4.0, "z": 6.0,
+                 "yaw_deg": 150.0, "pitch_deg": -20.0, "roll_deg": 5.0}  # fmt: skip
+        write_json(tmp_path / "solution", {"sensors": [place]})
+        arguments = ["--solution", str(tmp_path / "solution"), "--out", str(tmp_path / "scan.laz")]
+        for name, file in (("surfels", "surfels"), ("frame", "frame.json"),
+                           ("sensors", "sensors.yaml")):  # fmt: skip
+            arguments += [f"--{name}", str(folder / file)]
+        assert render_scans.main(arguments) == 0
+        xyz = read_laz(tmp_path / "scan.laz").xyz
+        assert len(xyz) > 100
+        assert np.abs(xyz[:, 2]).max() < 0.01
+        offset = xyz - [0, -4, 6]
+        assert np.linalg.norm(offset, axis=1).max() <= definition.range_m + 0.01
+        ahead, left, up = (offset @ local_from_sensor(90.0, Turn(60, -20, 5))).T
+        if sensor == "eye":
+            assert np.degrees(np.arctan2(np.abs(left), ahead)).max() < 30.1
+        if sensor == "brush":
+            assert np.degrees(np.arctan2(np.hypot(left, up), ahead)).max() < 30.1
+        if sensor == "ear":
+            assert np.degrees(np.arctan2(np.abs(left), ahead)).max() < 40.1
+            assert np.degrees(np.arctan2(up, np.hypot(ahead, left))).min() > -30.1
+        if sensor == "ring":
+            elevation = np.degrees(np.arctan2(up, np.hypot(ahead, left)))
+            beams = np.linspace(-25, 15, 16)
+            assert np.abs(elevation[:, None] - beams).min(axis=1).max() < 0.05
