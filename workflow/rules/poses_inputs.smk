@@ -51,7 +51,9 @@ def sensor_of_map(wildcards):
 def stride_of_map(wildcards):
     """Panoramas are never thinned."""
     stride = setting("lidar.azimuth_stride")(wildcards)
-    return stride if wildcards.sensor in SENSORS else NamedValue("lidar.azimuth_stride", 1)
+    return (
+        stride if wildcards.sensor in SENSORS else NamedValue("lidar.azimuth_stride", 1)
+    )
 
 
 def tilts_of_map(wildcards):
