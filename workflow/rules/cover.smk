@@ -12,6 +12,10 @@ rule solve_cover:
         candidates=all_candidates,
         detections=plan_detections,
         frame=rules.ingest_cloud.output.frame,
+        areas=plan_file("areas"),
+        forbidden=plan_file("forbidden"),
+        mandatory=plan_file("mandatory"),
+        poles=plan_file("poles"),
         code=sources("solve_cover"),
     output:
         solution="results/{site}/placement/{plan}/solution.json",
@@ -25,6 +29,7 @@ rule solve_cover:
         ENVIRONMENT
     params:
         sensors=plan_costs,
+        options=plan_options,
         at_least=setting("cover.at_least"),
         time_limit_s=setting("cover.time_limit_s"),
         gap=setting("cover.gap"),
@@ -35,7 +40,9 @@ rule solve_cover:
         " --coverage {input.coverage} --targets {input.targets} --candidates {input.candidates}"
         " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
         " --at-least {params.at_least} --time-limit-s {params.time_limit_s} --gap {params.gap}"
-        " --uncoverable {params.uncoverable} --seed {params.seed}"
+        " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"
+        " --areas {input.areas:q} --forbidden {input.forbidden:q}"
+        " --mandatory {input.mandatory:q} --poles {input.poles:q}"
         " --solution {output.solution} --layers {output.layers}"
         " --timing {output.timing} > {log} 2>&1"
 

@@ -100,6 +100,21 @@ def plan_costs(wildcards):
     return [f"{name}={SENSORS[name].cost:g}" for name in sensors]
 
 
+def plan_options(wildcards):
+    """Options of the plan as JSON, empty where it has none."""
+    return NamedValue("options", plans_of(wildcards.site)[wildcards.plan].options())
+
+
+def plan_file(option):
+    """File that an option of the plan names, as a list of inputs."""
+
+    def files(wildcards):
+        found = plans_of(wildcards.site)[wildcards.plan].file_of(option)
+        return [] if found is None else [found]
+
+    return files
+
+
 def plan_sensors(wildcards):
     """``plan=sensor,sensor`` for each plan of the site."""
     return [

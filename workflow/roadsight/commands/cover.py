@@ -6,15 +6,14 @@ import argparse
 import math
 from typing import Any
 
+import numpy as np
+
+from roadsight.commands.cover_options import Asked, asked_of, curve_of, swaps_of
 from roadsight.errors import InputError
 from roadsight.io.atomic import write_json
 from roadsight.io.matrices import read_matrix, read_vector
-from roadsight.placement.cover import (
-    Cover,
-    CoverProblem,
-    maximise_coverage,
-    solve_cover_problem,
-)
+from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
+from roadsight.placement.cover.deploy import solve_deployment
 
 _FIRST = 5
 
@@ -28,7 +27,20 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
                         " a group is chosen, negative = no group")  # fmt: skip
     task = parser.add_mutually_exclusive_group()
     task.add_argument("--budget", type=float, help="cover the most targets within this cost")
-    task.add_argument("--at-least", type=int, default=1, help="rows that cover each target")
+    task.add_argument("--price", type=float, help="cost of leaving a target of weight 1 uncovered")
+    parser.add_argument("--at-least", type=int, default=1, help="rows that cover each target")
+    parser.add_argument("--needs", help=".npy, the same for each target of its own, 0 or more")
+    parser.add_argument("--weights", help=".npy, weight of each target; default 1 each")
+    parser.add_argument("--mandatory", help=".npy, numbers of rows that must be chosen")
+    parser.add_argument("--forbidden", help=".npy, numbers of rows that must not be chosen")
+    parser.add_argument("--positions", help=".npy, x and y of each row, for --spacing")
+    parser.add_argument("--spacing", type=float, help="least distance of any two chosen rows")
+    parser.add_argument("--keep-share", type=float, default=0.0, help="share of the coverage that"
+                        " is left when any one row fails")  # fmt: skip
+    parser.add_argument("--curve", type=int, help="add the coverage of so many smaller budgets")
+    parser.add_argument("--alternatives", action="store_true",
+                        help="add the rows that could replace each one chosen, as cheap and as"
+                        " good")  # fmt: skip
     parser.add_argument("--time-limit", type=float, help="seconds; default none")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-o", "--out", required=True, help="JSON file to write")
@@ -43,23 +55,36 @@ def run(arguments: argparse.Namespace) -> None:
     InputError : a file or value is not usable, or no choice of rows is feasible.
     """
     _check_numbers(arguments)
+    often = arguments.at_least if arguments.needs is None else read_vector(arguments.needs)
     problem = CoverProblem(
         read_matrix(arguments.matrix),
-        None if arguments.costs is None else read_vector(arguments.costs),
-        None if arguments.groups is None else read_vector(arguments.groups),
-        arguments.at_least,
+        _vector(arguments.costs),
+        _vector(arguments.groups),
+        often,
+        () if arguments.mandatory is None else read_vector(arguments.mandatory),
+        () if arguments.forbidden is None else read_vector(arguments.forbidden),
     )
-    if arguments.budget is None:
-        cover = solve_cover_problem(problem, arguments.time_limit, arguments.seed)
-        _check_feasible(arguments, cover, problem.matrix.shape[1])
-        found = f"cost {cover.objective:g}"
+    asked = asked_of(arguments, problem)
+    limit, seed = arguments.time_limit, arguments.seed
+    if asked.plain:
+        cover = solve_cover_problem(problem, limit, seed)
     else:
-        cover = maximise_coverage(problem, arguments.budget, time_limit_s=arguments.time_limit)
-        found = f"{cover.objective:g} of {problem.matrix.shape[1]} targets covered"
-    write_json(arguments.out, _content(cover))
-    print(
-        f"{len(cover.chosen)} rows, {found}, bound {cover.bound:g}, {cover.status}: {arguments.out}"
-    )
+        cover = solve_deployment(asked.deployment, limit, seed).cover
+    _check_feasible(arguments, cover, problem.matrix.shape[1])
+    content = _content(asked, cover)
+    if arguments.curve is not None:
+        content["curve"] = curve_of(arguments, asked, cover)
+    if arguments.alternatives:
+        content["alternatives"] = swaps_of(asked, cover)
+    write_json(arguments.out, content)
+    value, bound = content["objective"], content["bound"]
+    of = "targets" if arguments.weights is None else "weight"
+    found = f"{value:g} of {asked.total:g} {of} covered" if asked.counts else f"cost {value:g}"
+    print(f"{len(cover.chosen)} rows, {found}, bound {bound:g}, {cover.status}: {arguments.out}")
+
+
+def _vector(path: str | None) -> Any:
+    return None if path is None else read_vector(path)
 
 
 def _check_numbers(arguments: argparse.Namespace) -> None:
@@ -78,12 +103,18 @@ def _check_feasible(arguments: argparse.Namespace, cover: Cover, targets: int) -
     if cover.status == "infeasible" and len(cover.uncoverable):
         first = ", ".join(str(t) for t in cover.uncoverable[:_FIRST])
         more = ", ..." if len(cover.uncoverable) > _FIRST else ""
+        times = "often enough" if arguments.needs else f"{arguments.at_least} times"
         raise InputError(
             f"{len(cover.uncoverable)} of {targets} targets cannot be covered"
-            f" {arguments.at_least} times: columns {first}{more}",
+            f" {times}: columns {first}{more}",
             where=arguments.matrix,
             hint="leave these columns out or add rows that cover them",
         )
+    if cover.status == "infeasible" and (arguments.spacing or arguments.keep_share):
+        raise InputError(
+            "no choice of rows covers all targets under these conditions", where=arguments.matrix,
+            hint="lower --spacing or --keep-share, or give a --budget or --price",
+        )  # fmt: skip
     if cover.status == "infeasible":
         raise InputError(
             "no choice of one row for each group covers all targets", where=arguments.matrix
@@ -97,15 +128,22 @@ def _check_feasible(arguments: argparse.Namespace, cover: Cover, targets: int) -
         )
 
 
-def _content(cover: Cover) -> dict[str, Any]:
+def _content(asked: Asked, cover: Cover) -> dict[str, Any]:
     return {
         "status": cover.status,
-        "objective": cover.objective,
-        "bound": cover.bound,
+        "objective": asked.shown(cover.objective),
+        "bound": asked.shown(cover.bound),
         "gap": cover.gap,
         "chosen": cover.chosen.tolist(),
         "seconds_cpu": cover.seconds_cpu,
         "lp_bound": cover.lp_bound,
         "nodes": cover.nodes,
         "reductions": cover.reductions,
+        **({} if asked.plain else _figures(asked, cover)),
     }
+
+
+def _figures(asked: Asked, cover: Cover) -> dict[str, float]:
+    """Cost and covered weight of the chosen rows."""
+    costs = np.asarray(asked.deployment.problem.costs)[cover.chosen]
+    return {"cost": math.fsum(costs), "covered": asked.deployment.guaranteed(cover.chosen)}

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from roadsight.config.plans import Plan, load_plans
+from roadsight.config.plans import Plan, check_sensors, load_plans
 from roadsight.config.schema import Config, Settings
 from roadsight.config.sites import Site
 from roadsight.config.validate import check_path, validated
@@ -94,15 +94,30 @@ def load_site(name: str, config: Config) -> ResolvedSite:
     settings = validated(Settings, merged(base, site.settings), f"{file}: settings")
     settings = validated(Settings, merged(settings.model_dump(), config.overrides), "overrides")
     check_names(settings.effect_modes, load_catalogue(config.effects_file), f"{file}: effects")
-    plans = load_plans(config.plans_file, config.sensors_file)
+    plans = _plans(site, file, config)
     everyday = [name for name, plan in plans.items() if not plan.on_request]
-    chosen = site.placement.plans if site.placement.plans is not None else everyday
-    _check_plans(chosen, plans, f"{file}: placement.plans")
+    named = site.placement.plans if site.placement.plans is not None else everyday
+    _check_plans(named, plans, f"{file}: placement.plans")
+    own = [name for name, plan in site.placement.own_plans.items() if not plan.on_request]
+    chosen = list(dict.fromkeys([*named, *own]))
     if config.plans:
         chosen = config.plans
         _check_plans(chosen, plans, "plans")
     clouds = [str(_located(cloud, file)) for cloud in site.clouds]
     return ResolvedSite(site, settings, file, clouds, {name: plans[name] for name in chosen})
+
+
+def _plans(site: Site, file: Path, config: Config) -> dict[str, Plan]:
+    """Plans of the plans file and of the site, the files of their options located."""
+    general, own = load_plans(config.plans_file, config.sensors_file), site.placement.own_plans
+    check_sensors(own, config.sensors_file, f"{file}: placement.own_plans")
+    plans = {
+        name: plan.located(lambda path: str(_located(path, Path(config.plans_file))))
+        for name, plan in general.items()
+    }
+    return plans | {
+        name: plan.located(lambda path: str(_located(path, file))) for name, plan in own.items()
+    }
 
 
 def _check_plans(chosen: list[str], plans: dict[str, Plan], where: str) -> None:

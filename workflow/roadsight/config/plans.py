@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from roadsight.config.plan_options import PlanOptions
 from roadsight.config.schema import Name, Section
 from roadsight.config.validate import validated
 from roadsight.errors import InputError, nearest
 from roadsight.io.texts import read_yaml
 
 
-class Plan(Section):
+class Plan(PlanOptions):
     """One deployment plan."""
 
     title: str = Field(description="name for people")
@@ -34,16 +35,26 @@ def load_plans(plans_file: str, sensors_file: str) -> dict[str, Plan]:
     InputError : an unknown sensor, a plan without sensors, or a malformed file.
     """
     plans = validated(Plans, read_yaml(plans_file), plans_file).plans
+    check_sensors(plans, sensors_file, plans_file)
+    return plans
+
+
+def check_sensors(plans: dict[str, Plan], sensors_file: str, where: str) -> None:
+    """Check that the sensors of plans exist.
+
+    Raises
+    ------
+    InputError : one does not.
+    """
     known = _sensor_names(sensors_file)
     for name, plan in plans.items():
         for sensor in plan.sensors:
             if sensor not in known:
                 raise InputError(
                     f"plan {name!r} names the unknown sensor {sensor!r}",
-                    where=plans_file,
+                    where=where,
                     hint=f"{nearest(sensor, known)} (sensors are defined in {sensors_file})",
                 )
-    return plans
 
 
 def _sensor_names(sensors_file: str) -> list[str]:

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from roadsight.config.plans import Plan
 from roadsight.config.schema import Count, Name, Section
 
 Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
@@ -59,6 +60,10 @@ class PlacementInputs(Section):
     )
     plans: list[str] | None = Field(
         default=None, description="plans to solve; all of them if absent"
+    )
+    own_plans: dict[Name, Plan] = Field(
+        default={},
+        description="plans of this site alone, solved besides; one of a known name replaces it",
     )
 
 

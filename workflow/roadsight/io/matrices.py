@@ -48,12 +48,12 @@ def read_matrix(path: str | os.PathLike[str]) -> sparse.csr_matrix:
     return matrix
 
 
-def read_vector(path: str | os.PathLike[str]) -> NDArray[np.generic]:
-    """1-D array of numbers of a NumPy ``.npy`` file.
+def read_vector(path: str | os.PathLike[str], dimensions: int = 1) -> NDArray[np.generic]:
+    """Array of numbers of a NumPy ``.npy`` file, 1-D if not asked for otherwise.
 
     Raises
     ------
-    InputError : missing, damaged, not 1-D or not numeric.
+    InputError : missing, damaged, of other dimensions or not numeric.
     """
     _check_exists(path)
     try:
@@ -62,7 +62,8 @@ def read_vector(path: str | os.PathLike[str]) -> NDArray[np.generic]:
         raise InputError(
             f"cannot be read as an array ({error})", where=str(path), allowed=_NPY
         ) from error
-    if not isinstance(values, np.ndarray) or values.ndim != 1 or values.dtype.kind not in "biuf":
+    array = isinstance(values, np.ndarray) and values.ndim == dimensions
+    if not array or values.dtype.kind not in "biuf":
         found = getattr(values, "shape", "an archive")
         raise InputError("holds no list of numbers", where=str(path), found=found, allowed=_NPY)
     return values

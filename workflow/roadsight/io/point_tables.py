@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 
 import geopandas as gpd
@@ -21,7 +22,10 @@ _NAMES = ("id", "name")
 
 
 def read_points(
-    path: str | os.PathLike[str], frame: Frame, default_crs: str | None = None
+    path: str | os.PathLike[str],
+    frame: Frame,
+    default_crs: str | None = None,
+    attributes: Sequence[str] = (),
 ) -> pd.DataFrame:
     """Points of a CSV table (lat, lon or native x, y) or of any vector file, in local metres.
 
@@ -30,19 +34,21 @@ def read_points(
     Parameters
     ----------
     default_crs : CRS of a vector file that names none, see `load_local`.
+    attributes : further columns that are numbers where they are given.
 
     Returns
     -------
-    columns id (text), kind (text, "" if not given), x, y
+    columns id (text), kind (text, "" if not given), x, y, and the attributes (NaN if not given)
 
     Raises
     ------
-    InputError : the file cannot be read or holds no points, or a coordinate is no finite number.
+    InputError : the file cannot be read or holds no points, or a coordinate is no finite number,
+        or an attribute no number.
     """
     if Path(path).suffix.lower() != ".csv":
         features = load_local(Path(path), frame, default_crs)
         middle = shapely.get_coordinates(shapely.centroid(features.geometry.to_numpy()))
-        return _named(middle, features)
+        return _named(middle, features, attributes, path)
     table = read_text_table(path)
     axes = next((pair for pair in _AXES if set(pair) <= set(table.columns)), None)
     if axes is None:
@@ -61,13 +67,45 @@ def read_points(
             "holds a place that is no finite number or that the site's CRS cannot hold",
             where=f"{path}, line {row + 2}", found=table[list(axes)].iloc[row].tolist(),
         )  # fmt: skip
-    return _named(local, table)
+    return _named(local, table, attributes, path)
 
 
-def _named(xy_m: np.ndarray, table: pd.DataFrame | gpd.GeoDataFrame) -> pd.DataFrame:
+def _named(
+    xy_m: np.ndarray,
+    table: pd.DataFrame | gpd.GeoDataFrame,
+    attributes: Sequence[str],
+    path: str | os.PathLike[str],
+) -> pd.DataFrame:
     column = next((name for name in _NAMES if name in table), None)
     names = [f"t{n}" for n in range(1, len(xy_m) + 1)]
     if column is not None:
         names = table[column].astype(str).tolist()
     kinds = table["kind"].astype(str).tolist() if "kind" in table else [""] * len(names)
-    return pd.DataFrame({"id": names, "kind": kinds, "x": xy_m[:, 0], "y": xy_m[:, 1]})
+    points = pd.DataFrame({"id": names, "kind": kinds, "x": xy_m[:, 0], "y": xy_m[:, 1]})
+    for name in attributes:
+        points[name] = attribute_numbers(table, name, path)
+    return points
+
+
+def attribute_numbers(
+    table: pd.DataFrame | gpd.GeoDataFrame, name: str, where: str | os.PathLike[str]
+) -> np.ndarray:
+    """Values of an attribute, NaN where it is not given.
+
+    Raises
+    ------
+    InputError : a value that is given is no finite number of 0 or more.
+    """
+    if name not in table:
+        return np.full(len(table), np.nan)
+    given = table[name].notna() & (table[name].astype(str).str.strip() != "")
+    numbers = pd.to_numeric(table[name], errors="coerce").to_numpy(np.float64)
+    wrong = given.to_numpy() & ~(np.isfinite(numbers) & (numbers >= 0))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"{name} is no number of 0 or more",
+            where=f"{where}, feature {row + 1}",
+            found=table[name].iloc[row],
+        )
+    return numbers

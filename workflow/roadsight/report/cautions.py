@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from roadsight.report.options_view import goal_text
 from roadsight.report.wording import counted, number, percent
 
 # Below these, one target or position more or less can change the number of sensors.
@@ -61,7 +62,9 @@ def plan_cautions(plans: Sequence[dict[str, Any]]) -> list[Caution]:
 
 def _limits(plan: dict[str, Any]) -> Iterator[str]:
     """What limits the worth of one plan's result."""
-    if not plan["proven"]:
+    if not plan["proven"] and "options" in plan:
+        yield f"not proven optimal. {goal_text(plan['options'])}"
+    elif not plan["proven"]:
         yield (
             f"not proven optimal. The solution costs {number(plan['objective'])}; the best"
             f" possible lies between {number(plan['bound'])} and that."

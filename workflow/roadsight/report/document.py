@@ -42,6 +42,7 @@ TEMPLATES = (
     "plans.html.j2",
     "views.html.j2",
     "sensors.html.j2",
+    "options.html.j2",
     "gaps.html.j2",
     "evidence.html.j2",
     "effects.html.j2",
@@ -152,11 +153,17 @@ def _scene(page: _Page) -> dict[str, Any]:
     costs = [sensor["cost"] for sensor in page["sensors"].values()]
     return {
         "plans": plan_views(page["plans"], Frame.from_dict(page["frame"])),
+        "asked": _asked(page),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
         **_cloud(page),
         **_evidence(page),
         "data": embedded(_drawn(page)),
     }
+
+
+def _asked(page: _Page) -> bool:
+    """Whether any plan has options."""
+    return any("options" in plan for plan in page["plans"])
 
 
 def _cautions(page: _Page | None, poles_page: _Page | None) -> list[dict[str, str]]:
@@ -273,6 +280,8 @@ def _sections(
     if page is not None:
         views = [("map", "Map"), ("scene3d", "3D view")]
         results = [("sensors", "Chosen sensors"), ("gaps", "Uncovered targets")]
+        asked = [("options", "Plan options")] if _asked(page) else []
+        results[1:1] = asked
         found = [("plans", "Plans compared"), *views, *results] if page["plans"] else views
     if poles is not None:
         found += poles["sections"]

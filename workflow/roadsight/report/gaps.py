@@ -6,6 +6,7 @@ from collections.abc import Collection
 from typing import Any
 
 import geopandas as gpd
+import numpy as np
 import pandas as pd
 import shapely
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ _DETAILS = ("nearest_m", "blocked_share", "obstacle_x", "obstacle_y")
 def gaps_of(
     targets: pd.DataFrame,
     times_seen: NDArray,
-    at_least: int,
+    needed: NDArray | int,
     uncovered: Collection[str],
     explained: pd.DataFrame,
 ) -> list[dict[str, Any]]:
@@ -32,12 +33,14 @@ def gaps_of(
     ----------
     targets : columns target, x, y, z, local metres.
     times_seen : (n,) how many chosen sensors see each target.
+    needed : how many must, one number or (n,).
     uncovered : names of the targets that no candidate sees.
     explained : columns target, reason, nearest_m (distance of the nearest candidate), blocked_share
         (of its sight lines), obstacle_x and obstacle_y (local metres) of uncovered targets.
     """
     details = explained.set_index("target")[["reason", *_DETAILS]].to_dict("index")
-    named = zip(targets["target"], targets["x"], targets["y"], times_seen, strict=True)
+    must = np.broadcast_to(needed, len(targets))
+    named = zip(targets["target"], targets["x"], targets["y"], times_seen, must, strict=True)
     return [
         {
             "target": str(name),
@@ -47,8 +50,8 @@ def gaps_of(
             "reason": _reason(name in uncovered, bool(seen), details.get(name)),
             **{key: _known(details.get(name, {}).get(key)) for key in _DETAILS},
         }
-        for name, x, y, seen in named
-        if seen < at_least
+        for name, x, y, seen, need in named
+        if seen < need
     ]
 
 

@@ -29,11 +29,13 @@ from roadsight.report.layers import (
     relief_layer,
     target_layer,
 )
+from roadsight.report.options_view import goal_proven
 from roadsight.report.packing import pack, pack_points
 from roadsight.report.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
 
 FORMAT = "roadsight.page/1"
 _MOST_OBSTACLES = 300
+_OPTIONAL = ("cost", "loses", "mandatory", "pole")
 _POSE = ("position", "pitch_deg", "roll_deg")
 
 
@@ -158,18 +160,20 @@ def _plan(
     costs = [placement.sensors[name]["cost"] for name in solution["sensor_types"]]
     at_least = int(solution["at_least"])
     kept = ("sensor_types", "status", "objective", "bound", "gap", "reductions")
+    options = solution.get("options")
+    whole = all(float(cost).is_integer() for cost in costs)
+    if options is None:
+        proven = is_proven(solution["status"], solution["objective"], solution["bound"], whole)
+    else:
+        proven = goal_proven(options["goal"], solution["status"])
     return {
         "name": solution["plan"],
         "title": plan.title,
         **{key: solution[key] for key in kept},
+        **({} if options is None else {"options": options}),
         "seconds_cpu": seconds_cpu,
         "at_least": at_least,
-        "proven": is_proven(
-            solution["status"],
-            solution["objective"],
-            solution["bound"],
-            all(float(cost).is_integer() for cost in costs),
-        ),
+        "proven": proven,
         "targets": len(placement.targets),
         "excluded": len(solution["excluded"]),
         "sensors": _sensors(solution["sensors"], sights, frame),
@@ -178,7 +182,7 @@ def _plan(
         "gaps": gaps_of(
             placement.targets,
             sights.times_seen,
-            at_least,
+            _needs(placement.targets, at_least, options),
             frozenset(plan.uncovered),
             plan.explained,
         ),
@@ -191,6 +195,12 @@ def _plan(
     }
 
 
+def _needs(targets: pd.DataFrame, at_least: int, options: dict[str, Any] | None) -> NDArray:
+    """How many sensors must see each target (n,)."""
+    own = {} if options is None else options["needs"]
+    return np.array([own.get(str(name), at_least) for name in targets["target"]], np.int64)
+
+
 def _sensors(sensors: list[dict[str, Any]], sights: Sights, frame: Frame) -> list[dict[str, Any]]:
     """Chosen sensors in the solution's order, numbered from 1."""
     xyz = np.array([[entry[axis] for axis in "xyz"] for entry in sensors]).reshape(-1, 3)
@@ -199,7 +209,7 @@ def _sensors(sensors: list[dict[str, Any]], sights: Sights, frame: Frame) -> lis
     return [
         {
             **{key: entry[key] for key in kept},
-            **{key: entry[key] for key in _POSE if key in entry},
+            **{key: entry[key] for key in (*_POSE, *_OPTIONAL) if key in entry},
             "number": number + 1,
             "bearing_deg": bearing_deg(entry["yaw_deg"]),
             "native": frame.to_native(xyz[number]).tolist(),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from roadsight.geometry.frames import Frame
+from roadsight.report.options_view import is_soft, options_view
 from roadsight.report.wording import number
 
 
@@ -26,7 +27,8 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
             "chosen": plan is first,
             "models": _models(plan["sensors"], most),
             "cost_width": _width(plan["objective"], dearest),
-            "bound_width": _width(plan["bound"], dearest),
+            "bound_width": _width(plan["bound"] or 0.0, dearest),
+            "asked": options_view(plan),
             "covered": plan["targets"] - len(plan["gaps"]),
             "most_seen": max([1, *plan["histogram"]]),
             "reduced": _reductions(plan["reductions"]),
@@ -39,8 +41,11 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
 
 
 def best_plan(plans: list[dict[str, Any]]) -> dict[str, Any]:
-    """Plan with the fewest sensors; of several, the one that covers most, then the first."""
-    return min(plans, key=lambda plan: (len(plan["sensors"]), len(plan["gaps"])))
+    """Plan with the fewest sensors; of several, the one that covers most, then the first.
+
+    Plans that may leave targets unseen come after all others.
+    """
+    return min(plans, key=lambda p: (is_soft(p), len(p["sensors"]), len(p["gaps"])))
 
 
 def _models(sensors: list[dict[str, Any]], most: int) -> list[dict[str, Any]]:

@@ -23,7 +23,10 @@ from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
 from roadsight.placement.cover.deadline import WorkLimit
 from roadsight.placement.cover.result import WITHIN_GAP
 from roadsight.placement.coverage import availability, detection_matrix, times_seen
+from roadsight.placement.plan_answer import Answer, answer
+from roadsight.placement.plan_problem import Asked, pose
 from roadsight.stages.command import run_stage
+from roadsight.stages.cover_inputs import FILES, read_asked
 
 log = logging.getLogger("solve_cover")
 
@@ -36,26 +39,28 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     targets = read_table(arguments.targets)
     uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
     wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
-    _check_uncovered(arguments, len(uncovered), len(targets))
+    asked = read_asked(arguments, frame)
+    _check_uncovered(arguments, len(uncovered), len(targets), asked)
     detections = read_detections(arguments.detections)
     choices = choices_of(costs, candidates, detections)
     pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
     matrix = detection_matrix(detections, pairs, pd.Index(wanted["target"]))
-    cover = solve_cover_problem(
-        CoverProblem(
-            matrix,
-            choices["cost"].to_numpy(),
-            groups=choices["position"].to_numpy(),
-            at_least=arguments.at_least,
-        ),
-        WorkLimit(arguments.time_limit_s),
-        seed=arguments.seed,
-        gap=arguments.gap,
-    )
-    _check_solved(arguments, cover)
+    answered = None
+    if asked is None:
+        cover = _cheapest(arguments, matrix, choices)
+    else:
+        posed = pose(asked, matrix, choices, candidates, wanted)
+        answered = answer(asked, posed, choices, candidates, *_limits(arguments))
+        cover, wanted = answered.cover, posed.targets
+        uncovered = [*uncovered, *posed.unseen]
     sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(arguments, cover, sensors, targets, uncovered)
+    layers = {"sensors": _points(sensors), "targets": _points(wanted)}
+    if answered is not None:
+        content |= _option_content(answered, sensors)
+        layers |= _option_layers(answered, candidates, choices)
+        layers["sensors"] = _points(sensors)
     if "availability" in detections:
         chosen = sensors[["sensor", "candidate"]].apply(tuple, axis=1)
         wanted["availability"] = availability(detections, set(chosen), wanted["target"])
@@ -63,20 +68,75 @@ def solve_cover(arguments: argparse.Namespace) -> None:
             "mean": float(wanted["availability"].mean()),
             "least": float(wanted["availability"].min()),
         }
-    write_layers(arguments.layers, {"sensors": _points(sensors), "targets": _points(wanted)}, frame)
+    write_layers(arguments.layers, layers, frame)
     write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
     write_json(arguments.solution, content)
-    log.info(
-        "%s: %d sensors, cost %g, bound %g, %s",
-        arguments.plan,
-        len(sensors),
-        cover.objective,
-        cover.bound,
-        cover.status,
+    found = (arguments.plan, len(sensors), cover.objective, cover.bound, cover.status)
+    log.info("%s: %d sensors, cost %g, bound %g, %s", *found)
+
+
+def _cheapest(
+    arguments: argparse.Namespace, matrix: sparse.csr_matrix, choices: pd.DataFrame
+) -> Cover:
+    """Cheapest cover, as a plan without options asks for."""
+    limit_s, seed, gap = _limits(arguments)
+    problem = CoverProblem(
+        matrix,
+        choices["cost"].to_numpy(),
+        groups=choices["position"].to_numpy(),
+        at_least=arguments.at_least,
     )
+    cover = solve_cover_problem(problem, WorkLimit(limit_s), seed=seed, gap=gap)
+    _check_solved(arguments, cover)
+    return cover
 
 
-def _check_uncovered(arguments: argparse.Namespace, uncovered: int, targets: int) -> None:
+def _limits(arguments: argparse.Namespace) -> tuple[float, int, float]:
+    return arguments.time_limit_s, arguments.seed, arguments.gap
+
+
+def _option_content(answered: Answer, sensors: pd.DataFrame) -> dict[str, Any]:
+    """What solution.json says more, or differently, of a plan with options."""
+    for name in answered.sensors:
+        sensors[name] = answered.sensors[name].to_numpy()
+    goal = answered.record["goal"]
+    asked_for = answered.record["asked"]
+    changes: dict[str, Any] = {"at_least": asked_for["at_least"]} if "at_least" in asked_for else {}
+    return changes | {
+        "bound": goal["bound"] if goal["kind"] == "cost" else None,
+        "sensors": sensors.to_dict("records"),
+        "covered_targets": answered.record["seen_targets"],
+        "options": answered.record,
+    }
+
+
+def _option_layers(
+    answered: Answer, candidates: pd.DataFrame, choices: pd.DataFrame
+) -> dict[str, gpd.GeoDataFrame]:
+    """Layers of what could replace each sensor and of a different answer."""
+    if "alternatives" not in answered.record:
+        return {}
+
+    def table(rows: list[int]) -> pd.DataFrame:
+        chosen = choices.iloc[rows]
+        places = posed_candidates(chosen, candidates)
+        places.insert(1, "sensor", chosen["sensor"].tolist())
+        return places
+
+    swaps = table([row for _, row in answered.alternatives])
+    replaced = [int(answered.cover.chosen[k]) for k, _ in answered.alternatives]
+    swaps["replaces"] = choices["candidate"].iloc[replaced].tolist()
+    return {
+        "alternatives": _points(swaps),
+        "different": _points(table(answered.different.tolist())),
+    }
+
+
+def _check_uncovered(
+    arguments: argparse.Namespace, uncovered: int, targets: int, asked: Asked | None
+) -> None:
+    if asked is not None and asked.soft and uncovered < targets:
+        return
     if uncovered and arguments.uncoverable == "error":
         raise InputError(
             f"{uncovered} of {targets} targets are seen by no candidate",
@@ -177,6 +237,9 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", nargs="+", required=True)
     parser.add_argument("--sensors", nargs="+", required=True, help="name=cost")
     parser.add_argument("--at-least", type=int, default=1)
+    parser.add_argument("--options", default="", help="options of the plan as JSON")
+    for name in FILES:
+        parser.add_argument(f"--{name}", nargs="*", default=[], help="file of the option")
     parser.add_argument("--time-limit-s", type=float, default=300.0)
     parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")
     parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")

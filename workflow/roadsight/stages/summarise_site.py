@@ -98,7 +98,21 @@ def _plan(solution: dict[str, Any], candidates: int) -> dict[str, Any]:
         "candidates": candidates,
         "uncoverable_targets": solution["uncoverable_targets"],
         "seconds_cpu": solution["seconds_cpu"],
+        **({"options": _options(solution["options"])} if "options" in solution else {}),
     }
+
+
+def _options(found: dict[str, Any]) -> dict[str, Any]:
+    """What a plan asks for beyond a cover, what was reached, and how far it is proven."""
+    alternatives = found.get("alternatives")
+    summary = {key: found[key] for key in ("asked", "goal", "weight", "failure")}
+    summary["short_targets"] = len(found["short"])
+    if "curve" in found:
+        summary["curve"] = found["curve"]
+    if alternatives:
+        kept = ("replaceable", "places", "shared_places", "least_shared_places")
+        summary["alternatives"] = {key: alternatives[key] for key in kept}
+    return summary
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -1,0 +1,182 @@
+"""What the report says of a plan that asks for more than the cheapest cover."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from roadsight.report.charts import Chart, span_of
+from roadsight.report.wording import counted, number, percent
+
+_LISTED = 6
+
+
+def goal_proven(goal: dict[str, Any], status: str) -> bool:
+    """Whether a goal is called optimal and its bound bears that out."""
+    size = max(1.0, abs(goal["value"]))
+    return status == "optimal" and abs(goal["value"] - goal["bound"]) <= 1e-6 * size
+
+
+def is_soft(plan: dict[str, Any]) -> bool:
+    """Whether a plan may leave targets unseen, for a budget or a price."""
+    options = plan.get("options")
+    return options is not None and options["goal"]["kind"] != "cost"
+
+
+def goal_text(options: dict[str, Any]) -> str:
+    """Value and bound of what the plan optimises, one sentence."""
+    goal = options["goal"]
+    value, bound = number(goal["value"]), number(goal["bound"])
+    if goal["kind"] == "coverage":
+        of = number(options["weight"]["of"])
+        return f"It sees a weight of {value} of {of}; nothing within the budget sees over {bound}."
+    if goal["kind"] == "cost and price":
+        return f"Sensors and unseen targets cost {value} together; no choice costs under {bound}."
+    return f"It costs {value}; nothing that meets the same conditions costs under {bound}."
+
+
+def options_view(plan: dict[str, Any]) -> dict[str, Any] | None:
+    """Rows, curve and alternatives of a plan; None where it has no options."""
+    options = plan.get("options")
+    if options is None:
+        return None
+    return {
+        "goal": goal_text(options),
+        "rows": _asked_rows(options),
+        "curve": curve_chart(options["curve"]) if "curve" in options else None,
+        "points": _points(options["curve"]) if "curve" in options else [],
+        "alternatives": _alternatives(plan, options),
+    }
+
+
+def _asked_rows(options: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """What is asked for, how much of it, and what came of it."""
+    asked = options["asked"]
+    failure = options["failure"]
+    left = f"{percent(failure['left_share'])} left when the worst sensor fails"
+    short = len(options["short"])
+    weight = options["weight"]
+    share = percent(weight["seen"] / weight["of"]) if weight["of"] else "all"
+    rows = [
+        ("Budget", _budget(asked.get("budget")), f"{share} of the weight seen"),
+        ("Price of an unseen target", _number(asked.get("price")), f"{share} of the weight seen"),
+        ("Sensors that see each target", _number(asked.get("at_least")), _short(short)),
+        ("Areas with weights or numbers of their own", _yes(asked, "areas"), _short(short)),
+        (
+            "Zones without sensors",
+            _yes(asked, "forbidden"),
+            f"{counted(options['forbidden_candidates'], 'candidate')} dropped",
+        ),
+        ("Sensors that must stand", _yes(asked, "mandatory"), "marked in the table of sensors"),
+        ("Poles that stand already", _yes(asked, "poles"), "used where a sensor names one"),
+        ("Distance of sensors, at least", _metres(asked.get("spacing_m")), "kept"),
+        ("Coverage that any one failure leaves", _share(asked.get("keep_share")), left),
+    ]
+    found = [row for row in rows if row[1]]
+    return found if asked.get("keep_share") else [*found, ("One sensor fails", "", left)]
+
+
+def _budget(budget: dict[str, Any] | None) -> str:
+    if not budget:
+        return ""
+    if budget.get("sensors"):
+        return counted(int(budget["sensors"]), "sensor")
+    return f"cost {number(budget['cost'])}"
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else number(value)
+
+
+def _metres(value: float | None) -> str:
+    return "" if value is None else f"{number(value)} m"
+
+
+def _share(value: float | None) -> str:
+    return "" if value is None else percent(value)
+
+
+def _yes(asked: dict[str, Any], name: str) -> str:
+    return "given" if name in asked else ""
+
+
+def _short(short: int) -> str:
+    return f"{counted(short, 'target')} cannot be seen so often" if short else "every target can be"
+
+
+def curve_chart(curve: dict[str, Any]) -> str:
+    """Coverage against budget with the bound above it."""
+    points, total = curve["points"], curve["total"]
+    budgets = [point["budget"] for point in points]
+    shares, bounds = (
+        [100 * point[name] / total for point in points] for name in ("weight", "bound")
+    )
+    chart = Chart(
+        "Coverage against budget",
+        "Sensors" if curve["of"] == "sensors" else "Cost",
+        "Weight seen, %",
+        span_of(budgets, start=0.0),
+        span_of(shares, bounds),
+    )
+    chart.band(budgets, shares, bounds, "sigma")
+    chart.line(budgets, bounds, "reference")
+    chart.line(budgets, shares, "fit")
+    texts = [
+        f"{number(p['budget'])}: {number(share, 2)} % seen, at most {number(bound, 2)} %"
+        for p, share, bound in zip(points, shares, bounds, strict=True)
+    ]
+    chart.dots(budgets, shares, "good", texts)
+    return chart.svg()
+
+
+def _points(curve: dict[str, Any]) -> list[dict[str, Any]]:
+    """Points with shares of the weight, and what each adds to the one before."""
+    total = curve["total"]
+    before = np.concatenate([[0.0], [point["weight"] for point in curve["points"]]])
+    return [
+        point
+        | {
+            "share": point["weight"] / total,
+            "bound_share": point["bound"] / total,
+            "added": (point["weight"] - float(before[n])) / total,
+            "proven": point["status"] == "optimal",
+        }
+        for n, point in enumerate(curve["points"])
+    ]
+
+
+def _alternatives(plan: dict[str, Any], options: dict[str, Any]) -> dict[str, Any] | None:
+    """Which candidates could replace each sensor, and how different another answer is."""
+    found = options.get("alternatives")
+    if found is None:
+        return None
+    rows = []
+    for sensor, names, count in zip(
+        plan["sensors"], found["by"], found["replaceable"], strict=True
+    ):
+        more = f", and {number(count - _LISTED)} more" if count > _LISTED else ""
+        rows.append(
+            {
+                "number": sensor["number"],
+                "candidate": sensor["candidate"],
+                "count": count,
+                "by": ", ".join(names[:_LISTED]) + more if names else "",
+            }
+        )
+    return {"rows": rows, "text": _uniqueness(found, len(plan["sensors"]))}
+
+
+def _uniqueness(found: dict[str, Any], sensors: int) -> str:
+    shared, least = found["shared_places"], found["least_shared_places"]
+    if shared >= sensors and least >= sensors:
+        return "Every answer as good stands at the same places."
+    text = (
+        f"Another answer as good has {counted(sensors - shared, 'sensor')} elsewhere and"
+        f" {number(shared)} at the same places."
+        if shared < sensors
+        else "No answer as good was found that stands elsewhere."
+    )
+    if least >= shared:
+        return f"{text} None shares fewer: that is proven."
+    return f"{text} Within its limit the search proves only that {number(least)} must be shared."
