@@ -9,12 +9,15 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "tests" / "unit"))
-from report_poles import PolesSite  # noqa: E402
+from report_poles import WIDTH_PX, PolesSite  # noqa: E402
 from report_site import ReportSite  # noqa: E402
+
+from roadsight.io.tables import read_table, write_table  # noqa: E402
 
 SITES = {
     "tiny": {"title": "Tiny road", "jobs": ["placement"]},
@@ -40,7 +43,7 @@ def make_project(folder, poles=True):
         site = {"site": name, **about, "clouds": clouds, "settings": SETTINGS}
         if "poles" in about["jobs"]:
             manifest = "../../resources/manifests/road_classes.yaml"
-            site["poles"] = {"videolog": "videolog.csv", "images": "images"}
+            site["poles"] = {"videolog": "videolog.csv", "images": "../../results/drive/images"}
             site["poles"]["masks"] = [{"model": manifest}]
             site["settings"] = SETTINGS | {"shards": 2}
         text = f"# The site {name}\n" + yaml.safe_dump(site, sort_keys=False)
@@ -48,7 +51,16 @@ def make_project(folder, poles=True):
     ReportSite(folder / "results", "tiny", hidden=0.1)
     if poles:
         PolesSite(folder / "results", "drive", length_m=160.0, poles=8)
+        _tell_sides(folder / "results/drive/poles/image_edges")
     return folder
+
+
+def _tell_sides(folder):
+    """Sides and kinds of edge pixels, which the report does not look at."""
+    for path in folder.glob("*.parquet"):
+        table = read_table(path)
+        side = np.where(table["u"] < 0.5 * WIDTH_PX, -1, 1)
+        write_table(path, table.assign(side=side, kind="border"))
 
 
 class Studio:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from pathlib import Path
 
 import pytest
+import studio_page
 import yaml
 from chromium import BINARY, Chromium
+from studio_page import check_looks, key, open_studio
 from studio_project import Studio, make_project
 
 from roadsight.config.load import load_config, load_site
@@ -22,7 +23,6 @@ pytestmark = [
     pytest.mark.skipif(BINARY is None, reason="no Chromium to open the studio with"),
     pytest.mark.xdist_group("studio"),
 ]
-HELPERS = Path(__file__).with_name("report_page.js").read_text(encoding="utf-8")
 READY = "window.studio?.page?.preview && studio.page.view.settled && !studio.page.looking"
 
 
@@ -51,18 +51,7 @@ def project(studio):
 
 @pytest.fixture
 def page(browser, studio, project):
-    browser.complaints.clear()
-    browser.open("about:blank")
-    origin = studio.address.partition("/#")[0]
-    browser.call("Storage.clearDataForOrigin", origin=origin, storageTypes="local_storage")
-    browser.open(studio.address)
-    browser.until("window.studio?.page")
-    return browser
-
-
-@pytest.fixture(autouse=True)
-def ready(page):
-    page.until(READY)
+    return open_studio(browser, studio, "", "", READY)
 
 
 def pixel(page, x, y):
@@ -74,31 +63,11 @@ def pixel(page, x, y):
 
 
 def click(page, x, y, count=1, modifiers=0):
-    u, v = pixel(page, x, y)
-    for kind in ("mousePressed", "mouseReleased"):
-        page.call(
-            "Input.dispatchMouseEvent", type=kind, x=u, y=v, button="left",
-            clickCount=count, modifiers=modifiers,
-        )  # fmt: skip
+    studio_page.click(page, *pixel(page, x, y), count, modifiers)
 
 
 def drag(page, start, end):
-    u, v = pixel(page, *start)
-    to = pixel(page, *end)
-    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=u, y=v)
-    held = {"button": "left", "buttons": 1, "clickCount": 1}
-    page.call("Input.dispatchMouseEvent", type="mousePressed", x=u, y=v, **held)
-    for share in (0.5, 1.0):
-        at = [a + share * (b - a) for a, b in zip((u, v), to, strict=True)]
-        page.call("Input.dispatchMouseEvent", type="mouseMoved", x=at[0], y=at[1], **held)
-    page.call("Input.dispatchMouseEvent", type="mouseReleased", x=to[0], y=to[1], **held)
-
-
-def key(page, name, modifiers=0, code=""):
-    text = name if len(name) == 1 and not modifiers else ""
-    event = {"key": name, "modifiers": modifiers, "code": code}
-    page.call("Input.dispatchKeyEvent", type="keyDown", text=text, **event)
-    page.call("Input.dispatchKeyEvent", type="keyUp", **event)
+    studio_page.drag(page, pixel(page, *start), pixel(page, *end))
 
 
 def tool(page, name):
@@ -300,14 +269,7 @@ def test_mistakes_are_told_and_nothing_is_written(page, project):
 @pytest.mark.parametrize(("width", "height"), [(1280, 720), (1920, 1080)])
 @pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
 def test_texts_stand_out_and_nothing_is_cut_off(page, dark, width, height):
-    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-    page.call("Emulation.setDeviceMetricsOverride", **size)
-    if page.run("document.documentElement.dataset.theme === 'dark'") != dark:
-        page.run("document.getElementById('theme').click()")
-    page.run(HELPERS)
-    assert page.run("faintTexts()") == []
-    assert page.run("document.documentElement.scrollWidth <= innerWidth")
-    assert page.run("document.documentElement.scrollHeight <= innerHeight")
+    check_looks(page, dark, width, height)
 
 
 def test_colours_and_three_dimensions(page):

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from roadsight.studio.drawing import load_drawing, save_drawing
+from roadsight.studio.drive import SiteDrive
 from roadsight.studio.project import Project
+from roadsight.studio.registering import PoseBody, save_correction
 from roadsight.studio.shapes import Drawing
 from tests.workflow.conftest import with_followers
 from tests.workflow.test_staleness import READERS
@@ -39,3 +43,16 @@ def test_saved_zones_make_the_candidates_and_what_follows_stale(copy_of_finished
     assert copy_of_finished.stale_rules() == stale
     saved(copy_of_finished, monkeypatch, zones=[])
     assert copy_of_finished.stale_rules() == set()
+
+
+def test_a_corrected_image_makes_its_shard_stale_alone(copy_of_road, monkeypatch):
+    monkeypatch.chdir(copy_of_road.folder)
+    project = Project(copy_of_road.folder)
+    drive = SiteDrive(project.site(copy_of_road.site))
+    pose = PoseBody.model_validate(drive.expected(drive.place(3)))
+    assert len(save_correction(project, drive, 3, pose)) == 2
+    result = copy_of_road.snakemake("-n")
+    output = result.stdout + result.stderr
+    assert re.search(r"^align_cameras +1$", output, re.MULTILINE), output
+    for rule in ("segment_images", "calibrate_drive", "trace_image_edges", "ingest_cloud"):
+        assert not re.search(rf"^{rule} +\d+$", output, re.MULTILINE)

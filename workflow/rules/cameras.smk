@@ -65,13 +65,16 @@ rule align_cameras:
     params:
         shards=setting("shards"),
         options=flags("alignment", "landmarks"),
+        corrections=corrections_file,
+        corrected=shard_corrections,
         curvature=decision_on("sight_curvature"),
     shell:
         "python -m roadsight.stages.align_cameras --frames {input.frames}"
         " --image-edges {input.image_edges} --road-edges {input.road_edges}"
         " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
         " --pole-axes {input.pole_axes} --columns {input.columns}"
-        " --calibration {input.calibration} --curvature {params.curvature} {params.options} --shard {wildcards.shard}"
+        " --calibration {input.calibration} --corrections {params.corrections:q}"
+        " --curvature {params.curvature} {params.options} --shard {wildcards.shard}"
         " --shards {params.shards} --out {output.cameras} > {log} 2>&1"
 
 

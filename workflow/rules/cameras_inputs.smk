@@ -1,5 +1,7 @@
 """Helpers of the rules on cameras: aligned or given ones, and what the alignment rests on."""
 
+from roadsight.io.camera_tables import corrections_of_shard
+
 
 def aligns(wildcards):
     """Whether cameras are found by aligning them with the road."""
@@ -58,6 +60,23 @@ def landmark_columns(wildcards):
     """Pole-like columns of the cloud, where they help to align the cameras."""
     found = f"results/{wildcards.site}/poles/columns.parquet"
     return [found] if uses_landmarks(wildcards) else []
+
+
+def shard_corrections(wildcards):
+    """What a person set for images of this shard, so that only their shard becomes stale."""
+    resolved = SITES[wildcards.site]
+    path = resolved.beside(resolved.site.poles.corrections)
+    if path is None:
+        return []
+    shards = resolved.settings.shards
+    return clearly(corrections_of_shard, path, int(wildcards.shard), shards)
+
+
+def corrections_file(wildcards):
+    """The table of corrections, for shards that it is about."""
+    resolved = SITES[wildcards.site]
+    about = shard_corrections(wildcards)
+    return [resolved.beside(resolved.site.poles.corrections)] if about else []
 
 
 # Settings of the alignment that the calibration of the drive does not know.

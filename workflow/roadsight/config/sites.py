@@ -128,6 +128,9 @@ class PolesInputs(Section):
         default="classes", description="the cloud's road: by its classes, or found as pavement"
     )
     baseline: str | None = Field(default=None, description="registered cameras, JSON")
+    corrections: str | None = Field(
+        default=None, description="poses of single images that a person set, CSV"
+    )
     cameras: str | None = Field(
         default=None, description="camera poses that come with the videolog, CSV"
     )

@@ -11,6 +11,7 @@ import pandas as pd
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.io.shards import shard_of
 
 _ANGLES = {"heading_grid_deg": "heading_deg", "pitch_deg": "pitch_deg", "roll_deg": "roll_deg"}
 _LENS = ("focal_px", "cx_px", "cy_px")
@@ -65,6 +66,19 @@ def posed_images(path: str | os.PathLike[str]) -> set[str]:
     """
     table = _read(path)
     return set(table[_present(table, ("image",), path)[0]].astype(str))
+
+
+def corrections_of_shard(path: str | os.PathLike[str], shard: int, shards: int) -> list[str]:
+    """Rows of a table of corrections, as texts, of the images of one shard.
+
+    Raises
+    ------
+    InputError : it cannot be read or names no images.
+    """
+    table = _read(path)
+    names = table[_present(table, ("image",), path)[0]].astype(str)
+    own = [shard_of(name, shards) == shard for name in names]
+    return [",".join(map(str, row)) for row in table[own].to_numpy().tolist()]
 
 
 def _read(path: str | os.PathLike[str]) -> pd.DataFrame:

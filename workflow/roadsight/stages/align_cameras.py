@@ -12,7 +12,9 @@ import numpy as np
 import pandas as pd
 
 from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
+from roadsight.io.camera_tables import read_cameras
 from roadsight.io.shards import shard_of
 from roadsight.io.tables import write_table
 from roadsight.poles.alignment.drive import Place
@@ -33,13 +35,15 @@ from roadsight.poles.alignment.verdict import (
 )
 from roadsight.poles.calibration import implausible
 from roadsight.poles.calibration_table import DriveCalibration, from_content
-from roadsight.stages.alignment_inputs import add_arguments, read_scene
+from roadsight.poles.given_cameras import GivenSigma, agreement, camera_row
+from roadsight.stages.alignment_inputs import AlignmentScene, add_arguments, read_scene
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("align_cameras")
 METHODS = ("ours", "published", "none")
 TEXTS = ("image", "reason")
+BY_HAND = GivenSigma(heading_deg=0.1, pitch_deg=0.1, lateral_m=0.2, along_m=0.5)
 CAMERA_COLUMNS = (
     "image", "x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px", "cx_px", "cy_px",
     "width_px", "height_px", "sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m",
@@ -58,8 +62,12 @@ def align_cameras(arguments: argparse.Namespace) -> None:
         sigma_lateral_m=arguments.max_sigma_lateral_m,
     )
     own = [p for p in scene.places if shard_of(p.image, arguments.shards) == arguments.shard]
+    by_hand = read_corrections(arguments)
     rows = []
     for place in logged(own, len(own), log, "images"):
+        if place.image in by_hand:
+            rows.append({"image": place.image, **corrected(scene, place, by_hand[place.image])})
+            continue
         drive = _drive(drives, place)
         task = scene.load(place)(*drive.expected(place))
         row = aligned(task, arguments.method, limits, scene.landmarks)
@@ -70,6 +78,22 @@ def align_cameras(arguments: argparse.Namespace) -> None:
     for reason, count in sorted(Counter(table["reason"]).items()):
         log.info("%d of %d images: %s", count, len(table), reason or "accepted")
     write_table(arguments.out, table, {"method": arguments.method})
+
+
+def read_corrections(arguments: argparse.Namespace) -> dict[str, pd.Series]:
+    """Poses that a person set, by image."""
+    if not arguments.corrections:
+        return {}
+    frame = Frame.from_dict(read_json(arguments.frame))
+    table = read_cameras(arguments.corrections, frame)
+    return {str(row["image"]): row for _, row in table.iterrows()}
+
+
+def corrected(scene: AlignmentScene, place: Place, pose: pd.Series) -> dict[str, Any]:
+    """Row of an image whose pose a person set: taken as it is, and compared with the road."""
+    size = place.start.width_px, place.start.height_px
+    seen, there = scene.edges_of(place)
+    return camera_row(pose, size, BY_HAND, agreement(pose, size, seen, there), len(seen.uv_px))
 
 
 def _drive(drives: dict[Any, DriveCalibration], place: Place) -> DriveCalibration:
@@ -141,6 +165,7 @@ def main(argv: list[str] | None = None) -> int:
     add_arguments(parser)
     limits = Limits()
     parser.add_argument("--calibration", required=True)
+    parser.add_argument("--corrections", nargs="?", help="poses of images set by a person, CSV")
     parser.add_argument("--method", choices=METHODS, default="ours")
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)

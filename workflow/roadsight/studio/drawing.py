@@ -9,24 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 import shapely
 from shapely import MultiPolygon
 
-from roadsight.config.load import load_site
-from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import atomic_path
 from roadsight.io.mount_files import read_mounts
 from roadsight.io.rasters import Raster, read_raster
 from roadsight.io.vectors import read_layer, read_lines, read_polygons, write_geojson
 from roadsight.studio.preview import lifted, rings
 from roadsight.studio.project import DEM, Project, SiteFolder
 from roadsight.studio.shapes import Drawing, edge_lines, monitored, mount_points, zone_polygons
-from roadsight.studio.site_text import with_value
+from roadsight.studio.site_files import Writer, save_beside
 
 _SECTION = "placement"
 LAYERS = ("edges", "zones", "mounts", "tma")
@@ -150,24 +146,17 @@ def save_drawing(project: Project, stem: str, drawing: Drawing) -> list[str]:
     site = project.site(stem)
     frame = site.frame()
     layers = _layers(site, frame, drawing)
-    before = site.resolved.file.read_text(encoding="utf-8")
-    text = before
-    for name, layer in layers.items():
-        named = None if layer is None else f"{stem}/{name}.geojson"
-        text = with_value(text, _SECTION, name, named)
-        if name == "edges" and site.resolved.site.placement.edges_crs is not None:
-            text = with_value(text, _SECTION, "edges_crs", None)
-    changed = []
-    for name, layer in layers.items():
-        path = project.inside(site.resolved.file.parent / stem / f"{name}.geojson")
-        if layer is not None and _write(path, partial(write_geojson, features=layer, frame=frame)):
-            changed.append(path)
-    site_file = project.inside(site.resolved.file)
-    if text != before:
-        _write(site_file, lambda to: to.write_text(text, encoding="utf-8"))
-        _check(project, stem, site_file, before)
-        changed.append(site_file)
-    return [str(path.relative_to(project.root)) for path in changed]
+    files: dict[str, Writer] = {
+        f"{name}.geojson": partial(write_geojson, features=layer, frame=frame)
+        for name, layer in layers.items()
+        if layer is not None
+    }
+    named = {
+        name: f"{name}.geojson" if layer is not None else None for name, layer in layers.items()
+    }
+    if "edges" in layers and site.resolved.site.placement.edges_crs is not None:
+        named["edges_crs"] = None
+    return save_beside(project, site, _SECTION, files, named)
 
 
 def _layers(site: SiteFolder, frame: Frame, drawing: Drawing) -> dict[str, gpd.GeoDataFrame | None]:
@@ -185,19 +174,3 @@ def _layers(site: SiteFolder, frame: Frame, drawing: Drawing) -> dict[str, gpd.G
             parts = list(monitored(drawing.tma, current_area(site, frame)).geoms)
             found["tma"] = gpd.GeoDataFrame({"part": range(len(parts))}, geometry=parts)
     return found
-
-
-def _write(path: Path, write: Callable[[Path], Any]) -> bool:
-    """Write a file unless it holds the same already; whether it changed."""
-    with atomic_path(path) as temporary:
-        write(temporary)
-        return not path.exists() or path.read_bytes() != temporary.read_bytes()
-
-
-def _check(project: Project, stem: str, site_file: Path, before: str) -> None:
-    """Put the site file back if it is not valid any more."""
-    try:
-        load_site(stem, project.config())
-    except InputError:
-        site_file.write_text(before, encoding="utf-8")
-        raise

@@ -30,7 +30,7 @@ def with_value(text: str, section: str, key: str, value: str | None) -> str:
         got = yaml.safe_load(changed)
     except yaml.YAMLError:
         got = None
-    if got != wanted:
+    if got not in (wanted, wanted | {section: {}} if value is None else wanted):
         raise InputError(
             "is written in a way that the studio cannot change", where=f"site file: {section}",
             hint=f"set {section}.{key} to {value!r} by hand" if value else f"remove {key} by hand",
@@ -50,7 +50,7 @@ def _expected(content: dict[str, Any], section: str, key: str, value: str | None
 def _changed(text: str, section: str, key: str, value: str | None) -> str:
     root = yaml.compose(text)
     entry = _entry(root, section)
-    if entry is None:
+    if entry is None or not isinstance(root, yaml.MappingNode):
         ended = text if text.endswith("\n") or not text else text + "\n"
         return ended if value is None else f"{ended}{section}:\n  {key}: {_scalar(value)}\n"
     name, inner = entry
@@ -58,7 +58,7 @@ def _changed(text: str, section: str, key: str, value: str | None) -> str:
         return _replaced(text, inner, f"\n  {key}: {_scalar(value)}") if value is not None else text
     known = _entry(inner, key)
     if value is None:
-        return _without(text, name, inner, known) if known else text
+        return _without(text, bool(root.flow_style), name, inner, known) if known else text
     if known is not None:
         return _replaced(text, known[1], _scalar(value))
     if not inner.value:
@@ -82,9 +82,15 @@ def _replaced(text: str, node: yaml.Node, new: str) -> str:
 
 
 def _without(
-    text: str, name: yaml.Node, inner: yaml.MappingNode, known: tuple[yaml.Node, yaml.Node]
+    text: str,
+    within_flow: bool,
+    name: yaml.Node,
+    inner: yaml.MappingNode,
+    known: tuple[yaml.Node, yaml.Node],
 ) -> str:
     """Text without a key, or without its section if it was the last one there."""
+    if len(inner.value) == 1 and within_flow:
+        return _replaced(text, inner, "{}")
     if len(inner.value) == 1:
         return _cut_lines(text, name, known[1] if not inner.flow_style else inner)
     if not inner.flow_style:
