@@ -12,8 +12,9 @@ from roadsight.evidence.precision import (
     normals_of,
     stored,
 )
+from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.geometry.frames import Frame
-from roadsight.placement.sensors import Sensor
+from roadsight.placement.sensors import Camera, Sensor
 from roadsight.synthetic.highway import build_highway
 from roadsight.synthetic.truth import surface_at
 
@@ -103,3 +104,27 @@ def test_a_lost_normal_is_ninety_degrees_off() -> None:
     up = np.tile([0.0, 0.0, 1.0], (4, 1))
     assert normal_error_deg(np.full((4, 3), np.nan), up) == pytest.approx(90.0)
     assert normal_error_deg(-up, up) == pytest.approx(0.0)
+
+
+def test_a_pose_as_mounted_sees_what_the_sensor_sees_and_a_camera_only_ahead(exact) -> None:
+    place = above_the_road(exact)
+    xy_m, height_m = exact.road_heights(3.0)
+    feet = np.column_stack([xy_m, height_m])
+    lidar = Sensor(
+        azimuth_step_deg=0.5, elevation_min_deg=-40, elevation_max_deg=5, channels=91, range_m=60
+    )
+    entry = dict(zip("xyz", place, strict=True)) | {
+        "yaw_deg": 20.0,
+        "pitch_deg": 0.0,
+        "roll_deg": 0.0,
+    }
+    plain = exact.sees(lidar, place, 20.0, feet)
+    assert 0.1 < plain.mean() < 0.9
+    assert (sees_in_pose(exact, lidar, entry, feet) != plain).mean() < 0.02
+    camera = Camera(
+        kind="camera", columns_px=800, rows_px=600, hfov_deg=60, min_pixels=30, range_m=60
+    )
+    ahead = sees_in_pose(exact, camera, entry | {"pitch_deg": -20.0}, feet)
+    axis = np.array([np.cos(np.radians(20)), np.sin(np.radians(20))])
+    assert ahead.any()
+    assert ((feet[ahead, :2] - place[:2]) @ axis > 0).all()

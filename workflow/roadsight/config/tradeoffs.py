@@ -23,7 +23,7 @@ WHOLE_JOB = "all"
 """Stage of a measure whose cost is that of all steps of the job."""
 
 _Value = int | float | str
-_Levels = Annotated[dict[str, _Value], Field(min_length=2)]
+_Levels = Annotated[dict[str, _Value | list[float]], Field(min_length=2)]
 Job = Literal["placement", "poles"]
 
 
@@ -106,8 +106,10 @@ class Study(Section):
         """
         value = self.levels[level]
         if self.knob != NAMED:
-            section, _, name = self.knob.rpartition(".")
-            return merged(self.settings, {section: {name: value}})
+            change: Any = value
+            for part in reversed(self.knob.split(".")):
+                change = {part: change}
+            return merged(self.settings, change)
         return merged(self.settings, load_overrides(str(value)) if value else {})
 
     @property

@@ -12,6 +12,7 @@ import pandas as pd
 import shapely
 
 from roadsight.evidence.exact_highway import ExactHighway
+from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
 from roadsight.io.depth_maps import DepthMaps
@@ -139,8 +140,11 @@ def _targets_lost(results: Results) -> float:
     feet_m = claimed[["x", "y", "z"]].to_numpy(np.float64)
     scene, seen = results.scene, np.zeros(len(feet_m), bool)
     for chosen in solution["sensors"]:
-        position_m = np.array([chosen[axis] for axis in "xyz"])
         sensor = results.sensors[chosen["sensor"]]
+        if "pitch_deg" in chosen:
+            seen |= sees_in_pose(scene, sensor, chosen, feet_m)
+            continue
+        position_m = np.array([chosen[axis] for axis in "xyz"])
         seen |= scene.sees(sensor, position_m, float(chosen["yaw_deg"]), feet_m)
     return float(1 - seen.mean())
 

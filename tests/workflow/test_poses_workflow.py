@@ -1,0 +1,22 @@
+"""Sensors in poses: their rules enter the DAG only where a plan or a setting asks for them."""
+
+from __future__ import annotations
+
+SCENE = {"ingest_cloud", "build_dem", "extract_pavement", "build_surfels", "place_candidates"}
+
+
+def test_no_rule_of_poses_runs_where_no_sensor_needs_one(finished):
+    assert "detect_poses" not in finished.stale_rules("--forceall")
+
+
+def test_a_plan_of_cameras_adds_panoramas_and_poses_alone(finished):
+    stale = finished.stale_rules("--config", "sites=[tiny]", "plans=[camera]")
+    assert {"render_depth_maps", "detect_poses", "solve_cover", "render_scans"} <= stale
+    assert not stale & (SCENE | {"build_detection_shard"})
+
+
+def test_turning_spinning_lidars_judges_them_from_panoramas(finished):
+    turned = "overrides={poses: {spinning: {pitch_deg: [-10, 0]}}}"
+    stale = finished.stale_rules("--config", "sites=[tiny]", turned)
+    assert {"render_depth_maps", "detect_poses", "solve_cover"} <= stale
+    assert not stale & (SCENE | {"build_detection_shard"})

@@ -1,0 +1,40 @@
+"""What a sensor in a pose would see in the generated highway itself."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.evidence.exact_highway import ExactHighway
+from roadsight.placement.detection import MIN_BEAMS
+from roadsight.placement.detectors import Criteria, detector_of
+from roadsight.placement.posed import Panorama
+from roadsight.placement.poses import Turn, local_from_sensor
+from roadsight.placement.sensors import AnySensor, load_sensor, panorama_name
+from roadsight.placement.shapes import Cylinder
+from roadsight.placement.sight import Sight
+
+_STEP_DEG = 0.2
+_TARGET = Cylinder(radius_m=0.25, height_m=0.6)
+_RCS_M2 = 0.16
+
+
+def sees_in_pose(
+    scene: ExactHighway, sensor: AnySensor, place: dict[str, Any], feet_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which targets (n, 3) a chosen sensor sees, by the default targets, from exact ranges.
+
+    Parameters
+    ----------
+    place : entry of solution.json with x, y, z, yaw_deg, pitch_deg and roll_deg.
+    """
+    position_m = np.array([place[axis] for axis in "xyz"], np.float64)
+    beams = load_sensor("", panorama_name(_STEP_DEG, sensor.range_m))
+    panorama = Panorama(scene.depth_map(beams, position_m, 0.0), beams, position_m, 0.0)
+    turn = Turn(0.0, place["pitch_deg"], place["roll_deg"])
+    rotation = local_from_sensor(place["yaw_deg"], turn)
+    detector = detector_of(sensor, Criteria(MIN_BEAMS, _RCS_M2))
+    measured = detector.measure(panorama, rotation, feet_m, _TARGET, Sight(sensor.range_m))
+    return detector.sees(measured)
