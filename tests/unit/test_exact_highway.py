@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from roadsight.evidence.exact_highway import ExactHighway
+from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.evidence.precision import (
     largest_error_m,
     normal_error_deg,
     normals_of,
     stored,
 )
-from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.geometry.frames import Frame
 from roadsight.placement.sensors import Camera, Sensor
 from roadsight.synthetic.highway import build_highway
