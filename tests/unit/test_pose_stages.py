@@ -13,16 +13,24 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import write_json
 from roadsight.io.clouds import read_laz
 from roadsight.io.depth_maps import DepthMapInfo, DepthMapWriter
-from roadsight.io.detections import read_detections
+from roadsight.io.detections import read_detections, write_detections
+from roadsight.io.rasters import write_raster
 from roadsight.io.surfels import write_surfels
 from roadsight.io.tables import read_about, read_table, write_table
+from roadsight.io.vectors import read_layer
 from roadsight.placement.detectors import Criteria, detector_of
 from roadsight.placement.poses import Turn, local_from_sensor, split_pose
 from roadsight.placement.sensors import load_sensors
 from roadsight.placement.shapes import Cylinder
 from roadsight.placement.sight import Sight
 from roadsight.scene.surfels import Surfels
-from roadsight.stages import check_coverage, detect_poses, render_scans, solve_cover
+from roadsight.stages import (
+    check_coverage,
+    detect_poses,
+    find_obstacles,
+    render_scans,
+    solve_cover,
+)
 
 SENSORS = """
 sensors:
@@ -170,6 +178,42 @@ class TestChoice:
         )  # fmt: skip
         if solution["status"] == "optimal":
             assert solution["objective"] == pytest.approx(best)
+
+
+class TestObstacles:
+    def test_only_what_stands_in_the_field_of_view_hides_targets(self, road, tmp_path):
+        folder, _ = road
+        # Walls on both sides of the candidate: the camera looks to the left, so along -x.
+        axis, height = np.arange(0.25, 8, 0.5), np.arange(0.25, 7, 0.5)
+        y, z = (part.ravel() for part in np.meshgrid(axis, height))
+        walls = np.concatenate([np.column_stack([np.full(len(y), x), y, z]) for x in (-5.0, 5.0)])
+        sideways = np.tile(np.float32([1, 0, 0]), (len(walls), 1))
+        half = np.full(len(walls), 0.25, np.float32)
+        write_surfels(tmp_path / "walls", Surfels(walls.astype(np.float32), sideways, half))
+        write_raster(tmp_path / "dem.tif", np.zeros((140, 140)), FRAME, -60, 80, 1.0)
+        place = {"candidate": "a@y+60p-10r+0", "position": "a", "sensor": "eye"}
+        place |= {"x": 0.0, "y": -4.0, "z": 6.0, "yaw_deg": 150.0, "pitch_deg": -10.0}
+        place |= {"roll_deg": 0.0}
+        write_json(tmp_path / "solution", {"sensors": [place], "sensor_types": ["eye"]})
+        write_json(tmp_path / "coverage", {"plans": {"p": {"uncovered": ["t0"]}}})
+        nothing = pd.DataFrame({"candidate": pd.Series(dtype=str), "target": pd.Series(dtype=str),
+                                "hits": pd.Series(dtype=np.uint16)})  # fmt: skip
+        write_detections(tmp_path / "seen", nothing, {"sensor": "eye"})
+        files = {
+            "solution": tmp_path / "solution", "coverage": tmp_path / "coverage",
+            "targets": folder / "targets", "surfels": tmp_path / "walls",
+            "dem": tmp_path / "dem.tif", "frame": folder / "frame.json",
+            "sensors": folder / "sensors.yaml", "candidates": folder / "candidates",
+            "detections": tmp_path / "seen", "out": tmp_path / "out.gpkg",
+        }  # fmt: skip
+        named = [part for key, file in files.items() for part in (f"--{key}", str(file))]
+        assert find_obstacles.main([*named, "--plan", "p"]) == 0
+        obstacles = read_layer(tmp_path / "out.gpkg", "obstacles", FRAME)
+        assert len(obstacles)
+        assert (obstacles.geometry.x < 0).all()
+        gaps = read_layer(tmp_path / "out.gpkg", "uncovered", FRAME)
+        assert set(gaps["reason"]) <= {"hidden", "out of range",
+                                       "out of view, or too few beams, pixels or echo"}  # fmt: skip
 
 
 class TestScans:

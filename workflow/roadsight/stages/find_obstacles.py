@@ -90,8 +90,8 @@ def _in_view(
         own = (pairs["candidate"] == place["candidate"]).to_numpy()
         turn = Turn(0.0, place["pitch_deg"], place["roll_deg"])
         axis = local_from_sensor(place["yaw_deg"], turn)[:, 0]
-        way = pairs.loc[own, ["x", "y", "z"]].to_numpy(np.float64)
-        way -= np.array([place[name] for name in "xyz"])
+        feet = pairs.loc[own, ["x", "y", "z"]].to_numpy(np.float64)
+        way = feet - np.array([place[name] for name in "xyz"])
         along = way @ axis / np.maximum(np.linalg.norm(way, axis=1), 1e-9)
         widest_deg = np.hypot(*sensor.half_view_deg)
         inside[own] = along >= np.cos(np.radians(min(widest_deg, 180.0)))
