@@ -26,6 +26,7 @@ from bench_lidar_scene import (
 from bench_measure import Cost, Size, measured, row
 from roadsight.placement.detection import MIN_BEAMS, count_hits
 from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.models import model_of_points
 from roadsight.placement.rays import beam_directions
 from roadsight.placement.sensors import Sensor, load_sensors
 from roadsight.placement.surfel_lidar import SurfelLidar
@@ -39,6 +40,9 @@ SURFEL, HYBRID, EXACT = "surfel", "hybrid (Algorithm 1)", "exact ray casting"
 RAYS = "bound: rays alone"
 SITE = (1_900, 6_239)
 """Candidates and targets of the study's second site."""
+
+UNETS = {"U-Net, end to end": "unet", "U-Net, mask and interpolation": "unet_mask"}
+NETWORK = Path(__file__).parents[1] / "resources" / "models" / "depth_unet.onnx"
 
 Render = Callable[[Sensor, NDArray[np.float64], float], NDArray[np.float32]]
 
@@ -87,6 +91,8 @@ def _compile(cloud: NDArray[np.float32], sensor: Sensor, pose: Pose) -> None:
     lidar = SurfelLidar(build_surfels(sum_moments(cloud, 0.1)))
     depth = lidar.depth_map(sensor, *pose)
     hybrid_depth(cloud, sensor, *pose)
+    for model in UNETS.values():
+        model_of_points(model, str(NETWORK))(cloud, sensor, *pose)
     count_hits(depth, sensor, *pose, np.zeros((1, 3)))
 
 
@@ -123,6 +129,8 @@ def _depth_maps(
         "preliminary (least range)": partial(preliminary_depth, cloud),
         EXACT: partial(exact_depth, highway),
     }
+    for way, model in UNETS.items():
+        ways[way] = partial(model_of_points(model, str(NETWORK)), cloud)
     depths, costs = {}, {}
     for way, render in ways.items():
         maps, cpu_s, peak = measured(

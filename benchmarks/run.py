@@ -23,6 +23,7 @@ from roadsight.report.bench_page import ASSETS, render_bench  # noqa: E402
 PROGRAMS = (
     "bench_scene",
     "bench_lidar",
+    "bench_depth_models",
     "bench_raster",
     "bench_alignment",
     "bench_cover",

@@ -145,7 +145,9 @@ def test_edges_lie_on_the_true_ones(sample, highway, tmp_path):
     assert pavement["area_m2"].sum() == pytest.approx(area_m2, rel=0.15)
 
 
-@pytest.mark.parametrize(("model", "within"), [("surfel", 0.9), ("hybrid", 0.7)])
+@pytest.mark.parametrize(
+    ("model", "within"), [("surfel", 0.9), ("hybrid", 0.7), ("unet", 0.7), ("unet_mask", 0.7)]
+)
 def test_depth_maps_agree_with_exact_ray_casting(sample, highway, place, tmp_path, model, within):
     out = tmp_path / "map.npz"
     assert depthmap(sample, place, out, "--model", model, "--azimuth-deg", "25") == 0

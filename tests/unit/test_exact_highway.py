@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.evidence.exact_highway import ExactHighway
+from roadsight.evidence.exact_highway import ExactHighway, share_wrong
 from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.evidence.precision import (
     largest_error_m,
@@ -65,13 +65,13 @@ def test_beams_down_to_the_road_have_the_length_of_the_slope(exact: ExactHighway
 def test_share_wrong_counts_ranges_and_missing_returns(exact: ExactHighway) -> None:
     place = above_the_road(exact)
     truth = exact.depth_map(SENSOR, place, 0.0)
-    assert exact.share_wrong(truth, SENSOR, place, 0.0) == 0.0
+    assert share_wrong(truth, truth) == 0.0
     seen = np.flatnonzero(truth.ravel())
     spoilt = truth.ravel().copy()
     spoilt[seen[0]] += 0.6
     spoilt[seen[1]] = 0.0
     spoilt[seen[2]] += 0.4
-    found = exact.share_wrong(spoilt.reshape(truth.shape), SENSOR, place, 0.0)
+    found = share_wrong(spoilt.reshape(truth.shape), truth)
     assert found == pytest.approx(2 / truth.size)
 
 

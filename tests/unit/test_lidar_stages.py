@@ -1,6 +1,7 @@
 """The stages from cloud to detections on one small scene, through their command lines."""
 
 import json
+from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
@@ -12,14 +13,17 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import write_json
 from roadsight.io.depth_maps import DepthMaps
 from roadsight.io.detections import read_detections
+from roadsight.io.standing import StandingCloud
 from roadsight.io.surfels import read_surfels
 from roadsight.io.tables import read_table, write_table
 from roadsight.io.tile_writer import TileWriter
 from roadsight.io.vectors import write_layers
 from roadsight.placement.detection import count_hits
+from roadsight.placement.models import model_of_points
 from roadsight.placement.sensors import load_sensor
 from roadsight.stages import build_detection_shard, build_surfels, place_targets, render_depth_maps
 
+NETWORK = str(Path(__file__).parents[2] / "resources/models/depth_unet.onnx")
 SENSORS = """
 sensors:
   tiny:
@@ -116,6 +120,23 @@ def test_shards_hold_each_candidate_once_and_see_what_the_maps_show(site, model)
         own = seen[seen["candidate"] == name]
         assert own["target"].tolist() == targets["target"][hits > 8].tolist()
         assert own["hits"].tolist() == hits[hits > 8].tolist()
+
+
+@pytest.mark.parametrize("model", ["unet", "unet_mask"])
+def test_networks_render_what_their_function_gives(site, model, capsys):
+    candidates = read_table(site / "candidates.parquet").iloc[2:3]
+    write_table(site / "one.parquet", candidates)
+    chosen = ("--model", model)
+    assert render(site, "no.parquet", *chosen, candidates="one") == 2
+    assert f"{model}: needs a network" in capsys.readouterr().err
+    assert render(site, "u.parquet", *chosen, "--network", NETWORK, candidates="one") == 0
+    ((_, found),) = DepthMaps(site / "u.parquet")
+    sensor = load_sensor(site / "sensors.yaml", "tiny")
+    xyz_m = StandingCloud(str(site / "cloud.parquet"), None).xyz_within((-99, -99, 99, 99))
+    x, y, z, yaw_deg = candidates[["x", "y", "z", "yaw_deg"]].to_numpy(float)[0]
+    expected = model_of_points(model, NETWORK)(xyz_m, sensor, (x, y, z), yaw_deg)
+    assert (expected > 0).mean() > 0.02
+    np.testing.assert_allclose(found, expected, atol=0.002)
 
 
 def test_the_wall_hides_what_is_behind_it(site):

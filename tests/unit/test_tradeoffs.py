@@ -215,6 +215,27 @@ class TestRows:
         assert [row["error_vs_reference"] for row in rows] == [2.0, 1.0, 0.0]
         assert {row["reference"] for row in rows} == {"level 0.5"}
 
+    def test_positions_are_compared_with_those_of_the_reference_level(self, tmp_path):
+        measures = [{"stage": "all", "metric": "baseline_distance_m"}]
+        told = message(load, tmp_path, measures=measures)
+        assert "needs a reference level" in told
+        study = load(tmp_path, reference="0.5", measures=measures).studies["s"]
+        places = {
+            "2": [[3.0, 4.0, 0.0], [10.0, 0.0, 1.0]],
+            "1": [],
+            "0.5": [[0.0, 0.0, 0.0], [10.0, 0.0, 0.0]],
+        }
+        measured = {
+            name: level(1.0, 0.0) | {"metrics": {"baseline_distance_m": place}}
+            for name, place in places.items()
+        }
+        rows = study_rows(study, measured)
+        assert rows[0]["value"] == rows[0]["error_vs_reference"] == pytest.approx(3.0)
+        assert math.isnan(rows[1]["value"])
+        assert not rows[1]["on_frontier"]
+        assert rows[2]["value"] == 0.0
+        assert {row["reference"] for row in rows} == {"level 0.5"}
+
     def test_a_result_that_is_missing_is_no_error_of_zero(self, tmp_path):
         measured = {"2": level(1.0, None), "1": level(2.0, 0.4), "0.5": level(4.0, 0.1)}
         rows = study_rows(load(tmp_path).studies["s"], measured)

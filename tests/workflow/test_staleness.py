@@ -119,6 +119,13 @@ SETTINGS = [
         "  shards: 2\n  lidar: {clear_below_m: 4.5}\n",
         {"mark_traffic"} | after("build_surfels"),
     ),
+    # No network is read before it is chosen.
+    ("  shards: 2\n", "  shards: 2\n  lidar: {network: none.onnx}\n", set()),
+    (
+        "  shards: 2\n",
+        "  shards: 2\n  lidar: {model: unet}\n",
+        {"plan_effects"} | after("render_depth_maps"),
+    ),
     ("  shards: 2\n", "  shards: 2\n  conditions: {speed_kmh: 90}\n", {"plan_effects"}),
     (
         "  shards: 2\n",
@@ -186,6 +193,26 @@ def test_editing_a_module_re_runs_its_users_only(copy_of_finished, module, expec
     assert copy_of_finished.stale_rules() == expected
     path.write_text(original)
     assert copy_of_finished.stale_rules() == set()
+
+
+def test_a_network_is_an_input_where_it_is_chosen_and_nowhere_else(copy_of_finished):
+    path = copy_of_finished.folder / "resources/models/depth_unet.onnx"
+    path.write_bytes(path.read_bytes() + b"\0")
+    assert copy_of_finished.stale_rules() == set()
+    copy_of_finished.edit(SITE, "  shards: 2\n", "  shards: 2\n  lidar: {model: unet_mask}\n")
+    listed = copy_of_finished.snakemake("-n").stdout
+    rendering = [line for line in listed.splitlines() if "render_depth_maps.py" in line]
+    assert rendering
+    assert all("resources/models/depth_unet.onnx" in line for line in rendering)
+
+
+def test_a_missing_network_ends_in_one_message(copy_of_finished):
+    chosen = "  shards: 2\n  lidar: {model: unet, network: none.onnx}\n"
+    copy_of_finished.edit(SITE, "  shards: 2\n", chosen)
+    result = copy_of_finished.snakemake("-n")
+    assert result.returncode == 2
+    assert "lidar.network: no such file; found none.onnx" in result.stderr
+    assert "Traceback" not in result.stderr
 
 
 def test_a_new_sensor_makes_nothing_stale(copy_of_finished):

@@ -130,6 +130,7 @@ rule render_depth_maps:
         surfels=rules.build_surfels.output.surfels,
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
+        network=depth_network,
         tilts=only_if("mount_tilt", tilts_of_map),
         decided=after_profile("hole_filling", "curvature_refraction"),
         code=sources("render_depth_maps"),
@@ -162,8 +163,34 @@ rule render_depth_maps:
         " --sensor {wildcards.sensor} --sensors {params.sensors_file:q} --model {params.model}"
         " --azimuth-stride {params.azimuth_stride}"
         " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
+        " --network {input.network:q}"
         " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
         " --tilts {input.tilts} --curvature {params.curvature} --out {output.depth} > {log} 2>&1"
+
+
+rule render_depth_pairs:
+    input:
+        candidates="results/{site}/placement/round-0/candidates.parquet",
+        cloud=rules.ingest_cloud.output.cloud,
+        traffic=traffic_mask,
+        code=sources("render_depth_pairs"),
+    output:
+        pairs=ensure("results/{site}/placement/pairs/{site}.hybrid.npz", non_empty=True),
+    log:
+        log_of("render_depth_pairs"),
+    benchmark:
+        benchmark_of("render_depth_pairs")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        seed=setting("seed"),
+    shell:
+        "python -m roadsight.stages.render_depth_pairs --candidates {input.candidates}"
+        " --cloud {input.cloud} --traffic {input.traffic} --seed {params.seed}"
+        " --out {output.pairs} > {log} 2>&1"
 
 
 rule build_detection_shard:

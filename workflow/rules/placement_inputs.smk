@@ -1,5 +1,6 @@
 """Helpers of the placement rules: plans, sensors, rounds and shards."""
 
+from roadsight.config.validate import check_path
 from roadsight.placement.light import wavelength_nm
 
 
@@ -183,6 +184,26 @@ def lidar_model(wildcards):
     model = SITES[wildcards.site].setting("lidar.model")
     fills = model == "hybrid" and decision_on("hole_filling")(wildcards)
     return "preliminary" if fills == "skip" else model
+
+
+def depth_network(wildcards):
+    """Network of the depth maps, where they need one."""
+    lidar = SITES[wildcards.site].settings.lidar
+    if not lidar.model.startswith("unet"):
+        return []
+    clearly(check_network, lidar.network)
+    return [lidar.network]
+
+
+def check_network(path):
+    check_path(Path(path), "lidar.network")
+    if not Path(path).is_file():
+        raise InputError(
+            "no such file",
+            where="lidar.network",
+            found=path,
+            hint="see docs/depth-maps.md",
+        )
 
 
 def tilts_of_round(wildcards):

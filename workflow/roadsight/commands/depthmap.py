@@ -11,13 +11,14 @@ from numpy.typing import NDArray
 from roadsight.commands.memory import MemoryCloud, add_cloud_arguments, check_output, load_cloud
 from roadsight.errors import InputError
 from roadsight.io.atomic import atomic_path
-from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.models import MODELS, model_of_points
 from roadsight.placement.sensors import Sensor, load_sensor
 from roadsight.placement.surfel_lidar import SurfelLidar
 from roadsight.scene.surfels import build_surfels
 from roadsight.scene.voxel_moments import sum_moments
 
 _SENSORS = Path(__file__).parents[3] / "config" / "sensors.yaml"
+_NETWORK = Path(__file__).parents[3] / "resources" / "models" / "depth_unet.onnx"
 _SURFEL_M = 0.1
 
 
@@ -41,7 +42,10 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
         default=0.0,
         help="direction of the sensor's x axis, counter-clockwise from the cloud's x axis",
     )
-    parser.add_argument("--model", choices=["surfel", "hybrid", "preliminary"], default="surfel")
+    parser.add_argument("--model", choices=MODELS, default="surfel")
+    parser.add_argument(
+        "--network", default=str(_NETWORK), help="ONNX file of the models unet and unet_mask"
+    )
     parser.add_argument("-o", "--out", required=True, help="NPZ file to write")
     parser.set_defaults(run=run)
 
@@ -81,10 +85,9 @@ def _depth(
     arguments: argparse.Namespace,
 ) -> NDArray[np.float32]:
     yaw_deg = arguments.azimuth_deg
-    if arguments.model == "hybrid":
-        return hybrid_depth(cloud.xyz_m, sensor, position_m, yaw_deg)
-    if arguments.model == "preliminary":
-        return preliminary_depth(cloud.xyz_m, sensor, position_m, yaw_deg)
+    if arguments.model != "surfel":
+        model = model_of_points(arguments.model, arguments.network)
+        return model(cloud.xyz_m, sensor, position_m, yaw_deg)
     edge_m = max(_SURFEL_M, cloud.spacing_m)
     surfels = build_surfels(sum_moments(cloud.xyz_m, edge_m))
     return SurfelLidar(surfels).depth_map(sensor, position_m, yaw_deg)

@@ -158,8 +158,13 @@ class Targets(Section):
 class Lidar(Section):
     """Virtual LiDAR."""
 
-    model: Literal["surfel", "hybrid", "preliminary"] = Field(
-        default="surfel", description="depth maps by ray casting surfels, or the paper's two ways"
+    model: Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"] = Field(
+        default="surfel", description="way to depth maps (docs/depth-maps.md)"
+    )
+    network: str = Field(
+        default="resources/models/depth_unet.onnx",
+        min_length=1,
+        description="unet, unet_mask: network that refines preliminary depth maps",
     )
     surfel_size_m: Metres = Field(
         default=0.1, description="voxel of a surfel, m; at least point spacing"

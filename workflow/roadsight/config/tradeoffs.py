@@ -79,7 +79,7 @@ class Study(Section):
             metric = METRICS[measure.metric]
             if metric.job != self.job:
                 raise ValueError(f"metric {measure.metric!r} is one of the job {metric.job}")
-            if metric.ideal is None and self.reference is None:
+            if metric.needs_reference and self.reference is None:
                 raise ValueError(f"metric {measure.metric!r} needs a reference level")
         return self
 

@@ -30,8 +30,8 @@ def hole_filling(site: Circumstances) -> Quantity:
     cells nearer than the cube root of N h / (density a e) hold fewer than N points.
     """
     lidar = site.settings["lidar"]
-    if lidar["model"] == "surfel":
-        return Quantity(0.0, "surfels have no cells")
+    if lidar["model"] not in ("hybrid", "preliminary"):
+        return Quantity(0.0, "surfels and networks fill no cells")
     wanted = lidar["min_cell_points"] * _middle_height_m(site)
     per_m2 = max(site.profile["density_per_m2"]["median"], 1e-9)
 

@@ -41,17 +41,6 @@ class ExactHighway:
         found = np.where(np.isfinite(range_m), range_m, 0.0)
         return found.astype(np.float32).reshape(sensor.shape)
 
-    def share_wrong(
-        self, range_m: NDArray[np.float32], sensor: Sensor, position_m: _FLOATS, yaw_deg: float
-    ) -> float:
-        """Share of a depth map's beams whose range is off by more than `WRONG_M`.
-
-        A beam that returns where nothing is, or does not where something is, is wrong as well.
-        """
-        exact_m = self.depth_map(sensor, position_m, yaw_deg)
-        wrong = np.abs(range_m - exact_m) > WRONG_M
-        return float((wrong | ((range_m == 0) != (exact_m == 0))).mean())
-
     def sees(
         self, sensor: Sensor, position_m: _FLOATS, yaw_deg: float, feet_m: _FLOATS
     ) -> NDArray[np.bool_]:
@@ -69,3 +58,12 @@ class ExactHighway:
         plan_m = to_plan(self._highway.alignment, road)
         height_m = height_at(self._highway.terrain, plan_m)
         return plan_m - self._shift_m[:2], height_m - self._shift_m[2]
+
+
+def share_wrong(range_m: NDArray[np.float32], exact_m: NDArray[np.float32]) -> float:
+    """Share of a depth map's beams whose range is off by more than `WRONG_M`.
+
+    A beam that returns where nothing is, or does not where something is, is wrong as well.
+    """
+    wrong = np.abs(range_m - exact_m) > WRONG_M
+    return float((wrong | ((range_m == 0) != (exact_m == 0))).mean())

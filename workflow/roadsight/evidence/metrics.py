@@ -4,62 +4,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import shapely
 
-from roadsight.evidence.exact_highway import ExactHighway
-from roadsight.evidence.posed_truth import sees_in_pose
-from roadsight.geometry.frames import Frame
+from roadsight.evidence.placement_metrics import (
+    beams_wrong,
+    dem_rmse_m,
+    detections_wrong,
+    mean_distance_m,
+    pavement_f1,
+    range_rmse_m,
+    sensor_positions_m,
+    sensors,
+    targets_lost,
+    uncovered,
+)
+from roadsight.evidence.results import Results
 from roadsight.io.atomic import read_json
-from roadsight.io.depth_maps import DepthMaps
-from roadsight.io.detections import read_detections
-from roadsight.io.poses import read_poses
-from roadsight.io.rasters import read_raster
 from roadsight.io.tables import read_table
 from roadsight.io.vectors import read_layer
-from roadsight.placement.sensors import Sensor
 
 _MATCH_M = 3
-_MAPS = 6
 _STEP_M = 1.0
-
-
-@dataclass(frozen=True)
-class Results:
-    """Finished results of a site, and of the same site at its base settings.
-
-    Parameters
-    ----------
-    folder, base : ``results/<site>`` of the two. seed, length_m : of the generated scene.
-    plan : the plan that is looked at. sensors : definitions of its sensors. stride : only every
-        so many of their azimuths are simulated.
-    """
-
-    folder: Path
-    base: Path
-    seed: int
-    length_m: float
-    plan: str
-    sensors: dict[str, Sensor]
-    stride: int = 1
-
-    @property
-    def frame(self) -> Frame:
-        """Local frame."""
-        return Frame.from_dict(read_json(self.folder / "scene/frame.json"))
-
-    @property
-    def scene(self) -> ExactHighway:
-        """The exact scene."""
-        return ExactHighway(self.seed, self.length_m, self.frame)
-
-    def tables(self, pattern: str) -> pd.DataFrame:
-        """Tables whose names match a pattern, one below the other."""
-        return pd.concat([read_table(path) for path in sorted(self.folder.glob(pattern))])
 
 
 @dataclass(frozen=True)
@@ -72,6 +40,8 @@ class Metric:
     ideal : value of a perfect result, or None where a study's reference level says it.
     reference : what it is compared with, for people. value : reads it.
     targets : results that it reads, below ``results/<site>``; ``{plan}`` is replaced.
+    against : where ``value`` reads something that means little by itself, the number that follows
+        from it and the same of the study's reference level.
     """
 
     title: str
@@ -79,88 +49,14 @@ class Metric:
     job: str
     ideal: float | None
     reference: str
-    value: Callable[[Results], float]
+    value: Callable[[Results], Any]
     targets: tuple[str, ...]
+    against: Callable[[Any, Any], float] | None = None
 
-
-def _dem_rmse_m(results: Results) -> float:
-    """Root mean square height error of the terrain model on the carriageways."""
-    raster = read_raster(results.folder / "scene/dem.tif", results.frame)
-    xy_m, height_m = results.scene.road_heights(_STEP_M)
-    error = raster.sample(*xy_m.T) - height_m
-    return float(np.sqrt(np.mean(error[np.isfinite(error)] ** 2)))
-
-
-def _pavement_f1(results: Results) -> float:
-    return float(read_json(results.folder / "scene/pavement_scores.json")["f1"])
-
-
-def _beams_wrong(results: Results) -> float:
-    """Share of beams more than 0.5 m off, or that return where nothing is, or the reverse."""
-    (name, sensor), *_ = results.sensors.items()
-    folder = results.folder / "placement/round-0"
-    poses = read_poses(folder / "candidates.parquet")
-    files = sorted((folder / "depth" / name).iterdir())
-    maps = _spread([pair for path in files for pair in DepthMaps(path)])
-    scene, simulated = results.scene, sensor.thinned(results.stride)
-    shares = [
-        scene.share_wrong(range_m, simulated, poses[candidate][:3], float(poses[candidate][3]))
-        for candidate, range_m in maps
-    ]
-    return float(np.mean(shares))
-
-
-def _detections_wrong(results: Results) -> float:
-    """Pairs of candidate and target that are wrongly seen or unseen, over those truly seen."""
-    (name, sensor), *_ = results.sensors.items()
-    folder = results.folder / "placement/round-0"
-    poses = read_poses(folder / "candidates.parquet")
-    targets = read_table(results.folder / "placement/targets.parquet")
-    found = read_detections(sorted((folder / "detection" / name).iterdir()))
-    feet_m = targets[["x", "y", "z"]].to_numpy(np.float64)
-    scene, wrong, seen = results.scene, 0, 0
-    for candidate, pose in _spread(list(poses.items())):
-        exact = scene.sees(sensor, pose[:3], float(pose[3]), feet_m)
-        ours = targets["target"].isin(found.loc[found["candidate"] == candidate, "target"])
-        wrong, seen = wrong + int((exact != ours).sum()), seen + int(exact.sum())
-    return wrong / seen if seen else float("nan")
-
-
-def _spread(items: list[Any]) -> list[Any]:
-    """A few of them, evenly spread."""
-    rows = np.linspace(0, len(items) - 1, min(_MAPS, len(items))).round().astype(int)
-    return [items[row] for row in rows]
-
-
-def _targets_lost(results: Results) -> float:
-    """Share of the targets said to be covered that the chosen sensors do not see in truth."""
-    solution = _solution(results)
-    targets = read_table(results.folder / "placement/targets.parquet")
-    claimed = targets[~targets["target"].isin(solution["excluded"])]
-    feet_m = claimed[["x", "y", "z"]].to_numpy(np.float64)
-    scene, seen = results.scene, np.zeros(len(feet_m), bool)
-    for chosen in solution["sensors"]:
-        sensor = results.sensors[chosen["sensor"]]
-        if "pitch_deg" in chosen:
-            seen |= sees_in_pose(scene, sensor, chosen, feet_m)
-            continue
-        position_m = np.array([chosen[axis] for axis in "xyz"])
-        seen |= scene.sees(sensor, position_m, float(chosen["yaw_deg"]), feet_m)
-    return float(1 - seen.mean())
-
-
-def _sensors(results: Results) -> float:
-    return float(len(_solution(results)["sensors"]))
-
-
-def _uncovered(results: Results) -> float:
-    """Share of the targets that no candidate sees."""
-    solution = _solution(results)
-    return float(solution["uncoverable_targets"] / solution["targets"])
-
-
-def _solution(results: Results) -> dict:
-    return dict(read_json(results.folder / "placement" / results.plan / "solution.json"))
+    @property
+    def needs_reference(self) -> bool:
+        """Whether a study must name its reference level."""
+        return self.ideal is None or self.against is not None
 
 
 def _edge_error_m(results: Results) -> float:
@@ -233,26 +129,33 @@ _CAMERAS = ("poles/camera_scores.json",)
 
 METRICS: dict[str, Metric] = {
     "dem_rmse_m": Metric(
-        "Height error of the road", "m", "placement", 0.0, _EXACT, _dem_rmse_m, ("scene/dem.tif",)
+        "Height error of the road", "m", "placement", 0.0, _EXACT, dem_rmse_m, ("scene/dem.tif",)
     ),
     "pavement_f1": Metric(
-        "F1 score of the pavement", "1", "placement", 1.0, _EXACT, _pavement_f1,
+        "F1 score of the pavement", "1", "placement", 1.0, _EXACT, pavement_f1,
         ("scene/pavement_scores.json",),
     ),
     "beams_wrong": Metric(
-        "Beams wrong by more than 0.5 m", "share", "placement", 0.0, _EXACT, _beams_wrong, _PLAN
+        "Beams wrong by more than 0.5 m", "share", "placement", 0.0, _EXACT, beams_wrong, _PLAN
     ),
     "detections_wrong": Metric(
         "Decisions on targets that are wrong", "share", "placement", 0.0, _EXACT,
-        _detections_wrong, _PLAN,
+        detections_wrong, _PLAN,
     ),
     "targets_lost": Metric(
-        "Targets said to be seen that are not", "share", "placement", 0.0, _EXACT, _targets_lost,
+        "Targets said to be seen that are not", "share", "placement", 0.0, _EXACT, targets_lost,
         _PLAN,
     ),
-    "sensors": Metric("Sensors needed", "count", "placement", None, _FINEST, _sensors, _PLAN),
+    "sensors": Metric("Sensors needed", "count", "placement", None, _FINEST, sensors, _PLAN),
+    "range_rmse_m": Metric(
+        "Root mean square error of ranges", "m", "placement", 0.0, _EXACT, range_rmse_m, _PLAN
+    ),
+    "baseline_distance_m": Metric(
+        "Mean distance of sensors to those of the reference", "m", "placement", 0.0, _FINEST,
+        sensor_positions_m, _PLAN, mean_distance_m,
+    ),
     "uncovered": Metric(
-        "Targets that no candidate sees", "share", "placement", None, _FINEST, _uncovered, _PLAN
+        "Targets that no candidate sees", "share", "placement", None, _FINEST, uncovered, _PLAN
     ),
     "edge_error_m": Metric(
         "Distance of found from true road edges", "m", "poles", 0.0, _EXACT, _edge_error_m,

@@ -103,7 +103,7 @@ def measure_rows(
 ) -> list[dict[str, Any]]:
     """Rows of one measure."""
     metric = METRICS[measure.metric]
-    values = {name: _number(level["metrics"][measure.metric]) for name, level in levels.items()}
+    values = _values(study, measure.metric, levels)
     ideal = values[str(study.reference)] if metric.ideal is None else metric.ideal
     costs = {
         name: cost_of(measure.stage, {rule: Cost(**c) for rule, c in level["stages"].items()})
@@ -111,7 +111,7 @@ def measure_rows(
     }
     errors = [abs(value - ideal) for value in values.values()]
     frontier = on_frontier([cost.cpu_s for cost in costs.values()], errors)
-    reference = metric.reference if metric.ideal is not None else f"level {study.reference}"
+    reference = f"level {study.reference}" if metric.needs_reference else metric.reference
     return [
         {
             "job": study.job,
@@ -132,6 +132,16 @@ def measure_rows(
         }
         for (name, value), error, best in zip(values.items(), errors, frontier, strict=True)
     ]
+
+
+def _values(study: Study, name: str, levels: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    """Value of a metric at each level, compared with the reference level where it asks for that."""
+    read = {level: content["metrics"][name] for level, content in levels.items()}
+    against = METRICS[name].against
+    if against is not None:
+        other = read[str(study.reference)]
+        return {level: against(one, other) for level, one in read.items()}
+    return {level: _number(value) for level, value in read.items()}
 
 
 def next_step(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:

@@ -9,23 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import onnxruntime
-from onnxruntime.capi import onnxruntime_pybind11_state as ort_errors
 
 from roadsight.config.validate import check_path, validated
 from roadsight.errors import InputError
 from roadsight.io.checksums import sha256
+from roadsight.io.sessions import open_session
 from roadsight.io.texts import read_yaml
 from roadsight.poles.manifest import LabelMap, Manifest
 
-_ORT_ERRORS = (
-    ort_errors.Fail,
-    ort_errors.InvalidArgument,
-    ort_errors.InvalidGraph,
-    ort_errors.InvalidProtobuf,
-    ort_errors.NoSuchFile,
-    ort_errors.NotImplemented,
-    ort_errors.RuntimeException,
-)
 _FLOAT = "tensor(float)"
 _LABEL_TYPES = ("tensor(uint8)", "tensor(int32)", "tensor(int64)", "tensor(float)")
 _CHANNELS = 3
@@ -73,7 +64,7 @@ def open_model(path: str | os.PathLike[str], threads: int = 1) -> Model:
             found=f"sha256 {found}",
             allowed=manifest.sha256,
         )
-    session = _session(file, threads)
+    session = open_session(file, threads)
     input_name = _checked_input(manifest, session, where)
     return Model(manifest, session, input_name, _checked_outputs(manifest, session, where), where)
 
@@ -97,21 +88,6 @@ def _beside(name: str, manifest: Path) -> Path:
         return os.environ[match[1]]
 
     return manifest.parent / re.sub(r"\$\{(\w+)\}", value, name)
-
-
-def _session(file: Path, threads: int) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.inter_op_num_threads = 1
-    options.use_deterministic_compute = True
-    options.log_severity_level = 3
-    try:
-        return onnxruntime.InferenceSession(
-            str(file), sess_options=options, providers=["CPUExecutionProvider"]
-        )
-    except (*_ORT_ERRORS, UnicodeDecodeError, MemoryError) as error:
-        problem = (str(error) or type(error).__name__).splitlines()[0]
-        raise InputError(f"cannot be opened as a network ({problem})", where=str(file)) from error
 
 
 def _checked_input(manifest: Manifest, session: onnxruntime.InferenceSession, where: str) -> str:

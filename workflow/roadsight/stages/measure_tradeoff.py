@@ -14,7 +14,8 @@ from typing import Any
 
 from roadsight.config.load import ResolvedSite, load_config, load_sites, merged
 from roadsight.errors import InputError
-from roadsight.evidence.metrics import METRICS, Results
+from roadsight.evidence.metrics import METRICS
+from roadsight.evidence.results import Results
 from roadsight.evidence.tradeoffs import as_json, cheapest, stage_costs
 from roadsight.evidence.variants import Variant
 from roadsight.io.atomic import write_json
@@ -47,9 +48,14 @@ def measure_tradeoff(arguments: argparse.Namespace) -> None:
         costs[stage] = cheapest([costs[stage], *(stage_costs(part)[stage] for part in again)])
     results = _results(variant, site, config)
     values = {name: METRICS[name].value(results) for name in arguments.metrics}
-    known = {name: value if math.isfinite(value) else None for name, value in values.items()}
+    known = {name: _known(value) for name, value in values.items()}
     write_json(arguments.out, {"metrics": known, "stages": as_json(costs)})
     shutil.rmtree(variant.folder)
+
+
+def _known(value: Any) -> Any:
+    """A number that is one; other values are lists, which stay."""
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _site(config: dict[str, Any], name: str, changes: dict[str, Any]) -> ResolvedSite:

@@ -16,7 +16,7 @@ from roadsight.io.poses import read_poses, read_tilts
 from roadsight.io.shards import shard_of
 from roadsight.io.standing import StandingCloud
 from roadsight.io.surfels import read_surfels
-from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.models import MODELS, model_of_points
 from roadsight.placement.rays import as_seen_from
 from roadsight.placement.sensors import Sensor, load_sensor
 from roadsight.placement.surfel_lidar import SurfelLidar
@@ -61,13 +61,12 @@ def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: NDArray[np.f
     cloud = StandingCloud(arguments.cloud, arguments.traffic)
     xyz_m = cloud.xyz_within((west, south, east, north))
     log.info("%d points within range", len(xyz_m))
-    model: Callable[..., NDArray[np.float32]] = preliminary_depth
-    if arguments.model == "hybrid":
-        model = partial(
-            hybrid_depth,
-            min_cell_points=arguments.min_cell_points,
-            neighbours=arguments.neighbours,
-        )
+    model = model_of_points(
+        arguments.model,
+        arguments.network,
+        min_cell_points=arguments.min_cell_points,
+        neighbours=arguments.neighbours,
+    )
 
     def render(
         sensor: Sensor, position_m: ArrayLike, yaw_deg: float, tilt: Tilt
@@ -86,9 +85,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--sensor", required=True, help="name in the sensors file")
     parser.add_argument("--sensors", required=True, help="sensors file")
-    parser.add_argument("--model", choices=["surfel", "hybrid", "preliminary"], default="surfel")
+    parser.add_argument("--model", choices=MODELS, default="surfel")
     parser.add_argument("--surfels", required=True, help="used by the model surfel")
     parser.add_argument("--cloud", required=True, help="used by the other models")
+    parser.add_argument("--network", nargs="?", help="ONNX file of the models unet and unet_mask")
     parser.add_argument("--traffic", nargs="?", help="mask of points to leave out")
     parser.add_argument("--azimuth-stride", type=int, default=1, help="simulate every n-th azimuth")
     parser.add_argument("--min-cell-points", type=int, default=5)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -15,12 +16,24 @@ from torch import nn
 _OPSET = 17
 
 
-def export_network(network: nn.Module, path: str | os.PathLike[str], output: str) -> float:
-    """Write ``network`` with free batch, height and width; input "image", output ``output``.
+def export_network(
+    network: nn.Module,
+    path: str | os.PathLike[str],
+    output: str,
+    given: str = "image",
+    *,
+    channels: int = 3,
+    facts: Mapping[str, str] | None = None,
+) -> float:
+    """Write ``network`` with free batch, height and width; input ``given``, output ``output``.
+
+    Parameters
+    ----------
+    channels : of the input. facts : what the file says about itself, by name.
 
     Returns
     -------
-    Largest difference between what the file and the network give on random images.
+    Largest difference between what the file and the network give on random inputs.
     """
     unfinished = Path(path).with_name(f".{Path(path).name}")
     network = network.eval()
@@ -28,33 +41,34 @@ def export_network(network: nn.Module, path: str | os.PathLike[str], output: str
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.onnx.export(
-            network, (torch.rand(1, 3, 64, 96),), str(unfinished), dynamo=False,
-            opset_version=_OPSET, input_names=["image"], output_names=[output],
-            dynamic_axes={"image": free, output: free},
+            network, (torch.rand(1, channels, 64, 96),), str(unfinished), dynamo=False,
+            opset_version=_OPSET, input_names=[given], output_names=[output],
+            dynamic_axes={given: free, output: free},
         )  # fmt: skip
-    onnx.save(_bare(onnx.load(str(unfinished))), str(unfinished))
-    difference = _largest_difference(network, unfinished)
+    onnx.save(_bare(onnx.load(str(unfinished)), facts or {}), str(unfinished))
+    difference = _largest_difference(network, unfinished, given, channels)
     unfinished.replace(path)
     return difference
 
 
-def _bare(model: onnx.ModelProto) -> onnx.ModelProto:
-    """Without notes about the source code it was made from."""
+def _bare(model: onnx.ModelProto, facts: Mapping[str, str]) -> onnx.ModelProto:
+    """Without notes about the source code it was made from, with the facts."""
     model.producer_name, model.producer_version, model.doc_string = "roadsight", "", ""
     for node in model.graph.node:
         node.doc_string = ""
         del node.metadata_props[:]
+    onnx.helper.set_model_props(model, dict(facts))
     onnx.checker.check_model(model, full_check=True)
     return model
 
 
-def _largest_difference(network: nn.Module, path: Path) -> float:
+def _largest_difference(network: nn.Module, path: Path, given: str, channels: int) -> float:
     session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
     rng, worst = np.random.default_rng(0), 0.0
-    for shape in ((1, 3, 64, 96), (2, 3, 208, 320)):
-        images = rng.random(shape, np.float32)
+    for shape in ((1, channels, 64, 96), (2, channels, 208, 320)):
+        inputs = rng.random(shape, np.float32)
         with torch.no_grad():
-            expected = network(torch.from_numpy(images)).numpy()
-        found = session.run(None, {"image": images})[0]
+            expected = network(torch.from_numpy(inputs)).numpy()
+        found = session.run(None, {given: inputs})[0]
         worst = max(worst, float(np.abs(found - expected).max()))
     return worst

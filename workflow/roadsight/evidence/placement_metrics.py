@@ -1,0 +1,133 @@
+"""Accuracies of the placement job."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.evidence.exact_highway import share_wrong
+from roadsight.evidence.posed_truth import sees_in_pose
+from roadsight.evidence.results import Results
+from roadsight.io.atomic import read_json
+from roadsight.io.depth_maps import DepthMaps
+from roadsight.io.detections import read_detections
+from roadsight.io.poses import read_poses
+from roadsight.io.rasters import read_raster
+from roadsight.io.tables import read_table
+
+_MAPS = 6
+_STEP_M = 1.0
+
+
+def dem_rmse_m(results: Results) -> float:
+    """Root mean square height error of the terrain model on the carriageways."""
+    raster = read_raster(results.folder / "scene/dem.tif", results.frame)
+    xy_m, height_m = results.scene.road_heights(_STEP_M)
+    error = raster.sample(*xy_m.T) - height_m
+    return float(np.sqrt(np.mean(error[np.isfinite(error)] ** 2)))
+
+
+def pavement_f1(results: Results) -> float:
+    """F1 score of the pavement's area."""
+    return float(read_json(results.folder / "scene/pavement_scores.json")["f1"])
+
+
+def beams_wrong(results: Results) -> float:
+    """Share of beams more than 0.5 m off, or that return where nothing is, or the reverse."""
+    return float(np.mean([share_wrong(*pair) for pair in maps(results)]))
+
+
+def range_rmse_m(results: Results) -> float:
+    """Root mean square error of the ranges of beams that return both in truth and in the maps."""
+    errors_m = [
+        (range_m - exact_m)[(range_m > 0) & (exact_m > 0)].astype(np.float64)
+        for range_m, exact_m in maps(results)
+    ]
+    return float(np.sqrt(np.mean(np.concatenate(errors_m) ** 2)))
+
+
+def maps(results: Results) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+    """A few depth maps of the first sensor, and the exact ones."""
+    (name, sensor), *_ = results.sensors.items()
+    folder = results.folder / "placement/round-0"
+    poses = read_poses(folder / "candidates.parquet")
+    files = sorted((folder / "depth" / name).iterdir())
+    scene, simulated = results.scene, sensor.thinned(results.stride)
+    for candidate, range_m in _spread([pair for path in files for pair in DepthMaps(path)]):
+        pose = poses[candidate]
+        yield range_m, scene.depth_map(simulated, pose[:3], float(pose[3]))
+
+
+def detections_wrong(results: Results) -> float:
+    """Pairs of candidate and target that are wrongly seen or unseen, over those truly seen."""
+    (name, sensor), *_ = results.sensors.items()
+    folder = results.folder / "placement/round-0"
+    poses = read_poses(folder / "candidates.parquet")
+    targets = read_table(results.folder / "placement/targets.parquet")
+    found = read_detections(sorted((folder / "detection" / name).iterdir()))
+    feet_m = targets[["x", "y", "z"]].to_numpy(np.float64)
+    scene, wrong, seen = results.scene, 0, 0
+    for candidate, pose in _spread(list(poses.items())):
+        exact = scene.sees(sensor, pose[:3], float(pose[3]), feet_m)
+        ours = targets["target"].isin(found.loc[found["candidate"] == candidate, "target"])
+        wrong, seen = wrong + int((exact != ours).sum()), seen + int(exact.sum())
+    return wrong / seen if seen else float("nan")
+
+
+def _spread(items: list[Any]) -> list[Any]:
+    """A few of them, evenly spread."""
+    rows = np.linspace(0, len(items) - 1, min(_MAPS, len(items))).round().astype(int)
+    return [items[row] for row in rows]
+
+
+def targets_lost(results: Results) -> float:
+    """Share of the targets said to be covered that the chosen sensors do not see in truth."""
+    solution = _solution(results)
+    targets = read_table(results.folder / "placement/targets.parquet")
+    claimed = targets[~targets["target"].isin(solution["excluded"])]
+    feet_m = claimed[["x", "y", "z"]].to_numpy(np.float64)
+    scene, seen = results.scene, np.zeros(len(feet_m), bool)
+    for chosen in solution["sensors"]:
+        sensor = results.sensors[chosen["sensor"]]
+        if "pitch_deg" in chosen:
+            seen |= sees_in_pose(scene, sensor, chosen, feet_m)
+            continue
+        position_m = np.array([chosen[axis] for axis in "xyz"])
+        seen |= scene.sees(sensor, position_m, float(chosen["yaw_deg"]), feet_m)
+    return float(1 - seen.mean())
+
+
+def sensors(results: Results) -> float:
+    """Number of sensors of the plan."""
+    return float(len(_solution(results)["sensors"]))
+
+
+def sensor_positions_m(results: Results) -> list[list[float]]:
+    """Where the chosen sensors stand, local metres."""
+    return [[float(one[axis]) for axis in "xyz"] for one in _solution(results)["sensors"]]
+
+
+def mean_distance_m(found_m: list[list[float]], others_m: list[list[float]]) -> float:
+    """Mean distance of sensors to the nearest of the others (paper 1, section 3.3.2); NaN if none.
+
+    Parameters
+    ----------
+    found_m, others_m : (n, 3) and (m, 3) positions.
+    """
+    if not found_m or not others_m:
+        return float("nan")
+    apart = np.linalg.norm(np.array(found_m)[:, None] - np.array(others_m)[None], axis=2)
+    return float(apart.min(axis=1).mean())
+
+
+def uncovered(results: Results) -> float:
+    """Share of the targets that no candidate sees."""
+    solution = _solution(results)
+    return float(solution["uncoverable_targets"] / solution["targets"])
+
+
+def _solution(results: Results) -> dict:
+    return dict(read_json(results.folder / "placement" / results.plan / "solution.json"))

@@ -1,0 +1,185 @@
+"""Train the U-Net that refines depth maps and write it as an ONNX file with its record."""
+
+from __future__ import annotations
+
+import argparse
+import copy
+import logging
+import math
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from torch import nn
+
+from roadsight.errors import InputError
+from roadsight.io.checksums import sha256
+from roadsight.placement.normalising import MULTIPLE_CELLS, STEP_DEG
+from roadsight.stages.command import run_stage
+from roadsight.training.depth_network import DepthUnet, depth_loss
+from roadsight.training.depth_pairs import DepthPairs, digest, read_dataset
+from roadsight.training.depth_patches import PATCH_CELLS, Patches, random_patches
+from roadsight.training.export import export_network
+from roadsight.training.record import update_record
+
+log = logging.getLogger("train_depth_network")
+
+_WARM_UP = 0.05
+_KEEP = 0.998
+_LOG_EVERY = 100
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long and how fast.
+
+    Parameters
+    ----------
+    steps : batches. batch : patches of a batch. rate : highest learning rate. seed : of everything.
+    """
+
+    steps: int
+    batch: int = 32
+    rate: float = 3e-3
+    seed: int = 1
+
+    def rate_at(self, step: int) -> float:
+        """Learning rate: a short rise, then a half cosine down to a hundredth."""
+        rise = max(_WARM_UP * self.steps, 1.0)
+        if step < rise:
+            return self.rate * (step + 1) / rise
+        share = (step - rise) / max(self.steps - rise, 1.0)
+        return self.rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * share)))
+
+
+def train(
+    dataset: Sequence[DepthPairs],
+    schedule: Schedule,
+    widths: tuple[int, int, int],
+    watch: Callable[[int, float], None],
+) -> nn.Module:
+    """Network whose weights are the running mean over the last steps.
+
+    Patches of step s depend on the seed and s only.
+
+    Parameters
+    ----------
+    watch : called after each step with its number and its loss.
+    """
+    torch.use_deterministic_algorithms(True)
+    torch.manual_seed(schedule.seed)
+    network = DepthUnet(widths).to(memory_format=torch.channels_last).train()
+    kept = copy.deepcopy(network).eval()
+    optimiser = torch.optim.AdamW(network.parameters(), lr=schedule.rate, weight_decay=1e-3)
+    for step in range(schedule.steps):
+        rng = np.random.default_rng([schedule.seed, step])
+        loss = _loss(network, random_patches(dataset, schedule.batch, rng))
+        for group in optimiser.param_groups:
+            group["lr"] = schedule.rate_at(step)
+        optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        _keep(kept, network, min(_KEEP, (step + 1.0) / (step + 10.0)))
+        watch(step, float(loss.detach()))
+    return kept
+
+
+def _loss(network: nn.Module, patches: Patches) -> torch.Tensor:
+    preliminary, refined, scale_m = (torch.from_numpy(part) for part in patches)
+    output = network(preliminary.contiguous(memory_format=torch.channels_last))
+    return depth_loss(output, refined, scale_m)
+
+
+def _keep(kept: nn.Module, network: nn.Module, share: float) -> None:
+    """Move the running mean towards the network; counters are copied."""
+    with torch.no_grad():
+        new = network.state_dict()
+        for name, value in kept.state_dict().items():
+            if value.dtype.is_floating_point:
+                value.lerp_(new[name], 1.0 - share)
+            else:
+                value.copy_(new[name])
+
+
+def train_depth_network(arguments: argparse.Namespace) -> None:
+    """Train, write the network and what was done into the record."""
+    if arguments.steps < 1 or arguments.batch < 1:
+        raise InputError("--steps and --batch must be 1 or more")
+    torch.set_num_threads(arguments.threads)
+    dataset = read_dataset(arguments.data, arguments.truth)
+    schedule = Schedule(arguments.steps, arguments.batch, arguments.rate, arguments.seed)
+    losses: list[float] = []
+
+    def watch(step: int, loss: float) -> None:
+        losses.append(loss)
+        if (step + 1) % _LOG_EVERY == 0:
+            log.info("step %d, loss %.4f", step + 1, np.mean(losses[-_LOG_EVERY:]))
+
+    wall, cpu = time.perf_counter(), time.process_time()
+    network = train(list(dataset.values()), schedule, tuple(arguments.widths), watch)
+    seconds = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    path = Path(arguments.out)
+    facts = {"step_deg": f"{STEP_DEG:g}", "multiple_cells": str(MULTIPLE_CELLS)}
+    difference = export_network(
+        network, path, "refined", "depth", channels=1, facts={"kind": "depth_refinement"} | facts
+    )
+    entry = _entry(arguments, dataset, losses)
+    entry |= {name: round(value, 1) for name, value in seconds.items()}
+    entry |= {"sha256": sha256(path), "bytes": path.stat().st_size}
+    entry |= {"largest_difference_onnx_torch": difference}
+    entry |= {"parameters": sum(p.numel() for p in network.parameters())}
+    update_record(path.with_name("training_record.json"), path.name, entry)
+
+
+def _entry(
+    arguments: argparse.Namespace, dataset: dict[str, DepthPairs], losses: list[float]
+) -> dict[str, Any]:
+    """What the record says about a training."""
+    means = [float(part.mean()) for part in np.array_split(np.array(losses), 10) if len(part)]
+    return {
+        "seed": arguments.seed,
+        "data": {
+            "truth": arguments.truth,
+            "scenes": list(dataset),
+            "maps": sum(map(len, dataset.values())),
+            "sha256": digest(dataset.values()),
+        },
+        "widths": list(arguments.widths),
+        "steps": arguments.steps,
+        "batch": arguments.batch,
+        "patch_cells": PATCH_CELLS,
+        "highest_learning_rate": arguments.rate,
+        "threads": arguments.threads,
+        "versions": {
+            "torch": torch.__version__, "onnx": onnx.__version__, "numpy": np.__version__
+        },
+        "loss_by_tenth": [round(value, 4) for value in means],
+    }  # fmt: skip
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--data", required=True, help="folder that render_depth_dataset wrote")
+    parser.add_argument("--truth", default="exact", help="refined maps that are learnt")
+    parser.add_argument("--out", required=True, help="ONNX file; the record lies beside it")
+    parser.add_argument(
+        "--widths", type=int, nargs=3, default=(24, 40, 64), help="channels at 1/2, 1/4, 1/8"
+    )
+    parser.add_argument("--steps", type=int, default=5000)
+    parser.add_argument("--batch", type=int, default=32, help="patches of a step")
+    parser.add_argument("--rate", type=float, default=3e-3, help="highest learning rate")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=1, help="other numbers, other last digits")
+    return run_stage(parser, train_depth_network, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
