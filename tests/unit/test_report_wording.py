@@ -7,6 +7,7 @@ import json
 import pytest
 
 from roadsight.config.schema import Settings
+from roadsight.report import wording
 from roadsight.report.parameters import figure_rows, setting_groups
 from roadsight.report.wording import (
     MISSING,
@@ -198,3 +199,17 @@ def test_setting_that_the_schema_does_not_know():
     assert [group.title for group in groups] == ["General", "Rain"]
     assert groups[0].rows[1].about == ""
     assert groups[1].rows[0].key == "rain.rate_mm"
+
+
+def test_poses_are_told_in_words():
+    assert wording.pose(-10.0, 0.0) == "10° down"
+    assert wording.pose(5.0, 0.0) == "5° up"
+    assert wording.pose(0.0, -2.5) == "level, roll \u22122.5°"
+
+
+def test_mappings_and_lists_of_them_are_told_with_their_names():
+    assert wording.quantity("camera", {"yaw_deg": [-70.0, 0.0], "pitch_deg": [-10.0]}) == (
+        "yaw \u221270°, 0°; pitch \u221210°"
+    )
+    zones = [{"half_angle_deg": 9, "range_m": 250}]
+    assert wording.quantity("zones", zones) == "half angle 9°; range 250\u202fm"
