@@ -48,7 +48,7 @@ def make_project(folder, poles=True):
             site["settings"] = SETTINGS | {"shards": 2}
         text = f"# The site {name}\n" + yaml.safe_dump(site, sort_keys=False)
         (folder / "config" / "sites" / f"{name}.yaml").write_text(text)
-    ReportSite(folder / "results", "tiny", hidden=0.1)
+    ReportSite(folder / "results", "tiny", hidden=0.1, points=60_000)
     if poles:
         PolesSite(folder / "results", "drive", length_m=160.0, poles=8)
         _tell_sides(folder / "results/drive/poles/image_edges")

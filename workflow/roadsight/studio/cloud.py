@@ -14,7 +14,7 @@ from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.rasters import Raster, read_raster
 from roadsight.io.tables import read_table
-from roadsight.io.tiles import CloudTiles, Tile, stack_xyz
+from roadsight.io.tiles import CloudTiles, Points, Tile, stack_xyz
 from roadsight.studio.levels import (
     CELLS_M,
     LEVELS,
@@ -80,6 +80,12 @@ class SiteCloud:
                 self._forget()
             self._kept.move_to_end(number)
             return self._kept[number][level]
+
+    def around(self, x_m: float, y_m: float, reach_m: float) -> Points:
+        """Points x, y, z, intensity of the square around a place."""
+        bounds = (x_m - reach_m, y_m - reach_m, x_m + reach_m, y_m + reach_m)
+        with self._lock:
+            return self._tiles.read_within(bounds, ("x", "y", "z", "intensity"))
 
     def _forget(self) -> None:
         """Drop the tiles that were asked for longest ago."""

@@ -6,8 +6,19 @@ from typing import Any
 
 from flask import Blueprint, Response
 
+from roadsight.io.tiles import stack_xyz
 from roadsight.studio.cloud import Clouds
 from roadsight.studio.project import Project
+from roadsight.studio.requests import body
+from roadsight.studio.shapes import Metre, Shape
+from roadsight.studio.snapping import REACH_M, snap_to_cloud
+
+
+class Place(Shape):
+    """A place in plan, local metres."""
+
+    x: Metre
+    y: Metre
 
 
 def create(project: Project) -> Blueprint:
@@ -23,5 +34,12 @@ def create(project: Project) -> Blueprint:
     def chunk(stem: str, tile: int, level: int) -> Response:
         content = clouds.of(project.site(stem)).chunk(tile, level)
         return Response(content, mimetype="application/octet-stream")
+
+    @routes.post("/sites/<stem>/snap")
+    def snap(stem: str) -> dict[str, Any]:
+        place = body(Place)
+        points = clouds.of(project.site(stem)).around(place.x, place.y, 2 * REACH_M)
+        found = snap_to_cloud(stack_xyz(points), points["intensity"], (place.x, place.y))
+        return {"place": found}
 
     return routes

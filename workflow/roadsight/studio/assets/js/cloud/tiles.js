@@ -5,13 +5,14 @@ import { Box3, Frustum, Matrix4, Vector3 } from "../vendor.js";
 import { chunkPoints } from "./material.js";
 
 const FETCHES = 4;
-const COARSEST_PX = 1.7;
+export const COARSEST_PX = 1.7;
 
 export class Tiles {
   // about: answer of the server; onload: called when more can be drawn.
   constructor(stem, about, scene, material, onload) {
     Object.assign(this, { stem, about, scene, material, onload });
     this.mostPoints = 5_000_000;
+    this.coarsestPx = COARSEST_PX;
     this.chunks = new Map();
     this.fetching = new Map();
     this.loaded = 0;
@@ -31,32 +32,34 @@ export class Tiles {
     return ready.map((chunk) => { chunk.used = performance.now(); return chunk.points; });
   }
 
-  // Levels of each tile that its size on the screen calls for, within the number of points.
+  // Levels of each tile that its size on the screen calls for, coarse and near ones first, up to the
+  // number of points that memory allows.
   choose(seen) {
     const cells = this.about.cells_m;
-    for (let px = COARSEST_PX; ; px *= 1.5) {
-      let points = 0;
-      const wanted = [];
-      for (const tile of seen) {
-        for (let level = 0; level < cells.length; level++) {
-          if (level > 0 && cells[level - 1] * tile.scale < px) break;
-          const key = `${tile.number}/${level}`;
-          points += this.chunks.get(key)?.count ?? this.guess(tile, level);
-          wanted.push({ key, tile, level });
-        }
-      }
-      if (points <= this.mostPoints || px > 1000) {
-        return wanted.sort((a, b) => a.level - b.level || b.tile.scale - a.tile.scale);
+    const wanted = [];
+    for (const tile of seen) {
+      for (let level = 0; level < cells.length; level++) {
+        if (level > 0 && cells[level - 1] * tile.scale < this.coarsestPx) break;
+        wanted.push({ key: `${tile.number}/${level}`, tile, level });
       }
     }
+    wanted.sort((a, b) => a.level - b.level || b.tile.scale - a.tile.scale);
+    let points = 0;
+    return wanted.filter(({ key, tile, level }) => {
+      const count = this.chunks.get(key)?.count ?? this.guess(tile, level);
+      if (points + count > this.mostPoints) return false;
+      points += count;
+      return true;
+    });
   }
 
-  // Points of a chunk that was not fetched yet, by the area of its cells.
+  // Points of a chunk that was not fetched yet: by the area of its cells, at most what is left.
   guess(tile, level) {
     const [west, south, , east, north] = tile.box;
     const cell = this.about.cells_m[level];
-    const cells = cell > 0 ? ((east - west) * (north - south)) / cell ** 2 : Infinity;
-    return Math.min(tile.points, 1 + 2 * cells);
+    let left = tile.points;
+    for (let coarser = 0; coarser < level; coarser++) left -= this.chunks.get(`${tile.number}/${coarser}`)?.count ?? 0;
+    return cell > 0 ? Math.min(left, 1 + (2 * (east - west) * (north - south)) / cell ** 2) : left;
   }
 
   fetch() {

@@ -6,10 +6,11 @@
 import { el, themeColour } from "../dom.js";
 import { Color, MapControls, OrthographicCamera, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "../vendor.js";
 import { modeNumber, pointMaterial } from "./material.js";
-import { Tiles } from "./tiles.js";
+import { COARSEST_PX, Tiles } from "./tiles.js";
 
 const FRAME_MS = { slow: 45, fast: 22 };
 const BUDGET = { least: 60_000, first: 600_000 };
+const REST_MS = 150;
 const FIELD_OF_VIEW_DEG = 50;
 
 export class CloudView {
@@ -153,6 +154,12 @@ export class CloudView {
     this.draw();
   }
 
+  // All points, as far as memory allows, or as many as the window can show.
+  setAll(all) {
+    this.tiles.coarsestPx = all ? 0 : COARSEST_PX;
+    this.draw();
+  }
+
   resize() {
     const { clientWidth: width, clientHeight: height } = this.element;
     if (!width || !height) return;
@@ -176,6 +183,7 @@ export class CloudView {
 
   moved() {
     this.movedAt = performance.now();
+    this.inMotion = true;
     this.draw();
   }
 
@@ -203,7 +211,8 @@ export class CloudView {
   }
 
   frame(now) {
-    const moving = now - (this.movedAt ?? 0) < 150;
+    const moving = this.inMotion || now - (this.movedAt ?? 0) < REST_MS;
+    this.inMotion = false;
     if (this.restart) this.begin();
     const drew = this.slice();
     this.adapt(now, moving && drew);

@@ -4,6 +4,7 @@ import { themeColour } from "../dom.js";
 import { LAYERS, itemsOf, pointsOf } from "./shapes.js";
 
 const COLOURS = { zones: "zone", mounts: "mount", add: "area", remove: "zone" };
+const NEAR_PX = 2;
 const KIND_COLOURS = { edge: "edge", median: "median", line: "other" };
 
 // state: editor, preview (answer of the server), area (rings), references, shown (layers).
@@ -45,14 +46,18 @@ function pixelsOf(view, { editor, preview }, layer, number) {
   return pixels(view, preview?.lifted[layer][number] ?? [], 3);
 }
 
+// A path through pixels; points that are too near to see are left out.
 function trace(context, points, closed) {
   context.beginPath();
-  let pen = false;
-  for (const point of points) {
-    if (!point) pen = false;
-    else if (pen) context.lineTo(...point);
-    else { context.moveTo(...point); pen = true; }
-  }
+  let pen = null;
+  points.forEach((point, number) => {
+    if (!point) pen = null;
+    else if (!pen) { context.moveTo(...point); pen = point; }
+    else if (number === points.length - 1 || Math.abs(point[0] - pen[0]) + Math.abs(point[1] - pen[1]) > NEAR_PX) {
+      context.lineTo(...point);
+      pen = point;
+    }
+  });
   if (closed) context.closePath();
 }
 

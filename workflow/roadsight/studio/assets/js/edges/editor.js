@@ -10,9 +10,10 @@ const LAYER_OF_TOOL = Object.fromEntries(Object.entries(LAYERS).map(([layer, { t
 const TOOL_KEYS = { v: "select", e: "edge", z: "zone", m: "mount", a: "add", r: "remove" };
 
 export class Editor {
-  // references(layer): what points of a layer snap to. ontool, onchoose: called on a change.
-  constructor(view, history, { references, ontool, onchoose }) {
-    Object.assign(this, { view, history, references, ontool, onchoose });
+  // references(layer): what points of a layer snap to. edgeNear(place): promise of an edge that the
+  // cloud shows there. ontool, onchoose: called on a change.
+  constructor(view, history, { references, edgeNear, ontool, onchoose }) {
+    Object.assign(this, { view, history, references, edgeNear, ontool, onchoose });
     Object.assign(this, { tool: "select", chosen: null, drawing: false, snap: true, hover: null });
     const on = (name, listener) => view.element.addEventListener(name, listener, { capture: true });
     on("pointerdown", (event) => this.down(event));
@@ -59,6 +60,22 @@ export class Editor {
     const place = this.view.unproject(...pixel);
     if (!this.snap || exact) return place;
     return snapped(place, this.references(layer), SNAP_PX * this.view.metresPerPixel) ?? place;
+  }
+
+  // Move a road edge's new point onto an edge of the cloud itself, where nothing else was near.
+  async refine(pixel, exact, { layer, item, vertex }, step) {
+    const put = pointsOf(itemsOf(this.now, layer)[item], layer)[vertex].join();
+    if (layer !== "edges" || !this.snap || exact || this.snappedAt(pixel, layer)) return;
+    const found = await this.edgeNear(this.view.unproject(...pixel));
+    const points = itemsOf(this.now, layer)[item] && pointsOf(itemsOf(this.now, layer)[item], layer);
+    if (found && points?.[vertex]?.join() === put) {
+      this.history.change((drawing) => setPoint(itemsOf(drawing, layer)[item], layer, vertex, found), step);
+      this.refined = found;
+    }
+  }
+
+  snappedAt(pixel, layer) {
+    return snapped(this.view.unproject(...pixel), this.references(layer), SNAP_PX * this.view.metresPerPixel) !== null;
   }
 
   // Handle or line under a pixel.
@@ -120,7 +137,9 @@ export class Editor {
     this.pressed = null;
     if (!pressed) return;
     if (pressed.handle) event.stopPropagation();
-    else if (!pressed.moved && this.tool !== "select" && event.detail < 2) this.click(pressed.pixel, event.altKey);
+    if (pressed.handle?.vertex >= 0 && pressed.moved) this.refine(this.at(event), event.altKey, pressed.handle, pressed.step);
+    if (pressed.handle) return;
+    if (!pressed.moved && this.tool !== "select" && event.detail < 2) this.click(pressed.pixel, event.altKey);
     else if (!pressed.moved && this.tool === "select" && !this.hit(pressed.pixel)) this.choose(null);
   }
 
@@ -137,21 +156,24 @@ export class Editor {
     const layer = LAYER_OF_TOOL[this.tool];
     if (!layer) return;
     const place = this.place(pixel, layer, exact);
+    const step = Symbol("point");
     if (this.drawing && this.chosen?.layer === layer) {
       const points = pointsOf(itemsOf(this.now, layer)[this.chosen.item], layer);
-      return this.insert(layer, this.chosen.item, points.length, place);
+      this.insert(layer, this.chosen.item, points.length, place, step);
+    } else {
+      this.history.change((drawing) => itemsOf(drawing, layer).push(newItem(drawing, layer, place)), step);
+      this.drawing = layer !== "mounts";
+      this.choose({ layer, item: itemsOf(this.now, layer).length - 1, vertex: 0 });
     }
-    this.history.change((drawing) => itemsOf(drawing, layer).push(newItem(drawing, layer, place)));
-    this.drawing = layer !== "mounts";
-    this.choose({ layer, item: itemsOf(this.now, layer).length - 1, vertex: 0 });
+    this.refine(pixel, exact, { ...this.chosen }, step);
   }
 
-  insert(layer, item, vertex, [x, y]) {
+  insert(layer, item, vertex, [x, y], step = null) {
     this.history.change((drawing) => {
       const points = pointsOf(itemsOf(drawing, layer)[item], layer);
       points.splice(vertex, 0, [0, 0]);
       setPoint(itemsOf(drawing, layer)[item], layer, vertex, [x, y]);
-    });
+    }, step);
     this.choose({ layer, item, vertex });
   }
 

@@ -11,6 +11,7 @@ import { Panel } from "./panel.js";
 import { changedLayers, documentOf, itemsOf, pointsOf } from "./shapes.js";
 
 const PREVIEW_MS = 60;
+const POINT_M = { fine: 0.05, usual: 0.11, large: 0.25, all: 0.05 };
 const KEYS = {
   "V E Z M A R": "select, edge, zone, pole, add area, cut area",
   "Space": "place a point at the cross in the middle",
@@ -27,7 +28,7 @@ class EdgesPage {
     this.take(loaded);
     this.history = new History(`edges-${site.stem}`, documentOf(loaded));
     this.editor = new Editor(this.view, this.history, {
-      references: (layer) => this.snapTo(layer), ontool: (tool) => this.panel.tools.press(tool), onchoose: () => this.panel?.fill(),
+      references: (layer) => this.snapTo(layer), edgeNear: (place) => this.edgeNear(place), ontool: (tool) => this.panel.tools.press(tool), onchoose: () => this.panel?.fill(),
     });
     this.panel = new Panel(this);
     this.history.listeners.add(() => this.changed());
@@ -59,7 +60,10 @@ class EdgesPage {
     }, { "aria-pressed": "true", "data-layer": name }));
     const colours = Object.fromEntries(Object.entries(COLOURS).filter(([name]) => name !== "ground" || this.view.about.has_ground));
     this.mode = choice({ plan: "Plan", "3d": "3D" }, "plan", (mode) => this.setMode(mode), "View");
-    const size = select({ 0.05: "fine", 0.11: "usual", 0.25: "large" }, "0.11", (value) => this.view.setPointSize(Number(value)));
+    const size = select({ fine: "fine", usual: "usual", large: "large", all: "all, fine" }, "usual", (name) => {
+      this.view.setPointSize(POINT_M[name]);
+      this.view.setAll(name === "all");
+    }, { "data-points": true });
     return el("div", { className: "bar" }, this.mode,
       el("label", {}, "Colour", select(colours, "height", (name) => this.colour(name), { "data-colour": true })),
       el("label", {}, "Points", size),
@@ -69,6 +73,7 @@ class EdgesPage {
 
   setMode(mode) {
     this.editor.finish();
+    this.mode.press(mode);
     this.view.setMode(mode);
     if (mode === "3d") this.foot.textContent = "3D: drag to move, right button to turn, wheel to zoom. Draw in plan.";
   }
@@ -103,6 +108,16 @@ class EdgesPage {
   snapTo(layer) {
     if (layer === "mounts") return { poles: this.references.poles };
     return layer === "edges" ? { lines: this.references.lines, rings: this.preview?.area ?? this.area } : {};
+  }
+
+  // Edge that the cloud itself shows near a place; null if there is none.
+  async edgeNear([x, y]) {
+    try {
+      return (await send("POST", siteUrl(this.site.stem, "snap"), { x, y })).place;
+    } catch (error) {
+      failed(error);
+      return null;
+    }
   }
 
   native(x, y) {
@@ -197,7 +212,6 @@ class EdgesPage {
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
     if (letter === "p") {
       const mode = this.view.mode === "plan" ? "3d" : "plan";
-      this.mode.press(mode);
       return this.setMode(mode), true;
     }
     if (event.key === "0") return this.showAll(), true;
