@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field
 
-from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
+from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
 from roadsight.io.atomic import write_json
 from roadsight.io.rasters import read_raster
 from roadsight.io.tiles import CloudTiles, stack_xyz
@@ -26,7 +26,7 @@ from roadsight.studio.shapes import Metre, Shape
 from roadsight.studio.site_files import save_beside
 
 WINDOW_PX = 300.0
-_BEHIND_M, _AHEAD_M, _ASIDE_M, _MOST_POINTS = 5.0, 90.0, 30.0, 60_000
+_BESIDE_M, _AHEAD_M, _ROOM_DEG, _MOST_POINTS = 5.0, 150.0, 12.0, 60_000
 _HAND = np.array([0.3, 0.3, 0.1, 0.005, 0.005, 0.005, 0.01])
 """Standard deviations of a pose set by eye: metres, radians, log focal length."""
 POINT = np.dtype([("xyz", "<f4", 3), ("height_m", "<f4")])
@@ -128,21 +128,35 @@ def _group(seen: Any, number: int) -> NDArray[np.float64]:
 
 
 def points_around(site: SiteFolder, drive: SiteDrive, number: int) -> bytes:
-    """Points of the cloud before a camera, as `POINT`, coarse ones first."""
-    start = drive.place(number).start
-    heading = np.radians(start.heading_deg)
-    reach = _AHEAD_M + _ASIDE_M
-    bounds = (start.x_m - reach, start.y_m - reach, start.x_m + reach, start.y_m + reach)
-    xyz = stack_xyz(CloudTiles(site.file(CLOUD)).read_within(bounds, ("x", "y", "z")))
-    offset = xyz[:, :2] - [start.x_m, start.y_m]
-    ahead = offset @ [np.sin(heading), np.cos(heading)]
-    aside = offset @ [np.cos(heading), -np.sin(heading)]
-    xyz = xyz[(ahead > -_BEHIND_M) & (ahead < _AHEAD_M) & (np.abs(aside) < _ASIDE_M)]
+    """Points of the cloud that a camera may see, as `POINT`, coarse ones first."""
+    place = drive.place(number)
+    pose = drive.solved(place.image) or drive.expected(place)
+    eye = np.array([pose["x"], pose["y"]])
+    west, south, east, north = (*(eye - _AHEAD_M), *(eye + _AHEAD_M))
+    tiles = CloudTiles(site.file(CLOUD))
+    xyz = stack_xyz(tiles.read_within((west, south, east, north), ("x", "y", "z")))
+    xyz = xyz[before_camera(xyz[:, :2] - eye, pose["heading_deg"], _view_deg(place, pose))]
     order = np.argsort(level_of_points(xyz), kind="stable")[:_MOST_POINTS]
     packed = np.zeros(len(order), POINT)
     packed["xyz"] = xyz[order]
     packed["height_m"] = _above_ground(site, drive, xyz[order])
     return packed.tobytes()
+
+
+def _view_deg(place: Place, pose: dict[str, float]) -> float:
+    """Half the horizontal field of view, and room to turn."""
+    half = np.degrees(np.arctan2(0.5 * place.start.width_px, pose["focal_px"]))
+    return float(min(half + _ROOM_DEG, 90.0))
+
+
+def before_camera(
+    offset_m: NDArray[np.floating], heading_deg: float, half_deg: float
+) -> NDArray[np.bool_]:
+    """Whether plan offsets (n, 2) from a camera lie within its view, or right beside it."""
+    azimuth = np.degrees(np.arctan2(offset_m[:, 0], offset_m[:, 1]))
+    away = np.hypot(*offset_m.T)
+    within = np.abs(wrap_deg(azimuth - heading_deg)) <= half_deg
+    return (away <= _AHEAD_M) & (within | (away <= _BESIDE_M))
 
 
 def _above_ground(site: SiteFolder, drive: SiteDrive, xyz: NDArray) -> NDArray[np.float64]:

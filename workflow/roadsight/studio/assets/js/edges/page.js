@@ -32,7 +32,7 @@ class EdgesPage {
     });
     this.panel = new Panel(this);
     this.history.listeners.add(() => this.changed());
-    this.foot = el("div", { className: "foot", "aria-live": "off" }, " ");
+    this.foot = el("div", { className: "foot", "aria-live": "off" });
     this.legend = el("div", { className: "legend" });
     this.view.element.append(this.bar(), this.foot, this.legend);
     this.view.element.addEventListener("pointermove", (event) => this.tell(event));

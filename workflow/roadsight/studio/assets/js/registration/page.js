@@ -24,7 +24,7 @@ class RegistrationPage {
     this.picture = new Picture(this);
     this.panel = new Panel(this);
     this.modes = choice(MODES, "view", (mode) => this.setMode(mode), "What the mouse does");
-    this.picture.element.append(this.bar(), this.legend(), this.foot = el("div", { className: "foot" }, " "));
+    this.picture.element.append(this.bar(), this.legend(), this.foot = el("div", { className: "foot" }));
     this.element = el("div", { className: "split" }, this.panel.element, this.picture.element);
     this.themed = () => { this.picture.draw(); this.panel.route.draw(); };
     addEventListener("themechange", this.themed);

@@ -5,8 +5,8 @@ import { fieldOfView, projector } from "./camera.js";
 
 const PICK_PX = 14;
 const CLICK_PX = 4;
-const FAR_M = 90;
-const RAMP = [[93, 113, 150], [42, 134, 168], [63, 182, 122], [198, 216, 74], [242, 160, 61], [217, 66, 58]];
+const FAR_M = 150;
+const RAMP = [[70, 150, 255], [40, 190, 220], [63, 182, 122], [198, 216, 74], [242, 160, 61], [217, 66, 58]];
 export const LAYERS = { points: "Cloud", edges: "Cloud's edges", pixels: "Image's edges" };
 export const SIDES = { left: "#ff8a3d", right: "#35c4ff" };
 export const PIXELS = { lane: "#ffe14d", border: "#ff5ad1" };

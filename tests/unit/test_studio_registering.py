@@ -1,0 +1,126 @@
+"""Registration on the server: what is before a camera, errors, baselines by hand."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "e2e"))
+from studio_project import make_project
+
+from roadsight.errors import InputError
+from roadsight.io.baselines import read_baselines
+from roadsight.poles.alignment.published import _mean_square, _part
+from roadsight.studio.drive import SiteDrive
+from roadsight.studio.project import Project
+from roadsight.studio.registering import (
+    WINDOW_PX,
+    Pair,
+    PoseBody,
+    Registered,
+    alignment_error,
+    before_camera,
+    image_content,
+    points_around,
+    save_baseline,
+    save_correction,
+    solve_pairs,
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return make_project(tmp_path_factory.mktemp("registering") / "project")
+
+
+@pytest.fixture
+def project(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return Project(folder)
+
+
+@pytest.fixture
+def drive(project):
+    return SiteDrive(project.site("drive"))
+
+
+def test_before_a_camera_as_angle_by_angle(rng):
+    offset = rng.uniform(-160, 160, (500, 2))
+    for heading in (0.0, 90.0, 200.0, 359.0):
+        ahead = np.array([np.sin(np.radians(heading)), np.cos(np.radians(heading))])
+        away = np.linalg.norm(offset, axis=1)
+        slowly = ((offset @ ahead) / away >= np.cos(np.radians(30))) & (away <= 150)
+        slowly |= away <= 5
+        np.testing.assert_array_equal(before_camera(offset, heading, 30.0), slowly)
+
+
+def test_the_error_is_that_of_the_published_alignment(drive):
+    from roadsight.poles.calibration import weak_mount
+
+    place = drive.place(2)
+    seen, there = drive.scene.edges_of(place)
+    unknowns = weak_mount(60.0, place.start.width_px).mean
+    pixels = [np.concatenate([_part(seen, side), _part(seen, side + 2)]) for side in (0, 1)]
+    published = _mean_square(place.start, there, pixels, unknowns, WINDOW_PX)
+    ours = alignment_error(drive, place, drive.expected(place))
+    assert ours["rms_px"] == pytest.approx(np.sqrt(published))
+    assert ours["points"] > 10
+
+
+def test_states_of_images(drive):
+    states = [image["state"] for image in drive.about()]
+    assert {"accepted", "rejected", "unusable"} <= set(states)
+    lost = states.index("unusable")
+    with pytest.raises(InputError, match="no usable place"):
+        image_content(drive, lost)
+    with pytest.raises(InputError, match="no such image"):
+        drive.place(10**6)
+
+
+def test_points_come_with_their_heights(project, drive):
+    content = np.frombuffer(points_around(project.site("drive"), drive, 2), np.float32)
+    points = content.reshape(-1, 4)
+    assert len(points) > 100 and np.isfinite(points).all()
+    assert np.abs(points[:, 3]).max() < 40
+
+
+def test_a_pose_set_by_eye_makes_a_baseline(project, drive, folder):
+    pose = PoseBody.model_validate(drive.expected(drive.place(1)))
+    found = save_baseline(project, drive, [Registered(number=1, pose=pose)])
+    baselines = read_baselines(folder / "config/sites/drive/baseline.json")
+    assert list(baselines) == ["800x400"] == list(found["baselines"])
+    assert baselines["800x400"]["focal_px"] == pytest.approx(pose.focal_px)
+    assert project.site("drive").resolved.site.poles.baseline == "drive/baseline.json"
+    again = save_baseline(project, drive, [Registered(number=1, pose=pose)])
+    assert again["changed"] == []
+
+
+def test_corrections_are_kept_beside_each_other_and_forgotten_one_by_one(project, drive):
+    for number in (1, 2):
+        pose = PoseBody.model_validate(drive.expected(drive.place(number)))
+        save_correction(project, drive, number, pose)
+        drive = SiteDrive(project.site("drive"))
+    names = {drive.place(1).image, drive.place(2).image}
+    assert set(drive.corrections) == names
+    save_correction(project, drive, 1, None)
+    drive = SiteDrive(project.site("drive"))
+    assert set(drive.corrections) == names - {drive.place(1).image}
+    save_correction(project, drive, 2, None)
+    assert project.site("drive").resolved.site.poles.corrections is None
+
+
+def test_too_few_pairs_are_told(drive):
+    with pytest.raises(InputError, match="too few"):
+        solve_pairs(drive, 1, [Pair(u=1, v=1, x=1, y=1, z=1)])
+
+
+@pytest.mark.parametrize(
+    "change", [{"focal_px": 0}, {"focal_px": float("nan")}, {"pitch_deg": 91}, {"x": 1e9}, {"w": 1}]
+)
+def test_impossible_poses_are_refused(drive, change):
+    pose = drive.expected(drive.place(1)) | change
+    with pytest.raises(ValueError, match="validation error"):
+        PoseBody.model_validate(pose)
