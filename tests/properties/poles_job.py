@@ -235,13 +235,15 @@ class PolesJob:
         shown = {"frames": "frames", "masks": f"masks{part}"}
         self._stage("trace_image_edges", *shard, **shown, out=f"edges{part}")
         self._stage("trace_pole_axes", *shard, **shown, out=f"axes{part}")
+        self._stage("match_images", *shard, **given, out=f"matches{part}")
 
     def _cameras(self, parts) -> None:
         traced = ("--image-edges", *self._all("edges", parts), "--pole-axes")
         traced = (*traced, *self._all("axes", parts))
         there = {"frames": "frames", "road_edges": "road_edges", "frame": "frame",
                  "dem": "dem.tif", "terrain": "terrain.npz", "columns": "columns"}  # fmt: skip
-        self._stage("calibrate_drive", *traced, **there, out="calibration")
+        tied = ("--matches", *self._all("matches", parts))
+        self._stage("calibrate_drive", *traced, *tied, **there, out="calibration")
         for part in parts:
             shard = ("--shard", str(part), "--shards", str(self._shards))
             self._stage("align_cameras", *traced, *shard, **there, calibration="calibration",

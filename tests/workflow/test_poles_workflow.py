@@ -28,6 +28,7 @@ READERS = {
         "profile_drive",
         "segment_images",
         "estimate_depth",
+        "match_images",
         "write_poles_page",
     },
     "ingest_cloud": {
@@ -59,6 +60,7 @@ READERS = {
         "estimate_depth",
         "trace_image_edges",
         "trace_pole_axes",
+        "match_images",
         "calibrate_drive",
         "align_cameras",
         "measure_poles",
@@ -101,6 +103,7 @@ READERS = {
         "estimate_depth",
         "trace_image_edges",
         "trace_pole_axes",
+        "match_images",
         "calibrate_drive",
         "align_cameras",
         "measure_poles",
@@ -118,6 +121,7 @@ READERS = {
     "estimate_depth": {"measure_poles", "write_poles_page"},
     "trace_image_edges": {"calibrate_drive", "align_cameras", "write_poles_page"},
     "trace_pole_axes": {"calibrate_drive", "align_cameras"},
+    "match_images": {"calibrate_drive"},
     "calibrate_drive": {"align_cameras", "measure_poles"},
     "align_cameras": {"score_cameras", "measure_poles", "summarise_site", "write_poles_page"},
     "score_cameras": {"summarise_site"},
@@ -148,6 +152,7 @@ SETTINGS = [
     ("networks: {image_height_px: 256}", after("segment_images", "estimate_depth")),
     ("image_edges: {gap_px: 5}", after("trace_image_edges")),
     ("calibration: {images: 50}", after("calibrate_drive")),
+    ("alignment: {ties: skip}", after("calibrate_drive")),
     ("alignment: {max_residual_px: 3}", after("align_cameras")),
     ("effects: {terrain_occlusion: skip}", {"plan_effects"} | after("calibrate_drive")),
     ("effects: {side_views: skip}", {"plan_effects"} | after("segment_images", "estimate_depth")),
@@ -226,6 +231,14 @@ def test_skipped_landmarks_are_not_in_the_dag(copy_of_road):
     jobs = jobs_after(copy_of_road, "alignment: {landmarks: skip}")
     assert "calibrate_drive" in jobs
     assert "trace_pole_axes" not in jobs
+
+
+def test_skipped_ties_are_not_in_the_dag(copy_of_road):
+    remark(copy_of_road, "stages/match_images.py")
+    assert "match_images" in copy_of_road.stale_rules()
+    jobs = jobs_after(copy_of_road, "alignment: {ties: skip}")
+    assert "calibrate_drive" in jobs
+    assert not {"match_images", "trace_pole_axes", "segment_images"} & jobs
 
 
 def jobs_after(checkout: Checkout, setting: str) -> set[str]:

@@ -16,6 +16,7 @@ rule calibrate_drive:
         decided=after_profile("sight_curvature"),
         pole_axes=landmark_axes,
         columns=landmark_columns,
+        matches=tied_points,
         baseline=beside_site("poles.baseline"),
         code=sources("calibrate_drive"),
     output:
@@ -36,7 +37,7 @@ rule calibrate_drive:
         " --image-edges {input.image_edges} --road-edges {input.road_edges}"
         " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
         " --pole-axes {input.pole_axes} --columns {input.columns}"
-        " --baseline {input.baseline:q} {params.options} {params.sides} {params.shared}"
+        " --matches {input.matches} --baseline {input.baseline:q} {params.options} {params.sides} {params.shared}"
         " --curvature {params.curvature}"
         " --out {output.calibration} > {log} 2>&1"
 
@@ -64,7 +65,7 @@ rule align_cameras:
         ENVIRONMENT
     params:
         shards=setting("shards"),
-        options=flags("alignment", "landmarks"),
+        options=flags("alignment", "landmarks", "ties"),
         corrections=corrections_file,
         corrected=shard_corrections,
         curvature=decision_on("sight_curvature"),

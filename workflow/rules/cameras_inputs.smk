@@ -79,5 +79,12 @@ def corrections_file(wildcards):
     return [resolved.beside(resolved.site.poles.corrections)] if about else []
 
 
+def tied_points(wildcards):
+    """Points that neighbouring images share, where these tie their cameras."""
+    if SITES[wildcards.site].setting("alignment.ties") != "use":
+        return []
+    return all_matches(wildcards)
+
+
 # Settings of the alignment that the calibration of the drive does not know.
-ALIGNMENT_ONLY = ("landmarks", "method", "max_residual_px", "max_sigma_heading_deg")
+ALIGNMENT_ONLY = ("landmarks", "ties", "method", "max_residual_px", "max_sigma_heading_deg")

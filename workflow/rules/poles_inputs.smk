@@ -45,6 +45,7 @@ def pole_shards(kind, suffix):
 
 
 all_image_edges = pole_shards("image_edges", "parquet")
+all_matches = pole_shards("matches", "parquet")
 all_pole_axes = pole_shards("pole_axes", "parquet")
 all_sightings = pole_shards("sightings", "parquet")
 

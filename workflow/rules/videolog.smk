@@ -1,7 +1,8 @@
 """What the images of a videolog show, shard by shard.
 
 REQUIRED INPUTS  the site's videolog, images and networks (or masks and depth), results/{site}/scene/*
-OUTPUTS          results/{site}/poles/: frames, profile of the drive, masks, depth, image edges, pole axes
+OUTPUTS          results/{site}/poles/: frames, profile of the drive, masks, depth, image edges, pole axes,
+                 matches
 """
 
 
@@ -195,3 +196,28 @@ rule trace_pole_axes:
         " --views {params.views} {params.options} --shard {wildcards.shard}"
         " --shards {params.shards}"
         " --out {output.axes} > {log} 2>&1"
+
+
+rule match_images:
+    input:
+        frames=rules.read_videolog.output.frames,
+        images=rendered_images,
+        drive=distorting_drive,
+        code=sources("match_images"),
+    output:
+        matches=ensure("results/{site}/poles/matches/{shard}.parquet", non_empty=True),
+    log:
+        log_of("match_images", "{shard}"),
+    benchmark:
+        benchmark_of("match_images", "{shard}")
+    conda:
+        ENVIRONMENT
+    params:
+        images=images_path,
+        images_sha256=image_digest(),
+        lenses=given_lenses,
+        shards=setting("shards"),
+    shell:
+        "python -m roadsight.stages.match_images --frames {input.frames}"
+        " --images {params.images:q} --drive {input.drive} --lenses {params.lenses:q}"
+        " --shard {wildcards.shard} --shards {params.shards} --out {output.matches} > {log} 2>&1"

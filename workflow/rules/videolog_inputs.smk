@@ -157,6 +157,13 @@ def without_distortion(kind):
     return path
 
 
+def distorting_drive(wildcards):
+    """Profile with the lenses, where they distort."""
+    after_profile("lens_distortion")(wildcards)
+    distorted = decided("lens_distortion", wildcards) == "simulate"
+    return drive_profile(wildcards) if distorted else []
+
+
 def all_without_distortion(kind):
     """The same of all shards."""
 

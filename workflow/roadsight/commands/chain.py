@@ -100,6 +100,7 @@ class Chain:
         first = ["--borders", "nearest"] if self._street else []
         self._run("trace_image_edges", *first, **shown, out="image_edges.parquet")
         self._run("trace_pole_axes", **shown, out="pole_axes.parquet")
+        self._run("match_images", *images, frames="frames.parquet", out="matches.parquet")
 
     def cameras(self, arguments: argparse.Namespace) -> None:
         """Poses by road alignment."""
@@ -116,7 +117,8 @@ class Chain:
         known = ["--hfov-deg", str(arguments.hfov_deg)]
         known += ["--baseline", arguments.baseline] if arguments.baseline else []
         known += ["--start", "landmarks"] if self._street else []
-        self._run("calibrate_drive", *known, **inputs, out="calibration.json")
+        self._run("calibrate_drive", *known, **inputs, matches="matches.parquet",
+                  out="calibration.json")  # fmt: skip
         limits = ["--max-sigma-heading-deg", str(arguments.max_sigma_heading_deg)]
         self._run("align_cameras", "--method", arguments.method, *limits, **inputs,
                   calibration="calibration.json", out="cameras.parquet")  # fmt: skip

@@ -89,6 +89,9 @@ class Alignment(Section):
     landmarks: Literal["use", "skip"] = Field(
         default="use", description="whether poles in the cloud help to place the cameras"
     )
+    ties: Literal["use", "skip"] = Field(
+        default="use", description="whether what neighbouring images both show ties their cameras"
+    )
     edge_points: Count = Field(default=800, description="LiDAR edge points of an image")
     pixels: Count = Field(default=400, description="edge pixels of an image")
     nearest_m: Metres = Field(default=3.0, description="nearer edges are not used, m")

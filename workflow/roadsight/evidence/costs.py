@@ -99,7 +99,7 @@ STEPS: dict[str, Step] = {
     **{
         name: Step("poles", "images", "shard")
         for name in ("segment_images", "estimate_depth", "trace_image_edges", "trace_pole_axes",
-                     "align_cameras", "measure_poles")
+                     "match_images", "align_cameras", "measure_poles")
     },
     **{
         name: Step("poles", "images")

@@ -36,8 +36,8 @@ def with_landmarks(
     noise: LandmarkNoise,
     side_yaw_deg: tuple[float, float],
     starts: Mapping[str, NDArray[np.float64]],
-) -> DriveCalibration:
-    """Calibration with what landmarks add; the same one if no image has any.
+) -> tuple[DriveCalibration, Mapping[str, NDArray[np.float64]]]:
+    """Calibration with what landmarks add, and the images' unknowns; the same if none has any.
 
     Each round aligns every image under what the others say, then takes mount, side views and the
     error of the track from all of them, until they no longer move. Lens, side views and poses are
@@ -57,11 +57,11 @@ def with_landmarks(
             for place, load in zip(places, loaders, strict=True)
         ]
         if all(task.sight is None for _, task in images):
-            return calibration
+            return calibration, starts
         found = [(p, t, locate(t, noise, starts.get(p.image))) for p, t in images]
         good = [(p, t, fits[0]) for p, t, fits in found if usable(t, fits)]
         if len(good) < 3:
-            return calibration
+            return calibration, starts
         starts = {**starts, **{place.image: fit.unknowns for place, _, fit in good}}
         before = calibration.mount
         calibration = _improved(calibration, good, prior)
@@ -70,7 +70,7 @@ def with_landmarks(
             opened = True
         elif _moved(before, calibration.mount) < _SETTLED:
             break
-    return calibration
+    return calibration, starts
 
 
 def _moved(before: Mount, after: Mount) -> float:

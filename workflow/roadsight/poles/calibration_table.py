@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from roadsight.errors import InputError
 from roadsight.poles.alignment.drift import Drift, DriftModel, expect_place, measured_offset
 from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.epipolar import POSED
 from roadsight.poles.alignment.landmarks import VIEWS, Turns
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, UNKNOWNS, Spread
 from roadsight.poles.alignment.search import search
@@ -31,6 +32,7 @@ class DriveCalibration:
     ----------
     measured : numbers of the drift's measurements by image. problem : why there is no better
     mount than the one given beforehand, or "".
+    told : pose (6,) and its covariance (6, 6) of each image as the others tell it, see `ties`.
     """
 
     key: Key
@@ -39,6 +41,7 @@ class DriveCalibration:
     drift: Drift
     measured: Mapping[str, int]
     problem: str = ""
+    told: Mapping[str, tuple[_FLOATS, _FLOATS]] = field(default_factory=dict)
 
     @property
     def turns(self) -> Turns:
@@ -59,6 +62,10 @@ class DriveCalibration:
             error,
             place.start.heading_deg,
         )
+        if place.image in self.told:
+            pose, own = self.told[place.image]
+            mean[:POSED], covariance[:POSED, :], covariance[:, :POSED] = pose, 0.0, 0.0
+            covariance[:POSED, :POSED] = own
         return mean, np.asarray(np.linalg.inv(covariance), np.float64)
 
 
@@ -135,6 +142,10 @@ def to_content(calibration: DriveCalibration) -> dict[str, Any]:
                 names, drift.station_m, drift.offset_m, drift.covariance_m2.tolist(), strict=True
             )
         ],
+        "told": [
+            {"image": name, "pose": pose.tolist(), "covariance": own.tolist()}
+            for name, (pose, own) in sorted(calibration.told.items())
+        ],
     }
 
 
@@ -170,7 +181,11 @@ def from_content(content: Mapping[str, Any]) -> DriveCalibration:
         key = str(content["route"]), int(content["width_px"]), int(content["height_px"])
         measured = {row["image"]: number for number, row in enumerate(rows)}
         spread = Spread(**content["spread"])
-        return DriveCalibration(key, mount, spread, drift, measured, content["problem"])
+        told = {
+            row["image"]: (np.array(row["pose"], float), np.array(row["covariance"], float))
+            for row in content["told"]
+        }
+        return DriveCalibration(key, mount, spread, drift, measured, content["problem"], told)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"is no calibration of a drive ({error!r})",

@@ -13,6 +13,7 @@ import pandas as pd
 from roadsight.errors import InputError
 from roadsight.io.atomic import write_json
 from roadsight.io.baselines import read_baselines
+from roadsight.io.tables import read_table
 from roadsight.poles.alignment.drift import DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import LandmarkNoise
@@ -26,6 +27,7 @@ from roadsight.poles.calibration_table import (
     measure_drift,
     to_content,
 )
+from roadsight.poles.calibration_ties import Shared, with_ties
 from roadsight.poles.calibration_upright import aimed
 from roadsight.poles.stitching import ViewOffsets
 from roadsight.stages.alignment_inputs import add_arguments, read_scene
@@ -39,13 +41,14 @@ def calibrate_drives(arguments: argparse.Namespace) -> None:
     """Calibrate each drive (route and image size) and measure the error of its track."""
     scene = read_scene(arguments)
     baselines = read_baselines(arguments.baseline) if arguments.baseline else {}
+    shared = _shared_points(arguments.matches)
     drives: dict[Key, list[tuple[Place, Loader]]] = {}
     for place, load in scene.loaders():
         key = place.route, place.start.width_px, place.start.height_px
         drives.setdefault(key, []).append((place, load))
     content = []
     for key, images in sorted(drives.items(), key=lambda item: item[0]):
-        calibration = _calibrated(key, images, arguments, baselines, scene.landmarks)
+        calibration = _calibrated(key, images, arguments, baselines, scene.landmarks, shared)
         log.info("%s %d x %d: %s", *key, _summary(calibration))
         content.append(to_content(calibration))
     write_json(arguments.out, {"drives": content})
@@ -57,6 +60,7 @@ def _calibrated(
     arguments: argparse.Namespace,
     baselines: dict[str, Any],
     noise: LandmarkNoise,
+    shared: Shared,
 ) -> DriveCalibration:
     places, loaders = [p for p, _ in images], [load for _, load in images]
     spread = Spread()
@@ -78,7 +82,18 @@ def _calibrated(
     drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
     calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
     sides = arguments.left_yaw_deg, arguments.right_yaw_deg
-    return with_landmarks(calibration, places, loaders, prior, noise, sides, starts)
+    calibration, starts = with_landmarks(calibration, places, loaders, prior, noise, sides, starts)
+    return with_ties(calibration, places, loaders, noise, starts, shared)
+
+
+def _shared_points(paths: list[str]) -> Shared:
+    """Pixels that pairs of images share, by the names of both."""
+    if not paths:
+        return {}
+    names = ["u", "v", "u_other", "v_other"]
+    table = pd.concat([read_table(path, ["image", "other", *names]) for path in paths])
+    groups = table.groupby(["image", "other"], sort=True)
+    return {key: part[names].to_numpy(np.float64) for key, part in groups}
 
 
 def _evenly(loaders: list[Loader], count: int) -> list[Loader]:
@@ -99,6 +114,7 @@ def main(argv: list[str] | None = None) -> int:
     add_arguments(parser)
     help_ = 'JSON by image size, {"2000x1200": {...}}, or "all"'
     parser.add_argument("--baseline", nargs="?", help=help_)
+    parser.add_argument("--matches", nargs="*", default=[], help="tables of shared points")
     parser.add_argument(
         "--hfov-deg", type=float, default=0.0, help="field of view, if known to 10 %%; 0: unknown"
     )

@@ -1,0 +1,207 @@
+"""Points that images share: their misfit, the chain of a drive, and what others tell an image."""
+
+import numpy as np
+import pytest
+
+from roadsight.geometry.cameras import wrap_deg
+from roadsight.poles.alignment.chain import Normal, others_say, surprise
+from roadsight.poles.alignment.drift import DriftModel
+from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.epipolar import POSED, shared_misfit
+from roadsight.poles.alignment.kernel import camera
+from roadsight.poles.alignment.pose import FOCAL, SIZE, Spread, Start, pose_of
+from roadsight.poles.alignment.ties import Member, pose_misfit, told_by_others
+
+WIDTH, HEIGHT, FOCAL_PX = 640, 416, 1650.0
+ORIGIN = np.zeros(3)
+
+
+def start(number, spacing_m=8.0, bend=1 / 300):
+    """Places on a bend to the right that rises a little."""
+    turn = bend * spacing_m * number
+    x, y = (1 - np.cos(turn)) / bend, np.sin(turn) / bend
+    middle = (WIDTH - 1) / 2, (HEIGHT - 1) / 2
+    grade = 0.02, -0.01
+    return Start(x, y, 0.1 * number, np.degrees(turn), *grade, WIDTH, HEIGHT, *middle, bend, 0.001)
+
+
+def unknowns(rng, mean):
+    found = mean.copy()
+    found[:POSED] += rng.normal(0, [0.5, 0.1, 0.02, 0.3, 0.3, 0.1])
+    return found
+
+
+def mean_unknowns():
+    mean = np.zeros(SIZE)
+    mean[:7] = 0.2, -0.1, 2.2, 1.0, -1.2, 0.5, np.log(FOCAL_PX)
+    return mean
+
+
+def pixels(start, own, points):
+    turn, _, centre, _ = camera(start.vector(ORIGIN), own)
+    seen = (points - centre) @ turn.T
+    return seen[:, :2] / seen[:, 2:] * np.exp(own[FOCAL]) + [start.cx_px, start.cy_px], seen[:, 2]
+
+
+def shared_points(rng, starts, own, count=120, noise_px=0.3):
+    """Pixels of things 20 m to 300 m ahead that both of two cameras show."""
+    turn, _, centre, _ = camera(starts[0].vector(ORIGIN), own[0])
+    uv = rng.uniform([0, 0], [WIDTH, HEIGHT], (6 * count, 2))
+    rays = np.column_stack([(uv - [starts[0].cx_px, starts[0].cy_px]) / FOCAL_PX, np.ones(len(uv))])
+    away = np.exp(rng.uniform(np.log(20), np.log(300), len(uv)))
+    points = centre + away[:, None] * (rays @ turn)
+    there, depth = pixels(starts[1], own[1], points)
+    good = (depth > 1) & (there > 0).all(axis=1) & (there < [WIDTH, HEIGHT]).all(axis=1)
+    both = np.column_stack([uv, there])[good][:count]
+    return both + rng.normal(0, noise_px, both.shape)
+
+
+def test_exact_points_fit_exactly_and_slopes_are_those_of_small_steps():
+    rng = np.random.default_rng(1)
+    starts = start(0), start(1)
+    own = unknowns(rng, mean_unknowns()), unknowns(rng, mean_unknowns())
+    vectors = starts[0].vector(ORIGIN), starts[1].vector(ORIGIN)
+    exact = shared_points(rng, starts, own, noise_px=0.0)
+    assert np.abs(shared_misfit(own, vectors, exact, 0.4, 3.0)[2]).max() < 1e-6
+    _, gradient, residuals = shared_misfit(own, vectors, exact + 1e-3, 0.4, 1e6)
+    for number in range(2 * POSED):
+        step = np.zeros(2 * POSED)
+        step[number] = 1e-5
+        moved = own[0].copy(), own[1].copy()
+        moved[0][:POSED] += step[:POSED]
+        moved[1][:POSED] += step[POSED:]
+        later = shared_misfit(moved, vectors, exact + 1e-3, 0.4, 1e6)[2]
+        slope = (later - residuals) @ residuals / 1e-5
+        assert gradient[number] == pytest.approx(slope, rel=0.02, abs=0.02 * np.abs(gradient).max())
+
+
+def test_points_far_off_do_not_count():
+    rng = np.random.default_rng(2)
+    starts = start(0), start(1)
+    own = mean_unknowns(), mean_unknowns()
+    vectors = starts[0].vector(ORIGIN), starts[1].vector(ORIGIN)
+    good = shared_points(rng, starts, own)
+    wrong = np.vstack([good, good[:40] + np.array([0, 0, 60, 45])])
+    one, other = (shared_misfit(own, vectors, p, 0.4, 3.0)[0] for p in (good, wrong))
+    np.testing.assert_allclose(one, other, atol=0.02 * np.abs(one).max())
+
+
+def random_normal(rng, size, rank):
+    rows = rng.normal(size=(rank, size))
+    return Normal(rows.T @ rows, rng.normal(size=size))
+
+
+@pytest.mark.parametrize("count", [1, 2, 7])
+def test_what_others_say_is_the_whole_without_one(count):
+    """Against one large matrix in which the member's own measurement is left out."""
+    rng = np.random.default_rng(count)
+    priors = [random_normal(rng, 3, 3) for _ in range(count)]
+    own = [random_normal(rng, 3, 2) for _ in range(count)]
+    links = [random_normal(rng, 6, 4) for _ in range(count - 1)]
+    found = others_say(priors, own, links)
+    for left_out in range(count):
+        matrix, right = np.zeros((3 * count, 3 * count)), np.zeros(3 * count)
+        for k in range(count):
+            part = slice(3 * k, 3 * k + 3)
+            given = priors[k] if k == left_out else priors[k] + own[k]
+            matrix[part, part] += given.matrix
+            right[part] += given.right
+        for k, link in enumerate(links):
+            part = slice(3 * k, 3 * k + 6)
+            matrix[part, part] += link.matrix
+            right[part] += link.right
+        mine = slice(3 * left_out, 3 * left_out + 3)
+        mean, covariance = found[left_out].least()
+        np.testing.assert_allclose(mean, np.linalg.solve(matrix, right)[mine], rtol=1e-7)
+        np.testing.assert_allclose(covariance, np.linalg.inv(matrix)[mine, mine], rtol=1e-7)
+
+
+def test_no_chain_is_nothing():
+    assert others_say([], [], []) == []
+    assert told_by_others([], mean_unknowns(), Spread(), DriftModel()) == {}
+
+
+def test_surprise_counts_sigmas_of_what_was_measured():
+    others = Normal(np.diag([4.0, 1.0]), np.zeros(2))
+    own = Normal(np.diag([4.0, 0.0]), np.array([4.0 * 3.0, 0.0]))
+    assert surprise(own, others) == pytest.approx(9.0 / (0.25 + 0.25))
+
+
+def test_other_unknowns_are_taken_out():
+    """As the lowest misfit over them, at any pose."""
+    rng = np.random.default_rng(4)
+    data = random_normal(rng, SIZE, SIZE)
+    at, mean, rest = rng.normal(size=SIZE), rng.normal(size=SIZE), rng.uniform(0.5, 2, SIZE - POSED)
+    found = pose_misfit(data.matrix, data.matrix @ at - data.right, at, mean, rest)
+    costs = []
+    for pose in rng.normal(size=(3, POSED)):
+        inner = data.matrix[POSED:, POSED:] + np.diag(1 / rest)
+        tail = data.right[POSED:] + mean[POSED:] / rest - data.matrix[POSED:, :POSED] @ pose
+        x = np.r_[pose, np.linalg.solve(inner, tail)]
+        whole = 0.5 * x @ data.matrix @ x - data.right @ x
+        whole += 0.5 * ((x[POSED:] - mean[POSED:]) ** 2 / rest).sum()
+        costs.append(whole - (0.5 * pose @ found.matrix @ pose - found.right @ pose))
+    np.testing.assert_allclose(costs, costs[0], rtol=1e-6, atol=1e-6)
+
+
+def drive(count=12, seed=5):
+    """Members of a drive, of which every third measured its pose, and the true unknowns."""
+    rng = np.random.default_rng(seed)
+    mean = mean_unknowns()
+    starts = [start(k) for k in range(count)]
+    truth = [unknowns(rng, mean) for _ in range(count)]
+    sigma = np.array([0.1, 0.04, 0.03, 0.04, 0.04, 0.1])
+    members = []
+    for k in range(count):
+        measured = None
+        if k % 3 == 0:
+            seen = truth[k][:POSED] + rng.normal(0, sigma)
+            measured = Normal(np.diag(sigma**-2), sigma**-2 * seen)
+        pair = starts[k : k + 2], truth[k : k + 2]
+        points = shared_points(rng, *pair) if k + 1 < count else np.empty((0, 4))
+        place = Place(f"{k}", "r", 8.0 * k, starts[k], np.empty((0, 2)))
+        members.append(Member(place, mean, measured, points))
+    return members, truth
+
+
+def heading_errors(members, truth, told):
+    found = [
+        pose_of(m.place.start, np.r_[told[m.place.image][0], m.unknowns[POSED:]]) for m in members
+    ]
+    right = [pose_of(m.place.start, t) for m, t in zip(members, truth, strict=True)]
+    pairs = zip(found, right, strict=True)
+    return np.array([wrap_deg(f.heading_deg - r.heading_deg) for f, r in pairs])
+
+
+def test_images_that_see_no_pole_have_the_heading_of_their_neighbours():
+    members, truth = drive()
+    told = told_by_others(members, mean_unknowns(), Spread(yaw_deg=0.3), DriftModel())
+    off = heading_errors(members, truth, told)
+    sigma = np.array([np.sqrt(told[m.place.image][1][3, 3]) for m in members])
+    assert np.abs(off).max() < 0.1
+    assert (np.abs(off) < 4 * np.hypot(sigma, 0.02)).all()
+    alone = [Member(m.place, m.unknowns, m.measured, np.empty((0, 4))) for m in members]
+    untied = told_by_others(alone, mean_unknowns(), Spread(yaw_deg=0.3), DriftModel())
+    assert np.median(np.abs(heading_errors(members, truth, untied))) > 0.1
+
+
+def test_an_image_that_took_a_wrong_pole_is_overruled():
+    members, truth = drive()
+    wrong = members[6].measured
+    shift = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
+    members[6] = Member(
+        members[6].place, members[6].unknowns,
+        Normal(wrong.matrix, wrong.right + wrong.matrix @ shift), members[6].shared,
+    )  # fmt: skip
+    told = told_by_others(members, mean_unknowns(), Spread(yaw_deg=0.3), DriftModel())
+    assert np.abs(heading_errors(members, truth, told)).max() < 0.1
+
+
+def test_an_expectation_does_not_rest_on_the_image_itself():
+    members, _ = drive(count=4)
+    told = told_by_others(members, mean_unknowns(), Spread(), DriftModel())
+    nothing = [
+        m if k != 3 else Member(m.place, m.unknowns, None, m.shared) for k, m in enumerate(members)
+    ]
+    other = told_by_others(nothing, mean_unknowns(), Spread(), DriftModel())
+    np.testing.assert_allclose(told["3"][0], other["3"][0], atol=0.02)

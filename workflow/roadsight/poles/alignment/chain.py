@@ -1,0 +1,88 @@
+"""A chain of Gaussian unknowns: what all but one of its members say about that one.
+
+Every member has a prior, what it measured itself, and links with the next member. Messages run
+along the chain once either way (Kalman filter and smoother in information form), so that a drive
+of any length costs time and memory in proportion to its images.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+_FLOATS = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Normal:
+    """Quadratic misfit x' A x / 2 - b' x; A may be singular.
+
+    Attributes
+    ----------
+    matrix : A (k, k). right : b (k,).
+    """
+
+    matrix: _FLOATS
+    right: _FLOATS
+
+    def __add__(self, other: Normal) -> Normal:
+        return Normal(self.matrix + other.matrix, self.right + other.right)
+
+    def times(self, weight: float) -> Normal:
+        """The same, counted so many times."""
+        return Normal(weight * self.matrix, weight * self.right)
+
+    def least(self) -> tuple[_FLOATS, _FLOATS]:
+        """Its minimum (k,) and the inverse (k, k) of its matrix."""
+        covariance = np.linalg.inv(self.matrix)
+        return covariance @ self.right, 0.5 * (covariance + covariance.T)
+
+
+def others_say(
+    priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal]
+) -> list[Normal]:
+    """For each member its prior and what the other members say: all but its own measurement.
+
+    Parameters
+    ----------
+    priors, own : (n) of each member, (k, k). links : (n - 1) of each member with the next one,
+        (2 k, 2 k).
+    """
+    ahead = _swept(priors, own, links)
+    turned = [_swapped(link) for link in links[::-1]]
+    back = _swept(priors[::-1], own[::-1], turned)[::-1]
+    return [a + p + b for a, p, b in zip(ahead, priors, back, strict=True)]
+
+
+def _swept(
+    priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal]
+) -> list[Normal]:
+    """What those before each member say about it."""
+    size = len(priors[0].right) if priors else 0
+    said = [Normal(np.zeros((size, size)), np.zeros(size))] if priors else []
+    for number, link in enumerate(links):
+        here = said[-1] + priors[number] + own[number]
+        matrix, right = link.matrix.copy(), link.right.copy()
+        matrix[:size, :size] += here.matrix
+        right[:size] += here.right
+        gain = np.linalg.solve(matrix[:size, :size], matrix[:size, size:])
+        rest = matrix[size:, size:] - matrix[size:, :size] @ gain
+        said.append(Normal(0.5 * (rest + rest.T), right[size:] - gain.T @ right[:size]))
+    return said
+
+
+def _swapped(link: Normal) -> Normal:
+    half = len(link.right) // 2
+    order = np.r_[half : 2 * half, :half]
+    return Normal(link.matrix[np.ix_(order, order)], link.right[order])
+
+
+def surprise(own: Normal, others: Normal) -> float:
+    """Squared distance of what a member measured from what the others say, in sigmas."""
+    mean, covariance = others.least()
+    gap = own.right - own.matrix @ mean
+    spread = own.matrix + own.matrix @ covariance @ own.matrix
+    return float(gap @ np.linalg.pinv(spread, hermitian=True) @ gap)

@@ -1,0 +1,108 @@
+"""Misfit of points that two images share, with its derivatives by both poses, compiled.
+
+A point that two cameras see lies in one plane with both centres. How far it is from that is an
+angle that turns with either camera, whatever the point's distance, so that two images of the same
+trees and houses tell how the camera turned between them far better than each image tells where it
+looks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.poles.alignment.kernel import camera
+
+_FLOATS = NDArray[np.float64]
+_DEGREE = np.pi / 180.0
+POSED = 6
+"""How many of the unknowns place and turn a camera."""
+
+
+@njit(cache=True, error_model="numpy")
+def _rays(
+    pixels: _FLOATS, start: _FLOATS, unknowns: _FLOATS, turn: _FLOATS, turns: _FLOATS
+) -> tuple[_FLOATS, _FLOATS]:
+    """Unit rays (n, 3) in the world and their derivatives (n, 3, 3) by yaw, pitch, roll."""
+    focal = np.exp(unknowns[6])
+    rays, moved = np.empty((len(pixels), 3)), np.empty((len(pixels), 3, 3))
+    for i in range(len(pixels)):
+        x, y = (pixels[i, 0] - start[6]) / focal, (pixels[i, 1] - start[7]) / focal
+        length = np.sqrt(x * x + y * y + 1.0)
+        for k in range(3):
+            rays[i, k] = (x * turn[0, k] + y * turn[1, k] + turn[2, k]) / length
+            for a in range(3):
+                part = x * turns[a, 0, k] + y * turns[a, 1, k] + turns[a, 2, k]
+                moved[i, a, k] = part / length
+    return rays, moved
+
+
+@njit(cache=True, error_model="numpy")
+def _cross(a: _FLOATS, b: _FLOATS) -> _FLOATS:
+    return np.array(
+        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _along(row: _FLOATS, start: _FLOATS, moves: _FLOATS, by_centre: _FLOATS) -> None:
+    """Fill the derivatives by the place, which also turns a camera with its road."""
+    for a in range(3):
+        row[a] = moves[a] @ by_centre
+    row[0] += (start[10] * row[3] + start[11] * row[4]) / _DEGREE
+
+
+@njit(cache=True, error_model="numpy")
+def shared_misfit(
+    unknowns: tuple[_FLOATS, _FLOATS],
+    starts: tuple[_FLOATS, _FLOATS],
+    pixels: _FLOATS,
+    sigma_px: float,
+    scale: float,
+) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+    """Linearised robust misfit (Geman and McClure) of points that two images share.
+
+    The residual is Sampson's: t . (d1 x d2) / (sigma sqrt(|t x d1|^2 + |t x d2|^2)), with unit rays
+    d1, d2 and the baseline t.
+
+    Parameters
+    ----------
+    unknowns, starts : of both images, as `pose.UNKNOWNS` and `Start.vector` from one origin.
+    pixels : (n, 4) u, v in the one and in the other. sigma_px : of a pixel, each axis.
+    scale : residual in standard deviations beyond which a point no longer counts.
+
+    Returns
+    -------
+    normal matrix (12, 12) and gradient (12,) by the six numbers of either pose, and residuals (n,)
+    """
+    turn1, turns1, centre1, moves1 = camera(starts[0], unknowns[0])
+    turn2, turns2, centre2, moves2 = camera(starts[1], unknowns[1])
+    rays1, moved1 = _rays(pixels[:, :2], starts[0], unknowns[0], turn1, turns1)
+    rays2, moved2 = _rays(pixels[:, 2:], starts[1], unknowns[1], turn2, turns2)
+    base = centre2 - centre1
+    sigma = sigma_px / np.exp(0.5 * (unknowns[0][6] + unknowns[1][6]))
+    normal, gradient = np.zeros((12, 12)), np.zeros(12)
+    residuals = np.empty(len(pixels))
+    row = np.empty(12)
+    for i in range(len(pixels)):
+        side1, side2 = _cross(base, rays1[i]), _cross(rays2[i], base)
+        plane = _cross(rays1[i], rays2[i])
+        size = sigma * np.sqrt(side1 @ side1 + side2 @ side2)
+        residual = (base @ plane) / max(size, 1e-300)
+        residuals[i] = residual
+        for a in range(3):
+            row[3 + a] = moved1[i, a] @ side2
+            row[9 + a] = moved2[i, a] @ side1
+        _along(row[:6], starts[0], moves1, -plane)
+        _along(row[6:], starts[1], moves2, plane)
+        weight = (scale * scale / (scale * scale + residual * residual)) ** 2
+        for a in range(12):
+            slope = row[a] / size
+            gradient[a] += weight * slope * residual
+            for b in range(a + 1):
+                normal[a, b] += weight * slope * row[b] / size
+    for a in range(12):
+        for b in range(a):
+            normal[b, a] = normal[a, b]
+    return normal, gradient, residuals

@@ -1,0 +1,171 @@
+"""What the images of a drive tell each other, because they show the same things.
+
+Neighbouring images share a hundred points of trees, houses and fields. These say how the camera
+turned, and which way it went in between, to a hundredth of a degree. An image without poles, or
+whose road is hidden, thus has the heading that its neighbours have. Each image gets an expectation
+from all others, never from itself, so that its own edges and poles still are a check.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.poles.alignment.chain import Normal, others_say, surprise
+from roadsight.poles.alignment.drift import DriftModel, axes
+from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.epipolar import POSED, shared_misfit
+from roadsight.poles.alignment.pose import ALONG, LATERAL, Spread
+
+_FLOATS = NDArray[np.float64]
+_SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
+_STEP = np.array([0.5, 0.2, 0.05, 0.2, 0.2, 0.2])
+_FINEST = 3.0
+_FEWEST = 12
+_PIXEL_PX = 0.4
+_MEDIAN_OF_NORMAL = 0.6745
+_INDEPENDENT = 0.15
+"""Share of shared points that tell something new: they lie on few things, seen by one lens."""
+_HELD = Normal(np.diag(_STEP**-2.0), np.zeros(POSED))
+"""Keeps a step short: what images share is far from linear along the road."""
+_SOFT = 4.0 * POSED
+_UNKNOWN_M = 30.0
+_PLACE = np.array([ALONG, LATERAL])
+
+
+@dataclass(frozen=True)
+class Member:
+    """One image of a drive.
+
+    Attributes
+    ----------
+    unknowns : (k,) as known so far. measured : what it measured of the six numbers of its pose,
+        as a misfit of these; None where it measured nothing.
+    shared : (n, 4) pixels shared with the next image: u, v here and there.
+    """
+
+    place: Place
+    unknowns: _FLOATS
+    measured: Normal | None
+    shared: _FLOATS
+
+
+def told_by_others(
+    members: Sequence[Member], mean: _FLOATS, spread: Spread, model: DriftModel
+) -> dict[str, tuple[_FLOATS, _FLOATS]]:
+    """Pose (6,) of each image and its covariance (6, 6) as all other images of the drive tell it.
+
+    Gauss-Newton over the whole drive: what each image measured, how much a vehicle sways, how the
+    error of satellite positions changes, and what neighbours share. Measurements that the others
+    contradict count less.
+
+    Parameters
+    ----------
+    members : in the order of travel. mean : (k,) of the drive. spread : of its images about it.
+    """
+    if not members:
+        return {}
+    now = [member.unknowns.copy() for member in members]
+    nothing = Normal(np.zeros((POSED, POSED)), np.zeros(POSED))
+    weights, others = np.ones(len(members)), []
+    for turn, scale in enumerate(_SCALES):
+        priors = [_sway(x, mean, spread) for x in now]
+        if turn + 1 < len(_SCALES):
+            priors = [one + _HELD for one in priors]
+        priors[0] = priors[0] + _first(members[0], now[0], mean, model)
+        own = [_moved(m.measured or nothing, x) for m, x in zip(members, now, strict=True)]
+        links = [
+            _drift(members[k], members[k + 1], (now[k], now[k + 1]), mean, model)
+            + _shared(members[k], members[k + 1], (now[k], now[k + 1]), scale)
+            for k in range(len(members) - 1)
+        ]
+        counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
+        others = others_say(priors, counted, links)
+        off = np.array([surprise(one, rest) for one, rest in zip(own, others, strict=True)])
+        weights = (1.0 / (1.0 + off / _SOFT)) ** 2
+        steps = [(r + o.times(w)).least()[0] for r, o, w in zip(others, own, weights, strict=True)]
+        expected = [
+            (x[:POSED] + r.least()[0], r.least()[1]) for x, r in zip(now, others, strict=True)
+        ]
+        now = [np.r_[x[:POSED] + step, x[POSED:]] for x, step in zip(now, steps, strict=True)]
+    return {m.place.image: e for m, e in zip(members, expected, strict=True)}
+
+
+def _moved(one: Normal, at: _FLOATS) -> Normal:
+    """Misfit of the step from a place instead of the place."""
+    return Normal(one.matrix, one.right - one.matrix @ at[:POSED])
+
+
+def _sway(at: _FLOATS, mean: _FLOATS, spread: Spread) -> Normal:
+    """The vehicle about the drive's mean; where it is on the road is the track's matter."""
+    weight = spread.vector()[:POSED] ** -2.0
+    weight[_PLACE] = 0.0
+    return Normal(np.diag(weight), weight * (mean - at)[:POSED])
+
+
+def _first(member: Member, at: _FLOATS, mean: _FLOATS, model: DriftModel) -> Normal:
+    """Error of the track at the drive's first image."""
+    turn = np.zeros((2, POSED))
+    turn[:, _PLACE] = axes(member.place.start.heading_deg).T
+    weight = 1.0 / (model.sigma_m**2 + model.own_m**2)
+    gap = turn @ (mean - at)[:POSED]
+    return Normal(weight * turn.T @ turn, weight * turn.T @ gap)
+
+
+def _drift(
+    one: Member, other: Member, at: tuple[_FLOATS, _FLOATS], mean: _FLOATS, model: DriftModel
+) -> Normal:
+    """How the error of the track changes between two images (first-order Gauss-Markov)."""
+    keep = float(np.exp(-abs(other.place.station_m - one.place.station_m) / model.length_m))
+    turn = np.zeros((2, 2 * POSED))
+    turn[:, _PLACE] = -keep * axes(one.place.start.heading_deg).T
+    turn[:, POSED + _PLACE] = axes(other.place.start.heading_deg).T
+    variance = (1.0 - keep**2) * model.sigma_m**2 + (1.0 + keep**2) * model.own_m**2
+    apart = np.r_[(mean - at[0])[:POSED], (mean - at[1])[:POSED]]
+    return Normal(turn.T @ turn / variance, turn.T @ (turn @ apart) / variance)
+
+
+def _shared(one: Member, other: Member, at: tuple[_FLOATS, _FLOATS], scale: float) -> Normal:
+    """What the points that two images share tell; nothing where too few agree."""
+    nothing = Normal(np.zeros((2 * POSED, 2 * POSED)), np.zeros(2 * POSED))
+    if len(one.shared) < _FEWEST:
+        return nothing
+    start = one.place.start
+    origin = np.array([start.x_m, start.y_m, start.z_road_m])
+    starts = start.vector(origin), other.place.start.vector(origin)
+    sigma_px = _PIXEL_PX * _scatter(
+        shared_misfit(at, starts, one.shared, _PIXEL_PX, scale)[2], scale
+    )
+    normal, gradient, residuals = shared_misfit(at, starts, one.shared, sigma_px, scale)
+    if np.count_nonzero(np.abs(residuals) < scale) < _FEWEST:
+        return nothing
+    return Normal(_INDEPENDENT * normal, -_INDEPENDENT * gradient)
+
+
+def _scatter(residuals: _FLOATS, scale: float) -> float:
+    """How much coarser the points are than expected, from those that agree; never finer."""
+    near = np.abs(residuals[np.abs(residuals) < scale])
+    if len(near) < _FEWEST:
+        return 1.0
+    return max(float(np.median(near)) / _MEDIAN_OF_NORMAL, 1.0)
+
+
+def pose_misfit(
+    normal: _FLOATS, gradient: _FLOATS, unknowns: _FLOATS, mean: _FLOATS, rest: _FLOATS
+) -> Normal:
+    """What an image measured of its pose, its other unknowns taken out.
+
+    Parameters
+    ----------
+    normal, gradient : (k, k), (k,) of its data at ``unknowns`` (k,).
+    mean : (k,) of the drive. rest : (k - 6,) expected variances of the other unknowns.
+    """
+    right = normal @ unknowns - gradient
+    inner = normal[POSED:, POSED:] + np.diag(1.0 / rest)
+    tail = right[POSED:] + mean[POSED:] / rest
+    gain = np.linalg.solve(inner, normal[POSED:, :POSED])
+    matrix = normal[:POSED, :POSED] - normal[:POSED, POSED:] @ gain
+    return Normal(0.5 * (matrix + matrix.T), right[:POSED] - gain.T @ tail)

@@ -1,0 +1,80 @@
+"""Points that two images of a drive both show: scale-invariant features, matched one to one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import cv2
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+_FEATURES = 1500
+_CONTRAST = 0.02
+_CLEARER = 0.85
+_FARTHEST_M = 40.0
+_STANDING_M = 0.3
+
+
+@dataclass(frozen=True)
+class Features:
+    """Distinct points of one image.
+
+    Attributes
+    ----------
+    uv_px : (n, 2). descriptors : (n, 128) of unit length.
+    """
+
+    uv_px: NDArray[np.float64]
+    descriptors: NDArray[np.float32]
+
+
+def features(image: NDArray[np.uint8]) -> Features:
+    """Points of an image (rows, columns[, 3]) that another image can show again.
+
+    SIFT (D. Lowe, Distinctive image features from scale-invariant keypoints, IJCV 60, 2004), whose
+    histograms are compared by their roots (R. Arandjelovic and A. Zisserman, CVPR 2012).
+    """
+    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
+    detector = cv2.SIFT_create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
+    points, histograms = detector.detectAndCompute(grey, None)
+    if histograms is None or not len(points):
+        return Features(np.empty((0, 2)), np.empty((0, 128), np.float32))
+    total = np.maximum(histograms.sum(axis=1, keepdims=True), 1e-9)
+    uv = np.array([point.pt for point in points], np.float64)
+    return Features(uv, np.sqrt(histograms / total, dtype=np.float32))
+
+
+def matched(one: Features, other: Features) -> NDArray[np.int64]:
+    """Numbers (k, 2) of points that are each other's nearest, by far nearer than the second."""
+    if min(len(one.uv_px), len(other.uv_px)) < 2:
+        return np.empty((0, 2), np.int64)
+    like = one.descriptors @ other.descriptors.T
+    rows = np.arange(len(like))
+    best = like.argmax(axis=1)
+    mutual = like.argmax(axis=0)[best] == rows
+    top = like[rows, best]
+    like[rows, best] = -1.0
+    second = like.max(axis=1)
+    apart, next_apart = (np.sqrt(np.maximum(2.0 - 2.0 * part, 0.0)) for part in (top, second))
+    good = np.flatnonzero(mutual & (apart < _CLEARER * next_apart))
+    return np.column_stack([good, best[good]])
+
+
+def consecutive(frames: pd.DataFrame) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Rows of usable images of a route that follow each other, of one size and some way apart.
+
+    Parameters
+    ----------
+    frames : image, path, route, sequence, status, x, y (local metres), width_px, height_px.
+    """
+    good = frames[frames["status"] == "ok"]
+    for _, drive in good.groupby(["route", "width_px", "height_px"], sort=True):
+        rows = drive.sort_values("sequence", kind="stable").to_dict("records")
+        for one, other in pairwise(rows):
+            gap_m = float(np.hypot(other["x"] - one["x"], other["y"] - one["y"]))
+            if _STANDING_M < gap_m <= _FARTHEST_M:
+                yield one, other
