@@ -47,6 +47,11 @@ def cameras_of_videolog(wildcards):
     return beside_site("poles.cameras")(wildcards)
 
 
+def stage_options(*parts):
+    """Options of a stage that another stage runs, as one text."""
+    return lambda wildcards: " ".join(part(wildcards) for part in parts)
+
+
 def uses_landmarks(wildcards):
     return SITES[wildcards.site].setting("alignment.landmarks") == "use"
 

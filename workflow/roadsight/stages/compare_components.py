@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import logging
+import shlex
 import sys
 import tempfile
 from pathlib import Path
@@ -25,12 +26,21 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("compare_components")
 
+_STAGES = {
+    "calibrate": "calibrate_drive",
+    "align": "align_cameras",
+    "measure": "measure_poles",
+    "triangulate": "triangulate_poles",
+}
 SEEDS = 5
 """Random orders of the published triangulation, whose median counts."""
 
 
 def compare_components(arguments: argparse.Namespace) -> None:
-    """Run the pole job from the cameras on with all components, and without each of them."""
+    """Run the pole job from the cameras on with all components, and without each of them.
+
+    All runs have the site's own settings but for the component that is left out.
+    """
     variants: dict[str, dict[str, str]] = {
         "all": {},
         "lidar_bearing": {"bearing": "image"},
@@ -39,6 +49,7 @@ def compare_components(arguments: argparse.Namespace) -> None:
         "side_views": {"views": "front"},
         "deterministic_mrf": {"triangulation": "published"},
         "pole_landmarks": {"columns": "", "pole_axes": ""},
+        "image_ties": {"matches": ""},
     }
     records = []
     for component, without in variants.items():
@@ -74,8 +85,10 @@ class _Variant:
 
     def _front_only(self) -> tuple[str, list[str]]:
         frames = read_table(self._given.frames).assign(left_path="", right_path="")
-        axes = pd.concat([read_table(path) for path in self._given.pole_axes])
         write_table(self._path("frames"), frames)
+        if not self._given.pole_axes:
+            return self._path("frames"), []
+        axes = pd.concat([read_table(path) for path in self._given.pole_axes])
         write_table(self._path("axes"), axes[axes["view"] == "front"])
         return self._path("frames"), [self._path("axes")]
 
@@ -85,21 +98,26 @@ class _Variant:
             *("--frames", frames, "--image-edges", *given.image_edges, "--frame", given.frame),
             *("--road-edges", given.road_edges, "--dem", given.dem),
             *_optional("--terrain", self._without.get("terrain", given.terrain)),
-            *_optional("--columns", self._without.get("columns", given.columns)),
+            *_optional("--columns", self._without.get("columns", given.columns if axes else "")),
             *(("--pole-axes", *axes) if "pole_axes" not in self._without else ()),
         ]
         calibration = self._path("calibration", "json")
-        _checked(calibrate_drive.main([*shared, "--out", calibration]))
-        method = ["--method", self._without.get("method", "ours"), "--calibration", calibration]
-        _checked(align_cameras.main([*shared, *method, "--out", self._path("cameras")]))
+        tied = [] if "matches" in self._without else ["--matches", *given.matches]
+        known = _optional("--baseline", given.baseline)
+        options = [*shared, *tied, *known, *shlex.split(given.calibrate)]
+        _checked(calibrate_drive.main([*options, "--out", calibration]))
+        options = [*shared, *shlex.split(given.align), "--calibration", calibration]
+        options += _optional("--method", self._without.get("method"))
+        _checked(align_cameras.main([*options, "--out", self._path("cameras")]))
 
     def _measure(self, frames: str) -> None:
         given = self._given
-        bearing = self._without.get("bearing", "fused")
+        bearing = self._without.get("bearing")
         options = [
-            *("--frames", frames, "--cameras", self._path("cameras"), "--bearing", bearing),
-            *("--dem", given.dem, "--frame", given.frame),
+            *("--frames", frames, "--cameras", self._path("cameras"), *shlex.split(given.measure)),
+            *("--dem", given.dem, "--frame", given.frame, *_optional("--bearing", bearing)),
             *_optional("--columns", "" if bearing == "image" else given.columns),
+            *_optional("--voxels", given.voxels),
             *("--calibration", self._path("calibration", "json")),
             *("--shards", str(len(given.masks))),
         ]
@@ -116,7 +134,7 @@ class _Variant:
             *("--sightings", self._path("sightings"), "--frame", given.frame, "--dem", given.dem),
             *("--voxels", given.voxels, "--layers", self._path("poles", "gpkg")),
             *("--csv", self._path("poles", "csv"), "--geojson", self._path("poles", "geojson")),
-            *("--sigma-position-m", "0.7", "--max-distance-m", "40", "--min-views", "3"),
+            *shlex.split(given.triangulate),
         ]
         _checked(triangulate_poles.main([*options, "--poles", self._path("poles")]))
         return self._scores()
@@ -171,14 +189,18 @@ def _checked(code: int) -> None:
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("image-edges", "pole-axes", "masks", "depth"):
+    for name in ("image-edges", "masks", "depth"):
         parser.add_argument(f"--{name}", required=True, nargs="+", help="shards in order")
+    for name in ("pole-axes", "matches"):
+        parser.add_argument(f"--{name}", nargs="*", default=[], help="shards in order")
     for name in (
-        "frames", "road-edges", "columns", "terrain", "voxels", "dem", "frame", "truth", "out",
+        "frames", "road-edges", "columns", "voxels", "dem", "frame", "truth", "out",
     ):  # fmt: skip
         parser.add_argument(f"--{name}", required=True)
-    for name in ("truth-kind", "truth-crs"):
+    for name in ("truth-kind", "truth-crs", "terrain", "baseline"):
         parser.add_argument(f"--{name}", nargs="?")
+    for name, stage in _STAGES.items():
+        parser.add_argument(f"--{name}", default="", help=f"options of {stage}, as one text")
     return run_stage(parser, compare_components, argv)
 
 

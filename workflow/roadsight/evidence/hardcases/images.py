@@ -12,6 +12,7 @@ from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.poles.classes import PixelClass
 from roadsight.poles.image_edges import trace_edges
+from roadsight.poles.image_matches import features, matched
 from roadsight.poles.lanes import fit_curve
 from roadsight.poles.manifest import LabelMap
 from roadsight.poles.networks import folder_mask, packed_depth
@@ -76,6 +77,25 @@ def marking_straight_down(rng: np.random.Generator) -> Errors:
     curve = fit_curve(np.column_stack([u, v]), 2.0)
     ours = np.inf if curve is None else np.abs(curve.at(v) - 812).max()
     return np.abs((v - level) / slope - 812).max(), min(ours, 1e6)
+
+
+@hard_case("match_images", bound=0.05, unit="share of matches that are wrong")
+def a_fence_among_other_things(rng: np.random.Generator) -> Errors:
+    """Every picket of a fence looks like the next one: what is most alike is often another one."""
+    wide = np.full((220, 500), 130, np.uint8)
+    wide[:130] = cv2.resize(rng.integers(0, 255, (26, 100), np.uint8), (500, 130))
+    for left in range(6, 500, 14):
+        cv2.rectangle(wide, (left, 150), (left + 4, 205), 240, -1)
+    grain = rng.normal(0, 2.0, (2, 220, 420))
+    views = [wide[:, 40:460] + grain[0], wide[:, 20:440] + grain[1]]
+    one, other = (features(np.clip(view, 0, 255).astype(np.uint8)) for view in views)
+    nearest = (one.descriptors @ other.descriptors.T).argmax(axis=1)
+    pairs = np.column_stack([np.arange(len(nearest)), nearest])
+    shares = []
+    for found in (pairs, matched(one, other)):
+        moved = other.uv_px[found[:, 1]] - one.uv_px[found[:, 0]]
+        shares.append(float(np.mean(np.abs(moved - [20, 0]).max(axis=1) > 2.0)))
+    return shares[0], shares[1] if len(matched(one, other)) > 30 else 1.0
 
 
 @hard_case("trace_pole_axes", bound=0.5, unit="poles lost")

@@ -88,20 +88,25 @@ def shared_misfit(
     for i in range(len(pixels)):
         side1, side2 = _cross(base, rays1[i]), _cross(rays2[i], base)
         plane = _cross(rays1[i], rays2[i])
-        size = sigma * np.sqrt(side1 @ side1 + side2 @ side2)
-        residual = (base @ plane) / max(size, 1e-300)
+        size = max(np.sqrt(side1 @ side1 + side2 @ side2), 1e-300)
+        gap = (base @ plane) / size
+        residual = gap / sigma
         residuals[i] = residual
+        # The size moves, too: without its part, the shortest baseline would fit best.
+        near1, near2 = (base @ rays1[i]) / size, (base @ rays2[i]) / size
         for a in range(3):
-            row[3 + a] = moved1[i, a] @ side2
-            row[9 + a] = moved2[i, a] @ side1
-        _along(row[:6], starts[0], moves1, -plane)
-        _along(row[6:], starts[1], moves2, plane)
+            row[3 + a] = (moved1[i, a] @ side2 + gap * near1 * (base @ moved1[i, a])) / size
+            row[9 + a] = (moved2[i, a] @ side1 + gap * near2 * (base @ moved2[i, a])) / size
+        longer = (2.0 * base) / size - near1 * rays1[i] - near2 * rays2[i]
+        by_base = (plane - gap * longer) / size
+        _along(row[:6], starts[0], moves1, -by_base)
+        _along(row[6:], starts[1], moves2, by_base)
         weight = (scale * scale / (scale * scale + residual * residual)) ** 2
         for a in range(12):
-            slope = row[a] / size
+            slope = row[a] / sigma
             gradient[a] += weight * slope * residual
             for b in range(a + 1):
-                normal[a, b] += weight * slope * row[b] / size
+                normal[a, b] += weight * slope * row[b] / sigma
     for a in range(12):
         for b in range(a):
             normal[b, a] = normal[a, b]

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from roadsight.poles.alignment.pose import FOCAL, LATERAL, PITCH, YAW
-from roadsight.poles.alignment.solve import Fit, Task, descend
+from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend
+
+_NEAR_M = 20.0
+_PULL = 16.0
+"""Scale, in standard deviations of a pixel, from which a descent still finds its edges."""
 
 
 def coarse_scale(task: Task) -> float:
@@ -15,8 +19,22 @@ def coarse_scale(task: Task) -> float:
     return float(max(8.0, reach_px / task.noise.pixel_px))
 
 
+def uncertain_px(task: Task) -> float:
+    """How far two standard deviations of the expected pose move road edges in the image."""
+    sigma = np.sqrt(np.diag(np.linalg.inv(task.information)))
+    turn = max(np.radians(sigma[YAW]), np.radians(sigma[PITCH]), sigma[LATERAL] / _NEAR_M)
+    return float(2.0 * turn * np.exp(task.mean[FOCAL]))
+
+
 def search(task: Task, starts: int = 3) -> list[Fit]:
-    """Minima, the best first, from a grid over yaw, pitch and lateral place."""
+    """Minima, the best first, from a grid over yaw, pitch and lateral place.
+
+    Where the expectation leaves less open than edges pull from, there is one minimum: the one that
+    is downhill from there.
+    """
+    pull = uncertain_px(task) / task.noise.pixel_px
+    if pull <= _PULL:
+        return [descend(task, task.mean, max(pull, FINEST))]
     sigma = np.sqrt(np.diag(np.linalg.inv(task.information)))
     scale = coarse_scale(task)
     grid = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
