@@ -96,10 +96,11 @@ def run(folder, out, *more):
     return read_table(folder / out)
 
 
-def test_shards_hold_what_the_whole_holds(folder):
+def test_shards_hold_what_the_whole_holds(folder, monkeypatch):
     whole = run(folder, "whole.parquet")
     assert set(zip(whole["image"], whole["other"], strict=True)) == set(names(frames()))
     assert np.median(whole["u_other"] - whole["u"]) == pytest.approx(-10.0, abs=0.2)
+    monkeypatch.setattr(match_images, "_TOGETHER", 2)
     parts = [run(folder, f"{k}.parquet", "--shard", str(k), "--shards", "3") for k in range(3)]
     together = pd.concat(parts).sort_values(["image", "u", "v"], ignore_index=True)
     assert together.equals(whole.sort_values(["image", "u", "v"], ignore_index=True))

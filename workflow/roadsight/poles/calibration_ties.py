@@ -21,7 +21,6 @@ from roadsight.poles.calibration_table import DriveCalibration
 
 log = logging.getLogger(__name__)
 _FLOATS = NDArray[np.float64]
-_ROUNDS = 2
 Shared = Mapping[tuple[str, str], _FLOATS]
 """Pixels (n, 4) that two images share, by the names of both."""
 
@@ -36,9 +35,6 @@ def with_ties(
 ) -> DriveCalibration:
     """Calibration in which each image expects the pose that the other images tell it.
 
-    The second round looks for the landmarks again from there: a wrong pole that one image took is
-    out of reach once its neighbours say where it looks.
-
     Parameters
     ----------
     starts : unknowns of the images, as far as they were found. shared : of images that follow each
@@ -50,17 +46,13 @@ def with_ties(
         return calibration
     empty = np.empty((0, 4))
     points = [shared.get(pair, empty) for pair in pairs] + [empty]
-    for _ in range(_ROUNDS):
-        members = [
-            _member(calibration, places[k], loaders[k], noise, starts.get(places[k].image), seen)
-            for k, seen in zip(order, points, strict=True)
-        ]
-        told = told_by_others(
-            members, calibration.mount.mean, calibration.spread, calibration.drift.model
-        )
-        calibration = replace(calibration, told=told)
-        starts = {m.place.image: np.r_[told[m.place.image][0], m.unknowns[POSED:]] for m in members}
-    return calibration
+    members = [
+        _member(calibration, places[k], loaders[k], noise, starts.get(places[k].image), seen)
+        for k, seen in zip(order, points, strict=True)
+    ]
+    mount, model = calibration.mount, calibration.drift.model
+    told = told_by_others(members, mount.mean, calibration.spread, model)
+    return replace(calibration, told=told)
 
 
 def _member(

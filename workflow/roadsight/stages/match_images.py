@@ -1,4 +1,4 @@
-"""Points that each image of a shard shares with the next image of its drive."""
+"""Points that each image of a shard's runs of images shares with the next one of its drive."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("match_images")
 _FRAME = ["image", "path", "route", "sequence", "status", "x", "y", "width_px", "height_px"]
+_TOGETHER = 16
 COLUMNS = ("image", "other", "u", "v", "u_other", "v_other")
 
 
@@ -33,7 +34,7 @@ def match_images(arguments: argparse.Namespace) -> None:
     pairs = [
         (one, other)
         for one, other in consecutive(read_table(arguments.frames, _FRAME))
-        if shard_of(one["image"], arguments.shards) == arguments.shard
+        if shard_of(_run(one), arguments.shards) == arguments.shard
     ]
     images = ImageSource(arguments.images)
     lenses = None
@@ -52,9 +53,15 @@ def match_images(arguments: argparse.Namespace) -> None:
         if lenses is not None:
             here, there = _straight(here, one, lenses), _straight(there, other, lenses)
         tables.append(_rows(one["image"], other["image"], here, there))
-    table = pd.concat(tables, ignore_index=True).astype(dict.fromkeys(COLUMNS[:2], str))
+    kinds = dict.fromkeys(COLUMNS[:2], str) | dict.fromkeys(COLUMNS[2:], np.float64)
+    table = pd.concat(tables, ignore_index=True).astype(kinds)
     log.info("%d points shared by %d pairs", len(table), len(pairs))
     write_table(arguments.out, table)
+
+
+def _run(row: Mapping[str, Any]) -> str:
+    """Key of a few images in a row: an image between two of them is looked at once."""
+    return f"{row['route']}/{int(row['sequence']) // _TOGETHER}"
 
 
 def _straight(

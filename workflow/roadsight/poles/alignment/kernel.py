@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 _FLOATS = NDArray[np.float64]
 _DEGREE = np.pi / 180.0
 _NEAR_M = 1.0
+_BLOCK = 8
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
@@ -86,26 +87,52 @@ def _project(
 
 
 @njit(cache=True, error_model="numpy")
-def _nearest(rows: _FLOATS, u: float, v: float) -> int:
-    """Row nearest to a pixel; rows are sorted by v, and there is at least one."""
-    low = int(np.searchsorted(rows[:, 1], v))
-    high = low
-    low -= 1
+def _boxes(rows: _FLOATS) -> _FLOATS:
+    """Least and greatest u and v (b, 4) of every few rows, which are sorted by v."""
+    boxes = np.empty(((len(rows) + _BLOCK - 1) // _BLOCK, 4))
+    for b in range(len(boxes)):
+        first, last = b * _BLOCK, min((b + 1) * _BLOCK, len(rows)) - 1
+        low = high = rows[first, 0]
+        for k in range(first + 1, last + 1):
+            low, high = min(low, rows[k, 0]), max(high, rows[k, 0])
+        boxes[b, 0], boxes[b, 1], boxes[b, 2], boxes[b, 3] = (
+            low,
+            high,
+            rows[first, 1],
+            rows[last, 1],
+        )
+    return boxes
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest(rows: _FLOATS, boxes: _FLOATS, u: float, v: float) -> int:
+    """Row nearest to a pixel; rows are sorted by v, and there is at least one.
+
+    Far down the road many points lie within few rows of pixels: boxes around a few of them each
+    spare most of the distances.
+    """
+    high = min(int(np.searchsorted(boxes[:, 3], v)), len(boxes) - 1)
+    low = high - 1
     best, found = np.inf, 0
-    while low >= 0 or high < len(rows):
-        down = v - rows[low, 1] if low >= 0 else np.inf
-        up = rows[high, 1] - v if high < len(rows) else np.inf
-        if min(down, up) ** 2 >= best:
+    while low >= 0 or high < len(boxes):
+        down = max(v - boxes[low, 3], 0.0) if low >= 0 else np.inf
+        up = max(boxes[high, 2] - v, 0.0) if high < len(boxes) else np.inf
+        apart = min(down, up)
+        if apart * apart >= best:
             break
-        if down <= up:
-            k = low
-            low -= 1
-        else:
-            k = high
+        if up <= down:
+            b = high
             high += 1
-        gap = (rows[k, 0] - u) ** 2 + (rows[k, 1] - v) ** 2
-        if gap < best:
-            best, found = gap, k
+        else:
+            b = low
+            low -= 1
+        aside = max(boxes[b, 0] - u, u - boxes[b, 1], 0.0)
+        if aside * aside + apart * apart >= best:
+            continue
+        for k in range(b * _BLOCK, min((b + 1) * _BLOCK, len(rows))):
+            gap = (rows[k, 0] - u) ** 2 + (rows[k, 1] - v) ** 2
+            if gap < best:
+                best, found = gap, k
     return found
 
 
@@ -162,11 +189,12 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
         own = noise[group // 2]
         pixel2, aside2, upward2, share = own[0] ** 2, own[1] ** 2, own[2] ** 2, own[3]
         rows = _project(xyz, along, inward, half, inset, turn, centre, focal, start)
+        boxes = _boxes(rows)
         for i in range(groups[group], groups[group + 1]):
             if len(rows) == 0:
                 cost += 0.5 * share * c2
                 continue
-            near = rows[_nearest(rows, pixels[i, 0], pixels[i, 1])]
+            near = rows[_nearest(rows, boxes, pixels[i, 0], pixels[i, 1])]
             du, dv = pixels[i, 0] - near[0], pixels[i, 1] - near[1]
             nu, nv = near[3], -near[2]
             across = nu * du + nv * dv

@@ -101,7 +101,8 @@ class Task:
     ----------
     mean, information : (k,), (k, k) the unknowns expected, and the inverse of their covariance.
     sight : landmarks, if there are any. marks : those that were given a column.
-    scene, coarse : what the kernel takes of start and edges, and few of the pixels, for scans.
+    scene : what the kernel takes of start and edges. coarse, coarse_scene : few of the pixels, and
+        the scene with few of the edge points, for scans.
     """
 
     start: Start
@@ -114,6 +115,7 @@ class Task:
     marks: Marks | None = None
     scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
     coarse: ImageEdges = field(init=False, repr=False, compare=False)
+    coarse_scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
 
     @property
     def origin_m(self) -> _FLOATS:
@@ -134,17 +136,21 @@ class Task:
         return replace(self, seen=seen, there=self.there.thinned(step), noise=noise)
 
     def __post_init__(self) -> None:
-        origin = self.origin_m
-        edges = (
-            np.ascontiguousarray(self.there.xyz_m - origin),
-            np.ascontiguousarray(self.there.along),
-            np.ascontiguousarray(self.there.inward),
-            np.ascontiguousarray(self.there.half_m),
-        )
-        sides = np.array([0, self.there.left, len(self.there.half_m)], np.int64)
+        few = self.there.thinned(max(len(self.there.half_m) // _SCANNED, 1))
         # A frozen class has no other way to keep what is computed once.
-        object.__setattr__(self, "scene", (self.start.vector(origin), edges, sides))
+        object.__setattr__(self, "scene", self._scene(self.there))
         object.__setattr__(self, "coarse", self.seen.thinned(80))
+        object.__setattr__(self, "coarse_scene", self._scene(few))
+
+    def _scene(self, there: NearEdges) -> tuple[Any, ...]:
+        edges = (
+            np.ascontiguousarray(there.xyz_m - self.origin_m),
+            np.ascontiguousarray(there.along),
+            np.ascontiguousarray(there.inward),
+            np.ascontiguousarray(there.half_m),
+        )
+        sides = np.array([0, there.left, len(there.half_m)], np.int64)
+        return self.start.vector(self.origin_m), edges, sides
 
     def evaluate(
         self, unknowns: _FLOATS, scale: float, slopes: bool = True
@@ -185,10 +191,10 @@ class Task:
         return landmark_misfit(unknowns, self.scene[0], *given, scale, slopes)
 
     def scan(self, trials: _FLOATS, scale: float) -> _FLOATS:
-        """Cost of many sets of unknowns (t, k), on few of the pixels."""
+        """Cost of many sets of unknowns (t, k), on few of the pixels and of the edge points."""
         few = self.coarse
         share = len(self.seen.uv_px) / max(len(few.uv_px), 1)
-        start, edges, sides = self.scene
+        start, edges, sides = self.coarse_scene
         data = costs(
             trials,
             start,
@@ -234,6 +240,7 @@ class Fit:
         return normal, gradient
 
 
+_SCANNED = 100
 _State = tuple[float, _FLOATS, _FLOATS, _FLOATS]
 FINEST = 3.0
 _STEPS = 5
