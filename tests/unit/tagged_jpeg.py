@@ -11,8 +11,11 @@ def jpeg(shade=0, size=(48, 32)):
     return cv2.imencode(".jpg", image)[1].tobytes()
 
 
-def gps_jpeg(latitude, longitude, order="<", orientation=1, size=(48, 32)):
-    """JPEG with the EXIF of a camera that knows where it is, written byte by byte."""
+def gps_jpeg(latitude, longitude, order="<", orientation=1, size=(48, 32), plain=None):
+    """JPEG with the EXIF of a camera that knows where it is, written byte by byte.
+
+    ``plain`` is the JPEG that gets it, without EXIF; one of one shade if it is None.
+    """
 
     def entry(tag, kind, count, value):
         return struct.pack(order + "HHI", tag, kind, count) + value
@@ -37,5 +40,5 @@ def gps_jpeg(latitude, longitude, order="<", orientation=1, size=(48, 32)):
         gps += entry(tag, 2, 2, letter + b"\0\0\0") + entry(tag + 1, 5, 3, number(place))
     tiff = head + ifd + gps + number(0) + degrees(latitude) + degrees(longitude)
     segment = b"\xff\xe1" + struct.pack(">H", len(tiff) + 8) + b"Exif\0\0" + tiff
-    plain = jpeg(size=size)
+    plain = jpeg(size=size) if plain is None else plain
     return plain[:2] + segment + plain[2:]

@@ -172,6 +172,47 @@ def test_align_finds_the_cameras(drive, tmp_path, capsys):
     assert f"{good.sum()} of {len(cameras)} cameras" in capsys.readouterr().out
 
 
+def rendered(drive, folder):
+    """Rendered images of the drive, and a folder of their exact labels."""
+    files = {key: folder / f"{key}.zip" for key in ("images", "labels", "depth")}
+    stage(render_videolog, **files, shards=1, shard=0)
+    labels = folder / "masks"
+    labels.mkdir()
+    with ZipFile(files["labels"]) as archive:
+        for name in archive.namelist():
+            if name.endswith(".png") and "." not in name.removesuffix(".png"):
+                (labels / name).write_bytes(archive.read(name))
+    return files["images"], labels
+
+
+@pytest.mark.full
+def test_geotagged_images_give_the_cameras_that_their_table_gives(drive, tmp_path):
+    """A folder for each route, places from EXIF, no table; side views are not told by EXIF."""
+    images, labels = rendered(drive, tmp_path)
+    table = pd.read_csv(drive / "v.csv", keep_default_na=False)
+    sides = [name for name in table if "left" in name or "right" in name]
+    table.drop(columns=sides).to_csv(tmp_path / "front.csv", index=False)
+    tagged = tmp_path / "tagged"
+    with ZipFile(images) as archive:
+        for row in table.itertuples():
+            (tagged / row.route).mkdir(parents=True, exist_ok=True)
+            content = gps_jpeg(row.latitude, row.longitude, plain=archive.read(row.image))
+            (tagged / row.route / row.image).write_bytes(content)
+    found = []
+    for videolog, source in ((tmp_path / "front.csv", images), (tagged, tagged)):
+        argv = ["align", videolog, "--cloud", drive / "c.laz", "--images", source]
+        argv += ["--masks", labels, "--hfov-deg", "21", "-o", tmp_path / "cameras.csv"]
+        assert main([str(p) for p in argv]) == 0
+        cameras = pd.read_csv(tmp_path / "cameras.csv", keep_default_na=False)
+        found.append(cameras.assign(image=cameras["image"].str.split("/").str[-1]))
+    one, other = (cameras.set_index("image").sort_index() for cameras in found)
+    assert list(one.index) == list(other.index) and len(one) > 25
+    assert (one["accepted"] == other["accepted"]).mean() > 0.9
+    both = one["accepted"] & other["accepted"]
+    apart = np.hypot(one["x"] - other["x"], one["y"] - other["y"])[both] * FOOT_M
+    assert both.any() and np.median(apart) < 0.05
+
+
 def test_blank_images_are_no_cameras(drive, tmp_path, capsys):
     """The message comes from the stage that cannot go on, and nothing is written."""
     images = tmp_path / "images"

@@ -8,6 +8,7 @@ import pytest
 
 from roadsight.errors import InputError
 from roadsight.geometry.lens import RadialLens
+from roadsight.poles import drive_profile
 from roadsight.poles.drive_lenses import lens_content, lens_of, with_given
 from roadsight.poles.drive_profile import (
     EYE_M,
@@ -163,6 +164,22 @@ class TestLenses:
         found = measured_lens(KEY, ["x"] * 3, lambda path: grey)
         assert (found["source"], found["corner_px"], found["sigma_px"]) == ("unknown", 0.0, None)
         assert measured_lens(KEY, [], lambda path: grey)["source"] == "unknown"
+
+    @pytest.mark.parametrize("images", [3, 24])
+    def test_a_lens_from_too_little_is_withheld_with_its_reason(self, images, monkeypatch):
+        """Its numbers are told, its coefficients are a pinhole's."""
+        lens, rng = RadialLens.centred(-0.1, 0.0, 640, 416), np.random.default_rng(1)
+
+        def outlines(_):
+            v = np.linspace(20, 396, 60)
+            straight = [np.column_stack([np.full(60, u), v]) for u in rng.uniform(20, 620, 6)]
+            return [lens.distort(s) + rng.normal(0, 0.1, (60, 1)) * [1, 0] for s in straight]
+
+        monkeypatch.setattr(drive_profile, "upright_curves", outlines)
+        found = measured_lens(KEY, ["x"] * images, lambda path: np.zeros((416, 640, 3), np.uint8))
+        assert bool(found["withheld"]) == (images == 3)
+        assert (found["k1"] == 0.0) == (images == 3)
+        assert found["corner_px"] == pytest.approx(lens.corner_px(640, 416), rel=0.2)
 
 
 def test_keys_and_even_choices():

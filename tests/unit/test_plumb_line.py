@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from roadsight.geometry.lens import RadialLens
-from roadsight.poles.plumb_line import bow, fit_lens
+from roadsight.poles.plumb_line import bow, doubt, fit_lens
 from roadsight.poles.straightening import source_places, straightened
 from roadsight.poles.upright_curves import upright_curves
 
@@ -68,6 +68,18 @@ def test_one_stretch_of_crooked_things_shows_in_the_jackknife(rng):
         middle = np.sign(curve[0, 0] - 320)
         curve[:, 0] += middle * 1.5 * np.linspace(-1, 1, len(curve)) ** 2
     assert fit_lens(curves, *SIZE, groups).sigma_px > 1.2 * plain
+
+
+@pytest.mark.parametrize(("k1", "stretches", "told"), [
+    (-0.1, 16, ""),
+    (-0.1, 3, "too few"),
+    (0.0, 16, "within three standard deviations"),
+])  # fmt: skip
+def test_a_lens_from_too_little_is_not_to_be_used(rng, k1, stretches, told):
+    """Lines of two or three stretches may agree by chance, however many there are."""
+    curves = lines(rng, RadialLens.centred(k1, 0.0, *SIZE), 48)
+    found = doubt(fit_lens(curves, *SIZE, np.arange(48) % stretches))
+    assert told in found and bool(found) == bool(told)
 
 
 def test_few_lines_say_nothing(rng):

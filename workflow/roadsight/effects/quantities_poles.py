@@ -9,10 +9,10 @@ import numpy as np
 from roadsight.effects.circumstances import Circumstances, Quantity
 from roadsight.placement.earth import rise_m
 from roadsight.poles.drive_lenses import with_given
+from roadsight.poles.plumb_line import CERTAIN_SIGMAS
 
 _KNOWN_TO = 0.9
 """Fields of view are known to 10 %: a narrower one shows less of the roadside."""
-_CERTAIN_SIGMAS = 3.0
 _WIDTH_PX = 1000.0
 """Image width that pixels are told at."""
 
@@ -65,9 +65,10 @@ def lens_distortion(site: Circumstances) -> Quantity:
             continue
         to_px = _WIDTH_PX / lens["width_px"]
         moved_px, sigma_px = abs(lens["corner_px"]) * to_px, (lens["sigma_px"] or 0.0) * to_px
-        certain = lens["sigma_px"] is not None and moved_px > _CERTAIN_SIGMAS * sigma_px
+        certain = lens["sigma_px"] is not None and moved_px > CERTAIN_SIGMAS * sigma_px
         told = f"{lens['source']}, {moved_px:.1f} +- {sigma_px:.1f} px on {lens['route']}"
-        found = Quantity(moved_px, told) if certain else Quantity(0.0, f"{told}: may be none")
+        why = lens.get("withheld") or "may be none"
+        found = Quantity(moved_px, told) if certain else Quantity(0.0, f"{told}: {why}")
         if found.value >= worst.value:
             worst = found
     return worst

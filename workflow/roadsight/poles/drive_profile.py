@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from roadsight.geometry.lens import RadialLens
 from roadsight.poles.drive_lenses import Key, lens_content
 from roadsight.poles.front_view import left_out_share
-from roadsight.poles.plumb_line import fit_lens
+from roadsight.poles.plumb_line import doubt, fit_lens
 from roadsight.poles.upright_curves import upright_curves
 from roadsight.scene.sight_lines import Height, hidden_road_share
 
@@ -124,7 +124,11 @@ def frames_of(frames: pd.DataFrame, key: Key) -> pd.DataFrame:
 
 
 def measured_lens(key: Key, paths: Iterable[str], picture: Picture) -> dict[str, Any]:
-    """The lens of a drive from upright outlines in its images; none where there are too few."""
+    """The lens of a drive from upright outlines in its images.
+
+    None where there are too few; one that is not certain is told, and withheld with the reason: its
+    coefficients are those of a pinhole.
+    """
     curves: list[_FLOATS] = []
     owner: list[int] = []
     names = list(paths)
@@ -133,7 +137,10 @@ def measured_lens(key: Key, paths: Iterable[str], picture: Picture) -> dict[str,
         curves += found
         owner += [int(number)] * len(found)
     fitted = fit_lens(curves, *key[1:], owner)
+    pinhole = RadialLens.centred(0.0, 0.0, *key[1:])
     if fitted is None:
-        return lens_content(key, RadialLens.centred(0.0, 0.0, *key[1:]), 0.0, None, "unknown")
-    content = lens_content(key, fitted.lens, fitted.corner_px, fitted.sigma_px, "plumb lines")
-    return content | {"curves": fitted.curves, "bow_px": fitted.bow_px}
+        return lens_content(key, pinhole, 0.0, None, "unknown")
+    withheld = doubt(fitted)
+    lens = pinhole if withheld else fitted.lens
+    content = lens_content(key, lens, fitted.corner_px, fitted.sigma_px, "plumb lines")
+    return content | {"curves": fitted.curves, "bow_px": fitted.bow_px, "withheld": withheld}

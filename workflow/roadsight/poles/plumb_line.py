@@ -25,7 +25,9 @@ _SCAN = np.linspace(-0.4, 0.4, 161)
 _STEP = 1e-4
 _ROUNDS = 30
 _SCALE = 3.0
-_FEWEST = 8
+_FEWEST, _FEWEST_STRETCHES = 8, 4
+CERTAIN_SIGMAS = 3.0
+"""A lens that moves the corner by less than so many standard deviations may be none."""
 _GROUPS = 8
 _TOLERANCE = 1e-6
 
@@ -45,6 +47,15 @@ class LensEstimate:
     sigma_px: float
     curves: int
     bow_px: float
+
+
+def doubt(estimate: LensEstimate) -> str:
+    """Why a lens must not be used, or "" if it may be."""
+    if not np.isfinite(estimate.sigma_px):
+        return "too few upright outlines, or in too few stretches of the drive"
+    if abs(estimate.corner_px) <= CERTAIN_SIGMAS * estimate.sigma_px:
+        return "within three standard deviations of none"
+    return ""
 
 
 def bow(curve: ArrayLike) -> float:
@@ -134,7 +145,9 @@ def _jackknife_px(
             return np.inf
         corners.append(_corner(_solve(kept, size)[0], size))
     count = len(corners)
-    return float(np.sqrt((count - 1) * np.var(corners))) if count > 1 else np.inf
+    # Two or three stretches agree by chance.
+    enough = count >= _FEWEST_STRETCHES
+    return float(np.sqrt((count - 1) * np.var(corners))) if enough else np.inf
 
 
 def _lens(k: _FLOATS, size: tuple[int, int]) -> RadialLens:
