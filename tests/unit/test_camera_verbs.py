@@ -201,7 +201,7 @@ def test_geotagged_images_give_the_cameras_that_their_table_gives(drive, tmp_pat
     found = []
     for videolog, source in ((tmp_path / "front.csv", images), (tagged, tagged)):
         argv = ["align", videolog, "--cloud", drive / "c.laz", "--images", source]
-        argv += ["--masks", labels, "--hfov-deg", "21", "-o", tmp_path / "cameras.csv"]
+        argv += ["--masks", labels, "-o", tmp_path / "cameras.csv"]
         assert main([str(p) for p in argv]) == 0
         cameras = pd.read_csv(tmp_path / "cameras.csv", keep_default_na=False)
         found.append(cameras.assign(image=cameras["image"].str.split("/").str[-1]))
