@@ -92,4 +92,10 @@ def tied_points(wildcards):
 
 
 # Settings of the alignment that the calibration of the drive does not know.
-ALIGNMENT_ONLY = ("landmarks", "ties", "method", "max_residual_px", "max_sigma_heading_deg")
+ALIGNMENT_ONLY = (
+    "landmarks",
+    "ties",
+    "method",
+    "max_residual_px",
+    "max_sigma_heading_deg",
+)
