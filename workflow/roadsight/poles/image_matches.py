@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -39,7 +39,7 @@ def features(image: NDArray[np.uint8]) -> Features:
     histograms are compared by their roots (R. Arandjelovic and A. Zisserman, CVPR 2012).
     """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    detector = cv2.SIFT_create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
+    detector = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
     points, histograms = detector.detectAndCompute(grey, None)
     if histograms is None or not len(points):
         return Features(np.empty((0, 2)), np.empty((0, 128), np.float32))
@@ -64,7 +64,9 @@ def matched(one: Features, other: Features) -> NDArray[np.int64]:
     return np.column_stack([good, best[good]])
 
 
-def consecutive(frames: pd.DataFrame) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+def consecutive(
+    frames: pd.DataFrame,
+) -> Iterator[tuple[Mapping[Hashable, Any], Mapping[Hashable, Any]]]:
     """Rows of usable images of a route that follow each other, of one size and some way apart.
 
     Parameters

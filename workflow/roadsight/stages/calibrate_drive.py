@@ -82,8 +82,8 @@ def _calibrated(
     drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
     calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
     sides = arguments.left_yaw_deg, arguments.right_yaw_deg
-    calibration, starts = with_landmarks(calibration, places, loaders, prior, noise, sides, starts)
-    return with_ties(calibration, places, loaders, noise, starts, shared)
+    calibration, found = with_landmarks(calibration, places, loaders, prior, noise, sides, starts)
+    return with_ties(calibration, places, loaders, noise, found, shared)
 
 
 def _shared_points(paths: list[str]) -> Shared:
@@ -93,7 +93,9 @@ def _shared_points(paths: list[str]) -> Shared:
     names = ["u", "v", "u_other", "v_other"]
     table = pd.concat([read_table(path, ["image", "other", *names]) for path in paths])
     groups = table.groupby(["image", "other"], sort=True)
-    return {key: part[names].to_numpy(np.float64) for key, part in groups}
+    return {
+        (str(one), str(other)): part[names].to_numpy(np.float64) for (one, other), part in groups
+    }
 
 
 def _evenly(loaders: list[Loader], count: int) -> list[Loader]:

@@ -6,7 +6,7 @@ import argparse
 import json
 import logging
 import sys
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -59,13 +59,13 @@ def match_images(arguments: argparse.Namespace) -> None:
     write_table(arguments.out, table)
 
 
-def _run(row: Mapping[str, Any]) -> str:
+def _run(row: Mapping[Hashable, Any]) -> str:
     """Key of a few images in a row: an image between two of them is looked at once."""
     return f"{row['route']}/{int(row['sequence']) // _TOGETHER}"
 
 
 def _straight(
-    uv_px: NDArray[np.float64], row: Mapping[str, Any], lenses: list[dict[str, Any]]
+    uv_px: NDArray[np.float64], row: Mapping[Hashable, Any], lenses: list[dict[str, Any]]
 ) -> NDArray[np.float64]:
     """Pixels as a pinhole camera would have shown them."""
     size = int(row["width_px"]), int(row["height_px"])
