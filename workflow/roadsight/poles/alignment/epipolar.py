@@ -88,7 +88,7 @@ def shared_misfit(
     for i in range(len(pixels)):
         side1, side2 = _cross(base, rays1[i]), _cross(rays2[i], base)
         plane = _cross(rays1[i], rays2[i])
-        size = max(np.sqrt(side1 @ side1 + side2 @ side2), 1e-300)
+        size = np.sqrt(side1 @ side1 + side2 @ side2) + 1e-300
         gap = (base @ plane) / size
         residual = gap / sigma
         residuals[i] = residual
