@@ -189,6 +189,11 @@ def test_what_a_failure_leaves_is_kept(tmp_path):
     assert solve(site, {"keep_share": 1.0}) == 0
     assert len(chosen(site)) == 5
     assert site.read("solution.json")["options"]["failure"]["left_share"] == 1.0
+    assert solve(site, {"keep_share": 1.0, "curve": 5}) == 0
+    curve = site.read("solution.json")["options"]["curve"]["points"]
+    # Two sensors see the same half and three the other: what one alone sees does not count.
+    assert [p["weight"] for p in curve] == [0.0, 4.0, 4.0, 6.0, 8.0]
+    assert [p["bound"] for p in curve] == [0.0, 4.0, 4.0, 6.0, 8.0]
 
 
 def test_curve_and_alternatives_are_recorded_and_mapped(tmp_path):

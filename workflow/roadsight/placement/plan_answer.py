@@ -16,7 +16,7 @@ from roadsight.placement.cover.curve import coverage_curve, spread_budgets
 from roadsight.placement.cover.deadline import Deadline, WorkLimit
 from roadsight.placement.cover.deploy import solve_deployment
 from roadsight.placement.cover.deployment import Deployment
-from roadsight.placement.cover.problem import objective_step
+from roadsight.placement.cover.problem import CoverProblem, objective_step
 from roadsight.placement.cover.result import INFEASIBLE, Cover
 from roadsight.placement.cover.solve import solve_cover_problem
 from roadsight.placement.plan_problem import Asked, Posed
@@ -68,7 +68,7 @@ def answer(
     record = {"asked": asked.options, "goal": _goal(asked, deployment, cover)}
     record |= _targets_record(asked, posed, deployment, cover, name)
     if "curve" in asked.options:
-        record["curve"] = _curve(asked, deployment, cover, WorkLimit(limit_s), seed, gap)
+        record["curve"] = _curve(asked, posed, cover, WorkLimit(limit_s), seed, gap)
     swaps: list[tuple[int, int]] = []
     different = np.empty(0, np.int64)
     if asked.options.get("alternatives"):
@@ -114,7 +114,8 @@ def _check(asked: Asked, cover: Cover, limit_s: float) -> None:
     if not math.isfinite(cover.objective):
         raise InputError(
             "no set of sensors was found within the time limit", where=asked.where,
-            found=f"{limit_s:g} s", hint="raise cover.time_limit_s",
+            found=f"{limit_s:g} s",
+            hint="raise cover.time_limit_s, or ask for less (spacing_m, keep_share)",
         )  # fmt: skip
 
 
@@ -179,9 +180,25 @@ def _own_needs(posed: Posed, asked: Asked) -> dict[str, int]:
     return dict(zip(own["target"].astype(str), own["asked"].astype(int).tolist(), strict=True))
 
 
+def _kept_all(asked: Asked, posed: Posed) -> Deployment:
+    """The deployment whose coverage counts as asked for, also where all of it is to be kept.
+
+    A cover that keeps everything sees each target once more; a budget that buys less cannot.
+    """
+    deployment = posed.deployment
+    if not deployment.complete or asked.options.get("keep_share") != 1:
+        return deployment
+    old = deployment.problem
+    fixed, free = np.flatnonzero(old.mandatory), np.flatnonzero(old.forbidden)
+    needed = posed.targets["needed"].to_numpy(np.int64)
+    once = CoverProblem(old.matrix, old.costs, old.groups, needed, fixed, free)
+    return replace(deployment, problem=once, keep=1.0)
+
+
 def _curve(
-    asked: Asked, deployment: Deployment, cover: Cover, limit: Deadline, seed: int, gap: float
+    asked: Asked, posed: Posed, cover: Cover, limit: Deadline, seed: int, gap: float
 ) -> dict[str, Any]:
+    deployment = _kept_all(asked, posed)
     charge = np.asarray(deployment.charge)
     mandatory = deployment.problem.mandatory
     step = objective_step(charge)

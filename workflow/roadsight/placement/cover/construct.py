@@ -14,6 +14,7 @@ from roadsight.placement.cover.deadline import Deadline
 
 _ENTRY_S = 2e-9  # work of a fill by entry of the matrix, measured
 _LEAST, _MOST = 0.1, 0.5
+_PULL = 1.3
 
 _Rules = namedtuple(
     "_Rules",
@@ -40,6 +41,7 @@ class Builder:
         by_row.sort_indices()
         self._sets = by_row.indptr, by_row.indices
         self._must = np.flatnonzero(problem.mandatory)
+        self._pull = np.ones(len(cuts.need))
 
     def offer(self, rows: NDArray[np.int64]) -> bool:
         """Take rows over if they are allowed and better than the best."""
@@ -58,17 +60,25 @@ class Builder:
         chosen = np.flatnonzero(inside)
         if self.deployment.keep:
             chosen = self._second_sight(inside, liking)
-        self.offer(self._tidy(chosen))
+        tidy = self._tidy(chosen)
+        self.offer(tidy)
+        if self._complete and self.best is None:
+            count = np.asarray(self.cuts.rows[tidy].sum(axis=0, dtype=np.int64)).ravel()
+            self._pull[count < self.cuts.need] *= _PULL
 
     def improve(self, steps: int, goal: float, deadline: Deadline) -> None:
-        """Take out a part of the best rows and fill again, so often."""
+        """Take out a part of the best rows and fill again, so often.
+
+        As long as there is none, targets that a trial leaves unseen draw more in the next.
+        """
         for _ in range(steps):
-            if self.best is None or self.value <= goal or deadline.passed():
+            if self.value <= goal or deadline.passed():
                 return
             deadline.spend(_ENTRY_S * self.cuts.rows.nnz)
-            out = self._rng.random(len(self.best)) < self._rng.uniform(_LEAST, _MOST)
+            start = np.empty(0, np.int64) if self.best is None else self.best
+            out = self._rng.random(len(start)) < self._rng.uniform(_LEAST, _MOST)
             liking = self._rng.uniform(0.7, 1.0, self.cuts.choices)
-            self.build(self.best[~out], liking)
+            self.build(start[~out], liking)
 
     def _compatible(self, start: NDArray[np.int64]) -> NDArray[np.bool_]:
         """Mandatory rows, then those of ``start`` that fit beside them."""
@@ -94,8 +104,9 @@ class Builder:
         liking: NDArray[np.float64],
     ) -> None:
         deployment, rows, columns = self.deployment, self.cuts.rows, self.cuts.columns
-        # A target that must be seen draws even if it has no weight.
-        wanted = np.where(need > 0, np.maximum(weight, 1e-6), 0.0) if self._complete else weight
+        # A target that must be seen draws whatever its weight.
+        each = np.ones(len(need)) if deployment.complete else weight
+        wanted = np.where(need > 0, self._pull * each, 0.0)
         charge = np.asarray(deployment.charge)
         finite = math.isfinite(deployment.spendable)
         divisor = charge if finite else np.asarray(deployment.cost)
