@@ -9,11 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
+from roadsight.errors import InputError
 from roadsight.placement.cover import CoverProblem
 from roadsight.placement.cover.alternatives import most_different, replacements
 from roadsight.placement.cover.conflicts import spacing_cliques
 from roadsight.placement.cover.curve import coverage_curve
-from roadsight.placement.cover.deploy import solve_deployment
+from roadsight.placement.cover.deadline import WorkLimit
+from roadsight.placement.cover.deploy import solve_costly_cover, solve_deployment
 from roadsight.placement.cover.deployment import Deployment
 
 GOALS = ("cover", "budget", "price", "overlap")
@@ -140,6 +142,25 @@ def test_curve_holds_the_best_of_each_budget_and_never_falls(seed):
                 assert (point.status, point.value) == ("optimal", pytest.approx(best))
 
 
+@settings(max_examples=15, deadline=None)
+@given(seed=seeds)
+def test_budgets_below_the_cheapest_cover_never_claim_to_see_everything(seed):
+    rng = np.random.default_rng(seed)
+    deployment = replace(posed(rng, "cover"), keep=0.0)
+    cover = solve_deployment(deployment).cover
+    if cover.status == "infeasible" or not len(cover.chosen):
+        return
+    budgets = np.linspace(0, cover.objective, 4)[1:].tolist()
+    try:
+        points = coverage_curve(deployment, budgets, 0.0, full=cover.bound)
+    except InputError:
+        return
+    for point in points:
+        soft = replace(deployment, complete=False, worth=1.0, cost=np.zeros(len(deployment.cost)))
+        best = -best_of(soft.with_budget(point.budget))
+        assert point.value <= best + 1e-6 <= point.bound + 2e-6
+
+
 @pytest.mark.parametrize("goal", ["cover", "budget", "price"])
 @settings(max_examples=20, deadline=None)
 @given(seed=seeds)
@@ -184,6 +205,24 @@ def test_most_different_answer_shares_as_few_places_as_any(goal, seed):
     assert tuple(found.chosen) in rows
     assert np.isin(place[found.chosen], mine).sum() == min(rows.values())
     assert found.least_shared <= found.shared
+
+
+@pytest.mark.parametrize("work_s", [0.0, 1e-4, 10.0])
+@settings(max_examples=10, deadline=None)
+@given(seed=seeds)
+def test_costly_covers_are_covers_with_valid_bounds(work_s, seed):
+    rng = np.random.default_rng(seed)
+    deployment = replace(posed(rng, "cover"), keep=0.0, cliques=())
+    best = best_of(deployment)
+    cover = solve_costly_cover(deployment.problem, WorkLimit(work_s))
+    if np.isinf(best):
+        assert not np.isfinite(cover.objective)
+        return
+    assert cover.bound <= best + 1e-6
+    if np.isfinite(cover.objective):
+        assert slow_objective(deployment, cover.chosen) == pytest.approx(cover.objective)
+    if work_s == 10.0:
+        assert (cover.status, cover.objective) == ("optimal", pytest.approx(best))
 
 
 @settings(max_examples=60, deadline=None)

@@ -14,7 +14,7 @@ from roadsight.errors import InputError
 from roadsight.placement.cover.alternatives import most_different, replacements
 from roadsight.placement.cover.curve import coverage_curve, spread_budgets
 from roadsight.placement.cover.deadline import Deadline, WorkLimit
-from roadsight.placement.cover.deploy import solve_deployment
+from roadsight.placement.cover.deploy import solve_costly_cover, solve_deployment
 from roadsight.placement.cover.deployment import Deployment
 from roadsight.placement.cover.problem import CoverProblem, objective_step
 from roadsight.placement.cover.result import INFEASIBLE, Cover
@@ -98,7 +98,9 @@ def _solve(deployment: Deployment, limit: Deadline, seed: int, gap: float) -> Co
     """A plain cover by the solver for covers, all else as a deployment."""
     plain = deployment.complete and not deployment.keep and not len(deployment.cliques)
     if plain and math.isinf(deployment.budget):
-        return solve_cover_problem(deployment.problem, limit, seed, gap)
+        equal = len(np.unique(deployment.problem.costs)) == 1
+        solve = solve_cover_problem if equal else solve_costly_cover
+        return solve(deployment.problem, limit, seed, gap)
     return solve_deployment(deployment, limit, seed, gap).cover
 
 
@@ -205,7 +207,9 @@ def _curve(
     most = math.fsum(charge[cover.chosen]) if deployment.complete else deployment.budget
     least = max(math.fsum(charge[mandatory]), float(charge.min()))
     budgets = spread_budgets(min(least, most), most, asked.options["curve"], step)
-    found = coverage_curve(deployment, budgets, limit, seed, gap, known=[cover.chosen])
+    full = cover.bound if deployment.complete else 0.0
+    known = [cover.chosen]
+    found = coverage_curve(deployment, budgets, limit, seed, gap, known, full)
     counted = "sensors" if asked.options.get("budget", {}).get("sensors") else "cost"
     points = [
         {

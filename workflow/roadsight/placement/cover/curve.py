@@ -43,6 +43,7 @@ def coverage_curve(
     seed: int = 1,
     gap: float = 0.0,
     known: Sequence[NDArray[np.int64]] = (),
+    full: float = 0.0,
 ) -> list[CurvePoint]:
     """Points for increasing budgets; values and bounds never fall.
 
@@ -53,6 +54,7 @@ def coverage_curve(
     Parameters
     ----------
     deployment : its budget, worth, cost and floor are replaced. known : rows to begin with.
+    full : no smaller budget than this sees everything, as is known from elsewhere.
 
     Raises
     ------
@@ -71,10 +73,19 @@ def coverage_curve(
         found = solve_deployment(asked, part, seed, gap, starts, pool)
         pool = found.pool or pool
         if found.cover.status != INFEASIBLE and math.isfinite(found.cover.objective):
-            points.append(_point(asked, budget, found.cover.chosen, -found.cover.bound))
+            bound = min(-found.cover.bound, _most(asked, full))
+            points.append(_point(asked, budget, found.cover.chosen, bound))
     if not points:
         raise InputError("no budget pays for the mandatory rows", where="curve", found=ordered)
     return _monotone(points, base)
+
+
+def _most(deployment: Deployment, full: float) -> float:
+    """Most that a budget can see which does not see everything."""
+    asked = np.asarray(deployment.weights)[deployment.problem.at_least > 0]
+    if deployment.keep or deployment.budget >= full * (1 - 1e-9) or not (asked > 0).all():
+        return math.inf
+    return deployment.total - float(asked.min(initial=0.0))
 
 
 def _point(
