@@ -6,7 +6,10 @@ SCENE = {"ingest_cloud", "build_dem", "extract_pavement", "build_surfels", "plac
 
 
 def test_no_rule_of_poses_runs_where_no_sensor_needs_one(finished):
-    assert "detect_poses" not in finished.stale_rules("--forceall")
+    placement = finished.folder / "results/tiny/placement"
+    assert list(placement.glob("round-0/detection/*/*.parquet"))
+    assert not list(placement.glob("round-*/poses"))
+    assert not list(placement.glob("round-*/depth/panorama*"))
 
 
 def test_a_plan_of_cameras_adds_panoramas_and_poses_alone(finished):
