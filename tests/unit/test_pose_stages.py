@@ -18,6 +18,7 @@ from roadsight.io.rasters import write_raster
 from roadsight.io.surfels import write_surfels
 from roadsight.io.tables import read_about, read_table, write_table
 from roadsight.io.vectors import read_layer
+from roadsight.placement.choices import choices_of, posed_candidates
 from roadsight.placement.detectors import Criteria, detector_of
 from roadsight.placement.poses import Turn, local_from_sensor, split_pose
 from roadsight.placement.sensors import load_sensors
@@ -178,6 +179,22 @@ class TestChoice:
         )  # fmt: skip
         if solution["status"] == "optimal":
             assert solution["objective"] == pytest.approx(best)
+
+    def test_choices_are_those_poses_or_every_candidate_as_it_is(self):
+        candidates = pd.DataFrame({"candidate": ["a", "b"], "yaw_deg": [170.0, -90.0]})
+        seen = [("eye", "b@y+0p-10r+0"), ("eye", "a@y+35p-10r+0"), ("eye", "gone@y+0p+0r+0"),
+                ("ring", "a"), ("eye", "b@y+0p-10r+0")]  # fmt: skip
+        detections = pd.DataFrame(seen, columns=["sensor", "candidate"])
+        choices = choices_of({"ring": 1.0, "eye": 0.4, "ear": 2.0}, candidates, detections)
+        assert choices["sensor"].tolist() == ["ring", "ring", "eye", "eye", "ear", "ear"]
+        named = ["a", "b", "a@y+35p-10r+0", "b@y+0p-10r+0", "a", "b"]
+        assert choices["candidate"].tolist() == named
+        assert choices["position"].tolist() == [0, 1, 0, 1, 0, 1]
+        assert choices["cost"].tolist() == [1, 1, 0.4, 0.4, 2, 2]
+        turned = posed_candidates(choices.iloc[[1, 2]], candidates)
+        assert turned["yaw_deg"].tolist() == [-90, -155]
+        assert turned["position"].tolist() == ["b", "a"]
+        assert "pitch_deg" not in posed_candidates(choices.iloc[[1]], candidates)
 
 
 class TestObstacles:

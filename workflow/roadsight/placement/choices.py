@@ -15,8 +15,8 @@ def choices_of(
 ) -> pd.DataFrame:
     """One row per choice: sensor by sensor, candidate by candidate, pose by pose.
 
-    A sensor whose detections name poses has a choice for each of these, in their order; any other
-    sensor has one for each candidate.
+    A sensor whose detections name poses of candidates has a choice for each of these, in their
+    order; any other sensor has one for each candidate.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def choices_of(
     parts = []
     for sensor, cost in costs.items():
         names = pairs.loc[pairs["sensor"] == sensor, "candidate"].astype(str)
-        posed = [name for name in names if name not in rows]
+        posed = [name for name in names if name not in rows and split_pose(name)[0] in rows]
         at = [rows[split_pose(name)[0]] for name in posed]
         order = np.argsort(at, kind="stable") if posed else np.arange(len(rows))
         named = np.array(posed or list(rows), dtype=object)[order]
