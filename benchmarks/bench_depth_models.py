@@ -67,7 +67,9 @@ def _compared(
     """Surfels beside each other way."""
     edge_m = max(0.1, plan_spacing_m(_density(cloud)))
     lidar = SurfelLidar(build_surfels(sum_moments(cloud, edge_m)))
-    ways = {SURFEL: lidar.depth_map, "hybrid": partial(model_of_points("hybrid"), cloud)}
+    ways = {SURFEL: lidar.depth_map, "nothing returns": _empty}
+    for way in ("preliminary", "hybrid"):
+        ways[way] = partial(model_of_points(way), cloud)
     for title, file in NETWORKS.items():
         for way, model in (("U-Net", "unet"), ("U-Net, mask", "unet_mask")):
             network = str(ROOT / "resources" / "models" / file)
@@ -95,6 +97,11 @@ def _compared(
     ]  # fmt: skip
 
 
+def _empty(sensor: Sensor, position_m: np.ndarray, yaw_deg: float) -> np.ndarray:
+    """A map in which nothing returns: what decisions on targets owe to the open road alone."""
+    return np.zeros(sensor.shape, np.float32)
+
+
 def _density(cloud: np.ndarray) -> float:
     """Median points per square metre, as the workflow measures it."""
     cells = count_cells(cloud, np.zeros(len(cloud), np.uint8))
@@ -106,7 +113,7 @@ def _agreement(maps: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
     both = (maps > 0) & (exact > 0)
     right = np.where(both, np.abs(maps - exact) <= WRONG_M, maps == exact)
     error_m = (maps - exact)[both].astype(np.float64)
-    return float(right.mean()), float(np.sqrt(np.mean(error_m**2)))
+    return float(right.mean()), float(np.sqrt(np.mean(error_m**2))) if both.any() else 0.0
 
 
 def _seen(maps: np.ndarray, sensor: Sensor, poses: list[Pose], targets: np.ndarray) -> np.ndarray:
