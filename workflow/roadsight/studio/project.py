@@ -143,13 +143,13 @@ class Project:
     def overview(self) -> dict[str, Any]:
         """Sites with what is there of each, and what is broken."""
         try:
-            self.config()
-            broken = ""
+            configured, broken = self.config().sites, ""
         except InputError as error:
-            broken = str(error)
+            configured, broken = [], str(error)
         return {
             "name": self.root.name,
             "broken": broken,
+            "configured": configured,
             "sites": [self._described(stem) for stem in self.stems()],
         }
 

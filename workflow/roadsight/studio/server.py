@@ -13,11 +13,12 @@ from werkzeug.wrappers import Response as AnyResponse
 
 from roadsight.errors import InputError
 from roadsight.studio.guard import LOOPBACK, protect
+from roadsight.studio.pages import serve_pages
 from roadsight.studio.project import Project
 
 log = logging.getLogger("studio")
 ASSETS = Path(__file__).with_name("assets")
-ROUTES = ("site", "cloud", "drawing", "registration")
+ROUTES = ("site", "cloud", "drawing", "registration", "run")
 _DEFAULT_TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html"}
 
 
@@ -34,6 +35,7 @@ def create_app(project: Project, token: str) -> Flask:
     for name in ROUTES:
         routes = import_module(f"roadsight.studio.routes.{name}")
         app.register_blueprint(routes.create(project), url_prefix="/api", name=name)
+    serve_pages(app, project)
     app.register_error_handler(InputError, _told)
     app.register_error_handler(HTTPException, _refused)
     app.register_error_handler(Exception, _failed)
