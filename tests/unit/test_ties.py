@@ -11,7 +11,7 @@ from roadsight.poles.alignment.drift import DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED, shared_misfit
 from roadsight.poles.alignment.kernel import camera
-from roadsight.poles.alignment.pose import FOCAL, SIZE, Spread, Start, pose_of
+from roadsight.poles.alignment.pose import FOCAL, SIZE, YAW, Spread, Start, pose_of
 from roadsight.poles.alignment.ties import Member, pose_misfit, told_by_others
 
 WIDTH, HEIGHT, FOCAL_PX = 640, 416, 1650.0
@@ -37,6 +37,9 @@ def mean_unknowns():
     mean = np.zeros(SIZE)
     mean[:7] = 0.2, -0.1, 2.2, 1.0, -1.2, 0.5, np.log(FOCAL_PX)
     return mean
+
+
+KNOWN = mean_unknowns(), np.zeros((SIZE, SIZE))
 
 
 def pixels(start, own, points):
@@ -137,7 +140,7 @@ def test_what_others_say_is_the_whole_without_one(count):
 
 def test_no_chain_is_nothing():
     assert others_say([], [], []) == []
-    assert told_by_others([], mean_unknowns(), Spread(), DriftModel()) == {}
+    assert told_by_others([], KNOWN, Spread(), DriftModel()) == {}
 
 
 def test_surprise_counts_sigmas_of_what_was_measured():
@@ -194,13 +197,13 @@ def heading_errors(members, truth, told):
 
 def test_images_that_see_no_pole_have_the_heading_of_their_neighbours():
     members, truth = drive()
-    told = told_by_others(members, mean_unknowns(), Spread(yaw_deg=0.3), DriftModel())
+    told = told_by_others(members, KNOWN, Spread(yaw_deg=0.3), DriftModel())
     off = heading_errors(members, truth, told)
     sigma = np.array([np.sqrt(told[m.place.image][1][3, 3]) for m in members])
     assert np.abs(off).max() < 0.1
     assert (np.abs(off) < 4 * np.hypot(sigma, 0.02)).all()
     alone = [Member(m.place, m.unknowns, m.measured, np.empty((0, 4))) for m in members]
-    untied = told_by_others(alone, mean_unknowns(), Spread(yaw_deg=0.3), DriftModel())
+    untied = told_by_others(alone, KNOWN, Spread(yaw_deg=0.3), DriftModel())
     assert np.median(np.abs(heading_errors(members, truth, untied))) > 0.1
 
 
@@ -212,15 +215,35 @@ def test_an_image_that_took_a_wrong_pole_is_overruled():
         members[6].place, members[6].unknowns,
         Normal(wrong.matrix, wrong.right + wrong.matrix @ shift), members[6].shared,
     )  # fmt: skip
-    told = told_by_others(members, mean_unknowns(), Spread(yaw_deg=0.3), DriftModel())
+    told = told_by_others(members, KNOWN, Spread(yaw_deg=0.3), DriftModel())
     assert np.abs(heading_errors(members, truth, told)).max() < 0.1
 
 
 def test_an_expectation_does_not_rest_on_the_image_itself():
     members, _ = drive(count=4)
-    told = told_by_others(members, mean_unknowns(), Spread(), DriftModel())
+    told = told_by_others(members, KNOWN, Spread(), DriftModel())
     nothing = [
         m if k != 3 else Member(m.place, m.unknowns, None, m.shared) for k, m in enumerate(members)
     ]
-    other = told_by_others(nothing, mean_unknowns(), Spread(), DriftModel())
+    other = told_by_others(nothing, KNOWN, Spread(), DriftModel())
     np.testing.assert_allclose(told["3"][0], other["3"][0], atol=0.02)
+
+
+def sigmas(told):
+    return np.array([np.sqrt(np.diag(covariance)) for _, covariance in told.values()])
+
+
+def test_what_the_drives_mean_leaves_open_stays_open_in_all_its_images():
+    """Images that measured nothing look where the mean looks, however many they are."""
+    members, _ = drive()
+    blind = [Member(m.place, m.unknowns, None, m.shared) for m in members]
+    uncertain = np.zeros((SIZE, SIZE))
+    uncertain[YAW, YAW] = 0.5**2
+    found = told_by_others(blind, (mean_unknowns(), uncertain), Spread(yaw_deg=0.1), DriftModel())
+    assert sigmas(found)[:, YAW].min() > 0.45
+    certain = told_by_others(blind, KNOWN, Spread(yaw_deg=0.1), DriftModel())
+    assert sigmas(certain)[:, YAW].max() < 0.2
+    for image, (pose, _) in found.items():
+        np.testing.assert_allclose(pose, certain[image][0], atol=1e-9)
+    sure = told_by_others(members, (mean_unknowns(), uncertain), Spread(), DriftModel())
+    assert sigmas(sure)[:, YAW].max() < 0.2

@@ -51,7 +51,7 @@ def with_ties(
         for k, seen in zip(order, points, strict=True)
     ]
     mount, model = calibration.mount, calibration.drift.model
-    told = told_by_others(members, mount.mean, calibration.spread, model)
+    told = told_by_others(members, (mount.mean, mount.covariance), calibration.spread, model)
     return replace(calibration, told=told)
 
 

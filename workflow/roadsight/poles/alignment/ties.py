@@ -54,44 +54,105 @@ class Member:
 
 
 def told_by_others(
-    members: Sequence[Member], mean: _FLOATS, spread: Spread, model: DriftModel
+    members: Sequence[Member],
+    mean: tuple[_FLOATS, _FLOATS],
+    spread: Spread,
+    model: DriftModel,
 ) -> dict[str, tuple[_FLOATS, _FLOATS]]:
     """Pose (6,) of each image and its covariance (6, 6) as all other images of the drive tell it.
 
     Gauss-Newton over the whole drive: what each image measured, how much a vehicle sways, how the
     error of satellite positions changes, and what neighbours share. Measurements that the others
-    contradict count less.
+    contradict count less. What the drive's own mean leaves open, its images have in common; it is
+    added in the end, as far as the poses rest on the mean.
 
     Parameters
     ----------
-    members : in the order of travel. mean : (k,) of the drive. spread : of its images about it.
+    members : in the order of travel. mean : of the drive, (k,), and its covariance (k, k).
+    spread : of the drive's images about its mean.
     """
     if not members:
         return {}
     now = [member.unknowns.copy() for member in members]
-    nothing = Normal(np.zeros((POSED, POSED)), np.zeros(POSED))
-    weights, others = np.ones(len(members)), []
-    for turn, scale in enumerate(_SCALES):
-        priors = [_sway(x, mean, spread) for x in now]
-        if turn + 1 < len(_SCALES):
-            priors = [one + _HELD for one in priors]
-        priors[0] = priors[0] + _first(members[0], now[0], mean, model)
-        own = [_moved(m.measured or nothing, x) for m, x in zip(members, now, strict=True)]
-        links = [
-            _drift(members[k], members[k + 1], (now[k], now[k + 1]), mean, model)
-            + _shared(members[k], members[k + 1], (now[k], now[k + 1]), scale)
-            for k in range(len(members) - 1)
-        ]
-        counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
-        others = others_say(priors, counted, links)
-        off = np.array([surprise(one, rest) for one, rest in zip(own, others, strict=True)])
-        weights = (1.0 / (1.0 + off / _SOFT)) ** 2
+    weights = np.ones(len(members))
+    for scale in _SCALES[:-1]:
+        priors, own, links = _misfits(members, now, mean[0], spread, model, scale)
+        priors = [one + _HELD for one in priors]
+        others, weights = _weighed(priors, own, links, weights)
         steps = [(r + o.times(w)).least()[0] for r, o, w in zip(others, own, weights, strict=True)]
-        expected = [
-            (x[:POSED] + r.least()[0], r.least()[1]) for x, r in zip(now, others, strict=True)
-        ]
         now = [np.r_[x[:POSED] + step, x[POSED:]] for x, step in zip(now, steps, strict=True)]
-    return {m.place.image: e for m, e in zip(members, expected, strict=True)}
+    priors, own, links = _misfits(members, now, mean[0], spread, model, _SCALES[-1])
+    counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
+    found = [rest.least() for rest in others_say(priors, counted, links)]
+    rests = _rests_on_mean(members, now, (priors, counted, links), spread, model)
+    return {
+        m.place.image: (x[:POSED] + step, own + rest @ mean[1][:POSED, :POSED] @ rest.T)
+        for m, x, (step, own), rest in zip(members, now, found, rests, strict=True)
+    }
+
+
+_Misfits = tuple[list[Normal], list[Normal], list[Normal]]
+
+
+def _misfits(
+    members: Sequence[Member],
+    now: Sequence[_FLOATS],
+    mean: _FLOATS,
+    spread: Spread,
+    model: DriftModel,
+    scale: float,
+) -> _Misfits:
+    """Priors, own measurements and links, of the steps from where the images are now."""
+    nothing = Normal(np.zeros((POSED, POSED)), np.zeros(POSED))
+    priors = [_sway(x, mean, spread) for x in now]
+    priors[0] = priors[0] + _first(members[0], now[0], mean, model)
+    own = [_moved(m.measured or nothing, x) for m, x in zip(members, now, strict=True)]
+    links = [
+        _drift(members[k], members[k + 1], (now[k], now[k + 1]), mean, model)
+        + _shared(members[k], members[k + 1], (now[k], now[k + 1]), scale)
+        for k in range(len(members) - 1)
+    ]
+    return priors, own, links
+
+
+def _weighed(
+    priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal], weights: _FLOATS
+) -> tuple[list[Normal], _FLOATS]:
+    """What others say with the weights so far, and the weights that follow from it."""
+    counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
+    others = others_say(priors, counted, links)
+    off = np.array([surprise(one, rest) for one, rest in zip(own, others, strict=True)])
+    return others, (1.0 / (1.0 + off / _SOFT)) ** 2
+
+
+def _rests_on_mean(
+    members: Sequence[Member],
+    now: Sequence[_FLOATS],
+    misfits: _Misfits,
+    spread: Spread,
+    model: DriftModel,
+) -> _FLOATS:
+    """How far each pose (n, 6, 6) moves with each number of the drive's mean."""
+    priors, own, links = misfits
+    still = [Normal(one.matrix, np.zeros(POSED)) for one in own]
+    found = np.empty((len(members), POSED, POSED))
+    for number in range(POSED):
+        shift = np.zeros(len(now[0]))
+        shift[number] = 1.0
+        zero = np.zeros(len(shift))
+        moved = [Normal(one.matrix, _sway(zero, shift, spread).right) for one in priors]
+        moved[0] = moved[0] + Normal(
+            0.0 * moved[0].matrix, _first(members[0], zero, shift, model).right
+        )
+        pulled = [
+            Normal(
+                link.matrix, _drift(members[k], members[k + 1], (zero, zero), shift, model).right
+            )
+            for k, link in enumerate(links)
+        ]
+        for k, rest in enumerate(others_say(moved, still, pulled)):
+            found[k, :, number] = rest.least()[0]
+    return found
 
 
 def _moved(one: Normal, at: _FLOATS) -> Normal:
