@@ -8,7 +8,7 @@ import geopandas as gpd
 import numpy as np
 import pytest
 import shapely
-from test_solve_cover_stage import FRAME, Site
+from test_solve_cover_stage import FRAME, Site, write_sight
 
 from roadsight.io.vectors import write_layers
 from roadsight.stages import solve_cover
@@ -210,6 +210,30 @@ def test_curve_and_alternatives_are_recorded_and_mapped(tmp_path):
     layer = gpd.read_file(tmp_path / "layers.gpkg", layer="alternatives")
     assert layer[["candidate", "replaces"]].to_numpy().tolist() == [["c", "b"]]
     assert layer.crs.to_epsg() == 2994
+
+
+def test_options_hold_for_sensors_in_poses(tmp_path):
+    site = Site(tmp_path, {"S": {"a": "01", "b": "", "c": ""}, "eye": {"a": ""}}, targets=4)
+    looks = {"b@y+0p-10r+0": "2", "b@y+35p-10r+0": "3", "a@y+0p-10r+0": "23"}
+    write_sight(site.detections[1], "eye", looks)
+    assert site.check("p=S,eye") == 0
+    at_a = points(tmp_path, "a.csv", [(0.2, -0.5, "S")], ["kind"])
+    options = {
+        "mandatory": {"crs": None, "within_m": 1.0},
+        "budget": {"sensors": 2, "cost": None},
+        "alternatives": True,
+    }
+    assert solve(site, options, ("S=1", "eye=1"), files={"mandatory": at_a}) == 0
+    # One choice stands at a place: with S at a, the camera at b sees one of two targets.
+    solution = site.read("solution.json")
+    found = [(s["sensor"], s["candidate"], s["mandatory"]) for s in solution["sensors"]]
+    assert found == [("S", "a", True), ("eye", "b@y+0p-10r+0", False)]
+    assert solution["covered_targets"] == 3
+    assert solution["options"]["alternatives"]["by"] == [[], ["b@y+35p-10r+0"]]
+    layer = gpd.read_file(tmp_path / "layers.gpkg", layer="alternatives")
+    assert layer[["candidate", "replaces"]].to_numpy().tolist() == [
+        ["b@y+35p-10r+0", "b@y+0p-10r+0"]
+    ]
 
 
 def test_same_options_same_bytes(site, tmp_path):
