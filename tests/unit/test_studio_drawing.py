@@ -155,3 +155,38 @@ def test_other_kinds_of_requests_are_refused(client):
     large = client.put("/api/sites/tiny/drawing", data=b" " * (17 << 20), headers=OWN | {
         "Content-Type": "application/json"})  # fmt: skip
     assert large.status_code == 413
+
+
+@pytest.mark.parametrize(
+    ("file", "ask"),
+    [
+        ("scene/frame.json", "cloud"),
+        ("scene/cloud.parquet", "cloud"),
+        ("scene/dem.tif", "cloud"),
+        ("scene/pavement.gpkg", "drawing"),
+        ("placement/edges.gpkg", "drawing"),
+    ],
+)
+@pytest.mark.parametrize("content", [b"", b"garbage", None])
+def test_broken_results_are_told_by_their_file(client, file, ask, content):
+    path = Path("results/tiny") / file
+    before = path.read_bytes()
+    path.write_bytes(before[: len(before) // 2] if content is None else content)
+    try:
+        answer = client.get(f"/api/sites/tiny/{ask}", headers=OWN)
+        assert answer.status_code == 422, answer.data
+        assert Path(file).name in answer.json["error"]
+    finally:
+        path.write_bytes(before)
+    assert client.get(f"/api/sites/tiny/{ask}", headers=OWN).status_code == 200
+
+
+def test_a_broken_site_file_is_told(client):
+    path = Path("config/sites/tiny.yaml")
+    before = path.read_bytes()
+    for text, told in (("site: [", "not valid YAML"), ("site: tiny\nclouds: 3\n", "clouds")):
+        path.write_text(text)
+        answer = client.get("/api/sites/tiny/drawing", headers=OWN)
+        assert answer.status_code == 422 and told in answer.json["error"]
+    path.write_bytes(before)
+    assert client.get("/api/sites/tiny/drawing", headers=OWN).status_code == 200

@@ -23,7 +23,7 @@ from roadsight.studio.levels import (
     pack_points,
     scaled_intensity,
 )
-from roadsight.studio.project import CLOUD, DEM, GROUND, SiteFolder
+from roadsight.studio.project import CLOUD, DEM, FRAME, GROUND, SiteFolder
 
 _BRIGHT_PERCENT = 98.0
 _SAMPLED_TILES = 9
@@ -152,7 +152,7 @@ class Clouds:
         ------
         InputError : as `SiteCloud`.
         """
-        state = tuple(_state(site.results / name) for name in (CLOUD, GROUND, DEM))
+        state = tuple(_state(site.results / name) for name in (FRAME, CLOUD, GROUND, DEM))
         with self._lock:
             known = self._known.get(site.stem)
             if known is None or known[0] != state:
