@@ -124,3 +124,37 @@ def test_impossible_poses_are_refused(drive, change):
     pose = drive.expected(drive.place(1)) | change
     with pytest.raises(ValueError, match="validation error"):
         PoseBody.model_validate(pose)
+
+
+def test_pictures_are_straightened_where_the_workflow_does_so(project, drive, folder):
+    import cv2
+
+    from roadsight.io.atomic import write_json
+    from roadsight.studio.pictures import lens_for, without_distortion
+
+    site, key = project.site("drive"), ("40001", 800, 400)
+    assert lens_for(site, key) is None
+    lens = {"route": key[0], "width_px": 800, "height_px": 400, "k1": -0.2, "k2": 0.0,
+            "scale_px": 400.0}  # fmt: skip
+    write_json(folder / "results/drive/poles/drive.json", {"lenses": [lens]})
+    effects = folder / "results/drive/effects.json"
+    before = effects.read_bytes() if effects.exists() else None
+    try:
+        for decision, distorts in (("skip", False), ("simulate", True)):
+            write_json(effects, [{"effect": "lens_distortion", "decision": decision}])
+            assert (lens_for(site, key) is not None) == distorts
+        found = lens_for(site, key)
+        # A point of the pinhole's image comes from where the lens showed it.
+        wanted = np.array([[620.0, 300.0]])
+        u, v = np.rint(found.distort(wanted)[0]).astype(int)
+        image = np.zeros((400, 800, 3), np.uint8)
+        cv2.circle(image, (int(u), int(v)), 4, (255, 255, 255), -1)
+        content = without_distortion(cv2.imencode(".png", image)[1].tobytes(), found)
+        turned = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_GRAYSCALE)
+        rows, columns = np.nonzero(turned > 128)
+        assert [columns.mean(), rows.mean()] == pytest.approx([620, 300], abs=1.5)
+        with pytest.raises(InputError, match="no image"):
+            without_distortion(b"text", found)
+    finally:
+        effects.unlink() if before is None else effects.write_bytes(before)
+        (folder / "results/drive/poles/drive.json").unlink()

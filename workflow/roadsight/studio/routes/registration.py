@@ -8,6 +8,7 @@ from typing import Any
 from flask import Blueprint, Response
 
 from roadsight.studio.drive import Drives, SiteDrive
+from roadsight.studio.pictures import lens_for, without_distortion
 from roadsight.studio.project import Project
 from roadsight.studio.registering import (
     BaselineBody,
@@ -46,9 +47,14 @@ def create(project: Project) -> Blueprint:
     @routes.get("/sites/<stem>/images/<int:number>/picture")
     def picture(stem: str, number: int) -> Response:
         drive = drive_of(stem)
-        suffix = PurePath(str(drive.row(number)["path"])).suffix.lower()
-        kind = _TYPES.get(suffix, "application/octet-stream")
-        return Response(drive.picture(number), mimetype=kind)
+        row = drive.row(number)
+        suffix = PurePath(str(row["path"])).suffix.lower()
+        content, kind = drive.picture(number), _TYPES.get(suffix, "application/octet-stream")
+        key = str(row["route"]), int(row["width_px"]), int(row["height_px"])
+        lens = lens_for(drive.site, key)
+        if lens is not None:
+            content, kind = without_distortion(content, lens), _TYPES[".jpg"]
+        return Response(content, mimetype=kind)
 
     @routes.get("/sites/<stem>/images/<int:number>/points")
     def points(stem: str, number: int) -> Response:
