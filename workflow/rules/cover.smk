@@ -12,6 +12,7 @@ rule solve_cover:
         candidates=all_candidates,
         detections=plan_detections,
         frame=rules.ingest_cloud.output.frame,
+        lanes=lanes_of_plan,
         areas=plan_file("areas"),
         forbidden=plan_file("forbidden"),
         mandatory=plan_file("mandatory"),
@@ -31,6 +32,8 @@ rule solve_cover:
         sensors=plan_costs,
         options=plan_options,
         at_least=setting("cover.at_least"),
+        availability=plan_availability,
+        height_m=setting("targets.height_m"),
         time_limit_s=setting("cover.time_limit_s"),
         gap=setting("cover.gap"),
         uncoverable=setting("coverage.uncoverable"),
@@ -39,7 +42,8 @@ rule solve_cover:
         "python -m roadsight.stages.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
         " --coverage {input.coverage} --targets {input.targets} --candidates {input.candidates}"
         " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
-        " --at-least {params.at_least} --time-limit-s {params.time_limit_s} --gap {params.gap}"
+        " --at-least {params.at_least} {params.availability} --lanes {input.lanes}"
+        " --target-height-m {params.height_m} --time-limit-s {params.time_limit_s} --gap {params.gap}"
         " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"
         " --areas {input.areas:q} --forbidden {input.forbidden:q}"
         " --mandatory {input.mandatory:q} --poles {input.poles:q}"

@@ -222,3 +222,16 @@ def placement_effect(effect, file):
     return only_if(
         effect, lambda wildcards: [f"results/{wildcards.site}/placement/effects/{file}"]
     )
+
+
+def plan_availability(wildcards):
+    """Option of a plan whose sensors together must see targets so often."""
+    level = plans_of(wildcards.site)[wildcards.plan].availability
+    return "" if level is None else f"--availability {level:g}"
+
+
+def lanes_of_plan(wildcards):
+    """Lanes and their traffic, where the plan asks for a probability past it."""
+    if plans_of(wildcards.site)[wildcards.plan].availability is None:
+        return []
+    return placement_effect("moving_vehicles", "lanes.parquet")(wildcards)

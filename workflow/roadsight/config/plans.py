@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from roadsight.config.plan_options import PlanOptions
 from roadsight.config.schema import Name, Section
@@ -16,9 +16,24 @@ class Plan(PlanOptions):
 
     title: str = Field(description="name for people")
     sensors: list[str] = Field(min_length=1, description="names of sensors that may be placed")
+    availability: float | None = Field(
+        default=None,
+        gt=0,
+        lt=1,
+        description="share of the time in which sensors together see each target past traffic",
+    )
     on_request: bool = Field(
         default=False, description="solved only where it is asked for by its name"
     )
+
+    @model_validator(mode="after")
+    def _one_aim(self) -> Plan:
+        if self.availability is not None and self.options():
+            raise ValueError(
+                "availability goes with no other option of a plan: it says how often each target is"
+                " seen, the others count sensors; make two plans of it"
+            )
+        return self
 
 
 class Plans(Section):

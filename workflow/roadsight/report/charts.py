@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -60,6 +61,7 @@ class Chart:
     ----------
     title : what one sees, for people who cannot see it. x_label, y_label : with units.
     x_span, y_span : ranges of the axes. width, height : in pixels, axes included.
+    numbered : whether numbers stand along x; otherwise `tick` says what does.
     """
 
     def __init__(
@@ -71,10 +73,12 @@ class Chart:
         y_span: Span,
         width: float = 470.0,
         height: float = 270.0,
+        numbered: bool = True,
     ) -> None:
         self.title, self.labels = title, (x_label, y_label)
         self.spans, self.size = (x_span, y_span), (width, height)
         self._parts: list[str] = []
+        self._numbered = numbered
 
     def x(self, value: float) -> float:
         """Pixel of a value across."""
@@ -140,15 +144,21 @@ class Chart:
                 f"<title>{escape(texts[n])}</title></circle>"
             )
 
-    def bars(self, edges: Sequence[float], counts: Sequence[float], look: str) -> None:
-        """Histogram."""
+    def bars(
+        self,
+        edges: Sequence[float],
+        counts: Sequence[float],
+        look: str,
+        names: Sequence[str] | None = None,
+    ) -> None:
+        """Histogram; classes are named by their edges or as given."""
+        names = names or [f"{number(low)} to {number(high)}" for low, high in pairwise(edges)]
         floor = self.y(self.spans[1][0])
-        for low, high, count in zip(edges[:-1], edges[1:], counts, strict=True):
+        for low, high, count, name in zip(edges[:-1], edges[1:], counts, names, strict=True):
             left, right, top = self.x(low) + 0.5, self.x(high) - 0.5, self.y(count)
             self._parts.append(
                 f'<rect class="{look}" x="{left:.1f}" y="{top:.1f}" width="{right - left:.1f}"'
-                f' height="{floor - top:.1f}"><title>{number(low)} to {number(high)}:'
-                f" {number(count)}</title></rect>"
+                f' height="{floor - top:.1f}"><title>{escape(name)}: {number(count)}</title></rect>'
             )
 
     def level(self, value: float, look: str, text: str = "", upright: bool = False) -> None:
@@ -168,6 +178,13 @@ class Chart:
         self._parts.append(f'<path class="line {look}" d="M{path}"/>')
         if text:
             self._parts.append(f"<text {place}>{escape(text)}</text>")
+
+    def tick(self, value: float, text: str) -> None:
+        """Tick of the x axis with a text of its own."""
+        x, floor = self.x(value), self.size[1] - _BOTTOM
+        self._parts.append(f'<path class="tick" d="M{x:.1f} {floor:.1f}v4"/>')
+        place = f'x="{x:.1f}" y="{floor + 17:.1f}" text-anchor="middle"'
+        self._parts.append(f"<text {place}>{escape(text)}</text>")
 
     def label(self, x: float, y: float, text: str) -> None:
         """Text beside a place, on the side that has room."""
@@ -195,7 +212,8 @@ class Chart:
     def _grid(self) -> str:
         width, height = self.size
         floor, parts = height - _BOTTOM, []
-        for value in ticks(self.spans[0], 9 if width > 700 else _TICKS):
+        across = ticks(self.spans[0], 9 if width > 700 else _TICKS) if self._numbered else []
+        for value in across:
             x, text = self.x(value), number(value)
             parts.append(f'<path class="tick" d="M{x:.1f} {floor:.1f}v4"/>')
             parts.append(

@@ -43,6 +43,7 @@ TEMPLATES = (
     "views.html.j2",
     "sensors.html.j2",
     "options.html.j2",
+    "sight.html.j2",
     "gaps.html.j2",
     "evidence.html.j2",
     "effects.html.j2",
@@ -153,7 +154,8 @@ def _scene(page: _Page) -> dict[str, Any]:
     costs = [sensor["cost"] for sensor in page["sensors"].values()]
     return {
         "plans": plan_views(page["plans"], Frame.from_dict(page["frame"])),
-        "asked": _asked(page),
+        "asked": _has(page, "options"),
+        "sight": _has(page, "availability"),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
         **_cloud(page),
         **_evidence(page),
@@ -161,9 +163,9 @@ def _scene(page: _Page) -> dict[str, Any]:
     }
 
 
-def _asked(page: _Page) -> bool:
-    """Whether any plan has options."""
-    return any("options" in plan for plan in page["plans"])
+def _has(page: _Page, key: str) -> bool:
+    """Whether any plan has such a part."""
+    return any(key in plan for plan in page["plans"])
 
 
 def _cautions(page: _Page | None, poles_page: _Page | None) -> list[dict[str, str]]:
@@ -280,8 +282,9 @@ def _sections(
     if page is not None:
         views = [("map", "Map"), ("scene3d", "3D view")]
         results = [("sensors", "Chosen sensors"), ("gaps", "Uncovered targets")]
-        asked = [("options", "Plan options")] if _asked(page) else []
-        results[1:1] = asked
+        asked = [("options", "Plan options")] if _has(page, "options") else []
+        seen = [("sight", "In sight past traffic")] if _has(page, "availability") else []
+        results[1:1] = [*asked, *seen]
         found = [("plans", "Plans compared"), *views, *results] if page["plans"] else views
     if poles is not None:
         found += poles["sections"]

@@ -179,6 +179,7 @@ def _plan(
         "sensors": _sensors(solution["sensors"], sights, frame),
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
+        **({"availability": solution["availability"]} if "availability" in solution else {}),
         "gaps": gaps_of(
             placement.targets,
             sights.times_seen,

@@ -27,6 +27,7 @@ from roadsight.placement.plan_answer import Answer, answer
 from roadsight.placement.plan_problem import Asked, pose
 from roadsight.stages.command import run_stage
 from roadsight.stages.cover_inputs import FILES, read_asked
+from roadsight.stages.level_cover import cover_at_level, described
 
 log = logging.getLogger("solve_cover")
 
@@ -45,8 +46,12 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     choices = choices_of(costs, candidates, detections)
     pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
     matrix = detection_matrix(detections, pairs, pd.Index(wanted["target"]))
-    answered = None
-    if asked is None:
+    answered = levelled = None
+    if arguments.availability is not None:
+        levelled = cover_at_level(arguments, detections, choices, candidates, wanted)
+        cover = levelled.cover
+        _check_solved(arguments, cover)
+    elif asked is None:
         cover = _cheapest(arguments, matrix, choices)
     else:
         posed = pose(asked, matrix, choices, candidates, wanted)
@@ -56,18 +61,17 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(arguments, cover, sensors, targets, uncovered)
+    if levelled is not None:
+        wanted["availability"], content["availability"] = levelled.shares, levelled.record
+    elif "availability" in detections:
+        chosen = sensors[["sensor", "candidate"]].apply(tuple, axis=1)
+        wanted["availability"] = availability(detections, set(chosen), wanted["target"])
+        content["availability"] = described(wanted["availability"].to_numpy())
     layers = {"sensors": _points(sensors), "targets": _points(wanted)}
     if answered is not None:
         content |= _option_content(answered, sensors)
         layers |= _option_layers(answered, candidates, choices)
         layers["sensors"] = _points(sensors)
-    if "availability" in detections:
-        chosen = sensors[["sensor", "candidate"]].apply(tuple, axis=1)
-        wanted["availability"] = availability(detections, set(chosen), wanted["target"])
-        content["availability"] = {
-            "mean": float(wanted["availability"].mean()),
-            "least": float(wanted["availability"].min()),
-        }
     write_layers(arguments.layers, layers, frame)
     write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
     write_json(arguments.solution, content)
@@ -157,6 +161,12 @@ def _check_uncovered(
 
 def _check_solved(arguments: argparse.Namespace, cover: Cover) -> None:
     if cover.status == "infeasible":
+        if arguments.availability is not None:
+            raise InputError(
+                f"no set of sensors sees every target {arguments.availability:g} of the time",
+                where=f"site {arguments.site}, plan {arguments.plan}",
+                hint="lower the plan's availability, or densify the candidates",
+            )
         raise InputError(
             f"no set of sensors covers every target {arguments.at_least} times",
             where=f"site {arguments.site}, plan {arguments.plan}",
@@ -240,6 +250,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--options", default="", help="options of the plan as JSON")
     for name in FILES:
         parser.add_argument(f"--{name}", nargs="*", default=[], help="file of the option")
+    parser.add_argument("--availability", type=float, help="how often targets must be in sight")
+    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    parser.add_argument("--target-height-m", type=float, default=0.6)
     parser.add_argument("--time-limit-s", type=float, default=300.0)
     parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")
     parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")

@@ -98,6 +98,7 @@ def _plan(solution: dict[str, Any], candidates: int) -> dict[str, Any]:
         "candidates": candidates,
         "uncoverable_targets": solution["uncoverable_targets"],
         "seconds_cpu": solution["seconds_cpu"],
+        **({"availability": solution["availability"]} if "availability" in solution else {}),
         **({"options": _options(solution["options"])} if "options" in solution else {}),
     }
 
