@@ -10,6 +10,7 @@ HELPERS = Path(__file__).with_name("report_page.js").read_text(encoding="utf-8")
 def open_studio(browser, studio, page, site, ready):
     """The studio on a page, as somebody opens it for the first time."""
     browser.complaints.clear()
+    set_size(browser, 1280, 720)
     browser.open("about:blank")
     origin = studio.address.partition("/#")[0]
     browser.call("Storage.clearDataForOrigin", origin=origin, storageTypes="local_storage")
@@ -19,6 +20,11 @@ def open_studio(browser, studio, page, site, ready):
         browser.run(f"location.hash = '#/{page}/{site}'")
     browser.until(ready)
     return browser
+
+
+def set_size(page, width, height):
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+    page.call("Emulation.setDeviceMetricsOverride", **size)
 
 
 def key(page, name, modifiers=0):
@@ -63,8 +69,7 @@ def noted(page, text):
 
 def check_looks(page, dark, width, height):
     """Texts stand out, and nothing is cut off at this size of the window."""
-    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
-    page.call("Emulation.setDeviceMetricsOverride", **size)
+    set_size(page, width, height)
     if page.run("document.documentElement.dataset.theme === 'dark'") != dark:
         page.run("document.getElementById('theme').click()")
     page.run(HELPERS)

@@ -267,10 +267,10 @@ def test_mistakes_are_told_and_nothing_is_written(page, project):
     assert not (project / "config/sites/tiny").exists()
 
 
-@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1920, 1080)])
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_texts_stand_out_and_nothing_is_cut_off(page, dark, width, height):
-    check_looks(page, dark, width, height)
+def test_looks(page):
+    for dark in (False, True):
+        for size in ((1280, 720), (1920, 1080)):
+            check_looks(page, dark, *size)
 
 
 def test_colours_and_three_dimensions(page):

@@ -206,7 +206,30 @@ def test_too_few_pairs_are_told(page):
     noted(page, "lie on one line")
 
 
-@pytest.mark.parametrize(("width", "height"), [(1280, 720), (1920, 1080)])
-@pytest.mark.parametrize("dark", [False, True], ids=["light", "dark"])
-def test_looks(page, dark, width, height):
-    check_looks(page, dark, width, height)
+def test_pairs_by_keys(page):
+    page.until("studio.page.picture.picked?.length > 4000")
+    u, v = page.run("studio.page.picture.picked.slice(4 * 500 + 1, 4 * 500 + 3)")
+    key(page, "c")
+    page.run(f"""(() => {{
+        const {{ picture }} = studio.page;
+        picture.cross = [{u} - 12, {v} + 9];
+        picture.canvas.focus();
+    }})()""")
+    key(page, "ArrowRight")
+    key(page, "ArrowUp")
+    key(page, "ArrowRight", modifiers=8)
+    key(page, " ")
+    assert page.run("studio.page.half !== null")
+    key(page, "ArrowDown")
+    key(page, " ")
+    pair = page.run("studio.page.pairs[0]")
+    shown = projected(page, [[pair[name] for name in "xyz"]])[0]
+    assert abs(shown[0] - pair["u"]) < 25 and abs(shown[1] - pair["v"]) < 25
+    key(page, "Delete")
+    assert page.run("studio.page.pairs.length") == 0
+
+
+def test_looks(page):
+    for dark in (False, True):
+        for size in ((1280, 720), (1920, 1080)):
+            check_looks(page, dark, *size)

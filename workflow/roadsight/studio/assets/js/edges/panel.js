@@ -32,7 +32,7 @@ export class Panel {
     this.head.replaceChildren(
       el("h1", {}, "Road edges"),
       el("div", { className: "row" }, this.tools),
-      el("div", { className: "row" }, el("label", {}, snap, "Snap to what was found (Alt: not)")),
+      el("div", { className: "row" }, el("label", {}, snap, "Snap to edges (Alt: not)")),
       el("div", { className: "row" },
         button("Save", () => this.page.save(), { className: "primary", disabled: !history.dirty, "data-do": "save", title: "Ctrl S" }),
         button("Undo", go(-1), { disabled: !history.canUndo, "data-do": "undo", title: "Ctrl Z" }),

@@ -11,7 +11,8 @@ const MODES = { view: "View", turn: "Turn", move: "Move", lens: "Lens", pairs: "
 const KEYS = {
   "V R M L C": "view, turn, move, lens, click pairs",
   "[ ]": "image before, after", "{ }": "rejected image before, after",
-  "Arrows": "turn by 0.05° or move by 0.05 m, with Shift ten times", "+ -": "field of view, or zoom of the view",
+  "Arrows": "turn by 0.05° or move by 0.05 m, with Shift ten times; the cross for pairs by 10 px, with Shift 1 px",
+  "Space": "click where the cross is", "+ -": "field of view, or zoom of the view",
   "Enter": "solve from the pairs", "Delete": "last pair away", "Ctrl Z": "undo", "Ctrl Y": "redo",
 };
 const MODE_KEYS = { v: "view", r: "turn", m: "move", l: "lens", c: "pairs" };
@@ -214,8 +215,10 @@ class RegistrationPage {
     if (key === "+" || key === "-") return this.turn({ focal: key === "+" ? 1.01 : 1 / 1.01 }, "key lens"), true;
     const step = 0.05 * (shiftKey ? 10 : 1);
     const arrow = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[key];
+    if (key === " " && this.mode === "pairs") return this.picture.clickCross(), true;
     if (!arrow) return false;
-    if (this.mode === "move") this.turn({ right: arrow[0] * step, up: arrow[1] * step }, "key move");
+    if (this.mode === "pairs") this.picture.nudge(arrow[0] * (shiftKey ? 1 : 10), -arrow[1] * (shiftKey ? 1 : 10));
+    else if (this.mode === "move") this.turn({ right: arrow[0] * step, up: arrow[1] * step }, "key move");
     else this.turn({ heading: arrow[0] * step, pitch: arrow[1] * step }, "key turn");
     return true;
   }

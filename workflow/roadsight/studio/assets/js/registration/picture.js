@@ -74,6 +74,7 @@ export class Picture {
     if (this.shown.pixels) this.paintPixels(context, at);
     if (this.shown.edges) for (const side of Object.keys(SIDES)) this.paintEdges(context, project, at, side);
     this.paintPairs(context, project, at);
+    this.paintCross(context);
   }
 
   paintPoints(context, project, at, [width, height]) {
@@ -133,6 +134,35 @@ export class Picture {
       if (pair.u === undefined) continue;
       mark(at([pair.u, pair.v]), "#00e676", 8);
       if (seen) { context.beginPath(); context.moveTo(...at(seen)); context.lineTo(...at([pair.u, pair.v])); context.stroke(); }
+    }
+  }
+
+  // The cross that keys move, for pairs without a mouse.
+  nudge(right, down) {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    const [x, y] = this.cross ?? [width / 2, height / 2];
+    this.cross = [Math.max(0, Math.min(width, x + right)), Math.max(0, Math.min(height, y + down))];
+    this.draw();
+  }
+
+  // A click where the cross is.
+  clickCross() {
+    this.nudge(0, 0);
+    const { left, top } = this.canvas.getBoundingClientRect();
+    const at = { clientX: left + this.cross[0], clientY: top + this.cross[1] };
+    this.page.clicked(this.toImage(at), this.pick(at));
+  }
+
+  paintCross(context) {
+    if (!this.cross || this.page.mode !== "pairs") return;
+    const [x, y] = this.cross;
+    for (const [colour, width] of [["#000", 4], ["#fff", 2]]) {
+      context.strokeStyle = colour;
+      context.lineWidth = width;
+      context.beginPath();
+      context.moveTo(x - 16, y); context.lineTo(x - 4, y); context.moveTo(x + 4, y); context.lineTo(x + 16, y);
+      context.moveTo(x, y - 16); context.lineTo(x, y - 4); context.moveTo(x, y + 4); context.lineTo(x, y + 16);
+      context.stroke();
     }
   }
 
