@@ -248,6 +248,12 @@ def test_names_are_changed_and_edges_taken_over(page, project):
     page.run("""[...document.querySelectorAll('button')]
         .find((b) => b.textContent.startsWith('Take over')).click()""")
     assert [edge["name"] for edge in drawing(page)["edges"]] == ["a1"]
+    page.run(
+        "studio.page.references.poles = [{ name: 'p7', x: 30, y: 12 }]; studio.page.panel.fill()"
+    )
+    page.run("""[...document.querySelectorAll('button')]
+        .find((b) => b.textContent === 'Take over the 1 pole found').click()""")
+    assert drawing(page)["mounts"] == [{"name": "p7", "x": 30, "y": 12, "height_m": None}]
     page.run("document.querySelector('[aria-label=\"Rename a1\"]').click()")
     page.run("""(() => {
         document.querySelector('dialog input').value = 'kerb';

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import geopandas as gpd
 import numpy as np
 import pandas as pd
@@ -9,12 +12,17 @@ import pytest
 import shapely
 from shapely import MultiPolygon, box
 
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+from report_site import ReportSite
+
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.mount_files import read_mounts
+from roadsight.io.tables import read_table
 from roadsight.io.vectors import write_geojson
 from roadsight.placement.candidates import HeightSettings, stack_candidates
 from roadsight.placement.sites_for_sensors import outside_zones, positions_on_poles
+from roadsight.stages import place_candidates
 
 ROAD = MultiPolygon([box(0, -4, 100, 4)])
 LOCAL = Frame((1000.0, 2000.0, 0.0), unit_m=0.3048, vertical_unit_m=0.3048)
@@ -81,6 +89,40 @@ def test_wrong_mounts_are_told(tmp_path, rows, problem):
     (tmp_path / "m.csv").write_text("name,x,y,height_m\n" + rows)
     with pytest.raises(InputError, match=problem):
         read_mounts(tmp_path / "m.csv", LOCAL)
+
+
+def test_the_stage_hangs_sensors_on_poles_and_keeps_zones_free(tmp_path):
+    site = ReportSite(tmp_path, placed=False)
+    zone = gpd.GeoDataFrame({"name": ["z"]}, geometry=[box(30, 0, 50, 60)])
+    hung = gpd.GeoDataFrame(
+        {"name": ["in", "out"], "height_m": [9.0, 6.0]},
+        geometry=shapely.points([[40.0, 12.0], [60.0, 12.0]]),
+    )
+    write_geojson(tmp_path / "zones.geojson", zone, site.frame)
+    write_geojson(tmp_path / "mounts.geojson", hung, site.frame)
+    files = {
+        "edges": "placement/edges.gpkg",
+        "pavement": "scene/pavement.gpkg",
+        "dem": "scene/dem.tif",
+        "cloud": "scene/cloud.parquet",
+        "frame": "scene/frame.json",
+    }
+    arguments = [part for name, file in files.items() for part in (f"--{name}", site.path(file))]
+    found = {}
+    for name, options in (
+        ("plain", []),
+        ("drawn", ["--zones", tmp_path / "zones.geojson", "--mounts", tmp_path / "mounts.geojson"]),
+    ):
+        out = ["--site", "tiny", "--out", tmp_path / f"{name}.parquet"]
+        assert place_candidates.main([str(part) for part in [*arguments, *options, *out]]) == 0
+        found[name] = read_table(tmp_path / f"{name}.parquet")
+    in_zone = found["plain"]["x"].between(30, 50)
+    drawn = found["drawn"]
+    on_edges = drawn["mount"] != "pole"
+    assert in_zone.any()
+    assert set(drawn["candidate"][on_edges]) == set(found["plain"]["candidate"][~in_zone])
+    assert set(drawn["key"][~on_edges]) == {"pole-out"}
+    assert drawn["height_m"][~on_edges].max() <= 6.0
 
 
 def test_a_table_without_heights(tmp_path):

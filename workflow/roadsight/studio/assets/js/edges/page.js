@@ -171,8 +171,10 @@ class EdgesPage {
     return { ...rest, tma: changed ? { base: tma.base, add: whole(tma.add), remove: whole(tma.remove) } : null };
   }
 
-  takeOver() {
-    this.history.change((drawing) => { drawing.edges = structuredClone(this.references.automatic); });
+  // What the workflow found becomes what is drawn.
+  takeOver(layer, found) {
+    const items = layer === "mounts" ? found.map(({ name, x, y }) => ({ name, x, y, height_m: null })) : structuredClone(found);
+    this.history.change((drawing) => { drawing[layer] = items; });
   }
 
   async save() {

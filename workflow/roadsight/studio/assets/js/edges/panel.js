@@ -105,8 +105,9 @@ export class Panel {
     const rows = items.map((item, number) => el("li", { "aria-current": editor.chosen?.layer === layer && editor.chosen.item === number ? "true" : null },
       button(item.name, () => this.page.show(layer, number), { "data-focus": `${layer}${number}` }),
       ...this.details(layer, item, number)));
-    const take = layer === "edges" && !items.length && this.page.references.automatic.length
-      ? button(`Take over the ${this.page.references.automatic.length} edges found`, () => this.page.takeOver()) : null;
+    const offered = items.length ? [] : { edges: this.page.references.automatic, mounts: this.page.references.poles }[layer] ?? [];
+    const word = `${layer === "edges" ? "edge" : "pole"}${offered.length === 1 ? "" : "s"}`;
+    const take = offered.length ? button(`Take over the ${offered.length} ${word} found`, () => this.page.takeOver(layer, offered)) : null;
     const empty = { edges: "None: the workflow finds edges itself.", zones: "None.", mounts: "None." }[layer];
     return el("section", {}, el("h2", {}, `${LAYERS[layer].title} (${items.length})`),
       items.length ? el("ul", { className: "list", "data-list": layer }, rows) : el("p", { className: "muted" }, empty), take);
