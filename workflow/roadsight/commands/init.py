@@ -182,9 +182,9 @@ placement:
   edges: null
   # Polygon of the area to be monitored; null takes the pavement that is found.
   tma: null
-  # Polygons in which no sensor may stand, and existing poles that may carry one (points, height_m).
-  zones: null
-  mounts: null
+  # Polygons in which no sensor may stand; existing poles that may carry one (points, height_m).
+  # zones: zones.geojson
+  # mounts: poles.geojson
 """
 
 
