@@ -18,7 +18,7 @@ from roadsight.studio.project import Project
 
 log = logging.getLogger("studio")
 ASSETS = Path(__file__).with_name("assets")
-ROUTES = ("site", "cloud", "drawing", "registration", "run")
+ROUTES = ("site", "cloud", "drawing", "registration", "run", "results")
 _DEFAULT_TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html"}
 
 

@@ -6,6 +6,7 @@ import { button, el, note, showKeys, typing } from "./dom.js";
 const PAGES = {
   edges: { title: "Road edges", load: () => import("./edges/page.js") },
   registration: { title: "Registration", load: () => import("./registration/page.js") },
+  results: { title: "Results", load: () => import("./results/page.js") },
   run: { title: "Run", load: () => import("./run/page.js") },
 };
 const KEYS = { "Alt 1…4": "page", "T": "theme", "?": "these keys" };

@@ -1,0 +1,146 @@
+"""The page Results in a real browser: what-if on a plan, and decisions on poles."""
+
+from __future__ import annotations
+
+import pytest
+from chromium import BINARY, Chromium
+from studio_pages import LOOKS, check_look, click, key, open_studio, text
+from studio_project import Studio, make_project
+
+pytestmark = [
+    pytest.mark.skipif(BINARY is None, reason="no Chromium to open the studio with"),
+    pytest.mark.xdist_group("studio"),
+]
+PART = "studio.page.part"
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory):
+    with Chromium(tmp_path_factory.mktemp("profile")) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def studio(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("results")
+    with Studio(make_project(folder / "project"), folder / "log") as started:
+        yield started
+
+
+@pytest.fixture
+def plan(browser, studio):
+    page = open_studio(browser, studio, "results/tiny")
+    page.until(f"{PART}?.about && studio.page.view.settled")
+    return page
+
+
+def at_rest(page):
+    page.until(f"!{PART}.turn")
+
+
+def press(page, x, y):
+    """Click a place of the view, in pixels of the view."""
+    box = page.run(
+        "(({left, top}) => [left, top])(studio.page.view.element.getBoundingClientRect())"
+    )
+    for kind in ("mousePressed", "mouseReleased"):
+        page.call(
+            "Input.dispatchMouseEvent", type=kind, x=x + box[0], y=y + box[1], button="left",
+            clickCount=1,
+        )  # fmt: skip
+
+
+def pixel(page, row):
+    return page.run(f"studio.page.view.project(...{PART}.place({row}))")
+
+
+def counts(page):
+    return page.run(f"(({{covered, lost, gained}}) => [covered, lost, gained])({PART}.coverage)")
+
+
+def test_a_sensor_is_switched_off_and_on_by_keys(plan):
+    covered = counts(plan)[0]
+    key(plan, "n")
+    alone = plan.run(f"{PART}.coverage.only[0]")
+    key(plan, "o")
+    at_rest(plan)
+    assert counts(plan) == [covered - alone, alone, 0] and alone > 0
+    assert f"−{alone}" in text(plan, ".facts")
+    key(plan, "z", modifiers=2)
+    at_rest(plan)
+    assert counts(plan) == [covered, 0, 0]
+    click(plan, "[data-do=on0]")
+    at_rest(plan)
+    assert counts(plan)[1] == alone
+    click(plan, "[data-do=best]")
+    at_rest(plan)
+    assert counts(plan)[1] < alone and "added" in text(plan, ".list.tall")
+    click(plan, "[data-do=reset]")
+    plan.until(f"!{PART}.changed")
+    assert plan.complaints == []
+
+
+def test_a_sensor_is_moved_to_another_candidate_by_a_click_and_by_keys(plan):
+    key(plan, "n")
+    row = plan.run(f"{PART}.sensors[0].row")
+    other = plan.run(f"""(() => {{ const p = {PART}; const {{ xyz }} = p.about.choices;
+        const far = [...p.about.choices.name.keys()].filter((r) => p.sensors.every((s) =>
+            Math.hypot(xyz[3 * s.row] - xyz[3 * r], xyz[3 * s.row + 1] - xyz[3 * r + 1]) > 3));
+        return p.best(p.atPlace(far[0])); }})()""")
+    click(plan, "[data-do=move]")
+    press(plan, *pixel(plan, other))
+    at_rest(plan)
+    assert plan.run(f"{PART}.sensors[0].row") == other
+    assert "moved" in text(plan, ".list.tall")
+    key(plan, ";")
+    at_rest(plan)
+    lower = plan.run(f"{PART}.about.choices.height_m[{PART}.sensors[0].row]")
+    assert lower <= plan.run(f"{PART}.about.choices.height_m[{other}]")
+    key(plan, ".")
+    at_rest(plan)
+    assert plan.run(f"{PART}.sensors[0].row") not in (row, other)
+
+
+def test_a_sensor_is_added_by_a_click_and_taken_away(plan):
+    before = plan.run(f"{PART}.rows.length")
+    click(plan, "[data-do=add]")
+    free = plan.run(f"""(() => {{ const p = {PART}; const {{ xyz }} = p.about.choices;
+        return [...p.about.choices.name.keys()].find((r) => p.sensors.every((s) =>
+            Math.hypot(xyz[3 * s.row] - xyz[3 * r], xyz[3 * s.row + 1] - xyz[3 * r + 1]) > 3));
+        }})()""")
+    press(plan, *pixel(plan, free))
+    at_rest(plan)
+    assert plan.run(f"{PART}.rows.length") == before + 1
+    key(plan, "Delete")
+    at_rest(plan)
+    assert plan.run(f"{PART}.rows.length") == before and counts(plan)[1:] == [0, 0]
+
+
+def test_other_plans_three_dimensions_and_obstacles(plan):
+    plan.run("""(() => { const list = document.querySelector('[data-do=plan]');
+        list.value = 'os-64'; list.dispatchEvent(new Event('change')); })()""")
+    plan.until(f"{PART}.plan === 'os-64' && {PART}.about.sensors[0].name === 'OS-64'")
+    assert "object, 2.4 m high" in text(plan, ".panel")
+    assert "hidden" in text(plan, ".panel")
+    click(plan, "[data-do=obstacles]")
+    key(plan, "p")
+    plan.until("studio.page.view.mode === '3d' && studio.page.view.settled")
+    assert plan.complaints == []
+
+
+def test_broken_results_are_told_in_a_sentence(plan, studio):
+    path = studio.folder / "results/tiny/placement/os-128/solution.json"
+    before = path.read_text()
+    path.write_text("{")
+    plan.run(f"{PART}.plan = 'os-128'; studio.page.turnTo('sensors')")
+    plan.until("document.querySelector('.panel .message.bad')")
+    assert "os-128/solution.json" in text(plan, ".panel .message.bad")
+    path.write_text(before)
+
+
+@pytest.mark.parametrize(("width", "height", "dark"), LOOKS)
+def test_texts_stand_out_and_nothing_is_cut_off(plan, width, height, dark):
+    key(plan, "n")
+    key(plan, "o")
+    at_rest(plan)
+    check_look(plan, width, height, dark)
