@@ -65,7 +65,7 @@ def test_a_sensor_is_switched_off_and_on_by_keys(plan):
     key(plan, "o")
     at_rest(plan)
     assert counts(plan) == [covered - alone, alone, 0] and alone > 0
-    assert f"−{alone}" in text(plan, ".facts")
+    assert f"\N{MINUS SIGN}{alone}" in text(plan, ".facts")
     key(plan, "z", modifiers=2)
     at_rest(plan)
     assert counts(plan) == [covered, 0, 0]
