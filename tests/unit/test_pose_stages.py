@@ -22,7 +22,7 @@ from roadsight.placement.choices import choices_of, posed_candidates
 from roadsight.placement.detectors import Criteria, detector_of
 from roadsight.placement.poses import Turn, local_from_sensor, split_pose
 from roadsight.placement.sensors import load_sensors
-from roadsight.placement.shapes import Cylinder
+from roadsight.placement.shapes import Box, Cylinder
 from roadsight.placement.sight import Sight
 from roadsight.scene.surfels import Surfels
 from roadsight.stages import (
@@ -264,3 +264,34 @@ class TestScans:
             elevation = np.degrees(np.arctan2(up, np.hypot(ahead, left)))
             beams = np.linspace(-25, 15, 16)
             assert np.abs(elevation[:, None] - beams).min(axis=1).max() < 0.05
+
+
+class TestBoxes:
+    def test_boxes_are_measured_as_the_detector_measures_them(self, road):
+        folder, panoramas = road
+        targets = read_table(folder / "targets").assign(heading_rad=0.3)
+        write_table(folder / "boxed", targets)
+        options = ("--targets", str(folder / "boxed"), "--box", "4.5", "1.8", "1.5")
+        out = detect(folder, "eye", *options, out="eye-boxes")
+        detector = detector_of(load_sensors(str(folder / "sensors.yaml"))["eye"], Criteria(8, 0.16))
+        feet = targets[["x", "y", "z", "heading_rad"]].to_numpy()
+        found = read_detections([out])
+        for name, part in found.groupby("candidate", observed=True):
+            place, turn = split_pose(str(name))
+            rotation = local_from_sensor(panoramas[place].yaw_deg, turn)
+            box = Box(4.5, 1.8, 1.5)
+            measured = detector.measure(
+                panoramas[place], rotation, feet, box, Sight(detector.sensor.range_m)
+            )
+            expected = set(targets["target"][detector.sees(measured)])
+            assert set(part["target"].astype(str)) == expected
+        small = read_detections([detect(folder, "eye")])
+        assert len(found) > len(small) / 2
+        assert read_about(out)["length_m"] == 4.5
+
+    def test_targets_without_headings_are_refused(self, road, capsys):
+        folder, _ = road
+        options = [f"--{key}={folder / key}" for key in ("depth", "candidates", "targets")]
+        options += [f"--sensors={folder / 'sensors.yaml'}", "--sensor=eye", "--out=x"]
+        assert detect_poses.main([*options, "--box", "1", "1", "1"]) == 2
+        assert "has no headings" in capsys.readouterr().err

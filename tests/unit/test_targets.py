@@ -1,9 +1,9 @@
 import numpy as np
 import pytest
-from shapely import MultiPolygon, box
+from shapely import LineString, MultiPolygon, box
 
 from roadsight.errors import InputError
-from roadsight.placement.targets import place_targets, standing_inside
+from roadsight.placement.targets import headings_along, place_targets, standing_inside
 
 
 def block(x, y, n, z=0.0):
@@ -84,3 +84,11 @@ def test_targets_stand_on_the_pavement_and_not_beyond_its_edge(rng):
     assert len(wider) == len(standing_inside(targets, outline, 0.0)) + 4
     assert standing_inside(targets, outline, -10.0).equals(targets)
     assert len(standing_inside(targets, outline, 3.0)) == 0
+
+
+def test_boxes_stand_along_the_nearest_edge():
+    edges = [LineString([(0, 0), (50, 0)]), LineString([(0, 20), (30, 50)])]
+    xy = np.array([[10.0, 2.0], [49.5, -1.0], [11.0, 29.0]])
+    np.testing.assert_allclose(headings_along(edges, xy), [0.0, 0.0, np.pi / 4], atol=1e-9)
+    backwards = [LineString(edge.coords[::-1]) for edge in edges]
+    np.testing.assert_allclose(headings_along(backwards, xy), [0.0, 0.0, np.pi / 4], atol=1e-9)

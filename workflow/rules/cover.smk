@@ -33,7 +33,7 @@ rule solve_cover:
         options=plan_options,
         at_least=setting("cover.at_least"),
         availability=plan_availability,
-        height_m=setting("targets.height_m"),
+        height_m=target_height,
         time_limit_s=setting("cover.time_limit_s"),
         gap=setting("cover.gap"),
         uncoverable=setting("coverage.uncoverable"),
@@ -76,7 +76,7 @@ rule find_obstacles:
     params:
         sensors_file=CONFIG.sensors_file,
         sensors=plan_costs,
-        height_m=setting("targets.height_m"),
+        height_m=target_height,
     shell:
         "python -m roadsight.stages.find_obstacles --solution {input.solution}"
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"

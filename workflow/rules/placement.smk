@@ -54,6 +54,7 @@ rule place_targets:
         pavement=rules.extract_pavement.output.points,
         outline=rules.extract_pavement.output.pavement,
         frame=rules.ingest_cloud.output.frame,
+        edges=edges_of_boxes,
         code=sources("place_targets"),
     output:
         targets="results/{site}/placement/targets.parquet",
@@ -69,7 +70,7 @@ rule place_targets:
         inset_m=setting("targets.inset_m"),
     shell:
         "python -m roadsight.stages.place_targets --pavement {input.pavement}"
-        " --outline {input.outline} --frame {input.frame} --inset-m {params.inset_m}"
+        " --outline {input.outline} --frame {input.frame} --edges {input.edges} --inset-m {params.inset_m}"
         " --cell-size-m {params.cell_size_m} --min-points {params.min_points}"
         " --out {output.targets} > {log} 2>&1"
 
@@ -220,7 +221,8 @@ rule build_detection_shard:
         sensor=sensor_definition,
         sensors_file=CONFIG.sensors_file,
         radius_m=setting("targets.radius_m"),
-        height_m=setting("targets.height_m"),
+        height_m=target_height,
+        box=target_box,
         min_beams=setting("targets.min_beams"),
         azimuth_stride=setting("lidar.azimuth_stride"),
         partial_hits=decision_on("partial_hits"),
@@ -229,7 +231,7 @@ rule build_detection_shard:
         "python -m roadsight.stages.build_detection_shard --depth {input.depth}"
         " --candidates {input.candidates} --targets {input.targets}"
         " --sensor {wildcards.sensor} --sensors {params.sensors_file:q}"
-        " --radius-m {params.radius_m} --height-m {params.height_m}"
+        " --radius-m {params.radius_m} --height-m {params.height_m} {params.box}"
         " --min-beams {params.min_beams} --azimuth-stride {params.azimuth_stride}"
         " --tilts {input.tilts} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"

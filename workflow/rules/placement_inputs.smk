@@ -2,6 +2,7 @@
 
 from roadsight.config.validate import check_path
 from roadsight.placement.light import wavelength_nm
+from roadsight.placement.shapes import KINDS, Box
 
 
 def plans_of(site):
@@ -235,3 +236,36 @@ def lanes_of_plan(wildcards):
     if plans_of(wildcards.site)[wildcards.plan].availability is None:
         return []
     return placement_effect("moving_vehicles", "lanes.parquet")(wildcards)
+
+
+def box_of(site):
+    """The box that targets of a site are; None for cylinders."""
+    targets = SITES[site].settings.targets
+    if targets.kind == "cylinder":
+        return None
+    return KINDS.get(targets.kind) or Box(
+        targets.length_m, targets.width_m, targets.height_m
+    )
+
+
+def target_box(wildcards):
+    """Size of boxes as arguments; nothing for cylinders."""
+    box = box_of(wildcards.site)
+    return (
+        "" if box is None else f"--box {box.length_m} {box.width_m} {box.height_m}"
+    )
+
+
+def target_height(wildcards):
+    box = box_of(wildcards.site)
+    return (
+        setting("targets.height_m")(wildcards)
+        if box is None
+        else NamedValue("targets.height_m", box.height_m)
+    )
+
+
+def edges_of_boxes(wildcards):
+    """Edges along which targets stand, where they are boxes."""
+    boxed = box_of(wildcards.site) is not None
+    return [f"results/{wildcards.site}/placement/edges.gpkg"] if boxed else []

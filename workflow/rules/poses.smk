@@ -35,7 +35,8 @@ rule detect_poses:
         pitch_deg=pose_angles("pitch_deg"),
         roll_deg=pose_angles("roll_deg"),
         radius_m=setting("targets.radius_m"),
-        height_m=setting("targets.height_m"),
+        height_m=target_height,
+        box=target_box,
         min_beams=setting("targets.min_beams"),
         rcs_m2=setting("targets.rcs_m2"),
         partial_hits=decision_on("partial_hits"),
@@ -46,7 +47,7 @@ rule detect_poses:
         " --sensor {wildcards.sensor} --sensors {params.sensors_file:q}"
         " --yaw-deg {params.yaw_deg} --pitch-deg {params.pitch_deg}"
         " --roll-deg {params.roll_deg} --radius-m {params.radius_m}"
-        " --height-m {params.height_m} --min-beams {params.min_beams}"
+        " --height-m {params.height_m} {params.box} --min-beams {params.min_beams}"
         " --rcs-m2 {params.rcs_m2} --tilts {input.tilts} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"

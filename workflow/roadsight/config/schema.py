@@ -145,8 +145,14 @@ class Targets(Section):
         le=10,
         description="targets keep this far inside the outline, m; negative: outside",
     )
-    radius_m: Metres = Field(default=0.25, description="radius of a target, m")
-    height_m: Metres = Field(default=0.6, description="height of a target, m")
+    kind: Literal["cylinder", "pedestrian", "car", "truck", "deer", "box"] = Field(
+        default="cylinder",
+        description="what a target is; box: of your size",
+    )
+    radius_m: Metres = Field(default=0.25, description="radius of a cylinder, m")
+    height_m: Metres = Field(default=0.6, description="height of a cylinder or box, m")
+    length_m: Metres = Field(default=4.5, description="length of a box, along the road, m")
+    width_m: Metres = Field(default=1.8, description="width of a box, m")
     min_beams: int = Field(
         default=8, ge=0, description="seen when more beams than this return from it"
     )

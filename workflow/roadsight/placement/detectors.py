@@ -25,7 +25,7 @@ from roadsight.placement.rasters import (
     spinning_raster,
 )
 from roadsight.placement.sensors import AnySensor
-from roadsight.placement.shapes import Cylinder
+from roadsight.placement.shapes import Shape
 from roadsight.placement.sight import Sight
 from roadsight.placement.spinning import Sensor
 
@@ -59,7 +59,7 @@ class Detector(Protocol):
         panorama: Panorama,
         rotation: _FLOATS,
         feet_m: _FLOATS,
-        shape: Cylinder,
+        shape: Shape,
         sight: Sight,
     ) -> _FLOATS:
         """How well each target (n,) is seen, 0 for not at all.
@@ -101,7 +101,7 @@ class BeamDetector:
         panorama: Panorama,
         rotation: _FLOATS,
         feet_m: _FLOATS,
-        shape: Cylinder,
+        shape: Shape,
         sight: Sight,
     ) -> _FLOATS:
         """Beams, or shares of wide beams."""
@@ -131,7 +131,7 @@ class CameraDetector:
         panorama: Panorama,
         rotation: _FLOATS,
         feet_m: _FLOATS,
-        shape: Cylinder,
+        shape: Shape,
         sight: Sight,
     ) -> _FLOATS:
         """Pixels."""
@@ -163,7 +163,7 @@ class RadarDetector:
         panorama: Panorama,
         rotation: _FLOATS,
         feet_m: _FLOATS,
-        shape: Cylinder,
+        shape: Shape,
         sight: Sight,
     ) -> _FLOATS:
         """Power of the echo over the weakest that is found."""
@@ -173,7 +173,7 @@ class RadarDetector:
         raster = radar_raster(self.sensor)
         seen, met = weigh_targets(panorama, raster, rotation, feet_m, shape.packed, farthest_m)
         share = np.divide(seen, met, out=np.zeros_like(seen), where=met > 0)
-        middles = feet_m - panorama.position_m + np.array([0.0, 0.0, shape.height_m / 2])
+        middles = feet_m[:, :3] - panorama.position_m + np.array([0.0, 0.0, shape.height_m / 2])
         ahead, left, _ = (middles @ rotation).T
         azimuth_deg = np.degrees(np.abs(np.arctan2(left, ahead)))
         range_m = np.maximum(np.linalg.norm(middles, axis=1), 1e-6)

@@ -15,7 +15,13 @@ from numpy.typing import NDArray
 
 from roadsight.placement.footprints import CLEAN_SHARE
 from roadsight.placement.rasters import PINHOLE, SPHERICAL, Raster
-from roadsight.placement.shapes import Packed, ball_around, entered_at, footprint_share
+from roadsight.placement.shapes import (
+    Packed,
+    ball_around,
+    entered_at,
+    footprint_share,
+    relative_to,
+)
 from roadsight.placement.spinning import Sensor
 
 _FLOATS = NDArray[np.float64]
@@ -57,7 +63,8 @@ def weigh_targets(
     Parameters
     ----------
     rotation : (3, 3) whose columns are the sensor's axes in the local frame.
-    feet_m : (n, 3) local metres. shape : of every target. max_range_m : cells see no farther.
+    feet_m : (n, 3) local metres, of boxes (n, 4) with headings. shape : of every target.
+    max_range_m : cells see no farther.
     beam : divergence across and upright, rad, and aperture, m: cells then count by the share of
         their footprint on the target if that is `CLEAN_SHARE` or more; None: lines.
     """
@@ -71,7 +78,7 @@ def weigh_targets(
         raster.weight,
         raster.most,
         np.ascontiguousarray(rotation, np.float64),
-        np.ascontiguousarray(feet_m - panorama.position_m, np.float64),
+        relative_to(feet_m, panorama.position_m),
         shape,
         max_range_m,
         beam is not None,

@@ -1,6 +1,7 @@
 """Shapes of targets, as kernels take them; what looks at them is another matter.
 
-A shape stands on its foot, (3,) relative to the sensor, in the local frame. A kernel knows it by
+A shape stands on its foot, (3,) relative to the sensor, in the local frame; a box's foot is (4,),
+with the heading of its length from local x, counter-clockwise, rad. A kernel knows it by
 its `packed` numbers and asks `entered_at` where a ray enters it and `footprint_share` how much of a
 wide beam lies on it; a further shape is a further number there.
 """
@@ -18,9 +19,9 @@ from roadsight.placement.footprints import overlap, slopes_into
 from roadsight.placement.mounted import entry_range_m
 
 _FLOATS = NDArray[np.float64]
-Packed = tuple[int, float, float]
+Packed = tuple[int, float, float, float]
 
-CYLINDER = 0
+CYLINDER, BOX = 0, 1
 
 
 @dataclass(frozen=True)
@@ -38,21 +39,88 @@ class Cylinder:
     @property
     def packed(self) -> Packed:
         """Number of the shape and its size."""
-        return CYLINDER, float(self.radius_m), float(self.height_m)
+        return CYLINDER, float(self.radius_m), float(self.radius_m), float(self.height_m)
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright, solid box.
+
+    Parameters
+    ----------
+    length_m, width_m, height_m : its size; the length lies along its heading.
+    """
+
+    length_m: float
+    width_m: float
+    height_m: float
+
+    @property
+    def packed(self) -> Packed:
+        """Number of the shape and its size."""
+        return BOX, float(self.length_m), float(self.width_m), float(self.height_m)
+
+
+Shape = Cylinder | Box
+
+KINDS = {
+    "pedestrian": Box(0.5, 0.5, 1.7),
+    "car": Box(5.79, 2.13, 1.30),
+    "truck": Box(9.14, 2.44, 3.35),
+    "deer": Box(1.6, 0.45, 1.0),
+}
+"""Usual boxes. Car: AASHTO Green Book (2018), design vehicle P, with the height of cars in passing
+sight; truck: its design vehicle SU-30, 30 ft long, 8 ft wide, 11 ft high. Pedestrian and deer (a
+white-tailed doe to its back) are round figures of ours."""
+
+
+def relative_to(feet_m: _FLOATS, position_m: _FLOATS) -> _FLOATS:
+    """Feet (n, 3) or (n, 4) relative to a sensor; headings stay."""
+    moved = np.array(feet_m, np.float64)
+    moved[:, :3] -= position_m
+    return np.ascontiguousarray(moved)
 
 
 @njit(cache=True)
 def ball_around(shape: Packed) -> tuple[float, float]:
     """Height of the middle of a ball about a shape, and its radius."""
-    _, radius_m, height_m = shape
-    return height_m / 2, np.sqrt(radius_m**2 + height_m**2 / 4)
+    kind, long_m, wide_m, height_m = shape
+    across = long_m * long_m if kind == CYLINDER else (long_m * long_m + wide_m * wide_m) / 4
+    return height_m / 2, np.sqrt(across + height_m**2 / 4)
 
 
 @njit(cache=True)
 def entered_at(shape: Packed, foot: _FLOATS, ray: tuple[float, float, float]) -> float:
     """Range at which a ray from the origin along a unit vector enters a shape; 0 if it does not."""
-    _, radius_m, height_m = shape
-    return entry_range_m(ray, foot, radius_m, height_m)
+    kind, long_m, wide_m, height_m = shape
+    if kind == CYLINDER:
+        return entry_range_m(ray, foot, long_m, height_m)
+    ahead, left, far_ahead, far_left = _along_box(foot, ray)
+    enter, leave = 0.0, np.inf
+    for middle, half, part in (
+        (far_ahead, long_m / 2, ahead),
+        (far_left, wide_m / 2, left),
+        (foot[2] + height_m / 2, height_m / 2, ray[2]),
+    ):
+        if abs(part) < 1e-12:
+            if abs(middle) > half:
+                return 0.0
+            continue
+        one, two = (middle - half) / part, (middle + half) / part
+        enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
+    return enter if enter < leave else 0.0
+
+
+@njit(cache=True)
+def _along_box(foot: _FLOATS, ray: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """Ray and foot along the length and the width of a box."""
+    cosine, sine = np.cos(foot[3]), np.sin(foot[3])
+    return (
+        cosine * ray[0] + sine * ray[1],
+        cosine * ray[1] - sine * ray[0],
+        cosine * foot[0] + sine * foot[1],
+        cosine * foot[1] - sine * foot[0],
+    )
 
 
 @njit(cache=True)
@@ -72,16 +140,39 @@ def footprint_share(
     ----------
     beam : divergence across and upright, rad, and aperture, m.
     """
-    _, radius_m, height_m = shape
+    kind, long_m, wide_m, height_m = shape
     flat = np.sqrt(ray[0] * ray[0] + ray[1] * ray[1])
     if flat < 1e-9:
         return 1.0
     cosine, sine, slope = ray[0] / flat, ray[1] / flat, ray[2] / flat
-    near, far = chord(foot[0], foot[1], cosine, sine, radius_m)
+    if kind == CYLINDER:
+        half_m = long_m
+        near, far = chord(foot[0], foot[1], cosine, sine, long_m)
+    else:
+        # Half the width of a box across the beam, and where the beam enters and leaves its plan.
+        ahead, left, far_ahead, far_left = _along_box(foot, (cosine, sine, 0.0))
+        half_m = (long_m * abs(left) + wide_m * abs(ahead)) / 2
+        near, far = _stretch(far_ahead, long_m / 2, ahead, far_left, wide_m / 2, left)
     if far <= 0.0:
         return 0.0
     beside = foot[0] * sine - foot[1] * cosine
-    share = overlap(beside, beam[2] + beam[0] * range_m, -radius_m, radius_m)
+    share = overlap(beside, beam[2] + beam[0] * range_m, -half_m, half_m)
     tall = (beam[2] / range_m + beam[1]) * (1 + slope * slope)
     low, high = slopes_into((near, far, foot[2], foot[2] + height_m))
     return share * overlap(slope, tall, low, high)
+
+
+@njit(cache=True)
+def _stretch(
+    ahead_m: float, half_long: float, ahead: float, left_m: float, half_wide: float, left: float
+) -> tuple[float, float]:
+    """Horizontal distances at which a level ray enters and leaves a rectangle; (0, 0) if not."""
+    enter, leave = 0.0, np.inf
+    for middle, half, part in ((ahead_m, half_long, ahead), (left_m, half_wide, left)):
+        if abs(part) < 1e-12:
+            if abs(middle) > half:
+                return 0.0, 0.0
+            continue
+        one, two = (middle - half) / part, (middle + half) / part
+        enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
+    return (enter, leave) if enter < leave else (0.0, 0.0)

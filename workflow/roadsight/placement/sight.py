@@ -7,11 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.placement.boxes import count_box_hits
 from roadsight.placement.detection import count_hits
 from roadsight.placement.earth import rise_m
 from roadsight.placement.footprints import count_shared_hits
 from roadsight.placement.mounted import count_tilted_hits
 from roadsight.placement.sensors import Sensor
+from roadsight.placement.shapes import Box
 
 _FLOATS = NDArray[np.float64]
 
@@ -38,7 +40,7 @@ def count_beams(
     position_m: ArrayLike,
     yaw_deg: float,
     targets_xyz_m: _FLOATS,
-    size_m: tuple[float, float],
+    size_m: tuple[float, float] | Box,
     sight: Sight,
     tilt: _FLOATS | None = None,
 ) -> NDArray[np.int32] | _FLOATS:
@@ -47,7 +49,8 @@ def count_beams(
     Parameters
     ----------
     range_m, position_m, yaw_deg, targets_xyz_m : as `count_hits` takes them.
-    size_m : radius and height of every target.
+        Feet of boxes are (n, 4), with headings.
+    size_m : radius and height of every target, or the box that it is.
     tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame; None: levelled.
     """
     if sight.curved:
@@ -55,6 +58,10 @@ def count_beams(
         offset = targets_xyz_m[:, :2] - np.asarray(position_m)[:2]
         targets_xyz_m = targets_xyz_m.copy()
         targets_xyz_m[:, 2] -= rise_m(np.hypot(*offset.T))
+    if isinstance(size_m, Box):
+        pose = (position_m, yaw_deg, tilt)
+        limits = (sight.max_range_m, sight.footprints)
+        return count_box_hits(range_m, sensor, *pose, targets_xyz_m, size_m, *limits)
     if sight.footprints:
         return count_shared_hits(
             range_m, sensor, position_m, yaw_deg, tilt, targets_xyz_m, *size_m, sight.max_range_m

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pandas as pd
 import shapely
 from numpy.typing import NDArray
-from shapely import MultiPolygon
+from shapely import LineString, MultiPolygon
 
 from roadsight.errors import InputError
 from roadsight.scene.grids import Grid
+
+_TANGENT_M = 2.0
 
 
 def place_targets(
@@ -67,6 +71,22 @@ def standing_inside(targets: pd.DataFrame, outline: MultiPolygon, inset_m: float
     """
     area = outline.buffer(-inset_m)
     return targets[shapely.intersects_xy(area, targets["x"], targets["y"])].reset_index(drop=True)
+
+
+def headings_along(edges: Sequence[LineString], xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Heading (n,) of the nearest edge beside each target, rad from local x, in (-pi/2, pi/2]."""
+    lines = np.array(list(edges), dtype=object)
+    points = shapely.points(xy_m)
+    nearest = shapely.STRtree(lines).nearest(points)
+    along = shapely.line_locate_point(lines[nearest], points)
+    length = shapely.length(lines[nearest])
+    before = shapely.line_interpolate_point(lines[nearest], np.maximum(along - _TANGENT_M, 0.0))
+    after = shapely.line_interpolate_point(lines[nearest], np.minimum(along + _TANGENT_M, length))
+    way = shapely.get_coordinates(after) - shapely.get_coordinates(before)
+    heading = np.arctan2(way[:, 1], way[:, 0])
+    # A box has no front: the same road read backwards gives the same heading.
+    half = np.pi / 2
+    return np.asarray(half - (half - heading) % np.pi)
 
 
 def _names(columns: NDArray[np.int64], rows: NDArray[np.int64]) -> pd.Series:

@@ -17,14 +17,19 @@ from roadsight.io.depth_maps import DepthMaps
 from roadsight.io.detections import write_detections
 from roadsight.io.lanes import read_traffic
 from roadsight.io.poses import read_poses, read_tilts
-from roadsight.io.tables import read_table
 from roadsight.placement.detection import MIN_BEAMS
 from roadsight.placement.lanes import free_shares
 from roadsight.placement.light import range_in_air_m
 from roadsight.placement.sensors import Sensor, load_sensor
+from roadsight.placement.shapes import Box, Shape
 from roadsight.placement.sight import Sight, count_beams
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
+from roadsight.stages.target_inputs import (
+    add_shape_arguments,
+    read_shaped_targets,
+    said_of_shape,
+)
 
 log = logging.getLogger("build_detection_shard")
 
@@ -33,14 +38,13 @@ _MOST_HITS = np.iinfo(np.uint16).max
 
 def build_detection_shard(arguments: argparse.Namespace) -> None:
     """Write a row for each target seen, by candidate and then by target."""
-    targets = read_table(arguments.targets, ["target", "x", "y", "z"])
-    feet_m = targets[["x", "y", "z"]].to_numpy(np.float64)
+    targets, feet_m, shape = read_shaped_targets(arguments)
     traffic = read_traffic(arguments.lanes[0]) if arguments.lanes else None
     names, hits, free = [], [], []
-    for name, position_m, beams in _hits(arguments, feet_m):
+    for name, position_m, beams in _hits(arguments, feet_m, shape):
         seen = np.flatnonzero(beams > arguments.min_beams)
         if traffic is not None:
-            middles = feet_m[seen] + np.array([0.0, 0.0, arguments.height_m / 2])
+            middles = feet_m[seen, :3] + np.array([0.0, 0.0, shape.height_m / 2])
             shares = free_shares(traffic.lanes, position_m, middles)
             often = shares >= traffic.availability
             seen = seen[often]
@@ -52,18 +56,18 @@ def build_detection_shard(arguments: argparse.Namespace) -> None:
     if traffic is not None:
         detections["availability"] = np.concatenate([[], *free]).astype(np.float32)
     log.info("%d candidates, %d targets, %d seen", len(names), len(targets), len(detections))
-    about = {name: getattr(arguments, name) for name in ("radius_m", "height_m", "min_beams")}
+    about = said_of_shape(arguments, shape)
     write_detections(arguments.out, detections, {"sensor": arguments.sensor, **about})
 
 
 def _hits(
-    arguments: argparse.Namespace, feet_m: NDArray[np.float64]
+    arguments: argparse.Namespace, feet_m: NDArray[np.float64], shape: Shape
 ) -> Iterator[tuple[str, NDArray[np.float64], NDArray]]:
     """Candidates in the order of their depth maps, where they are, and their beams on targets."""
     stride = arguments.azimuth_stride
     sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(stride)
     poses = read_poses(arguments.candidates)
-    size_m = (arguments.radius_m, arguments.height_m)
+    size_m = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
     tilts, sight = read_tilts(arguments.tilts), _sight(arguments, sensor)
     maps = _depth_maps(arguments, sensor)
     for name, depth in logged(maps, len(maps), log, "candidates"):
@@ -126,8 +130,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("depth", "candidates", "targets", "sensor", "sensors", "out"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--radius-m", type=float, default=0.25)
-    parser.add_argument("--height-m", type=float, default=0.6)
+    add_shape_arguments(parser)
     parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
     parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
     parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")

@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -17,7 +18,6 @@ from roadsight.io.depth_maps import DepthMaps
 from roadsight.io.detections import write_detections
 from roadsight.io.lanes import SiteTraffic, read_traffic
 from roadsight.io.poses import read_poses, read_tilts
-from roadsight.io.tables import read_table
 from roadsight.placement.aimed import Camera, Radar, Rosette
 from roadsight.placement.detection import MIN_BEAMS
 from roadsight.placement.detectors import Criteria, contrast_range_m, detector_of
@@ -26,10 +26,15 @@ from roadsight.placement.light import range_in_air_m
 from roadsight.placement.posed import Panorama
 from roadsight.placement.poses import local_from_sensor, not_dominated, pose_name, turns_of
 from roadsight.placement.sensors import AnySensor, Sensor, load_sensor, load_sensors
-from roadsight.placement.shapes import Cylinder
+from roadsight.placement.shapes import Shape
 from roadsight.placement.sight import Sight
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
+from roadsight.stages.target_inputs import (
+    add_shape_arguments,
+    read_shaped_targets,
+    said_of_shape,
+)
 
 log = logging.getLogger("detect_poses")
 
@@ -39,13 +44,12 @@ _FLOATS = NDArray[np.float64]
 
 def detect_poses(arguments: argparse.Namespace) -> None:
     """Write a row for each target seen, by candidate, pose and target; ``hits`` as measured."""
-    targets = read_table(arguments.targets, ["target", "x", "y", "z"])
-    feet_m = targets[["x", "y", "z"]].to_numpy(np.float64)
+    targets, feet_m, shape = read_shaped_targets(arguments)
     traffic = read_traffic(arguments.lanes[0]) if arguments.lanes else None
     sensor = load_sensors(arguments.sensors)[arguments.sensor]
     turns = turns_of(arguments.yaw_deg, arguments.pitch_deg, arguments.roll_deg)
     detector = detector_of(sensor, Criteria(arguments.min_beams, arguments.rcs_m2))
-    shape, sight = Cylinder(arguments.radius_m, arguments.height_m), _sight(arguments, sensor)
+    sight = _sight(arguments, sensor)
     tilts, parts, tried = read_tilts(arguments.tilts), [], 0
     for name, panorama in _panoramas(arguments):
         rotations = [local_from_sensor(panorama.yaw_deg, t, tilts.get(name)) for t in turns]
@@ -61,7 +65,7 @@ def detect_poses(arguments: argparse.Namespace) -> None:
                 part["availability"] = shares[found]
             parts.append((pose_name(name, turns[row]), pd.DataFrame(part)))
     log.info("%d of %d poses kept", len(parts), tried)
-    about = {key: getattr(arguments, key) for key in ("radius_m", "height_m", "min_beams")}
+    about: dict[str, Any] = {**said_of_shape(arguments, shape)}
     about |= {"sensor": arguments.sensor, "unit": detector.unit}
     about |= {"poses_tried": tried, "poses_kept": len(parts)}
     names = targets["target"].astype(str)
@@ -72,7 +76,7 @@ def _often(
     seen: NDArray[np.bool_],
     panorama: Panorama,
     feet_m: _FLOATS,
-    shape: Cylinder,
+    shape: Shape,
     traffic: SiteTraffic | None,
 ) -> tuple[NDArray[np.bool_], _FLOATS]:
     """What the poses (m, n) see often enough past traffic, and how often (n,)."""
@@ -80,7 +84,7 @@ def _often(
     if traffic is None:
         return seen, shares
     any_pose = np.flatnonzero(seen.any(axis=0))
-    middles = feet_m[any_pose] + np.array([0.0, 0.0, shape.height_m / 2])
+    middles = feet_m[any_pose, :3] + np.array([0.0, 0.0, shape.height_m / 2])
     shares[any_pose] = free_shares(traffic.lanes, panorama.position_m, middles)
     return seen & (shares >= traffic.availability), shares
 
@@ -146,8 +150,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     for name in ("yaw-deg", "pitch-deg", "roll-deg"):
         parser.add_argument(f"--{name}", type=float, nargs="+", default=[0.0])
-    parser.add_argument("--radius-m", type=float, default=0.25)
-    parser.add_argument("--height-m", type=float, default=0.6)
+    add_shape_arguments(parser)
     parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
     parser.add_argument("--rcs-m2", type=float, default=0.16, help="radar cross-section of targets")
     parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")

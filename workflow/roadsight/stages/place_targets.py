@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 
+import numpy as np
 import shapely
 from shapely import MultiPolygon
 
@@ -13,7 +14,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
 from roadsight.io.tables import read_table, write_table
 from roadsight.io.vectors import read_layer
-from roadsight.placement.targets import place_targets, standing_inside
+from roadsight.placement.targets import headings_along, place_targets, standing_inside
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("place_targets")
@@ -23,8 +24,13 @@ def write_targets(arguments: argparse.Namespace) -> None:
     """Write the targets."""
     points = read_table(arguments.pavement, ["x", "y", "z"])
     targets = place_targets(points.to_numpy(), arguments.cell_size_m, arguments.min_points)
-    outline = _outline(arguments.outline, Frame.from_dict(read_json(arguments.frame)))
+    frame = Frame.from_dict(read_json(arguments.frame))
+    outline = _outline(arguments.outline, frame)
     inside = standing_inside(targets, outline, arguments.inset_m)
+    if arguments.edges:
+        edges = read_layer(arguments.edges[0], "edges", frame)
+        xy_m = inside[["x", "y"]].to_numpy(np.float64)
+        inside["heading_rad"] = headings_along(list(edges.geometry), xy_m)
     log.info(
         "%d targets on %d pavement points; %d more stand off it or too near its edge",
         len(inside),
@@ -46,6 +52,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--pavement", required=True, help="pavement points")
     parser.add_argument("--outline", required=True, help="pavement polygons")
     parser.add_argument("--frame", required=True)
+    parser.add_argument("--edges", nargs="*", default=[], help="along which boxes stand")
     parser.add_argument("--inset-m", type=float, default=0.0)
     parser.add_argument("--cell-size-m", type=float, default=1.0)
     parser.add_argument("--min-points", type=int, default=25)
