@@ -251,9 +251,7 @@ def box_of(site):
 def target_box(wildcards):
     """Size of boxes as arguments; nothing for cylinders."""
     box = box_of(wildcards.site)
-    return (
-        "" if box is None else f"--box {box.length_m} {box.width_m} {box.height_m}"
-    )
+    return "" if box is None else f"--box {box.length_m} {box.width_m} {box.height_m}"
 
 
 def target_height(wildcards):
