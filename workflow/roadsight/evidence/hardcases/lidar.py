@@ -17,11 +17,16 @@ from scipy.spatial import cKDTree
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
 from roadsight.io.clouds import read_laz, write_laz
+from roadsight.placement.aimed import Camera
 from roadsight.placement.detection import count_hits
+from roadsight.placement.detectors import Criteria, detector_of
 from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.obstacles import blocked_sight_lines
+from roadsight.placement.posed import Panorama
 from roadsight.placement.rays import sensor_from_spherical, spherical_from_sensor
 from roadsight.placement.sensors import Sensor
+from roadsight.placement.shapes import Cylinder
+from roadsight.placement.sight import Sight
 from roadsight.placement.surfel_lidar import SurfelLidar
 from roadsight.scene.surfels import build_surfels
 from roadsight.scene.voxel_moments import sum_moments
@@ -212,6 +217,26 @@ def sensor_above_a_target(rng: np.random.Generator) -> Errors:
     nothing = np.zeros(sensor.shape, np.float32)
     ours = count_hits(nothing, sensor, _AT, 0.0, feet)
     return np.count_nonzero(np.isnan(half)), np.count_nonzero(ours <= 8)
+
+
+@hard_case("detect_poses", bound=0.5, unit="targets behind the camera that it sees")
+def targets_behind_a_camera(rng: np.random.Generator) -> Errors:
+    """A pinhole shows what lies behind it upside down, as if it stood in front."""
+    size = {"columns_px": 800, "rows_px": 600, "hfov_deg": 60, "min_pixels": 20}
+    camera = Camera.model_validate({"kind": "camera", "range_m": 100} | size)
+    away_m, across = rng.uniform(10, 40, 200), np.tan(np.radians(rng.uniform(-20, 20, 200)))
+    feet = np.column_stack([-away_m, away_m * across, np.full(200, -0.3)])
+    u = camera.focal_px * feet[:, 1] / feet[:, 0]
+    naive = (np.abs(u) < 400) & (np.abs(camera.focal_px * 0.3 / feet[:, 0]) < 300)
+    sensor = _sensor()
+    empty = Panorama(np.zeros(sensor.shape, np.float32), sensor, np.zeros(3), 0.0)
+    detector = detector_of(camera, Criteria(8, 0.16))
+    shape, sight = Cylinder(0.25, 0.6), Sight(100.0)
+    behind, ahead = (
+        detector.sees(detector.measure(empty, np.eye(3), turned, shape, sight))
+        for turned in (feet, feet * [-1, -1, 1])
+    )
+    return np.count_nonzero(naive), np.count_nonzero(behind) + np.count_nonzero(~ahead)
 
 
 @hard_case("render_scans", bound=0.001, unit="m")
