@@ -4,14 +4,14 @@
 // When it rests, the other points are added over the next frames, without clearing.
 
 import { el, themeColour } from "../dom.js";
-import { Color, MapControls, OrthographicCamera, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "../vendor.js";
+import { Color, Scene, Vector3, WebGLRenderer } from "../vendor.js";
+import { FIELD_OF_VIEW_DEG, camerasOf } from "./cameras.js";
 import { modeNumber, pointMaterial } from "./material.js";
 import { COARSEST_PX, Tiles } from "./tiles.js";
 
 const FRAME_MS = { slow: 45, fast: 22 };
 const BUDGET = { least: 60_000, first: 600_000 };
 const REST_MS = 150;
-const FIELD_OF_VIEW_DEG = 50;
 
 export class CloudView {
   constructor(stem, about, options = {}) {
@@ -29,44 +29,12 @@ export class CloudView {
     this.ondraw = options.ondraw ?? (() => {});
     this.budget = BUDGET.first;
     this.stats = { frames: [], points: 0 };
-    this.setUpCameras();
+    Object.assign(this, camerasOf(about.tiles, this.canvas, () => this.moved()));
     this.setMode("plan");
     this.resizing = new ResizeObserver(() => this.resize());
     this.resizing.observe(this.element);
     this.themed = () => this.draw();
     addEventListener("themechange", this.themed);
-  }
-
-  setUpCameras() {
-    const boxes = this.about.tiles.map(({ box }) => box);
-    const low = [0, 1, 2].map((k) => Math.min(...boxes.map((box) => box[k])));
-    const high = [3, 4, 5].map((k) => Math.max(...boxes.map((box) => box[k])));
-    this.box = { low, high };
-    const middle = low.map((value, k) => (value + high[k]) / 2);
-    this.extent = Math.max(high[0] - low[0], high[1] - low[1], 1);
-    const ground = Math.min(low[2] + 0.15 * (high[2] - low[2]), middle[2]);
-    this.cameras = {
-      plan: new OrthographicCamera(-1, 1, 1, -1, 0.1, 10_000),
-      "3d": new PerspectiveCamera(FIELD_OF_VIEW_DEG, 1, 0.3, 20 * this.extent + 500),
-    };
-    this.controls = {};
-    for (const [mode, camera] of Object.entries(this.cameras)) {
-      camera.up.set(0, 0, 1);
-      const target = new Vector3(middle[0], middle[1], ground);
-      if (mode === "plan") {
-        camera.up.set(0, 1, 0);
-        camera.position.set(target.x, target.y, 5000);
-      } else camera.position.set(target.x, target.y - 0.55 * this.extent, ground + 0.35 * this.extent);
-      const controls = new MapControls(camera, this.canvas);
-      Object.assign(controls, { enableDamping: false, zoomToCursor: true, screenSpacePanning: mode === "plan", enableRotate: mode === "3d", maxPolarAngle: (mode === "3d" ? 0.495 : 1) * Math.PI });
-      if (mode === "plan") controls.minZoom = 1e-4;
-      else controls.minDistance = 1;
-      controls.target.copy(target);
-      controls.update();
-      controls.enabled = false;
-      controls.addEventListener("change", () => this.moved());
-      this.controls[mode] = controls;
-    }
   }
 
   setMode(mode) {
