@@ -115,3 +115,37 @@ rule render_scans:
         " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file:q}"
         " --tilts {input.tilts} --air {input.rain} {input.fog} --surfaces {input.surfaces}"
         " --out {output.scans} > {log} 2>&1"
+
+
+rule measure_data:
+    input:
+        solution=rules.solve_cover.output.solution,
+        targets=rules.place_targets.output.targets,
+        detections=plan_detections,
+        edges=rules.build_edges.output.edges,
+        pavement=rules.extract_pavement.output.pavement,
+        frame=rules.ingest_cloud.output.frame,
+        scans=rules.render_scans.output.scans,
+        code=sources("measure_data"),
+    output:
+        data="results/{site}/placement/{plan}/data.json",
+        layers="results/{site}/placement/{plan}/data.gpkg",
+    log:
+        log_of("measure_data", "{plan}"),
+    benchmark:
+        benchmark_of("measure_data", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
+        frames_hz=setting("lidar.frames_hz"),
+    shell:
+        "python -m roadsight.stages.measure_data --solution {input.solution}"
+        " --targets {input.targets} --detections {input.detections} --edges {input.edges}"
+        " --pavement {input.pavement} --frame {input.frame} --sensors {params.sensors_file:q}"
+        " --scans {input.scans} --frames-hz {params.frames_hz}"
+        " --out {output.data} --layers {output.layers} > {log} 2>&1"

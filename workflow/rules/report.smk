@@ -22,6 +22,7 @@ rule summarise_site:
         coverage=placement_only(last_coverage),
         solutions=placement_only(plan_solutions),
         timings=placement_only(plan_timings),
+        data=placement_only(plan_data),
         code=sources("summarise_site"),
     output:
         summary="results/{site}/summary.json",
@@ -41,7 +42,7 @@ rule summarise_site:
         " --frame {input.frame} --profile {input.profile}"
         " --effects {input.effects}"
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
-        " --timings {input.timings} --frames {input.frames} --cameras {input.cameras}"
+        " --timings {input.timings} --data {input.data} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
         " --camera-scores {input.camera_scores}"
         " --out {output.summary} > {log} 2>&1"

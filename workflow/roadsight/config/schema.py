@@ -181,6 +181,12 @@ class Lidar(Section):
     azimuth_stride: Count = Field(
         default=1, description="only every n-th azimuth is simulated and stands for n beams"
     )
+    frames_hz: float = Field(
+        default=10.0,
+        gt=0,
+        le=1000,
+        description="turns of spinning LiDARs and frames of cameras, for data rates, per s",
+    )
     clear_below_m: float = Field(
         default=0.0,
         ge=0,

@@ -44,6 +44,7 @@ TEMPLATES = (
     "sensors.html.j2",
     "options.html.j2",
     "sight.html.j2",
+    "data.html.j2",
     "gaps.html.j2",
     "evidence.html.j2",
     "effects.html.j2",
@@ -156,6 +157,7 @@ def _scene(page: _Page) -> dict[str, Any]:
         "plans": plan_views(page["plans"], Frame.from_dict(page["frame"])),
         "asked": _has(page, "options"),
         "sight": _has(page, "availability"),
+        "shared": _has(page, "data"),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
         **_cloud(page),
         **_evidence(page),
@@ -284,7 +286,8 @@ def _sections(
         results = [("sensors", "Chosen sensors"), ("gaps", "Uncovered targets")]
         asked = [("options", "Plan options")] if _has(page, "options") else []
         seen = [("sight", "In sight past traffic")] if _has(page, "availability") else []
-        results[1:1] = [*asked, *seen]
+        data = [("data", "Hand-over and data")] if _has(page, "data") else []
+        results[1:1] = [*asked, *seen, *data]
         found = [("plans", "Plans compared"), *views, *results] if page["plans"] else views
     if poles is not None:
         found += poles["sections"]

@@ -135,7 +135,7 @@ def build_page(
         layers["targets"] = target_layer(placement.targets)
         results = summary["placement"]
         plans = [
-            _plan(plan, placement, scene.frame, results[plan.solution["plan"]]["seconds_cpu"])
+            _plan(plan, placement, scene.frame, results[plan.solution["plan"]])
             for plan in placement.plans
         ]
     return {
@@ -152,7 +152,7 @@ def build_page(
 
 
 def _plan(
-    plan: PlanResult, placement: Placement, frame: Frame, seconds_cpu: float
+    plan: PlanResult, placement: Placement, frame: Frame, result: dict[str, Any]
 ) -> dict[str, Any]:
     """One plan's result with what its sensors see."""
     solution = plan.solution
@@ -171,7 +171,8 @@ def _plan(
         "title": plan.title,
         **{key: solution[key] for key in kept},
         **({} if options is None else {"options": options}),
-        "seconds_cpu": seconds_cpu,
+        "seconds_cpu": result["seconds_cpu"],
+        **({"data": result["data"]} if "data" in result else {}),
         "at_least": at_least,
         "proven": proven,
         "targets": len(placement.targets),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from roadsight.geometry.frames import Frame
+from roadsight.report.data_view import data_view
 from roadsight.report.options_view import is_soft, options_view
 from roadsight.report.sight_view import sight_view
 from roadsight.report.wording import number
@@ -31,6 +32,7 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
             "bound_width": _width(plan["bound"] or 0.0, dearest),
             "asked": options_view(plan),
             "sight": sight_view(plan),
+            "shared": data_view(plan),
             "covered": plan["targets"] - len(plan["gaps"]),
             "most_seen": max([1, *plan["histogram"]]),
             "reduced": _reductions(plan["reductions"]),

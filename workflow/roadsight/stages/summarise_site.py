@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -41,6 +42,8 @@ def summarise_site(arguments: argparse.Namespace) -> None:
         for solution_path, timing_path in zip(arguments.solutions, arguments.timings, strict=True):
             solution = read_json(solution_path) | read_json(timing_path)
             summary["placement"][solution["plan"]] = _plan(solution, coverage["candidates"])
+        for path in arguments.data:
+            summary["placement"][Path(path).parent.name]["data"] = read_json(path)
     if arguments.poles:
         summary["poles"] = _poles(arguments)
     write_json(arguments.out, summary)
@@ -126,7 +129,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("frames", "poles", "validation", "camera-scores"):
         parser.add_argument(f"--{name}", nargs="?")
     shards, tables = ("cameras", "sightings"), ("given", "scores", "traffic", "coverage")
-    for name in (*shards, *tables, "solutions", "timings"):
+    for name in (*shards, *tables, "solutions", "timings", "data"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 

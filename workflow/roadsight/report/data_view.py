@@ -1,0 +1,47 @@
+"""What the report says of hand-over between sensors and of their data."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from roadsight.report.wording import metres, number, percent
+
+_MEGA = 1e6
+
+
+def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
+    """Figures of a plan and rows of its sensors along the road; None where nobody measured."""
+    found = plan.get("data")
+    if found is None:
+        return None
+    rows = [
+        ("Targets seen by two sensors or more", percent(found["share_seen_by_two"])),
+        ("Sensors that see a target, mean", number(found["mean_sensors"], 2)),
+        ("Road that neighbours both see, mean", _metres(found["mean_overlap_m"])),
+        ("Points measured", _millions(found["points_per_s"], "points")),
+        ("of these on the road", _millions(found["road_points_per_s"], "points")),
+        ("Pixels taken", _millions(found["pixels_per_s"], "pixels")),
+    ]
+    numbers = {sensor["candidate"]: sensor["number"] for sensor in plan["sensors"]}
+    sensors = [
+        {
+            "number": numbers.get(entry["candidate"]),
+            "sensor": entry["sensor"],
+            "station": metres(entry["station_m"]),
+            "overlap": _metres(entry.get("overlap_with_next_m")),
+            "points": _millions(entry["points_per_s"], "points")
+            or _millions(entry["pixels_per_s"], "pixels"),
+            "road": _millions(entry["road_points_per_s"], "points"),
+        }
+        for entry in sorted(found["sensors"], key=lambda entry: entry["station_m"])
+    ]
+    return {"rows": [row for row in rows if row[1]], "sensors": sensors}
+
+
+def _metres(value: float | None) -> str:
+    return "" if value is None else metres(value)
+
+
+def _millions(value: float, unit: str) -> str:
+    """Nothing for none."""
+    return f"{number(value / _MEGA, 2)} million {unit}/s" if value else ""

@@ -1,0 +1,136 @@
+"""What the sensors of a plan share along the road, and the data that they make."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.atomic import read_json, write_json
+from roadsight.io.clouds import read_laz
+from roadsight.io.detections import read_detections
+from roadsight.io.tables import read_about, read_table
+from roadsight.io.vectors import read_layer, write_layers
+from roadsight.placement.handover import (
+    data_rates,
+    frames_per_s,
+    handover,
+    overlaps,
+    stations_m,
+)
+from roadsight.placement.sensors import load_sensors
+from roadsight.scene.pavement import inside
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("measure_data")
+
+
+def measure_data(arguments: argparse.Namespace) -> None:
+    """Write figures of the plan and of each sensor, and these as a layer."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    chosen = pd.DataFrame(
+        read_json(arguments.solution)["sensors"], columns=["candidate", "sensor", "x", "y", "z"]
+    )
+    targets = read_table(arguments.targets, ["target", "x", "y"])
+    seen = _seen(arguments.detections, chosen, targets["target"])
+    edges = list(read_layer(arguments.edges, "edges", frame).geometry)
+    along = stations_m(edges, targets[["x", "y"]].to_numpy(np.float64))
+    at = stations_m(edges, chosen[["x", "y"]].to_numpy(np.float64))
+    cell_m = float(read_about(arguments.targets)["cell_size_m"])
+    pairs = overlaps(seen, along, at, cell_m)
+    table = chosen.assign(station_m=at, **_rates(arguments, frame, chosen))
+    for pair in pairs:
+        table.loc[pair["sensor"], "overlap_with_next_m"] = pair["length_m"]
+    totals = {
+        name: float(table[name].sum())
+        for name in ("points_per_s", "pixels_per_s", "road_points_per_s")
+    }
+    shared = float(np.mean([pair["length_m"] for pair in pairs])) if pairs else None
+    content = {
+        **handover(seen.sum(axis=0, dtype=np.int64)),
+        "mean_overlap_m": shared,
+        "overlaps": [_named(pair, chosen) for pair in pairs],
+        **totals,
+        "sensors": table.drop(columns=["x", "y", "z"])
+        .astype(object)
+        .where(table.drop(columns=["x", "y", "z"]).notna(), None)
+        .to_dict("records"),
+    }
+    write_json(arguments.out, content)
+    points = gpd.points_from_xy(table["x"], table["y"], table["z"])
+    layer = gpd.GeoDataFrame(table.drop(columns=["x", "y", "z"]), geometry=points)
+    write_layers(arguments.layers, {"sensors": layer}, frame)
+    log.info("%.0f points a second, %.0f on the road", totals["points_per_s"],
+             totals["road_points_per_s"])  # fmt: skip
+
+
+def _seen(paths: list[str], chosen: pd.DataFrame, targets: pd.Series) -> NDArray[np.bool_]:
+    """Which targets each chosen sensor sees, (sensors, targets)."""
+    detections = read_detections(paths)
+    keys = pd.MultiIndex.from_frame(chosen[["sensor", "candidate"]].astype(str))
+    rows = keys.get_indexer(
+        pd.MultiIndex.from_frame(detections[["sensor", "candidate"]].astype(str))
+    )
+    used = rows >= 0
+    columns = pd.Index(targets.astype(str)).get_indexer(
+        pd.Index(detections["target"][used].astype(str))
+    )
+    seen = np.zeros((len(chosen), len(targets)), bool)
+    seen[rows[used], columns] = True
+    return seen
+
+
+def _rates(
+    arguments: argparse.Namespace, frame: Frame, chosen: pd.DataFrame
+) -> dict[str, NDArray[np.float64]]:
+    """Points and pixels a second of each sensor, and its points on the road."""
+    sensors = load_sensors(arguments.sensors)
+    kinds = [sensors[name] for name in chosen["sensor"]]
+    rates = [data_rates(kind, arguments.frames_hz) for kind in kinds]
+    scans = np.array([frames_per_s(kind, arguments.frames_hz) for kind in kinds])
+    return {
+        "points_per_s": np.array([rate.get("points_per_s", 0.0) for rate in rates]),
+        "pixels_per_s": np.array([rate.get("pixels_per_s", 0.0) for rate in rates]),
+        "road_points_per_s": scans * _on_road(arguments, frame, len(chosen)),
+    }
+
+
+def _on_road(arguments: argparse.Namespace, frame: Frame, count: int) -> NDArray[np.float64]:
+    """Returns of one simulated scan of each sensor within the pavement's outline."""
+    if not count:
+        return np.zeros(0)
+    parts = read_layer(arguments.pavement, "pavement", frame).geometry.to_numpy()
+    outline = shapely.multipolygons(shapely.get_parts(parts))
+    scan = read_laz(arguments.scans)
+    xyz_m = frame.to_local(scan.xyz)
+    number = scan.dims["point_source_id"].astype(np.int64) - 1
+    on_road = inside(outline, xyz_m[:, 0], xyz_m[:, 1])
+    return np.bincount(number[on_road], minlength=count).astype(np.float64)
+
+
+def _named(pair: dict[str, Any], chosen: pd.DataFrame) -> dict[str, Any]:
+    names = chosen["candidate"]
+    return pair | {"sensor": str(names[pair["sensor"]]), "next": str(names[pair["next"]])}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    names = ("solution", "targets", "edges", "pavement", "frame", "sensors", "scans")
+    for name in (*names, "out", "layers"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--detections", nargs="+", required=True)
+    parser.add_argument("--frames-hz", type=float, default=10.0)
+    return run_stage(parser, measure_data, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
