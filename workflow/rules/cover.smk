@@ -61,6 +61,10 @@ rule find_obstacles:
         surfels=rules.build_surfels.output.surfels,
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        lanes=placement_effect("moving_vehicles", "lanes.parquet"),
         code=sources("find_obstacles"),
     output:
         obstacles="results/{site}/placement/{plan}/obstacles.gpkg",
@@ -82,7 +86,8 @@ rule find_obstacles:
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
         " --candidates {input.candidates} --detections {input.detections}"
         " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
-        " --sensors {params.sensors_file:q}"
+        " --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
+        " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
 
 

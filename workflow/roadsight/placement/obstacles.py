@@ -26,7 +26,7 @@ _LEVELS = (0.25, 0.5, 0.75, 1.0)
 _NEAR_M = 0.4
 _CELL_M = 1.0
 # Candidates at which an uncovered target is judged.
-_NEAREST = 8
+NEAREST = 8
 
 
 def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
@@ -154,7 +154,7 @@ def explain_gaps(
         raise InputError("no candidate at which to judge the uncovered targets")
     place = candidates[["x", "y", "z"]].to_numpy(np.float64)
     foot = targets[["x", "y", "z"]].to_numpy(np.float64)
-    count = min(_NEAREST, len(candidates))
+    count = min(NEAREST, len(candidates))
     distance, near = cKDTree(place).query(foot, k=count)
     distance, near = distance.reshape(-1, count), near.reshape(-1, count)
     pairs = targets[["target", "x", "y", "z"]].loc[targets.index.repeat(count)]

@@ -14,10 +14,14 @@ import pandas as pd
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
 from roadsight.io.detections import read_detections
+from roadsight.io.lanes import read_traffic
 from roadsight.io.rasters import read_raster
 from roadsight.io.surfels import read_surfels
 from roadsight.io.tables import read_table
 from roadsight.io.vectors import write_layers
+from roadsight.placement.detectors import contrast_range_m
+from roadsight.placement.gap_reasons import hidden_too_often, refine_reasons
+from roadsight.placement.light import range_in_air_m
 from roadsight.placement.obstacles import (
     Cast,
     blocked_sight_lines,
@@ -26,7 +30,7 @@ from roadsight.placement.obstacles import (
     pairs_in_range,
 )
 from roadsight.placement.poses import Turn, local_from_sensor
-from roadsight.placement.sensors import AimedSensor, AnySensor, load_sensors
+from roadsight.placement.sensors import AimedSensor, AnySensor, Camera, Radar, load_sensors
 from roadsight.placement.surfel_lidar import SurfelLidar
 from roadsight.stages.command import run_stage
 
@@ -111,10 +115,43 @@ def _gaps(
     range_m = max(sensors[name].range_m for name in names)
     gaps = targets[targets["target"].isin(uncovered)].reset_index(drop=True)
     gaps = explain_gaps(gaps, candidates, range_m, arguments.target_height_m, cast)
+    gaps["reason"] = _with_effects(arguments, gaps, candidates, {n: sensors[n] for n in names})
     if any(isinstance(sensors[name], AimedSensor) for name in names):
         other = "out of view, or too few beams, pixels or echo"
         gaps["reason"] = gaps["reason"].replace("too few beams", other)
     return gaps
+
+
+def _with_effects(
+    arguments: argparse.Namespace,
+    gaps: pd.DataFrame,
+    candidates: pd.DataFrame,
+    sensors: dict[str, AnySensor],
+) -> pd.Series:
+    """Reasons with those of weather, dark targets and traffic, where these are simulated."""
+    air = [read_json(path)["extinction_per_m"] for path in arguments.air]
+    dark = [read_json(path)["target_range_m"] for path in arguments.reflectivity]
+    bright_m = max(_reach_m(n, s, s.range_m, air) for n, s in sensors.items())
+    dark_m = max(
+        _reach_m(n, s, min([s.range_m, *(table.get(n, np.inf) for table in dark)]), air)
+        for n, s in sensors.items()
+    )
+    often = None
+    if arguments.lanes and len(gaps):
+        traffic = read_traffic(arguments.lanes[0])
+        place = (gaps, candidates, traffic.lanes, traffic.availability)
+        often = hidden_too_often(*place, arguments.target_height_m)
+    return refine_reasons(gaps, bright_m, dark_m, often)
+
+
+def _reach_m(name: str, sensor: AnySensor, clear_m: float, air: list[dict[str, float]]) -> float:
+    """Range of a sensor in the air of the site, given that in clear air."""
+    if isinstance(sensor, Radar):
+        return sensor.range_m
+    extinction = sum(table[name] for table in air)
+    if isinstance(sensor, Camera):
+        return min(sensor.range_m, contrast_range_m(extinction))
+    return float(range_in_air_m(clear_m, extinction))
 
 
 def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
@@ -131,6 +168,9 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--candidates", nargs="+", required=True)
     parser.add_argument("--detections", nargs="+", required=True)
+    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
+    parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
+    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
     parser.add_argument("--target-height-m", type=float, default=0.6)
     return run_stage(parser, find_obstacles, argv)
 
