@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 from chromium import BINARY, Chromium
 from studio_pages import LOOKS, check_look, click, key, open_studio, text
@@ -144,3 +146,77 @@ def test_texts_stand_out_and_nothing_is_cut_off(plan, width, height, dark):
     key(plan, "o")
     at_rest(plan)
     check_look(plan, width, height, dark)
+
+
+@pytest.fixture
+def poles(browser, studio):
+    page = open_studio(browser, studio, "results/drive")
+    page.until(f"{PART}?.about && studio.page.view.settled")
+    yield page
+    folder = studio.folder / "config/sites"
+    shutil.rmtree(folder / "drive", ignore_errors=True)
+    text = (folder / "drive.yaml").read_text()
+    (folder / "drive.yaml").write_text(text.replace("  decisions: drive/pole_decisions.csv\n", ""))
+
+
+def decisions(page):
+    found = page.run(f"{PART}.history.now.decisions")
+    return {one["pole"]: one["decision"] for one in found}
+
+
+def test_poles_are_accepted_rejected_moved_and_saved(poles, studio):
+    names = poles.run(f"{PART}.about.poles.slice(0, 3).map(({{ id }}) => id)")
+    for letter in "ar":
+        key(poles, "n")
+        key(poles, letter)
+    key(poles, "n")
+    click(poles, "[data-do=move]")
+    place = poles.run(f"{PART}.about.poles[2].base.map((value, n) => value + 2 - 3 * n)")
+    u, v = poles.run(f"studio.page.view.project({place[0]}, {place[1]})")
+    press(poles, u, v)
+    assert decisions(poles) == dict(zip(names, ("accept", "reject", "move"), strict=True))
+    before = poles.run(f"{PART}.history.now.decisions[2].to_x")
+    key(poles, "ArrowRight", modifiers=8)
+    assert abs(poles.run(f"{PART}.history.now.decisions[2].to_x") - before - 1) < 1e-6
+    poles.call("Page.reload")
+    poles.until(f"window.{PART.replace('.', '?.')}?.about")
+    assert len(decisions(poles)) == 3
+    key(poles, "s", modifiers=2)
+    poles.until(f"!{PART}.history.dirty")
+    table = (studio.folder / "config/sites/drive/pole_decisions.csv").read_text().splitlines()
+    assert table[0] == "decision,kind,x,y,to_x,to_y,pole" and len(table) == 4
+    key(poles, "n")
+    key(poles, "u")
+    key(poles, "z", modifiers=2)
+    assert len(decisions(poles)) == 3
+    assert poles.run("document.querySelector('[data-do=save]').disabled")
+
+
+def test_the_list_is_filtered_and_a_missing_image_is_told(poles):
+    click(poles, "[data-do=filter-decided]")
+    assert poles.run("document.querySelectorAll('.list.tall li').length") == 0
+    click(poles, "[data-do=filter-all]")
+    seen = poles.run(f"{PART}.about.poles.findIndex((pole) => pole.seen.length)")
+    poles.run(f"{PART}.about.poles[{seen}].seen[0].image = 'gone.jpg'; {PART}.choose({seen})")
+    poles.until("document.querySelector('.panel .message')")
+    assert "no such image" in text(poles, ".panel .message")
+
+
+def test_the_image_is_shown_with_the_pole_marked(poles):
+    seen = poles.run(f"{PART}.about.poles.findIndex((pole) => pole.seen.length)")
+    poles.run(f"{PART}.choose({seen})")
+    poles.until("document.querySelector('canvas.shot')")
+    yellow = poles.run("""(() => {
+        const canvas = document.querySelector('canvas.shot');
+        const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+        return Array.from({ length: data.length / 4 }, (_, n) => 4 * n)
+            .filter((n) => data[n] === 255 && data[n + 1] === 212 && data[n + 2] === 0).length;
+    })()""")
+    assert yellow > 20
+
+
+@pytest.mark.parametrize(("width", "height", "dark"), LOOKS)
+def test_poles_stand_out_too(poles, width, height, dark):
+    key(poles, "n")
+    key(poles, "r")
+    check_look(poles, width, height, dark)

@@ -8,10 +8,12 @@ import pytest
 
 from roadsight.studio.drawing import load_drawing, save_drawing
 from roadsight.studio.drive import SiteDrive
+from roadsight.studio.pole_review import Decision, review, save_decisions
 from roadsight.studio.project import Project
 from roadsight.studio.registering import PoseBody, save_correction
 from roadsight.studio.shapes import Drawing
 from tests.workflow.conftest import with_followers
+from tests.workflow.test_poles_workflow import READERS as ROAD_READERS
 from tests.workflow.test_staleness import READERS
 
 pytestmark = pytest.mark.xdist_group("workflow")
@@ -56,3 +58,19 @@ def test_a_corrected_image_makes_its_shard_stale_alone(copy_of_road, monkeypatch
     assert re.search(r"^align_cameras +1$", output, re.MULTILINE), output
     for rule in ("segment_images", "calibrate_drive", "trace_image_edges", "ingest_cloud"):
         assert not re.search(rf"^{rule} +\d+$", output, re.MULTILINE)
+
+
+def test_decisions_on_poles_make_the_poles_and_what_follows_stale(copy_of_road, monkeypatch):
+    monkeypatch.chdir(copy_of_road.folder)
+    project = Project(copy_of_road.folder)
+    pole = next(one for one in review(project.site("tiny_road"))["poles"] if one["kept"])
+    x, y = pole["base"]
+    asked = Decision(decision="reject", kind=pole["kind"], x=x, y=y, pole=pole["id"])
+    save_decisions(project, "tiny_road", [asked])
+    assert copy_of_road.stale_rules() == with_followers(ROAD_READERS, "triangulate_poles")
+    result = copy_of_road.snakemake("--cores", "2", "results/tiny_road/poles/hazard.parquet")
+    assert result.returncode == 0, result.stdout + result.stderr
+    found = next(one for one in review(project.site("tiny_road"))["poles"] if one["decision"] == 0)
+    assert not found["kept"] and found["reason"] == "rejected by a person"
+    save_decisions(project, "tiny_road", [])
+    assert "triangulate_poles" in copy_of_road.stale_rules()

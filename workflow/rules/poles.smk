@@ -48,6 +48,7 @@ rule triangulate_poles:
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
         voxels=rules.rasterise_lidar.output.voxels,
+        decisions=beside_site("poles.decisions"),
         code=sources("triangulate_poles"),
     output:
         poles="results/{site}/poles/poles.parquet",
@@ -65,7 +66,7 @@ rule triangulate_poles:
     shell:
         "python -m roadsight.stages.triangulate_poles --sightings {input.sightings}"
         " --frame {input.frame} --dem {input.dem} --voxels {input.voxels} {params.options}"
-        " --poles {output.poles} --layers {output.layers} --csv {output.csv}"
+        " --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
         " --geojson {output.geojson} > {log} 2>&1"
 
 

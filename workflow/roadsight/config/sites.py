@@ -131,6 +131,9 @@ class PolesInputs(Section):
     corrections: str | None = Field(
         default=None, description="poses of single images that a person set, CSV"
     )
+    decisions: str | None = Field(
+        default=None, description="poles that a person accepted, rejected or moved, CSV"
+    )
     cameras: str | None = Field(
         default=None, description="camera poses that come with the videolog, CSV"
     )

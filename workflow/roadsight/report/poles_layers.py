@@ -180,6 +180,7 @@ def pole_records(poles: pd.DataFrame, images: list[str], frame: Frame) -> list[d
             "lon_lat_deg": None if degrees is None else degrees[number].tolist(),
             "cameras": [numbers[name] for name in names_in(row["images"]) if name in numbers],
             "images": len(names_in(row["images"])),
+            "decided": row.get("decided", ""),
         }
         for number, row in enumerate(poles.to_dict("records"))
     ]

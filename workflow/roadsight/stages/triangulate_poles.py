@@ -17,10 +17,12 @@ from scipy.spatial import cKDTree
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.atomic import read_json
+from roadsight.io.pole_decisions import read_decisions
 from roadsight.io.rasters import read_raster
 from roadsight.io.sighting_tables import write_csv
 from roadsight.io.tables import read_about, read_table, write_table
 from roadsight.io.vectors import write_geojson, write_layers
+from roadsight.poles.decided import apply_decisions
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import POLE_COLUMNS, SIGHTING_COLUMNS, site_poles
@@ -45,7 +47,7 @@ def triangulate_poles(arguments: argparse.Namespace) -> None:
     if arguments.voxels:
         near = _structures(arguments.voxels)
         poles = drop_near_structures(poles, near, arguments.clearance_m)
-    poles = _with_place(poles, frame, arguments.dem)
+    poles = _with_place(_decided(poles, frame, arguments.decisions), frame, arguments.dem)
     if len(sightings) < 2:
         log.warning("fewer than two sightings: no pole can be triangulated")
     kept = poles["kept"].to_numpy(bool)
@@ -58,6 +60,18 @@ def triangulate_poles(arguments: argparse.Namespace) -> None:
     write_layers(arguments.layers, layers, frame)
     write_csv(arguments.csv, poles[kept].drop(columns=["kept", "reason"]))
     write_geojson(arguments.geojson, _points(poles[kept].reset_index(drop=True)), frame)
+
+
+def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFrame:
+    """Poles with what a person decided on them, if there is such a table."""
+    if path is None:
+        return poles.assign(decided="")
+    decisions = read_decisions(path, frame)
+    decided, rows = apply_decisions(poles, decisions)
+    log.info("%d decisions of a person on poles", int((rows >= 0).sum()))
+    for name in decisions.loc[rows < 0, "pole"]:
+        log.warning("no pole is left that the decision on %s is about", name or "one of them")
+    return decided
 
 
 def _settings(arguments: argparse.Namespace) -> TriangulationSettings:
@@ -83,7 +97,7 @@ def _with_place(poles: pd.DataFrame, frame: Frame, dem: str | None) -> pd.DataFr
     if frame.crs_wkt is not None and len(poles):
         latitude, longitude = SiteNorth(frame).to_geographic(np.column_stack([x, y]))
     placed = poles.assign(z=z, latitude=latitude, longitude=longitude)
-    return placed[[*POLE_COLUMNS]]
+    return placed[[*POLE_COLUMNS, "decided"]]
 
 
 def _points(poles: pd.DataFrame) -> gpd.GeoDataFrame:
@@ -130,6 +144,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("frame", "poles", "layers", "csv", "geojson"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--dem", help="ground heights, for z")
+    parser.add_argument("--decisions", nargs="?", help="accepted, rejected, moved poles, CSV")
     parser.add_argument("--voxels", nargs="?", help="withhold poles near road, bridge, building")
     parser.add_argument("--min-views", type=int, default=2, help="of a pole not in the cloud")
     parser.add_argument("--clearance-m", type=float, default=1.524, help="how near; 5 ft")

@@ -70,6 +70,7 @@ function poleText(site, i) {
   const error = site.errorOf.get(pole.id);
   if (error?.geodesic_m !== undefined && error.geodesic_m !== null) lines.push(`${formatNumber(error.geodesic_m, 2)} m from the known pole`);
   const rating = site.hazardOf.get(pole.id)?.rating;
+  if (pole.decided) lines.push(`${pole.decided} by a person`);
   if (rating !== undefined && rating !== null) lines.push(`hazard: ${rating}`);
   return lines.join("\n");
 }

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from flask import Blueprint
+from flask import Blueprint, Response, request
 
 from roadsight.studio.layout import Layouts, WhatIf
+from roadsight.studio.pole_review import Decisions, picture, review, save_decisions
 from roadsight.studio.project import Project
 from roadsight.studio.requests import body
 
@@ -23,5 +24,19 @@ def create(project: Project) -> Blueprint:
     @routes.post("/sites/<stem>/plans/<plan>/coverage")
     def coverage(stem: str, plan: str) -> dict[str, Any]:
         return layouts.coverage(stem, plan, body(WhatIf))
+
+    @routes.get("/sites/<stem>/poles")
+    def poles(stem: str) -> dict[str, Any]:
+        return review(project.site(stem))
+
+    @routes.put("/sites/<stem>/poles")
+    def decide(stem: str) -> dict[str, Any]:
+        return {"changed": save_decisions(project, stem, body(Decisions).decisions)}
+
+    @routes.get("/sites/<stem>/poles/picture")
+    def image(stem: str) -> Response:
+        name, view = request.args.get("image", ""), request.args.get("view", "")
+        content, kind = picture(project.site(stem), name, view)
+        return Response(content, mimetype=kind)
 
     return routes
