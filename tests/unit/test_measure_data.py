@@ -1,0 +1,64 @@
+"""Hand-over and data through the stage, on a road written by hand."""
+
+from __future__ import annotations
+
+import json
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+from test_solve_cover_stage import FRAME
+
+from roadsight.io.atomic import write_json
+from roadsight.io.clouds import write_laz
+from roadsight.io.detections import write_detections
+from roadsight.io.tables import write_table
+from roadsight.io.vectors import read_layer, write_layers
+from roadsight.stages import measure_data
+
+SEEN = {"a": range(0, 12), "b": range(8, 20), "unused": range(20)}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    x = np.arange(20) + 0.5
+    targets = pd.DataFrame({"target": [f"t{n}" for n in range(20)], "x": x, "y": 2.0, "z": 0.0})
+    write_table(tmp_path / "targets", targets, {"cell_size_m": 1.0})
+    rows = [(name, f"t{n}", 9) for name, seen in SEEN.items() for n in seen]
+    table = pd.DataFrame(rows, columns=["candidate", "target", "hits"])
+    write_detections(tmp_path / "seen", table.astype({"hits": "uint16"}), {"sensor": "OS-64"})
+    place = {"sensor": "OS-64", "y": -1.0, "z": 5.0}
+    chosen = [place | {"candidate": "b", "x": 14.0}, place | {"candidate": "a", "x": 4.0}]
+    write_json(tmp_path / "solution", {"sensors": chosen})
+    write_json(tmp_path / "frame.json", FRAME.to_dict())
+    line = gpd.GeoDataFrame({"edge": ["e"]}, geometry=[shapely.LineString([(0, 0), (20, 0)])])
+    road = gpd.GeoDataFrame({"part": [0]}, geometry=[shapely.box(0, 0, 20, 4)])
+    write_layers(tmp_path / "edges.gpkg", {"edges": line}, FRAME)
+    write_layers(tmp_path / "pavement.gpkg", {"pavement": road}, FRAME)
+    returns = np.array([[1, 1, 0], [2, 3, 0], [3, 9, 0], [5, 2, 0]], float)
+    source = {"point_source_id": np.array([1, 1, 1, 2], np.uint16)}
+    write_laz(tmp_path / "scans.laz", returns, FRAME, source)
+    return tmp_path
+
+
+def test_figures_of_plan_and_sensors(folder):
+    names = {"solution": "solution", "targets": "targets", "frame": "frame.json",
+             "edges": "edges.gpkg", "pavement": "pavement.gpkg", "scans": "scans.laz",
+             "detections": "seen", "out": "out.json", "layers": "out.gpkg"}  # fmt: skip
+    files = [part for key, name in names.items() for part in (f"--{key}", str(folder / name))]
+    options = ["--sensors", "config/sensors.yaml", "--frames-hz", "20"]
+    assert measure_data.main([*files, *options]) == 0
+    found = json.loads((folder / "out.json").read_text())
+    assert found["targets_by_sensors"] == [0, 16, 4]
+    assert found["share_seen_by_two"] == 0.2
+    assert found["overlaps"] == [{"sensor": "a", "next": "b", "targets": 4, "length_m": 4.0}]
+    assert found["points_per_s"] == 2 * 64 * 3600 * 20
+    assert found["road_points_per_s"] == 3 * 20
+    first, second = found["sensors"]
+    assert (first["candidate"], first["road_points_per_s"]) == ("b", 40)
+    assert (second["overlap_with_next_m"], first["overlap_with_next_m"]) == (4.0, None)
+    layer = read_layer(folder / "out.gpkg", "sensors", FRAME)
+    assert layer["points_per_s"].sum() == found["points_per_s"]
+    assert layer.geometry.x.tolist() == pytest.approx([14.0, 4.0], abs=1e-3)
