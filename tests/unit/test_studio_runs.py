@@ -64,6 +64,7 @@ def test_a_run_to_its_end_and_what_is_stale_before_and_after(runs, tmp_path):
         runs.log(999)
 
 
+@pytest.mark.full
 def test_a_failed_step_shows_its_log(runs, tmp_path):
     (tmp_path / "fail").touch()
     runs.start(Order(cores=2))
@@ -93,7 +94,7 @@ def test_a_run_is_stopped_found_again_and_leaves_no_lock(runs, tmp_path):
     again.stop(firmly=False)
     assert again.state()["status"] in ("stopping", "stopped")
     state = ended(runs)
-    assert state["status"] == "stopped" and not state["locked"]
+    assert state["status"] == "stopped" and not state["locked"] and state["failed"] == []
     (tmp_path / "slow").unlink()
     runs.start(Order(cores=2))
     assert ended(runs)["status"] == "done"
@@ -133,6 +134,7 @@ def test_a_run_outside_is_seen_and_left_alone(runs, tmp_path):
     assert runs.state()["outside"] == []
 
 
+@pytest.mark.full
 def test_a_broken_workflow_is_told(runs, tmp_path):
     (tmp_path / "Snakefile").write_text("rule all:\n    input: 'nowhere.txt'\n")
     with pytest.raises(InputError, match=r"the workflow: .*Missing input files.*nowhere\.txt"):

@@ -182,9 +182,13 @@ class Runs:
             "left_s": left_s if alive else None,
             "basis": basis,
         }
-        return described | self._steps(progress, alive, now_s)
+        return described | self._steps(progress, alive, now_s, order.get("stop_s", now_s))
 
-    def _steps(self, progress: Progress, alive: bool, now_s: float) -> dict[str, Any]:
+    def _steps(
+        self, progress: Progress, alive: bool, now_s: float, stop_s: float
+    ) -> dict[str, Any]:
+        """Steps at work, finished and failed; one that a stop has ended did not fail."""
+
         def shown(jobs: list[Job]) -> list[dict[str, Any]]:
             return [job.described(now_s) for job in jobs]
 
@@ -193,7 +197,7 @@ class Runs:
             "total": progress.total,
             "steps": shown(progress.running) if alive else [],
             "last": shown(progress.finished[:_LAST_STEPS]),
-            "failed": shown(progress.failed),
+            "failed": shown([job for job in progress.failed if (job.end_s or 0.0) <= stop_s]),
             "complaint": complaint(_tail(self._folder / OUTPUT), progress.messages),
         }
 

@@ -6,7 +6,7 @@ import { duration, stepName } from "./words.js";
 
 const WORDS = {
   running: ["Running", ""], stopping: ["Stopping: steps that are being worked on are given up", ""], done: ["Finished", "good"],
-  stopped: ["Stopped. What was finished stays; start again to go on", ""], failed: ["Failed", "bad"],
+  stopped: ["Stopped; what was finished stays, start again to go on", ""], failed: ["Failed", "bad"],
   lost: ["The run was killed or the machine went down; what was finished stays, start again to go on", "bad"],
 };
 const opened = new Map();
