@@ -33,7 +33,7 @@ def test_cars_past_traffic_reach_summary_layers_and_report(copy_of_finished: Che
     checkout.edit(SITE, "targets: {min_points: 10}", "targets: {min_points: 10, kind: car}")
     stale = checkout.stale_rules()
     assert {"place_targets", "trace_lanes", "build_detection_shard"} <= stale
-    assert not {"build_edges", "build_surfels", "render_depth_maps"} & stale
+    assert not {"build_edges", "build_surfels", "place_candidates"} & stale
     result = checkout.snakemake("--cores", "2")
     assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-4000:]
     folder = checkout.folder / "results/tiny"

@@ -63,6 +63,7 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     content = _content(arguments, cover, sensors, targets, uncovered)
     if levelled is not None:
         wanted["availability"], content["availability"] = levelled.shares, levelled.record
+        content["at_least"] = 1  # the level says how often, not how many sensors
     elif "availability" in detections:
         chosen = sensors[["sensor", "candidate"]].apply(tuple, axis=1)
         wanted["availability"] = availability(detections, set(chosen), wanted["target"])

@@ -36,8 +36,10 @@ Oracle = Callable[[_ROWS], list[_ROWS]]
 
 _FIRST, _ADDED = 250, 80
 _TOLERANCE = 1e-7
-# Nodes of a solver's tree in a second of the limit, about; the clock stops far later.
-_NODES_PER_S, _CLOCK_FACTOR = 40, 4
+# Nodes of a solver's tree in a second of the limit, about, and nodes that a round costs at least.
+_NODES_PER_S, _NODES_OF_ROUND = 40, 10
+# The clock stops only what has gone wrong: answers must not depend on how busy a machine is.
+_CLOCK_FACTOR = 20
 
 
 @dataclass(frozen=True)
@@ -119,7 +121,7 @@ def solve_joint(
     Row generation around HiGHS: only violated targets and cuts are constraints, so that its dual
     bound is one of the whole problem at any time. Answers are mended greedily into ones that are
     allowed. The limit counts nodes of the solver's trees, about as many as it does in so much time;
-    the clock stops a solve only at four times the limit.
+    the clock stops a solve only at twenty times the limit.
 
     Parameters
     ----------
@@ -189,7 +191,7 @@ class _Joint:
         highs.run()
         info = highs.getInfo()
         spent = max(int(info.mip_node_count), 1)
-        self.nodes_left -= spent
+        self.nodes_left -= max(spent, _NODES_OF_ROUND)
         self.nodes += spent
         status = highs.getModelStatus()
         solution = np.array(highs.getSolution().col_value)
