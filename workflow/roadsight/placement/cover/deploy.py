@@ -64,6 +64,8 @@ def solve_deployment(
     pool : cuts of a deployment that differs in budget, worth or floor alone.
     """
     start = time.process_time()
+    if deployment.out_of_reach:
+        return Deployed(_infeasible(start), [])
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     builder = Builder(Cuts(deployment), np.random.default_rng(seed))
     floor = -deployment.worth * deployment.total

@@ -79,6 +79,11 @@ class Deployment:
         """Weight of all targets that ask for something."""
         return math.fsum(self.weights[self.problem.at_least > 0])
 
+    @property
+    def out_of_reach(self) -> bool:
+        """Whether V is asked to be more than the weight of all targets."""
+        return self.floor > self.total + 1e-9 * max(1.0, self.floor)
+
     @cached_property
     def spendable(self) -> float:
         """Budget as far as charges can use it, with room for rounding."""
@@ -141,7 +146,7 @@ class Deployment:
         if self.broken(chosen):
             return math.inf
         value = self.guaranteed(chosen)
-        least = self.total if self.complete else self.floor
+        least = max(self.total, self.floor) if self.complete else self.floor
         if value < least - 1e-9 * max(1.0, least) or (self.complete and self._unseen(chosen)):
             return math.inf
         return math.fsum(self.cost[chosen]) - self.worth * value
