@@ -21,6 +21,7 @@ NO_NUMERICS = {
     "cover_inputs": "reads what a plan's options name",
     "level_cover": "part of solve_cover",
     "measure_base": "runs other stages",
+    "measure_data": "counts what detections and scans say",
     "measure_precision": "compares single and double precision",
     "measure_tradeoff": "runs other stages",
     "plan_effects": "compares measured numbers with thresholds",
@@ -29,6 +30,7 @@ NO_NUMERICS = {
     "render_videolog": "generates a sample",
     "run_hardcases": "runs this catalogue",
     "summarise_site": "collects results",
+    "target_inputs": "reads what two stages share",
     "use_given_cameras": "takes poses as they are",
 }
 """Stages without a case, and why."""
