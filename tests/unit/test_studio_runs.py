@@ -119,7 +119,7 @@ def test_a_run_outside_is_seen_and_left_alone(runs, tmp_path):
     (tmp_path / "slow").touch()
     process = subprocess.Popen(
         [sys.executable, "-m", "snakemake", "--cores", "1"], cwd=tmp_path,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     try:
         assert [found["pid"] for found in processes_outside(tmp_path)] == [process.pid]
@@ -129,7 +129,7 @@ def test_a_run_outside_is_seen_and_left_alone(runs, tmp_path):
             runs.stop(firmly=False)
         assert processes_outside(tmp_path.parent) == []
     finally:
-        process.send_signal(signal.SIGINT)
+        os.killpg(process.pid, signal.SIGKILL)  # at its very start it may miss a milder one
         process.wait(timeout=60)
     assert runs.state()["outside"] == []
 
