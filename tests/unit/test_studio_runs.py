@@ -115,6 +115,12 @@ def test_what_a_killed_run_leaves_is_told_and_removed_on_demand(runs, tmp_path):
         runs.unlock()
 
 
+def within_s(limit_s, condition):
+    end = time.monotonic() + limit_s
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.02)
+
+
 def test_a_run_outside_is_seen_and_left_alone(runs, tmp_path):
     (tmp_path / "slow").touch()
     process = subprocess.Popen(
@@ -122,6 +128,7 @@ def test_a_run_outside_is_seen_and_left_alone(runs, tmp_path):
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
     )  # fmt: skip
     try:
+        within_s(10, lambda: processes_outside(tmp_path))  # its arguments are not there at once
         assert [found["pid"] for found in processes_outside(tmp_path)] == [process.pid]
         with pytest.raises(InputError, match=f"process {process.pid} outside"):
             runs.start(Order())
