@@ -19,6 +19,7 @@ NO_NUMERICS = {
     "command": "shared by all stages",
     "compare_components": "runs other stages",
     "cover_inputs": "reads what a plan's options name",
+    "detection_inputs": "reads what two stages share",
     "level_cover": "part of solve_cover",
     "measure_base": "runs other stages",
     "measure_data": "counts what detections and scans say",
@@ -30,7 +31,6 @@ NO_NUMERICS = {
     "render_videolog": "generates a sample",
     "run_hardcases": "runs this catalogue",
     "summarise_site": "collects results",
-    "target_inputs": "reads what two stages share",
     "use_given_cameras": "takes poses as they are",
 }
 """Stages without a case, and why."""

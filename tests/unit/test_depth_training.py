@@ -204,7 +204,7 @@ class TestTraining:
             [random_pairs(1), random_pairs(2)],
             Schedule(steps, 4),
             (8, 12, 16),
-            lambda _, loss: losses.append(loss),
+            lambda step, loss, kept: losses.append(loss),
         )
         return network, losses
 

@@ -6,6 +6,7 @@ that a site tries (`roadsight.placement.poses`).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from itertools import pairwise
 from typing import Annotated, Any, Literal
 
@@ -17,7 +18,7 @@ from roadsight.placement.spinning import Elevation, Positive, Share
 _MAX_PIXELS = 200_000_000
 
 
-class AimedSensor(BaseModel):
+class AimedSensor(BaseModel, ABC):
     """What all aimed sensors have."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -27,9 +28,9 @@ class AimedSensor(BaseModel):
     price: float | None = Field(None, ge=0, description="list price, any currency, for the report")
 
     @property
+    @abstractmethod
     def half_view_deg(self) -> tuple[float, float]:
         """Half the field of view, across and upright."""
-        raise NotImplementedError
 
     def to_dict(self) -> dict[str, Any]:
         """Definition as plain values; equal definitions give equal detections."""

@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.placement.detection import column_windows
-from roadsight.placement.footprints import CLEAN_SHARE
+from roadsight.placement.mounted import count_met
 from roadsight.placement.rays import beam_directions, sensor_from_local
 from roadsight.placement.sensors import Sensor
-from roadsight.placement.shapes import (
-    Box,
-    Packed,
-    ball_around,
-    entered_at,
-    footprint_share,
-    relative_to,
-)
+from roadsight.placement.shapes import Box, relative_to
 
 _FLOATS = NDArray[np.float64]
 
@@ -53,7 +44,7 @@ def count_box_hits(
     if tilt is not None:
         middles = (middles - position) @ tilt + position
     across_mrad, upright_mrad = sensor.divergence_mrad or (0.0, 0.0)
-    return _count(
+    return count_met(
         range_m,
         beam_directions(sensor, yaw_deg, tilt),
         np.radians(sensor.elevation_deg),
@@ -63,56 +54,7 @@ def count_box_hits(
         relative_to(feet_m, position),
         sensor_from_local(middles, position, yaw_deg),
         box.packed,
+        _MOST,
         footprints,
         (across_mrad / 1000, upright_mrad / 1000, sensor.aperture_mm / 1000),
     )
-
-
-@njit(cache=True)
-def _count(
-    depth_m: NDArray[np.float32],
-    directions: NDArray[np.float32],
-    elevation: _FLOATS,
-    start_deg: float,
-    cell_deg: float,
-    max_range_m: float,
-    feet: _FLOATS,
-    mounted: _FLOATS,
-    shape: Packed,
-    wide: bool,
-    beam: tuple[float, float, float],
-) -> _FLOATS:
-    """Beams on each box: ``directions`` (rows, columns, 3), ``mounted`` (n, 3) their middles."""
-    hits = np.zeros(len(feet))
-    _, around = ball_around(shape)
-    for target in range(len(feet)):
-        x, y, z = mounted[target]
-        distance = np.sqrt(x * x + y * y + z * z)
-        if distance - around >= max_range_m:
-            continue
-        first_row, last_row = 0, len(elevation)
-        if distance > around:
-            middle, half = np.arctan2(z, np.sqrt(x * x + y * y)), np.arcsin(around / distance)
-            first_row = np.searchsorted(elevation, middle - half)
-            last_row = np.searchsorted(elevation, middle + half, side="right")
-        rows = max(1, -(-(last_row - first_row) // _MOST))
-        for first, last in column_windows(x, y, around, start_deg, cell_deg, depth_m.shape[1]):
-            columns = max(1, -(-(last + 1 - first) // _MOST))
-            for row_start in range(first_row, last_row, rows):
-                tall = min(rows, last_row - row_start)
-                row = row_start + tall // 2
-                for column_start in range(first, last + 1, columns):
-                    across = min(columns, last + 1 - column_start)
-                    column = column_start + across // 2
-                    way = directions[row, column]
-                    ray = (np.float64(way[0]), np.float64(way[1]), np.float64(way[2]))
-                    range_m = entered_at(shape, feet[target], ray)
-                    scene_m = depth_m[row, column]
-                    if not 0 < range_m < max_range_m or 0 < scene_m <= range_m:
-                        continue
-                    share = 1.0
-                    if wide:
-                        share = footprint_share(shape, feet[target], ray, range_m, beam)
-                    if share >= CLEAN_SHARE:
-                        hits[target] += share * tall * across
-    return hits

@@ -1,4 +1,4 @@
-"""Which beams of a tilted sensor return from targets, exactly."""
+"""Which beams of a mounted, spinning LiDAR return from targets of any shape, exactly."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.placement.detection import column_windows
+from roadsight.placement.footprints import CLEAN_SHARE
 from roadsight.placement.rays import beam_directions, sensor_from_local
 from roadsight.placement.sensors import Sensor
+from roadsight.placement.shapes import Cylinder, Packed, ball_around, entered_at, footprint_share
 
 _FLOATS = NDArray[np.float64]
 
@@ -37,7 +39,7 @@ def count_tilted_hits(
     feet = np.asarray(targets_xyz_m, np.float64) - position
     middles = feet + np.array([0.0, 0.0, height_m / 2])
     mounted = sensor_from_local(middles @ tilt + position, position, yaw_deg)
-    return _count(
+    hits = count_met(
         range_m,
         beam_directions(sensor, yaw_deg, tilt),
         np.radians(sensor.elevation_deg),
@@ -46,13 +48,16 @@ def count_tilted_hits(
         max_range_m,
         feet,
         mounted,
-        radius_m,
-        height_m,
+        Cylinder(radius_m, height_m).packed,
+        max(sensor.shape),
+        False,
+        (0.0, 0.0, 0.0),
     )
+    return hits.astype(np.int32)
 
 
 @njit(cache=True)
-def _count(
+def count_met(
     depth_m: NDArray[np.float32],
     directions: NDArray[np.float32],
     elevation: _FLOATS,
@@ -61,12 +66,22 @@ def _count(
     max_range_m: float,
     feet: _FLOATS,
     mounted: _FLOATS,
-    radius_m: float,
-    height_m: float,
-) -> NDArray[np.int32]:
-    """Beams on each target: ``directions`` (rows, columns, 3), ``mounted`` (n, 3) their middles."""
-    hits = np.zeros(len(feet), np.int32)
-    around = np.sqrt(radius_m**2 + height_m**2 / 4)
+    shape: Packed,
+    most: int,
+    wide: bool,
+    beam: tuple[float, float, float],
+) -> _FLOATS:
+    """Beams, or shares of wide ones, on each target (n,): every beam that may meet the ball about it.
+
+    Parameters
+    ----------
+    directions : (rows, columns, 3) unit vectors, local frame. feet : (n, 3) or (n, 4), from the
+        sensor, local frame. mounted : (n, 3) targets' middles in the frame of the sensor.
+    most : of a target that spans more rows or columns, every n-th is looked at and stands for n.
+    beam : divergence across and upright, rad, and aperture, m; only for ``wide`` ones.
+    """
+    hits = np.zeros(len(feet))
+    _, around = ball_around(shape)
     for target in range(len(feet)):
         x, y, z = mounted[target]
         distance = np.sqrt(x * x + y * y + z * z)
@@ -77,47 +92,24 @@ def _count(
             middle, half = np.arctan2(z, np.sqrt(x * x + y * y)), np.arcsin(around / distance)
             first_row = np.searchsorted(elevation, middle - half)
             last_row = np.searchsorted(elevation, middle + half, side="right")
-        windows = column_windows(x, y, around, start_deg, cell_deg, depth_m.shape[1])
-        for first, last in windows:
-            for row in range(first_row, last_row):
-                for column in range(first, last + 1):
-                    entry_m = entry_range_m(
-                        directions[row, column], feet[target], radius_m, height_m
-                    )
+        rows = max(1, -(-(last_row - first_row) // most))
+        for first, last in column_windows(x, y, around, start_deg, cell_deg, depth_m.shape[1]):
+            columns = max(1, -(-(last + 1 - first) // most))
+            for row_start in range(first_row, last_row, rows):
+                tall = min(rows, last_row - row_start)
+                row = row_start + tall // 2
+                for column_start in range(first, last + 1, columns):
+                    across = min(columns, last + 1 - column_start)
+                    column = column_start + across // 2
+                    way = directions[row, column]
+                    ray = (np.float64(way[0]), np.float64(way[1]), np.float64(way[2]))
+                    range_m = entered_at(shape, feet[target], ray)
                     scene_m = depth_m[row, column]
-                    if 0 < entry_m < max_range_m and (scene_m == 0 or entry_m < scene_m):
-                        hits[target] += 1
+                    if not 0 < range_m < max_range_m or 0 < scene_m <= range_m:
+                        continue
+                    share = 1.0
+                    if wide:
+                        share = footprint_share(shape, feet[target], ray, range_m, beam)
+                    if share >= CLEAN_SHARE:
+                        hits[target] += share * tall * across
     return hits
-
-
-@njit(cache=True)
-def entry_range_m(
-    direction: NDArray[np.float32] | tuple[float, float, float],
-    foot: _FLOATS,
-    radius_m: float,
-    height_m: float,
-) -> float:
-    """Range at which a beam from the origin enters an upright, capped cylinder; 0 if it does not.
-
-    Parameters
-    ----------
-    direction : (3,) unit vector. foot : (3,) middle of the cylinder's lower cap.
-    """
-    east, north, up = float(direction[0]), float(direction[1]), float(direction[2])
-    enter, leave = 0.0, np.inf
-    if abs(up) > 1e-12:
-        one, two = foot[2] / up, (foot[2] + height_m) / up
-        enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
-    elif foot[2] > 0 or foot[2] + height_m < 0:
-        return 0.0
-    flat = east * east + north * north
-    beside = foot[0] * foot[0] + foot[1] * foot[1] - radius_m * radius_m
-    if flat < 1e-24:
-        return enter if beside <= 0 and enter < leave else 0.0
-    along = foot[0] * east + foot[1] * north
-    squared = along * along - flat * beside
-    if squared < 0:
-        return 0.0
-    root = np.sqrt(squared)
-    enter, leave = max(enter, (along - root) / flat), min(leave, (along + root) / flat)
-    return enter if enter < leave else 0.0

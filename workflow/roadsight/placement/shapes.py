@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from roadsight.placement.detection import chord
 from roadsight.placement.footprints import overlap, slopes_into
-from roadsight.placement.mounted import entry_range_m
 
 _FLOATS = NDArray[np.float64]
 Packed = tuple[int, float, float, float]
@@ -87,6 +86,39 @@ def ball_around(shape: Packed) -> tuple[float, float]:
     kind, long_m, wide_m, height_m = shape
     across = long_m * long_m if kind == CYLINDER else (long_m * long_m + wide_m * wide_m) / 4
     return height_m / 2, np.sqrt(across + height_m**2 / 4)
+
+
+@njit(cache=True)
+def entry_range_m(
+    direction: tuple[float, float, float],
+    foot: _FLOATS,
+    radius_m: float,
+    height_m: float,
+) -> float:
+    """Range at which a beam from the origin enters an upright, capped cylinder; 0 if it does not.
+
+    Parameters
+    ----------
+    direction : unit vector. foot : (3,) middle of the cylinder's lower cap.
+    """
+    east, north, up = direction
+    enter, leave = 0.0, np.inf
+    if abs(up) > 1e-12:
+        one, two = foot[2] / up, (foot[2] + height_m) / up
+        enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
+    elif foot[2] > 0 or foot[2] + height_m < 0:
+        return 0.0
+    flat = east * east + north * north
+    beside = foot[0] * foot[0] + foot[1] * foot[1] - radius_m * radius_m
+    if flat < 1e-24:
+        return enter if beside <= 0 and enter < leave else 0.0
+    along = foot[0] * east + foot[1] * north
+    squared = along * along - flat * beside
+    if squared < 0:
+        return 0.0
+    root = np.sqrt(squared)
+    enter, leave = max(enter, (along - root) / flat), min(leave, (along + root) / flat)
+    return enter if enter < leave else 0.0
 
 
 @njit(cache=True)

@@ -17,19 +17,18 @@ from roadsight.io.depth_maps import DepthMaps
 from roadsight.io.detections import write_detections
 from roadsight.io.lanes import read_traffic
 from roadsight.io.poses import read_poses, read_tilts
-from roadsight.placement.detection import MIN_BEAMS
 from roadsight.placement.lanes import free_shares
 from roadsight.placement.light import range_in_air_m
 from roadsight.placement.sensors import Sensor, load_sensor
 from roadsight.placement.shapes import Box, Shape
 from roadsight.placement.sight import Sight, count_beams
 from roadsight.stages.command import run_stage
-from roadsight.stages.progress import logged
-from roadsight.stages.target_inputs import (
-    add_shape_arguments,
+from roadsight.stages.detection_inputs import (
+    add_detection_arguments,
     read_shaped_targets,
     said_of_shape,
 )
+from roadsight.stages.progress import logged
 
 log = logging.getLogger("build_detection_shard")
 
@@ -128,17 +127,8 @@ def _depth_maps(arguments: argparse.Namespace, sensor: Sensor) -> DepthMaps:
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("depth", "candidates", "targets", "sensor", "sensors", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    add_shape_arguments(parser)
-    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
+    add_detection_arguments(parser)
     parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
-    parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
-    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
-    parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
-    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
-    for name in ("partial-hits", "curvature"):
-        parser.add_argument(f"--{name}", choices=["simulate", "skip"], default="skip")
     return run_stage(parser, build_detection_shard, argv)
 
 

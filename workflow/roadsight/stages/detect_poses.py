@@ -19,7 +19,6 @@ from roadsight.io.detections import write_detections
 from roadsight.io.lanes import SiteTraffic, read_traffic
 from roadsight.io.poses import read_poses, read_tilts
 from roadsight.placement.aimed import Camera, Radar, Rosette
-from roadsight.placement.detection import MIN_BEAMS
 from roadsight.placement.detectors import Criteria, contrast_range_m, detector_of
 from roadsight.placement.lanes import free_shares
 from roadsight.placement.light import range_in_air_m
@@ -29,12 +28,12 @@ from roadsight.placement.sensors import AnySensor, Sensor, load_sensor, load_sen
 from roadsight.placement.shapes import Shape
 from roadsight.placement.sight import Sight
 from roadsight.stages.command import run_stage
-from roadsight.stages.progress import logged
-from roadsight.stages.target_inputs import (
-    add_shape_arguments,
+from roadsight.stages.detection_inputs import (
+    add_detection_arguments,
     read_shaped_targets,
     said_of_shape,
 )
+from roadsight.stages.progress import logged
 
 log = logging.getLogger("detect_poses")
 
@@ -146,19 +145,10 @@ def _table(
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("depth", "candidates", "targets", "sensor", "sensors", "out"):
-        parser.add_argument(f"--{name}", required=True)
+    add_detection_arguments(parser)
     for name in ("yaw-deg", "pitch-deg", "roll-deg"):
         parser.add_argument(f"--{name}", type=float, nargs="+", default=[0.0])
-    add_shape_arguments(parser)
-    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
     parser.add_argument("--rcs-m2", type=float, default=0.16, help="radar cross-section of targets")
-    parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
-    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
-    parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
-    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
-    for name in ("partial-hits", "curvature"):
-        parser.add_argument(f"--{name}", choices=["simulate", "skip"], default="skip")
     return run_stage(parser, detect_poses, argv)
 
 

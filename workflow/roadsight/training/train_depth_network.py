@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import copy
 import logging
-import math
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,50 +16,25 @@ import torch
 from torch import nn
 
 from roadsight.errors import InputError
-from roadsight.io.checksums import sha256
 from roadsight.placement.normalising import MULTIPLE_CELLS, STEP_DEG
 from roadsight.stages.command import run_stage
 from roadsight.training.depth_network import DepthUnet, depth_loss
 from roadsight.training.depth_pairs import DepthPairs, digest, read_dataset
 from roadsight.training.depth_patches import PATCH_CELLS, Patches, random_patches
 from roadsight.training.export import export_network
+from roadsight.training.learning import Schedule, facts_of, learn
 from roadsight.training.record import update_record
 
 log = logging.getLogger("train_depth_network")
 
-_WARM_UP = 0.05
-_KEEP = 0.998
 _LOG_EVERY = 100
-
-
-@dataclass(frozen=True)
-class Schedule:
-    """How long and how fast.
-
-    Parameters
-    ----------
-    steps : batches. batch : patches of a batch. rate : highest learning rate. seed : of everything.
-    """
-
-    steps: int
-    batch: int = 32
-    rate: float = 3e-3
-    seed: int = 1
-
-    def rate_at(self, step: int) -> float:
-        """Learning rate: a short rise, then a half cosine down to a hundredth."""
-        rise = max(_WARM_UP * self.steps, 1.0)
-        if step < rise:
-            return self.rate * (step + 1) / rise
-        share = (step - rise) / max(self.steps - rise, 1.0)
-        return self.rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * share)))
 
 
 def train(
     dataset: Sequence[DepthPairs],
     schedule: Schedule,
     widths: tuple[int, int, int],
-    watch: Callable[[int, float], None],
+    watch: Callable[[int, float, nn.Module], None],
 ) -> nn.Module:
     """Network whose weights are the running mean over the last steps.
 
@@ -70,42 +42,22 @@ def train(
 
     Parameters
     ----------
-    watch : called after each step with its number and its loss.
+    watch : called after each step with its number, its loss and the network so far.
     """
     torch.use_deterministic_algorithms(True)
     torch.manual_seed(schedule.seed)
     network = DepthUnet(widths).to(memory_format=torch.channels_last).train()
-    kept = copy.deepcopy(network).eval()
-    optimiser = torch.optim.AdamW(network.parameters(), lr=schedule.rate, weight_decay=1e-3)
-    for step in range(schedule.steps):
-        rng = np.random.default_rng([schedule.seed, step])
-        loss = _loss(network, random_patches(dataset, schedule.batch, rng))
-        for group in optimiser.param_groups:
-            group["lr"] = schedule.rate_at(step)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimiser.step()
-        _keep(kept, network, min(_KEEP, (step + 1.0) / (step + 10.0)))
-        watch(step, float(loss.detach()))
-    return kept
+
+    def loss_of(rng: np.random.Generator) -> torch.Tensor:
+        return _loss(network, random_patches(dataset, schedule.batch, rng))
+
+    return learn(network, schedule, loss_of, watch)
 
 
 def _loss(network: nn.Module, patches: Patches) -> torch.Tensor:
     preliminary, refined, scale_m = (torch.from_numpy(part) for part in patches)
     output = network(preliminary.contiguous(memory_format=torch.channels_last))
     return depth_loss(output, refined, scale_m)
-
-
-def _keep(kept: nn.Module, network: nn.Module, share: float) -> None:
-    """Move the running mean towards the network; counters are copied."""
-    with torch.no_grad():
-        new = network.state_dict()
-        for name, value in kept.state_dict().items():
-            if value.dtype.is_floating_point:
-                value.lerp_(new[name], 1.0 - share)
-            else:
-                value.copy_(new[name])
 
 
 def train_depth_network(arguments: argparse.Namespace) -> None:
@@ -117,24 +69,21 @@ def train_depth_network(arguments: argparse.Namespace) -> None:
     schedule = Schedule(arguments.steps, arguments.batch, arguments.rate, arguments.seed)
     losses: list[float] = []
 
-    def watch(step: int, loss: float) -> None:
+    def watch(step: int, loss: float, _: nn.Module) -> None:
         losses.append(loss)
         if (step + 1) % _LOG_EVERY == 0:
             log.info("step %d, loss %.4f", step + 1, np.mean(losses[-_LOG_EVERY:]))
 
     wall, cpu = time.perf_counter(), time.process_time()
     network = train(list(dataset.values()), schedule, tuple(arguments.widths), watch)
-    seconds = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     path = Path(arguments.out)
     facts = {"step_deg": f"{STEP_DEG:g}", "multiple_cells": str(MULTIPLE_CELLS)}
     difference = export_network(
         network, path, "refined", "depth", channels=1, facts={"kind": "depth_refinement"} | facts
     )
     entry = _entry(arguments, dataset, losses)
-    entry |= {name: round(value, 1) for name, value in seconds.items()}
-    entry |= {"sha256": sha256(path), "bytes": path.stat().st_size}
-    entry |= {"largest_difference_onnx_torch": difference}
-    entry |= {"parameters": sum(p.numel() for p in network.parameters())}
+    entry |= facts_of(network, path, difference, wall, cpu)
     update_record(path.with_name("training_record.json"), path.name, entry)
 
 

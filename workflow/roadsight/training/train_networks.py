@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import copy
 import logging
-import math
 import sys
 import time
 from collections.abc import Callable
@@ -20,10 +19,10 @@ import torch
 from torch import Tensor, nn
 
 from roadsight.errors import InputError
-from roadsight.io.checksums import sha256
 from roadsight.stages.command import run_stage
 from roadsight.training.augment import Batch, Crops, random_batch
 from roadsight.training.export import export_network
+from roadsight.training.learning import Schedule, facts_of, learn
 from roadsight.training.losses import classes_loss, depth_loss
 from roadsight.training.networks import MULTIPLE_PX, RoadClasses, RoadDepth, seeded
 from roadsight.training.record import read_entry, update_record
@@ -32,8 +31,6 @@ from roadsight.training.samples import Sample, digest, read_samples
 
 log = logging.getLogger("train_networks")
 
-_WARM_UP = 0.05
-_KEEP = 0.998
 _LOG_EVERY = 50
 
 
@@ -78,29 +75,6 @@ TASKS = {
 """Depth sees most of a view at once, because where the ground lies tells how far it is."""
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """How long and how fast.
-
-    Parameters
-    ----------
-    steps : batches. batch : crops of a batch. rate : highest learning rate. seed : of everything.
-    """
-
-    steps: int
-    batch: int
-    rate: float = 3e-3
-    seed: int = 1
-
-    def rate_at(self, step: int) -> float:
-        """Learning rate: a short rise, then a half cosine down to a hundredth."""
-        rise = max(_WARM_UP * self.steps, 1.0)
-        if step < rise:
-            return self.rate * (step + 1) / rise
-        share = (step - rise) / max(self.steps - rise, 1.0)
-        return self.rate * (0.01 + 0.99 * 0.5 * (1.0 + math.cos(math.pi * share)))
-
-
 def train(
     task: Task,
     samples: list[Sample],
@@ -126,35 +100,15 @@ def train(
         batch = random_batch(samples, schedule.batch, task.crops, rng)
         start_from(network, start, torch.from_numpy(batch.images))
     network.train()
-    kept = copy.deepcopy(network).eval()
-    optimiser = torch.optim.AdamW(network.parameters(), lr=schedule.rate, weight_decay=1e-3)
-    for step in range(schedule.steps):
-        rng = np.random.default_rng([schedule.seed, step])
+
+    def loss_of(rng: np.random.Generator) -> Tensor:
         batch = random_batch(samples, schedule.batch, task.crops, rng)
         images = torch.from_numpy(batch.images).contiguous(memory_format=torch.channels_last)
         with torch.autocast("cpu", dtype=torch.bfloat16):
             output = network(images)
-        loss = task.loss(output, batch)
-        for group in optimiser.param_groups:
-            group["lr"] = schedule.rate_at(step)
-        optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimiser.step()
-        _keep(kept, network, min(_KEEP, (step + 1.0) / (step + 10.0)))
-        watch(step, float(loss.detach()), kept)
-    return kept
+        return task.loss(output, batch)
 
-
-def _keep(kept: nn.Module, network: nn.Module, share: float) -> None:
-    """Move the running mean towards the network; counters are copied."""
-    with torch.no_grad():
-        new = network.state_dict()
-        for name, value in kept.state_dict().items():
-            if value.dtype.is_floating_point:
-                value.lerp_(new[name], 1.0 - share)
-            else:
-                value.copy_(new[name])
+    return learn(network, schedule, loss_of, watch)
 
 
 def train_networks(arguments: argparse.Namespace) -> None:
@@ -171,13 +125,10 @@ def train_networks(arguments: argparse.Namespace) -> None:
     wall, cpu = time.perf_counter(), time.process_time()
     watch = _watch(arguments, task, path, losses)
     network = train(task, samples, schedule, watch, arguments.start_from)
-    seconds = {"wall_s": time.perf_counter() - wall, "cpu_s": time.process_time() - cpu}
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     difference = export_network(network, path, task.output)
     entry = _entry(arguments, task, schedule, losses, samples)
-    entry |= {name: round(value, 1) for name, value in seconds.items()}
-    entry |= {"sha256": sha256(path), "bytes": path.stat().st_size}
-    entry |= {"largest_difference_onnx_torch": difference}
-    entry |= {"parameters": sum(p.numel() for p in network.parameters())}
+    entry |= facts_of(network, path, difference, wall, cpu)
     update_record(path.with_name("training_record.json"), task.file, entry)
 
 

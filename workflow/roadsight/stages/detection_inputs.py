@@ -1,4 +1,4 @@
-"""Targets as detection stages take them: their feet, and what stands on these."""
+"""What detection stages take alike: targets with their shape, and effects."""
 
 from __future__ import annotations
 
@@ -10,14 +10,24 @@ from numpy.typing import NDArray
 
 from roadsight.errors import InputError
 from roadsight.io.tables import read_table
+from roadsight.placement.detection import MIN_BEAMS
 from roadsight.placement.shapes import Box, Cylinder, Shape
 
 
-def add_shape_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments that say what a target is."""
+def add_detection_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of every stage that asks which targets a sensor sees."""
+    for name in ("depth", "candidates", "targets", "sensor", "sensors", "out"):
+        parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--radius-m", type=float, default=0.25)
     parser.add_argument("--height-m", type=float, default=0.6)
     parser.add_argument("--box", type=float, nargs=3, help="length, width, height instead, m")
+    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
+    parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
+    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
+    parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
+    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    for name in ("partial-hits", "curvature"):
+        parser.add_argument(f"--{name}", choices=["simulate", "skip"], default="skip")
 
 
 def read_shaped_targets(
