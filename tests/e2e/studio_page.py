@@ -1,40 +1,58 @@
-"""What tests do to the studio's pages: keys, clicks, drags, buttons by their text."""
+"""What tests do to the studio's pages: open, keys, clicks, drags, texts and looks."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 HELPERS = Path(__file__).with_name("report_page.js").read_text(encoding="utf-8")
+LOOKS = [(1280, 720, False), (1280, 720, True), (1600, 1000, False), (1600, 1000, True)]
 
 
-def open_studio(browser, studio, page, site, ready):
-    """The studio on a page, as somebody opens it for the first time."""
+def open_studio(browser, studio, place="", ready="studio.page"):
+    """The studio at a place, such as ``results/tiny``, as somebody opens it for the first time."""
     browser.complaints.clear()
     set_size(browser, 1280, 720)
     browser.open("about:blank")
     origin = studio.address.partition("/#")[0]
     browser.call("Storage.clearDataForOrigin", origin=origin, storageTypes="local_storage")
     browser.open(studio.address)
-    browser.until("window.studio?.page")
-    if page:
-        browser.run(f"location.hash = '#/{page}/{site}'")
+    browser.until("window.studio?.project")
+    if place:
+        browser.run(f"location.hash = '#/{place}'")
+        browser.until(f"studio.page && location.hash === '#/{place}'")
+        browser.complaints.clear()  # of the page that the studio began with
     browser.until(ready)
     return browser
 
 
 def set_size(page, width, height):
+    """Size of the window, px."""
     size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
     page.call("Emulation.setDeviceMetricsOverride", **size)
 
 
-def key(page, name, modifiers=0):
+def key(page, name, modifiers=0, code=""):
+    """Press a key."""
     text = name if len(name) == 1 and not modifiers else ""
-    event = {"key": name, "modifiers": modifiers}
+    event = {"key": name, "modifiers": modifiers, "code": code}
     page.call("Input.dispatchKeyEvent", type="keyDown", text=text, **event)
     page.call("Input.dispatchKeyEvent", type="keyUp", **event)
 
 
-def click(page, u, v, count=1, modifiers=0):
+def click(page, selector):
+    """Click an element that must be there and enabled."""
+    page.until(f"document.querySelector({selector!r})")
+    assert page.run(f"document.querySelector({selector!r}).disabled") is not True
+    page.run(f"document.querySelector({selector!r}).click()")
+
+
+def text(page, selector="main"):
+    """Text of an element."""
+    return page.run(f"document.querySelector({selector!r})?.textContent ?? ''")
+
+
+def click_at(page, u, v, count=1, modifiers=0):
+    """Click a place of the window, px."""
     for kind in ("mousePressed", "mouseReleased"):
         page.call(
             "Input.dispatchMouseEvent", type=kind, x=u, y=v, button="left",
@@ -43,6 +61,7 @@ def click(page, u, v, count=1, modifiers=0):
 
 
 def drag(page, start, end, modifiers=0):
+    """Drag from one place of the window to another, px."""
     held = {"button": "left", "buttons": 1, "clickCount": 1, "modifiers": modifiers}
     page.call("Input.dispatchMouseEvent", type="mouseMoved", x=start[0], y=start[1])
     page.call("Input.dispatchMouseEvent", type="mousePressed", x=start[0], y=start[1], **held)
@@ -52,22 +71,22 @@ def drag(page, start, end, modifiers=0):
     page.call("Input.dispatchMouseEvent", type="mouseReleased", x=end[0], y=end[1], **held)
 
 
-def press(page, text):
+def press(page, label):
     """Click the button that says so."""
     page.run(f"""(() => {{
         const found = [...document.querySelectorAll('button')]
-            .find((one) => one.textContent.startsWith({text!r}) && one.offsetParent);
-        if (!found || found.disabled) throw new Error('no such button: ' + {text!r});
+            .find((one) => one.textContent.startsWith({label!r}) && one.offsetParent);
+        if (!found || found.disabled) throw new Error('no such button: ' + {label!r});
         found.click();
     }})()""")
 
 
-def noted(page, text):
+def noted(page, note):
     """Wait until a note says so."""
-    page.until(f"document.getElementById('notes').textContent.includes({text!r})")
+    page.until(f"document.getElementById('notes').textContent.includes({note!r})")
 
 
-def check_looks(page, dark, width, height):
+def check_look(page, width, height, dark):
     """Texts stand out, and nothing is cut off at this size of the window."""
     set_size(page, width, height)
     if page.run("document.documentElement.dataset.theme === 'dark'") != dark:

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from chromium import BINARY, Chromium
+from chromium import BINARY
 
 from roadsight.stages import write_poles_page, write_report, write_site_page
 
@@ -40,12 +40,6 @@ def report(sites):
     )
     assert write_report.main(["--pages", scene, "--poles-pages", *poles, "--out", str(out)]) == 0
     return out
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with Chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
 
 
 def opened(browser, report):

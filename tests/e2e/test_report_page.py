@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from chromium import BINARY, Chromium
+from chromium import BINARY
 
 from roadsight.stages import write_report, write_site_page
 
@@ -33,12 +33,6 @@ def report(tmp_path_factory):
     pages = [str(site.path("page.json")) for site in sites]
     assert write_report.main(["--pages", *pages, "--out", str(folder / "report.html")]) == 0
     return folder / "report.html"
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with Chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
 
 
 @pytest.fixture

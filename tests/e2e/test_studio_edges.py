@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import studio_page
 import yaml
-from chromium import BINARY, Chromium
-from studio_page import check_looks, key, open_studio
+from studio_page import check_look, key, open_studio
 from studio_project import Studio, make_project
 
 from roadsight.config.load import load_config, load_site
@@ -20,17 +19,8 @@ from roadsight.io.atomic import read_json
 from roadsight.io.texts import read_yaml
 from roadsight.io.vectors import read_lines, read_polygons
 
-pytestmark = [
-    pytest.mark.skipif(BINARY is None, reason="no Chromium to open the studio with"),
-    pytest.mark.xdist_group("studio"),
-]
+pytestmark = pytest.mark.xdist_group("studio")
 READY = "window.studio?.page?.preview && studio.page.view.settled && !studio.page.looking"
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with Chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +42,7 @@ def project(studio):
 
 @pytest.fixture
 def page(browser, studio, project):
-    return open_studio(browser, studio, "", "", READY)
+    return open_studio(browser, studio, ready=READY)
 
 
 def pixel(page, x, y):
@@ -64,7 +54,7 @@ def pixel(page, x, y):
 
 
 def click(page, x, y, count=1, modifiers=0):
-    studio_page.click(page, *pixel(page, x, y), count, modifiers)
+    studio_page.click_at(page, *pixel(page, x, y), count, modifiers)
 
 
 def drag(page, start, end):
@@ -276,7 +266,7 @@ def test_mistakes_are_told_and_nothing_is_written(page, project):
 def test_looks(page):
     for dark in (False, True):
         for size in ((1280, 720), (1920, 1080)):
-            check_looks(page, dark, *size)
+            check_look(page, *size, dark)
 
 
 def test_colours_and_three_dimensions(page):

@@ -53,7 +53,7 @@ def studio(tmp_path_factory):
 @pytest.mark.parametrize("mode", ["plan", "3d"])
 def test_five_million_points(studio, tmp_path, mode):
     with Chromium(tmp_path / "profile") as browser:
-        page = open_studio(browser, studio, "edges", "tiny", "window.studio?.page?.view")
+        page = open_studio(browser, studio, "edges/tiny", "studio.page?.view")
         page.run("studio.page.view.setAll(true)")
         page.run(f"studio.page.setMode('{mode}')")
         page.until("studio.page.view.settled && studio.page.view.stats.points > 4.9e6", 200)

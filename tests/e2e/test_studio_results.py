@@ -5,21 +5,11 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from chromium import BINARY, Chromium
-from studio_pages import LOOKS, check_look, click, key, open_studio, text
+from studio_page import LOOKS, check_look, click, key, open_studio, text
 from studio_project import Studio, make_project
 
-pytestmark = [
-    pytest.mark.skipif(BINARY is None, reason="no Chromium to open the studio with"),
-    pytest.mark.xdist_group("studio"),
-]
+pytestmark = pytest.mark.xdist_group("studio")
 PART = "studio.page.part"
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with Chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

@@ -6,28 +6,18 @@ import json
 import sys
 
 import pytest
-from chromium import BINARY, Chromium
-from studio_pages import LOOKS, check_look, click, key, open_studio, text
+from studio_page import LOOKS, check_look, click, key, open_studio, text
 from studio_project import Studio, make_project
 
 from small_workflow import small_project  # isort: skip  # studio_project says where it is
 
-pytestmark = [
-    pytest.mark.skipif(BINARY is None, reason="no Chromium to open the studio with"),
-    pytest.mark.xdist_group("studio"),
-]
+pytestmark = pytest.mark.xdist_group("studio")
 EFFECT = {
     "effect": "rain", "job": "placement", "decision": "simulate", "quantity": "lost range",
     "value": 0.25, "unit": "m", "threshold": 0.01, "reason": "it <rains>",
     "expected_change": 0.1, "expected_seconds": 1.0,
 }  # fmt: skip
 PAGE = "<!doctype html><title>Own</title><p id=own>own</p><script>own.textContent = origin</script>"
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory):
-    with Chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

@@ -71,7 +71,7 @@ def count_met(
     wide: bool,
     beam: tuple[float, float, float],
 ) -> _FLOATS:
-    """Beams, or shares of wide ones, on each target (n,): every beam that may meet the ball about it.
+    """Beams, or shares of wide ones, on each target (n,), of all that may meet the ball about it.
 
     Parameters
     ----------
