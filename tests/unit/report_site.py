@@ -11,7 +11,8 @@ import pandas as pd
 from pyproj import CRS
 from shapely import LineString, Polygon
 
-from roadsight.config.schema import Settings, Targets
+from roadsight.config.schema import Settings
+from roadsight.config.sensing import Targets
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import write_json
 from roadsight.io.clouds import write_laz

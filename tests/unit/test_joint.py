@@ -9,12 +9,8 @@ import pytest
 from scipy import sparse
 
 from roadsight.errors import InputError
-from roadsight.placement.cover.joint import (
-    JointProblem,
-    best_of_groups,
-    least_number,
-    solve_joint,
-)
+from roadsight.placement.cover.joint import solve_joint
+from roadsight.placement.cover.joint_problem import JointProblem, best_of_groups, least_number
 
 
 def random_problem(rng, choices=9, targets=12, level=0.95, priced=True):

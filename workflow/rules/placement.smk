@@ -169,31 +169,6 @@ rule render_depth_maps:
         " --tilts {input.tilts} --curvature {params.curvature} --out {output.depth} > {log} 2>&1"
 
 
-rule render_depth_pairs:
-    input:
-        candidates="results/{site}/placement/round-0/candidates.parquet",
-        cloud=rules.ingest_cloud.output.cloud,
-        traffic=traffic_mask,
-        code=sources("render_depth_pairs"),
-    output:
-        pairs=ensure("results/{site}/placement/pairs/{site}.hybrid.npz", non_empty=True),
-    log:
-        log_of("render_depth_pairs"),
-    benchmark:
-        benchmark_of("render_depth_pairs")
-    conda:
-        ENVIRONMENT
-    resources:
-        mem_mb=megabytes(250),
-        runtime=minutes(),
-    params:
-        seed=setting("seed"),
-    shell:
-        "python -m roadsight.stages.render_depth_pairs --candidates {input.candidates}"
-        " --cloud {input.cloud} --traffic {input.traffic} --seed {params.seed}"
-        " --out {output.pairs} > {log} 2>&1"
-
-
 rule build_detection_shard:
     input:
         depth=rules.render_depth_maps.output.depth,

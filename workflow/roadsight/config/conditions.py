@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from roadsight.config.poles_schema import Section, Share
+from roadsight.config.section import Section, Share
 
 
 class Conditions(Section):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field, model_validator
 
 from roadsight.config.plan_options import PlanOptions
-from roadsight.config.schema import Name, Section
+from roadsight.config.section import Name, Section
 from roadsight.config.validate import validated
 from roadsight.errors import InputError, nearest
 from roadsight.io.texts import read_yaml

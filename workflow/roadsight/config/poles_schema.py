@@ -2,22 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
-Positive = Annotated[float, Field(gt=0, le=1e6)]
-Metres = Annotated[float, Field(gt=0, le=1000)]
-Degrees = Annotated[float, Field(ge=-180, le=180)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Count = Annotated[int, Field(ge=1)]
-LasClass = Annotated[int, Field(ge=0, le=255)]
-
-
-class Section(BaseModel):
-    """A group of settings; unknown keys, infinities and NaN are refused."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+from roadsight.config.section import Count, Degrees, LasClass, Metres, Positive, Section
 
 
 class Voxels(Section):

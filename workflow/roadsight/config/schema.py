@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -14,7 +14,6 @@ from roadsight.config.poles_schema import (
     ImageEdges,
     Networks,
     RoadEdges,
-    Section,
     Sightings,
     TerrainMesh,
     Triangulation,
@@ -23,11 +22,8 @@ from roadsight.config.poles_schema import (
     Voxels,
 )
 from roadsight.config.poses import Poses
-
-Metres = Annotated[float, Field(gt=0, le=1000)]
-Count = Annotated[int, Field(ge=1)]
-Share = Annotated[float, Field(ge=0, le=1)]
-Name = Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]  # safe as a folder and a wildcard
+from roadsight.config.section import Count, Metres, Name, Section, Share
+from roadsight.config.sensing import Lidar, Targets
 
 
 class Scene(Section):
@@ -130,73 +126,6 @@ class Candidates(Section):
                 f" height_max_m ({self.height_max_m:g})"
             )
         return self
-
-
-class Targets(Section):
-    """Pole-like targets on the pavement."""
-
-    cell_size_m: Metres = Field(default=1.0, description="grid of targets, m")
-    min_points: Count = Field(
-        default=25, description="pavement points that a cell needs to carry a target"
-    )
-    inset_m: float = Field(
-        default=0.0,
-        ge=-10,
-        le=10,
-        description="targets keep this far inside the outline, m; negative: outside",
-    )
-    kind: Literal["cylinder", "pedestrian", "car", "truck", "deer", "box"] = Field(
-        default="cylinder",
-        description="what a target is; box: of your size",
-    )
-    radius_m: Metres = Field(default=0.25, description="radius of a cylinder, m")
-    height_m: Metres = Field(default=0.6, description="height of a cylinder or box, m")
-    length_m: Metres = Field(default=4.5, description="length of a box, along the road, m")
-    width_m: Metres = Field(default=1.8, description="width of a box, m")
-    min_beams: int = Field(
-        default=8, ge=0, description="seen when more beams than this return from it"
-    )
-    rcs_m2: float = Field(
-        default=0.16, gt=0, le=1e6, description="radar cross-section of a target, m2"
-    )
-
-
-class Lidar(Section):
-    """Virtual LiDAR."""
-
-    model: Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"] = Field(
-        default="surfel", description="way to depth maps (docs/depth-maps.md)"
-    )
-    network: str = Field(
-        default="resources/models/depth_unet.onnx",
-        min_length=1,
-        description="unet, unet_mask: network that refines preliminary depth maps",
-    )
-    surfel_size_m: Metres = Field(
-        default=0.1, description="voxel of a surfel, m; at least point spacing"
-    )
-    mounting: Literal["levelled", "normal"] = Field(
-        default="levelled", description="sensors stand upright, or normal to the road"
-    )
-    azimuth_stride: Count = Field(
-        default=1, description="only every n-th azimuth is simulated and stands for n beams"
-    )
-    frames_hz: float = Field(
-        default=10.0,
-        gt=0,
-        le=1000,
-        description="turns of spinning LiDARs and frames of cameras, for data rates, per s",
-    )
-    clear_below_m: float = Field(
-        default=0.0,
-        ge=0,
-        le=10,
-        description="passing vehicles, lower than this, are cleared off the pavement, m; 0: no",
-    )
-    min_cell_points: Count = Field(
-        default=5, description="hybrid: cells with fewer points are filled"
-    )
-    neighbours: Count = Field(default=10, description="K2, hybrid: neighbours that fill a cell")
 
 
 class Coverage(Section):

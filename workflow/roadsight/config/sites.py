@@ -7,7 +7,7 @@ from typing import Any, Literal
 from pydantic import Field, model_validator
 
 from roadsight.config.plans import Plan
-from roadsight.config.schema import Count, Name, Section
+from roadsight.config.section import Count, Name, Section
 
 Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
 

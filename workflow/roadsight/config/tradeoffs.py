@@ -10,7 +10,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from roadsight.config.load import ResolvedSite, load_config, load_sites, merged
-from roadsight.config.schema import Config, Count, Name, Section, Settings
+from roadsight.config.schema import Config, Settings
+from roadsight.config.section import Count, Name, Section
 from roadsight.config.validate import validated
 from roadsight.errors import InputError
 from roadsight.evidence.metrics import METRICS

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from roadsight.config.poles_schema import Section
+from roadsight.config.section import Section
 from roadsight.config.validate import validated
 from roadsight.effects.quantities import QUANTITIES as PLACEMENT
 from roadsight.effects.quantities_poles import QUANTITIES as POLES

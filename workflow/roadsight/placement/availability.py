@@ -16,7 +16,7 @@ from roadsight.placement.common_traffic import (
     shares_alone,
     spans_in_the_way,
 )
-from roadsight.placement.cover.joint import JointProblem
+from roadsight.placement.cover.joint_problem import JointProblem
 from roadsight.placement.lanes import Traffic
 
 _FLOATS = NDArray[np.float64]

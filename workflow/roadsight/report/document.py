@@ -13,47 +13,13 @@ from roadsight.geometry.frames import Frame
 from roadsight.placement.sensors import KINDS
 from roadsight.report import wording
 from roadsight.report.effects import effect_rows
+from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES
 from roadsight.report.page import FORMAT
 from roadsight.report.parameters import figure_rows, setting_groups
 from roadsight.report.plan_view import best_plan, plan_views
 from roadsight.report.poles_page import FORMAT as POLES_FORMAT
 from roadsight.report.poles_view import poles_view
 from roadsight.report.templates import template_environment
-
-STYLES = ("base.css", "parts.css", "views.css", "poles.css")
-SCRIPTS = (
-    "data.js",
-    "plan_canvas.js",
-    "map_view.js",
-    "map_layers.js",
-    "scene_view.js",
-    "site.js",
-    "poles_data.js",
-    "poles_map.js",
-    "poles_layers.js",
-    "poles_images.js",
-    "poles.js",
-    "main.js",
-)
-TEMPLATES = (
-    "report.html.j2",
-    "site.html.j2",
-    "parts.html.j2",
-    "plans.html.j2",
-    "views.html.j2",
-    "sensors.html.j2",
-    "options.html.j2",
-    "sight.html.j2",
-    "data.html.j2",
-    "gaps.html.j2",
-    "evidence.html.j2",
-    "effects.html.j2",
-    "poles.html.j2",
-    "poles_results.html.j2",
-    "common.html.j2",
-)
-ASSETS = (*TEMPLATES, *STYLES, *SCRIPTS)
-"""Names of the files that `render_report` needs."""
 
 _ROWS_SHOWN = 100
 _FILTERS = ("number", "percent", "seconds", "metres", "bearing", "counted", "label", "pose")

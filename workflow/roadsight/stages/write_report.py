@@ -11,7 +11,8 @@ from plotly.offline import get_plotlyjs
 
 from roadsight import __version__
 from roadsight.io.atomic import atomic_path, read_json
-from roadsight.report.document import ASSETS, render_report
+from roadsight.report.document import render_report
+from roadsight.report.files import ASSETS
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("write_report")

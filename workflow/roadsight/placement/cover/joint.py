@@ -11,14 +11,16 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import highspy
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
-from roadsight.errors import InputError
+from roadsight.placement.cover.joint_problem import (
+    TOLERANCE,
+    JointProblem,
+    least_number,
+)
 from roadsight.placement.cover.relaxation import quiet_highs
 from roadsight.placement.cover.result import (
     INFEASIBLE,
@@ -35,82 +37,10 @@ Oracle = Callable[[_ROWS], list[_ROWS]]
 """Sets of rows of which an answer needs one more; none where the sorted rows will do."""
 
 _FIRST, _ADDED = 250, 80
-_TOLERANCE = 1e-7
 # Nodes of a solver's tree in a second of the limit, about, and nodes that a round costs at least.
 _NODES_PER_S, _NODES_OF_ROUND = 40, 10
 # The clock stops only what has gone wrong: answers must not depend on how busy a machine is.
 _CLOCK_FACTOR = 20
-
-
-@dataclass(frozen=True)
-class JointProblem:
-    """Rows, what they give, and what targets need.
-
-    Parameters
-    ----------
-    gain : (choices, targets) sparse, 0 or more; entries above the need count as the need.
-    need : (targets,) positive. costs : (choices,) positive.
-    groups : (choices,) at most one row of each.
-
-    Raises
-    ------
-    InputError : a gain or need is not usable.
-    """
-
-    gain: sparse.csr_matrix
-    need: NDArray[np.float64]
-    costs: NDArray[np.float64]
-    groups: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.need) & (self.need > 0)).all():
-            raise InputError("is not positive", where="need")
-        if (self.gain.data < 0).any() or np.isnan(self.gain.data).any():
-            raise InputError("is negative or not a number", where="gain")
-        capped = sparse.csr_matrix(self.gain, dtype=np.float64, copy=True)
-        capped.data = np.minimum(capped.data, self.need[capped.indices])
-        capped.eliminate_zeros()
-        object.__setattr__(self, "gain", capped)
-
-    def given(self, chosen: _ROWS) -> NDArray[np.float64]:
-        """What chosen rows give each target (targets,)."""
-        return np.asarray(self.gain[chosen].sum(axis=0)).ravel()
-
-    def reachable(self) -> NDArray[np.bool_]:
-        """Targets (targets,) to which the best rows of all groups together give enough."""
-        best = best_of_groups(self.gain, self.groups)
-        return np.asarray(best.sum(axis=0)).ravel() >= self.need * (1 - _TOLERANCE)
-
-
-def best_of_groups(gain: sparse.csr_matrix, groups: NDArray[np.int64]) -> sparse.csr_matrix:
-    """Greatest gain of each group at each target, (groups, targets)."""
-    table = gain.tocoo()
-    group = np.unique(groups, return_inverse=True)[1].reshape(-1)[table.row]
-    order = np.lexsort((-table.data, table.col, group))
-    group, column, data = group[order], table.col[order], table.data[order]
-    first = np.ones(len(group), bool)
-    first[1:] = (group[1:] != group[:-1]) | (column[1:] != column[:-1])
-    size = (int(group.max(initial=-1)) + 1, gain.shape[1])
-    return sparse.csr_matrix((data[first], (group[first], column[first])), shape=size)
-
-
-def least_number(share: NDArray[np.float64], groups: NDArray[np.int64]) -> int:
-    """How many rows a target needs at least of those that are not enough alone; 1 for none.
-
-    With r of them, ``sum_alone r x_i + sum_others x_i >= r`` holds for every answer, and cuts off
-    more of the relaxation than the gains themselves.
-
-    Parameters
-    ----------
-    share : (k,) of the need that each row gives. groups : (k,) of which one row at most is taken.
-    """
-    others = share < 1 - _TOLERANCE
-    best: dict[int, float] = {}
-    for group, value in zip(groups[others].tolist(), share[others].tolist(), strict=True):
-        best[group] = max(best.get(group, 0.0), value)
-    total = np.cumsum(sorted(best.values(), reverse=True))
-    reached = np.flatnonzero(total >= 1 - _TOLERANCE)
-    return int(reached[0]) + 1 if len(reached) else max(len(best), 1)
 
 
 def solve_joint(
@@ -171,7 +101,7 @@ class _Joint:
 
     def _violated(self, chosen: _ROWS) -> bool:
         """Add what an answer breaks; False where it breaks nothing."""
-        short = self.problem.need * (1 - _TOLERANCE) - self.problem.given(chosen)
+        short = self.problem.need * (1 - TOLERANCE) - self.problem.given(chosen)
         worst = np.argsort(-short / self.problem.need, kind="stable")[:_ADDED]
         worst = worst[short[worst] > 0]
         self.active[worst] = True
@@ -214,7 +144,7 @@ class _Joint:
             highs.addRow(1.0, highspy.kHighsInf, len(index), index.astype(np.int32), share)
             least = least_number(share, problem.groups[index])
             if least > 1:
-                times = np.where(share >= 1 - _TOLERANCE, float(least), 1.0)
+                times = np.where(share >= 1 - TOLERANCE, float(least), 1.0)
                 highs.addRow(float(least), highspy.kHighsInf, len(index),
                              index.astype(np.int32), times)  # fmt: skip
         for cut in self.cuts:
@@ -243,7 +173,7 @@ class _Joint:
         rows = [int(row) for row in chosen]
         given = problem.given(chosen)
         while True:
-            lack = np.maximum(problem.need * (1 - _TOLERANCE) - given, 0.0)
+            lack = np.maximum(problem.need * (1 - TOLERANCE) - given, 0.0)
             helps = self._help(np.array(rows, np.int64), lack)
             if helps is None:
                 break
@@ -256,7 +186,7 @@ class _Joint:
             given = problem.given(np.array(rows, np.int64))
         for row in sorted(rows, key=lambda r: (-problem.costs[r], r)):
             fewer = np.array(sorted(set(rows) - {row}), np.int64)
-            short = problem.need * (1 - _TOLERANCE) - problem.given(fewer)
+            short = problem.need * (1 - TOLERANCE) - problem.given(fewer)
             if short.max(initial=-1.0) <= 0 and not self.oracle(fewer):
                 rows = fewer.tolist()
         return np.array(sorted(rows), np.int64)
