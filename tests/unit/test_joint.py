@@ -100,6 +100,13 @@ def test_the_bound_holds_when_the_limit_stops_the_search():
     assert cover.bound <= proven.objective <= cover.objective
 
 
+def test_sums_between_two_tolerances_are_settled():
+    """What the solver lets pass by its own tolerance is not asked of it for ever."""
+    gain = sparse.csr_matrix(np.array([[0.5], [0.4999995], [0.6], [0.6]]))
+    cover = solve_joint(JointProblem(gain, np.ones(1), np.array([1.0, 1, 2, 2]), np.arange(4)))
+    assert (cover.status, cover.objective, cover.bound) == ("optimal", 3, 3)
+
+
 def test_certain_rows_are_capped():
     gain = sparse.csr_matrix(np.array([[np.inf, 0.1], [0.1, 50.0]]))
     problem = JointProblem(gain, np.array([2.0, 3.0]), np.ones(2), np.arange(2))

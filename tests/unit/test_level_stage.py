@@ -74,6 +74,22 @@ def test_common_vehicles_count_once(site, tmp_path):
     assert layer["availability"].min() == pytest.approx(found["least"])
 
 
+def test_targets_that_common_vehicles_keep_below_stop_or_are_listed(tmp_path, capsys):
+    """Independent sensors would reach the level; the same trucks hide the target from all."""
+    site = Site(tmp_path, {"S": dict.fromkeys("abcd", "012345")})
+    assert site.check("p=S") == 0
+    lanes = straight_lanes(1.5)
+    lanes["z"], lanes["cars_per_m"], lanes["trucks_per_m"] = 9.5, 0.0, 0.2
+    write_table(tmp_path / "lanes.parquet", lanes, {"availability": 0.5})
+    options = ["--availability", "0.95", "--lanes", str(tmp_path / "lanes.parquet")]
+    assert site.solve("S=1", options=options) == 2
+    assert "1 of 6 targets are in sight less often" in capsys.readouterr().err
+    assert site.solve("S=1", options=[*options, "--uncoverable", "exclude"]) == 0
+    found = site.read("solution.json")["availability"]
+    assert list(found["below"]) == ["t5"]
+    assert found["below"]["t5"] < 0.95 < found["independent"]["least"]
+
+
 def test_plans_without_the_option_stay_as_they_were(site):
     assert site.solve("S=1") == 0
     found = site.read("solution.json")["availability"]

@@ -115,6 +115,15 @@ def test_areas_may_ask_for_more_or_nothing(site, tmp_path):
     assert solve(site, {"areas": {"crs": None}}, files={"areas": areas}) == 2
 
 
+def test_targets_that_areas_waive_need_no_candidate(tmp_path):
+    site = Site(tmp_path, {"S": {"a": "012", "b": "34"}})
+    assert site.check("p=S") == 0
+    assert solve(site, {"at_least": 1}) == 2  # nothing sees target 5
+    areas = polygons(tmp_path, "areas.gpkg", [(4.5, 2, 5.5, 4)], at_least=[0])
+    assert solve(site, {"areas": {"crs": None}}, files={"areas": areas}) == 0
+    assert chosen(site) == ["a", "b"]
+
+
 def test_zones_forbid_candidates_and_targets_that_only_they_see(site, tmp_path, capsys):
     zone = polygons(tmp_path, "zone.gpkg", [(3.9, -1, 4.1, 0)])  # b and d
     options = {"forbidden": {"crs": None}}
@@ -143,6 +152,14 @@ def test_mandatory_points_snap_to_a_candidate_or_say_why_not(site, tmp_path, cap
     both = points(tmp_path, "both.csv", [(0.0, -0.5), (0.1, -0.5)], [])
     assert solve(site, options, files={"mandatory": both}) == 2
     assert "stands at the same candidates" in last_error(capsys)
+
+
+def test_a_point_between_two_places_takes_one_of_them(site, tmp_path):
+    two = points(tmp_path, "two.csv", [(2.0, -0.5), (4.0, -0.5)], [])
+    options = {"mandatory": {"crs": None, "within_m": 3.0}}
+    assert solve(site, options, files={"mandatory": two}) == 0
+    sensors = [s for s in site.read("solution.json")["sensors"] if s["mandatory"]]
+    assert len(sensors) == 2
 
 
 def test_mandatory_beyond_the_budget_is_one_message(site, tmp_path, capsys):
@@ -188,7 +205,9 @@ def test_what_a_failure_leaves_is_kept(tmp_path):
     assert max(s["loses"] for s in solution["sensors"]) <= 2
     assert solve(site, {"keep_share": 1.0}) == 0
     assert len(chosen(site)) == 5
-    assert site.read("solution.json")["options"]["failure"]["left_share"] == 1.0
+    solution = site.read("solution.json")
+    assert solution["options"]["failure"]["left_share"] == 1.0
+    assert [sensor["loses"] for sensor in solution["sensors"]] == [0.0] * 5
     assert solve(site, {"keep_share": 1.0, "curve": 5}) == 0
     curve = site.read("solution.json")["options"]["curve"]["points"]
     # Two sensors see the same half and three the other: what one alone sees does not count.

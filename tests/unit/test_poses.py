@@ -112,3 +112,9 @@ class TestDominance:
             return cover.status, cover.objective
 
         assert best(few) == best(full)
+
+
+def test_angles_are_those_that_names_state():
+    turns = turns_of([10.0001, 10.0002, -0.0001], [0.0], [0.0])
+    assert [turn.yaw_deg for turn in turns] == [0.0, 10.0]
+    assert all(split_pose(pose_name("c", turn))[1] == turn for turn in turns)

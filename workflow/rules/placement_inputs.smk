@@ -99,7 +99,7 @@ def plan_detections(wildcards):
 def plan_costs(wildcards):
     """``name=cost`` of each sensor of the plan."""
     sensors = plans_of(wildcards.site)[wildcards.plan].sensors
-    return [f"{name}={SENSORS[name].cost:g}" for name in sensors]
+    return [f"{name}={SENSORS[name].cost!r}" for name in sensors]
 
 
 def plan_options(wildcards):
@@ -229,7 +229,7 @@ def placement_effect(effect, file):
 def plan_availability(wildcards):
     """Option of a plan whose sensors together must see targets so often."""
     level = plans_of(wildcards.site)[wildcards.plan].availability
-    return "" if level is None else f"--availability {level:g}"
+    return "" if level is None else f"--availability {level!r}"
 
 
 def lanes_of_plan(wildcards):

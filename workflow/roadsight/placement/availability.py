@@ -150,7 +150,7 @@ class CommonTraffic:
         are hidden whenever one of these is.
         """
         spans = {int(row): self._span(int(row), target) for row in rows}
-        inside = [int(row) for row in rows if row in set(chosen.tolist())]
+        inside = rows[np.isin(rows, chosen)].tolist()
         others = [int(row) for row in rows if int(row) not in inside]
         alone = {row: joint_share([spans[row]], self._per_m) for row in others}
         for row in sorted(others, key=lambda r: (alone[r], r)):

@@ -64,7 +64,7 @@ def answer(
     names = choices["candidate"].astype(str).to_numpy()
     position = choices["position"].to_numpy(np.int64)
     name = lambda row: str(names[row])  # noqa: E731
-    failures = _losses(deployment, cover.chosen)
+    failures = _losses(posed, cover.chosen)
     record = {"asked": asked.options, "goal": _goal(asked, deployment, cover)}
     record |= _targets_record(asked, posed, deployment, cover, name)
     if "curve" in asked.options:
@@ -137,11 +137,15 @@ def _goal(asked: Asked, deployment: Deployment, cover: Cover) -> dict[str, Any]:
     return {"kind": "cost", "value": cover.objective, "bound": cover.bound}
 
 
-def _losses(deployment: Deployment, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Weight (chosen,) that is no longer seen often enough when each row fails."""
-    rows = deployment.problem.matrix[chosen]
+def _losses(posed: Posed, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Weight (chosen,) that is no longer seen often enough when each row fails.
+
+    How often is what the targets need, not what a plan that survives failures makes of it.
+    """
+    rows = posed.deployment.problem.matrix[chosen]
     count = np.asarray(rows.sum(axis=0, dtype=np.int64)).ravel()
-    need, weight = deployment.problem.at_least, np.asarray(deployment.weights)
+    need = posed.targets["needed"].to_numpy(np.int64)
+    weight = posed.targets["weight"].to_numpy(np.float64)
     return np.asarray(rows @ np.where((count == need) & (need > 0), weight, 0.0))
 
 

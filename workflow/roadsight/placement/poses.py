@@ -40,8 +40,11 @@ AS_MOUNTED = Turn(0.0, 0.0, 0.0)
 def turns_of(
     yaw_deg: Sequence[float], pitch_deg: Sequence[float], roll_deg: Sequence[float]
 ) -> list[Turn]:
-    """All combinations, without repeats, the least turned first: ties between poses go to it."""
-    turns = {Turn(*(float(angle) for angle in angles))
+    """All combinations, without repeats, the least turned first: ties between poses go to it.
+
+    Angles are rounded to a thousandth of a degree, as names of poses state them.
+    """
+    turns = {Turn(*(round(float(angle), 3) + 0.0 for angle in angles))
              for angles in product(yaw_deg, pitch_deg, roll_deg)}  # fmt: skip
     return sorted(turns, key=lambda turn: (sum(map(abs, turn)), turn))
 
@@ -68,7 +71,7 @@ def local_from_sensor(facing_deg: float, turn: Turn, tilt: _FLOATS | None = None
 
 def pose_name(candidate: str, turn: Turn) -> str:
     """Name of a candidate in a pose."""
-    yaw, pitch, roll = (f"{angle + 0.0:+.3f}".rstrip("0").rstrip(".") for angle in turn)
+    yaw, pitch, roll = (f"{angle:+.3f}".rstrip("0").rstrip(".") for angle in turn)
     return f"{candidate}@y{yaw}p{pitch}r{roll}"
 
 

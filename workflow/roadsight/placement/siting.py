@@ -150,7 +150,8 @@ def _nearest_place(
         if distance_m.min() > within_m:
             raise InputError("lies in a zone without sensors", where=at,
                              hint="move the point or the zone")  # fmt: skip
-    return np.flatnonzero(distance_m <= distance_m.min() + 1e-6)
+    place = xy_m[np.argmax(distance_m <= distance_m.min() + 1e-6)]  # of two as near, the first
+    return np.flatnonzero((xy_m == place).all(axis=1) & np.isfinite(distance_m))
 
 
 def reach(

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from roadsight.errors import InputError
 from roadsight.io.lanes import read_traffic
 from roadsight.placement.availability import (
-    AtLevel,
     CommonTraffic,
     at_level,
     counted_shares,
@@ -72,13 +71,14 @@ def cover_at_level(
     else:
         log.warning("no traffic is simulated: every sensor sees its targets for certain")
         posed = at_level(shares, costs, position, level)
-    _check_below(arguments, posed, targets)
+    _check_below(arguments, posed.below.tolist(), targets)
     cover = solve_joint(posed.problem, arguments.time_limit_s, arguments.gap, oracle)
     hidden = shares[cover.chosen].copy()
     hidden.data = np.log1p(-np.minimum(hidden.data, 1 - 1e-12))
     alone = -np.expm1(np.asarray(hidden.sum(axis=0)).ravel())
     seen = alone if oracle is None else oracle.joint_shares(cover.chosen)
     below = sorted({*posed.below.tolist(), *(oracle.given_up if oracle else ())})
+    _check_below(arguments, below, targets)
     record = {
         "level": level,
         "independent": described(alone),
@@ -97,12 +97,12 @@ def described(shares: NDArray[np.float64]) -> dict[str, Any]:
     }
 
 
-def _check_below(arguments: argparse.Namespace, posed: AtLevel, targets: pd.DataFrame) -> None:
-    if not len(posed.below) or arguments.uncoverable == "exclude":
+def _check_below(arguments: argparse.Namespace, below: list[int], targets: pd.DataFrame) -> None:
+    if not below or arguments.uncoverable == "exclude":
         return
-    first = ", ".join(targets["target"].astype(str).iloc[posed.below[:5]])
+    first = ", ".join(targets["target"].astype(str).iloc[below[:5]])
     raise InputError(
-        f"{len(posed.below)} of {len(targets)} targets are in sight less often than the plan asks,"
+        f"{len(below)} of {len(targets)} targets are in sight less often than the plan asks,"
         " even if every candidate carries a sensor",
         where=f"site {arguments.site}, plan {arguments.plan}",
         found=first,

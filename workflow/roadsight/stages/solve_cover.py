@@ -25,6 +25,7 @@ from roadsight.placement.cover.result import WITHIN_GAP
 from roadsight.placement.coverage import availability, detection_matrix, times_seen
 from roadsight.placement.plan_answer import Answer, answer
 from roadsight.placement.plan_problem import Asked, pose
+from roadsight.placement.siting import needs_by_area
 from roadsight.stages.command import run_stage
 from roadsight.stages.cover_inputs import FILES, read_asked
 from roadsight.stages.level_cover import cover_at_level, described
@@ -41,7 +42,7 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
     wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
     asked = read_asked(arguments, frame)
-    _check_uncovered(arguments, len(uncovered), len(targets), asked)
+    _check_uncovered(arguments, targets, uncovered, asked)
     detections = read_detections(arguments.detections)
     choices = choices_of(costs, candidates, detections)
     pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
@@ -138,26 +139,35 @@ def _option_layers(
 
 
 def _check_uncovered(
-    arguments: argparse.Namespace, uncovered: int, targets: int, asked: Asked | None
+    arguments: argparse.Namespace,
+    targets: pd.DataFrame,
+    unseen: list[str],
+    asked: Asked | None,
 ) -> None:
-    if asked is not None and asked.soft and uncovered < targets:
+    uncovered = len(unseen)
+    if asked is not None and asked.soft and uncovered < len(targets):
         return
-    if uncovered and arguments.uncoverable == "error":
+    missing = uncovered
+    if asked is not None and asked.areas is not None:
+        beyond = targets[targets["target"].isin(unseen)]
+        missing = int((needs_by_area(asked.areas, beyond, asked.at_least)[1] > 0).sum())
+    if missing and arguments.uncoverable == "error":
         raise InputError(
-            f"{uncovered} of {targets} targets are seen by no candidate",
+            f"{missing} of {len(targets)} targets are seen by no candidate",
             where=f"site {arguments.site}, plan {arguments.plan}",
             hint=f"they are listed in {arguments.coverage}; densify the candidates"
             " (candidates.spacing_m, coverage.rounds), remove what hides them,"
             " or leave them out with coverage.uncoverable: exclude",
         )
-    if uncovered == targets:
+    if uncovered == len(targets):
         raise InputError(
             "no target is seen by any candidate",
             where=f"site {arguments.site}, plan {arguments.plan}",
             hint="check the edges' position, the heights and targets.min_beams",
         )
     if uncovered:
-        log.warning("%d of %d targets are seen by no candidate: left out", uncovered, targets)
+        total = len(targets)
+        log.warning("%d of %d targets are seen by no candidate: left out", uncovered, total)
 
 
 def _check_solved(arguments: argparse.Namespace, cover: Cover) -> None:

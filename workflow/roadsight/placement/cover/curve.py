@@ -14,7 +14,7 @@ from roadsight.placement.cover.cuts import Cut
 from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.deploy import solve_deployment
 from roadsight.placement.cover.deployment import Deployment
-from roadsight.placement.cover.result import INFEASIBLE, OPTIMAL
+from roadsight.placement.cover.result import INFEASIBLE, OPTIMAL, TIME_LIMIT, WITHIN_GAP, is_within
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def coverage_curve(
             points.append(_point(asked, budget, found.cover.chosen, bound))
     if not points:
         raise InputError("no budget pays for the mandatory rows", where="curve", found=ordered)
-    return _monotone(points, base)
+    return _monotone(points, base, gap)
 
 
 def _most(deployment: Deployment, full: float) -> float:
@@ -96,7 +96,7 @@ def _point(
     return CurvePoint(budget, spent, chosen, value, max(bound, value), "")
 
 
-def _monotone(points: list[CurvePoint], base: Deployment) -> list[CurvePoint]:
+def _monotone(points: list[CurvePoint], base: Deployment, gap: float) -> list[CurvePoint]:
     """What a larger budget cannot reach, a smaller one cannot either."""
     least = math.inf
     result = []
@@ -104,7 +104,8 @@ def _monotone(points: list[CurvePoint], base: Deployment) -> list[CurvePoint]:
         least = max(min(least, point.bound), point.value)
         proven = -least > base.goal(-point.value)
         bound = point.value if proven else least
-        result.append(replace(point, bound=bound, status=OPTIMAL if proven else "time_limit"))
+        within = WITHIN_GAP if is_within(gap, point.value, bound) else TIME_LIMIT
+        result.append(replace(point, bound=bound, status=OPTIMAL if proven else within))
     return result[::-1]
 
 

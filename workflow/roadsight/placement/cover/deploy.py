@@ -124,8 +124,9 @@ def _by_cover(
 ) -> float:
     """Bound by the cheapest cover, whose rows are a start; infinite where there is none."""
     problem, cost = deployment.problem, np.asarray(deployment.cost)
+    least = -deployment.worth * deployment.total
     if not (cost > 0).all():
-        return 0.0
+        return least
     costs = CoverProblem(problem.matrix, cost, problem.groups, problem.at_least,
                          np.flatnonzero(problem.mandatory),
                          np.flatnonzero(problem.forbidden))  # fmt: skip
@@ -135,7 +136,7 @@ def _by_cover(
     if len(cover.chosen):
         builder.offer(cover.chosen)
         builder.build(cover.chosen)
-    return cover.bound - deployment.worth * deployment.total
+    return cover.bound + least
 
 
 def _infeasible(start: float) -> Cover:

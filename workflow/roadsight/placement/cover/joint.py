@@ -37,6 +37,8 @@ Oracle = Callable[[_ROWS], list[_ROWS]]
 """Sets of rows of which an answer needs one more; none where the sorted rows will do."""
 
 _FIRST, _ADDED = 250, 80
+# Sums that the solver lets pass must pass here as well, or it would be asked the same again.
+_SOLVED_TO = TOLERANCE / 100
 # Nodes of a solver's tree in a second of the limit, about, and nodes that a round costs at least.
 _NODES_PER_S, _NODES_OF_ROUND = 40, 10
 # The clock stops only what has gone wrong: answers must not depend on how busy a machine is.
@@ -102,8 +104,8 @@ class _Joint:
     def _violated(self, chosen: _ROWS) -> bool:
         """Add what an answer breaks; False where it breaks nothing."""
         short = self.problem.need * (1 - TOLERANCE) - self.problem.given(chosen)
-        worst = np.argsort(-short / self.problem.need, kind="stable")[:_ADDED]
-        worst = worst[short[worst] > 0]
+        worst = np.argsort(-short / self.problem.need, kind="stable")
+        worst = worst[(short[worst] > 0) & ~self.active[worst]][:_ADDED]
         self.active[worst] = True
         found = [] if len(worst) else self.oracle(chosen)
         self.cuts += found
@@ -131,7 +133,9 @@ class _Joint:
 
     def _model(self) -> highspy.Highs:
         problem, choices = self.problem, len(self.problem.costs)
-        highs = quiet_highs()
+        highs = quiet_highs(
+            mip_feasibility_tolerance=_SOLVED_TO, primal_feasibility_tolerance=_SOLVED_TO
+        )
         highs.addVars(choices, np.zeros(choices), np.ones(choices))
         number = np.arange(choices, dtype=np.int32)
         highs.changeColsCost(choices, number, problem.costs)
