@@ -6,15 +6,17 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
+from contextlib import suppress
 
 import pytest
 from small_workflow import small_project
 
 from roadsight.errors import InputError
-from roadsight.io.atomic import read_json
+from roadsight.io.atomic import read_json, write_json
 from roadsight.studio.project import Project
-from roadsight.studio.runner import BEGUN, hold
+from roadsight.studio.runner import BEGUN, BUSY, ENDED, EVENTS, ORDER, OUTPUT, hold, is_held, main
 from roadsight.studio.runs import FOLDER, Runs
 from roadsight.studio.snakemake_calls import Order
 from roadsight.studio.workflows_outside import processes_outside
@@ -92,7 +94,11 @@ def test_a_run_is_stopped_found_again_and_leaves_no_lock(runs, tmp_path):
     with pytest.raises(InputError, match="its lock stays"):
         again.unlock()
     again.stop(firmly=False)
+    first_s = read_json(tmp_path / FOLDER / ORDER)["stop_s"]
     assert again.state()["status"] in ("stopping", "stopped")
+    with suppress(InputError):  # where it has stopped already
+        again.stop(firmly=True)
+    assert read_json(tmp_path / FOLDER / ORDER)["stop_s"] == first_s
     state = ended(runs)
     assert state["status"] == "stopped" and not state["locked"] and state["failed"] == []
     (tmp_path / "slow").unlink()
@@ -163,3 +169,54 @@ def test_one_lock_one_holder(tmp_path):
     assert lock is not None and hold(tmp_path, 2) is None
     lock.close()
     hold(tmp_path).close()
+
+
+def test_those_who_ask_for_the_lock_do_not_see_each_other(tmp_path):
+    hold(tmp_path).close()
+    found = []
+    ask = lambda: found.extend(is_held(tmp_path) for _ in range(2000))  # noqa: E731
+    threads = [threading.Thread(target=ask) for _ in range(2)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert found == [False] * 4000
+    lock = hold(tmp_path)
+    assert is_held(tmp_path)
+    lock.close()
+
+
+def test_a_run_that_ended_just_before_it_was_stopped_is_no_run(runs, tmp_path):
+    folder = tmp_path / FOLDER
+    lock = hold(folder)
+    gone = subprocess.Popen(["true"], start_new_session=True)
+    gone.wait()
+    write_json(folder / BEGUN, {"pid": gone.pid, "time": 0.0})
+    write_json(folder / ORDER, {"time": 0.0, "stop_s": 5.0})
+    try:
+        with pytest.raises(InputError, match="no run that the studio started"):
+            runs.stop(firmly=False)
+        assert read_json(folder / ORDER)["stop_s"] == 5.0
+    finally:
+        lock.close()
+        (folder / ORDER).unlink()
+
+
+def test_a_run_that_does_not_get_the_lock_leaves_the_files_of_the_other(
+    runs, tmp_path, monkeypatch
+):
+    folder = tmp_path / FOLDER
+    lock = hold(folder)
+    files = [folder / name for name in (ORDER, BEGUN, ENDED, EVENTS, OUTPUT)]
+    for file in files:
+        file.write_text('{"pid": 999999999}')
+    try:
+        assert main([str(folder), "{}", "true"]) == BUSY
+        monkeypatch.setattr(Runs, "_is_alive", lambda _: False)  # as it was a moment ago
+        with pytest.raises(InputError, match="the workflow runs already"):
+            runs.start(Order())
+        assert {file.read_text() for file in files} == {'{"pid": 999999999}'}
+    finally:
+        lock.close()
+        for file in files:
+            file.unlink(missing_ok=True)

@@ -1,13 +1,15 @@
 """The process between the studio and Snakemake: it outlives the studio and says how a run ended.
 
-``python -m roadsight.studio.runner FOLDER COMMAND...`` leads a session of its own, so that one
-signal reaches Snakemake and its steps as Ctrl-C in a terminal does. It holds a lock on
-``FOLDER/lock`` while it lives, which is how a later studio knows.
+``python -m roadsight.studio.runner FOLDER ORDER COMMAND...``, ORDER as JSON, leads a session of its
+own, so that one signal reaches Snakemake and its steps as Ctrl-C in a terminal does. It holds a
+lock on ``FOLDER/lock`` while it lives, which is how a later studio knows; only the holder writes
+what the files of ``FOLDER`` say of a run.
 """
 
 from __future__ import annotations
 
 import fcntl
+import json
 import os
 import signal
 import subprocess
@@ -18,8 +20,8 @@ from typing import Any, BinaryIO
 
 from roadsight.io.atomic import write_json
 
-LOCK, BEGUN, ENDED, EVENTS, OUTPUT = (
-    "lock", "begun.json", "ended.json", "events.jsonl", "output.log",
+LOCK, ORDER, BEGUN, ENDED, EVENTS, OUTPUT = (
+    "lock", "order.json", "begun.json", "ended.json", "events.jsonl", "output.log",
 )  # fmt: skip
 GRACE_S = 20.0
 """How long a run may take to stop before it is told more firmly."""
@@ -42,6 +44,17 @@ def hold(folder: Path, tries: int = 1) -> BinaryIO | None:
             continue
     file.close()
     return None
+
+
+def is_held(folder: Path) -> bool:
+    """Whether a run holds the lock; two that ask at once do not see each other."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / LOCK).open("ab") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except OSError:
+            return True
+        return False
 
 
 class Watch:
@@ -78,12 +91,23 @@ class Watch:
                     os.killpg(os.getpgid(0), signal.SIGTERM)
 
 
+def _begin(folder: Path, order: str) -> None:
+    """Forget the run before, and say from now on in its place what this one does."""
+    for name in (BEGUN, ENDED, EVENTS, OUTPUT):
+        (folder / name).unlink(missing_ok=True)
+    write_json(folder / ORDER, json.loads(order))
+    with (folder / OUTPUT).open("wb") as output:
+        for stream in (sys.stdout, sys.stderr):
+            os.dup2(output.fileno(), stream.fileno())
+
+
 def main(arguments: list[str]) -> int:
     """Run the command and write what becomes of it."""
-    folder, command = Path(arguments[0]), arguments[1:]
+    folder, order, command = Path(arguments[0]), arguments[1], arguments[2:]
     lock = hold(folder, _TRIES)
     if lock is None:
         return BUSY
+    _begin(folder, order)
     watch = Watch()
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
     write_json(folder / BEGUN, {"pid": os.getpid(), "time": time.time()})

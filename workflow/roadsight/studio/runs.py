@@ -6,10 +6,12 @@ Everything about a run is in files under ``.snakemake/roadsight/run``, written b
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from contextlib import suppress
@@ -22,12 +24,11 @@ from roadsight.studio.earlier import earlier_seconds
 from roadsight.studio.progress import Job, Progress, progress_of, remaining
 from roadsight.studio.project import Project
 from roadsight.studio.run_events import plan, read_events
-from roadsight.studio.runner import BEGUN, ENDED, EVENTS, OUTPUT, hold
+from roadsight.studio.runner import BEGUN, BUSY, ENDED, EVENTS, ORDER, OUTPUT, is_held
 from roadsight.studio.snakemake_calls import Order, command, complaint, dry_run, environment, unlock
 from roadsight.studio.workflows_outside import lock_is_there, processes_outside
 
 FOLDER = ".snakemake/roadsight/run"
-ORDER = "order.json"
 _START_S = 20.0
 _LAST_STEPS = 8
 _LOG_BYTES = 64 << 10
@@ -47,11 +48,7 @@ class Runs:
 
     def _is_alive(self) -> bool:
         """Whether a run of a studio holds the lock."""
-        lock = hold(self._folder)
-        if lock is None:
-            return True
-        lock.close()
-        return False
+        return is_held(self._folder)
 
     def plan(self, order: Order) -> dict[str, Any]:
         """What a run would do and why.
@@ -85,16 +82,13 @@ class Runs:
             self._check_free()
             folder = self._folder
             line = command(self._project, order, folder / EVENTS)
-            for name in (BEGUN, ENDED, EVENTS, OUTPUT):
-                (folder / name).unlink(missing_ok=True)
             expected = self._expected(order)
             about = order.model_dump() | {"time": time.time(), "expected_s": expected}
-            write_json(folder / ORDER, about)
-            self._launch(folder, line)
+            self._launch(folder, json.dumps(about), line)
 
     def _check_free(self) -> None:
         if self._is_alive():
-            raise InputError("the workflow runs already", where="studio")
+            raise _busy()
         outside = processes_outside(self._project.root)
         if outside:
             raise InputError(
@@ -107,20 +101,32 @@ class Runs:
                 hint="remove the lock first",
             )  # fmt: skip
 
-    def _launch(self, folder: Path, line: list[str]) -> None:
-        with (folder / OUTPUT).open("wb") as output:
+    def _launch(self, folder: Path, about: str, line: list[str]) -> None:
+        # The files of the run belong to whoever holds its lock: until then it speaks into another.
+        with tempfile.NamedTemporaryFile() as early:
             process = subprocess.Popen(
-                [sys.executable, "-m", "roadsight.studio.runner", str(folder), *line],
+                [sys.executable, "-m", "roadsight.studio.runner", str(folder), about, *line],
                 cwd=self._project.root, env=environment(), stdin=subprocess.DEVNULL,
-                stdout=output, stderr=subprocess.STDOUT, start_new_session=True,
+                stdout=early, stderr=subprocess.STDOUT, start_new_session=True,
             )  # fmt: skip
-        # So that it does not stay a zombie when it ends.
-        threading.Thread(target=process.wait, daemon=True).start()
-        end = time.monotonic() + _START_S
-        while time.monotonic() < end and not (folder / BEGUN).exists():
-            if process.poll() is not None:
-                raise InputError(complaint(_tail(folder / OUTPUT), []), where="the workflow")
-            time.sleep(0.05)
+            # So that it does not stay a zombie when it ends.
+            threading.Thread(target=process.wait, daemon=True).start()
+            end = time.monotonic() + _START_S
+            while time.monotonic() < end and self._leader() != process.pid:
+                if process.poll() is not None and self._leader() != process.pid:
+                    raise self._unbegun(process.returncode, _tail(Path(early.name)))
+                time.sleep(0.05)
+
+    def _leader(self) -> int | None:
+        """Process of the last run, if it has begun."""
+        with suppress(InputError):
+            return int(read_json(self._folder / BEGUN)["pid"])
+        return None
+
+    def _unbegun(self, code: int, told: str) -> InputError:
+        if code == BUSY:
+            return _busy()
+        return InputError(complaint(told or _tail(self._folder / OUTPUT), []), where="the workflow")
 
     def stop(self, firmly: bool) -> None:
         """Ask the run to stop, as Ctrl-C does; firmly: with SIGTERM.
@@ -129,13 +135,17 @@ class Runs:
         ------
         InputError : no run of a studio.
         """
-        if not self._is_alive():
-            raise InputError("no run that the studio started", where="studio")
-        begun = read_json(self._folder / BEGUN)
-        kind = signal.SIGTERM if firmly else signal.SIGINT
-        about = read_json(self._folder / ORDER)
-        write_json(self._folder / ORDER, about | {"stop_s": time.time()})
-        os.killpg(int(begun["pid"]), kind)
+        with self._starting:
+            leader = self._leader()
+            if not self._is_alive() or leader is None:
+                raise _none()
+            about = read_json(self._folder / ORDER)
+            # What failed after the first stop failed because of it.
+            write_json(self._folder / ORDER, {"stop_s": time.time()} | about)
+            try:
+                os.killpg(leader, signal.SIGTERM if firmly else signal.SIGINT)
+            except ProcessLookupError:
+                raise _none() from None
 
     def unlock(self) -> None:
         """Remove the lock of a run that was killed.
@@ -213,6 +223,14 @@ class Runs:
             raise InputError("no log of such a step", where="studio", found=number)
         path = self._project.inside(job.logs[0])
         return {"path": job.logs[0], "text": _tail(path)}
+
+
+def _busy() -> InputError:
+    return InputError("the workflow runs already", where="studio")
+
+
+def _none() -> InputError:
+    return InputError("no run that the studio started", where="studio")
 
 
 def _status(order: dict[str, Any], ended: dict[str, Any] | None, alive: bool) -> str:
