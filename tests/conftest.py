@@ -9,10 +9,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import settings
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 PROJECT = Path(__file__).resolve().parents[1]
+
+# The same examples in every run, so that a change is judged by what it changes; a search for new
+# ones is a run of its own: HYPOTHESIS_PROFILE=search.
+settings.register_profile("same", derandomize=True)
+settings.register_profile("search", print_blob=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 
 @pytest.fixture

@@ -75,10 +75,10 @@ def test_curve_has_a_dot_and_a_row_for_each_budget():
 @pytest.mark.parametrize(
     ("shared", "least", "text"),
     [
-        (2, 2, "Every answer as good stands at the same places."),
+        (2, 2, "Every answer that is no dearer and sees no less stands at the same places."),
         (1, 1, "1 sensor elsewhere and 1 at the same places. None shares fewer: that is proven."),
         (1, 0, "proves only that 0 must be shared."),
-        (2, 0, "No answer as good was found that stands elsewhere."),
+        (2, 0, "No such answer was found that stands elsewhere."),
     ],
 )
 def test_uniqueness_says_what_is_proven(shared, least, text):

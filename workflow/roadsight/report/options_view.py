@@ -170,12 +170,12 @@ def _alternatives(plan: dict[str, Any], options: dict[str, Any]) -> dict[str, An
 def _uniqueness(found: dict[str, Any], sensors: int) -> str:
     shared, least = found["shared_places"], found["least_shared_places"]
     if shared >= sensors and least >= sensors:
-        return "Every answer as good stands at the same places."
+        return "Every answer that is no dearer and sees no less stands at the same places."
     text = (
-        f"Another answer as good has {counted(sensors - shared, 'sensor')} elsewhere and"
-        f" {number(shared)} at the same places."
+        "Another answer, no dearer and seeing no less, has"
+        f" {counted(sensors - shared, 'sensor')} elsewhere and {number(shared)} at the same places."
         if shared < sensors
-        else "No answer as good was found that stands elsewhere."
+        else "No such answer was found that stands elsewhere."
     )
     if least >= shared:
         return f"{text} None shares fewer: that is proven."

@@ -17,12 +17,12 @@ from roadsight.placement.cover.solve import solve_cover_problem
 
 @dataclass(frozen=True)
 class Different:
-    """Another answer as good that shares as few places as can be.
+    """Another answer, no dearer and seeing no less, that shares as few places as can be.
 
     Parameters
     ----------
     chosen : its sorted rows. shared : how many of them stand at a place of the first answer.
-    least_shared : proven: in every answer as good at least so many do.
+    least_shared : proven: in every such answer at least so many do.
     """
 
     chosen: NDArray[np.int64]
@@ -74,7 +74,9 @@ def most_different(
     limit: Deadline | float | None = None,
     seed: int = 1,
 ) -> Different:
-    """Answer of the same cost and coverage that shares the fewest places with ``chosen``.
+    """Answer, no dearer and seeing no less, that shares the fewest places with ``chosen``.
+
+    With a price, answers that see more for as much more money are as good too, but other choices.
 
     Parameters
     ----------
