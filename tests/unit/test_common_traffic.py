@@ -7,11 +7,13 @@ import pytest
 from scipy import sparse
 from test_lanes import straight_lanes
 
+from roadsight.placement import availability
 from roadsight.placement.availability import (
     AtLevel,
     CommonTraffic,
     at_level,
     counted_shares,
+    past_traffic,
 )
 from roadsight.placement.common_traffic import (
     contains,
@@ -164,6 +166,35 @@ class TestPlans:
         assert isinstance(posed, AtLevel)
         seen = road[2][cover.chosen].getnnz(axis=0)
         assert (seen[posed.below] >= 1).all()
+
+
+def test_choices_at_one_place_look_past_the_same_vehicles(traffic, monkeypatch):
+    """Poses and kinds at one place: lines are walked once, and each row is told the same."""
+    rng = np.random.default_rng(8)
+    places = rng.uniform((-60, -6, 3), (60, -2, 9), (5, 3))
+    sensors = places[[0, 1, 0, 2, 0, 3, 4, 3]]
+    points = rng.uniform((-40, 0, 0.2), (40, 12, 0.6), (30, 3))
+    seen = sparse.csr_matrix(rng.random((8, 30)) < 0.6)
+    walked = []
+
+    def counted(*arguments):
+        walked.append(len(arguments[2]))
+        return shares_alone(*arguments)
+
+    monkeypatch.setattr(availability, "shares_alone", counted)
+    found = past_traffic(seen, traffic, sensors, points)
+    assert len(walked) == len(places)
+    for row in range(8):
+        columns = seen[row].indices
+        expected = shares_alone(traffic, sensors[row], points[columns])
+        np.testing.assert_array_equal(found[row].data, expected)
+    oracle = CommonTraffic(traffic, sensors, points, found, 0.9, np.zeros(0, np.int64))
+    twice = oracle.joint_shares(np.array([0, 2, 4]))
+    union = np.flatnonzero(np.asarray(seen[[0, 2, 4]].sum(axis=0)).ravel())
+    # Three poses at one place are one line of sight.
+    np.testing.assert_allclose(
+        twice[union], shares_alone(traffic, places[0], points[union]), rtol=1e-9
+    )
 
 
 def test_classes_count_every_target():

@@ -10,9 +10,12 @@ import shapely
 from roadsight.io.detections import read_detections, write_detections
 from roadsight.io.lanes import read_traffic
 from roadsight.io.tables import write_table
+from roadsight.placement.carriageways import lanes_abreast
 from roadsight.placement.coverage import availability
 from roadsight.placement.lanes import free_shares, rasterise_lanes, trace_lanes
 from roadsight.placement.passing import CAR, TRUCK, expected_in_the_way
+from roadsight.synthetic.highway import build_highway
+from roadsight.synthetic.truth import digitised_edges, truth_layers
 
 LANE_M = 3.5
 
@@ -65,6 +68,58 @@ class TestTracing:
     def test_a_footpath_is_no_lane(self):
         edges = [shapely.LineString([(-50, 3), (50, 3)])]
         assert trace_lanes(edges, shapely.MultiPolygon([carriageway(0, 2)]), LANE_M).empty
+
+
+def edge(y, start=-200.0, end=200.0):
+    return shapely.LineString([(start, y), (end, y)])
+
+
+class TestRoads:
+    """The traffic of a road is counted once, whatever edges its lanes were traced from."""
+
+    @pytest.mark.parametrize("overhang_m", [0.0, 15.0])
+    def test_a_two_lane_road_with_one_edge_longer_than_the_other(self, overhang_m):
+        pavement = shapely.MultiPolygon([carriageway(-4, 4, 300)])
+        # Bent by a little, so that the second edge does not meet the first one's lanes everywhere.
+        bent = shapely.LineString([(-200 - overhang_m, -5), (0, -5.4), (200 - 2 * overhang_m, -5)])
+        lanes = trace_lanes([edge(5), bent], pavement, LANE_M)
+        assert lanes["road"].unique().tolist() == [0]
+        assert (lanes["x"].min() < -205) == (overhang_m > 0)
+        assert lanes_abreast(lanes).tolist() == [2]
+
+    def test_an_opposite_carriageway_out_of_reach_of_the_edge_is_of_the_same_road(self):
+        pavement = shapely.MultiPolygon([carriageway(1, 11.75), carriageway(-39.75, -29)])
+        lanes = trace_lanes([edge(12.5), edge(-40.5, -190)], pavement, LANE_M)
+        assert lanes["lane"].nunique() == 4
+        assert lanes_abreast(lanes).to_dict() == {0: 4}
+
+    def test_part_of_the_opposite_carriageway_left_over(self):
+        """It bends away from the longest edge, which sees it only along a part of the road."""
+        low = [(-200, -5), (0, -5), (200, -30), (200, -38.5), (0, -13.5), (-200, -13.5)]
+        pavement = shapely.MultiPolygon([carriageway(2.5, 11), shapely.Polygon(low)])
+        other = shapely.LineString([(-190, -14), (0, -14), (200, -39)])
+        lanes = trace_lanes([edge(12), other], pavement, LANE_M)
+        assert lanes["lane"].nunique() > 4
+        assert lanes_abreast(lanes).to_dict() == {0: 4}
+
+    def test_a_crossing_and_a_far_road_have_traffic_of_their_own(self):
+        crossing = shapely.box(30, -60, 38, 60)
+        parts = [carriageway(-4, 4).difference(crossing), crossing, carriageway(-150, -142)]
+        pavement = shapely.MultiPolygon([p for part in parts for p in shapely.get_parts(part)])
+        across = shapely.LineString([(29, -58), (29, 58)])
+        lanes = trace_lanes([edge(5), across, edge(-151, -180)], pavement, LANE_M)
+        assert sorted(lanes["road"].unique()) == [0, 1, 2]
+        assert lanes_abreast(lanes).to_dict() == {0: 2, 1: 2, 2: 2}
+
+    def test_the_generated_divided_highway_is_one_road_of_four_lanes(self):
+        highway = build_highway(seed=1, length_m=100.0)
+        edges = list(digitised_edges(highway, np.random.default_rng(1)).geometry)
+        parts = truth_layers(highway)["pavement"].geometry.to_numpy()
+        pavement = shapely.multipolygons(shapely.get_parts(parts))
+        lanes = trace_lanes(edges, pavement, LANE_M)
+        assert lanes_abreast(lanes).to_dict() == {0: 4}
+        for line in edges:  # whichever edges there are
+            assert lanes_abreast(trace_lanes([line], pavement, LANE_M)).to_dict() == {0: 4}
 
 
 class TestFreeShares:

@@ -55,10 +55,24 @@ def past_traffic(
 ) -> sparse.csr_matrix:
     """Shares of the entries of ``seen`` as `CommonTraffic` knows them: exactly, and never more."""
     shares = sparse.csr_matrix(seen, dtype=np.float64, copy=True)
-    for row in range(shares.shape[0]):
-        part = slice(shares.indptr[row], shares.indptr[row + 1])
-        shares.data[part] = shares_alone(traffic, sensors_m[row], points_m[shares.indices[part]])
+    place = _places(sensors_m)
+    # All choices at one place look past the same vehicles.
+    for rows in np.split(np.argsort(place, kind="stable"), np.cumsum(np.bincount(place))[:-1]):
+        if not len(rows):
+            continue
+        parts = [slice(shares.indptr[row], shares.indptr[row + 1]) for row in rows]
+        targets = [shares.indices[part] for part in parts]
+        once, where = np.unique(np.concatenate(targets), return_inverse=True)
+        free = shares_alone(traffic, sensors_m[rows[0]], points_m[once])[where]
+        ends = np.cumsum([len(part) for part in targets])
+        for part, found in zip(parts, np.split(free, ends[:-1]), strict=True):
+            shares.data[part] = found
     return shares
+
+
+def _places(sensors_m: _FLOATS) -> _ROWS:
+    """Number of the place (choices,) at which each choice stands: poses share theirs."""
+    return np.unique(sensors_m, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -110,6 +124,7 @@ class CommonTraffic:
 
     def __post_init__(self) -> None:
         self._by_target = self.shares.tocsc()
+        self._place = _places(self.sensors_m).tolist()
         self._spans: dict[tuple[int, int], _FLOATS] = {}
         self.given_up |= set(self.below.tolist())
 
@@ -118,7 +133,7 @@ class CommonTraffic:
         self._walk(chosen)
         rows = self.shares[chosen].tocsc()
         return np.array([
-            joint_share([self._spans[int(chosen[k]), t] for k in _column(rows, t)], self._per_m)
+            joint_share([self._span(int(chosen[k]), t) for k in _column(rows, t)], self._per_m)
             for t in range(len(self.points_m))
         ])  # fmt: skip
 
@@ -170,13 +185,14 @@ class CommonTraffic:
         """Spans of all targets that chosen rows see."""
         for row in chosen.tolist():
             targets = self.shares.indices[self.shares.indptr[row] : self.shares.indptr[row + 1]]
-            new = [int(t) for t in targets if (row, int(t)) not in self._spans]
+            place = self._place[row]
+            new = [int(t) for t in targets if (place, int(t)) not in self._spans]
             if new:
                 found = spans_in_the_way(self.traffic, self.sensors_m[row], self.points_m[new])
-                self._spans |= {(row, t): s.copy() for t, s in zip(new, found, strict=True)}
+                self._spans |= {(place, t): s.copy() for t, s in zip(new, found, strict=True)}
 
     def _span(self, row: int, target: int) -> _FLOATS:
-        key = (row, target)
+        key = (self._place[row], target)
         if key not in self._spans:
             point = self.points_m[target : target + 1]
             self._spans[key] = spans_in_the_way(self.traffic, self.sensors_m[row], point)[0].copy()

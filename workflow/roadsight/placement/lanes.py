@@ -11,6 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.placement.carriageways import road_alongside
 from roadsight.placement.passing import VehicleClass
 from roadsight.scene.grids import Grid
 
@@ -32,24 +33,26 @@ def trace_lanes(
 
     Across each edge, the longest first, every carriageway (a stretch of pavement up to 40 m off)
     carries as many lanes as fit its usual width, around its middle; road that has lanes already
-    gets no more.
+    gets no more. Lanes that run alongside those of an earlier edge are of the same road.
 
     Returns
     -------
-    lane (number), road (number of the edge), station_m, x, y, along_x, along_y (unit tangent)
+    lane (number), road (number), station_m, x, y, along_x, along_y (unit tangent)
     """
     parts: list[pd.DataFrame] = []
-    lanes = 0
-    for road, edge in enumerate(sorted(edges, key=lambda line: -line.length)):
-        points = _lanes_along(edge, pavement, lane_width_m)
+    lanes, roads = 0, 0
+    for edge in sorted(edges, key=lambda line: -line.length):
+        points, road = _lanes_along(edge, pavement, lane_width_m), None
         if parts:
-            known = cKDTree(pd.concat(parts)[["x", "y"]].to_numpy())
-            near, _ = known.query(points[["x", "y"]].to_numpy())
+            known = pd.concat(parts)
+            near, _ = cKDTree(known[["x", "y"]].to_numpy()).query(points[["x", "y"]].to_numpy())
             points = points[near > lane_width_m / 2]
+            road = road_alongside(points, known) if len(points) else None
         if len(points):
             codes, _ = pd.factorize(points["lane"], sort=True)
-            parts.append(points.assign(lane=codes + lanes, road=road))
+            parts.append(points.assign(lane=codes + lanes, road=roads if road is None else road))
             lanes += int(codes.max()) + 1
+            roads += road is None
     names = ["lane", "road", "station_m", "x", "y", "along_x", "along_y"]
     if not parts:
         return pd.DataFrame({name: [] for name in names})

@@ -13,6 +13,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
 from roadsight.io.rasters import read_raster
 from roadsight.io.tables import write_table
+from roadsight.placement.carriageways import lanes_abreast
 from roadsight.placement.lanes import trace_lanes as trace
 from roadsight.placement.passing import vehicles_per_m
 from roadsight.stages.command import run_stage
@@ -35,8 +36,7 @@ def trace_lanes(arguments: argparse.Namespace) -> None:
     dem = read_raster(arguments.dem, frame)
     ground = dem.sample(lanes["x"].to_numpy(), lanes["y"].to_numpy())
     lanes["z"] = np.where(np.isfinite(ground), ground, np.nanmedian(ground))
-    abreast = lanes.groupby("road")["lane"].nunique()
-    for road, count in abreast.items():
+    for road, count in lanes_abreast(lanes).items():
         cars, trucks = vehicles_per_m(
             arguments.aadt,
             arguments.truck_share,
@@ -46,7 +46,10 @@ def trace_lanes(arguments: argparse.Namespace) -> None:
         )
         lanes.loc[lanes["road"] == road, ["cars_per_m", "trucks_per_m"]] = (cars, trucks)
         log.info(
-            "road %d: %d lanes, %.1f vehicles a km and lane", road, count, 1000 * (cars + trucks)
+            "road %d: %d lanes abreast, %.1f vehicles a km and lane",
+            road,
+            count,
+            1000 * (cars + trucks),
         )
     write_table(arguments.out, lanes, {"availability": arguments.availability})
 
