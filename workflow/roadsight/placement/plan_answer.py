@@ -16,7 +16,7 @@ from roadsight.placement.cover.curve import coverage_curve, spread_budgets
 from roadsight.placement.cover.deadline import Deadline, WorkLimit
 from roadsight.placement.cover.deploy import solve_costly_cover, solve_deployment
 from roadsight.placement.cover.deployment import Deployment
-from roadsight.placement.cover.problem import CoverProblem, objective_step
+from roadsight.placement.cover.problem import objective_step
 from roadsight.placement.cover.result import INFEASIBLE, Cover
 from roadsight.placement.cover.solve import solve_cover_problem
 from roadsight.placement.plan_problem import Asked, Posed
@@ -194,10 +194,7 @@ def _kept_all(asked: Asked, posed: Posed) -> Deployment:
     deployment = posed.deployment
     if not deployment.complete or asked.options.get("keep_share") != 1:
         return deployment
-    old = deployment.problem
-    fixed, free = np.flatnonzero(old.mandatory), np.flatnonzero(old.forbidden)
-    needed = posed.targets["needed"].to_numpy(np.int64)
-    once = CoverProblem(old.matrix, old.costs, old.groups, needed, fixed, free)
+    once = deployment.problem.changed(at_least=posed.targets["needed"].to_numpy(np.int64))
     return replace(deployment, problem=once, keep=1.0)
 
 

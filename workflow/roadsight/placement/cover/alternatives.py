@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.deploy import solve_deployment
 from roadsight.placement.cover.deployment import Deployment
-from roadsight.placement.cover.problem import CoverProblem, objective_step
+from roadsight.placement.cover.problem import objective_step
 from roadsight.placement.cover.solve import solve_cover_problem
 
 
@@ -103,10 +103,7 @@ def _by_cover(
     most = len(chosen) + 1
     both = np.round(cost / objective_step(cost)) * most + shared
     old = both[chosen].sum() - shared[chosen].sum()
-    asked = CoverProblem(problem.matrix, both, problem.groups, problem.at_least,
-                         np.flatnonzero(problem.mandatory),
-                         np.flatnonzero(problem.forbidden))  # fmt: skip
-    cover = solve_cover_problem(asked, limit, seed)
+    cover = solve_cover_problem(problem.changed(costs=both), limit, seed)
     found = cover.chosen if cover.objective <= both[chosen].sum() else chosen
     return found, max(cover.bound - old, 0.0)
 

@@ -39,9 +39,7 @@ def maximise_coverage(
     InputError : the budget or a weight is not usable, or the mandatory rows do not fit.
     """
     start = time.process_time()
-    once = CoverProblem(problem.matrix, problem.costs, problem.groups, 1,
-                        np.flatnonzero(problem.mandatory),
-                        np.flatnonzero(problem.forbidden))  # fmt: skip
+    once = problem.changed(at_least=1)
     deployment = budgeted(once, budget, None if weights is None else np.asarray(weights))
     cover = solve_deployment(deployment, time_limit_s).cover
     seconds = time.process_time() - start

@@ -7,10 +7,8 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 
-def spacing_cliques(
-    xy_m: NDArray[np.float64], spacing_m: float, single: bool = True
-) -> tuple[NDArray[np.int64], ...]:
-    """Sets of positions that lie nearer to each other than a spacing.
+def spacing_cliques(xy_m: NDArray[np.float64], spacing_m: float) -> tuple[NDArray[np.int64], ...]:
+    """Sets of positions that lie nearer to each other than a spacing, or at one place.
 
     Every two positions nearer than the spacing share a set, and a set holds no others. Sets grow
     until no position can join, so that there are few of them and relaxations are tight.
@@ -18,7 +16,6 @@ def spacing_cliques(
     Parameters
     ----------
     xy_m : (n, 2) positions, local metres; equal ones stand at one place.
-    single : whether sets of rows at one place alone count, too.
     """
     places, member = np.unique(np.asarray(xy_m, np.float64), axis=0, return_inverse=True)
     member = member.reshape(-1)
@@ -26,7 +23,7 @@ def spacing_cliques(
     rows_at = np.split(order, np.cumsum(np.bincount(member, minlength=len(places)))[:-1])
     near = _neighbours(places, spacing_m)
     cliques = _edge_cliques(near)
-    lonely = [{p} for p in range(len(places)) if not near[p] and len(rows_at[p]) > 1 and single]
+    lonely = [{p} for p in range(len(places)) if not near[p] and len(rows_at[p]) > 1]
     sets = [*cliques, *lonely]
     return tuple(np.sort(np.concatenate([rows_at[p] for p in sorted(s)])) for s in sets)
 

@@ -145,13 +145,14 @@ class Builder:
             inside[row] = True
 
     def _best_addition(self, inside: NDArray[np.bool_], gain: NDArray[np.float64]) -> int:
-        """Row that may be added and gains most per charge; -1: none."""
+        """Row that may be added and gains most for what it costs; -1: none."""
         exclusive, deployment = self.deployment.exclusive, self.deployment
         used = exclusive @ inside.astype(np.int32) > 0
         charge = np.asarray(deployment.charge)
         left = deployment.spendable - charge[inside].sum()
         free = self._allowed & ~inside & (charge <= left) & (exclusive.T @ used == 0)
-        score = np.where(free, gain, 0.0) / np.maximum(np.asarray(deployment.cost), 1e-9)
+        price = charge if math.isfinite(deployment.budget) else np.asarray(deployment.cost)
+        score = np.where(free, gain, 0.0) / np.maximum(price, 1e-9)
         return int(np.argmax(score)) if (score > 0).any() else -1
 
     def _tidy(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -97,9 +97,7 @@ def solve_costly_cover(
     cover = solve_cover_problem(problem, limit.part(2), seed, gap)
     if cover.status != TIME_LIMIT or (problem.costs == problem.costs[0]).all():
         return cover
-    ones = CoverProblem(problem.matrix, None, problem.groups, problem.at_least,
-                        np.flatnonzero(problem.mandatory),
-                        np.flatnonzero(problem.forbidden))  # fmt: skip
+    ones = problem.changed(costs=None)
     builder = Builder(Cuts(Deployment(problem)), np.random.default_rng(seed))
     for rows in (cover.chosen, solve_cover_problem(ones, limit.part(2), seed).chosen):
         builder.offer(rows)
@@ -127,10 +125,8 @@ def _by_cover(
     least = -deployment.worth * deployment.total
     if not (cost > 0).all():
         return least
-    costs = CoverProblem(problem.matrix, cost, problem.groups, problem.at_least,
-                         np.flatnonzero(problem.mandatory),
-                         np.flatnonzero(problem.forbidden))  # fmt: skip
-    cover = solve_cover_problem(costs, deadline.part(_COVER_SHARES), seed, gap)
+    costly = problem.changed(costs=cost)
+    cover = solve_cover_problem(costly, deadline.part(_COVER_SHARES), seed, gap)
     if cover.status == INFEASIBLE:
         return math.inf
     if len(cover.chosen):

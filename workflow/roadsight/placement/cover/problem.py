@@ -60,6 +60,21 @@ class CoverProblem:
         if len(both):
             raise InputError("is both mandatory and forbidden", where="row", found=both[0])
 
+    def changed(self, **parts: ArrayLike | None) -> CoverProblem:
+        """The same with another matrix, other ``costs``, ``at_least`` or rows.
+
+        ``parts`` are arguments as those of the constructor.
+        """
+        mine = {
+            "matrix": self.matrix,
+            "costs": self.costs,
+            "groups": self.groups,
+            "at_least": self.at_least,
+            "mandatory": np.flatnonzero(self.mandatory),
+            "forbidden": np.flatnonzero(self.forbidden),
+        }
+        return CoverProblem(**(mine | parts))
+
 
 @dataclass(frozen=True)
 class Instance:
