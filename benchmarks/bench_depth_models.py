@@ -14,6 +14,7 @@ import numpy as np
 
 from bench_lidar_scene import exact_depth, mobile_cloud, pavement_targets, sensor_poses
 from bench_measure import Cost, Size, measured, row
+from roadsight.evidence.exact_ranges import WRONG_M, share_wrong
 from roadsight.placement.detection import MIN_BEAMS, count_hits
 from roadsight.placement.models import model_of_points
 from roadsight.placement.sensors import Sensor, load_sensors
@@ -28,7 +29,6 @@ ROOT = Path(__file__).parents[1]
 NETWORKS = {"": "depth_unet.onnx", ", published pairs": "depth_unet_published.onnx"}
 SENSORS = ("OS-128", "VLP-16")
 SEED, LENGTH_M, POINTS = 7010, 80.0, 1_600_000
-WRONG_M = 0.5
 SURFEL = "surfel"
 
 Pose = tuple[np.ndarray, float]
@@ -111,9 +111,8 @@ def _density(cloud: np.ndarray) -> float:
 def _agreement(maps: np.ndarray, exact: np.ndarray) -> tuple[float, float]:
     """Share of the beams that are right, and error of the ranges where both return."""
     both = (maps > 0) & (exact > 0)
-    right = np.where(both, np.abs(maps - exact) <= WRONG_M, maps == exact)
     error_m = (maps - exact)[both].astype(np.float64)
-    return float(right.mean()), float(np.sqrt(np.mean(error_m**2))) if both.any() else 0.0
+    return 1 - share_wrong(maps, exact), float(np.sqrt(np.mean(error_m**2))) if both.any() else 0.0
 
 
 def _seen(maps: np.ndarray, sensor: Sensor, poses: list[Pose], targets: np.ndarray) -> np.ndarray:

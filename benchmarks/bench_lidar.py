@@ -24,6 +24,7 @@ from bench_lidar_scene import (
     sensor_poses,
 )
 from bench_measure import Cost, Size, measured, row
+from roadsight.evidence.exact_ranges import WRONG_M, share_wrong
 from roadsight.placement.detection import MIN_BEAMS, count_hits
 from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.models import model_of_points
@@ -35,7 +36,6 @@ from roadsight.scene.voxel_moments import sum_moments
 from roadsight.synthetic.highway import Highway, build_highway
 
 SENSORS = ("OS-128", "VLP-16")
-WRONG_M = 0.5
 SURFEL, HYBRID, EXACT = "surfel", "hybrid (Algorithm 1)", "exact ray casting"
 RAYS = "bound: rays alone"
 SITE = (1_900, 6_239)
@@ -176,8 +176,7 @@ def _depth_rows(
 
 def _right(depth: NDArray[np.float32], exact: NDArray[np.float32]) -> float:
     """Share of beams with the right range, or rightly without return."""
-    both = (depth > 0) & (exact > 0)
-    return float(np.mean(np.where(both, np.abs(depth - exact) <= WRONG_M, depth == exact)))
+    return 1 - share_wrong(depth, exact)
 
 
 def _detection_rows(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.placement.rays import beam_directions
+from roadsight.evidence.exact_ranges import exact_ranges
 from roadsight.placement.sensors import Sensor
 from roadsight.placement.targets import place_targets
 from roadsight.synthetic.alignment import heading_at, to_plan
@@ -63,12 +63,7 @@ def exact_depth(
     highway: Highway, sensor: Sensor, position_m: NDArray[np.float64], yaw_deg: float
 ) -> NDArray[np.float32]:
     """True range of every beam, 0 for none, shape (rows, columns)."""
-    directions = beam_directions(sensor, yaw_deg).reshape(-1, 3).astype(np.float64)
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    origins = np.broadcast_to(position_m, directions.shape)
-    range_m, _, _ = highway.scene.cast(origins, directions, sensor.range_m)
-    range_m[~np.isfinite(range_m)] = 0.0
-    return range_m.reshape(sensor.shape).astype(np.float32)
+    return exact_ranges(highway.scene, sensor, position_m, yaw_deg)
 
 
 def pavement_targets(highway: Highway) -> NDArray[np.float64]:

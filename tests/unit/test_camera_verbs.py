@@ -1,6 +1,8 @@
 """``roadsight align`` and ``roadsight register`` on a small generated drive."""
 
+import io
 import json
+from contextlib import redirect_stdout
 from functools import partial
 from zipfile import ZipFile
 
@@ -141,13 +143,13 @@ def test_pairs_that_do_not_tell_are_refused(drive, tagged, tmp_path, capsys, rng
     assert not out.exists()
 
 
-@pytest.mark.full
-@pytest.mark.xfail(strict=True, reason="160 m without side views do not calibrate a camera so well")
-def test_align_finds_the_cameras(drive, tmp_path, capsys):
-    """Exact masks: most cameras within a tenth of a degree."""
-    files = {key: tmp_path / f"{key}.zip" for key in ("images", "labels", "depth")}
+@pytest.fixture(scope="module")
+def aligned(drive, tmp_path_factory):
+    """Exit code of ``align`` by exact masks of all views, what it printed, and its cameras."""
+    folder = tmp_path_factory.mktemp("aligned")
+    files = {key: folder / f"{key}.zip" for key in ("images", "labels", "depth")}
     stage(render_videolog, **files, shards=1, shard=0)
-    labels = tmp_path / "masks"
+    labels = folder / "masks"
     labels.mkdir()
     with ZipFile(files["labels"]) as archive:
         for name in archive.namelist():
@@ -156,20 +158,44 @@ def test_align_finds_the_cameras(drive, tmp_path, capsys):
                 to = f"{stem}_{view}.png" if view else f"{stem}.png"
                 (labels / to).write_bytes(archive.read(name))
     assert LabelImages(str(labels))
-    out = tmp_path / "cameras.csv"
+    out = folder / "cameras.csv"
     argv = ["align", drive / "v.csv", "--cloud", drive / "c.laz", "--images", files["images"]]
-    assert main([str(p) for p in (*argv, "--masks", labels, "-o", out)]) == 0
+    printed = io.StringIO()
+    with redirect_stdout(printed):
+        code = main([str(p) for p in (*argv, "--masks", labels, "-o", out)])
     cameras = pd.read_csv(out).merge(front(drive), on="image", suffixes=("", "_true"))
+    return code, printed.getvalue(), cameras
+
+
+@pytest.mark.full
+def test_align_finds_the_cameras(drive, aligned):
+    """Each image has its row; what is not accepted has a reason."""
+    code, printed, cameras = aligned
+    assert code == 0 and len(cameras) == len(front(drive))
     good = cameras["accepted"].to_numpy(bool)
-    off = np.abs(cameras["heading_grid_deg"] - cameras["heading_grid_deg_true"])
     assert good.mean() > 0.4
-    assert np.median(off[good]) < 0.1
-    apart = np.hypot(
-        cameras["x"] - cameras["easting_usft"], cameras["y"] - cameras["northing_usft"]
-    )
-    assert np.median(apart[good]) * FOOT_M < 1.0
     assert (cameras.loc[~good, "reason"].str.len() > 0).all()
-    assert f"{good.sum()} of {len(cameras)} cameras" in capsys.readouterr().out
+    assert f"{good.sum()} of {len(cameras)} cameras" in printed
+
+
+SHORT = "32 images leave the focal length 5 % too long, and places and headings follow it"
+
+
+@pytest.mark.full
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason=SHORT)
+def test_aligned_cameras_stand_where_they_stood(aligned):
+    good = aligned[2].query("accepted")
+    apart = np.hypot(good["x"] - good["easting_usft"], good["y"] - good["northing_usft"])
+    assert np.median(apart) * FOOT_M < 1.0
+
+
+@pytest.mark.full
+@pytest.mark.xfail(strict=True, raises=AssertionError, reason=SHORT)
+def test_aligned_cameras_look_where_they_looked(aligned):
+    """Most within a tenth of a degree."""
+    good = aligned[2].query("accepted")
+    off_deg = np.abs(good["heading_grid_deg"] - good["heading_grid_deg_true"])
+    assert np.median(off_deg) < 0.1
 
 
 def rendered(drive, folder):

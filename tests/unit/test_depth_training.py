@@ -112,9 +112,8 @@ class TestScenes:
         seen = site.cloud_m, sensor, site.positions_m[0], float(site.yaws_deg[0])
         found = preliminary_depth(*seen)
         both = (found > 0) & (exact > 0)
-        if both.any():
-            assert np.median(np.abs(found - exact)[both]) < 0.3
-        assert map_errors(exact, exact)["wrong"] == 0
+        assert both.mean() > 0.03
+        assert np.median(np.abs(found - exact)[both]) < 0.1
 
     def test_the_dataset_repeats_itself(self, tmp_path):
         for name in ("a", "b"):
@@ -188,6 +187,48 @@ class TestStage:
         assert pairs.refined.shape == (2, 500, 50)
 
 
+def least_and_sums(cells):
+    """Least range of a few cells, 0 if none returns; sums of their ranges and returns, by cell."""
+    some = cells[cells > 0]
+    return (some.min() if some.size else 0.0), cells.sum() / cells.size, some.size / cells.size
+
+
+def blended(blocks, row, column, size):
+    """A map of blocks of a size at the middle of a cell: bilinear, constant beyond the middles."""
+    value = 0.0
+    y, x = (row + 0.5) / size - 0.5, (column + 0.5) / size - 0.5
+    for i in range(blocks.shape[0] + 2):
+        for j in range(blocks.shape[1] + 2):
+            share = max(0.0, 1 - abs(y - (i - 1))) * max(0.0, 1 - abs(x - (j - 1)))
+            inside = np.clip((i - 1, j - 1), 0, np.array(blocks.shape) - 1)
+            value += share * blocks[tuple(inside)]
+    return value
+
+
+def slow_candidates(depth):
+    """All nine candidates of each cell: its own range, 3 x 3 cells, blocks of 2, 4 and 8 cells."""
+    rows, columns = depth.shape
+    found = np.zeros((9, rows, columns))
+    for row, column in np.ndindex(rows, columns):
+        around = np.zeros((3, 3))  # beyond the map nothing returns
+        for i, j in np.ndindex(3, 3):
+            y, x = row + i - 1, column + j - 1
+            if 0 <= y < rows and 0 <= x < columns:
+                around[i, j] = depth[y, x]
+        least, total, count = least_and_sums(around)
+        found[:3, row, column] = depth[row, column], least, total / count if count else 0.0
+    for level, size in enumerate((2, 4, 8)):
+        blocks = np.zeros((3, rows // size, columns // size))
+        for i, j in np.ndindex(*blocks.shape[1:]):
+            cells = depth[i * size : (i + 1) * size, j * size : (j + 1) * size]
+            blocks[:, i, j] = least_and_sums(cells)
+        for row, column in np.ndindex(rows, columns):
+            total, count = (blended(part, row, column, size) for part in blocks[1:])
+            mean = total / count if count > 1e-3 else 0.0
+            found[3 + 2 * level :][:2, row, column] = blocks[0, row // size, column // size], mean
+    return found
+
+
 class TestTraining:
     """These need the optional packages of training."""
 
@@ -241,7 +282,16 @@ class TestTraining:
         depth = self.torch.zeros(1, 1, 16, 16)
         depth[..., 4, 4], depth[..., 4, 5] = 0.5, 0.25
         found = candidates(depth, (depth > 0).float())[0].numpy()
-        assert found[:, 4, 4] == pytest.approx([0.5, 0.25, 0.375, 0.25, *found[4:, 4, 4]])
+        assert found[:4, 4, 4] == pytest.approx([0.5, 0.25, 0.375, 0.25])
         assert found[5, 7, 7] == pytest.approx(0.25)
         assert (found[0] > 0).sum() == 2
         assert not candidates(depth * 0, depth * 0).any()
+
+    def test_candidates_are_those_of_a_slow_reference(self, rng):
+        from roadsight.training.depth_network import candidates
+
+        depth = np.where(rng.random((16, 24)) < 0.1, rng.uniform(0.1, 1.0, (16, 24)), 0.0)
+        depth[:8, :8] = 0.0
+        given = self.torch.tensor(depth, dtype=self.torch.float32)[None, None]
+        found = candidates(given, (given > 0).float())[0].numpy()
+        np.testing.assert_allclose(found, slow_candidates(depth), atol=1e-5)

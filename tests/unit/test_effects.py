@@ -185,6 +185,13 @@ class TestDrive:
         half_as_wide = {"lenses": [LENS | {"width_px": 500}]}
         assert self.one("lens_distortion", drive=half_as_wide).value == 12.0
 
+    def test_an_unknown_sigma_is_not_told_as_none(self):
+        known = self.one("lens_distortion", drive={"lenses": [LENS | {"sigma_px": 2.5}]})
+        assert "6.0 +- 2.5 px on a" in known.reason
+        unknown = self.one("lens_distortion", drive={"lenses": [LENS | {"sigma_px": None}]})
+        assert "plumb lines, 6.0 px on a: may be none" in unknown.reason
+        assert "+-" not in unknown.reason and unknown.decision == "skip"
+
     def test_a_given_lens_counts_whatever_was_measured(self):
         straight = {"route": None, "k1": 0.0, "k2": 0.0, "focal_px": 800.0}
         assert self.one("lens_distortion", given={"lenses": [straight]}).value == 0.0

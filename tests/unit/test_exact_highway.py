@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.evidence.exact_highway import ExactHighway, share_wrong
+from roadsight.evidence.exact_highway import ExactHighway
+from roadsight.evidence.exact_ranges import share_wrong
 from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.evidence.precision import (
     largest_error_m,

@@ -2,7 +2,7 @@
 
 from roadsight.config.validate import check_path
 from roadsight.placement.light import wavelength_nm
-from roadsight.placement.shapes import KINDS, Box
+from roadsight.placement.shapes import Box, shape_of
 
 
 def plans_of(site):
@@ -241,12 +241,8 @@ def lanes_of_plan(wildcards):
 
 def box_of(site):
     """The box that targets of a site are; None for cylinders."""
-    targets = SITES[site].settings.targets
-    if targets.kind == "cylinder":
-        return None
-    return KINDS.get(targets.kind) or Box(
-        targets.length_m, targets.width_m, targets.height_m
-    )
+    shape = shape_of(SITES[site].settings.targets.model_dump())
+    return shape if isinstance(shape, Box) else None
 
 
 def target_box(wildcards):

@@ -13,7 +13,7 @@ SETTINGS: dict[str, set[str] | bool] = {
     "lidar": {"model", "min_cell_points", "mounting", "azimuth_stride"},
     "candidates": {"spacing_m", "height_min_m", "height_max_m", "height_step_m"},
     "poses": {"panorama_step_deg"},
-    "targets": {"radius_m", "height_m", "min_beams"},
+    "targets": {"kind", "radius_m", "height_m", "length_m", "width_m", "min_beams"},
     "calibration": {"hfov_deg"},
     "alignment": {"farthest_m"},
 }

@@ -19,6 +19,7 @@ from roadsight.placement.light import (
 )
 from roadsight.placement.passing import CAR, TRUCK, expected_in_the_way, vehicles_per_m
 from roadsight.placement.sensors import AnySensor, Camera, Radar, Rosette, Sensor
+from roadsight.placement.shapes import shape_of
 
 _NEAREST_LANES = 2.0
 
@@ -61,7 +62,7 @@ def mount_tilt(site: Circumstances) -> Quantity:
 
 def partial_hits(site: Circumstances) -> Quantity:
     """Width of a beam where targets are just seen against a target's, of the widest beam."""
-    width_m = 2 * site.settings["targets"]["radius_m"]
+    width_m = shape_of(site.settings["targets"]).mean_width_m
 
     def share(sensor: AnySensor) -> float:
         if not isinstance(sensor, Sensor | Rosette) or sensor.divergence_mrad is None:
@@ -110,9 +111,11 @@ def fog(site: Circumstances) -> Quantity:
 def moving_vehicles(site: Circumstances) -> Quantity:
     """Chance that a vehicle hides a target two lanes off and as far along as is high.
 
-    From half the sensor's range, at the middle height, on a straight level road.
+    From half the sensor's range, at the middle height, on a straight level road; the middle of the
+    target counts.
     """
     conditions = site.settings["conditions"]
+    middle_m = shape_of(site.settings["targets"]).height_m / 2
     if conditions["aadt"] == 0:
         return Quantity(0.0, "no traffic volume is given")
     lane_m = conditions["lane_width_m"]
@@ -126,7 +129,7 @@ def moving_vehicles(site: Circumstances) -> Quantity:
 
     def chance(sensor: AnySensor) -> float:
         sensor_m = (0.0, 0.0, _middle_height_m(site))
-        target_m = (sensor.range_m / 2, (_NEAREST_LANES + 0.5) * lane_m, 0.3)
+        target_m = (sensor.range_m / 2, (_NEAREST_LANES + 0.5) * lane_m, middle_m)
         expected = sum(
             expected_in_the_way(sensor_m, target_m, (lane + 0.5) * lane_m, density, vehicle)
             for lane in range(int(_NEAREST_LANES))
@@ -145,7 +148,7 @@ def curvature_refraction(site: Circumstances) -> Quantity:
 def _useful_range_m(site: Circumstances, sensor: AnySensor) -> float:
     """Range up to which enough beams, points or pixels meet a target, if light did not limit it.
 
-    A target of width 2 r and height h at range d takes up 2 r / d by h / d; the range is that at
+    A target of width w and height h at range d takes up w / d by h / d; the range is that at
     which so many of them share it. The densest rows of a spinning LiDAR count.
     """
     targets = site.settings["targets"]
@@ -160,7 +163,8 @@ def _useful_range_m(site: Circumstances, sensor: AnySensor) -> float:
         beam, least = 1 / sensor.focal_px**2, sensor.min_pixels
     else:
         return sensor.range_m
-    silhouette_m2 = 2 * targets["radius_m"] * targets["height_m"]
+    shape = shape_of(targets)
+    silhouette_m2 = shape.mean_width_m * shape.height_m
     return float(min(np.sqrt(silhouette_m2 / (beam * least)), sensor.range_m))
 
 

@@ -64,9 +64,11 @@ def lens_distortion(site: Circumstances) -> Quantity:
         if lens["source"] == "unknown":
             continue
         to_px = _WIDTH_PX / lens["width_px"]
-        moved_px, sigma_px = abs(lens["corner_px"]) * to_px, (lens["sigma_px"] or 0.0) * to_px
-        certain = lens["sigma_px"] is not None and moved_px > CERTAIN_SIGMAS * sigma_px
-        told = f"{lens['source']}, {moved_px:.1f} +- {sigma_px:.1f} px on {lens['route']}"
+        moved_px = abs(lens["corner_px"]) * to_px
+        sigma_px = None if lens["sigma_px"] is None else lens["sigma_px"] * to_px
+        certain = sigma_px is not None and moved_px > CERTAIN_SIGMAS * sigma_px
+        within = "" if sigma_px is None else f" +- {sigma_px:.1f}"
+        told = f"{lens['source']}, {moved_px:.1f}{within} px on {lens['route']}"
         why = lens.get("withheld") or "may be none"
         found = Quantity(moved_px, told) if certain else Quantity(0.0, f"{told}: {why}")
         if found.value >= worst.value:

@@ -5,18 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.evidence.exact_ranges import exact_ranges
 from roadsight.geometry.frames import Frame
 from roadsight.placement.detection import MIN_BEAMS, count_hits
-from roadsight.placement.rays import beam_directions
 from roadsight.placement.sensors import Sensor
 from roadsight.synthetic.alignment import to_plan
 from roadsight.synthetic.highway import build_highway
 from roadsight.synthetic.terrain import height_at
 
 _FLOATS = NDArray[np.float64]
-
-WRONG_M = 0.5
-"""A beam is wrong when its range is off by more than this."""
 
 
 class ExactHighway:
@@ -34,12 +31,7 @@ class ExactHighway:
 
     def depth_map(self, sensor: Sensor, position_m: _FLOATS, yaw_deg: float) -> NDArray[np.float32]:
         """Exact ranges (rows, columns) at the beams' centres, 0 where nothing is in range."""
-        directions = beam_directions(sensor, yaw_deg).reshape(-1, 3).astype(np.float64)
-        directions /= np.linalg.norm(directions, axis=1)[:, None]
-        origins = np.broadcast_to(position_m + self._shift_m, directions.shape)
-        range_m, _, _ = self._highway.scene.cast(origins, directions, sensor.range_m)
-        found = np.where(np.isfinite(range_m), range_m, 0.0)
-        return found.astype(np.float32).reshape(sensor.shape)
+        return exact_ranges(self._highway.scene, sensor, position_m + self._shift_m, yaw_deg)
 
     def sees(
         self, sensor: Sensor, position_m: _FLOATS, yaw_deg: float, feet_m: _FLOATS
@@ -58,12 +50,3 @@ class ExactHighway:
         plan_m = to_plan(self._highway.alignment, road)
         height_m = height_at(self._highway.terrain, plan_m)
         return plan_m - self._shift_m[:2], height_m - self._shift_m[2]
-
-
-def share_wrong(range_m: NDArray[np.float32], exact_m: NDArray[np.float32]) -> float:
-    """Share of a depth map's beams whose range is off by more than `WRONG_M`.
-
-    A beam that returns where nothing is, or does not where something is, is wrong as well.
-    """
-    wrong = np.abs(range_m - exact_m) > WRONG_M
-    return float((wrong | ((range_m == 0) != (exact_m == 0))).mean())

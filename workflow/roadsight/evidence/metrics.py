@@ -42,6 +42,8 @@ class Metric:
     targets : results that it reads, below ``results/<site>``; ``{plan}`` is replaced.
     against : where ``value`` reads something that means little by itself, the number that follows
         from it and the same of the study's reference level.
+    default_targets : whether its truth is of targets as the settings have them by default.
+    depth_maps : whether it reads depth maps of a spinning LiDAR as mounted.
     """
 
     title: str
@@ -52,6 +54,8 @@ class Metric:
     value: Callable[[Results], Any]
     targets: tuple[str, ...]
     against: Callable[[Any, Any], float] | None = None
+    default_targets: bool = False
+    depth_maps: bool = False
 
     @property
     def needs_reference(self) -> bool:
@@ -136,19 +140,21 @@ METRICS: dict[str, Metric] = {
         ("scene/pavement_scores.json",),
     ),
     "beams_wrong": Metric(
-        "Beams wrong by more than 0.5 m", "share", "placement", 0.0, _EXACT, beams_wrong, _PLAN
+        "Beams wrong by more than 0.5 m", "share", "placement", 0.0, _EXACT, beams_wrong, _PLAN,
+        depth_maps=True,
     ),
     "detections_wrong": Metric(
         "Decisions on targets that are wrong", "share", "placement", 0.0, _EXACT,
-        detections_wrong, _PLAN,
+        detections_wrong, _PLAN, default_targets=True, depth_maps=True,
     ),
     "targets_lost": Metric(
         "Targets said to be seen that are not", "share", "placement", 0.0, _EXACT, targets_lost,
-        _PLAN,
+        _PLAN, default_targets=True,
     ),
     "sensors": Metric("Sensors needed", "count", "placement", None, _FINEST, sensors, _PLAN),
     "range_rmse_m": Metric(
-        "Root mean square error of ranges", "m", "placement", 0.0, _EXACT, range_rmse_m, _PLAN
+        "Root mean square error of ranges", "m", "placement", 0.0, _EXACT, range_rmse_m, _PLAN,
+        depth_maps=True,
     ),
     "baseline_distance_m": Metric(
         "Mean distance of sensors to those of the reference", "m", "placement", 0.0, _FINEST,

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.evidence.exact_highway import share_wrong
+from roadsight.evidence.exact_ranges import share_wrong
 from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.evidence.results import Results
 from roadsight.io.atomic import read_json
@@ -17,6 +17,7 @@ from roadsight.io.detections import read_detections
 from roadsight.io.poses import read_poses
 from roadsight.io.rasters import read_raster
 from roadsight.io.tables import read_table
+from roadsight.placement.sensors import Sensor
 
 _MAPS = 6
 _STEP_M = 1.0
@@ -50,8 +51,8 @@ def range_rmse_m(results: Results) -> float:
 
 
 def maps(results: Results) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
-    """A few depth maps of the first sensor, and the exact ones."""
-    (name, sensor), *_ = results.sensors.items()
+    """A few depth maps of the first spinning sensor, and the exact ones."""
+    name, sensor = _spinning(results)
     folder = results.folder / "placement/round-0"
     poses = read_poses(folder / "candidates.parquet")
     files = sorted((folder / "depth" / name).iterdir())
@@ -63,7 +64,7 @@ def maps(results: Results) -> Iterator[tuple[NDArray[np.float32], NDArray[np.flo
 
 def detections_wrong(results: Results) -> float:
     """Pairs of candidate and target that are wrongly seen or unseen, over those truly seen."""
-    (name, sensor), *_ = results.sensors.items()
+    name, sensor = _spinning(results)
     folder = results.folder / "placement/round-0"
     poses = read_poses(folder / "candidates.parquet")
     targets = read_table(results.folder / "placement/targets.parquet")
@@ -75,6 +76,13 @@ def detections_wrong(results: Results) -> float:
         ours = targets["target"].isin(found.loc[found["candidate"] == candidate, "target"])
         wrong, seen = wrong + int((exact != ours).sum()), seen + int(exact.sum())
     return wrong / seen if seen else float("nan")
+
+
+def _spinning(results: Results) -> tuple[str, Sensor]:
+    """The first sensor of the plan that has depth maps of its own."""
+    return next(
+        (name, sensor) for name, sensor in results.sensors.items() if isinstance(sensor, Sensor)
+    )
 
 
 def _spread(items: list[Any]) -> list[Any]:
@@ -92,11 +100,11 @@ def targets_lost(results: Results) -> float:
     scene, seen = results.scene, np.zeros(len(feet_m), bool)
     for chosen in solution["sensors"]:
         sensor = results.sensors[chosen["sensor"]]
-        if "pitch_deg" in chosen:
+        if isinstance(sensor, Sensor) and "pitch_deg" not in chosen:
+            position_m = np.array([chosen[axis] for axis in "xyz"])
+            seen |= scene.sees(sensor, position_m, float(chosen["yaw_deg"]), feet_m)
+        else:
             seen |= sees_in_pose(scene, sensor, chosen, feet_m)
-            continue
-        position_m = np.array([chosen[axis] for axis in "xyz"])
-        seen |= scene.sees(sensor, position_m, float(chosen["yaw_deg"]), feet_m)
     return float(1 - seen.mean())
 
 

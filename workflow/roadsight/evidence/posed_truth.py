@@ -17,14 +17,16 @@ from roadsight.placement.shapes import Cylinder
 from roadsight.placement.sight import Sight
 
 _STEP_DEG = 0.2
-_TARGET = Cylinder(radius_m=0.25, height_m=0.6)
-_RCS_M2 = 0.16
+TARGET = Cylinder(radius_m=0.25, height_m=0.6)
+RCS_M2 = 0.16
 
 
 def sees_in_pose(
     scene: ExactHighway, sensor: AnySensor, place: dict[str, Any], feet_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Which targets (n, 3) a chosen sensor sees, by the default targets, from exact ranges.
+
+    The detector is the one that made the plan: exact ranges judge the depth, not the detectors.
 
     Parameters
     ----------
@@ -35,6 +37,6 @@ def sees_in_pose(
     panorama = Panorama(scene.depth_map(beams, position_m, 0.0), beams, position_m, 0.0)
     turn = Turn(0.0, place["pitch_deg"], place["roll_deg"])
     rotation = local_from_sensor(place["yaw_deg"], turn)
-    detector = detector_of(sensor, Criteria(MIN_BEAMS, _RCS_M2))
-    measured = detector.measure(panorama, rotation, feet_m, _TARGET, Sight(sensor.range_m))
+    detector = detector_of(sensor, Criteria(MIN_BEAMS, RCS_M2))
+    measured = detector.measure(panorama, rotation, feet_m, TARGET, Sight(sensor.range_m))
     return detector.sees(measured)

@@ -11,7 +11,7 @@ from roadsight.evidence.exact_highway import ExactHighway
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
 from roadsight.io.tables import read_table
-from roadsight.placement.sensors import Sensor
+from roadsight.placement.sensors import AnySensor
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class Results:
     Parameters
     ----------
     folder, base : ``results/<site>`` of the two. seed, length_m : of the generated scene.
-    plan : the plan that is looked at. sensors : definitions of its sensors. stride : only every
-        so many of their azimuths are simulated.
+    plan : the plan that is looked at. sensors : definitions of its sensors, of all kinds.
+    stride : only every so many azimuths of the spinning ones are simulated.
     """
 
     folder: Path
@@ -30,7 +30,7 @@ class Results:
     seed: int
     length_m: float
     plan: str
-    sensors: dict[str, Sensor]
+    sensors: dict[str, AnySensor]
     stride: int = 1
 
     @property

@@ -8,7 +8,9 @@ wide beam lies on it; a further shape is a further number there.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -40,6 +42,11 @@ class Cylinder:
         """Number of the shape and its size."""
         return CYLINDER, float(self.radius_m), float(self.radius_m), float(self.height_m)
 
+    @property
+    def mean_width_m(self) -> float:
+        """Width that one sees from the side."""
+        return 2 * self.radius_m
+
 
 @dataclass(frozen=True)
 class Box:
@@ -59,6 +66,14 @@ class Box:
         """Number of the shape and its size."""
         return BOX, float(self.length_m), float(self.width_m), float(self.height_m)
 
+    @property
+    def mean_width_m(self) -> float:
+        """Width that one sees from the side, the mean over all headings.
+
+        Of any convex outline it is the perimeter over pi (Cauchy), as of a circle.
+        """
+        return float(2 * (self.length_m + self.width_m) / np.pi)
+
 
 Shape = Cylinder | Box
 
@@ -71,6 +86,20 @@ KINDS = {
 """Usual boxes. Car: AASHTO Green Book (2018), design vehicle P, with the height of cars in passing
 sight; truck: its design vehicle SU-30, 30 ft long, 8 ft wide, 11 ft high. Pedestrian and deer (a
 white-tailed doe to its back) are round figures of ours."""
+
+
+def shape_of(targets: Mapping[str, Any]) -> Shape:
+    """The shape that settings of targets ask for.
+
+    Parameters
+    ----------
+    targets : section ``targets`` of the settings: kind, radius_m, height_m, length_m, width_m.
+    """
+    if targets["kind"] == "cylinder":
+        return Cylinder(targets["radius_m"], targets["height_m"])
+    if targets["kind"] == "box":
+        return Box(targets["length_m"], targets["width_m"], targets["height_m"])
+    return KINDS[targets["kind"]]
 
 
 def relative_to(feet_m: _FLOATS, position_m: _FLOATS) -> _FLOATS:

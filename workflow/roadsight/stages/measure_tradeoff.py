@@ -15,11 +15,12 @@ from typing import Any
 from roadsight.config.load import ResolvedSite, load_config, load_sites, merged
 from roadsight.errors import InputError
 from roadsight.evidence.metrics import METRICS
+from roadsight.evidence.refusals import refuse_other_targets, refuse_sensors_without_maps
 from roadsight.evidence.results import Results
 from roadsight.evidence.tradeoffs import as_json, cheapest, stage_costs
 from roadsight.evidence.variants import Variant
 from roadsight.io.atomic import write_json
-from roadsight.placement.sensors import Sensor, load_sensors
+from roadsight.placement.sensors import AnySensor, load_sensors
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("measure_tradeoff")
@@ -30,6 +31,10 @@ def measure_tradeoff(arguments: argparse.Namespace) -> None:
     config = json.loads(arguments.config)
     changes = json.loads(arguments.changes)
     site = _site(config, arguments.site, changes)
+    sensors = _sensors(site, config)
+    refuse_other_targets(arguments.metrics, site.settings.targets.model_dump())
+    spinning = site.settings.poses.spinning.model_dump()
+    refuse_sensors_without_maps(arguments.metrics, sensors, spinning)
     targets = _targets(arguments.metrics, site)
     variant = Variant.prepare(".", arguments.work, config, arguments.site, changes)
     ran = variant.run(targets, arguments.cores)
@@ -46,7 +51,7 @@ def measure_tradeoff(arguments: argparse.Namespace) -> None:
         jobs = [record for record in records if record.rule == stage]
         again = variant.repeat(targets, jobs, arguments.repeats - 1, arguments.cores)
         costs[stage] = cheapest([costs[stage], *(stage_costs(part)[stage] for part in again)])
-    results = _results(variant, site, config)
+    results = _results(variant, site, sensors)
     values = {name: METRICS[name].value(results) for name in arguments.metrics}
     known = {name: _known(value) for name, value in values.items()}
     write_json(arguments.out, {"metrics": known, "stages": as_json(costs)})
@@ -74,21 +79,21 @@ def _targets(metrics: Sequence[str], site: ResolvedSite) -> list[str]:
     return list(dict.fromkeys(named))
 
 
-def _results(variant: Variant, site: ResolvedSite, config: dict[str, Any]) -> Results:
-    plan = next(iter(site.plans))
-    sensors = load_sensors(config["sensors_file"])
+def _sensors(site: ResolvedSite, config: dict[str, Any]) -> dict[str, AnySensor]:
+    """Sensors of the plan that is looked at; none where no sensor is placed."""
+    known = load_sensors(config["sensors_file"])
+    return {name: known[name] for plan in list(site.plans.values())[:1] for name in plan.sensors}
+
+
+def _results(variant: Variant, site: ResolvedSite, sensors: dict[str, AnySensor]) -> Results:
     sample = site.site.sample
     return Results(
         variant.result(""),
         Path("results") / variant.site,
         site.settings.seed,
         0.0 if sample is None else sample.length_m,
-        plan,
-        {
-            name: sensor
-            for name in site.plans[plan].sensors
-            if isinstance(sensor := sensors[name], Sensor)
-        },
+        next(iter(site.plans)),
+        sensors,
         site.settings.lidar.azimuth_stride,
     )
 

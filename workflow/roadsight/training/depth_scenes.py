@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.placement.rays import beam_directions
+from roadsight.evidence.exact_ranges import exact_ranges
 from roadsight.placement.sensors import Sensor
 from roadsight.synthetic.alignment import heading_at, to_plan
 from roadsight.synthetic.highway import Highway, build_highway
@@ -49,13 +49,8 @@ class ScannedScene:
 
     def exact(self, sensor: Sensor, number: int) -> NDArray[np.float32]:
         """True range (rows, columns) of a sensor's beams at a position, 0 for none."""
-        directions = beam_directions(sensor, float(self.yaws_deg[number])).reshape(-1, 3)
-        away = directions.astype(np.float64)
-        away /= np.linalg.norm(away, axis=1, keepdims=True)
-        origins = np.broadcast_to(self.positions_m[number], away.shape)
-        range_m, _, _ = self.scene.cast(origins, away, sensor.range_m)
-        found = np.where(np.isfinite(range_m), range_m, 0.0)
-        return found.astype(np.float32).reshape(sensor.shape)
+        yaw_deg = float(self.yaws_deg[number])
+        return exact_ranges(self.scene, sensor, self.positions_m[number], yaw_deg)
 
 
 def highway_site(seed: int, poses: int) -> ScannedScene:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.evidence.exact_ranges import WRONG_M
 from roadsight.io.depth_networks import DepthNetwork
 from roadsight.placement.depth_filling import fill_linearly
 from roadsight.placement.unet import refined
@@ -21,7 +22,6 @@ from roadsight.training.record import update_record
 
 log = logging.getLogger("evaluate_depth_network")
 
-WRONG_M = 0.5
 _FLOATS = NDArray[np.float32]
 
 

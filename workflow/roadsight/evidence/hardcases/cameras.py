@@ -100,10 +100,10 @@ def images_that_know_one_direction(rng: np.random.Generator) -> Errors:
     return naive, found
 
 
-@hard_case("calibrate_drive", bound=0.2, unit="deg")
+@hard_case("calibrate_drive", bound=0.15, unit="deg")
 def images_that_each_know_a_part(rng: np.random.Generator) -> Errors:
     """No image determines all numbers of the mount: a mean of their own answers is void."""
-    # So many that the bound is five times the spread of an image over the root of their number.
+    # So many that the bound is over four times the spread of an image over their number's root.
     spread, true = Spread(), np.zeros(SIZE)
     true[3:6] = 1.2, -2.0, 0.4
     prior = Mount(np.zeros(SIZE), np.diag(np.full(SIZE, 9.0)))
