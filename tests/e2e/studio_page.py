@@ -81,6 +81,21 @@ def press(page, label):
     }})()""")
 
 
+def hold_back(page, method, ending):
+    """Keep back such requests of the page from now on, until ``release()`` is run in it."""
+    page.run(f"""(() => {{
+        const {{ fetch }} = window;
+        const gate = new Promise((resolve) => {{ window.release = resolve; }});
+        window.fetch = async (url, options) => {{
+            if (options?.method === {method!r} && String(url).endsWith({ending!r})) {{
+                window.held = String(url);
+                await gate;
+            }}
+            return fetch(url, options);
+        }};
+    }})()""")
+
+
 def noted(page, note):
     """Wait until a note says so."""
     page.until(f"document.getElementById('notes').textContent.includes({note!r})")

@@ -7,7 +7,7 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from studio_page import check_look, click_at, drag, key, noted, open_studio, press
+from studio_page import check_look, click_at, drag, hold_back, key, noted, open_studio, press
 from studio_project import Studio, make_project
 
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
@@ -162,6 +162,70 @@ def test_pairs_are_clicked_and_solved(page, files, studio):
     pairs = pd.read_csv(files / "pairs.csv")
     assert list(pairs.columns) == ["image", "pixel_x", "pixel_y", "x", "y", "z"] and len(pairs) == 9
     assert "baseline: drive/baseline.json" in files.with_suffix(".yaml").read_text()
+
+
+def test_a_pose_lands_on_the_image_that_was_asked_for(page):
+    base = page.run("studio.page.base")
+    places = page.run("""(() => {
+        const { points } = studio.page.picture;
+        const step = 4 * Math.floor(points.length / 4 / 60);
+        const place = (at) => Array.from(points.slice(at, at + 3));
+        return Array.from({ length: 60 }, (_, n) => place(step * n));
+    })()""")
+    seen = zip(places, projected(page, places).tolist(), strict=True)
+    pairs = [
+        {"x": x, "y": y, "z": z, "u": u, "v": v}
+        for (x, y, z), (u, v) in seen
+        if 0 < u < 800 and 0 < v < 400
+    ]
+    assert len(pairs) >= 6
+    page.run(f"studio.page.edit((own) => {{ own.pairs = {pairs}; own.pose.heading_deg += 3; }})")
+    hold_back(page, "POST", "/solve")
+    page.run("document.querySelector('[data-do=solve]').click()")
+    page.until("window.held")
+    name = page.run("studio.page.name")
+    key(page, "]")
+    page.until("studio.page.number === 1 && " + READY)
+    page.run("release()")
+    noted(page, f"Solved {name}")
+    assert page.run("studio.page.own ?? null") is None
+    solved = page.run(f"studio.page.history.now.images[{name!r}].pose")
+    assert solved["heading_deg"] == pytest.approx(base["heading_deg"], abs=0.5)
+
+
+def test_images_without_a_place_are_stepped_over(page):
+    page.run("studio.page.images[1].state = 'unusable'")
+    states = page.run("studio.page.images.map(({ state }) => state)")
+    then = next(n for n, state in enumerate(states) if n > 1 and state != "unusable")
+    key(page, "]")
+    page.until(f"studio.page.number === {then} && {READY}")
+    key(page, "[")
+    page.until("studio.page.number === 0 && " + READY)
+    assert page.complaints == []
+
+
+def test_a_first_image_that_cannot_be_shown_is_told(page):
+    told = page.run("""(() => {
+        const { fetch } = window;
+        const refuse = async () => new Response('{"error": "is damaged"}', { status: 422 });
+        const asked = (url) => /images[/]\\d+$/.test(url);
+        window.fetch = (url, options) => (asked(url) ? refuse() : fetch(url, options));
+        return import('/assets/js/registration/page.js')
+            .then(({ open }) => open(studio.page.site))
+            .then(() => 'opened', (error) => error.message);
+    })()""")
+    assert told == "is damaged"
+
+
+def test_a_correction_is_not_saved_over_another_one(page, files, studio):
+    page.run("studio.page.turn({ heading: 1 })")
+    press(page, "Save correction")
+    page.until("document.querySelector('[data-state=corrected]')")
+    theirs = (files / "corrections.csv").read_text().replace(".", ".0", 1)
+    (files / "corrections.csv").write_text(theirs)
+    press(page, "Save correction")
+    noted(page, "changed meanwhile")
+    assert (files / "corrections.csv").read_text() == theirs
 
 
 def test_a_correction_by_hand_is_kept_and_forgotten(page, files, studio):

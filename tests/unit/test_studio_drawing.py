@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -56,15 +58,21 @@ def test_what_is_saved_is_loaded(project):
     assert loaded["own"] == {"edges": True, "zones": True, "mounts": True, "tma": False}
 
 
+def states():
+    files = [path for path in Path("config/sites").rglob("*") if path.is_file()]
+    return {path: (path.stat().st_ino, path.stat().st_mtime_ns) for path in files}
+
+
 def test_saving_again_changes_no_file(project):
     first = save(project, edges=[EDGE], zones=[ZONE], tma={"remove": [ZONE["points"]]})
     assert first == [
         "config/sites/tiny/edges.geojson", "config/sites/tiny/zones.geojson",
         "config/sites/tiny/tma.geojson", "config/sites/tiny.yaml",
     ]  # fmt: skip
-    loaded = load_drawing(project.site("tiny"))
+    loaded, before = load_drawing(project.site("tiny")), states()
     assert save(project, edges=loaded["edges"], zones=loaded["zones"]) == []
     assert save(project, edges=loaded["edges"], tma={}) == []
+    assert states() == before
 
 
 def test_only_the_layers_given_are_touched(project):
@@ -74,6 +82,73 @@ def test_only_the_layers_given_are_touched(project):
     assert site.placement.zones is None and site.placement.edges == "tiny/edges.geojson"
     text = Path("config/sites/tiny.yaml").read_text()
     assert text.startswith("# The site tiny\n")
+
+
+def test_files_that_the_site_does_not_name_are_not_overwritten(project):
+    theirs = Path("config/sites/tiny/edges.geojson")
+    theirs.parent.mkdir()
+    theirs.write_text("theirs")
+    before = states()
+    with pytest.raises(InputError, match="does not name it"):
+        save(project, edges=[EDGE], zones=[ZONE])
+    assert states() == before and theirs.read_text() == "theirs"
+    assert save(project, zones=[ZONE])[0] == "config/sites/tiny/zones.geojson"
+
+
+def test_a_layer_that_is_taken_away_takes_the_studio_s_file_along(project):
+    save(project, zones=[ZONE], mounts=[POLE])
+    own = Path("config/sites/tiny/zones.geojson")
+    save(project, zones=[])
+    assert not own.exists() and Path("config/sites/tiny/mounts.geojson").exists()
+    save(project, zones=[ZONE])
+    theirs = own.rename(own.with_name("theirs.geojson"))
+    file = Path("config/sites/tiny.yaml")
+    file.write_text(file.read_text().replace("zones.geojson", "theirs.geojson"))
+    save(project, zones=[])
+    assert theirs.exists()
+
+
+def test_a_file_that_a_plan_names_stays(project):
+    save(project, zones=[ZONE])
+    path = Path("config/sites/tiny.yaml")
+    plan = {"title": "Mine", "sensors": ["VLP-16"], "forbidden": {"file": "tiny/zones.geojson"}}
+    content = yaml.safe_load(path.read_text())
+    content["placement"]["own_plans"] = {"mine": plan}
+    content["placement"]["plans"] = ["mine"]
+    path.write_text(yaml.safe_dump(content))
+    save(project, zones=[])
+    assert Path("config/sites/tiny/zones.geojson").exists()
+
+
+def test_nothing_is_saved_over_what_has_changed_meanwhile(client):
+    put = lambda version, **layers: client.put(  # noqa: E731
+        "/api/sites/tiny/drawing", json=layers, headers=OWN | {"If-Match": version}
+    )
+    file = Path("config/sites/tiny.yaml")
+    before = file.read_bytes()
+    try:
+        first = client.get("/api/sites/tiny/drawing", headers=OWN).json["version"]
+        answer = put(first, edges=[EDGE], zones=[ZONE])
+        assert answer.status_code == 200
+        version = answer.json["version"]
+        edges = file.with_suffix("") / "edges.geojson"
+        theirs = edges.read_text().replace("median", "line")
+        edges.write_text(theirs)
+        for told in (version, first, ""):
+            refused = put(told, edges=[EDGE | {"name": "e9"}])
+            assert refused.status_code == 409 and "changed meanwhile" in refused.json["error"]
+        assert edges.read_text() == theirs
+        loaded = client.get("/api/sites/tiny/drawing", headers=OWN).json
+        assert loaded["edges"][0]["kind"] == "line"
+        assert put(loaded["version"], zones=[]).status_code == 200
+        # What does not concern the drawing does not get in its way.
+        version = client.get("/api/sites/tiny/drawing", headers=OWN).json["version"]
+        file.write_text(file.read_text() + "# a remark\n")
+        assert put(version, edges=[]).status_code == 200
+        assert file.read_text().endswith("# a remark\n")
+    finally:
+        file.write_bytes(before)
+        shutil.rmtree(file.with_suffix(""))
 
 
 @pytest.mark.parametrize(

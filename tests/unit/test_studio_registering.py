@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "e2e"))
 from studio_project import make_project
 
 from roadsight.errors import InputError
+from roadsight.io.atomic import read_json, write_json
 from roadsight.io.baselines import read_baselines
 from roadsight.poles.alignment.published import _mean_square, _part
 from roadsight.studio.drive import SiteDrive
@@ -25,10 +27,9 @@ from roadsight.studio.registering import (
     before_camera,
     image_content,
     points_around,
-    save_baseline,
-    save_correction,
     solve_pairs,
 )
+from roadsight.studio.registration_files import save_baseline, save_correction
 
 
 @pytest.fixture(scope="module")
@@ -98,6 +99,53 @@ def test_a_pose_set_by_eye_makes_a_baseline(project, drive, folder):
     assert again["changed"] == []
 
 
+def test_baselines_of_other_sizes_stay(project, drive, folder):
+    own = folder / "config/sites/drive"
+    pose = PoseBody.model_validate(drive.expected(drive.place(1)))
+    pairs = [Pair(u=10.0 * n, v=5, x=n, y=n * n, z=0) for n in range(3)]
+    save_baseline(project, drive, [Registered(number=1, pose=pose, pairs=pairs)])
+    known = read_json(own / "baseline.json")
+    write_json(own / "baseline.json", known | {"640x480": {"hfov_deg": 70.0}})
+    with (own / "pairs.csv").open("a") as stream:
+        stream.write("of_another_size,1,2,3,4,5\n")
+    save_baseline(project, drive, [Registered(number=2, pose=pose)])
+    found = read_baselines(own / "baseline.json")
+    assert set(found) == {"640x480", "800x400"} and found["640x480"]["hfov_deg"] == 70.0
+    assert [row.split(",")[0] for row in (own / "pairs.csv").read_text().split()] == [
+        "image", "of_another_size",
+    ]  # fmt: skip
+
+
+def test_corrections_by_two_at_once_are_both_kept(project, drive):
+    numbers = [n for n, image in enumerate(drive.about()) if image["state"] != "unusable"][:4]
+    with ThreadPoolExecutor(4) as pool:
+        poses = {n: PoseBody.model_validate(drive.expected(drive.place(n))) for n in numbers}
+        list(pool.map(lambda n: save_correction(project, drive, n, poses[n]), numbers))
+    now = SiteDrive(project.site("drive"))
+    assert set(now.corrections) == {drive.place(n).image for n in numbers}
+    for number in numbers:
+        save_correction(project, drive, number, None)
+    assert not Path("config/sites/drive/corrections.csv").exists()
+
+
+def test_corrections_of_images_that_are_gone_stay(project, drive):
+    pose = PoseBody.model_validate(drive.expected(drive.place(1)))
+    save_correction(project, drive, 1, pose)
+    path = Path("config/sites/drive/corrections.csv")
+    header, row = path.read_text().split()
+    gone = row.replace(drive.place(1).image, "zz_gone")
+    path.write_text("\n".join([header, row, gone]) + "\n")
+    save_correction(project, drive, 2, pose)
+    assert gone in path.read_text().split() and row in path.read_text().split()
+    path.write_text("image,focal_px\nx,1\n")
+    with pytest.raises(InputError, match="lacks a column"):
+        save_correction(project, drive, 1, pose)
+    assert path.read_text() == "image,focal_px\nx,1\n"
+    path.write_text(f"{header}\n{row}\n")
+    save_correction(project, drive, 1, None)
+    assert not path.exists()
+
+
 def test_corrections_are_kept_beside_each_other_and_forgotten_one_by_one(project, drive):
     for number in (1, 2):
         pose = PoseBody.model_validate(drive.expected(drive.place(number)))
@@ -129,7 +177,6 @@ def test_impossible_poses_are_refused(drive, change):
 def test_pictures_are_straightened_where_the_workflow_does_so(project, drive, folder):
     import cv2
 
-    from roadsight.io.atomic import write_json
     from roadsight.studio.pictures import lens_for, without_distortion
 
     site, key = project.site("drive"), ("40001", 800, 400)

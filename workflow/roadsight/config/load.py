@@ -89,7 +89,21 @@ def load_site(name: str, config: Config) -> ResolvedSite:
             allowed=", ".join(known) or None,
             hint="write one with 'roadsight init CLOUD'",
         )
-    site = validated(Site, read_yaml(file), str(file))
+    return resolve_site(read_yaml(file), file, config)
+
+
+def resolve_site(content: Any, file: Path, config: Config) -> ResolvedSite:
+    """A site from what its file says or is to say.
+
+    Parameters
+    ----------
+    content : of the site file. file : where it lies.
+
+    Raises
+    ------
+    InputError : anything wrong in it, the plans or the sensors.
+    """
+    site = validated(Site, content, str(file))
     base = config.model_dump(include=set(Settings.model_fields))
     settings = validated(Settings, merged(base, site.settings), f"{file}: settings")
     settings = validated(Settings, merged(settings.model_dump(), config.overrides), "overrides")

@@ -22,7 +22,7 @@ from roadsight.io.vectors import read_layer, read_lines, read_polygons, write_ge
 from roadsight.studio.preview import lifted, rings
 from roadsight.studio.project import DEM, Project, SiteFolder
 from roadsight.studio.shapes import Drawing, edge_lines, monitored, mount_points, zone_polygons
-from roadsight.studio.site_files import Writer, save_beside
+from roadsight.studio.site_files import Writer, save_beside, saving, site_version
 
 _SECTION = "placement"
 LAYERS = ("edges", "zones", "mounts", "tma")
@@ -38,6 +38,7 @@ def load_drawing(site: SiteFolder) -> dict[str, Any]:
     zones = _layer(site, "zones", lambda path: read_polygons(path, frame))
     mounts = _layer(site, "mounts", lambda path: read_mounts(path, frame))
     return {
+        "version": site_version(site, "drawing"),
         "edges": [] if placement.edges is None else _edges(site, frame),
         "zones": [] if zones is None else _zones(zones),
         "mounts": [] if mounts is None else _mounts(mounts),
@@ -143,7 +144,11 @@ def save_drawing(project: Project, stem: str, drawing: Drawing) -> list[str]:
     ------
     InputError : a shape is wrong, or the site file cannot be changed; nothing is written then.
     """
-    site = project.site(stem)
+    with saving(project, stem, "drawing") as site:
+        return _save(project, site, drawing)
+
+
+def _save(project: Project, site: SiteFolder, drawing: Drawing) -> list[str]:
     frame = site.frame()
     layers = _layers(site, frame, drawing)
     files: dict[str, Writer] = {

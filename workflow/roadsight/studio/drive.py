@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
 from roadsight.io.camera_tables import read_cameras
 from roadsight.io.tables import read_table
@@ -47,15 +48,9 @@ class SiteDrive:
         self.places = {place.image: place for place in self.scene.places}
         self.frames = read_table(site.file(_FRAMES))
         self.cameras = _cameras(site)
-        self.corrections = self._corrections()
+        self.corrections = read_corrections(site, self.frame)
         self._expected = self._calibration()
         self._source: ImageSource | None = None
-
-    def _corrections(self) -> dict[str, pd.Series]:
-        path = self.site.resolved.beside(self.site.resolved.site.poles.corrections)
-        if path is None:
-            return {}
-        return {str(row["image"]): row for _, row in read_cameras(path, self.frame).iterrows()}
 
     def _calibration(self) -> dict[Any, Any]:
         path = self.site.results / _CALIBRATION
@@ -132,6 +127,14 @@ class SiteDrive:
         if self._source is None:
             self._source = ImageSource(images_of(self.site))
         return self._source.content(str(self.row(number)["path"]))
+
+
+def read_corrections(site: SiteFolder, frame: Frame) -> dict[str, pd.Series]:
+    """Cameras that a person set, by image, as `io.camera_tables` reads them."""
+    path = site.resolved.beside(site.resolved.site.poles.corrections)
+    if path is None:
+        return {}
+    return {str(row["image"]): row for _, row in read_cameras(path, frame).iterrows()}
 
 
 def images_of(site: SiteFolder) -> str:

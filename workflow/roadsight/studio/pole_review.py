@@ -19,7 +19,7 @@ from roadsight.report.poles_layers import finite, match_sightings
 from roadsight.studio.drive import images_of
 from roadsight.studio.project import Project, SiteFolder
 from roadsight.studio.shapes import Metre, Shape
-from roadsight.studio.site_files import Writer, save_beside
+from roadsight.studio.site_files import Writer, save_beside, saving, site_version
 
 _POLES, _FRAMES, _HAZARD = "poles/poles.parquet", "poles/frames.parquet", "poles/hazard.parquet"
 _FILE = "pole_decisions.csv"
@@ -65,6 +65,7 @@ def review(site: SiteFolder) -> dict[str, Any]:
     ------
     InputError : a result is not there yet, or damaged.
     """
+    version = site_version(site, "decisions")
     poles = read_table(site.file(_POLES))
     decisions = _decisions(site)
     base = _computed(poles, decisions)
@@ -85,6 +86,7 @@ def review(site: SiteFolder) -> dict[str, Any]:
         )
     ]
     return {
+        "version": version,
         "poles": listed,
         "decisions": _plain(decisions),
         "gone": np.flatnonzero(rows < 0).tolist(),
@@ -152,14 +154,15 @@ def save_decisions(project: Project, stem: str, asked: list[Decision]) -> list[s
     ------
     InputError : a moved pole has no new place, or the site file cannot be changed.
     """
-    site = project.site(stem)
     for one in asked:
         if (one.decision == "move") != (one.to_x is not None and one.to_y is not None):
             raise InputError("a moved pole, and no other, needs a new place", where=one.pole)
     table = pd.DataFrame([one.model_dump() for one in asked], columns=[*COLUMNS])
-    writer = partial(write_decisions, decisions=table, frame=site.frame())
-    files: dict[str, Writer] = {_FILE: writer} if asked else {}
-    return save_beside(project, site, "poles", files, {"decisions": _FILE if asked else None})
+    named = {"decisions": _FILE if asked else None}
+    with saving(project, stem, "decisions") as site:
+        writer = partial(write_decisions, decisions=table, frame=site.frame())
+        files: dict[str, Writer] = {_FILE: writer} if asked else {}
+        return save_beside(project, site, "poles", files, named)
 
 
 def picture(site: SiteFolder, image: str, view: str) -> tuple[bytes, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,6 +39,12 @@ def find_project(folder: Path) -> Path:
         "is not inside a roadsight project", where=str(start), allowed="a folder with Snakefile",
         hint="go to the project's folder, or name it with --folder",
     )  # fmt: skip
+
+
+def _state(path: Path) -> tuple[object, ...]:
+    """What changes with a file, also where it is replaced within one tick of the clock."""
+    about = path.stat()
+    return path, about.st_mtime_ns, about.st_ino, about.st_size
 
 
 @dataclass(frozen=True)
@@ -118,7 +125,7 @@ class Project:
         file = SITES / f"{stem}.yaml"
         if file not in SITES.glob("*.yaml"):
             raise InputError("no such site", where="studio", found=stem)
-        state = [(path, path.stat().st_mtime_ns) for path in (*CONFIG.parent.glob("*.yaml"), file)]
+        state = [_state(path) for path in (*CONFIG.parent.glob("*.yaml"), file)]
         known = self._known.get(stem)
         if known is None or known[0] != state:
             resolved = load_site(stem, self.config())
@@ -148,6 +155,7 @@ class Project:
             configured, broken = [], str(error)
         return {
             "name": self.root.name,
+            "id": hashlib.sha256(str(self.root).encode()).hexdigest()[:12],
             "broken": broken,
             "configured": configured,
             "sites": [self._described(stem) for stem in self.stems()],

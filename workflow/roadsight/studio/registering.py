@@ -1,34 +1,26 @@
-"""Registration by hand (paper 2, section 3.2.3): error, direct solve, baseline, corrections."""
+"""Registration by hand (paper 2, section 3.2.3): error, direct solve."""
 
 from __future__ import annotations
 
-import csv
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 from pydantic import Field
 
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
-from roadsight.io.atomic import write_json
 from roadsight.io.rasters import read_raster
 from roadsight.io.tiles import CloudTiles, stack_xyz
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.published import squared_gaps
-from roadsight.poles.baselines import baseline
 from roadsight.poles.registration import Registration, is_flat, register_camera
 from roadsight.studio.drive import POSE, SiteDrive
 from roadsight.studio.levels import level_of_points
-from roadsight.studio.project import CLOUD, DEM, Project, SiteFolder
+from roadsight.studio.project import CLOUD, DEM, SiteFolder
 from roadsight.studio.shapes import Metre, Shape
-from roadsight.studio.site_files import save_beside
 
 WINDOW_PX = 300.0
 _BESIDE_M, _AHEAD_M, _ROOM_DEG, _MOST_POINTS = 5.0, 150.0, 12.0, 60_000
-_HAND = np.array([0.3, 0.3, 0.1, 0.005, 0.005, 0.005, 0.01])
-"""Standard deviations of a pose set by eye: metres, radians, log focal length."""
 POINT = np.dtype([("xyz", "<f4", 3), ("height_m", "<f4")])
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 Pixel = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]
@@ -171,10 +163,10 @@ def solve_pairs(drive: SiteDrive, number: int, pairs: list[Pair]) -> dict[str, A
     ------
     InputError : the pairs do not determine the camera.
     """
-    found = _registration(drive.place(number), pairs)
+    found = registration(drive.place(number), pairs)
     names = ("x_m", "y_m", "z_m", "pitch_rad", "yaw_rad", "roll_rad", "log_focal")
     return {
-        "pose": _registered_pose(found),
+        "pose": registered_pose(found),
         "residuals_px": found.residuals_px.round(2).tolist(),
         "rms_px": float(np.sqrt((found.residuals_px**2).mean())),
         "sigma": dict(zip(names, found.sigma.tolist(), strict=True)),
@@ -182,97 +174,14 @@ def solve_pairs(drive: SiteDrive, number: int, pairs: list[Pair]) -> dict[str, A
     }
 
 
-def _registration(place: Place, pairs: list[Pair]) -> Registration:
+def registration(place: Place, pairs: list[Pair]) -> Registration:
+    """Camera of an image from its pairs, as `register_camera`."""
     uv = [[p.u, p.v] for p in pairs]
     xyz = [[p.x, p.y, p.z] for p in pairs]
     return register_camera(uv, xyz, place.start.width_px, place.start.height_px)
 
 
-def _registered_pose(found: Registration) -> dict[str, float]:
+def registered_pose(found: Registration) -> dict[str, float]:
+    """A registered camera by the names of `POSE`."""
     angles = (found.heading_deg, found.pitch_deg, found.roll_deg)
     return dict(zip(POSE, map(float, (*found.position_m, *angles, found.focal_px)), strict=True))
-
-
-def save_baseline(project: Project, drive: SiteDrive, images: list[Registered]) -> dict[str, Any]:
-    """Write the baseline of each image size, and the pairs that it rests on.
-
-    Returns
-    -------
-    changed : files. baselines : content by image size.
-
-    Raises
-    ------
-    InputError : an image has no place, or the site file cannot be changed.
-    """
-    found: dict[str, list[Any]] = {}
-    for one in images:
-        place = drive.place(one.number)
-        size = f"{place.start.width_px}x{place.start.height_px}"
-        found.setdefault(size, []).append((_by_hand(drive, place, one), place.start))
-    content = {size: baseline(registered) for size, registered in sorted(found.items())}
-    files = {"baseline.json": lambda to: write_json(to, content)}
-    if any(one.pairs for one in images):
-        files["pairs.csv"] = lambda to: _write_pairs(to, drive, images)
-    changed = save_beside(project, drive.site, "poles", files, {"baseline": "baseline.json"})
-    return {"changed": changed, "baselines": content}
-
-
-def _by_hand(drive: SiteDrive, place: Place, one: Registered) -> Registration:
-    """Registration from pairs where they determine it; else the pose as it was set by eye."""
-    pose = one.pose.row()
-    if len(one.pairs) >= 4:
-        solved = _registration(place, one.pairs)
-        close = all(abs(v - pose[n]) < 1e-6 for n, v in _registered_pose(solved).items())
-        if close:
-            return solved
-    rms = alignment_error(drive, place, pose)["rms_px"]
-    residuals = np.array([] if rms is None else [rms])
-    return Registration(
-        np.array([pose["x"], pose["y"], pose["z"]]), pose["heading_deg"], pose["pitch_deg"],
-        pose["roll_deg"], pose["focal_px"], residuals if len(residuals) else np.zeros(1),
-        np.diag(_HAND**2),
-    )  # fmt: skip
-
-
-def _write_pairs(path: Path, drive: SiteDrive, images: list[Registered]) -> None:
-    """Pairs as `roadsight register` reads them: pixels, and places in the cloud's coordinates."""
-    with path.open("w", encoding="utf-8", newline="") as stream:
-        table = csv.writer(stream, lineterminator="\n")
-        table.writerow(["image", "pixel_x", "pixel_y", "x", "y", "z"])
-        for one in images:
-            image = drive.place(one.number).image
-            for pair in one.pairs:
-                native = drive.frame.to_native([pair.x, pair.y, pair.z])
-                table.writerow(
-                    [image, f"{pair.u:.2f}", f"{pair.v:.2f}", *(f"{n:.4f}" for n in native)]
-                )
-
-
-def save_correction(
-    project: Project, drive: SiteDrive, number: int, pose: PoseBody | None
-) -> list[str]:
-    """Write the pose of one image as set by a person, or forget it; the files that changed."""
-    place = drive.place(number)
-    poses = {image: {n: float(row[n]) for n in POSE} for image, row in drive.corrections.items()}
-    poses.pop(place.image, None)
-    if pose is not None:
-        poses[place.image] = pose.row()
-    name = "corrections.csv" if poses else None
-    files = {"corrections.csv": lambda to: _write_poses(to, drive, poses)} if poses else {}
-    return save_beside(project, drive.site, "poles", files, {"corrections": name})
-
-
-def _write_poses(path: Path, drive: SiteDrive, poses: dict[str, dict[str, float]]) -> None:
-    """Cameras as `io.camera_tables` reads them, in the cloud's coordinates."""
-    rows = []
-    for image, pose in sorted(poses.items()):
-        place = drive.places[image]
-        east, north, up = drive.frame.to_native([pose["x"], pose["y"], pose["z"]])
-        rows.append({
-            "image": image, "easting_native": round(east, 4), "northing_native": round(north, 4),
-            "height_native": round(up, 4), "heading_grid_deg": round(pose["heading_deg"], 5),
-            "pitch_deg": round(pose["pitch_deg"], 5), "roll_deg": round(pose["roll_deg"], 5),
-            "focal_px": round(pose["focal_px"], 3), "cx_px": place.start.cx_px,
-            "cy_px": place.start.cy_px,
-        })  # fmt: skip
-    pd.DataFrame(rows).to_csv(path, index=False, lineterminator="\n")

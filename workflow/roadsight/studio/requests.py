@@ -13,6 +13,11 @@ Model = TypeVar("Model", bound=BaseModel)
 _JSON = "application/json"
 
 
+def version() -> str:
+    """What the page says that its content rests on (``If-Match``); empty if it says nothing."""
+    return request.headers.get("If-Match", "")
+
+
 def body(model: type[Model]) -> Model:
     """Content of the request as a model.
 

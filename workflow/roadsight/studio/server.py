@@ -15,6 +15,7 @@ from roadsight.errors import InputError
 from roadsight.studio.guard import LOOPBACK, protect
 from roadsight.studio.pages import serve_pages
 from roadsight.studio.project import Project
+from roadsight.studio.site_files import OutdatedError
 
 log = logging.getLogger("studio")
 ASSETS = Path(__file__).with_name("assets")
@@ -61,7 +62,7 @@ def _asset(name: str) -> Response:
 
 
 def _told(error: InputError) -> tuple[Response, int]:
-    return jsonify(error=str(error)), 422
+    return jsonify(error=str(error)), 409 if isinstance(error, OutdatedError) else 422
 
 
 def _refused(error: HTTPException) -> tuple[Response, int]:

@@ -9,8 +9,9 @@ from flask import Blueprint
 from roadsight.studio.drawing import current_area, load_drawing, save_drawing, terrain_of
 from roadsight.studio.preview import preview
 from roadsight.studio.project import Project
-from roadsight.studio.requests import body
+from roadsight.studio.requests import body, version
 from roadsight.studio.shapes import Drawing
+from roadsight.studio.site_files import saving, site_version
 
 
 def create(project: Project) -> Blueprint:
@@ -23,7 +24,10 @@ def create(project: Project) -> Blueprint:
 
     @routes.put("/sites/<stem>/drawing")
     def save(stem: str) -> dict[str, Any]:
-        return {"changed": save_drawing(project, stem, body(Drawing))}
+        drawing = body(Drawing)
+        with saving(project, stem, "drawing", version()):
+            changed = save_drawing(project, stem, drawing)
+            return {"changed": changed, "version": site_version(project.site(stem), "drawing")}
 
     @routes.post("/sites/<stem>/preview")
     def look(stem: str) -> dict[str, Any]:

@@ -17,11 +17,11 @@ from roadsight.studio.registering import (
     alignment_error,
     image_content,
     points_around,
-    save_baseline,
-    save_correction,
     solve_pairs,
 )
-from roadsight.studio.requests import body
+from roadsight.studio.registration_files import save_baseline, save_correction
+from roadsight.studio.requests import body, version
+from roadsight.studio.site_files import saving, site_version
 
 _TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp"}
 
@@ -34,11 +34,15 @@ def create(project: Project) -> Blueprint:
     def drive_of(stem: str) -> SiteDrive:
         return drives.of(project.site(stem))
 
+    def now(stem: str) -> dict[str, str]:
+        return {"version": site_version(project.site(stem), "registration")}
+
     @routes.get("/sites/<stem>/images")
     def images(stem: str) -> dict[str, Any]:
+        state = now(stem)
         drive = drive_of(stem)
         road = drive.scene.edges.xyz_m[::4, :2].round(2).ravel().tolist()
-        return {"images": drive.about(), "road": road}
+        return {"images": drive.about(), "road": road} | state
 
     @routes.get("/sites/<stem>/images/<int:number>")
     def image(stem: str, number: int) -> dict[str, Any]:
@@ -72,14 +76,19 @@ def create(project: Project) -> Blueprint:
 
     @routes.put("/sites/<stem>/images/<int:number>/correction")
     def correct(stem: str, number: int) -> dict[str, Any]:
-        return {"changed": save_correction(project, drive_of(stem), number, body(PoseBody))}
+        pose = body(PoseBody)
+        with saving(project, stem, "registration", version()):
+            return {"changed": save_correction(project, drive_of(stem), number, pose)} | now(stem)
 
     @routes.delete("/sites/<stem>/images/<int:number>/correction")
     def forget(stem: str, number: int) -> dict[str, Any]:
-        return {"changed": save_correction(project, drive_of(stem), number, None)}
+        with saving(project, stem, "registration", version()):
+            return {"changed": save_correction(project, drive_of(stem), number, None)} | now(stem)
 
     @routes.put("/sites/<stem>/baseline")
     def keep(stem: str) -> dict[str, Any]:
-        return save_baseline(project, drive_of(stem), body(BaselineBody).images)
+        images = body(BaselineBody).images
+        with saving(project, stem, "registration", version()):
+            return save_baseline(project, drive_of(stem), images) | now(stem)
 
     return routes

@@ -9,7 +9,8 @@ from flask import Blueprint, Response, request
 from roadsight.studio.layout import Layouts, WhatIf
 from roadsight.studio.pole_review import Decisions, picture, review, save_decisions
 from roadsight.studio.project import Project
-from roadsight.studio.requests import body
+from roadsight.studio.requests import body, version
+from roadsight.studio.site_files import saving, site_version
 
 
 def create(project: Project) -> Blueprint:
@@ -31,7 +32,10 @@ def create(project: Project) -> Blueprint:
 
     @routes.put("/sites/<stem>/poles")
     def decide(stem: str) -> dict[str, Any]:
-        return {"changed": save_decisions(project, stem, body(Decisions).decisions)}
+        asked = body(Decisions).decisions
+        with saving(project, stem, "decisions", version()):
+            changed = save_decisions(project, stem, asked)
+            return {"changed": changed, "version": site_version(project.site(stem), "decisions")}
 
     @routes.get("/sites/<stem>/poles/picture")
     def image(stem: str) -> Response:

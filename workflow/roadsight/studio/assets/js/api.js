@@ -45,7 +45,8 @@ export async function getBlob(path, options) {
   return (await call(path, options)).blob();
 }
 
-export async function send(method, path, content, options = {}) {
-  const headers = { "Content-Type": "application/json" };
+// version: of what the content rests on; the server refuses it where there is another one by now.
+export async function send(method, path, content, { version, ...options } = {}) {
+  const headers = { "Content-Type": "application/json", ...(version === undefined ? {} : { "If-Match": version }) };
   return (await call(path, { ...options, method, headers, body: JSON.stringify(content) })).json();
 }

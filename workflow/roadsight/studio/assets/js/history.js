@@ -2,35 +2,38 @@
 
 const MOST_STEPS = 200;
 
+const same = (a, b) => JSON.stringify(a) === JSON.stringify(b);
+
 export class History {
-  // key: where it is kept; saved: the document as the server has it.
+  // key: where it is kept, within the project; saved: the document as the server has it.
   constructor(key, saved) {
-    this.key = `roadsight-draft-${key}`;
+    this.key = `roadsight-draft-${window.studio.project.id}-${key}`;
     this.listeners = new Set();
     this.reset(saved);
   }
 
-  // Start from what the server has; takes up unsaved work if it began from the same.
+  // Start from what the server has, and take up unsaved work: each part of the document that it
+  // had changed. A conflict is a part that has changed on both sides.
   reset(saved) {
     this.saved = JSON.stringify(saved);
     this.done = [this.saved];
     this.at = 0;
-    this.restored = false;
-    const draft = this.kept();
-    if (draft && draft.now !== this.saved) {
-      this.conflict = draft.saved !== this.saved;
+    this.restored = this.conflict = false;
+    const { before, now } = this.kept() ?? { before: saved, now: saved };
+    const changed = Object.keys(saved).filter((part) => part in now && !same(now[part], before[part]) && !same(now[part], saved[part]));
+    if (changed.length) {
+      this.conflict = changed.some((part) => !same(before[part], saved[part]));
       this.restored = true;
-      this.done.push(draft.now);
+      this.done.push(JSON.stringify({ ...saved, ...Object.fromEntries(changed.map((part) => [part, now[part]])) }));
       this.at = 1;
     }
-    this.now = JSON.parse(this.done[this.at]);
+    this.now = JSON.parse(this.text);
   }
 
   kept() {
     try {
       const draft = JSON.parse(localStorage.getItem(this.key));
-      JSON.parse(draft.now);
-      return draft;
+      return { before: JSON.parse(draft.saved), now: JSON.parse(draft.now) };
     } catch {
       return null;
     }
@@ -40,7 +43,7 @@ export class History {
   change(edit, alike = null) {
     edit(this.now);
     const text = JSON.stringify(this.now);
-    if (text === this.done[this.at]) return;
+    if (text === this.text) return;
     if (alike !== null && alike === this.alike && this.at > 0 && this.at === this.done.length - 1) this.done[this.at] = text;
     else {
       this.done.splice(this.at + 1, Infinity, text);
@@ -63,15 +66,18 @@ export class History {
     return true;
   }
 
-  get dirty() { return this.done[this.at] !== this.saved; }
+  get text() { return this.done[this.at]; }
+  get dirty() { return this.text !== this.saved; }
   get canUndo() { return this.at > 0; }
   get canRedo() { return this.at < this.done.length - 1; }
 
-  // The server has what is here now.
-  wasSaved(saved = this.now) {
+  // The server has made `saved` of `sent`, the text of then. What was changed meanwhile stays unsaved.
+  wasSaved(saved, sent) {
     this.saved = JSON.stringify(saved);
-    this.now = JSON.parse(this.saved);
-    this.done[this.at] = this.saved;
+    if (this.text === sent) {
+      this.now = JSON.parse(this.saved);
+      this.done[this.at] = this.saved;
+    }
     this.alike = null;
     this.keep();
     this.tell();
@@ -79,7 +85,7 @@ export class History {
 
   keep() {
     if (!this.dirty) localStorage.removeItem(this.key);
-    else localStorage.setItem(this.key, JSON.stringify({ saved: this.saved, now: this.done[this.at] }));
+    else localStorage.setItem(this.key, JSON.stringify({ saved: this.saved, now: this.text }));
   }
 
   tell() { for (const listener of this.listeners) listener(); }

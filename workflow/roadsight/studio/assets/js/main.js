@@ -14,10 +14,11 @@ const THEME = "roadsight-theme";
 const studio = (window.studio = { page: null, project: null });
 
 const address = () => {
-  const [, page, stem] = /^#\/(\w+)\/([\w.-]+)$/.exec(location.hash) ?? [];
+  const [, page, name] = /^#\/(\w+)\/([^/]+)$/.exec(location.hash) ?? [];
   const { sites } = studio.project;
-  return { page: PAGES[page] ? page : "edges", site: sites.find((site) => site.stem === stem) ?? sites[0] };
+  return { page: PAGES[page] ? page : "edges", site: sites.find(({ stem }) => encodeURIComponent(stem) === name) ?? sites[0] };
 };
+const addressOf = (page, { stem }) => `#/${page}/${encodeURIComponent(stem)}`;
 
 function setTheme(theme) {
   document.documentElement.dataset.theme = theme;
@@ -34,9 +35,9 @@ function fillTop(page, site) {
   list.replaceChildren(...studio.project.sites.map((one) => el("option", { value: one.stem }, one.stem)));
   list.value = site.stem;
   list.title = site.title;
-  list.onchange = () => { location.hash = `#/${address().page}/${list.value}`; };
+  list.onchange = () => { location.hash = addressOf(address().page, { stem: list.value }); };
   document.getElementById("tabs").replaceChildren(...Object.entries(PAGES).map(([name, { title }]) =>
-    el("a", { href: `#/${name}/${site.stem}`, "aria-current": name === page ? "page" : null }, title)));
+    el("a", { href: addressOf(name, site), "aria-current": name === page ? "page" : null }, title)));
 }
 
 async function show() {
@@ -65,7 +66,7 @@ function problem(error, site) {
   const box = el("div", { className: "page" }, el("h1", {}, site.title), el("p", { className: "message bad", role: "alert" }, error.message));
   if (site.command && !site.there?.cloud) {
     box.append(el("p", {}, "This site has no results yet. Run first, in the project's folder:"), el("p", {}, el("code", {}, site.command)));
-    if (PAGES.run) box.append(el("p", {}, el("a", { href: `#/run/${site.stem}` }, "or start it on the page Run")));
+    if (PAGES.run) box.append(el("p", {}, el("a", { href: addressOf("run", site) }, "or start it on the page Run")));
   }
   box.append(button("Try again", start));
   return box;
@@ -75,7 +76,7 @@ function onKey(event) {
   if (typing(event) || document.querySelector("dialog[open]")) return;
   const number = event.altKey && /^Digit[1-9]$/.test(event.code) ? Number(event.code.slice(5)) : 0;
   const page = Object.keys(PAGES)[number - 1];
-  if (page) location.hash = `#/${page}/${address().site.stem}`;
+  if (page) location.hash = addressOf(page, address().site);
   else if (event.key === "?") showKeys({ ...KEYS, ...studio.page?.keys });
   else if (event.key === "t" && !event.ctrlKey && !event.metaKey) flipTheme();
   else if (!studio.page?.onKey?.(event)) return;

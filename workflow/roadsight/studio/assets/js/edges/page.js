@@ -43,7 +43,7 @@ class EdgesPage {
   }
 
   take(loaded) {
-    Object.assign(this, { references: loaded.reference, area: loaded.area, own: loaded.own, frame: loaded.frame });
+    Object.assign(this, { references: loaded.reference, area: loaded.area, own: loaded.own, frame: loaded.frame, version: loaded.version });
   }
 
   tellRestored() {
@@ -179,16 +179,21 @@ class EdgesPage {
 
   async save() {
     this.editor.finish();
-    if (!this.history.dirty) return;
-    const layers = changedLayers(this.history.now, JSON.parse(this.history.saved));
+    if (!this.history.dirty || this.saving) return;
+    this.saving = true;
+    const { text: sent, now, saved } = this.history;
     try {
-      const { changed } = await send("PUT", siteUrl(this.site.stem, "drawing"), layers);
-      const loaded = await get(siteUrl(this.site.stem, "drawing"));
-      this.take(loaded);
-      this.history.wasSaved(documentOf(loaded));
+      const url = siteUrl(this.site.stem, "drawing");
+      const { changed, version } = await send("PUT", url, changedLayers(now, JSON.parse(saved)), { version: this.version });
+      this.version = version;
+      const loaded = await get(url);
+      this.take({ ...loaded, version });
+      this.history.wasSaved(documentOf(loaded), sent);
       note(changed.length ? `Saved: ${changed.join(", ")}. What depends on it is stale now.` : "Saved; no file changed.");
     } catch (error) {
       failed(error);
+    } finally {
+      this.saving = false;
     }
   }
 

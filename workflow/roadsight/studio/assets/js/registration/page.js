@@ -18,8 +18,8 @@ const KEYS = {
 const MODE_KEYS = { v: "view", r: "turn", m: "move", l: "lens", c: "pairs" };
 
 class RegistrationPage {
-  constructor(site, { images, road }) {
-    Object.assign(this, { site, images, road, mode: "view", number: 0, half: null, error: null, keys: KEYS });
+  constructor(site, { images, road, version }) {
+    Object.assign(this, { site, images, road, version, mode: "view", number: 0, half: null, error: null, keys: KEYS });
     this.history = new History(`registration-${site.stem}`, { images: {} });
     this.history.listeners.add(() => this.changed());
     this.picture = new Picture(this);
@@ -59,16 +59,17 @@ class RegistrationPage {
   say(text) { this.foot.textContent = text; }
 
   // What is set by hand of this image: pose and pairs.
-  get own() { return this.history.now.images[this.number]; }
+  get name() { return this.images[this.number].image; }
+  get own() { return this.history.now.images[this.name]; }
   get base() { return this.content.solved ?? this.content.expected; }
   get pose() { return this.own?.pose ?? this.base; }
   get pairs() { return this.own?.pairs ?? []; }
 
-  edit(change, alike = null) {
+  edit(change, alike = null, { name, base } = this) {
     this.history.change(({ images }) => {
-      images[this.number] ??= { pose: { ...this.base }, pairs: [], baseline: false };
-      change(images[this.number]);
-    }, alike && `${this.number} ${String(alike)}`);
+      images[name] ??= { pose: { ...base }, pairs: [], baseline: false };
+      change(images[name]);
+    }, alike && `${name} ${String(alike)}`);
   }
 
   setPose(pose, alike = null) { this.edit((own) => { own.pose = pose; }, alike); }
@@ -96,12 +97,15 @@ class RegistrationPage {
     this.edit((own) => own.pairs.push(pair));
   }
 
+  // The pose is that of the image that was asked for, whichever is shown by then.
   async solve() {
+    const { number, name, base, pairs } = this;
+    const asked = JSON.stringify(pairs);
     try {
-      const found = await send("POST", siteUrl(this.site.stem, `images/${this.number}/solve`), { pairs: this.pairs });
-      this.found = found;
-      this.setPose(found.pose);
-      note(`Solved: ${found.rms_px.toFixed(2)} px from ${this.pairs.length} pairs.${found.flat ? " All places lie on one plane: the field of view rests on little." : ""}`, found.flat ? "warn" : "good");
+      const found = await send("POST", siteUrl(this.site.stem, `images/${number}/solve`), { pairs });
+      if (this.name === name && JSON.stringify(this.pairs) === asked) this.found = found;
+      this.edit((own) => { own.pose = found.pose; }, null, { name, base });
+      note(`Solved${this.name === name ? "" : ` ${name}`}: ${found.rms_px.toFixed(2)} px from ${JSON.parse(asked).length} pairs.${found.flat ? " All places lie on one plane: the field of view rests on little." : ""}`, found.flat ? "warn" : "good");
     } catch (error) {
       failed(error);
     }
@@ -119,6 +123,7 @@ class RegistrationPage {
       this.picture.show(content, bitmap, new Float32Array(bytes));
       this.changed();
     } catch (error) {
+      this.trouble = error;
       failed(error);
     }
   }
@@ -133,10 +138,11 @@ class RegistrationPage {
     }
   }
 
-  // The next image, or the next rejected one.
+  // The next image that can be shown, or the next rejected one.
   step(by, rejected = false) {
+    const passed = ({ state }) => (rejected ? state !== "rejected" : state === "unusable");
     let number = this.number + by;
-    while (rejected && this.images[number] && this.images[number].state !== "rejected") number += by;
+    while (this.images[number] && passed(this.images[number])) number += by;
     this.open(number);
   }
 
@@ -155,7 +161,9 @@ class RegistrationPage {
     while (this.stale && !this.closed) {
       this.stale = false;
       try {
-        this.error = await send("POST", siteUrl(this.site.stem, `images/${this.number}/error`), this.pose);
+        const { number } = this;
+        const error = await send("POST", siteUrl(this.site.stem, `images/${number}/error`), this.pose);
+        if (this.number === number) this.error = error;
         this.panel.tellError();
       } catch (error) {
         failed(error);
@@ -165,9 +173,16 @@ class RegistrationPage {
     this.measuring = false;
   }
 
+  // Numbers of the images that shall make the baseline.
+  get forBaseline() {
+    return this.images.flatMap(({ image }, number) => (this.history.now.images[image]?.baseline ? [number] : []));
+  }
+
   async saveBaseline() {
-    const chosen = Object.entries(this.history.now.images).filter(([, own]) => own.baseline);
-    const images = chosen.map(([number, { pose, pairs }]) => ({ number: Number(number), pose, pairs }));
+    const images = this.forBaseline.map((number) => {
+      const { pose, pairs } = this.history.now.images[this.images[number].image];
+      return { number, pose, pairs };
+    });
     await this.save("PUT", "baseline", { images }, ({ baselines }) => `Baseline of ${Object.keys(baselines).join(", ")}`);
   }
 
@@ -181,7 +196,8 @@ class RegistrationPage {
 
   async save(method, path, content, text) {
     try {
-      const answer = await send(method, siteUrl(this.site.stem, path), content);
+      const answer = await send(method, siteUrl(this.site.stem, path), content, { version: this.version });
+      this.version = answer.version;
       note(`${text(answer)}: ${answer.changed.join(", ") || "no file changed"}.`);
       return true;
     } catch (error) {
@@ -192,8 +208,9 @@ class RegistrationPage {
 
   async reload() {
     try {
-      const { images } = await get(siteUrl(this.site.stem, "images"));
-      this.images = this.panel.route.images = images;
+      const { images, version } = await get(siteUrl(this.site.stem, "images"));
+      Object.assign(this, { images, version });
+      this.panel.route.images = images;
       await this.open(this.number);
     } catch (error) {
       failed(error);
@@ -233,8 +250,9 @@ class RegistrationPage {
 
 export async function open(site) {
   const listed = await get(siteUrl(site.stem, "images"));
-  const page = new RegistrationPage(site, listed);
   const first = listed.images.findIndex(({ state }) => state !== "unusable");
+  const page = new RegistrationPage(site, listed);
   await page.open(Math.max(first, 0));
+  if (!page.content) throw page.trouble;
   return page;
 }

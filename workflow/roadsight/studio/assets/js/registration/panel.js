@@ -93,7 +93,7 @@ export class Panel {
       button(`Pair ${number + 1}: pixel ${pair.u.toFixed(0)}, ${pair.v.toFixed(0)}`, () => {}), el("span", { className: "end" }, gaps[number] === undefined ? "" : `${gaps[number].toFixed(2)} px`),
       button("Delete", () => page.edit((mine) => mine.pairs.splice(number, 1)), { "aria-label": `Delete pair ${number + 1}` })));
     const use = el("input", { type: "checkbox", checked: own?.baseline ?? false, "data-do": "use", onchange: () => page.edit((mine) => { mine.baseline = use.checked; }) });
-    const count = Object.values(history.now.images).filter(({ baseline }) => baseline).length;
+    const count = page.forBaseline.length;
     this.rest.replaceChildren(
       el("section", {}, el("div", { className: "row" },
         button("Undo", () => history.step(-1), { disabled: !history.canUndo }), button("Redo", () => history.step(1), { disabled: !history.canRedo }),

@@ -47,19 +47,19 @@ class ResultsPage {
   }
 
   async turnTo(name) {
+    const turn = (this.turn = Symbol(name));
     this.name = name;
     this.part = this.parts[name];
     this.panel.replaceChildren(el("p", { className: "muted" }, "Loading…"));
-    try {
-      await this.part.load();
-      this.problem = "";
-    } catch (error) {
-      this.problem = error.message;
-    }
+    this.loading = true;
+    const problem = await this.part.load().then(() => "", (error) => error.message);
+    if (this.turn !== turn || this.closed) return;
+    [this.loading, this.problem] = [false, problem];
     this.show();
   }
 
   show() {
+    if (this.loading) return;
     const names = Object.fromEntries(Object.keys(this.parts).map((name) => [name, { sensors: "Sensors", poles: "Poles" }[name]]));
     const held = document.activeElement?.dataset?.do;
     const top = this.panel.scrollTop;
@@ -84,7 +84,7 @@ class ResultsPage {
       const pixel = at(event);
       const still = this.pressed && Math.hypot(pixel[0] - this.pressed[0], pixel[1] - this.pressed[1]) <= CLICK_PX;
       this.pressed = null;
-      if (still && !this.problem) this.part.click(pixel);
+      if (still && !this.loading && !this.problem) this.part.click(pixel);
     });
   }
 
@@ -92,7 +92,7 @@ class ResultsPage {
     const { key } = event;
     if (key === "p") this.setMode(this.view.mode === "plan" ? "3d" : "plan");
     else if (key === "j" && Object.keys(this.parts).length > 1) this.turnTo(this.name === "sensors" ? "poles" : "sensors");
-    else if (!this.problem && this.part.onKey(event)) return true;
+    else if (!this.loading && !this.problem && this.part.onKey(event)) return true;
     else return this.view.onKey(event);
     return true;
   }

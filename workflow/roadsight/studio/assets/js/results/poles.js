@@ -22,11 +22,14 @@ export class Poles {
     const { stem } = this.page.site;
     this.about = await get(siteUrl(stem, "poles"));
     const { decisions } = this.about;
-    if (this.history) this.history.reset({ decisions });
+    const first = !this.history;
+    if (!first) this.history.reset({ decisions });
     else {
       this.history = new History(`poles-${stem}`, { decisions });
       this.history.listeners.add(() => this.page.show());
-      if (this.history.restored) note(this.history.conflict ? "Unsaved decisions are back; the saved ones have changed meanwhile" : "Unsaved decisions are back", "warn");
+    }
+    if (this.history.restored && (first || this.history.conflict)) {
+      note(this.history.conflict ? "Unsaved decisions are back; the saved ones have changed meanwhile" : "Unsaved decisions are back", "warn");
     }
     this.chosen = this.chosen !== null && this.chosen < this.about.poles.length ? this.chosen : null;
     this.showImage();
@@ -142,9 +145,11 @@ export class Poles {
   async save() {
     if (!this.history.dirty || this.saving) return;
     this.saving = true;
+    const { text: sent, now } = this.history;
     try {
-      const { changed } = await send("PUT", siteUrl(this.page.site.stem, "poles"), this.history.now);
-      this.history.wasSaved();
+      const { changed, version } = await send("PUT", siteUrl(this.page.site.stem, "poles"), now, { version: this.about.version });
+      this.about.version = version;
+      this.history.wasSaved(JSON.parse(sent), sent);
       note(`Saved: ${changed.join(", ") || "nothing had changed"}. The next run takes it up.`);
     } catch (error) {
       failed(error);
