@@ -26,7 +26,8 @@ def folder(tmp_path):
     x = np.arange(20) + 0.5
     targets = pd.DataFrame({"target": [f"t{n}" for n in range(20)], "x": x, "y": 2.0, "z": 0.0})
     write_table(tmp_path / "targets", targets, {"cell_size_m": 1.0})
-    rows = [(name, f"t{n}", 9) for name, seen in SEEN.items() for n in seen]
+    points = {"a": 6, "b": 9, "unused": 200}
+    rows = [(name, f"t{n}", points[name]) for name, seen in SEEN.items() for n in seen]
     table = pd.DataFrame(rows, columns=["candidate", "target", "hits"])
     write_detections(tmp_path / "seen", table.astype({"hits": "uint16"}), {"sensor": "OS-64"})
     place = {"sensor": "OS-64", "y": -1.0, "z": 5.0}
@@ -59,6 +60,13 @@ def test_figures_of_plan_and_sensors(folder):
     first, second = found["sensors"]
     assert (first["candidate"], first["road_points_per_s"]) == ("b", 40)
     assert (second["overlap_with_next_m"], first["overlap_with_next_m"]) == (4.0, None)
+    six, nine = 0.152 * np.log(6) + 0.659, 0.152 * np.log(9) + 0.659
+    likely = found["probability"]
+    assert (likely["targets"], likely["least"]) == (20, pytest.approx(six))
+    assert likely["mean"] == pytest.approx((8 * six + 12 * nine) / 20)
+    assert likely["independent"]["least"] == pytest.approx(six)
+    both = 1 - (1 - six) * (1 - nine)
+    assert likely["independent"]["mean"] == pytest.approx((8 * six + 8 * nine + 4 * both) / 20)
     layer = read_layer(folder / "out.gpkg", "sensors", FRAME)
     assert layer["points_per_s"].sum() == found["points_per_s"]
     assert layer.geometry.x.tolist() == pytest.approx([14.0, 4.0], abs=1e-3)

@@ -156,6 +156,15 @@ SETTINGS = [
         {"plan_effects"} | after("build_detection_shard", "find_obstacles"),
     ),
     (
+        "min_points: 10",
+        "min_points: 10, min_probability: 0.95",
+        {"plan_effects"} | after("build_detection_shard"),
+    ),
+    # More than 8 beams: what is asked anyhow.
+    ("min_points: 10", "min_points: 10, min_probability: 0.99", set()),
+    ("min_points: 10", "min_points: 10, lidar_curve: [0.1, 0.5]", after("measure_data")),
+    ("min_points: 10", "min_points: 10, rcs_m2: 1.0", set()),
+    (
         "height_step_m: 2.0",
         "height_step_m: 0.5",
         # Other parameters of the rule have both values.

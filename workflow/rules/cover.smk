@@ -148,9 +148,12 @@ rule measure_data:
         sensors_file=CONFIG.sensors_file,
         sensors=plan_costs,
         frames_hz=setting("lidar.frames_hz"),
+        lidar_curve=setting("targets.lidar_curve"),
+        camera_curve=setting("targets.camera_curve"),
     shell:
         "python -m roadsight.stages.measure_data --solution {input.solution}"
         " --targets {input.targets} --detections {input.detections} --edges {input.edges}"
         " --pavement {input.pavement} --frame {input.frame} --sensors {params.sensors_file:q}"
         " --scans {input.scans} --frames-hz {params.frames_hz}"
+        " --lidar-curve {params.lidar_curve} --camera-curve {params.camera_curve}"
         " --out {output.data} --layers {output.layers} > {log} 2>&1"

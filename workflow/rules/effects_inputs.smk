@@ -6,6 +6,7 @@ from roadsight.effects.planner import plan
 from roadsight.io.atomic import read_json
 from roadsight.io.baselines import read_baselines
 from roadsight.io.videolog_files import posed_share
+from roadsight.placement.sensors import define_sensor
 
 EFFECTS = clearly(load_catalogue, CONFIG.effects_file)
 
@@ -15,13 +16,21 @@ def circumstances(site):
     resolved = SITES[site]
     settings = resolved.settings.model_dump(mode="json", include=SETTINGS)
     sensors = sensors_of(site) if wants(site, "placement") else []
+    settings["targets"]["min_beams"] = min_beams_of(site)
     return {
         "jobs": resolved.site.jobs,
         "modes": resolved.settings.effect_modes,
         "settings": settings,
-        "sensors": {name: SENSORS[name].to_dict() for name in sensors},
+        "sensors": {name: sensor_as_used(site, name) for name in sensors},
         "given": given_to_poles(site) if wants(site, "poles") else {},
     }
+
+
+def sensor_as_used(site, name):
+    """Definition of a sensor with the pixels that a site asks of cameras."""
+    pixels = min_pixels_of(site) if kind_of(name) == "camera" else None
+    asked = {} if pixels is None else {"min_pixels": pixels}
+    return SENSORS[name].to_dict() | asked
 
 
 @lru_cache(maxsize=None)
@@ -57,7 +66,9 @@ def circumstances_json(wildcards):
 def decisions(site, job, files, changed):
     """Decision on each effect of a job at a site, from the content of what was measured."""
     about = circumstances(site)
-    sensors = {name: SENSORS[name] for name in about["sensors"]}
+    sensors = {
+        name: define_sensor(asked, name) for name, asked in about["sensors"].items()
+    }
     profile, frame, *drive = map(read_json, files)
     measured = Circumstances(
         profile, frame, about["settings"], sensors, about["given"], *drive

@@ -198,7 +198,7 @@ rule build_detection_shard:
         radius_m=setting("targets.radius_m"),
         height_m=target_height,
         box=target_box,
-        min_beams=setting("targets.min_beams"),
+        min_beams=least_beams,
         azimuth_stride=setting("lidar.azimuth_stride"),
         partial_hits=decision_on("partial_hits"),
         curvature=decision_on("curvature_refraction"),

@@ -2,6 +2,7 @@
 
 from roadsight.config.validate import check_path
 from roadsight.placement.light import wavelength_nm
+from roadsight.placement.probability import Curve
 from roadsight.placement.shapes import Box, shape_of
 
 
@@ -258,6 +259,26 @@ def target_height(wildcards):
         if box is None
         else NamedValue("targets.height_m", box.height_m)
     )
+
+
+def min_beams_of(site):
+    """More beams than this must return from a target of a site."""
+    targets = SITES[site].settings.targets
+    if targets.min_probability == 0:
+        return targets.min_beams
+    return Curve(*targets.lidar_curve).needed(targets.min_probability) - 1
+
+
+def min_pixels_of(site):
+    """Pixels that cameras of a site need of a target; None: what their definitions say."""
+    targets = SITES[site].settings.targets
+    if targets.min_probability == 0:
+        return None
+    return Curve(*targets.camera_curve).needed(targets.min_probability)
+
+
+def least_beams(wildcards):
+    return NamedValue("targets.min_beams", min_beams_of(wildcards.site))
 
 
 def edges_of_boxes(wildcards):

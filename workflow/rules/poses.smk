@@ -37,8 +37,7 @@ rule detect_poses:
         radius_m=setting("targets.radius_m"),
         height_m=target_height,
         box=target_box,
-        min_beams=setting("targets.min_beams"),
-        rcs_m2=setting("targets.rcs_m2"),
+        criteria=criteria_of_sensor,
         partial_hits=decision_on("partial_hits"),
         curvature=decision_on("curvature_refraction"),
     shell:
@@ -47,8 +46,8 @@ rule detect_poses:
         " --sensor {wildcards.sensor} --sensors {params.sensors_file:q}"
         " --yaw-deg {params.yaw_deg} --pitch-deg {params.pitch_deg}"
         " --roll-deg {params.roll_deg} --radius-m {params.radius_m}"
-        " --height-m {params.height_m} {params.box} --min-beams {params.min_beams}"
-        " --rcs-m2 {params.rcs_m2} --tilts {input.tilts} --air {input.rain} {input.fog}"
+        " --height-m {params.height_m} {params.box} {params.criteria}"
+        " --tilts {input.tilts} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"
         " --out {output.detection} > {log} 2>&1"

@@ -39,6 +39,19 @@ def pose_angles(angle):
     return angles
 
 
+def criteria_of_sensor(wildcards):
+    """When the rule's sensor sees a target: what its kind asks, and nothing else."""
+    kind = kind_of(wildcards.sensor)
+    if kind == "radar":
+        asked = f"--rcs-m2 {setting('targets.rcs_m2')(wildcards)}"
+    elif kind == "camera":
+        pixels = min_pixels_of(wildcards.site)
+        asked = "" if pixels is None else f"--min-pixels {pixels}"
+    else:
+        asked = f"--min-beams {min_beams_of(wildcards.site)}"
+    return NamedValue("criteria", asked)
+
+
 def sensor_of_map(wildcards):
     """Definition of the sensor of a depth map; a panorama's name says all about it."""
     return (

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from roadsight.config.section import Count, Metres, Section
+
+Curve = Annotated[list[float], Field(min_length=2, max_length=2)]
+"""a and b of p = a ln(n) + b."""
 
 
 class Targets(Section):
@@ -33,9 +36,30 @@ class Targets(Section):
     min_beams: int = Field(
         default=8, ge=0, description="seen when more beams than this return from it"
     )
+    min_probability: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="instead of min_beams, min_pixels: least probability to be found; 0: off",
+    )
+    lidar_curve: Curve = Field(
+        default=[0.152, 0.659],
+        description="a and b of the probability a ln(n) + b to be found by n beams"
+        " (docs/targets.md)",
+    )
+    camera_curve: Curve = Field(
+        default=[0.055, 0.155], description="the same by n pixels of a camera"
+    )
     rcs_m2: float = Field(
         default=0.16, gt=0, le=1e6, description="radar cross-section of a target, m2"
     )
+
+    @field_validator("lidar_curve", "camera_curve")
+    @classmethod
+    def _rises(cls, curve: list[float]) -> list[float]:
+        if not 0.001 <= curve[0] <= 10 or not -10 <= curve[1] <= 10:
+            raise ValueError("needs a from 0.001 to 10, and b from -10 to 10")
+        return curve
 
 
 class Lidar(Section):

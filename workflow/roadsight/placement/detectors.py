@@ -41,10 +41,12 @@ class Criteria:
     Parameters
     ----------
     min_beams : LiDARs need more beams or points than this. rcs_m2 : radar cross-section of targets.
+    min_pixels : what cameras need instead of what their definitions say.
     """
 
     min_beams: float
     rcs_m2: float
+    min_pixels: int | None = None
 
 
 class Detector(Protocol):
@@ -77,7 +79,7 @@ class Detector(Protocol):
 def detector_of(sensor: AnySensor, criteria: Criteria) -> Detector:
     """The detector of a sensor."""
     if isinstance(sensor, Camera):
-        return CameraDetector(sensor)
+        return CameraDetector(sensor, criteria.min_pixels or sensor.min_pixels)
     if isinstance(sensor, Radar):
         return RadarDetector(sensor, criteria.rcs_m2)
     if isinstance(sensor, Rosette):
@@ -121,9 +123,10 @@ class BeamDetector:
 
 @dataclass(frozen=True)
 class CameraDetector:
-    """A camera: pixels whose middles show a target."""
+    """A camera: pixels whose middles show a target, and how many of them it needs."""
 
     sensor: Camera
+    min_pixels: int
     unit: str = "pixels"
 
     def measure(
@@ -141,7 +144,7 @@ class CameraDetector:
 
     def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
         """Those on enough pixels."""
-        return np.asarray(measured >= self.sensor.min_pixels)
+        return np.asarray(measured >= self.min_pixels)
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
     if found is None:
         return None
     rows = [
+        *_probable(found.get("probability")),
         ("Targets seen by two sensors or more", percent(found["share_seen_by_two"])),
         ("Sensors that see a target, mean", number(found["mean_sensors"], 2)),
         ("Road that neighbours both see, mean", _metres(found["mean_overlap_m"])),
@@ -36,6 +37,18 @@ def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
         for entry in sorted(found["sensors"], key=lambda entry: entry["station_m"])
     ]
     return {"rows": [row for row in rows if row[1]], "sensors": sensors}
+
+
+def _probable(found: dict[str, Any] | None) -> list[tuple[str, str]]:
+    """How likely targets are found; nothing where no sensor of the plan has a curve."""
+    if found is None or not found["targets"]:
+        return []
+    alone = found["independent"]["least"]
+    return [
+        ("Weakest target is found by its best sensor with", percent(found["least"])),
+        ("Targets are found by their best sensors with, mean", percent(found["mean"])),
+        ("Weakest target is found with, if sensors miss independently", percent(alone)),
+    ]
 
 
 def _metres(value: float | None) -> str:

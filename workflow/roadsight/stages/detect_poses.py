@@ -47,7 +47,7 @@ def detect_poses(arguments: argparse.Namespace) -> None:
     traffic = read_traffic(arguments.lanes[0]) if arguments.lanes else None
     sensor = load_sensors(arguments.sensors)[arguments.sensor]
     turns = turns_of(arguments.yaw_deg, arguments.pitch_deg, arguments.roll_deg)
-    detector = detector_of(sensor, Criteria(arguments.min_beams, arguments.rcs_m2))
+    detector = detector_of(sensor, _criteria(arguments))
     sight = _sight(arguments, sensor)
     tilts, parts, tried = read_tilts(arguments.tilts), [], 0
     for name, panorama in _panoramas(arguments):
@@ -69,6 +69,10 @@ def detect_poses(arguments: argparse.Namespace) -> None:
     about |= {"poses_tried": tried, "poses_kept": len(parts)}
     names = targets["target"].astype(str)
     write_detections(arguments.out, _table(parts, names, traffic is not None), about)
+
+
+def _criteria(arguments: argparse.Namespace) -> Criteria:
+    return Criteria(arguments.min_beams, arguments.rcs_m2, arguments.min_pixels)
 
 
 def _often(
@@ -149,6 +153,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("yaw-deg", "pitch-deg", "roll-deg"):
         parser.add_argument(f"--{name}", type=float, nargs="+", default=[0.0])
     parser.add_argument("--rcs-m2", type=float, default=0.16, help="radar cross-section of targets")
+    parser.add_argument("--min-pixels", type=int, help="what cameras need, not their definitions'")
     return run_stage(parser, detect_poses, argv)
 
 

@@ -26,6 +26,13 @@ from roadsight.placement.handover import (
     overlaps,
     stations_m,
 )
+from roadsight.placement.probability import (
+    CAMERA_CURVE,
+    LIDAR_CURVE,
+    Curve,
+    Curves,
+    found_by_plan,
+)
 from roadsight.placement.sensors import load_sensors
 from roadsight.scene.pavement import inside
 from roadsight.stages.command import run_stage
@@ -40,7 +47,8 @@ def measure_data(arguments: argparse.Namespace) -> None:
         read_json(arguments.solution)["sensors"], columns=["candidate", "sensor", "x", "y", "z"]
     )
     targets = read_table(arguments.targets, ["target", "x", "y"])
-    seen = _seen(arguments.detections, chosen, targets["target"])
+    hits = _hits(arguments.detections, chosen, targets["target"])
+    seen = hits > 0
     edges = list(read_layer(arguments.edges, "edges", frame).geometry)
     along = stations_m(edges, targets[["x", "y"]].to_numpy(np.float64))
     at = stations_m(edges, chosen[["x", "y"]].to_numpy(np.float64))
@@ -56,6 +64,7 @@ def measure_data(arguments: argparse.Namespace) -> None:
     shared = float(np.mean([pair["length_m"] for pair in pairs])) if pairs else None
     content = {
         **handover(seen.sum(axis=0, dtype=np.int64)),
+        "probability": _probability(arguments, chosen, hits),
         "mean_overlap_m": shared,
         "overlaps": [_named(pair, chosen) for pair in pairs],
         **totals,
@@ -72,8 +81,8 @@ def measure_data(arguments: argparse.Namespace) -> None:
              totals["road_points_per_s"])  # fmt: skip
 
 
-def _seen(paths: list[str], chosen: pd.DataFrame, targets: pd.Series) -> NDArray[np.bool_]:
-    """Which targets each chosen sensor sees, (sensors, targets)."""
+def _hits(paths: list[str], chosen: pd.DataFrame, targets: pd.Series) -> NDArray[np.uint16]:
+    """What each chosen sensor measures of the targets that it sees, (sensors, targets); else 0."""
     detections = read_detections(paths)
     keys = pd.MultiIndex.from_frame(chosen[["sensor", "candidate"]].astype(str))
     rows = keys.get_indexer(
@@ -83,9 +92,20 @@ def _seen(paths: list[str], chosen: pd.DataFrame, targets: pd.Series) -> NDArray
     columns = pd.Index(targets.astype(str)).get_indexer(
         pd.Index(detections["target"][used].astype(str))
     )
-    seen = np.zeros((len(chosen), len(targets)), bool)
-    seen[rows[used], columns] = True
-    return seen
+    hits = np.zeros((len(chosen), len(targets)), np.uint16)
+    hits[rows[used], columns] = detections["hits"][used]
+    return hits
+
+
+def _probability(
+    arguments: argparse.Namespace, chosen: pd.DataFrame, hits: NDArray[np.uint16]
+) -> dict[str, Any] | None:
+    """How likely the targets are found by what their sensors measure, and by which curves."""
+    curves = Curves(Curve(*arguments.lidar_curve), Curve(*arguments.camera_curve))
+    sensors = load_sensors(arguments.sensors)
+    found = found_by_plan(hits, [curves.of(sensors[name]) for name in chosen["sensor"]])
+    said = {"lidar": arguments.lidar_curve, "camera": arguments.camera_curve}
+    return None if found is None else found | {"curves": said}
 
 
 def _rates(
@@ -129,6 +149,8 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--detections", nargs="+", required=True)
     parser.add_argument("--frames-hz", type=float, default=10.0)
+    for name, curve in (("lidar", LIDAR_CURVE), ("camera", CAMERA_CURVE)):
+        parser.add_argument(f"--{name}-curve", type=float, nargs=2, default=curve)
     return run_stage(parser, measure_data, argv)
 
 
