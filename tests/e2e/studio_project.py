@@ -69,14 +69,19 @@ class Studio:
     Attributes
     ----------
     folder : of the project. address : with the token. log : file of what it says.
+
+    Parameters
+    ----------
+    browser : program that it is to open its page with; None: it opens none.
     """
 
-    def __init__(self, folder, log):
+    def __init__(self, folder, log, browser=None):
         self.folder, self.log = folder, log
-        environment = os.environ | {"PYTHONPATH": str(ROOT / "workflow")}
+        environment = os.environ | {"PYTHONPATH": str(ROOT / "workflow"), "BROWSER": str(browser)}
         with log.open("wb") as stream:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "roadsight", "studio", "--no-browser", "--port", "0"],
+                [sys.executable, "-m", "roadsight", "studio", "--port", "0"]
+                + ([] if browser else ["--no-browser"]),
                 cwd=folder, env=environment, stdout=stream, stderr=stream,
             )  # fmt: skip
         self.address = self._wait()

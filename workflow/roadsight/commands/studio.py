@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import argparse
 import os
+import tempfile
 import webbrowser
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 PORT = 8711
+_FOLDER = ".snakemake/roadsight"
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -36,11 +40,35 @@ def run(arguments: argparse.Namespace) -> None:
     server = listen(create_app(Project(root), token), arguments.port)
     address = f"http://{LOOPBACK}:{server.server_port}/#token={token}"
     print(f"Studio of {root}: {address}\nEnd it with Ctrl+C.", flush=True)
-    if not arguments.no_browser:
-        webbrowser.open(address)
     try:
-        server.serve_forever()
+        with ExitStack() as opened:
+            if not arguments.no_browser:
+                page = opened.enter_context(_way_in(root / _FOLDER, address))
+                webbrowser.open(page.as_uri())
+            server.serve_forever()
     except KeyboardInterrupt:
         print("Studio ended.")
     finally:
         server.server_close()
+
+
+@contextmanager
+def _way_in(folder: Path, address: str) -> Iterator[Path]:
+    """A page that leads to an address, which only this user can read.
+
+    The browser is told this page, not the address: everybody on the machine can read the arguments
+    of a process, and the address holds the token.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    # In the project, since browsers in a sandbox may not see the folder for temporary files.
+    handle, name = tempfile.mkstemp(prefix="open-", suffix=".html", dir=folder)
+    path = Path(name)
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8") as page:
+            page.write(
+                '<!doctype html><meta charset="utf-8"><title>roadsight studio</title>'
+                f'<meta http-equiv="refresh" content="0; url={address}">'
+            )
+        yield path
+    finally:
+        path.unlink(missing_ok=True)
