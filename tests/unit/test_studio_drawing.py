@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -73,6 +74,31 @@ def test_saving_again_changes_no_file(project):
     assert save(project, edges=loaded["edges"], zones=loaded["zones"]) == []
     assert save(project, edges=loaded["edges"], tma={}) == []
     assert states() == before
+
+
+def test_holes_of_zones_stay(project):
+    hole = [[22, 21], [26, 21], [26, 24]]
+    save(
+        project,
+        zones=[ZONE | {"points": [[20, 20], [40, 20], [40, 40], [20, 40]], "holes": [hole]}],
+    )
+    loaded = load_drawing(project.site("tiny"))["zones"]
+    assert len(loaded[0]["holes"]) == 1
+    np.testing.assert_allclose(sorted(loaded[0]["holes"][0]), sorted(hole), atol=1e-3)
+    save(project, zones=loaded, edges=[EDGE])
+    assert load_drawing(project.site("tiny"))["zones"] == loaded
+
+
+def test_parts_of_another_cloud_are_not_mixed_with_this_one(client):
+    version = client.get("/api/sites/tiny/cloud", headers=OWN).json["version"]
+    path = f"/api/sites/tiny/cloud/0/0?version={version}"
+    assert client.get(path, headers=OWN).status_code == 200
+    cloud = Path("results/tiny/scene/cloud.parquet")
+    before = cloud.stat()
+    os.utime(cloud, ns=(before.st_atime_ns, before.st_mtime_ns + 10**9))
+    answer = client.get(path, headers=OWN)
+    assert answer.status_code == 409 and "reload" in answer.json["error"]
+    assert client.get("/api/sites/tiny/cloud", headers=OWN).json["version"] != version
 
 
 def test_only_the_layers_given_are_touched(project):

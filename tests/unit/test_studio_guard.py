@@ -93,6 +93,21 @@ def test_only_paths_inside_the_project_are_written(tmp_path):
             project.inside(path)
 
 
+def test_results_behind_a_link_are_shown(client, tmp_path):
+    outside = tmp_path.parent / f"{tmp_path.name}-scratch"
+    outside.mkdir()
+    (outside / "report.html").write_text("<p>the report</p>")
+    (tmp_path / "results").symlink_to(outside)
+    shown = client.get("/api/pages", headers=OWN).json["pages"]
+    assert [page["title"] for page in shown] == ["Report"]
+    assert b"the report" in client.get(shown[0]["url"], headers=OWN).data
+    project = Project(tmp_path)
+    assert project.named("results/a.log") == tmp_path / "results/a.log"
+    for path in ("../a", "/etc/passwd", "logs/../../a"):
+        with pytest.raises(InputError, match="outside the project"):
+            project.named(path)
+
+
 def test_the_project_is_found_from_below_and_missed_elsewhere(client, tmp_path):
     assert find_project(tmp_path / "config" / "sites") == tmp_path
     with pytest.raises(InputError, match="not inside a roadsight project"):

@@ -14,7 +14,8 @@ from report_poles import PolesSite
 from roadsight.errors import InputError
 from roadsight.io.tables import read_table, write_table
 from roadsight.poles.decided import apply_decisions
-from roadsight.studio.pole_review import Decision, picture, review, save_decisions
+from roadsight.studio import pole_review
+from roadsight.studio.pole_review import Decision, Pictures, review, save_decisions
 from roadsight.studio.project import Project
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -86,8 +87,32 @@ def test_wrong_requests_are_refused(project):
     with pytest.raises(InputError, match="new place"):
         save_decisions(project, "drive", [on(pole, "move")])
     with pytest.raises(InputError, match="no such image"):
-        picture(project.site("drive"), "../../etc/passwd", "front")
+        Pictures().of(project.site("drive"), "../../etc/passwd", "front")
     image = read_table("results/drive/poles/frames.parquet")["image"].iloc[0]
     for view in ("image", "left' or '1"):
         with pytest.raises(InputError, match="no such image"):
-            picture(project.site("drive"), image, view)
+            Pictures().of(project.site("drive"), image, view)
+
+
+def test_the_folder_of_images_is_walked_once_and_again_where_it_changed(project, monkeypatch):
+    walked = []
+    walk = pole_review.ImageSource
+    monkeypatch.setattr(pole_review, "ImageSource", lambda path: walked.append(1) or walk(path))
+    site, pictures = project.site("drive"), Pictures()
+    frames = read_table("results/drive/poles/frames.parquet")
+    frames = frames[frames["path"].fillna("") != ""]
+    images = list(frames["image"])[:3]
+    folder = Path(pole_review.images_of(site))
+    for name in frames["path"]:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(name.encode())
+    for image in images:
+        content, _ = pictures.of(site, image, "front")
+        assert content.decode() == frames.set_index("image").loc[image, "path"]
+    assert len(walked) == 1
+    place = folder / frames.set_index("image").loc[images[0], "path"]
+    place.unlink()
+    with pytest.raises(InputError):
+        pictures.of(site, images[0], "front")
+    place.write_bytes(b"new")
+    assert pictures.of(site, images[0], "front")[0] == b"new"

@@ -15,6 +15,8 @@ from shapely import LinearRing, LineString, MultiPolygon
 from roadsight.errors import InputError
 
 _FLOATS = NDArray[np.float64]
+FURTHEST_M = 50.0
+"""How far from the pavement the edge of a user may lie."""
 
 
 def natural_spline(points_m: _FLOATS, spacing_m: float) -> tuple[_FLOATS, _FLOATS, _FLOATS]:

@@ -16,13 +16,12 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
 from roadsight.io.tables import read_table
 from roadsight.io.vectors import read_layer, read_lines, write_layers
-from roadsight.scene.edges import OutlineSettings, outline_edges, spline_line
+from roadsight.scene.edges import FURTHEST_M, OutlineSettings, outline_edges, spline_line
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("build_edges")
 
 # Digitised edges further than this from the pavement belong to another road or another CRS.
-_FURTHEST_M = 50.0
 
 
 def build_edges(arguments: argparse.Namespace) -> None:
@@ -82,12 +81,12 @@ def _moved_off(line: LineString, pavement: MultiPolygon, offset_m: float) -> Lin
 def _check_nearby(lines: gpd.GeoDataFrame, pavement: MultiPolygon, path: str) -> None:
     for name, line in zip(lines["edge"], lines.geometry, strict=True):
         distance = line.distance(pavement)
-        if distance > _FURTHEST_M:
+        if distance > FURTHEST_M:
             raise InputError(
                 f"edge {name!r} lies outside the cloud's road",
                 where=path,
                 found=f"{distance:.0f} m from the pavement",
-                allowed=f"at most {_FURTHEST_M:.0f} m",
+                allowed=f"at most {FURTHEST_M:.0f} m",
                 hint="check the file's CRS (placement.edges_crs)",
             )
 

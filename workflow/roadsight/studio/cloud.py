@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 from collections import OrderedDict
 from pathlib import Path
@@ -24,6 +25,7 @@ from roadsight.studio.levels import (
     scaled_intensity,
 )
 from roadsight.studio.project import CLOUD, DEM, FRAME, GROUND, SiteFolder
+from roadsight.studio.site_files import OutdatedError
 
 _BRIGHT_PERCENT = 98.0
 _SAMPLED_TILES = 9
@@ -35,14 +37,15 @@ class SiteCloud:
 
     Parameters
     ----------
-    site : where it lies.
+    site : where it lies. version : of the files that it is read from.
 
     Raises
     ------
     InputError : it is not there yet, or damaged.
     """
 
-    def __init__(self, site: SiteFolder) -> None:
+    def __init__(self, site: SiteFolder, version: str) -> None:
+        self._version = version
         frame = site.frame()
         self._tiles = CloudTiles(site.file(CLOUD))
         self._starts = np.append(0, np.cumsum([tile.rows for tile in self._tiles.tiles]))
@@ -55,6 +58,7 @@ class SiteCloud:
     def about(self) -> dict[str, Any]:
         """Tiles with their boxes and numbers of points, and which colours make sense."""
         return {
+            "version": self._version,
             "points": self._tiles.points,
             "cells_m": [*CELLS_M, 0.0],
             "bytes_per_point": RECORD.itemsize,
@@ -65,13 +69,22 @@ class SiteCloud:
             ],
         }
 
-    def chunk(self, number: int, level: int) -> bytes:
+    def chunk(self, number: int, level: int, version: str) -> bytes:
         """Points that a level adds to a tile, as `RECORD`.
+
+        Parameters
+        ----------
+        version : as `about` told it with the boxes of the tiles.
 
         Raises
         ------
-        InputError : no such tile or level.
+        OutdatedError : the cloud is another one by now. InputError : no such tile or level.
         """
+        if version != self._version:
+            raise OutdatedError(
+                "the cloud has changed since the page was opened", where="studio",
+                hint="reload the page",
+            )  # fmt: skip
         if not (0 <= number < len(self._tiles.tiles) and 0 <= level < LEVELS):
             raise InputError("no such part of the cloud", where="studio", found=(number, level))
         with self._lock:
@@ -156,7 +169,8 @@ class Clouds:
         with self._lock:
             known = self._known.get(site.stem)
             if known is None or known[0] != state:
-                self._known = {site.stem: (state, SiteCloud(site))}
+                version = hashlib.sha256(repr(state).encode()).hexdigest()[:16]
+                self._known = {site.stem: (state, SiteCloud(site, version))}
             return self._known[site.stem][1]
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import geopandas as gpd
 import shapely
-from shapely import MultiPolygon
+from shapely import MultiPolygon, Polygon
 
 from roadsight.geometry.frames import Frame
 from roadsight.io.mount_files import read_mounts
@@ -100,9 +100,14 @@ def _points(coordinates: Any) -> list[list[float]]:
 def _zones(zones: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     names = zones["name"] if "name" in zones else [f"zone{n + 1}" for n in range(len(zones))]
     return [
-        {"name": str(name), "points": _points(area.exterior.coords[:-1])}
+        {"name": str(name), "points": _points(area.exterior.coords[:-1])} | _holes(area)
         for name, area in zip(names, zones.geometry, strict=True)
     ]
+
+
+def _holes(area: Polygon) -> dict[str, Any]:
+    holes = [_points(ring.coords[:-1]) for ring in area.interiors]
+    return {"holes": holes} if holes else {}
 
 
 def _mounts(mounts: Any) -> list[dict[str, Any]]:

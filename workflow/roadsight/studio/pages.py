@@ -35,7 +35,7 @@ def serve_pages(app: Flask, project: Project) -> None:
     def page(given: str, name: str) -> Response:
         if not secrets.compare_digest(given.encode(), key.encode()) or name not in PAGES:
             abort(404, "no such page: open it from the studio")
-        path = project.inside(f"results/{name}")
+        path = project.named(f"results/{name}")
         if not path.is_file():
             abort(404, "this page is not there: run the workflow")
         response = send_file(path, mimetype="text/html")

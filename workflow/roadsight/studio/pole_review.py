@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import threading
+from contextlib import suppress
 from functools import partial
-from pathlib import PurePath
+from pathlib import Path, PurePath
 from typing import Annotated, Any, Literal
 
 import numpy as np
@@ -165,18 +167,36 @@ def save_decisions(project: Project, stem: str, asked: list[Decision]) -> list[s
         return save_beside(project, site, "poles", files, named)
 
 
-def picture(site: SiteFolder, image: str, view: str) -> tuple[bytes, str]:
-    """Bytes of an image that the videolog names, and their type.
+class Pictures:
+    """Images of poles; the folder of the site that was asked for last is walked once."""
 
-    Raises
-    ------
-    InputError : no such image.
-    """
+    def __init__(self) -> None:
+        self._source: ImageSource | None = None
+        self._lock = threading.Lock()
+
+    def of(self, site: SiteFolder, image: str, view: str) -> tuple[bytes, str]:
+        """Bytes of an image that the videolog names, and their type.
+
+        Raises
+        ------
+        InputError : no such image.
+        """
+        name = _file_of(site, image, view)
+        kind = _TYPES.get(PurePath(name).suffix.lower(), "application/octet-stream")
+        path = Path(images_of(site))
+        with self._lock:
+            if self._source is not None and self._source.path == path:
+                with suppress(InputError):  # what it had found may have changed
+                    return self._source.content(name), kind
+            self._source = ImageSource(path)
+            return self._source.content(name), kind
+
+
+def _file_of(site: SiteFolder, image: str, view: str) -> str:
+    """Name of an image's file below the folder of images."""
     frames = read_table(site.file(_FRAMES))
     rows = frames[frames["image"] == image]
     column = _PATHS.get(view)
     if rows.empty or column is None or not str(rows[column].iloc[0] or ""):
         raise InputError("no such image", where=f"site {site.stem}", found=f"{image}, {view}")
-    name = str(rows[column].iloc[0])
-    kind = _TYPES.get(PurePath(name).suffix.lower(), "application/octet-stream")
-    return ImageSource(images_of(site)).content(name), kind
+    return str(rows[column].iloc[0])

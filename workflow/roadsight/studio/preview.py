@@ -14,7 +14,7 @@ from roadsight.errors import InputError
 from roadsight.io.rasters import Raster
 from roadsight.placement.positions import positions_along
 from roadsight.placement.sites_for_sensors import outside_zones, positions_on_poles
-from roadsight.scene.edges import spline_line
+from roadsight.scene.edges import FURTHEST_M, spline_line
 from roadsight.studio.shapes import (
     Drawing,
     MonitoredArea,
@@ -24,7 +24,6 @@ from roadsight.studio.shapes import (
     polygon,
 )
 
-_FURTHEST_M = 50.0
 LAYERS = ("edges", "zones", "mounts", "add", "remove")
 
 
@@ -56,7 +55,7 @@ def preview(
     zones = [
         shape
         for zone in drawing.zones or []
-        if (shape := _tried(problems, lambda z=zone: polygon(z.points, f"zone {z.name}")))
+        if (shape := _tried(problems, lambda z=zone: polygon(z.points, f"zone {z.name}", z.holes)))
     ]
     mounts = _tried(problems, lambda: mount_points(drawing.mounts or []))
     xy, yaw = _positions(splines, mounts, pavement, spacing_m, arm_m)
@@ -109,9 +108,9 @@ def _far(splines: list[tuple[str, str, LineString]], pavement: MultiPolygon) -> 
     if pavement.is_empty:
         return []
     return [
-        f"edge {name} is {distance:.0f} m from the monitored area; at most {_FURTHEST_M:.0f} m"
+        f"edge {name} is {distance:.0f} m from the monitored area; at most {FURTHEST_M:.0f} m"
         for name, _, line in splines
-        if (distance := line.distance(pavement)) > _FURTHEST_M
+        if (distance := line.distance(pavement)) > FURTHEST_M
     ]
 
 

@@ -147,6 +147,18 @@ class Project:
             )
         return found
 
+    def named(self, path: str | os.PathLike[str]) -> Path:
+        """Absolute path of what the studio may show: a name inside the project, perhaps a link.
+
+        Raises
+        ------
+        InputError : the name leads outside the project.
+        """
+        found = Path(os.path.normpath(self.root / path))
+        if not found.is_relative_to(self.root):
+            raise InputError("lies outside the project, so it is not shown", where=str(path))
+        return found
+
     def overview(self) -> dict[str, Any]:
         """Sites with what is there of each, and what is broken."""
         try:

@@ -221,7 +221,7 @@ class Runs:
         job = progress_of(read_events(self._folder / EVENTS)).jobs.get(number)
         if job is None or not job.logs:
             raise InputError("no log of such a step", where="studio", found=number)
-        path = self._project.inside(job.logs[0])
+        path = self._project.named(job.logs[0])
         return {"path": job.logs[0], "text": _tail(path)}
 
 

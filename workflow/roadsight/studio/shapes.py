@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Literal
 
 import geopandas as gpd
@@ -35,10 +36,11 @@ class Edge(Shape):
 
 
 class Area(Shape):
-    """A polygon without holes."""
+    """A polygon; its holes are kept, not drawn."""
 
     name: Name
     points: Points
+    holes: Annotated[list[Points], Field(max_length=500)] = []
 
 
 class Pole(Shape):
@@ -106,8 +108,8 @@ def edge_line(edge: Edge) -> LineString:
     return line
 
 
-def polygon(points: list[Point], where: str) -> Polygon:
-    """A polygon of its corners.
+def polygon(points: list[Point], where: str, holes: Sequence[list[Point]] = ()) -> Polygon:
+    """A polygon of its corners and those of its holes.
 
     Raises
     ------
@@ -115,7 +117,7 @@ def polygon(points: list[Point], where: str) -> Polygon:
     """
     if len(set(points)) < 3:
         raise InputError("needs at least 3 different corners", where=where)
-    area = Polygon(points)
+    area = Polygon(points, [hole for hole in holes if len(set(hole)) > 2])
     if not area.is_valid or area.area <= 0:
         raise InputError("crosses itself or has no area", where=where, hint="move its corners")
     return area
@@ -129,7 +131,7 @@ def zone_polygons(zones: list[Area]) -> gpd.GeoDataFrame:
     InputError : as `polygon`, or two share a name.
     """
     _check_names([zone.name for zone in zones], "zones")
-    areas = [polygon(zone.points, f"zone {zone.name}") for zone in zones]
+    areas = [polygon(zone.points, f"zone {zone.name}", zone.holes) for zone in zones]
     return gpd.GeoDataFrame({"name": [z.name for z in zones]}, geometry=gpd.GeoSeries(areas))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from flask import Blueprint, Response
+from flask import Blueprint, Response, request
 
 from roadsight.io.tiles import stack_xyz
 from roadsight.studio.cloud import Clouds
@@ -32,7 +32,7 @@ def create(project: Project) -> Blueprint:
 
     @routes.get("/sites/<stem>/cloud/<int:tile>/<int:level>")
     def chunk(stem: str, tile: int, level: int) -> Response:
-        content = clouds.of(project.site(stem)).chunk(tile, level)
+        content = clouds.of(project.site(stem)).chunk(tile, level, request.args.get("version", ""))
         return Response(content, mimetype="application/octet-stream")
 
     @routes.post("/sites/<stem>/snap")

@@ -7,7 +7,7 @@ from typing import Any
 from flask import Blueprint, Response, request
 
 from roadsight.studio.layout import Layouts, WhatIf
-from roadsight.studio.pole_review import Decisions, picture, review, save_decisions
+from roadsight.studio.pole_review import Decisions, Pictures, review, save_decisions
 from roadsight.studio.project import Project
 from roadsight.studio.requests import body, version
 from roadsight.studio.site_files import saving, site_version
@@ -16,7 +16,7 @@ from roadsight.studio.site_files import saving, site_version
 def create(project: Project) -> Blueprint:
     """Routes on results."""
     routes = Blueprint("results", __name__)
-    layouts = Layouts(project)
+    layouts, pictures = Layouts(project), Pictures()
 
     @routes.get("/sites/<stem>/plans/<plan>")
     def plan_of(stem: str, plan: str) -> dict[str, Any]:
@@ -40,7 +40,7 @@ def create(project: Project) -> Blueprint:
     @routes.get("/sites/<stem>/poles/picture")
     def image(stem: str) -> Response:
         name, view = request.args.get("image", ""), request.args.get("view", "")
-        content, kind = picture(project.site(stem), name, view)
+        content, kind = pictures.of(project.site(stem), name, view)
         return Response(content, mimetype=kind)
 
     return routes

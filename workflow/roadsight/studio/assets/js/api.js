@@ -10,7 +10,7 @@ export function takeToken() {
   history.replaceState(null, "", location.pathname);
 }
 
-export class ApiError extends Error {
+class ApiError extends Error {
   constructor(message, status) {
     super(message);
     this.status = status;

@@ -63,6 +63,7 @@ export class Tiles {
   }
 
   fetch() {
+    if (this.outdated) return; // its tiles are others by now
     const keys = new Set(this.wanted.map(({ key }) => key));
     for (const [key, abort] of this.fetching) if (!keys.has(key)) abort.abort();
     for (const { key, tile } of this.wanted) {
@@ -75,7 +76,7 @@ export class Tiles {
     const abort = new AbortController();
     this.fetching.set(key, abort);
     try {
-      const bytes = await getBytes(siteUrl(this.stem, `cloud/${key}`), { signal: abort.signal });
+      const bytes = await getBytes(siteUrl(this.stem, `cloud/${key}?version=${this.about.version}`), { signal: abort.signal });
       if (this.closed) return;
       const count = bytes.byteLength / this.about.bytes_per_point;
       const points = count ? chunkPoints(bytes, tile.box, this.material) : null;
@@ -87,7 +88,8 @@ export class Tiles {
     } catch (error) {
       if (error.name !== "AbortError") {
         this.chunks.set(key, { points: null, count: 0, used: 0 });
-        this.onerror?.(error);
+        if (!this.outdated) this.onerror?.(error);
+        this.outdated ||= error.status === 409;
       }
     } finally {
       this.fetching.delete(key);

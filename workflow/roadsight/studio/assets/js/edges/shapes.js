@@ -36,7 +36,7 @@ export function newItem(drawing, layer, [x, y]) {
   return layer === "edges" ? { name, kind: "edge", points: [place] } : { name, points: [place] };
 }
 
-export function freeName(drawing, layer) {
+function freeName(drawing, layer) {
   const names = new Set(drawing[layer].map(({ name }) => name));
   for (let n = 1; ; n++) if (!names.has(`${INITIAL[layer]}${n}`)) return `${INITIAL[layer]}${n}`;
 }

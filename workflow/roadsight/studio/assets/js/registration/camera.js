@@ -2,12 +2,11 @@
 // north, pitch upwards, roll with the right side up; pixel centres at whole numbers.
 
 const RADIANS = Math.PI / 180;
-export const POSE = ["x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px"];
 
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 
 // Rows: right, down, forward.
-export function axes({ heading_deg, pitch_deg, roll_deg }) {
+function axes({ heading_deg, pitch_deg, roll_deg }) {
   const [h, p, r] = [heading_deg, pitch_deg, roll_deg].map((angle) => angle * RADIANS);
   const forward = [Math.sin(h) * Math.cos(p), Math.cos(h) * Math.cos(p), Math.sin(p)];
   const level = [Math.cos(h), -Math.sin(h), 0];
@@ -34,7 +33,7 @@ export function projector(pose, [width, height]) {
 
 export const fieldOfView = (focal, width) => (2 * Math.atan2(0.5 * width, focal)) / RADIANS;
 export const focalOf = (degrees, width) => (0.5 * width) / Math.tan(0.5 * degrees * RADIANS);
-export const wrap = (angle) => ((((angle + 180) % 360) + 360) % 360) - 180;
+const wrap = (angle) => ((((angle + 180) % 360) + 360) % 360) - 180;
 
 // How a pose differs from another one, along its view: metres ahead, right, up, then degrees.
 export const KNOBS = {
