@@ -183,3 +183,19 @@ def test_bad_poses_are_refused(tmp_path):
         read_poses(poses(tmp_path, yaw_deg=[0, np.nan]))
     with pytest.raises(InputError, match="share a name"):
         read_poses(poses(tmp_path, candidate=["a", "a"]))
+
+
+def test_chosen_maps_alone_are_read(tmp_path):
+    rng = np.random.default_rng(4)
+    info = DepthMapInfo("S", "surfel", 3, 5, 0.002)
+    maps = {f"c{n}": np.round(rng.uniform(1, 9, (3, 5)), 1).astype(np.float32) for n in range(20)}
+    with DepthMapWriter(tmp_path / "d.parquet", info) as writer:
+        for name, depth in maps.items():
+            writer.append(name, depth)
+    back = DepthMaps(tmp_path / "d.parquet")
+    found = dict(back.only({"c17", "c2", "elsewhere"}))
+    assert list(found) == ["c2", "c17"]
+    every = dict(back)
+    for name, depth in found.items():
+        np.testing.assert_array_equal(depth, every[name])
+    assert not list(back.only([]))

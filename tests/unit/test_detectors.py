@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from tests.unit.analytic_scene import HEIGHT_M, RADIUS_M, Trace, panorama_of, scene_ranges
 
 from roadsight.placement.detection import count_hits
-from roadsight.placement.detectors import Criteria, contrast_range_m, detector_of
+from roadsight.placement.detectors import Criteria, detector_of
 from roadsight.placement.footprints import count_shared_hits
+from roadsight.placement.light import contrast_range_m
 from roadsight.placement.posed import Panorama, scene_range_m
 from roadsight.placement.poses import AS_MOUNTED, Turn, local_from_sensor
 from roadsight.placement.rasters import rosette_raster

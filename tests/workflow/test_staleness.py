@@ -68,6 +68,7 @@ READERS = {
         "densify_candidates",
         "solve_cover",
         "find_obstacles",
+        "measure_data",
         "write_site_page",
     },
     "place_targets": {
@@ -80,7 +81,7 @@ READERS = {
         "write_site_page",
     },
     "build_surfels": {"render_depth_maps", "find_obstacles", "render_scans"},
-    "render_depth_maps": {"build_detection_shard"},
+    "render_depth_maps": {"build_detection_shard", "measure_data"},
     "build_detection_shard": {
         "check_coverage",
         "solve_cover",
@@ -101,6 +102,7 @@ READERS = {
         "check_coverage",
         "solve_cover",
         "find_obstacles",
+        "measure_data",
         "write_site_page",
     },
     "solve_cover": {

@@ -48,6 +48,12 @@ def test_cars_past_traffic_reach_summary_layers_and_report(copy_of_finished: Che
     assert together["sensors"] >= alone["sensors"]
     assert together["data"]["points_per_s"] == 64 * 3600 * 10 * together["sensors"]
     assert 0 < together["data"]["road_points_per_s"] < together["data"]["points_per_s"]
+    quarters = together["data"]["heights"][0]["bands"]
+    assert [band["to_m"] for band in quarters] == pytest.approx([0.325, 0.65, 0.975, 1.3])
+    # More than eight beams of one sensor alone are asked.
+    assert sum(band["mean"] for band in quarters) > 8
+    assert 0.9 < together["data"]["probability"]["least"] <= 1
     report = (checkout.folder / "results/report.html").read_text()
     assert "In sight past traffic" in report
     assert "Hand-over and data" in report
+    assert "Points on a target by height" in report

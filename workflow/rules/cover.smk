@@ -131,6 +131,13 @@ rule measure_data:
         pavement=rules.extract_pavement.output.pavement,
         frame=rules.ingest_cloud.output.frame,
         scans=rules.render_scans.output.scans,
+        depth=plan_depth_maps,
+        candidates=all_candidates,
+        tilts=only_if("mount_tilt", tilts_of_all_rounds),
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        decided=after_profile("partial_hits", "curvature_refraction"),
         code=sources("measure_data"),
     output:
         data="results/{site}/placement/{plan}/data.json",
@@ -150,10 +157,21 @@ rule measure_data:
         frames_hz=setting("lidar.frames_hz"),
         lidar_curve=setting("targets.lidar_curve"),
         camera_curve=setting("targets.camera_curve"),
+        radius_m=setting("targets.radius_m"),
+        height_m=target_height,
+        box=target_box,
+        azimuth_stride=setting("lidar.azimuth_stride"),
+        partial_hits=decision_on("partial_hits"),
+        curvature=decision_on("curvature_refraction"),
     shell:
         "python -m roadsight.stages.measure_data --solution {input.solution}"
         " --targets {input.targets} --detections {input.detections} --edges {input.edges}"
         " --pavement {input.pavement} --frame {input.frame} --sensors {params.sensors_file:q}"
         " --scans {input.scans} --frames-hz {params.frames_hz}"
         " --lidar-curve {params.lidar_curve} --camera-curve {params.camera_curve}"
+        " --depth {input.depth} --candidates {input.candidates} --tilts {input.tilts}"
+        " --air {input.rain} {input.fog} --reflectivity {input.reflectivity}"
+        " --radius-m {params.radius_m} --height-m {params.height_m} {params.box}"
+        " --azimuth-stride {params.azimuth_stride}"
+        " --partial-hits {params.partial_hits} --curvature {params.curvature}"
         " --out {output.data} --layers {output.layers} > {log} 2>&1"

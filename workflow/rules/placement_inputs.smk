@@ -97,6 +97,21 @@ def plan_detections(wildcards):
     return detections_in(wildcards.site, rounds_of(wildcards.site), sensors)
 
 
+def plan_depth_maps(wildcards):
+    """Depth maps of all rounds by which the plan's sensors are judged."""
+    site = wildcards.site
+    maps = [
+        panorama_of(site) if is_posed(site, name) else name
+        for name in plans_of(site)[wildcards.plan].sensors
+    ]
+    return [
+        f"results/{site}/placement/round-{number}/depth/{name}/{shard}.parquet"
+        for number in rounds_of(site)
+        for name in dict.fromkeys(maps)
+        for shard in range(shards_in(site, number))
+    ]
+
+
 def plan_costs(wildcards):
     """``name=cost`` of each sensor of the plan."""
     sensors = plans_of(wildcards.site)[wildcards.plan].sensors

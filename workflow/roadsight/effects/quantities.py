@@ -7,10 +7,10 @@ from collections.abc import Callable
 import numpy as np
 
 from roadsight.effects.circumstances import Circumstances, Quantity
-from roadsight.placement.detectors import contrast_range_m
 from roadsight.placement.earth import rise_m
 from roadsight.placement.light import (
     CLEAR_M,
+    contrast_range_m,
     fog_extinction_per_m,
     rain_extinction_per_m,
     range_in_air_m,

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import zstandard
 from numba import njit
@@ -149,7 +150,27 @@ class DepthMaps:
         except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
             raise self._damaged(error) from error
 
-    def _decode(self, content: pa.Buffer) -> NDArray[np.float32]:
+    def only(self, candidates: Iterable[str]) -> Iterator[tuple[str, NDArray[np.float32]]]:
+        """As iteration gives them, of these candidates only; what is not there is left out.
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        wanted = pa.array(sorted(candidates), pa.string())
+        try:
+            for group in range(self._file.num_row_groups):
+                names = self._file.read_row_group(group, ["candidate"], use_threads=False)
+                found = pc.is_in(names["candidate"], wanted)
+                if not pc.any(found).as_py():
+                    continue
+                rows = self._file.read_row_group(group, use_threads=False).filter(found)
+                for row in rows.to_pylist():
+                    yield row["candidate"], self._decode(row["steps"])
+        except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
+            raise self._damaged(error) from error
+
+    def _decode(self, content: pa.Buffer | bytes) -> NDArray[np.float32]:
         shape = (self.info.rows, self.info.columns)
         size = 2 * shape[0] * shape[1]
         raw = zstandard.ZstdDecompressor().decompress(content, max_output_size=size)

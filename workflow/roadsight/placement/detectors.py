@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from roadsight.placement.aimed import Camera, Radar, Rosette
 from roadsight.placement.earth import rise_m
-from roadsight.placement.posed import Panorama, weigh_targets
+from roadsight.placement.posed import Panorama, weigh_by_height, weigh_targets
 from roadsight.placement.rasters import (
     Raster,
     camera_raster,
@@ -30,8 +30,6 @@ from roadsight.placement.sight import Sight
 from roadsight.placement.spinning import Sensor
 
 _FLOATS = NDArray[np.float64]
-
-_CONTRAST = 3.912  # minus the logarithm of 2 %: the contrast that an eye, or a camera, still sees
 
 
 @dataclass(frozen=True)
@@ -107,14 +105,25 @@ class BeamDetector:
         sight: Sight,
     ) -> _FLOATS:
         """Beams, or shares of wide beams."""
+        return self.by_height(panorama, rotation, feet_m, shape, sight, 1)[:, 0]
+
+    def by_height(
+        self,
+        panorama: Panorama,
+        rotation: _FLOATS,
+        feet_m: _FLOATS,
+        shape: Shape,
+        sight: Sight,
+        bands: int,
+    ) -> _FLOATS:
+        """What `measure` gives, by equal parts of the height, the lowest first, (n, bands)."""
         beam = None
         if sight.footprints and self.sensor.divergence_mrad is not None:
             across_mrad, upright_mrad = self.sensor.divergence_mrad
             beam = (across_mrad / 1000, upright_mrad / 1000, self.sensor.aperture_mm / 1000)
         feet_m = seen_lower(feet_m, panorama, sight)
-        return weigh_targets(
-            panorama, self.raster, rotation, feet_m, shape.packed, sight.max_range_m, beam
-        )[0]
+        found = (panorama, self.raster, rotation, feet_m, shape.packed, sight.max_range_m)
+        return weigh_by_height(*found, beam, bands)[:, 1:]
 
     def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
         """Those with more than the least number of beams."""
@@ -138,9 +147,21 @@ class CameraDetector:
         sight: Sight,
     ) -> _FLOATS:
         """Pixels."""
+        return self.by_height(panorama, rotation, feet_m, shape, sight, 1)[:, 0]
+
+    def by_height(
+        self,
+        panorama: Panorama,
+        rotation: _FLOATS,
+        feet_m: _FLOATS,
+        shape: Shape,
+        sight: Sight,
+        bands: int,
+    ) -> _FLOATS:
+        """What `measure` gives, by equal parts of the height, the lowest first, (n, bands)."""
         feet_m = seen_lower(feet_m, panorama, sight)
-        raster = camera_raster(self.sensor)
-        return weigh_targets(panorama, raster, rotation, feet_m, shape.packed, sight.max_range_m)[0]
+        found = (panorama, camera_raster(self.sensor), rotation, feet_m, shape.packed)
+        return weigh_by_height(*found, sight.max_range_m, None, bands)[:, 1:]
 
     def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
         """Those on enough pixels."""
@@ -190,11 +211,6 @@ class RadarDetector:
     def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
         """Those whose echo is strong enough."""
         return np.asarray(measured >= 1.0)
-
-
-def contrast_range_m(extinction_per_m: float) -> float:
-    """Range at which air leaves 2 % of a contrast (Koschmieder): infinite in clear air."""
-    return _CONTRAST / extinction_per_m if extinction_per_m > 0 else np.inf
 
 
 def seen_lower(feet_m: _FLOATS, panorama: Panorama, sight: Sight) -> _FLOATS:

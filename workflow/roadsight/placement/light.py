@@ -100,3 +100,8 @@ def range_in_air_m(clear_range_m: ArrayLike, extinction_per_m: float) -> NDArray
     if extinction_per_m < _CLEAR_PER_M:
         return clear
     return np.asarray(lambertw(extinction_per_m * clear).real / extinction_per_m)
+
+
+def contrast_range_m(extinction_per_m: float) -> float:
+    """Range at which air leaves 2 % of a contrast (Koschmieder): infinite in clear air."""
+    return _CONTRAST / extinction_per_m if extinction_per_m > 0 else np.inf

@@ -10,9 +10,22 @@ from roadsight.placement.detection import column_windows
 from roadsight.placement.footprints import CLEAN_SHARE
 from roadsight.placement.rays import beam_directions, sensor_from_local
 from roadsight.placement.sensors import Sensor
-from roadsight.placement.shapes import Cylinder, Packed, ball_around, entered_at, footprint_share
+from roadsight.placement.shapes import (
+    Box,
+    Cylinder,
+    Packed,
+    Shape,
+    ball_around,
+    entered_at,
+    footprint_share,
+    height_band,
+    relative_to,
+)
 
 _FLOATS = NDArray[np.float64]
+
+# Of a box that spans more rows or columns, every n-th is looked at and stands for n.
+_MOST = 64
 
 
 def count_tilted_hits(
@@ -35,11 +48,44 @@ def count_tilted_hits(
     tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame.
     max_range_m : range from which targets return.
     """
+    pose = (position_m, yaw_deg, tilt)
+    shape = Cylinder(radius_m, height_m)
+    hits = beams_on(range_m, sensor, *pose, targets_xyz_m, shape, max_range_m, False)
+    return hits[:, 0].astype(np.int32)
+
+
+def beams_on(
+    range_m: NDArray[np.float32],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    tilt: _FLOATS | None,
+    feet_m: NDArray[np.floating],
+    shape: Shape,
+    max_range_m: float,
+    footprints: bool,
+    bands: int = 1,
+) -> _FLOATS:
+    """Beams, or shares of wide beams, that return from each target by height, (n, bands).
+
+    Every beam that may meet the sphere around a target is intersected with its shape; of boxes
+    wider than 64 beams, evenly chosen beams stand for their neighbours.
+
+    Parameters
+    ----------
+    range_m : depth map of the scene, 0 where nothing returns. tilt : rotation (3, 3) from the
+        levelled to the mounted sensor, local frame, or None.
+    feet_m : (n, 3) local metres, of boxes (n, 4) with headings, rad. shape : of every target.
+    footprints : whether beams have the sensor's divergence.
+    bands : equal parts of the height, the lowest first, in which beams enter.
+    """
     position = np.asarray(position_m, np.float64)
-    feet = np.asarray(targets_xyz_m, np.float64) - position
-    middles = feet + np.array([0.0, 0.0, height_m / 2])
-    mounted = sensor_from_local(middles @ tilt + position, position, yaw_deg)
-    hits = count_met(
+    feet = relative_to(np.asarray(feet_m, np.float64), position)
+    middles = feet[:, :3] + np.array([0.0, 0.0, shape.height_m / 2])
+    if tilt is not None:
+        middles = middles @ tilt
+    across_mrad, upright_mrad = sensor.divergence_mrad or (0.0, 0.0)
+    return count_met(
         range_m,
         beam_directions(sensor, yaw_deg, tilt),
         np.radians(sensor.elevation_deg),
@@ -47,13 +93,13 @@ def count_tilted_hits(
         sensor.azimuth_cell_deg,
         max_range_m,
         feet,
-        mounted,
-        Cylinder(radius_m, height_m).packed,
-        max(sensor.shape),
-        False,
-        (0.0, 0.0, 0.0),
+        sensor_from_local(middles + position, position, yaw_deg),
+        shape.packed,
+        _MOST if isinstance(shape, Box) else max(sensor.shape),
+        footprints,
+        (across_mrad / 1000, upright_mrad / 1000, sensor.aperture_mm / 1000),
+        bands,
     )
-    return hits.astype(np.int32)
 
 
 @njit(cache=True)
@@ -70,8 +116,9 @@ def count_met(
     most: int,
     wide: bool,
     beam: tuple[float, float, float],
+    bands: int,
 ) -> _FLOATS:
-    """Beams, or shares of wide ones, on each target (n,), of all that may meet the ball about it.
+    """Beams, or shares of wide ones, on each target (n, bands), of all that may meet its ball.
 
     Parameters
     ----------
@@ -80,7 +127,7 @@ def count_met(
     most : of a target that spans more rows or columns, every n-th is looked at and stands for n.
     beam : divergence across and upright, rad, and aperture, m; only for ``wide`` ones.
     """
-    hits = np.zeros(len(feet))
+    hits = np.zeros((len(feet), bands))
     _, around = ball_around(shape)
     for target in range(len(feet)):
         x, y, z = mounted[target]
@@ -111,5 +158,6 @@ def count_met(
                     if wide:
                         share = footprint_share(shape, feet[target], ray, range_m, beam)
                     if share >= CLEAN_SHARE:
-                        hits[target] += share * tall * across
+                        band = height_band(shape, feet[target], ray, range_m, bands)
+                        hits[target, band] += share * tall * across
     return hits

@@ -20,6 +20,7 @@ from roadsight.placement.shapes import (
     ball_around,
     entered_at,
     footprint_share,
+    height_band,
     relative_to,
 )
 from roadsight.placement.spinning import Sensor
@@ -58,7 +59,25 @@ def weigh_targets(
     max_range_m: float,
     beam: tuple[float, float, float] | None = None,
 ) -> tuple[_FLOATS, _FLOATS]:
-    """Weight of the raster's cells that meet each target (n,): those that see it, and all.
+    """Weight of the raster's cells that meet each target (n,): those that see it, and all."""
+    found = weigh_by_height(panorama, raster, rotation, feet_m, shape, max_range_m, beam, 1)
+    return found[:, 1], found[:, 0]
+
+
+def weigh_by_height(
+    panorama: Panorama,
+    raster: Raster,
+    rotation: _FLOATS,
+    feet_m: _FLOATS,
+    shape: Packed,
+    max_range_m: float,
+    beam: tuple[float, float, float] | None,
+    bands: int,
+) -> _FLOATS:
+    """Weight of the raster's cells that meet each target (n, 1 + bands).
+
+    First comes that of all cells, then that of those which see it, by the equal part of the height
+    at which they enter, the lowest first.
 
     Parameters
     ----------
@@ -68,7 +87,7 @@ def weigh_targets(
     beam : divergence across and upright, rad, and aperture, m: cells then count by the share of
         their footprint on the target if that is `CLEAN_SHARE` or more; None: lines.
     """
-    found = _weigh(
+    return _weigh(
         panorama.range_m,
         np.tan(np.radians(panorama.sensor.elevation_deg)),
         np.radians(panorama.yaw_deg + panorama.sensor.azimuth_min_deg),
@@ -83,8 +102,8 @@ def weigh_targets(
         max_range_m,
         beam is not None,
         beam or (0.0, 0.0, 0.0),
+        bands,
     )
-    return found[:, 0], found[:, 1]
 
 
 @njit(cache=True)
@@ -103,9 +122,10 @@ def _weigh(
     max_range_m: float,
     wide: bool,
     beam: tuple[float, float, float],
+    bands: int,
 ) -> _FLOATS:
-    """Weights (n, 2): seen and met."""
-    found = np.zeros((len(feet), 2))
+    """Weights (n, 1 + bands): met, and seen by height."""
+    found = np.zeros((len(feet), 1 + bands))
     middle_m, around_m = ball_around(shape)
     for target in range(len(feet)):
         foot = feet[target]
@@ -140,10 +160,10 @@ def _weigh(
                     if wide:
                         share = footprint_share(shape, foot, ray, range_m, beam)
                         cell *= share if share >= CLEAN_SHARE else 0.0
-                    found[target, 1] += cell
+                    found[target, 0] += cell
                     behind_m = scene_range_m(scene_m, slopes, start, ray)
                     if behind_m == 0.0 or range_m < behind_m:
-                        found[target, 0] += cell
+                        found[target, 1 + height_band(shape, foot, ray, range_m, bands)] += cell
     return found
 
 

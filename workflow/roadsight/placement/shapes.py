@@ -173,6 +173,15 @@ def entered_at(shape: Packed, foot: _FLOATS, ray: tuple[float, float, float]) ->
 
 
 @njit(cache=True)
+def height_band(
+    shape: Packed, foot: _FLOATS, ray: tuple[float, float, float], range_m: float, bands: int
+) -> int:
+    """Which of so many equal parts of the height, from 0 at the foot, a ray enters at a range."""
+    share = (range_m * ray[2] - foot[2]) / shape[3]
+    return min(max(int(share * bands), 0), bands - 1)
+
+
+@njit(cache=True)
 def _along_box(foot: _FLOATS, ray: tuple[float, float, float]) -> tuple[float, float, float, float]:
     """Ray and foot along the length and the width of a box."""
     cosine, sine = np.cos(foot[3]), np.sin(foot[3])

@@ -11,9 +11,9 @@ from roadsight.placement.boxes import count_box_hits
 from roadsight.placement.detection import count_hits
 from roadsight.placement.earth import rise_m
 from roadsight.placement.footprints import count_shared_hits
-from roadsight.placement.mounted import count_tilted_hits
+from roadsight.placement.mounted import beams_on, count_tilted_hits
 from roadsight.placement.sensors import Sensor
-from roadsight.placement.shapes import Box
+from roadsight.placement.shapes import Box, Shape
 
 _FLOATS = NDArray[np.float64]
 
@@ -53,11 +53,7 @@ def count_beams(
     size_m : radius and height of every target, or the box that it is.
     tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame; None: levelled.
     """
-    if sight.curved:
-        # Seen along a straight beam, what is far lies deeper.
-        offset = targets_xyz_m[:, :2] - np.asarray(position_m)[:2]
-        targets_xyz_m = targets_xyz_m.copy()
-        targets_xyz_m[:, 2] -= rise_m(np.hypot(*offset.T))
+    targets_xyz_m = _as_met(targets_xyz_m, position_m, sight)
     if isinstance(size_m, Box):
         pose = (position_m, yaw_deg, tilt)
         limits = (sight.max_range_m, sight.footprints)
@@ -73,3 +69,35 @@ def count_beams(
     return count_hits(
         range_m, sensor, position_m, yaw_deg, targets_xyz_m, *size_m, sight.max_range_m
     )
+
+
+def beams_by_height(
+    range_m: NDArray[np.float32],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    feet_m: _FLOATS,
+    shape: Shape,
+    sight: Sight,
+    bands: int,
+    tilt: _FLOATS | None = None,
+) -> _FLOATS:
+    """The beams of `count_beams` by equal parts of the height, the lowest first, (n, bands).
+
+    Of cylinders and levelled sensors those are counted in closed form, so that a beam that just
+    grazes one may count there and not here.
+    """
+    feet_m = _as_met(feet_m, position_m, sight)
+    pose = (position_m, yaw_deg, tilt)
+    limits = (sight.max_range_m, sight.footprints)
+    return beams_on(range_m, sensor, *pose, feet_m, shape, *limits, bands)
+
+
+def _as_met(feet_m: _FLOATS, position_m: ArrayLike, sight: Sight) -> _FLOATS:
+    """Targets as straight beams meet them: where beams are curved, what is far lies deeper."""
+    if not sight.curved:
+        return feet_m
+    offset = feet_m[:, :2] - np.asarray(position_m)[:2]
+    feet_m = feet_m.copy()
+    feet_m[:, 2] -= rise_m(np.hypot(*offset.T))
+    return feet_m

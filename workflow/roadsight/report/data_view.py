@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from roadsight.report.charts import Chart, span_of
 from roadsight.report.wording import metres, number, percent
 
 _MEGA = 1e6
@@ -14,8 +15,9 @@ def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
     found = plan.get("data")
     if found is None:
         return None
+    likely = _probable(found.get("probability"))
     rows = [
-        *_probable(found.get("probability")),
+        *likely,
         ("Targets seen by two sensors or more", percent(found["share_seen_by_two"])),
         ("Sensors that see a target, mean", number(found["mean_sensors"], 2)),
         ("Road that neighbours both see, mean", _metres(found["mean_overlap_m"])),
@@ -36,7 +38,12 @@ def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
         }
         for entry in sorted(found["sensors"], key=lambda entry: entry["station_m"])
     ]
-    return {"rows": [row for row in rows if row[1]], "sensors": sensors}
+    return {
+        "rows": [row for row in rows if row[1]],
+        "likely": bool(likely),
+        "sensors": sensors,
+        "heights": [_heights(part) for part in found.get("heights", [])],
+    }
 
 
 def _probable(found: dict[str, Any] | None) -> list[tuple[str, str]]:
@@ -49,6 +56,30 @@ def _probable(found: dict[str, Any] | None) -> list[tuple[str, str]]:
         ("Targets are found by their best sensors with, mean", percent(found["mean"])),
         ("Weakest target is found with, if sensors miss independently", percent(alone)),
     ]
+
+
+def _heights(found: dict[str, Any]) -> dict[str, Any]:
+    """Chart and rows of what sensors measure of targets by height."""
+    unit, bands = found["unit"], found["bands"]
+    edges = [bands[0]["from_m"], *(band["to_m"] for band in bands)]
+    means = [band["mean"] for band in bands]
+    names = [f"{number(band['from_m'], 2)} to {number(band['to_m'], 2)} m" for band in bands]
+    chart = Chart(
+        f"{unit.capitalize()} on a target by height",
+        "Height over the foot, m",
+        f"{unit.capitalize()}, mean",
+        (0.0, edges[-1]),
+        span_of(means, start=0.0),
+        numbered=False,
+    )
+    chart.bars(edges, means, "good", names)
+    for edge in edges:
+        chart.tick(edge, number(edge, 2))
+    rows = [
+        (name, number(band["mean"], 1), number(band["median"], 1), percent(band["share_none"]))
+        for name, band in zip(names, bands, strict=True)
+    ]
+    return {"unit": unit, "chart": chart.svg(), "rows": rows[::-1]}
 
 
 def _metres(value: float | None) -> str:

@@ -12,21 +12,20 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
-from roadsight.io.atomic import read_json
 from roadsight.io.depth_maps import DepthMaps
 from roadsight.io.detections import write_detections
 from roadsight.io.lanes import read_traffic
 from roadsight.io.poses import read_poses, read_tilts
 from roadsight.placement.lanes import free_shares
-from roadsight.placement.light import range_in_air_m
 from roadsight.placement.sensors import Sensor, load_sensor
 from roadsight.placement.shapes import Box, Shape
-from roadsight.placement.sight import Sight, count_beams
+from roadsight.placement.sight import count_beams
 from roadsight.stages.command import run_stage
 from roadsight.stages.detection_inputs import (
     add_detection_arguments,
     read_shaped_targets,
     said_of_shape,
+    sight_of,
 )
 from roadsight.stages.progress import logged
 
@@ -67,7 +66,8 @@ def _hits(
     sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(stride)
     poses = read_poses(arguments.candidates)
     size_m = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
-    tilts, sight = read_tilts(arguments.tilts), _sight(arguments, sensor)
+    tilts = read_tilts(arguments.tilts)
+    sight = sight_of(arguments, arguments.sensor, sensor)
     maps = _depth_maps(arguments, sensor)
     for name, depth in logged(maps, len(maps), log, "candidates"):
         if name not in poses:
@@ -80,19 +80,6 @@ def _hits(
         pose = (np.array(position_m), yaw_deg)
         beams = count_beams(depth, sensor, *pose, feet_m, size_m, sight, tilts.get(name))
         yield name, pose[0], stride * beams
-
-
-def _sight(arguments: argparse.Namespace, sensor: Sensor) -> Sight:
-    """What the sensor's sight of targets is like under the effects that are simulated."""
-    clear_m = sensor.range_m
-    for path in arguments.reflectivity:
-        clear_m = read_json(path)["target_range_m"][arguments.sensor]
-    air = [read_json(path)["extinction_per_m"][arguments.sensor] for path in arguments.air]
-    return Sight(
-        float(range_in_air_m(clear_m, sum(air))),
-        arguments.partial_hits == "simulate" and sensor.divergence_mrad is not None,
-        arguments.curvature == "simulate",
-    )
 
 
 def _table(names: list[str], hits: list[pd.Series], targets: pd.Series) -> pd.DataFrame:

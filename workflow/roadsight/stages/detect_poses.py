@@ -13,25 +13,22 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
-from roadsight.io.atomic import read_json
 from roadsight.io.depth_maps import DepthMaps
 from roadsight.io.detections import write_detections
 from roadsight.io.lanes import SiteTraffic, read_traffic
 from roadsight.io.poses import read_poses, read_tilts
-from roadsight.placement.aimed import Camera, Radar, Rosette
-from roadsight.placement.detectors import Criteria, contrast_range_m, detector_of
+from roadsight.placement.detectors import Criteria, detector_of
 from roadsight.placement.lanes import free_shares
-from roadsight.placement.light import range_in_air_m
 from roadsight.placement.posed import Panorama
 from roadsight.placement.poses import local_from_sensor, not_dominated, pose_name, turns_of
-from roadsight.placement.sensors import AnySensor, Sensor, load_sensor, load_sensors
+from roadsight.placement.sensors import load_sensor, load_sensors
 from roadsight.placement.shapes import Shape
-from roadsight.placement.sight import Sight
 from roadsight.stages.command import run_stage
 from roadsight.stages.detection_inputs import (
     add_detection_arguments,
     read_shaped_targets,
     said_of_shape,
+    sight_of,
 )
 from roadsight.stages.progress import logged
 
@@ -48,7 +45,7 @@ def detect_poses(arguments: argparse.Namespace) -> None:
     sensor = load_sensors(arguments.sensors)[arguments.sensor]
     turns = turns_of(arguments.yaw_deg, arguments.pitch_deg, arguments.roll_deg)
     detector = detector_of(sensor, _criteria(arguments))
-    sight = _sight(arguments, sensor)
+    sight = sight_of(arguments, arguments.sensor, sensor)
     tilts, parts, tried = read_tilts(arguments.tilts), [], 0
     for name, panorama in _panoramas(arguments):
         rotations = [local_from_sensor(panorama.yaw_deg, t, tilts.get(name)) for t in turns]
@@ -105,22 +102,6 @@ def _panoramas(arguments: argparse.Namespace) -> Iterator[tuple[str, Panorama]]:
             )
         *position_m, yaw_deg = poses[name]
         yield name, Panorama(depth, beams, np.array(position_m), float(yaw_deg))
-
-
-def _sight(arguments: argparse.Namespace, sensor: AnySensor) -> Sight:
-    """How far and how the sensor sees under the effects that are simulated."""
-    curved = arguments.curvature == "simulate"
-    if isinstance(sensor, Radar):
-        return Sight(sensor.range_m, curved=curved)
-    air = sum(read_json(path)["extinction_per_m"][arguments.sensor] for path in arguments.air)
-    if isinstance(sensor, Camera):
-        return Sight(min(sensor.range_m, contrast_range_m(air)), curved=curved)
-    clear_m = sensor.range_m
-    for path in arguments.reflectivity:
-        clear_m = read_json(path)["target_range_m"][arguments.sensor]
-    wide = isinstance(sensor, Sensor | Rosette) and sensor.divergence_mrad is not None
-    wide = wide and arguments.partial_hits == "simulate"
-    return Sight(float(range_in_air_m(clear_m, air)), wide, curved)
 
 
 def _table(

@@ -9,25 +9,51 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
+from roadsight.io.atomic import read_json
 from roadsight.io.tables import read_table
+from roadsight.placement.aimed import Camera, Radar, Rosette
 from roadsight.placement.detection import MIN_BEAMS
+from roadsight.placement.light import contrast_range_m, range_in_air_m
+from roadsight.placement.sensors import AnySensor, Sensor
 from roadsight.placement.shapes import Box, Cylinder, Shape
+from roadsight.placement.sight import Sight
 
 
 def add_detection_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of every stage that asks which targets a sensor sees."""
     for name in ("depth", "candidates", "targets", "sensor", "sensors", "out"):
         parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
+    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    add_sight_arguments(parser)
+
+
+def add_sight_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of every stage that asks what a sensor measures of targets."""
     parser.add_argument("--radius-m", type=float, default=0.25)
     parser.add_argument("--height-m", type=float, default=0.6)
     parser.add_argument("--box", type=float, nargs=3, help="length, width, height instead, m")
-    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
     parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
     parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
     parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
-    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
     for name in ("partial-hits", "curvature"):
         parser.add_argument(f"--{name}", choices=["simulate", "skip"], default="skip")
+
+
+def sight_of(arguments: argparse.Namespace, name: str, sensor: AnySensor) -> Sight:
+    """How far and how a sensor sees targets under the effects that are simulated."""
+    curved = arguments.curvature == "simulate"
+    if isinstance(sensor, Radar):
+        return Sight(sensor.range_m, curved=curved)
+    air = sum(read_json(path)["extinction_per_m"][name] for path in arguments.air)
+    if isinstance(sensor, Camera):
+        return Sight(min(sensor.range_m, contrast_range_m(air)), curved=curved)
+    clear_m = sensor.range_m
+    for path in arguments.reflectivity:
+        clear_m = read_json(path)["target_range_m"][name]
+    wide = isinstance(sensor, Sensor | Rosette) and sensor.divergence_mrad is not None
+    wide = wide and arguments.partial_hits == "simulate"
+    return Sight(float(range_in_air_m(clear_m, air)), wide, curved)
 
 
 def read_shaped_targets(

@@ -19,9 +19,8 @@ from roadsight.io.rasters import read_raster
 from roadsight.io.surfels import read_surfels
 from roadsight.io.tables import read_table
 from roadsight.io.vectors import write_layers
-from roadsight.placement.detectors import contrast_range_m
 from roadsight.placement.gap_reasons import hidden_too_often, refine_reasons
-from roadsight.placement.light import range_in_air_m
+from roadsight.placement.light import contrast_range_m, range_in_air_m
 from roadsight.placement.obstacles import (
     Cast,
     blocked_sight_lines,

@@ -17,7 +17,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json, write_json
 from roadsight.io.clouds import read_laz
 from roadsight.io.detections import read_detections
-from roadsight.io.tables import read_about, read_table
+from roadsight.io.tables import read_about
 from roadsight.io.vectors import read_layer, write_layers
 from roadsight.placement.handover import (
     data_rates,
@@ -26,6 +26,7 @@ from roadsight.placement.handover import (
     overlaps,
     stations_m,
 )
+from roadsight.placement.heights import height_columns, heights_of_plan
 from roadsight.placement.probability import (
     CAMERA_CURVE,
     LIDAR_CURVE,
@@ -35,7 +36,9 @@ from roadsight.placement.probability import (
 )
 from roadsight.placement.sensors import load_sensors
 from roadsight.scene.pavement import inside
+from roadsight.stages.chosen_points import points_by_height
 from roadsight.stages.command import run_stage
+from roadsight.stages.detection_inputs import add_sight_arguments, read_shaped_targets
 
 log = logging.getLogger("measure_data")
 
@@ -46,9 +49,11 @@ def measure_data(arguments: argparse.Namespace) -> None:
     chosen = pd.DataFrame(
         read_json(arguments.solution)["sensors"], columns=["candidate", "sensor", "x", "y", "z"]
     )
-    targets = read_table(arguments.targets, ["target", "x", "y"])
+    targets, feet_m, shape = read_shaped_targets(arguments)
+    on_targets = points_by_height(arguments, chosen, feet_m, shape)
     hits = _hits(arguments.detections, chosen, targets["target"])
     seen = hits > 0
+    times_seen = seen.sum(axis=0, dtype=np.int64)
     edges = list(read_layer(arguments.edges, "edges", frame).geometry)
     along = stations_m(edges, targets[["x", "y"]].to_numpy(np.float64))
     at = stations_m(edges, chosen[["x", "y"]].to_numpy(np.float64))
@@ -63,8 +68,9 @@ def measure_data(arguments: argparse.Namespace) -> None:
     }
     shared = float(np.mean([pair["length_m"] for pair in pairs])) if pairs else None
     content = {
-        **handover(seen.sum(axis=0, dtype=np.int64)),
+        **handover(times_seen),
         "probability": _probability(arguments, chosen, hits),
+        "heights": heights_of_plan(on_targets, times_seen > 0, shape.height_m),
         "mean_overlap_m": shared,
         "overlaps": [_named(pair, chosen) for pair in pairs],
         **totals,
@@ -76,7 +82,12 @@ def measure_data(arguments: argparse.Namespace) -> None:
     write_json(arguments.out, content)
     points = gpd.points_from_xy(table["x"], table["y"], table["z"])
     layer = gpd.GeoDataFrame(table.drop(columns=["x", "y", "z"]), geometry=points)
-    write_layers(arguments.layers, {"sensors": layer}, frame)
+    feet = gpd.GeoDataFrame(
+        {"target": targets["target"].astype(str), "sensors": times_seen}
+        | dict(height_columns(on_targets)),
+        geometry=gpd.points_from_xy(*feet_m[:, :3].T),
+    )
+    write_layers(arguments.layers, {"sensors": layer, "targets": feet}, frame)
     log.info("%.0f points a second, %.0f on the road", totals["points_per_s"],
              totals["road_points_per_s"])  # fmt: skip
 
@@ -147,7 +158,10 @@ def main(argv: list[str] | None = None) -> int:
     names = ("solution", "targets", "edges", "pavement", "frame", "sensors", "scans")
     for name in (*names, "out", "layers"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--detections", nargs="+", required=True)
+    for name in ("detections", "depth", "candidates"):
+        parser.add_argument(f"--{name}", nargs="+", required=True)
+    parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
+    add_sight_arguments(parser)
     parser.add_argument("--frames-hz", type=float, default=10.0)
     for name, curve in (("lidar", LIDAR_CURVE), ("camera", CAMERA_CURVE)):
         parser.add_argument(f"--{name}-curve", type=float, nargs=2, default=curve)

@@ -18,8 +18,7 @@ from roadsight.io.clouds import write_laz
 from roadsight.io.poses import read_tilts
 from roadsight.io.surfels import read_surfels
 from roadsight.io.tables import read_table
-from roadsight.placement.detectors import contrast_range_m
-from roadsight.placement.light import range_in_air_m, reflectivity_range_m
+from roadsight.placement.light import contrast_range_m, range_in_air_m, reflectivity_range_m
 from roadsight.placement.poses import AS_MOUNTED, Turn, local_from_sensor
 from roadsight.placement.rays import returns_xyz_m
 from roadsight.placement.scanning import scan_directions
