@@ -87,7 +87,7 @@ def hold_back(page, method, ending):
         const {{ fetch }} = window;
         const gate = new Promise((resolve) => {{ window.release = resolve; }});
         window.fetch = async (url, options) => {{
-            if (options?.method === {method!r} && String(url).endsWith({ending!r})) {{
+            if ((options?.method ?? 'GET') === {method!r} && String(url).endsWith({ending!r})) {{
                 window.held = String(url);
                 await gate;
             }}

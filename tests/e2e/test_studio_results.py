@@ -5,7 +5,8 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from studio_page import LOOKS, check_look, click, key, open_studio, text
+import yaml
+from studio_page import LOOKS, check_look, click, hold_back, key, open_studio, text
 from studio_project import Studio, make_project
 
 pytestmark = pytest.mark.xdist_group("studio")
@@ -48,6 +49,33 @@ def pixel(page, row):
 
 def counts(page):
     return page.run(f"(({{covered, lost, gained}}) => [covered, lost, gained])({PART}.coverage)")
+
+
+@pytest.fixture
+def both(studio):
+    """The site tiny asks for poles, too, which were not computed."""
+    sites = studio.folder / "config/sites"
+    before = (sites / "tiny.yaml").read_bytes()
+    content = yaml.safe_load(before)
+    poles = yaml.safe_load((sites / "drive.yaml").read_text())["poles"]
+    content |= {"jobs": ["placement", "poles"], "poles": poles}
+    (sites / "tiny.yaml").write_text(yaml.safe_dump(content))
+    yield
+    (sites / "tiny.yaml").write_bytes(before)
+
+
+def test_what_is_asked_for_last_is_shown(both, plan):
+    hold_back(plan, "GET", "/poles")
+    key(plan, "j")
+    plan.until("window.held")
+    key(plan, "j")
+    plan.until(f"studio.page.name === 'sensors' && {PART}.about && !studio.page.loading")
+    plan.run("release()")
+    plan.run("new Promise((done) => setTimeout(done, 1500))")
+    assert "Sensors" in text(plan, ".panel") and not text(plan, ".panel [role=alert]")
+    key(plan, "j")
+    plan.until("document.querySelector('.panel [role=alert]')")
+    assert "is not there yet" in text(plan, ".panel [role=alert]")
 
 
 def test_a_sensor_is_switched_off_and_on_by_keys(plan):
