@@ -135,7 +135,7 @@ def _save(
     changed = [path for path, content in contents.items() if not _holds(path, content)]
     _check_own({*changed} - {site_file, *own.values()})
     for path in changed:
-        write_if_new(path, contents[path])
+        _write(path, contents[path])
     for key, name in named.items():
         if name is None and key in own and own[key] == project.inside(folder / _NAMES.get(key, "")):
             _remove(own[key], site)
@@ -184,10 +184,6 @@ def _holds(path: Path, content: bytes) -> bool:
     return path.is_file() and path.read_bytes() == content
 
 
-def write_if_new(path: Path, content: bytes) -> bool:
-    """Write a file unless it holds the same already; whether it was written."""
-    if _holds(path, content):
-        return False
+def _write(path: Path, content: bytes) -> None:
     with atomic_path(path) as temporary:
         temporary.write_bytes(content)
-    return True
