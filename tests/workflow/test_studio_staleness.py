@@ -10,7 +10,8 @@ from roadsight.studio.drawing import load_drawing, save_drawing
 from roadsight.studio.drive import SiteDrive
 from roadsight.studio.pole_review import Decision, review, save_decisions
 from roadsight.studio.project import Project
-from roadsight.studio.registering import PoseBody, save_correction
+from roadsight.studio.registering import PoseBody
+from roadsight.studio.registration_files import save_correction
 from roadsight.studio.shapes import Drawing
 from tests.workflow.conftest import with_followers
 from tests.workflow.test_poles_workflow import READERS as ROAD_READERS
