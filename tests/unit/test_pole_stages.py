@@ -146,7 +146,10 @@ def test_hazard_and_validation(site, poles):
     assert table["slope_rise_over_run"].to_numpy() == pytest.approx(-0.1, abs=0.02)
     assert table["side"].to_numpy().tolist() == (-np.sign(table["y"])).tolist()
     assert "AASHTO" in read_about(out)["clear_zone"]
-    assert "longitude_deg" in csv.read_text().splitlines()[0]
+    written = pd.read_csv(csv)
+    assert {"latitude", "longitude"} <= set(written)
+    native = FEET.to_native(table[["x", "y"]].to_numpy())
+    assert written[["x", "y"]].to_numpy() == pytest.approx(native, abs=1e-4)
     assert rate_hazard.main([*common, *dem, "--aadt", "-1"]) == 2
 
     result = site / "validation.json"

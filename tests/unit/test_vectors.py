@@ -7,6 +7,7 @@ import time
 
 import geopandas as gpd
 import numpy as np
+import pyogrio
 import pytest
 import shapely
 from las_files import DATA, needs_data, wkt_of
@@ -89,7 +90,11 @@ def test_layers_read_back_where_they_were(tmp_path, frame):
 def test_empty_and_mixed_layers(tmp_path):
     path = tmp_path / "a.gpkg"
     mixed = layer(Point(0, 0), LINES[0], Point(1, 1, 1))
-    write_layers(path, {"mixed": mixed, "empty": layer(Point(0, 0), n=[1])[:0]}, UTM)
+    write_layers(
+        path, {"mixed": mixed, "empty": layer(Point(0, 0), n=[1])[:0]}, UTM, {"empty": "Point Z"}
+    )
+    assert pyogrio.read_info(path, layer="empty")["geometry_type"] == "Point Z"
+    assert pyogrio.read_info(path, layer="empty")["crs"] is not None
     assert len(read_layer(path, "mixed", UTM)) == 3
     empty = read_layer(path, "empty", UTM)
     assert (len(empty), list(empty.columns)) == (0, ["n", "geometry"])

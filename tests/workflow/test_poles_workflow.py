@@ -316,6 +316,12 @@ def test_summary_holds_what_checks_rely_on(finished_road):
 def test_poles_open_in_the_right_crs(finished_road):
     folder = finished_road.folder / "results/tiny_road/poles"
     table = pd.read_csv(folder / "poles.csv")
+    hazard = pd.read_csv(folder / "hazard.csv")
+    points = gpd.read_file(folder / "poles.gpkg", layer="poles")
+    points = points[points["kept"]].geometry.get_coordinates()
+    for name in ("x", "y"):
+        assert table[name].to_numpy() == pytest.approx(points[name].to_numpy(), abs=1e-3)
+        assert hazard[name].to_numpy() == pytest.approx(table[name].to_numpy(), abs=1e-3)
     for layer in ("poles", "ellipses", "rays"):
         features = gpd.read_file(folder / "poles.gpkg", layer=layer)
         assert features.crs.to_epsg() == 6543 or "North Carolina (ftUS)" in features.crs.name

@@ -9,9 +9,11 @@ import numpy as np
 import pandas as pd
 
 from roadsight.errors import InputError
+from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import atomic_path
 
 _NEEDED = {"lat": (-90.0, 90.0), "lon": (-180.0, 360.0), "bearing": (-360.0, 720.0)}
+_DECIMALS = 4
 _OPTIONAL = ("depth", "sigma_bearing_deg", "sigma_depth_m")
 
 
@@ -70,6 +72,13 @@ def write_csv(path: str | os.PathLike[str], table: pd.DataFrame) -> None:
     """Write a table as CSV; NaN becomes an empty cell."""
     with atomic_path(path) as temporary:
         table.to_csv(temporary, index=False, lineterminator="\n")
+
+
+def in_native(table: pd.DataFrame, frame: Frame) -> pd.DataFrame:
+    """Table with columns x, y and, if there, z in native coordinates instead of local metres."""
+    names = [name for name in ("x", "y", "z") if name in table]
+    native = frame.to_native(table[names].to_numpy(np.float64))
+    return table.assign(**dict(zip(names, native.T.round(_DECIMALS), strict=True)))
 
 
 def _numbers(

@@ -33,20 +33,24 @@ _GEOJSON_DECIMALS = "9"
 
 
 def write_layers(
-    path: str | os.PathLike[str], layers: Mapping[str, gpd.GeoDataFrame], frame: Frame
+    path: str | os.PathLike[str],
+    layers: Mapping[str, gpd.GeoDataFrame],
+    frame: Frame,
+    empty: Mapping[str, str] | None = None,
 ) -> None:
     """Write a GeoPackage in native coordinates; the same layers give the same bytes.
 
     Parameters
     ----------
     layers : features in local metres (x, y, or x, y, z) by layer name, at least one.
+    empty : geometry types, such as "Point Z", of layers that may hold nothing.
     """
     if not layers:
         raise ValueError("a GeoPackage needs a layer")
     with atomic_path(path) as temporary, _fixed_date():
         for name, features in layers.items():
             native = _native(features, frame)
-            kind = None if len(native) else "Unknown"
+            kind = None if len(native) else (empty or {}).get(name, "Unknown")
             pyogrio.write_dataframe(
                 native, temporary, layer=name, driver="GPKG", geometry_type=kind
             )

@@ -58,7 +58,7 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
     place = ["obstacle_x", "obstacle_y", "obstacle_z"]
     gaps[place] = frame.to_native(gaps[place].to_numpy(np.float64))
     layers = {"obstacles": _points(obstacles), "uncovered": _points(gaps)}
-    write_layers(arguments.out, layers, frame)
+    write_layers(arguments.out, layers, frame, dict.fromkeys(layers, "Point Z"))
 
 
 def _obstacles(

@@ -15,7 +15,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.atomic import read_json
 from roadsight.io.rasters import read_raster
-from roadsight.io.sighting_tables import write_csv
+from roadsight.io.sighting_tables import in_native, write_csv
 from roadsight.io.tables import read_table, write_table
 from roadsight.poles.clear_zone import SOURCE
 from roadsight.poles.hazard import RULE, HazardSettings, Height, rate_poles
@@ -41,9 +41,7 @@ def rate_hazard(arguments: argparse.Namespace) -> None:
     log.info("%d poles: %s", len(table), table["rating"].value_counts().to_dict())
     about = {"clear_zone": SOURCE, "rule": RULE, "settings": vars(settings)}
     write_table(arguments.out, table, about)
-    named = {"x": "x_local_m", "y": "y_local_m", "latitude": "latitude_deg",
-             "longitude": "longitude_deg"}  # fmt: skip
-    write_csv(arguments.csv, table.rename(columns=named))
+    write_csv(arguments.csv, in_native(table, frame))
 
 
 def grid_scale(poles: pd.DataFrame, frame: Frame) -> float:

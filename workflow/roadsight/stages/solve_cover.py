@@ -74,7 +74,7 @@ def solve_cover(arguments: argparse.Namespace) -> None:
         content |= _option_content(answered, sensors)
         layers |= _option_layers(answered, candidates, choices)
         layers["sensors"] = _points(sensors)
-    write_layers(arguments.layers, layers, frame)
+    write_layers(arguments.layers, layers, frame, dict.fromkeys(layers, "Point Z"))
     write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
     write_json(arguments.solution, content)
     found = (arguments.plan, len(sensors), cover.objective, cover.bound, cover.status)

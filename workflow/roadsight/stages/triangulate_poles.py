@@ -19,7 +19,7 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.io.atomic import read_json
 from roadsight.io.pole_decisions import read_decisions
 from roadsight.io.rasters import read_raster
-from roadsight.io.sighting_tables import write_csv
+from roadsight.io.sighting_tables import in_native, write_csv
 from roadsight.io.tables import read_about, read_table, write_table
 from roadsight.io.vectors import write_geojson, write_layers
 from roadsight.poles.decided import apply_decisions
@@ -32,6 +32,7 @@ log = logging.getLogger("triangulate_poles")
 
 _STRUCTURES = (6, 11, 17)
 _CORNERS = 32
+_KINDS = {"poles": "Point", "ellipses": "Polygon", "rays": "LineString"}
 
 
 def triangulate_poles(arguments: argparse.Namespace) -> None:
@@ -57,8 +58,8 @@ def triangulate_poles(arguments: argparse.Namespace) -> None:
     write_table(arguments.poles, poles, about)
     layers = {"poles": _points(poles), "ellipses": _ellipses(poles),
               "rays": _rays(sightings, poles, pole_of)}  # fmt: skip
-    write_layers(arguments.layers, layers, frame)
-    write_csv(arguments.csv, poles[kept].drop(columns=["kept", "reason"]))
+    write_layers(arguments.layers, layers, frame, _KINDS)
+    write_csv(arguments.csv, in_native(poles[kept].drop(columns=["kept", "reason"]), frame))
     write_geojson(arguments.geojson, _points(poles[kept].reset_index(drop=True)), frame)
 
 
