@@ -81,13 +81,18 @@ def test_knobs_turn_back_into_the_pose(page):
 
 
 def test_sliders_and_mouse_move_the_camera_and_the_error_follows(page):
-    before = page.run("studio.page.error.rms_px")
+    before, typical = (page.run(f"studio.page.error.{name}_px") for name in ("rms", "median"))
     page.run("""(() => {
         const slider = document.querySelector('[data-knob=heading]');
         slider.value = 2; slider.dispatchEvent(new Event('input'));
     })()""")
     page.until("!studio.page.measuring")
     assert page.run("studio.page.error.rms_px") > before + 1
+    assert page.run("studio.page.error.median_px") > typical + 1
+    told = page.run("document.querySelector('[data-told=median]').textContent")
+    assert float(told.split()[0]) == pytest.approx(
+        page.run("studio.page.error.median_px"), abs=0.006
+    )
     told = page.run("document.querySelector('[data-told=rms]').textContent")
     assert float(told.split()[0]) == pytest.approx(page.run("studio.page.error.rms_px"), abs=0.006)
     start = pose(page)

@@ -13,6 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "e2e"))
 from studio_project import make_project
 
 from roadsight.errors import InputError
+from roadsight.geometry import cameras
 from roadsight.io.atomic import read_json, write_json
 from roadsight.io.baselines import read_baselines
 from roadsight.poles.alignment.published import _mean_square, _part
@@ -69,6 +70,21 @@ def test_the_error_is_that_of_the_published_alignment(drive):
     ours = alignment_error(drive, place, drive.expected(place))
     assert ours["rms_px"] == pytest.approx(np.sqrt(published))
     assert ours["points"] > 10
+    gaps = []
+    for pixel, part in zip(pixels, (slice(there.left), slice(there.left, None)), strict=True):
+        uv = _seen_at(place.start, drive.expected(place), there.xyz_m[part])
+        nearest = np.linalg.norm(uv[:, None] - pixel[None], axis=2).min(axis=1)
+        gaps.extend(nearest[nearest <= WINDOW_PX])
+    assert ours["median_px"] == pytest.approx(np.median(gaps))
+
+
+def _seen_at(start, pose, xyz_m):
+    """Pixels of the points that the camera contains."""
+    size = (start.width_px, start.height_px)
+    camera = cameras.Intrinsics(*size, pose["focal_px"], start.cx_px, start.cy_px)
+    rotation = cameras.cam_from_world(pose["heading_deg"], pose["pitch_deg"], pose["roll_deg"])
+    uv, _ = cameras.project(camera, rotation, [pose["x"], pose["y"], pose["z"]], xyz_m)
+    return uv[camera.contains(uv)]
 
 
 def test_states_of_images(drive):

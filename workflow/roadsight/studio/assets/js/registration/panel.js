@@ -44,6 +44,7 @@ export class Panel {
   tellError() {
     const { error } = this.page;
     this.told.replaceChildren(el("h2", {}, "Alignment error"), el("dl", { className: "facts" },
+      el("dt", {}, "Typical (median)"), el("dd", { "data-told": "median" }, `${digits(error?.median_px ?? NaN, 2)} px`),
       el("dt", {}, "Root mean square"), el("dd", { "data-told": "rms" }, `${digits(error?.rms_px ?? NaN, 2)} px`),
       el("dt", {}, "Left, right"), el("dd", {}, `${digits(error?.left_px ?? NaN, 2)}, ${digits(error?.right_px ?? NaN, 2)} px`),
       el("dt", {}, "Points compared"), el("dd", {}, error?.points ?? 0)));
