@@ -6,6 +6,7 @@ configfile: "config/config.yaml"
 
 include: "workflow/rules/common.smk"
 include: "workflow/rules/placement_inputs.smk"
+include: "workflow/rules/targets_inputs.smk"
 include: "workflow/rules/poses_inputs.smk"
 include: "workflow/rules/poles_inputs.smk"
 include: "workflow/rules/videolog_inputs.smk"
