@@ -31,9 +31,10 @@ def config_of_study(wildcards):
 
 
 def config_of_job(job):
-    """The configuration with the site of a job's studies alone."""
-    site = TRADEOFFS.sites[job]
-    return CONFIG.model_copy(update={"sites": [site]}).model_dump_json()
+    """The configuration with the site of a job's studies alone, whichever file names them."""
+    file = type(CONFIG).model_fields["tradeoffs_file"].default
+    changes = {"sites": [TRADEOFFS.sites[job]], "tradeoffs_file": file}
+    return CONFIG.model_copy(update=changes).model_dump_json()
 
 
 @lru_cache(maxsize=None)
