@@ -19,6 +19,7 @@ from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.tradeoffs import (
     COLUMNS,
     TIMING_NOISE,
+    TIMING_NOISE_S,
     Cost,
     cheapest,
     cost_of,
@@ -153,7 +154,10 @@ class TestFrontier:
         found = on_frontier(cost, error)
         for i, kept in enumerate(found):
             beaten = math.isnan(error[i]) or any(
-                (error[j] <= error[i] and cost[j] < cost[i] * (1 - TIMING_NOISE))
+                (
+                    error[j] <= error[i]
+                    and cost[j] < min(cost[i] * (1 - TIMING_NOISE), cost[i] - TIMING_NOISE_S)
+                )
                 or (error[j] < error[i] and cost[j] <= cost[i])
                 for j in range(len(levels))
             )
@@ -173,7 +177,10 @@ class TestFrontier:
 
     def test_noise_of_timings_decides_nothing(self):
         assert on_frontier([1.0, 1.05], [0.2, 0.2]) == [True, True]
-        assert on_frontier([1.0, 1.2], [0.2, 0.2]) == [True, False]
+        assert on_frontier([10.0, 10.5], [0.2, 0.2]) == [True, True]
+        assert on_frontier([10.0, 12.0], [0.2, 0.2]) == [True, False]
+        assert on_frontier([1.0, 1.2], [0.2, 0.2]) == [True, True]
+        assert on_frontier([1.0, 1.4], [0.2, 0.2]) == [True, False]
         assert on_frontier([1.0, 1.05], [0.1, 0.2]) == [True, False]
 
 

@@ -18,7 +18,10 @@ NOT_OF_THE_JOB = frozenset(
 """Rules that make the generated sites or score results: no user's job has them."""
 
 TIMING_NOISE = 0.1
-"""A level is clearly cheaper than another when it needs this share less processor time."""
+"""A level is clearly cheaper than another when it needs this share less processor time, ..."""
+
+TIMING_NOISE_S = 0.3
+"""... and more than so many seconds less: that is what starting a process varies by."""
 
 COLUMNS = (
     "job", "stage", "knob", "level", "cpu_seconds", "wall_seconds", "peak_mib", "metric", "value",
@@ -80,7 +83,11 @@ def on_frontier(cpu_s: Sequence[float], errors: Sequence[float]) -> list[bool]:
     found = []
     for own_cost, own_error in zip(cpu_s, errors, strict=True):
         beaten = any(
-            (error <= own_error and cost < own_cost * (1 - TIMING_NOISE))
+            (
+                error <= own_error
+                and cost < own_cost * (1 - TIMING_NOISE)
+                and cost < own_cost - TIMING_NOISE_S
+            )
             or (error < own_error and cost <= own_cost)
             for cost, error in zip(cpu_s, errors, strict=True)
         )
