@@ -16,6 +16,7 @@ from roadsight.stages.run_hardcases import case_table, main
 CASES = all_cases()
 NO_NUMERICS = {
     "alignment_inputs": "reads what two stages share",
+    "chosen_points": "part of measure_data: counts by the kernels of build_detection_shard",
     "command": "shared by all stages",
     "compare_components": "runs other stages",
     "cover_inputs": "reads what a plan's options name",
