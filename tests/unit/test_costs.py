@@ -175,7 +175,7 @@ def test_a_step_without_known_memory_is_fitted():
 
 def test_shipped_model_knows_every_step():
     table = read_costs(SHIPPED)
-    assert set(table.steps) == set(STEPS) - {"mark_traffic"}
+    assert set(table.steps) == set(STEPS)
     assert set(table.stored) == set(STORED)
     assert 1.0 <= table.factor < 3.0
     assert all(cost.cpu_s.at(1) > 0 and cost.peak_mib.at(1) > 50 for cost in table.steps.values())
