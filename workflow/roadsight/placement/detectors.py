@@ -8,6 +8,7 @@ Spinning LiDARs in a pose count beams; as mounted they have depth maps of their 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -87,14 +88,8 @@ def detector_of(sensor: AnySensor, criteria: Criteria) -> Detector:
     raise TypeError(f"no detector for {type(sensor).__name__}")
 
 
-@dataclass(frozen=True)
-class BeamDetector:
-    """A LiDAR: beams, or points expected in a frame, that return from a target."""
-
-    sensor: Sensor | Rosette
-    raster: Raster
-    min_beams: float
-    unit: str
+class BandedDetector(ABC):
+    """A sensor whose measure of a target is the sum over parts of the target's height."""
 
     def measure(
         self,
@@ -104,9 +99,10 @@ class BeamDetector:
         shape: Shape,
         sight: Sight,
     ) -> _FLOATS:
-        """Beams, or shares of wide beams."""
+        """How well each target (n,) is seen, as `Detector.measure`."""
         return self.by_height(panorama, rotation, feet_m, shape, sight, 1)[:, 0]
 
+    @abstractmethod
     def by_height(
         self,
         panorama: Panorama,
@@ -117,6 +113,27 @@ class BeamDetector:
         bands: int,
     ) -> _FLOATS:
         """What `measure` gives, by equal parts of the height, the lowest first, (n, bands)."""
+
+
+@dataclass(frozen=True)
+class BeamDetector(BandedDetector):
+    """A LiDAR: beams, or points expected in a frame, that return from a target."""
+
+    sensor: Sensor | Rosette
+    raster: Raster
+    min_beams: float
+    unit: str
+
+    def by_height(
+        self,
+        panorama: Panorama,
+        rotation: _FLOATS,
+        feet_m: _FLOATS,
+        shape: Shape,
+        sight: Sight,
+        bands: int,
+    ) -> _FLOATS:
+        """Beams, or shares of wide beams, by equal parts of the height."""
         beam = None
         if sight.footprints and self.sensor.divergence_mrad is not None:
             across_mrad, upright_mrad = self.sensor.divergence_mrad
@@ -131,23 +148,12 @@ class BeamDetector:
 
 
 @dataclass(frozen=True)
-class CameraDetector:
+class CameraDetector(BandedDetector):
     """A camera: pixels whose middles show a target, and how many of them it needs."""
 
     sensor: Camera
     min_pixels: int
     unit: str = "pixels"
-
-    def measure(
-        self,
-        panorama: Panorama,
-        rotation: _FLOATS,
-        feet_m: _FLOATS,
-        shape: Shape,
-        sight: Sight,
-    ) -> _FLOATS:
-        """Pixels."""
-        return self.by_height(panorama, rotation, feet_m, shape, sight, 1)[:, 0]
 
     def by_height(
         self,
@@ -158,7 +164,7 @@ class CameraDetector:
         sight: Sight,
         bands: int,
     ) -> _FLOATS:
-        """What `measure` gives, by equal parts of the height, the lowest first, (n, bands)."""
+        """Pixels, by equal parts of the height."""
         feet_m = seen_lower(feet_m, panorama, sight)
         found = (panorama, camera_raster(self.sensor), rotation, feet_m, shape.packed)
         return weigh_by_height(*found, sight.max_range_m, None, bands)[:, 1:]

@@ -14,7 +14,7 @@ from roadsight.errors import InputError
 from roadsight.io.depth_maps import DepthMaps
 from roadsight.io.poses import read_poses, read_tilts
 from roadsight.placement.aimed import Camera, Radar
-from roadsight.placement.detectors import BeamDetector, CameraDetector, Criteria, detector_of
+from roadsight.placement.detectors import BandedDetector, Criteria, detector_of
 from roadsight.placement.heights import BANDS
 from roadsight.placement.posed import Panorama
 from roadsight.placement.poses import Turn, local_from_sensor, split_pose
@@ -55,8 +55,9 @@ def points_by_height(
     totals: dict[str, _FLOATS] = {}
     found = 0
     for place, panorama, tilt in _views(arguments, places, sensors):
-        part = _measured(arguments, place, panorama, tilt, feet_m, shape)
-        unit = "pixels" if isinstance(sensors[place.sensor], Camera) else "points"
+        sensor = sensors[place.sensor]
+        part = _measured(arguments, place, sensor, panorama, tilt, feet_m, shape)
+        unit = "pixels" if isinstance(sensor, Camera) else "points"
         totals[unit] = totals.get(unit, np.zeros(part.shape)) + part
         found += 1
     if found < len(places):
@@ -94,19 +95,19 @@ def _views(
 def _measured(
     arguments: argparse.Namespace,
     place: _Place,
+    sensor: AnySensor,
     view: Panorama,
     tilt: _FLOATS | None,
     feet_m: _FLOATS,
     shape: Shape,
 ) -> _FLOATS:
     """What one sensor measures of each target by height, as detection counts it."""
-    sensor = load_sensors(arguments.sensors)[place.sensor]
     sight = sight_of(arguments, place.sensor, sensor)
     if not place.posed:
         pose = (view.position_m, view.yaw_deg)
         hits = beams_by_height(view.range_m, view.sensor, *pose, feet_m, shape, sight, BANDS, tilt)
         return arguments.azimuth_stride * hits
     detector = detector_of(sensor, Criteria(0, 1.0))
-    assert isinstance(detector, BeamDetector | CameraDetector)
+    assert isinstance(detector, BandedDetector)
     rotation = local_from_sensor(view.yaw_deg, place.turn, tilt)
     return detector.by_height(view, rotation, feet_m, shape, sight, BANDS)
