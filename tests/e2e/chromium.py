@@ -24,6 +24,12 @@ _FLAGS = (
     "--remote-debugging-pipe",
 )
 
+_GONE = "Inspected target navigated or closed"
+
+
+class PageLeftError(RuntimeError):
+    """The page went away while it was asked something."""
+
 
 class Chromium:
     """One browser with one page.
@@ -82,6 +88,8 @@ class Chromium:
         while True:
             answer = self._received.get(timeout=120)
             if answer.get("id") == self._id:
+                if answer.get("error", {}).get("message") == _GONE:
+                    raise PageLeftError(method)
                 assert "error" not in answer, answer["error"]
                 return answer["result"]
             self._note(answer)
@@ -96,6 +104,12 @@ class Chromium:
         self.call("Page.navigate", url=url)
         self.until("document.readyState === 'complete'")
 
+    def reload(self):
+        """Load the page again and wait until the new one has run its scripts."""
+        self.run("window.isOld = true")
+        self.call("Page.reload")
+        self.until("!window.isOld && document.readyState === 'complete'")
+
     def run(self, script):
         """Value of a JavaScript expression; a promise is awaited."""
         result = self.call(
@@ -105,11 +119,17 @@ class Chromium:
         return result["result"].get("value")
 
     def until(self, condition, seconds=60):
-        """Wait until a JavaScript expression is true."""
+        """Wait until a JavaScript expression is true; it is not while the page changes."""
         end = time.monotonic() + seconds
-        while not self.run(f"Boolean({condition})"):
+        while not self._holds(condition):
             assert time.monotonic() < end, f"never true: {condition}"
             time.sleep(0.05)
+
+    def _holds(self, condition):
+        try:
+            return self.run(f"Boolean({condition})")
+        except PageLeftError:
+            return False
 
     def screenshot(self):
         """What the window shows, as PNG."""

@@ -124,7 +124,7 @@ def test_undo_redo_and_work_that_survives_a_reload(page):
     assert len(drawing(page)["edges"][0]["points"]) == 2
     key(page, "y", modifiers=2)
     assert drawing(page)["edges"] == before
-    page.call("Page.reload")
+    page.reload()
     page.until(READY)
     assert drawing(page)["edges"] == before
     assert "unsaved changes are back" in page.run("document.getElementById('notes').textContent")

@@ -55,7 +55,7 @@ def test_sites_with_blanks_in_their_names_open(browser, studio):
     browser.until(f"document.title.includes({NAMED!r}) && studio.page")
     browser.run("document.querySelector('#tabs a[href^=\\'#/run\\']').click()")
     browser.until(f"document.title.startsWith('Run · ' + {NAMED!r}) && studio.page")
-    browser.call("Page.reload")
+    browser.reload()
     browser.until(f"document.title.startsWith('Run · ' + {NAMED!r}) && studio.page")
 
 

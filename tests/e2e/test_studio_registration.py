@@ -252,7 +252,7 @@ def test_a_correction_by_hand_is_kept_and_forgotten(page, files, studio):
 def test_unsaved_work_survives_a_reload(page):
     page.run("studio.page.turn({ heading: 1 })")
     turned = pose(page)
-    page.call("Page.reload")
+    page.reload()
     page.until(READY)
     assert pose(page) == pytest.approx(turned)
 

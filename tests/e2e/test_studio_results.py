@@ -196,7 +196,7 @@ def test_poles_are_accepted_rejected_moved_and_saved(poles, studio):
     before = poles.run(f"{PART}.history.now.decisions[2].to_x")
     key(poles, "ArrowRight", modifiers=8)
     assert abs(poles.run(f"{PART}.history.now.decisions[2].to_x") - before - 1) < 1e-6
-    poles.call("Page.reload")
+    poles.reload()
     poles.until(f"window.{PART.replace('.', '?.')}?.about")
     assert len(decisions(poles)) == 3
     key(poles, "s", modifiers=2)

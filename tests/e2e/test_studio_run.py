@@ -61,7 +61,7 @@ def test_a_run_survives_a_reload_and_a_studio_that_ends_and_is_stopped(page, bro
     (studio.folder / "given.txt").write_text("changed\n")
     click(page, "[data-do=start]")
     page.until("studio.page.state.steps?.length === 2")
-    page.call("Page.reload")
+    page.reload()
     page.until("window.studio?.page?.state?.steps?.length === 2")
     assert "count_steps" in text(page, ".steps")
     with Studio(studio.folder, studio.folder.parent / "log2") as second:

@@ -74,7 +74,7 @@ def test_a_drawing_that_changed_elsewhere_is_not_saved_over(page, project):
     noted(page, "changed meanwhile")
     assert path.read_text() == theirs and page.run("studio.page.history.dirty")
     assert not path.with_name("zones.geojson").exists()
-    page.call("Page.reload")
+    page.reload()
     page.until(READY)
     now = page.run(NOW)
     assert [edge["name"] for edge in now["edges"]] == ["theirs"] and len(now["zones"]) == 1
@@ -93,7 +93,7 @@ def test_a_draft_that_changed_on_both_sides_is_told(page, project):
         localStorage.setItem({key_!r}, JSON.stringify(draft));
         studio.page.history.keep = () => {{}};
     }})()""")
-    page.call("Page.reload")
+    page.reload()
     page.until(READY)
     assert page.run("studio.page.history.conflict")
     assert [edge["name"] for edge in page.run(NOW)["edges"]] == ["mine"]
