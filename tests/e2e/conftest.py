@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
+
 import pytest
 from chromium import BINARY, Chromium
+from studio_project import Studio, make_project
 
 
 @pytest.fixture(scope="module")
@@ -12,3 +15,21 @@ def browser(tmp_path_factory):
         pytest.skip("no Chromium to open pages with")
     with Chromium(tmp_path_factory.mktemp("profile")) as started:
         yield started
+
+
+@pytest.fixture(scope="module")
+def studio(tmp_path_factory):
+    """A studio on a project without poles; modules that need another have their own."""
+    folder = tmp_path_factory.mktemp("studio")
+    with Studio(make_project(folder / "project", poles=False), folder / "log") as started:
+        yield started
+
+
+@pytest.fixture
+def project(studio):
+    """The project with nothing drawn yet."""
+    file = studio.folder / "config/sites/tiny.yaml"
+    before = file.read_bytes()
+    yield studio.folder
+    file.write_bytes(before)
+    shutil.rmtree(file.with_suffix(""), ignore_errors=True)

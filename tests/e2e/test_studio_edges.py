@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import re
-import shutil
 
 import numpy as np
 import pytest
 import studio_page
 import yaml
 from studio_page import check_look, key, open_studio
-from studio_project import Studio, make_project
 
 from roadsight.config.load import load_config, load_site
 from roadsight.geometry.frames import Frame
@@ -21,23 +19,6 @@ from roadsight.io.vectors import read_lines, read_polygons
 
 pytestmark = pytest.mark.xdist_group("studio")
 READY = "window.studio?.page?.preview && studio.page.view.settled && !studio.page.looking"
-
-
-@pytest.fixture(scope="module")
-def studio(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("studio")
-    with Studio(make_project(folder / "project", poles=False), folder / "log") as started:
-        yield started
-
-
-@pytest.fixture
-def project(studio):
-    """The project with nothing drawn yet."""
-    file = studio.folder / "config/sites/tiny.yaml"
-    before = file.read_bytes()
-    yield studio.folder
-    file.write_bytes(before)
-    shutil.rmtree(file.with_suffix(""), ignore_errors=True)
 
 
 @pytest.fixture

@@ -3,34 +3,15 @@
 from __future__ import annotations
 
 import json
-import shutil
 
 import pytest
 from studio_page import hold_back, key, noted, open_studio
-from studio_project import Studio, make_project
 
 pytestmark = pytest.mark.xdist_group("studio")
 READY = "window.studio?.page?.preview && !studio.page.looking"
 NOW = "studio.page.history.now"
 EDGE = {"name": "e1", "kind": "edge", "points": [[20, 10], [30, 11], [40, 10]]}
 ZONE = {"name": "z1", "points": [[20, 10], [30, 10], [30, 16]]}
-
-
-@pytest.fixture(scope="module")
-def studio(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("studio")
-    with Studio(make_project(folder / "project", poles=False), folder / "log") as started:
-        yield started
-
-
-@pytest.fixture
-def project(studio):
-    """The project with nothing drawn yet."""
-    file = studio.folder / "config/sites/tiny.yaml"
-    before = file.read_bytes()
-    yield studio.folder
-    file.write_bytes(before)
-    shutil.rmtree(file.with_suffix(""), ignore_errors=True)
 
 
 @pytest.fixture
