@@ -37,6 +37,11 @@ FRAME = Frame((458_000.0, 5_428_000.0, 100.0), crs_wkt=wkt_of("EPSG:25832"))
 RNG = np.random.default_rng(5)
 XYZ = RNG.uniform(0, 200, (20_000, 3)).astype(np.float32)
 NOISE = RNG.integers(0, 255, (200, 300, 3), np.uint8)
+RANGES = RNG.uniform(1, 90, (20, 40, 500)).astype(np.float32)
+VOXELS = RNG.integers(0, 9999, (20_000, 3), np.int32)
+GROUND = RNG.uniform(0, 9, (200, 200))
+HEIGHTS = RNG.uniform(0, 9, 90_000)
+TRIANGLES = RNG.integers(0, 20_000, (30_000, 3))
 
 
 def table(path):
@@ -45,8 +50,8 @@ def table(path):
 
 def depth_maps(path):
     with DepthMapWriter(path, DepthMapInfo("OS-64", "surfel", 40, 500, 0.002)) as writer:
-        for number in range(20):
-            writer.append(f"c{number}", RNG.uniform(1, 90, (40, 500)).astype(np.float32))
+        for number, ranges in enumerate(RANGES):
+            writer.append(f"c{number}", ranges)
 
 
 def tiles(path):
@@ -59,20 +64,20 @@ def tiles(path):
 
 def voxels(path):
     with VoxelTableWriter(path, {"a": 1}) as writer:
-        for part in np.array_split(RNG.integers(0, 9999, (20_000, 3), np.int32), 5):
+        for part in np.array_split(VOXELS, 5):
             writer.add(part, np.zeros(len(part), np.uint8))
 
 
 def raster(path):
-    write_raster(path, RNG.uniform(0, 9, (200, 200)), FRAME, 0, 200, 1)
+    write_raster(path, GROUND, FRAME, 0, 200, 1)
 
 
 def top(path):
     grid = VoxelGrid(0.3, (0, 0, 0), (0, 0, 0), (300, 300, 1))
     row, column = (index.ravel() for index in np.indices((300, 300)))
-    height = RNG.uniform(0, 9, len(row))
+    ground = np.full(len(row), 2, np.uint8)
     with TopRasterWriter(path, FRAME, grid) as writer:
-        writer.add(Columns(row, column, np.full(len(row), 2, np.uint8), height, height / 9))
+        writer.add(Columns(row, column, ground, HEIGHTS, HEIGHTS / 9))
 
 
 def features():
@@ -93,7 +98,7 @@ def laz(path):
 
 
 def terrain(path):
-    write_terrain(path, Terrain(XYZ.astype(float), RNG.integers(0, 20_000, (30_000, 3))))
+    write_terrain(path, Terrain(XYZ.astype(float), TRIANGLES))
 
 
 def images(path):

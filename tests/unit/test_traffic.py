@@ -14,7 +14,10 @@ from roadsight.io.tiles import COLUMN_TYPES
 from roadsight.scene.grids import Grid
 from roadsight.scene.traffic import Columns, is_traffic
 
-RNG = np.random.default_rng(8)
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(8)
 
 
 def columns_of(xy: np.ndarray, height: np.ndarray) -> Columns:
@@ -24,18 +27,18 @@ def columns_of(xy: np.ndarray, height: np.ndarray) -> Columns:
     return columns
 
 
-def test_tops_equal_a_slow_search() -> None:
-    xy, height = RNG.uniform(-4, 6, (500, 2)), RNG.uniform(-1, 8, 500)
+def test_tops_equal_a_slow_search(rng: np.random.Generator) -> None:
+    xy, height = rng.uniform(-4, 6, (500, 2)), rng.uniform(-1, 8, 500)
     cell = np.floor(xy / 0.5)
     expected = [height[(cell == c).all(axis=1)].max() for c in cell]
     np.testing.assert_array_equal(columns_of(xy, height).top_m(xy), expected)
 
 
-def test_a_van_goes_and_a_mast_stays_to_its_foot() -> None:
-    van = np.column_stack([RNG.uniform(0, 4, 300), RNG.uniform(0, 2, 300)])
+def test_a_van_goes_and_a_mast_stays_to_its_foot(rng: np.random.Generator) -> None:
+    van = np.column_stack([rng.uniform(0, 4, 300), rng.uniform(0, 2, 300)])
     mast = np.tile([10.25, 0.25], (80, 1))
     xy = np.concatenate([van, mast])
-    height = np.concatenate([RNG.uniform(0.3, 2.4, 300), np.linspace(0.0, 8.0, 80)])
+    height = np.concatenate([rng.uniform(0.3, 2.4, 300), np.linspace(0.0, 8.0, 80)])
     found = is_traffic(height, columns_of(xy, height).top_m(xy), np.full(380, True), 0.2, 4.5)
     assert found[:300].all()
     assert not found[300:].any()
@@ -48,20 +51,22 @@ def test_pavement_verge_and_unknown_ground_stay() -> None:
     assert found.tolist() == [False, False, False, True]
 
 
-def write_cloud(folder: Path, traffic: np.ndarray) -> tuple[np.ndarray, str, str]:
-    xyz = RNG.uniform([0, 0, 0], [90, 60, 5], (400, 3)).astype(np.float32)
+def write_cloud(folder: Path, xyz: np.ndarray, traffic: np.ndarray) -> tuple[str, str]:
     columns = {axis: xyz[:, k] for k, axis in enumerate("xyz")}
     columns |= {name: np.zeros(400) for name in COLUMN_TYPES if name not in "xyz"}
     with TileWriter(folder / "cloud.parquet", 50.0, coloured=True) as writer:
         writer.append(columns)
         writer.finish()
     write_table(folder / "traffic.parquet", pd.DataFrame({"traffic": traffic}))
-    return xyz, str(folder / "cloud.parquet"), str(folder / "traffic.parquet")
+    return str(folder / "cloud.parquet"), str(folder / "traffic.parquet")
 
 
-def test_standing_cloud_leaves_out_what_the_mask_says(tmp_path: Path) -> None:
-    traffic = RNG.random(400) < 0.3
-    _, cloud, mask = write_cloud(tmp_path, traffic)
+def test_standing_cloud_leaves_out_what_the_mask_says(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    xyz = rng.uniform([0, 0, 0], [90, 60, 5], (400, 3)).astype(np.float32)
+    traffic = rng.random(400) < 0.3
+    cloud, mask = write_cloud(tmp_path, xyz, traffic)
     whole, standing = StandingCloud(cloud, None), StandingCloud(cloud, mask)
     everything = np.concatenate([whole.xyz(k) for k in range(len(whole.tiles))])
     kept = np.concatenate([standing.xyz(k) for k in range(len(standing.tiles))])
@@ -74,6 +79,6 @@ def test_standing_cloud_leaves_out_what_the_mask_says(tmp_path: Path) -> None:
 
 
 def test_a_mask_of_another_cloud_is_refused(tmp_path: Path) -> None:
-    _, cloud, mask = write_cloud(tmp_path, np.zeros(399, bool))
+    cloud, mask = write_cloud(tmp_path, np.zeros((400, 3), np.float32), np.zeros(399, bool))
     with pytest.raises(InputError, match="not the mask of this cloud"):
         StandingCloud(cloud, mask)
