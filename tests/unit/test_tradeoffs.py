@@ -12,7 +12,13 @@ from hypothesis import strategies as st
 
 from roadsight.config.load import load_config, load_site
 from roadsight.config.schema import Config
-from roadsight.config.tradeoffs import load_overrides, load_tradeoffs
+from roadsight.config.tradeoffs import (
+    NAMED,
+    PLAN,
+    load_evidence_sites,
+    load_overrides,
+    load_tradeoffs,
+)
 from roadsight.errors import InputError
 from roadsight.evidence.base_costs import base_costs, with_base_costs
 from roadsight.evidence.metrics import METRICS
@@ -73,7 +79,8 @@ class TestFile:
         for site in found.sites.values():
             resolved = load_site(site, Config())
             for study in found.studies.values():
-                if found.sites[study.job] == site and study.knob != "configuration":
+                named = study.knob in (NAMED, PLAN)
+                if found.sites[study.job] == site and not named:
                     usual = study.levels[study.default]
                     assert resolved.setting(study.knob) == usual, "a site must not set a knob"
 
@@ -86,6 +93,21 @@ class TestFile:
     def test_settings_of_all_levels_stay_beside_the_knob(self, tmp_path):
         study = load(tmp_path, settings={"ground": {"slope": 0.3}, "shards": 1}).studies["s"]
         assert study.changes("1") == {"ground": {"slope": 0.3, "dem_cell_m": 1.0}, "shards": 1}
+
+    def test_levels_that_are_plans_change_no_setting(self, tmp_path):
+        study = load(tmp_path, knob="plan", levels={"usual": "", "six": "six"}).studies["s"]
+        assert study.default == "usual"
+        assert {level: study.plan(level) for level in study.levels} == {"usual": "", "six": "six"}
+        assert study.changes("six") == {}
+        assert load(tmp_path).studies["s"].plan("2") == ""
+
+    def test_a_study_of_an_unknown_plan_is_refused(self, project, monkeypatch, tmp_path):
+        monkeypatch.chdir(project)
+        found = load(tmp_path, knob="plan", levels={"usual": "", "six": "os-46"})
+        found = found.model_copy(update={"sites": {"placement": "tradeoffs_highway"}})
+        told = message(load_evidence_sites, Config(), found)
+        assert "plans: unknown plan 'os-46'" in told
+        assert "allowed" in told
 
     @pytest.mark.parametrize(
         ("changes", "told"),
@@ -325,7 +347,7 @@ def test_every_metric_says_what_it_reads():
     for name, metric in METRICS.items():
         assert metric.targets, name
         assert metric.job in ("placement", "poles")
-        assert metric.unit in ("m", "deg", "share", "count", "1")
+        assert metric.unit in ("m", "deg", "share", "count", "cost", "1")
 
 
 def test_a_shared_step_costs_what_it_costs_once_its_kernels_are_compiled():

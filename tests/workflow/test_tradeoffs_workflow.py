@@ -32,6 +32,18 @@ studies:
     measures:
       - {stage: solve_cover, metric: sensors}
     why: the proof is found before
+  asked:
+    job: placement
+    title: What the plan asks for
+    knob: plan
+    levels: {one sensor: one, sees all: ""}
+    reference: sees all
+    repeats: 1
+    measures:
+      - {stage: solve_cover, metric: unseen}
+      - {stage: solve_cover, metric: plan_cost}
+      - {stage: solve_cover, metric: lost_to_a_failure}
+    why: a road must be seen
 """
 
 
@@ -56,6 +68,12 @@ def test_a_sweep_from_settings_to_the_page(copy_of_finished: Checkout) -> None:
     assert (table["peak_mib"] > 20).all()
     same = rows.loc["cover.time_limit_s"]
     assert same["value"].nunique() == 1
+    plans = rows.loc["plan"]["value"]
+    assert plans["one sensor", "plan_cost"] == 1.0 < plans["sees all", "plan_cost"]
+    assert plans["one sensor", "unseen"] > plans["sees all", "unseen"] == 0.0
+    failure = plans[:, "lost_to_a_failure"]
+    assert failure["one sensor"] == pytest.approx(1 - plans["one sensor", "unseen"])
+    assert 0.0 < failure["sees all"] < 1.0
     assert (rows.loc["coordinates"]["value"] >= 0).all()
     assert "<svg" in (folder / "index.html").read_text()
     assert not list(folder.glob("work/*"))

@@ -23,6 +23,7 @@ rule measure_tradeoff:
         site=lambda wildcards: site_of_job(STUDIES[wildcards.study].job),
         config=lambda wildcards: config_of_study(wildcards),
         changes=lambda wildcards: json.dumps(changes_of_level(wildcards)),
+        plan=plan_of_level,
         metrics=lambda wildcards: STUDIES[wildcards.study].metrics,
         stages=lambda wildcards: STUDIES[wildcards.study].stages,
         repeats=lambda wildcards: STUDIES[wildcards.study].repeats,
@@ -30,7 +31,7 @@ rule measure_tradeoff:
     shell:
         "python -m roadsight.stages.measure_tradeoff --site {params.site}"
         " --config {params.config:q} --changes {params.changes:q}"
-        " --metrics {params.metrics} --stages {params.stages} --repeats {params.repeats}"
+        " {params.plan} --metrics {params.metrics} --stages {params.stages} --repeats {params.repeats}"
         " --cores {threads} --work {params.work} --out {output.level} > {log} 2>&1"
 
 

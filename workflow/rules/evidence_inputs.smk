@@ -20,6 +20,12 @@ def changes_of_level(wildcards):
     return clearly(study.changes, level_name(wildcards))
 
 
+def plan_of_level(wildcards):
+    """Option that names the plan of a level, if it is not the site's first."""
+    plan = STUDIES[wildcards.study].plan(level_name(wildcards))
+    return f"--plan {plan}" if plan else ""
+
+
 def site_of_job(job):
     """Name of the site on which a job's studies are measured."""
     one = TRADEOFFS.model_copy(update={"sites": {job: TRADEOFFS.sites[job]}})

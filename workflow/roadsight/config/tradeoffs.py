@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from roadsight.config.load import ResolvedSite, load_config, load_sites, merged
+from roadsight.config.load import ResolvedSite, load_config, load_site, load_sites, merged
 from roadsight.config.schema import Config, Settings
 from roadsight.config.section import Count, Name, Section
 from roadsight.config.validate import validated
@@ -19,6 +19,9 @@ from roadsight.io.texts import read_yaml
 
 NAMED = "configuration"
 """Knob of a study whose levels are whole configuration files."""
+
+PLAN = "plan"
+"""Knob of a study whose levels are plans; empty: the site's own."""
 
 WHOLE_JOB = "all"
 """Stage of a measure whose cost is that of all steps of the job."""
@@ -54,7 +57,7 @@ class Study(Section):
 
     job: Job = Field(description="job that is run: placement or poles")
     title: str = Field(description="what is varied, for people")
-    knob: str = Field(description=f"setting that is varied, or {NAMED}")
+    knob: str = Field(description=f"setting that is varied, {NAMED} or {PLAN}")
     unit: str = Field(default="", description="unit of the levels, for people")
     levels: _Levels = Field(description="name of each level and its value, coarse to fine")
     settings: dict[str, Any] = Field(
@@ -92,7 +95,8 @@ class Study(Section):
         ------
         ValueError : there is none.
         """
-        usual: Any = "" if self.knob == NAMED else _value(Settings().model_dump(), self.knob)
+        named = self.knob in (NAMED, PLAN)
+        usual: Any = "" if named else _value(Settings().model_dump(), self.knob)
         for name, value in self.levels.items():
             if value == usual:
                 return name
@@ -106,12 +110,18 @@ class Study(Section):
         InputError : the level's configuration file is wrong.
         """
         value = self.levels[level]
+        if self.knob == PLAN:
+            return merged(self.settings, {})
         if self.knob != NAMED:
             change: Any = value
             for part in reversed(self.knob.split(".")):
                 change = {part: change}
             return merged(self.settings, change)
         return merged(self.settings, load_overrides(str(value)) if value else {})
+
+    def plan(self, level: str) -> str:
+        """Plan that a level solves, or nothing: the first that the site asks for."""
+        return str(self.levels[level]) if self.knob == PLAN else ""
 
     @property
     def metrics(self) -> list[str]:
@@ -170,9 +180,13 @@ def load_evidence_sites(config: Config, tradeoffs: Tradeoffs) -> dict[str, Resol
 
     Raises
     ------
-    InputError : as `roadsight.config.load.load_sites`.
+    InputError : as `roadsight.config.load.load_sites`, or a study names an unknown plan.
     """
     files = list(dict.fromkeys(tradeoffs.sites.values()))
+    for study in tradeoffs.studies.values():
+        plans = [plan for plan in map(study.plan, study.levels) if plan]
+        if plans and study.job in tradeoffs.sites:
+            load_site(tradeoffs.sites[study.job], config.model_copy(update={"plans": plans}))
     return load_sites(config.model_copy(update={"sites": files}))
 
 

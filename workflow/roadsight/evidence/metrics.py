@@ -13,13 +13,16 @@ from roadsight.evidence.placement_metrics import (
     beams_wrong,
     dem_rmse_m,
     detections_wrong,
+    lost_to_a_failure,
     mean_distance_m,
     pavement_f1,
+    plan_cost,
     range_rmse_m,
     sensor_positions_m,
     sensors,
     targets_lost,
     uncovered,
+    unseen,
 )
 from roadsight.evidence.results import Results
 from roadsight.io.atomic import read_json
@@ -162,6 +165,17 @@ METRICS: dict[str, Metric] = {
     ),
     "uncovered": Metric(
         "Targets that no candidate sees", "share", "placement", None, _FINEST, uncovered, _PLAN
+    ),
+    "plan_cost": Metric(
+        "Cost of the sensors", "cost", "placement", None, _FINEST, plan_cost, _PLAN
+    ),
+    "unseen": Metric(
+        "Targets that the plan leaves unseen", "share", "placement", 0.0, "all targets", unseen,
+        _PLAN,
+    ),
+    "lost_to_a_failure": Metric(
+        "Targets lost when the worst sensor fails", "share", "placement", 0.0, "all targets",
+        lost_to_a_failure, _PLAN,
     ),
     "edge_error_m": Metric(
         "Distance of found from true road edges", "m", "poles", 0.0, _EXACT, _edge_error_m,

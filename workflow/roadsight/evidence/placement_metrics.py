@@ -113,6 +113,23 @@ def sensors(results: Results) -> float:
     return float(len(_solution(results)["sensors"]))
 
 
+def plan_cost(results: Results) -> float:
+    """What the sensors of the plan cost, in their unit of cost."""
+    return float(sum(results.sensors[one["sensor"]].cost for one in _solution(results)["sensors"]))
+
+
+def unseen(results: Results) -> float:
+    """Share of all targets that the sensors of the plan do not see."""
+    solution = _solution(results)
+    return 1.0 - float(solution["covered_targets"] / solution["targets"])
+
+
+def lost_to_a_failure(results: Results) -> float:
+    """Share of all targets that only one sensor sees, of the one whose failure costs most."""
+    solution = _solution(results)
+    return max((one["only"] for one in solution["sensors"]), default=0) / solution["targets"]
+
+
 def sensor_positions_m(results: Results) -> list[list[float]]:
     """Where the chosen sensors stand, local metres."""
     return [[float(one[axis]) for axis in "xyz"] for one in _solution(results)["sensors"]]

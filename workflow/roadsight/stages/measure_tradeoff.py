@@ -30,6 +30,8 @@ def measure_tradeoff(arguments: argparse.Namespace) -> None:
     """Run the level, time its stages again, and write costs and accuracies."""
     config = json.loads(arguments.config)
     changes = json.loads(arguments.changes)
+    if arguments.plan:
+        config["plans"] = [arguments.plan]
     site = _site(config, arguments.site, changes)
     sensors = _sensors(site, config)
     refuse_other_targets(arguments.metrics, site.settings.targets.model_dump())
@@ -104,6 +106,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--site", required=True)
     parser.add_argument("--config", required=True, help="whole configuration, JSON")
     parser.add_argument("--changes", required=True, help="settings of the level, JSON")
+    parser.add_argument("--plan", default="", help="plan to solve, if not the site's first")
     parser.add_argument("--metrics", nargs="+", choices=list(METRICS), required=True)
     parser.add_argument("--stages", nargs="*", default=[], help="rules to time again and again")
     parser.add_argument("--repeats", type=int, default=2, help="timings of each of them")
