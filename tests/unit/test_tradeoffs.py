@@ -109,6 +109,12 @@ class TestFile:
         assert "plans: unknown plan 'os-46'" in told
         assert "allowed" in told
 
+    def test_plans_that_a_run_asks_for_are_none_of_the_studies(self, project, monkeypatch):
+        monkeypatch.chdir(project)
+        config = Config(plans=["own_plan_of_another_site"])
+        found = load_evidence_sites(config, load_tradeoffs("config/tradeoffs.yaml"))
+        assert list(found["tradeoffs_highway"].plans) == ["os-64"]
+
     @pytest.mark.parametrize(
         ("changes", "told"),
         [

@@ -37,9 +37,12 @@ def config_of_study(wildcards):
 
 
 def config_of_job(job):
-    """The configuration with the site of a job's studies alone, whichever file names them."""
+    """The configuration with the site of a job's studies and its own plans alone.
+
+    Neither the file that names the studies nor plans that this run asks for make a level stale.
+    """
     file = type(CONFIG).model_fields["tradeoffs_file"].default
-    changes = {"sites": [TRADEOFFS.sites[job]], "tradeoffs_file": file}
+    changes = {"sites": [TRADEOFFS.sites[job]], "tradeoffs_file": file, "plans": []}
     return CONFIG.model_copy(update=changes).model_dump_json()
 
 

@@ -176,7 +176,7 @@ def load_tradeoffs(path: str | os.PathLike[str]) -> Tradeoffs:
 
 
 def load_evidence_sites(config: Config, tradeoffs: Tradeoffs) -> dict[str, ResolvedSite]:
-    """Sites on which the studies are measured, by their names.
+    """Sites on which the studies are measured, by their names, whatever plans a run asks for.
 
     Raises
     ------
@@ -187,7 +187,7 @@ def load_evidence_sites(config: Config, tradeoffs: Tradeoffs) -> dict[str, Resol
         plans = [plan for plan in map(study.plan, study.levels) if plan]
         if plans and study.job in tradeoffs.sites:
             load_site(tradeoffs.sites[study.job], config.model_copy(update={"plans": plans}))
-    return load_sites(config.model_copy(update={"sites": files}))
+    return load_sites(config.model_copy(update={"sites": files, "plans": []}))
 
 
 def load_overrides(path: str) -> dict[str, Any]:
