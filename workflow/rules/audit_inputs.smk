@@ -11,9 +11,10 @@ def audited_sites(job):
 
 
 def config_of_audit(wildcards):
-    """The configuration with the audited site alone."""
-    named = str(SITES[wildcards.site].file)
-    return CONFIG.model_copy(update={"sites": [named]}).model_dump_json()
+    """The configuration with the audited site and plan alone."""
+    plans = list(plans_of(wildcards.site))[:1]
+    changes = {"sites": [str(SITES[wildcards.site].file)], "plans": plans}
+    return CONFIG.model_copy(update=changes).model_dump_json()
 
 
 def effects_of_one_way(wildcards):

@@ -38,11 +38,11 @@ CONFIG = clearly(load_config, config)
 ASKED_SITES = clearly(load_sites, CONFIG)
 TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file)
 # Sites on which trade-offs are measured have rules like any other, but only `tradeoffs` asks for them.
-# The same holds for those on which decisions on effects are audited.
-AUDIT_SITES = clearly(load_audit_sites, CONFIG.effects_file)
+# The same holds for those on which decisions on effects are audited. Both have plans of their own.
+AUDITED = {"sites": clearly(load_audit_sites, CONFIG.effects_file), "plans": []}
 SITES = (
     clearly(load_evidence_sites, CONFIG, TRADEOFFS)
-    | clearly(load_sites, CONFIG.model_copy(update={"sites": AUDIT_SITES}))
+    | clearly(load_sites, CONFIG.model_copy(update=AUDITED))
     | ASKED_SITES
 )
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)
