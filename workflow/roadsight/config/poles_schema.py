@@ -81,7 +81,7 @@ class Alignment(Section):
     ties: Literal["use", "skip"] = Field(
         default="use", description="whether what neighbouring images both show ties their cameras"
     )
-    edge_points: Count = Field(default=800, description="LiDAR edge points of an image")
+    edge_points: Count = Field(default=400, description="LiDAR edge points of an image")
     pixels: Count = Field(default=400, description="edge pixels of an image")
     nearest_m: Metres = Field(default=3.0, description="nearer edges are not used, m")
     farthest_m: Metres = Field(default=240.0, description="farther edges are not used, m")

@@ -48,7 +48,7 @@ class Reach:
 
     nearest_m: float = 3.0
     farthest_m: float = 240.0
-    edge_points: int = 800
+    edge_points: int = 400
     pixels: int = 400
 
 
