@@ -25,7 +25,7 @@ MOUSE = {"button": "left", "buttons": 1, "clickCount": 1}
 def report(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report")
     sites = [
-        ReportSite(folder, "tiny", hidden=0.1, unproven=("vlp-16",)),
+        ReportSite(folder, "tiny", hidden=0.1, unproven=("vlp-16",), traffic=("vlp-16",)),
         ReportSite(folder, "bare", placed=False, crs=None, coloured=False, truth=False),
     ]
     for site in sites:
@@ -123,6 +123,28 @@ def test_map_and_histogram_tell_the_same(page):
     shares = [count / TARGETS for times, count in counts if times < 4]
     for area, share in zip(areas, shares, strict=True):
         assert area / sum(areas) == pytest.approx(share, abs=0.12)
+
+
+def test_targets_are_coloured_by_time_in_sight_where_there_is_traffic(page):
+    by = "shown('[data-targets-by]').map(({ value }) => value)"
+    assert page.run(by) == []
+    click(page, '[data-choose-plan="vlp-16"]')
+    assert page.run(by) == ["sensors"]
+    page.run("choose('[data-targets-by]', 'sight')")
+    counts = page.run(
+        "shown('.histogram tr').map(({ cells }) => Number(cells[1].textContent.replace(',', '')))"
+    )
+    assert sum(counts) == TARGETS
+    assert min(counts) > 0
+    for layer in ("candidates", "sensors", "obstacles", "edges"):
+        click(page, f'.map-panel [data-layer="{layer}"]')
+    areas = [pixels(page, f"seen-{number}") for number in range(1, 5)]
+    for area, count in zip(areas, counts[1:], strict=True):
+        assert area / sum(areas) == pytest.approx(count / sum(counts[1:]), abs=0.05)
+    click(page, f'[data-choose-plan="{list(PLANS)[1]}"]')
+    assert page.run("shown('[data-targets-legend=\"sight\"]').length") == 0
+    click(page, '[data-choose-plan="vlp-16"]')
+    assert page.run(by) == ["sight"]
 
 
 def test_tables_follow_the_plan(page):

@@ -21,6 +21,7 @@ from roadsight.io.rasters import write_raster
 from roadsight.io.tables import write_table
 from roadsight.io.tile_writer import TileWriter
 from roadsight.io.vectors import write_layers
+from roadsight.stages.level_cover import described
 
 PLANS = {
     "vlp-16": ("VLP-16 only", ["VLP-16"]),
@@ -45,6 +46,7 @@ class ReportSite:
     crs : EPSG code, or None for a local site.
     hidden : share of the road's length, at its end, that no sensor sees.
     unproven : plans whose bound stays one below the cost.
+    traffic : plans that know how often each target is in sight.
     """
 
     def __init__(
@@ -60,9 +62,11 @@ class ReportSite:
         coloured=True,
         title="Tiny road",
         truth=True,
+        traffic=(),
     ):
         self.folder, self.name, self.title = Path(folder) / name, name, title
         self.length_m, self.hidden, self.unproven = length_m, hidden, unproven
+        self.traffic = traffic
         wkt = None if crs is None else CRS.from_user_input(crs).to_wkt()
         self.frame = Frame((458000.0, 5428000.0, 110.0), crs_wkt=wkt)
         self.rng = np.random.default_rng(7)
@@ -197,12 +201,9 @@ class ReportSite:
         self.arguments += ["--candidates", *self._each("placement/round-{}/candidates.parquet")]
         self.arguments += ["--detections", *files]
         self.arguments += ["--coverage", str(self.path("placement/round-1/coverage.json"))]
-        for key, file in (("solutions", "solution.json"), ("obstacles", "obstacles.gpkg")):
+        files = ("solution.json", "solution.gpkg", "obstacles.gpkg", "scans.laz")
+        for key, file in zip(("solutions", "layers", "obstacles", "scans"), files, strict=True):
             self.arguments += [f"--{key}", *(str(self.path("placement", p, file)) for p in PLANS)]
-        self.arguments += [
-            "--scans",
-            *(str(self.path("placement", p, "scans.laz")) for p in PLANS),
-        ]
 
     def _each(self, pattern):
         return [str(self.path(pattern.format(number))) for number in range(len(self.rounds))]
@@ -319,6 +320,8 @@ class ReportSite:
                 "columns_reduced": 12,
             },
         }
+        if plan in self.traffic:
+            self.solutions[plan]["availability"] = self._in_sight(plan, reachable)
         write_json(self.path("placement", plan, "solution.json"), self.solutions[plan])
         self._obstacles(plan, uncovered, table)
         points = self.road(self.rng.uniform(0, self.length_m, 50 * len(rows)), 0.0)
@@ -328,6 +331,17 @@ class ReportSite:
             self.path("placement", plan, "scans.laz"), xyz, self.frame, {"point_source_id": source}
         )
         return {"uncovered": uncovered, "covered_share": float(reachable.mean())}
+
+    def _in_sight(self, plan, reachable):
+        """Shares of the time that rise along the road from 0.4 to 1, and their description."""
+        seen = self.targets[reachable]
+        shares = np.minimum(0.4 + 0.7 * self.station_m[reachable] / self.length_m, 1.0)
+        places = gpd.points_from_xy(seen["x"], seen["y"], seen["z"])
+        layer = gpd.GeoDataFrame(
+            {"target": seen["target"].to_list(), "availability": shares}, geometry=places
+        )
+        write_layers(self.path("placement", plan, "solution.gpkg"), {"targets": layer}, self.frame)
+        return described(shares)
 
     def _obstacles(self, plan, uncovered, sensors):
         xy = self.road(np.array([18.0, 41.0]), np.array([8.5, -9.0]))

@@ -146,6 +146,7 @@ def per_plan(file):
 
 
 plan_solutions = per_plan("solution.json")
+plan_layers = per_plan("solution.gpkg")
 plan_timings = per_plan("timing.json")
 plan_data = per_plan("data.json")
 plan_obstacles = per_plan("obstacles.gpkg")

@@ -61,6 +61,7 @@ rule write_site_page:
         detections=placement_only(all_detections),
         coverage=placement_only(last_coverage),
         solutions=placement_only(plan_solutions),
+        layers=placement_only(plan_layers),
         obstacles=placement_only(plan_obstacles),
         scans=placement_only(plan_scans),
         code=sources("write_site_page"),
@@ -87,7 +88,8 @@ rule write_site_page:
         " --dem {input.dem} --pavement {input.pavement} --edges {input.edges}"
         " --targets {input.targets} --candidates {input.candidates}"
         " --detections {input.detections} --coverage {input.coverage}"
-        " --solutions {input.solutions} --obstacles {input.obstacles} --scans {input.scans}"
+        " --solutions {input.solutions} --layers {input.layers}"
+        " --obstacles {input.obstacles} --scans {input.scans}"
         " --out {output.page} > {log} 2>&1"
 
 

@@ -34,6 +34,8 @@ from roadsight.report.packing import pack, pack_points
 from roadsight.report.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
 
 FORMAT = "roadsight.page/1"
+IN_SIGHT = (0.5, 0.8, 0.9, 0.95)
+"""Where classes of the share of the time in sight begin; the first class ends at the first."""
 _MOST_OBSTACLES = 300
 _OPTIONAL = ("cost", "loses", "mandatory", "pole")
 _POSE = ("position", "pitch_deg", "roll_deg")
@@ -84,6 +86,7 @@ class PlanResult:
         first, the page keeps 300.
     returns_xyz_m, returns_sensor : (n, 3) and (n,) sample of what the sensors would see, and the
         number of the sensor, from 0.
+    in_sight : (n,) share of the time in which each target is in sight, None without traffic.
     """
 
     title: str
@@ -93,6 +96,7 @@ class PlanResult:
     obstacles: gpd.GeoDataFrame
     returns_xyz_m: NDArray
     returns_sensor: NDArray
+    in_sight: NDArray | None = None
 
 
 @dataclass(frozen=True)
@@ -180,6 +184,7 @@ def _plan(
         "sensors": _sensors(solution["sensors"], sights, frame),
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
+        **({} if plan.in_sight is None else _in_sight(plan.in_sight)),
         **({"availability": solution["availability"]} if "availability" in solution else {}),
         "gaps": gaps_of(
             placement.targets,
@@ -195,6 +200,13 @@ def _plan(
             "sensor": pack(plan.returns_sensor, "u2"),
         },
     }
+
+
+def _in_sight(shares: NDArray) -> dict[str, Any]:
+    """Class of each target by its share of the time in sight, and targets by class."""
+    classes = np.searchsorted(IN_SIGHT, shares, side="right")
+    counts = np.bincount(classes, minlength=len(IN_SIGHT) + 1)
+    return {"in_sight": pack(classes, "u1"), "in_sight_counts": counts.tolist()}
 
 
 def _needs(targets: pd.DataFrame, at_least: int, options: dict[str, Any] | None) -> NDArray:

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 from roadsight.report.charts import Chart, span_of
+from roadsight.report.page import IN_SIGHT
 from roadsight.report.wording import counted, percent
 
 
@@ -24,7 +25,20 @@ def sight_view(plan: dict[str, Any]) -> dict[str, Any] | None:
         rows.append(("Least, if sensors were hidden independently", percent(alone)))
         below = len(found["below"])
         rows.append(("Out of reach of the level", counted(below, "target") if below else "none"))
-    return {"rows": rows, "chart": _chart(found), "text": _text(found)}
+    return {
+        "rows": rows,
+        "chart": _chart(found),
+        "text": _text(found),
+        "classes": _classes(plan.get("in_sight_counts", [])),
+    }
+
+
+def _classes(counts: list[int]) -> list[tuple[str, int]]:
+    """Names of the map's classes of targets, and how many targets each has."""
+    edges = [f"{100 * edge:g}" for edge in IN_SIGHT]
+    between = [f"{low} to {high} %" for low, high in pairwise(edges)]
+    names = [f"below {edges[0]} %, or unseen", *between, f"{edges[-1]} % and more"]
+    return list(zip(names, counts, strict=False))
 
 
 def _text(found: dict[str, Any]) -> str:

@@ -88,12 +88,21 @@ def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
     definitions = load_sensors(arguments.sensors)
     names = dict.fromkeys(Path(path).parent.name for path in arguments.detections)
     coverage = read_json(arguments.coverage[0])["plans"]
+    targets = read_table(arguments.targets[0])
+    files = (arguments.obstacles, arguments.scans)
     plans = [
-        _plan(solution, titles, coverage[solution["plan"]]["uncovered"], frame, *layers)
-        for solution, *layers in zip(solutions, arguments.obstacles, arguments.scans, strict=True)
+        _plan(
+            solution,
+            titles,
+            coverage[solution["plan"]]["uncovered"],
+            frame,
+            in_sight(solution, layers, targets["target"], frame),
+            *of_plan,
+        )
+        for solution, layers, *of_plan in zip(solutions, arguments.layers, *files, strict=True)
     ]
     return Placement(
-        read_table(arguments.targets[0]),
+        targets,
         [read_table(path) for path in arguments.candidates],
         detections[detections["candidate"].isin(chosen)],
         {name: _shown(definitions[name]) for name in names},
@@ -113,6 +122,7 @@ def _plan(
     titles: dict[str, str],
     uncovered: Sequence[str],
     frame: Frame,
+    shares: NDArray[np.float64] | None,
     obstacles: str,
     scans: str,
 ) -> PlanResult:
@@ -133,7 +143,27 @@ def _plan(
         read_layer(obstacles, "obstacles", frame),
         returns_xyz_m,
         returns_sensor,
+        shares,
     )
+
+
+def in_sight(
+    solution: dict[str, Any], layers: str, targets: pd.Series, frame: Frame
+) -> NDArray[np.float64] | None:
+    """Share of the time in which a plan has each target in sight; None without traffic.
+
+    Parameters
+    ----------
+    solution : content of solution.json. layers : its solution.gpkg. targets : names, in order.
+
+    Returns
+    -------
+    (n,), 0 for targets that the plan leaves out.
+    """
+    if "availability" not in solution:
+        return None
+    shares = read_layer(layers, "targets", frame).set_index("target")["availability"]
+    return shares.reindex(targets).fillna(0.0).to_numpy(np.float64)
 
 
 _NO_RETURNS = np.empty((0, 3)), np.empty(0, np.int64)
@@ -165,7 +195,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--sensors", help="definitions of the sensors; needed with --solutions")
     parser.add_argument("--plans", nargs="*", default=[], metavar="NAME=TITLE")
     per_site = ("targets", "candidates", "detections", "coverage")
-    for name in (*per_site, "solutions", "obstacles", "scans"):
+    for name in (*per_site, "solutions", "layers", "obstacles", "scans"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, write_site_page, argv)
 

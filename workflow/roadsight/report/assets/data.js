@@ -26,7 +26,8 @@ function readPlan(plan, targets) {
   for (const row of seen) for (const target of row) times[target]++;
   const names = [...new Set(plan.sensors.map((sensor) => sensor.sensor))].sort();
   const models = plan.sensors.map((sensor) => names.indexOf(sensor.sensor) % 3);
-  return { ...plan, seen, times, models };
+  const inSight = plan.in_sight ? unpack(plan.in_sight) : null;
+  return { ...plan, seen, times, models, inSight };
 }
 
 function readSite(content) {

@@ -110,7 +110,8 @@ function drawTargets(map, plan) {
   const size = Math.min(Math.max(map.scale * site.cell_size_m * 0.8, 1.6), 12);
   const lit = state.sensor === null ? null : new Set(plan.seen[state.sensor]);
   const spots = Array.from({ length: MOST_SEEN + 1 }, () => []);
-  plan.times.forEach((times, i) => spots[bucketOf(times)].push(i));
+  const classes = state.targetsBy === "sight" && plan.inSight;
+  plan.times.forEach((times, i) => spots[classes ? classes[i] : bucketOf(times)].push(i));
   spots.reverse().forEach((members, order) => {
     const bucket = MOST_SEEN - order;
     const side = bucket === 0 ? Math.max(size, 4) : size;

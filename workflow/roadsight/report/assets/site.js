@@ -5,6 +5,7 @@ class Site {
     this.section = section;
     this.content = readSite(JSON.parse(this.find(".site-data").textContent));
     this.sensor = null;
+    this.targetsBy = "sensors";
     this.plan = this.content.plans.find((plan) => plan.name === this.find(".planbar input:checked")?.value) ?? null;
     this.map = new MapView(this.find(".map"), this.content, this, tooltip);
     this.scene = new SceneView(this.find(".scene3d"), this.content, this);
@@ -71,6 +72,7 @@ class Site {
       if (target.matches(".map-panel [data-layer]")) this.setLayer(this.map, target);
       if (target.matches(".scene-panel [data-layer]")) this.setLayer(this.scene, target);
       if (target.matches("[data-scene]")) this.setOption(target);
+      if (target.matches("[data-targets-by]")) this.colourTargets(target.value);
     });
     this.section.addEventListener("click", ({ target }) => {
       const { choosePlan, chooseSensor, map, camera } = target.closest("button")?.dataset ?? {};
@@ -80,6 +82,14 @@ class Site {
       if (camera !== undefined) this.scene.setCamera(camera);
     });
     this.showRamp();
+  }
+
+  // Plans that know of traffic can colour targets by it; the choice holds for all of them.
+  colourTargets(by) {
+    this.targetsBy = by;
+    for (const choice of this.all("[data-targets-by]")) choice.value = by;
+    for (const legend of this.all("[data-targets-legend]")) legend.hidden = legend.dataset.targetsLegend !== by;
+    this.map.draw();
   }
 
   setLayer(view, input) {
