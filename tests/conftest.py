@@ -22,6 +22,15 @@ settings.register_profile("search", print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Groups of tests share what takes minutes to make: say so if pytest-xdist ignores them."""
+    if config.getoption("loadgroup", default=False):
+        for item in items:
+            if any(item.iter_markers("xdist_group")) and "@" not in item.nodeid:
+                raise pytest.UsageError("this pytest takes from pytest-xdist its groups of tests")
+
+
 @pytest.fixture
 def project() -> Path:
     """Root of the checkout."""

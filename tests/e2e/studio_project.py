@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -83,6 +85,8 @@ class Studio:
                 [sys.executable, "-m", "roadsight", "studio", "--port", "0"]
                 + ([] if browser else ["--no-browser"]),
                 cwd=folder, env=environment, stdout=stream, stderr=stream,
+                # Tests that run in the background ignore Ctrl+C; the studio is not to inherit that.
+                preexec_fn=partial(signal.signal, signal.SIGINT, signal.SIG_DFL),  # noqa: PLW1509
             )  # fmt: skip
         self.address = self._wait()
 

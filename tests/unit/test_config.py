@@ -130,6 +130,21 @@ class TestConfig:
 
 class TestYaml:
     @pytest.mark.parametrize(
+        ("text", "line", "first"), [("a: 1\nb: 2\na: 3\n", 3, 1), ("x:\n  k: 1\n  k: {}\n", 3, 2)]
+    )
+    def test_a_key_that_is_there_twice_is_refused(self, tmp_path, text, line, first):
+        path = tmp_path / "twice.yaml"
+        path.write_text(text)
+        told = message(read_yaml, path)
+        assert f"twice.yaml, line {line}: " in told
+        assert f"is there twice, first in line {first}" in told
+
+    def test_keys_of_other_mappings_and_merged_ones_may_return(self, tmp_path):
+        path = tmp_path / "fine.yaml"
+        path.write_text("a: &a {k: 1}\nr: {b: &b {<<: *a, k: 2}}\nc: {<<: *b, k: 3}\n")
+        assert read_yaml(path) == {"a": {"k": 1}, "r": {"b": {"k": 2}}, "c": {"k": 3}}
+
+    @pytest.mark.parametrize(
         ("text", "line"),
         [("a: 1\nb: [1, 2\nc: 3\n", 3), ("a: 1\n\tb: 2\n", 2), ("a: {b: 1}}\n", 1)],
     )

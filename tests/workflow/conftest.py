@@ -20,12 +20,6 @@ jobs: [placement]
 placement:
   edges: sample
   plans: [os-32, os-64]
-  own_plans:
-    one:
-      title: The most for one sensor
-      sensors: [OS-32]
-      budget: {sensors: 1}
-      on_request: true
 settings:
   shards: 2
   candidates: {height_step_m: 2.0, spacing_m: 8.0}

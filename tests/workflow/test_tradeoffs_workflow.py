@@ -47,10 +47,18 @@ studies:
 """
 
 
+ONE_SENSOR = """\
+  own_plans:
+    one: {title: The most for one sensor, sensors: [OS-32], budget: {sensors: 1}, on_request: true}
+settings:
+"""
+
+
 @pytest.mark.full
 def test_a_sweep_from_settings_to_the_page(copy_of_finished: Checkout) -> None:
     checkout = copy_of_finished
     (checkout.folder / "config/tradeoffs.yaml").write_text(STUDIES)
+    checkout.edit("config/sites/tiny.yaml", "settings:\n", ONE_SENSOR)
     solution = checkout.folder / "results/tiny/placement/os-64/solution.json"
     before = solution.read_bytes(), solution.stat().st_mtime_ns
     result = checkout.snakemake("tradeoffs", "--cores", "2")

@@ -13,6 +13,21 @@ from roadsight.errors import InputError
 _MOST_VALUES = 1_000_000
 
 
+class _OneKeyOnce(yaml.SafeLoader):
+    """Refuses mappings with the same key twice, of which PyYAML silently keeps the last."""
+
+    def compose_mapping_node(self, anchor: Any) -> yaml.MappingNode:
+        """The mapping as it is written, before others are merged into it."""
+        node = super().compose_mapping_node(anchor)
+        first: dict[tuple[str, str], yaml.Mark] = {}
+        for key in (key for key, _ in node.value if isinstance(key, yaml.ScalarNode)):
+            known = first.setdefault((key.tag, key.value), key.start_mark)
+            if known is not key.start_mark:
+                told = f"key {key.value!r} is there twice, first in line {known.line + 1}"
+                raise yaml.composer.ComposerError(problem=told, problem_mark=key.start_mark)
+        return node
+
+
 def read_yaml(path: str | os.PathLike[str]) -> Any:
     """Content of a YAML file.
 
@@ -21,7 +36,7 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
     InputError : missing, not text, or not YAML (with the line).
     """
     try:
-        content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+        content = yaml.load(Path(path).read_text(encoding="utf-8"), _OneKeyOnce)
         _check_size(content, {})
         return content
     except OSError as error:
