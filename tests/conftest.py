@@ -12,6 +12,8 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
+from roadsight.io.sources import package_digest
+
 Array = NDArray[np.float64]
 PROJECT = Path(__file__).resolve().parents[1]
 
@@ -20,6 +22,12 @@ PROJECT = Path(__file__).resolve().parents[1]
 settings.register_profile("same", derandomize=True)
 settings.register_profile("search", print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
+
+
+# Before any test imports Numba: kernels that `make run` has compiled are not compiled again.
+os.environ.setdefault(
+    "NUMBA_CACHE_DIR", str(PROJECT / f".snakemake/roadsight/numba-{package_digest()}")
+)
 
 
 @pytest.hookimpl(trylast=True)

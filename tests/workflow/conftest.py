@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.kernels import bring_kernels
+
 ROOT = Path(__file__).resolve().parents[2]
 
 TINY_SITE = """\
@@ -80,9 +82,16 @@ class Checkout:
                 target.symlink_to(source.readlink())
             else:
                 shutil.copyfile(source, target)
+        bring_kernels(ROOT, folder)
         (folder / "config/sites/tiny.yaml").write_text(TINY_SITE)
         (folder / "config/sites/tiny_road.yaml").write_text(TINY_ROAD)
         return cls(folder, site)
+
+    def clone(self, folder: Path) -> Checkout:
+        """Everything in another folder, results included."""
+        shutil.copytree(self.folder, folder, symlinks=True)
+        bring_kernels(self.folder, folder)
+        return Checkout(folder, self.site)
 
     def snakemake(self, *arguments: str, timeout_s: float = 600) -> subprocess.CompletedProcess:
         """Run Snakemake on the small site with this copy's package."""
@@ -142,8 +151,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
 @pytest.fixture
 def copy_of_finished(finished: Checkout, tmp_path: Path) -> Checkout:
     """The finished checkout in another folder, as a clone that brings its results along."""
-    shutil.copytree(finished.folder, tmp_path / "clone", symlinks=True)
-    return Checkout(tmp_path / "clone")
+    return finished.clone(tmp_path / "clone")
 
 
 @pytest.fixture(scope="session")
@@ -159,5 +167,4 @@ def finished_road(tmp_path_factory: pytest.TempPathFactory) -> Checkout:
 @pytest.fixture
 def copy_of_road(finished_road: Checkout, tmp_path: Path) -> Checkout:
     """The finished checkout of the pole site in another folder."""
-    shutil.copytree(finished_road.folder, tmp_path / "clone", symlinks=True)
-    return Checkout(tmp_path / "clone", finished_road.site)
+    return finished_road.clone(tmp_path / "clone")

@@ -1,0 +1,32 @@
+"""Compiled kernels go along where tests copy the project, since compiling them takes minutes.
+
+Numba names the folders of a cache by the path of the sources and judges them by their content, so
+that kernels of one checkout fit another that has the same sources, in folders of other names.
+"""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+from numba.core.caching import UserProvidedCacheLocator
+
+from roadsight.io.sources import package_digest
+
+_PACKAGE = Path("workflow/roadsight")
+
+
+def kernels_of(root: Path) -> Path:
+    """Where a checkout of these sources keeps its compiled kernels."""
+    return root / f".snakemake/roadsight/numba-{package_digest()}"
+
+
+def bring_kernels(source: Path, target: Path) -> None:
+    """Copy what one checkout has compiled into the cache of another, if it has any."""
+    named = UserProvidedCacheLocator.get_suitable_cache_subpath
+    for folder in {path.parent for path in (source / _PACKAGE).rglob("*.py")}:
+        relative = folder.relative_to(source)
+        compiled = kernels_of(source) / named(source / relative / "module.py")
+        if compiled.is_dir():
+            new = kernels_of(target) / named(target / relative / "module.py")
+            shutil.copytree(compiled, new, dirs_exist_ok=True)
