@@ -90,3 +90,23 @@ def test_papers_table_agrees_with_its_own_text():
     mean = (straight[0] * straight[1] + curved[0] * curved[1]) / published.CHECKED
     assert mean == pytest.approx(published.MEAN_M, abs=0.06)
     assert published.scenario_mean_m("tunnel") is None
+
+
+@given(st.lists(st.tuples(st.floats(0, 10), st.floats(0, 1)), min_size=1, max_size=12))
+def test_labels_cover_no_other_one_and_stay_inside(places):
+    made = Chart("t", "x", "y", (0.0, 10.0), (0.0, 1.0))
+    for number, place in enumerate(places):
+        made.label(*place, f"level {number}")
+    notes = re.findall(
+        r'class="note" x="([-\d.]+)" y="([-\d.]+)" text-anchor="(\w+)">([^<]*)<', made.svg()
+    )
+    assert notes[0][3] == "level 0"
+    boxes = []
+    for x, y, anchor, text in notes:
+        left = float(x) - (0 if anchor == "start" else 5.5 * len(text))
+        boxes.append((left, float(y) - 10, left + 5.5 * len(text), float(y)))
+    for number, (left, top, right, bottom) in enumerate(boxes):
+        assert left >= 0 and right <= 470 and top >= -1 and bottom <= 270
+        for other in boxes[:number]:
+            apart = left >= other[2] or right <= other[0] or top >= other[3] or bottom <= other[1]
+            assert apart

@@ -14,8 +14,11 @@ from roadsight.report.wording import number
 
 _LEFT, _RIGHT, _TOP, _BOTTOM = 56.0, 14.0, 12.0, 42.0
 _TICKS = 6
+_CHARACTER, _LINE = 5.8, 11.0  # about the size of a label's letters, px
 
 Span = tuple[float, float]
+Box = tuple[float, float, float, float]
+"""Left, top, right, bottom, px."""
 
 
 def span_of(
@@ -78,6 +81,7 @@ class Chart:
         self.title, self.labels = title, (x_label, y_label)
         self.spans, self.size = (x_span, y_span), (width, height)
         self._parts: list[str] = []
+        self._labels: list[Box] = []
         self._numbered = numbered
 
     def x(self, value: float) -> float:
@@ -187,11 +191,29 @@ class Chart:
         self._parts.append(f"<text {place}>{escape(text)}</text>")
 
     def label(self, x: float, y: float, text: str) -> None:
-        """Text beside a place, on the side that has room."""
-        left, anchor = (7, "start") if self.x(x) < 0.6 * self.size[0] else (-7, "end")
-        self._parts.append(
-            f'<text class="note" x="{self.x(x) + left:.1f}" y="{self.y(y) - 6:.1f}"'
-            f' text-anchor="{anchor}">{escape(text)}</text>'
+        """Text beside a place where it covers no earlier one; none where there is no room."""
+        wide, sides = _CHARACTER * len(text), [(7, "start"), (-7, "end")]
+        if self.x(x) > 0.6 * self.size[0]:
+            sides.reverse()
+        for below in (-6, 14):
+            for beside, anchor in sides:
+                at, base = self.x(x) + beside, self.y(y) + below
+                left = at if anchor == "start" else at - wide
+                box = (left, base - _LINE, left + wide, base)
+                if self._has_room(box):
+                    self._labels.append(box)
+                    self._parts.append(
+                        f'<text class="note" x="{at:.1f}" y="{base:.1f}"'
+                        f' text-anchor="{anchor}">{escape(text)}</text>'
+                    )
+                    return
+
+    def _has_room(self, box: Box) -> bool:
+        """Whether a box lies inside the axes' area and off all labels."""
+        left, top, right, bottom = box
+        inside = left >= _LEFT and right <= self.size[0] and top >= 0
+        return (inside and bottom <= self.size[1] - _BOTTOM) and not any(
+            left < b[2] and b[0] < right and top < b[3] and b[1] < bottom for b in self._labels
         )
 
     def svg(self) -> str:

@@ -92,6 +92,11 @@ def _shown(row: Row) -> dict[str, Any]:
     }
 
 
+def _rank(row: Row) -> int:
+    """0 for the default, 1 for others on the frontier, 2 for the rest."""
+    return 0 if row["is_default"] else 1 if row["on_frontier"] else 2
+
+
 def _chart(rows: Sequence[Row]) -> str:
     """Error against processor time; the frontier as a line."""
     scale = 100.0 if rows[0]["unit"] == "share" else 1.0
@@ -112,8 +117,10 @@ def _chart(rows: Sequence[Row]) -> str:
         part = [n for n, row in enumerate(known) if bool(row["is_default"]) is chosen]
         texts = [f"{known[n]['level']}: {number(x[n])} CPU s" for n in part]
         chart.dots([x[n] for n in part], [y[n] for n in part], look, texts)
-    for a, b, row in zip(x, y, known, strict=True):
-        chart.label(a, b, str(row["level"]))
+    # Where labels have no room for all, the default's and those of the frontier have it first.
+    order = sorted(range(len(known)), key=lambda n: _rank(known[n]))
+    for n in order:
+        chart.label(x[n], y[n], str(known[n]["level"]))
     return chart.svg()
 
 
