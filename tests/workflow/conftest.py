@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from _pytest.mark import ParameterSet
 
 from tests.kernels import bring_kernels
 
@@ -50,6 +51,14 @@ def with_followers(readers: dict[str, set[str]], *rules: str) -> set[str]:
             found.add(rule)
             pending += readers[rule]
     return found
+
+
+def third_of(cases: list[tuple], ids: list[str]) -> list[ParameterSet]:
+    """Every third case for every day; a dry run takes seconds, so that the rest are full runs."""
+    return [
+        pytest.param(*case, id=name, marks=[pytest.mark.full] if number % 3 else [])
+        for number, (case, name) in enumerate(zip(cases, ids, strict=True))
+    ]
 
 
 class Checkout:

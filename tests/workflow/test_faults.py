@@ -8,6 +8,7 @@ import pytest
 from tests.faults.disturb import FAULTS, Disturbed, check_same, digests
 
 
+@pytest.mark.full
 @pytest.mark.xdist_group("workflow")
 def test_faults_in_the_placement_job(copy_of_finished):
     expected = digests(copy_of_finished.folder)
@@ -20,6 +21,7 @@ def test_faults_in_the_placement_job(copy_of_finished):
     check_same(struck.checkout.folder, expected)
 
 
+@pytest.mark.full
 @pytest.mark.xdist_group("road")
 def test_faults_in_the_pole_job(copy_of_road):
     expected = digests(copy_of_road.folder)

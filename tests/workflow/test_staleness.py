@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from tests.workflow.conftest import with_followers
+from tests.workflow.conftest import third_of, with_followers
 
 pytestmark = pytest.mark.xdist_group("workflow")
 
@@ -205,7 +205,9 @@ def test_touching_every_file_makes_nothing_stale(copy_of_finished):
     assert copy_of_finished.stale_rules() == set()
 
 
-@pytest.mark.parametrize(("old", "new", "expected"), SETTINGS, ids=[s[1].strip() for s in SETTINGS])
+@pytest.mark.parametrize(
+    ("old", "new", "expected"), third_of(SETTINGS, [s[1].strip() for s in SETTINGS])
+)
 def test_setting(copy_of_finished, old, new, expected):
     copy_of_finished.edit(SITE, old, new)
     # Every setting is on record in the summary, so the summary and the report follow it too.
@@ -213,7 +215,7 @@ def test_setting(copy_of_finished, old, new, expected):
     assert copy_of_finished.stale_rules() == expected | recorded
 
 
-@pytest.mark.parametrize(("module", "expected"), MODULES, ids=[m[0] for m in MODULES])
+@pytest.mark.parametrize(("module", "expected"), third_of(MODULES, [m[0] for m in MODULES]))
 def test_editing_a_module_re_runs_its_users_only(copy_of_finished, module, expected):
     path = copy_of_finished.folder / PACKAGE / module
     original = path.read_text()
