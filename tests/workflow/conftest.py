@@ -53,6 +53,15 @@ def with_followers(readers: dict[str, set[str]], *rules: str) -> set[str]:
     return found
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests of one finished site run beside each other, so that it is run once."""
+    for item in items:
+        shared = set(getattr(item, "fixturenames", ())) & {"finished", "finished_road"}
+        for site in sorted(shared)[:1]:
+            item.add_marker(pytest.mark.xdist_group(site))
+
+
 def third_of(cases: list[tuple], ids: list[str]) -> list[ParameterSet]:
     """Every third case for every day; a dry run takes seconds, so that the rest are full runs."""
     return [

@@ -32,8 +32,6 @@ from roadsight.stages import (
 from tests.unit.las_files import DATA, needs_data, random_points, wkt_of, write_las
 from tests.workflow.conftest import TINY_SITE, Checkout
 
-pytestmark = pytest.mark.xdist_group("workflow")
-
 UTM = wkt_of("EPSG:25832")
 PLANS = "config/plans.yaml"
 

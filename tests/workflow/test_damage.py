@@ -87,12 +87,10 @@ def check_cut_off(checkout, tmp_path):
     return kinds
 
 
-@pytest.mark.xdist_group("workflow")
 def test_results_of_the_placement_job_that_are_cut_off(finished, tmp_path):
     assert check_cut_off(finished, tmp_path) == {".parquet", ".json", ".tif", ".gpkg"}
 
 
-@pytest.mark.xdist_group("road")
 def test_results_of_the_pole_job_that_are_cut_off(finished_road, tmp_path):
     expected = {".parquet", ".json", ".tif", ".gpkg", ".zip", ".npz"}
     assert check_cut_off(finished_road, tmp_path) == expected
@@ -138,18 +136,15 @@ def check_rotten(checkout, tmp_path, rng):
             assert found == whole, path
 
 
-@pytest.mark.xdist_group("workflow")
 def test_a_flipped_bit_in_the_placement_job(finished, tmp_path, rng):
     check_rotten(finished, tmp_path, rng)
 
 
-@pytest.mark.xdist_group("road")
 def test_a_flipped_bit_in_the_pole_job(finished_road, tmp_path, rng):
     check_rotten(finished_road, tmp_path, rng)
 
 
 @pytest.mark.full
-@pytest.mark.xdist_group("workflow")
 def test_a_cut_off_shard_stops_the_run_and_is_made_again(copy_of_finished):
     folder = copy_of_finished.folder
     expected = digests(folder)
@@ -167,7 +162,6 @@ def test_a_cut_off_shard_stops_the_run_and_is_made_again(copy_of_finished):
     check_same(folder, expected)
 
 
-@pytest.mark.xdist_group("workflow")
 def test_corrupt_caches(copy_of_finished):
     """Checksums that are no more are computed again; compiled kernels that are rotten are told."""
     cache = copy_of_finished.folder / ".snakemake/roadsight"
@@ -184,7 +178,6 @@ def test_corrupt_caches(copy_of_finished):
     assert "Traceback" not in output
 
 
-@pytest.mark.xdist_group("workflow")
 def test_an_input_that_changes_between_two_runs(copy_of_finished):
     """Digitised edges of a user, changed after the run that read them."""
     folder = copy_of_finished.folder

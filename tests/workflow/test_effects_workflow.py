@@ -8,8 +8,6 @@ import pytest
 
 from tests.workflow.conftest import Checkout
 
-pytestmark = pytest.mark.xdist_group("workflow")
-
 SITE = "config/sites/tiny.yaml"
 RULES = {
     "mount_tilt": ("tilt_mounts", "lidar: {mounting: normal}"),

@@ -9,7 +9,6 @@ from tests.faults.disturb import FAULTS, Disturbed, check_same, digests
 
 
 @pytest.mark.full
-@pytest.mark.xdist_group("workflow")
 def test_faults_in_the_placement_job(copy_of_finished):
     expected = digests(copy_of_finished.folder)
     struck = Disturbed(copy_of_finished, np.random.default_rng(6))
@@ -22,7 +21,6 @@ def test_faults_in_the_placement_job(copy_of_finished):
 
 
 @pytest.mark.full
-@pytest.mark.xdist_group("road")
 def test_faults_in_the_pole_job(copy_of_road):
     expected = digests(copy_of_road.folder)
     struck = Disturbed(copy_of_road, np.random.default_rng(7))

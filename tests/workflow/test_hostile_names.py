@@ -12,8 +12,6 @@ import yaml
 from tests.unit.las_files import random_points, wkt_of, write_las
 from tests.workflow.conftest import Checkout
 
-pytestmark = pytest.mark.xdist_group("workflow")
-
 NAMES = (
     "two words",
     "a;touch pwned",

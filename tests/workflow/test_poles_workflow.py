@@ -12,8 +12,6 @@ import rasterio
 
 from tests.workflow.conftest import Checkout, third_of, with_followers
 
-pytestmark = pytest.mark.xdist_group("road")
-
 # Who reads whose outputs, written down here on purpose and not taken from the rules.
 READERS = {
     "generate_rural": {

@@ -12,8 +12,6 @@ import rasterio
 
 from tests.workflow.conftest import Checkout
 
-pytestmark = pytest.mark.xdist_group("workflow")
-
 
 def test_summary_holds_what_checks_rely_on(finished):
     summary = json.loads((finished.folder / "results/tiny/summary.json").read_text())

@@ -8,8 +8,6 @@ import pytest
 
 from tests.workflow.conftest import third_of, with_followers
 
-pytestmark = pytest.mark.xdist_group("workflow")
-
 # Who reads whose outputs, written down here on purpose and not taken from the rules.
 READERS = {
     "generate_sample": {"ingest_cloud", "build_edges", "score_pavement", "summarise_site"},

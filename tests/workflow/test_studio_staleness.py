@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import re
 
-import pytest
-
 from roadsight.studio.drawing import load_drawing, save_drawing
 from roadsight.studio.drive import SiteDrive
 from roadsight.studio.pole_review import Decision, review, save_decisions
@@ -16,8 +14,6 @@ from roadsight.studio.shapes import Drawing
 from tests.workflow.conftest import with_followers
 from tests.workflow.test_poles_workflow import READERS as ROAD_READERS
 from tests.workflow.test_staleness import READERS
-
-pytestmark = pytest.mark.xdist_group("workflow")
 
 
 def saved(checkout, monkeypatch, **layers):

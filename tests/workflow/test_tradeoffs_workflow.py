@@ -8,8 +8,6 @@ import pytest
 from roadsight.evidence.tradeoffs import COLUMNS
 from tests.workflow.conftest import Checkout
 
-pytestmark = pytest.mark.xdist_group("workflow")
-
 STUDIES = """\
 sites: {placement: tiny, poles: tiny}
 published_stages: []

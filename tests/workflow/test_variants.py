@@ -15,7 +15,6 @@ from roadsight.io.texts import read_yaml
 from tests.workflow.conftest import Checkout
 from tests.workflow.test_staleness import after
 
-pytestmark = pytest.mark.xdist_group("workflow")
 SOLUTION = "placement/os-64/solution.json"
 
 
