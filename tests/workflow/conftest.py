@@ -9,7 +9,6 @@ import sys
 from pathlib import Path
 
 import pytest
-from _pytest.mark import ParameterSet
 
 from tests.kernels import bring_kernels
 
@@ -62,7 +61,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.xdist_group(site))
 
 
-def third_of(cases: list[tuple], ids: list[str]) -> list[ParameterSet]:
+def third_of(cases: list[tuple], ids: list[str]) -> list[object]:
     """Every third case for every day; a dry run takes seconds, so that the rest are full runs."""
     return [
         pytest.param(*case, id=name, marks=[pytest.mark.full] if number % 3 else [])
