@@ -12,7 +12,7 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
-from roadsight.io.sources import package_digest
+from roadsight.config.environment import kernel_cache
 
 Array = NDArray[np.float64]
 PROJECT = Path(__file__).resolve().parents[1]
@@ -25,9 +25,10 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 
 # Before any test imports Numba: kernels that `make run` has compiled are not compiled again.
-os.environ.setdefault(
-    "NUMBA_CACHE_DIR", str(PROJECT / f".snakemake/roadsight/numba-{package_digest()}")
-)
+os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache(PROJECT)))
+
+
+_UNGROUPED = "pytest-xdist does not group tests under this pytest: install the locked versions"
 
 
 @pytest.hookimpl(trylast=True)
@@ -36,7 +37,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if config.getoption("loadgroup", default=False):
         for item in items:
             if any(item.iter_markers("xdist_group")) and "@" not in item.nodeid:
-                raise pytest.UsageError("this pytest takes from pytest-xdist its groups of tests")
+                raise pytest.UsageError(_UNGROUPED)
 
 
 @pytest.fixture

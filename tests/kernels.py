@@ -11,22 +11,18 @@ from pathlib import Path
 
 from numba.core.caching import UserProvidedCacheLocator
 
-from roadsight.io.sources import package_digest
+from roadsight.config.environment import kernel_cache
 
 _PACKAGE = Path("workflow/roadsight")
-
-
-def kernels_of(root: Path) -> Path:
-    """Where a checkout of these sources keeps its compiled kernels."""
-    return root / f".snakemake/roadsight/numba-{package_digest()}"
 
 
 def bring_kernels(source: Path, target: Path) -> None:
     """Copy what one checkout has compiled into the cache of another, if it has any."""
     named = UserProvidedCacheLocator.get_suitable_cache_subpath
+    there, here = kernel_cache(source), kernel_cache(target)
     for folder in {path.parent for path in (source / _PACKAGE).rglob("*.py")}:
         relative = folder.relative_to(source)
-        compiled = kernels_of(source) / named(source / relative / "module.py")
+        compiled = there / named(source / relative / "module.py")
         if compiled.is_dir():
-            new = kernels_of(target) / named(target / relative / "module.py")
+            new = here / named(target / relative / "module.py")
             shutil.copytree(compiled, new, dirs_exist_ok=True)

@@ -127,6 +127,10 @@ class TestFile:
             ({"measures": [{"stage": "all", "metric": "missed_poles"}]}, "of the job poles"),
             ({"measures": [{"stage": "all", "metric": "sensors"}]}, "needs a reference level"),
             ({"reference": "9"}, "reference '9' is no level"),
+            (
+                {"knob": "plan", "job": "poles", "levels": {"a": "", "b": "os-64"}},
+                "plans are of the job placement, not of poles",
+            ),
             ({"whi": "x"}, "unknown key 'studies.s.whi'; did you mean 'why'?"),
             ({"why": None}, "key 'studies.s.why' is missing"),
             ({"published": {"source": "a", "columns": ["x"], "rows": [[1, 2]]}}, "1 entries"),

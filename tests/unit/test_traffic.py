@@ -15,11 +15,6 @@ from roadsight.scene.grids import Grid
 from roadsight.scene.traffic import Columns, is_traffic
 
 
-@pytest.fixture
-def rng() -> np.random.Generator:
-    return np.random.default_rng(8)
-
-
 def columns_of(xy: np.ndarray, height: np.ndarray) -> Columns:
     columns = Columns(Grid.around(xy[:, 0], xy[:, 1], 0.5))
     for part in np.array_split(np.arange(len(xy)), 3):

@@ -68,6 +68,17 @@ def test_misspelt_key_of_the_configuration(checkout):
     assert "did you mean 'seed'" in message
 
 
+def test_key_that_is_twice_in_the_configuration(checkout):
+    path = checkout.folder / "config/config.yaml"
+    before = path.read_text()
+    path.write_text(before + "seed: 3\n")
+    try:
+        message = refused_by_snakemake(checkout)
+    finally:
+        path.write_text(before)
+    assert re.search(r"config/config.yaml, line \d+: .* key 'seed' is there twice", message)
+
+
 def test_misspelt_setting_of_a_site(checkout):
     site = checkout.folder / "config/sites/tiny.yaml"
     site.write_text(TINY_SITE.replace("height_step_m", "hieght_step_m"))

@@ -8,13 +8,14 @@ from functools import lru_cache
 from pathlib import Path
 
 from roadsight.config.environment import prepare_environment
-from roadsight.config.load import load_config, load_sites
+from roadsight.config.load import load_config, load_site, load_sites
 from roadsight.config.named import NamedValue
 from roadsight.config.tradeoffs import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
 from roadsight.errors import InputError
 from roadsight.io.checksums import CachedChecksums
 from roadsight.io.sources import stage_sources
+from roadsight.io.texts import read_yaml
 from roadsight.placement.sensors import load_sensors
 
 prepare_environment()
@@ -34,15 +35,20 @@ def clearly(function, *arguments):
         os._exit(2)
 
 
+for (
+    path
+) in workflow.configfiles:  # Snakemake keeps the last of keys that are there twice
+    clearly(read_yaml, path)
 CONFIG = clearly(load_config, config)
 ASKED_SITES = clearly(load_sites, CONFIG)
 TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file)
-# Sites on which trade-offs are measured have rules like any other, but only `tradeoffs` asks for them.
-# The same holds for those on which decisions on effects are audited. Both have plans of their own.
-AUDITED = {"sites": clearly(load_audit_sites, CONFIG.effects_file), "plans": []}
+# Sites of trade-offs and of audits have rules like any other, but only `tradeoffs` and `audit` ask for
+# them, and they solve their own plans, whatever plans a run asks for.
+OWN_PLANS = CONFIG.model_copy(update={"plans": []})
+AUDIT_SITES = clearly(load_audit_sites, CONFIG.effects_file)
 SITES = (
     clearly(load_evidence_sites, CONFIG, TRADEOFFS)
-    | clearly(load_sites, CONFIG.model_copy(update=AUDITED))
+    | clearly(load_sites, OWN_PLANS.model_copy(update={"sites": AUDIT_SITES}))
     | ASKED_SITES
 )
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)

@@ -31,7 +31,8 @@ rule measure_tradeoff:
     shell:
         "python -m roadsight.stages.measure_tradeoff --site {params.site}"
         " --config {params.config:q} --changes {params.changes:q}"
-        " {params.plan} --metrics {params.metrics} --stages {params.stages} --repeats {params.repeats}"
+        " --plan {params.plan:q} --metrics {params.metrics} --stages {params.stages}"
+        " --repeats {params.repeats}"
         " --cores {threads} --work {params.work} --out {output.level} > {log} 2>&1"
 
 

@@ -21,15 +21,14 @@ def changes_of_level(wildcards):
 
 
 def plan_of_level(wildcards):
-    """Option that names the plan of a level, if it is not the site's first."""
-    plan = STUDIES[wildcards.study].plan(level_name(wildcards))
-    return f"--plan {plan}" if plan else ""
+    """Plan of a level; empty: the site's first."""
+    return STUDIES[wildcards.study].plan(level_name(wildcards))
 
 
+@lru_cache(maxsize=None)
 def site_of_job(job):
     """Name of the site on which a job's studies are measured."""
-    one = TRADEOFFS.model_copy(update={"sites": {job: TRADEOFFS.sites[job]}})
-    return next(iter(clearly(load_evidence_sites, CONFIG, one)))
+    return clearly(load_site, TRADEOFFS.sites[job], OWN_PLANS).site.site
 
 
 def config_of_study(wildcards):
@@ -42,8 +41,8 @@ def config_of_job(job):
     Neither the file that names the studies nor plans that this run asks for make a level stale.
     """
     file = type(CONFIG).model_fields["tradeoffs_file"].default
-    changes = {"sites": [TRADEOFFS.sites[job]], "tradeoffs_file": file, "plans": []}
-    return CONFIG.model_copy(update=changes).model_dump_json()
+    changes = {"sites": [TRADEOFFS.sites[job]], "tradeoffs_file": file}
+    return OWN_PLANS.model_copy(update=changes).model_dump_json()
 
 
 @lru_cache(maxsize=None)

@@ -26,8 +26,12 @@ def prepare_environment() -> None:
     os.environ["PATH"] = f"{folder}{os.pathsep}{os.environ.get('PATH', os.defpath)}"
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
-    cache = f".snakemake/roadsight/numba-{package_digest()}"
-    os.environ["NUMBA_CACHE_DIR"] = str(Path(cache).resolve())
+    os.environ["NUMBA_CACHE_DIR"] = str(kernel_cache(Path()).resolve())
+
+
+def kernel_cache(root: Path) -> Path:
+    """Where a project keeps what is compiled of this package's sources."""
+    return root / f".snakemake/roadsight/numba-{package_digest()}"
 
 
 def drop_damaged_bytecode(package: Path) -> None:

@@ -73,6 +73,8 @@ class Study(Section):
 
     @model_validator(mode="after")
     def _named(self) -> Study:
+        if self.knob == PLAN and self.job != "placement":
+            raise ValueError(f"plans are of the job placement, not of {self.job}")
         if self.reference is not None and self.reference not in self.levels:
             raise ValueError(f"reference {self.reference!r} is no level")
         for measure in self.measures:
@@ -111,7 +113,7 @@ class Study(Section):
         """
         value = self.levels[level]
         if self.knob == PLAN:
-            return merged(self.settings, {})
+            return self.settings
         if self.knob != NAMED:
             change: Any = value
             for part in reversed(self.knob.split(".")):
@@ -185,7 +187,7 @@ def load_evidence_sites(config: Config, tradeoffs: Tradeoffs) -> dict[str, Resol
     files = list(dict.fromkeys(tradeoffs.sites.values()))
     for study in tradeoffs.studies.values():
         plans = [plan for plan in map(study.plan, study.levels) if plan]
-        if plans and study.job in tradeoffs.sites:
+        if plans:
             load_site(tradeoffs.sites[study.job], config.model_copy(update={"plans": plans}))
     return load_sites(config.model_copy(update={"sites": files, "plans": []}))
 

@@ -78,7 +78,7 @@ class Detector(Protocol):
 def detector_of(sensor: AnySensor, criteria: Criteria) -> Detector:
     """The detector of a sensor."""
     if isinstance(sensor, Camera):
-        return CameraDetector(sensor, criteria.min_pixels or sensor.min_pixels)
+        return CameraDetector(camera_raster(sensor), criteria.min_pixels or sensor.min_pixels)
     if isinstance(sensor, Radar):
         return RadarDetector(sensor, criteria.rcs_m2)
     if isinstance(sensor, Rosette):
@@ -89,7 +89,14 @@ def detector_of(sensor: AnySensor, criteria: Criteria) -> Detector:
 
 
 class BandedDetector(ABC):
-    """A sensor whose measure of a target is the sum over parts of the target's height."""
+    """A sensor whose measure of a target is the sum over parts of the target's height.
+
+    Parameters
+    ----------
+    raster : its beams or pixels.
+    """
+
+    raster: Raster
 
     def measure(
         self,
@@ -102,7 +109,6 @@ class BandedDetector(ABC):
         """How well each target (n,) is seen, as `Detector.measure`."""
         return self.by_height(panorama, rotation, feet_m, shape, sight, 1)[:, 0]
 
-    @abstractmethod
     def by_height(
         self,
         panorama: Panorama,
@@ -113,6 +119,13 @@ class BandedDetector(ABC):
         bands: int,
     ) -> _FLOATS:
         """What `measure` gives, by equal parts of the height, the lowest first, (n, bands)."""
+        feet_m = seen_lower(feet_m, panorama, sight)
+        found = (panorama, self.raster, rotation, feet_m, shape.packed, sight.max_range_m)
+        return weigh_by_height(*found, self.beam(sight), bands)[:, 1:]
+
+    @abstractmethod
+    def beam(self, sight: Sight) -> tuple[float, float, float] | None:
+        """Divergence across and upright, rad, and aperture, m; None for rays without width."""
 
 
 @dataclass(frozen=True)
@@ -124,23 +137,12 @@ class BeamDetector(BandedDetector):
     min_beams: float
     unit: str
 
-    def by_height(
-        self,
-        panorama: Panorama,
-        rotation: _FLOATS,
-        feet_m: _FLOATS,
-        shape: Shape,
-        sight: Sight,
-        bands: int,
-    ) -> _FLOATS:
-        """Beams, or shares of wide beams, by equal parts of the height."""
-        beam = None
-        if sight.footprints and self.sensor.divergence_mrad is not None:
-            across_mrad, upright_mrad = self.sensor.divergence_mrad
-            beam = (across_mrad / 1000, upright_mrad / 1000, self.sensor.aperture_mm / 1000)
-        feet_m = seen_lower(feet_m, panorama, sight)
-        found = (panorama, self.raster, rotation, feet_m, shape.packed, sight.max_range_m)
-        return weigh_by_height(*found, beam, bands)[:, 1:]
+    def beam(self, sight: Sight) -> tuple[float, float, float] | None:
+        """Of the definition, where wide beams are simulated."""
+        if not sight.footprints or self.sensor.divergence_mrad is None:
+            return None
+        across_mrad, upright_mrad = self.sensor.divergence_mrad
+        return across_mrad / 1000, upright_mrad / 1000, self.sensor.aperture_mm / 1000
 
     def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
         """Those with more than the least number of beams."""
@@ -151,23 +153,12 @@ class BeamDetector(BandedDetector):
 class CameraDetector(BandedDetector):
     """A camera: pixels whose middles show a target, and how many of them it needs."""
 
-    sensor: Camera
+    raster: Raster
     min_pixels: int
     unit: str = "pixels"
 
-    def by_height(
-        self,
-        panorama: Panorama,
-        rotation: _FLOATS,
-        feet_m: _FLOATS,
-        shape: Shape,
-        sight: Sight,
-        bands: int,
-    ) -> _FLOATS:
-        """Pixels, by equal parts of the height."""
-        feet_m = seen_lower(feet_m, panorama, sight)
-        found = (panorama, camera_raster(self.sensor), rotation, feet_m, shape.packed)
-        return weigh_by_height(*found, sight.max_range_m, None, bands)[:, 1:]
+    def beam(self, sight: Sight) -> None:
+        """Pixels have no width: their middles count."""
 
     def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
         """Those on enough pixels."""

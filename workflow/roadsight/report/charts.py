@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from html import escape
-from itertools import pairwise
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -195,18 +195,15 @@ class Chart:
         wide, sides = _CHARACTER * len(text), [(7, "start"), (-7, "end")]
         if self.x(x) > 0.6 * self.size[0]:
             sides.reverse()
-        for below in (-6, 14):
-            for beside, anchor in sides:
-                at, base = self.x(x) + beside, self.y(y) + below
-                left = at if anchor == "start" else at - wide
-                box = (left, base - _LINE, left + wide, base)
-                if self._has_room(box):
-                    self._labels.append(box)
-                    self._parts.append(
-                        f'<text class="note" x="{at:.1f}" y="{base:.1f}"'
-                        f' text-anchor="{anchor}">{escape(text)}</text>'
-                    )
-                    return
+        for below, (beside, anchor) in product((-6, 14), sides):
+            at, base = self.x(x) + beside, self.y(y) + below
+            left = at if anchor == "start" else at - wide
+            box = (left, base - _LINE, left + wide, base)
+            if self._has_room(box):
+                self._labels.append(box)
+                place = f'x="{at:.1f}" y="{base:.1f}" text-anchor="{anchor}"'
+                self._parts.append(f'<text class="note" {place}>{escape(text)}</text>')
+                return
 
     def _has_room(self, box: Box) -> bool:
         """Whether a box lies inside the axes' area and off all labels."""

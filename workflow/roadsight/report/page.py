@@ -35,7 +35,7 @@ from roadsight.report.sights import Sights, bearing_deg, longitudes_latitudes, s
 
 FORMAT = "roadsight.page/1"
 IN_SIGHT = (0.5, 0.8, 0.9, 0.95)
-"""Where classes of the share of the time in sight begin; the first class ends at the first."""
+"""Borders of the classes of the share of the time in sight, one fewer than the map has colours."""
 _MOST_OBSTACLES = 300
 _OPTIONAL = ("cost", "loses", "mandatory", "pole")
 _POSE = ("position", "pitch_deg", "roll_deg")
@@ -96,7 +96,7 @@ class PlanResult:
     obstacles: gpd.GeoDataFrame
     returns_xyz_m: NDArray
     returns_sensor: NDArray
-    in_sight: NDArray | None = None
+    in_sight: NDArray | None
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ def sight_view(plan: dict[str, Any]) -> dict[str, Any] | None:
         "rows": rows,
         "chart": _chart(found),
         "text": _text(found),
-        "classes": _classes(plan.get("in_sight_counts", [])),
+        "classes": _classes(plan["in_sight_counts"]),
     }
 
 
@@ -38,7 +38,7 @@ def _classes(counts: list[int]) -> list[tuple[str, int]]:
     edges = [f"{100 * edge:g}" for edge in IN_SIGHT]
     between = [f"{low} to {high} %" for low, high in pairwise(edges)]
     names = [f"below {edges[0]} %, or unseen", *between, f"{edges[-1]} % and more"]
-    return list(zip(names, counts, strict=False))
+    return list(zip(names, counts, strict=True))
 
 
 def _text(found: dict[str, Any]) -> str:

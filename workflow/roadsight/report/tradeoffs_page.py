@@ -92,11 +92,6 @@ def _shown(row: Row) -> dict[str, Any]:
     }
 
 
-def _rank(row: Row) -> int:
-    """0 for the default, 1 for others on the frontier, 2 for the rest."""
-    return 0 if row["is_default"] else 1 if row["on_frontier"] else 2
-
-
 def _chart(rows: Sequence[Row]) -> str:
     """Error against processor time; the frontier as a line."""
     scale = 100.0 if rows[0]["unit"] == "share" else 1.0
@@ -118,9 +113,12 @@ def _chart(rows: Sequence[Row]) -> str:
         texts = [f"{known[n]['level']}: {number(x[n])} CPU s" for n in part]
         chart.dots([x[n] for n in part], [y[n] for n in part], look, texts)
     # Where labels have no room for all, the default's and those of the frontier have it first.
-    order = sorted(range(len(known)), key=lambda n: _rank(known[n]))
-    for n in order:
-        chart.label(x[n], y[n], str(known[n]["level"]))
+    points = sorted(
+        zip(x, y, known, strict=True),
+        key=lambda point: (not point[2]["is_default"], not point[2]["on_frontier"]),
+    )
+    for a, b, row in points:
+        chart.label(a, b, str(row["level"]))
     return chart.svg()
 
 

@@ -96,7 +96,7 @@ def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
             titles,
             coverage[solution["plan"]]["uncovered"],
             frame,
-            in_sight(solution, layers, targets["target"], frame),
+            _in_sight(solution, layers, targets["target"], frame),
             *of_plan,
         )
         for solution, layers, *of_plan in zip(solutions, arguments.layers, *files, strict=True)
@@ -147,7 +147,7 @@ def _plan(
     )
 
 
-def in_sight(
+def _in_sight(
     solution: dict[str, Any], layers: str, targets: pd.Series, frame: Frame
 ) -> NDArray[np.float64] | None:
     """Share of the time in which a plan has each target in sight; None without traffic.
