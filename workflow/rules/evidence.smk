@@ -31,7 +31,7 @@ rule measure_tradeoff:
     shell:
         "python -m roadsight.stages.measure_tradeoff --site {params.site}"
         " --config {params.config:q} --changes {params.changes:q}"
-        " --plan {params.plan:q} --metrics {params.metrics} --stages {params.stages}"
+        " --plan={params.plan:q} --metrics {params.metrics} --stages {params.stages}"
         " --repeats {params.repeats}"
         " --cores {threads} --work {params.work} --out {output.level} > {log} 2>&1"
 
