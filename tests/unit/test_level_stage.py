@@ -106,8 +106,11 @@ def test_availability_goes_with_no_other_option():
 
 def test_the_report_shows_level_and_classes(site):
     assert site.solve("S=1", options=["--availability", "0.97"]) == 0
-    view = sight_view({"availability": site.read("solution.json")["availability"]})
+    counts = [1, 2, 0, 0, 3]
+    found = site.read("solution.json")["availability"]
+    view = sight_view({"availability": found, "in_sight_counts": counts})
     assert dict(view["rows"])["Asked for"] == percent(0.97)
     assert view["chart"].count("<rect") == 9
     assert "asked for" in view["chart"]
+    assert [count for _, count in view["classes"]] == counts
     assert sight_view({}) is None

@@ -273,7 +273,8 @@ class TestBoxes:
         write_table(folder / "boxed", targets)
         options = ("--targets", str(folder / "boxed"), "--box", "4.5", "1.8", "1.5")
         out = detect(folder, "eye", *options, out="eye-boxes")
-        detector = detector_of(load_sensors(str(folder / "sensors.yaml"))["eye"], Criteria(8, 0.16))
+        sensor = load_sensors(str(folder / "sensors.yaml"))["eye"]
+        detector = detector_of(sensor, Criteria(8, 0.16))
         feet = targets[["x", "y", "z", "heading_rad"]].to_numpy()
         found = read_detections([out])
         for name, part in found.groupby("candidate", observed=True):
@@ -281,7 +282,7 @@ class TestBoxes:
             rotation = local_from_sensor(panoramas[place].yaw_deg, turn)
             box = Box(4.5, 1.8, 1.5)
             measured = detector.measure(
-                panoramas[place], rotation, feet, box, Sight(detector.sensor.range_m)
+                panoramas[place], rotation, feet, box, Sight(sensor.range_m)
             )
             expected = set(targets["target"][detector.sees(measured)])
             assert set(part["target"].astype(str)) == expected
