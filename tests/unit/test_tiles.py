@@ -47,8 +47,11 @@ def test_tiles_hold_every_point_once_in_row_major_order(tmp_path):
     assert len(tiles.read(["z"])["z"]) == 5000
 
 
-def test_bytes_do_not_depend_on_the_batches(tmp_path):
+@pytest.mark.parametrize("stray_m", [0.0, 30_000.0])
+def test_bytes_do_not_depend_on_the_batches(tmp_path, stray_m):
     points = cloud(3000, coloured=False)
+    points["x"][40] += stray_m  # tiles beyond what 16 bits number
+    points["y"][41] += stray_m
     written = []
     for batch in (1, 37, 1000, 10**9):
         if batch == 1:

@@ -39,8 +39,8 @@ class TileWriter:
     def __init__(self, path: str | os.PathLike[str], tile_size_m: float, coloured: bool) -> None:
         self._path = Path(path)
         self._tile_size_m = tile_size_m
-        names = [name for name in COLUMN_TYPES if coloured or name not in COLOUR]
-        self._record = np.dtype([(name, COLUMN_TYPES[name]) for name in names])
+        self._names = [name for name in COLUMN_TYPES if coloured or name not in COLOUR]
+        self._record = np.dtype([(name, COLUMN_TYPES[name]) for name in self._names])
         self._pieces: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
         self._rows = 0
         self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -68,19 +68,20 @@ class TileWriter:
         ------
         InputError : the points fill too many tiles.
         """
-        records = np.empty(len(points["x"]), self._record)
-        for name in self._record.names or ():
-            records[name] = points[name]
-        ix, iy = ((records[axis] / np.float64(self._tile_size_m)).astype(np.int64) for axis in "xy")
+        columns = {name: np.asarray(points[name], self._record[name]) for name in self._names}
+        ix, iy = ((columns[axis] / np.float64(self._tile_size_m)).astype(np.int64) for axis in "xy")
         tile = iy << 32 | ix
-        order = np.argsort(tile, kind="stable")
+        order = _stable_order(ix, iy)
         tile = tile[order]
+        records = np.empty(len(tile), self._record)
+        for name, values in columns.items():
+            records[name] = values[order]
         starts = np.flatnonzero(np.diff(tile, prepend=-1))
         ends = np.append(starts[1:], len(tile))
         for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
             key = int(tile[start])
             self._pieces[key >> 32, key & 0xFFFFFFFF].append((self._rows + start, end - start))
-        self._spill_out(records[order].data)
+        self._spill_out(records.data)
         self._rows += len(records)
         if len(self._pieces) > _MAX_TILES:
             raise InputError(
@@ -100,7 +101,7 @@ class TileWriter:
 
     def finish(self) -> list[Tile]:
         """Write the file and return its tiles."""
-        names = self._record.names or ()
+        names = self._names
         schema = pa.schema([(name, pa.from_numpy_dtype(self._record[name])) for name in names])
         tiles = []
         with (
@@ -137,6 +138,20 @@ class TileWriter:
             self._spill.readinto(records[done : done + count].view(np.uint8).data)
             done += count
         return records
+
+
+def _stable_order(ix: NDArray[np.int64], iy: NDArray[np.int64]) -> NDArray[np.intp]:
+    """Order (n,) of points by row and column of their tiles, equal ones as they came.
+
+    Numbers of 16 bits are sorted by radix, in a quarter of the time; a batch rarely has more tiles.
+    """
+    if len(ix) == 0:
+        return np.empty(0, np.intp)
+    wide = int(ix.max() - ix.min()) + 1
+    number = (iy - iy.min()) * wide + (ix - ix.min())
+    if number.max() < 2**16:
+        number = number.astype(np.uint16)
+    return np.argsort(number, kind="stable")
 
 
 def _bounds(records: NDArray) -> tuple[float, float, float, float, float, float]:

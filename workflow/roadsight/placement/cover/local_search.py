@@ -39,6 +39,10 @@ class LocalSearch:
     ----------
     best : (m,) a cover, or None.
     first : (n,) targets to look at first.
+
+    Attributes
+    ----------
+    active : (n,) targets that it looks at.
     """
 
     def __init__(
@@ -49,7 +53,7 @@ class LocalSearch:
         rng: np.random.Generator,
     ) -> None:
         self.instance, self.best, self._rng = instance, best, rng
-        self._active = first.copy()
+        self.active = first.copy()
         self._trial = np.zeros(instance.shape[0], bool) if best is None else best
         self._weight = np.ones(instance.shape[1], np.int64)
 
@@ -62,7 +66,7 @@ class LocalSearch:
         """Search for a number of steps, or until the cost is down to a proven ``bound``."""
         everything = np.ones(self.instance.shape[0], bool)
         while steps > 0 and self.instance.round_up(bound) < self.cost:
-            part = self.instance.select(everything, self._active)
+            part = self.instance.select(everything, self.active)
             grown = False
             while steps > 0 and not grown and self.instance.round_up(bound) < self.cost:
                 if deadline.passed():
@@ -72,20 +76,31 @@ class LocalSearch:
 
     def _chunk(self, part: Instance, steps: int, deadline: Deadline) -> tuple[int, bool]:
         """Steps used, and whether more targets became active."""
-        weight = self._weight[self._active]
+        weight = self._weight[self.active]
         goal = self.instance.goal(self.cost)
         self._trial, found, used = _search(*arrays(part), part.cost, part.need, part.group,
                                            self._trial, goal, steps, weight, self._rng)  # fmt: skip
-        self._weight[self._active] = weight
+        self._weight[self.active] = weight
         deadline.spend(used * (_STEP_S + _ENTRY_S * part.by_choice.nnz))
         if not found:
             return used, False
-        seen = self.instance.by_choice.T @ self._trial.astype(np.int32)
-        missing = np.flatnonzero(seen < self.instance.need)
+        before = self.active.sum()
+        complete = self.accept(self._trial)
+        return used + int(self.active.sum() - before), not complete
+
+    def accept(self, trial: NDArray[np.bool_]) -> bool:
+        """Whether a cheap trial covers everything: then it is the best, else targets join."""
+        missing = self._missing(trial)
+        self._trial = trial.copy()
         if not len(missing):
-            self.best = self._trial.copy()
-        self._active[missing[:_NEW_TARGETS]] = True
-        return used + len(missing[:_NEW_TARGETS]), bool(len(missing))
+            self.best = trial.copy()
+        self.active[missing] = True
+        return not len(missing)
+
+    def _missing(self, trial: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Some of the targets that a trial leaves open."""
+        seen = self.instance.by_choice.T @ trial.astype(np.int32)
+        return np.flatnonzero(seen < self.instance.need)[:_NEW_TARGETS]
 
 
 @njit(cache=True)

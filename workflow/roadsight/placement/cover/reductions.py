@@ -58,7 +58,7 @@ def reduce_problem(problem: CoverProblem) -> Reduced:
     if len(uncoverable):
         return Reduced([], taken, step or 1.0, uncoverable, counts)
     instance = _first_instance(problem, step)
-    instance, forced, feasible = _shrink(instance, problem.mandatory[instance.choice])
+    instance, forced, feasible = shrink(instance, problem.mandatory[instance.choice])
     counts |= {"rows_reduced": instance.shape[0], "columns_reduced": instance.shape[1]}
     parts = split_components(instance) if feasible else []
     counts |= {"rows_taken": len(forced), "parts": len(parts)}
@@ -96,10 +96,10 @@ def _first_instance(problem: CoverProblem, step: float) -> Instance:
     )
 
 
-def _shrink(
+def shrink(
     instance: Instance, mandatory: NDArray[np.bool_]
 ) -> tuple[Instance, NDArray[np.int64], bool]:
-    """Repeat all reductions until nothing changes; instance, rows taken, feasible."""
+    """Repeat all reductions until nothing changes; instance, choices taken, feasible."""
     taken: list[int] = []
     while True:
         before = instance.shape

@@ -10,6 +10,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.placement.cover.deadline import Deadline
+from roadsight.placement.cover.parity_cuts import Row, parity_cuts
 from roadsight.placement.cover.problem import Instance
 
 FIRST_TARGETS = 300
@@ -19,7 +20,7 @@ _TOLERANCE = 1e-6
 # Work in seconds, measured: an iteration by the root of the entries of the linear program, setting
 # one up and reading the instance by entry.
 _ITERATION_S, _RUN_S, _READ_S = 4e-7, 2.5e-8, 3e-9
-_TARGET, _BRANCH, _GROUP = 0, 1, 2
+_TARGET, _BRANCH, _GROUP, _CUT = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,7 @@ class Relaxation:
         self.instance = instance
         self.choices, self.targets = instance.shape
         self.branches: list[NDArray[np.int32]] = []
+        self.cuts: list[Row] = []
         self._kind = np.empty(0, np.int8)
         self._number = np.empty(0, np.int64)
         self._columns = np.arange(self.choices, dtype=np.int32)
@@ -135,6 +137,27 @@ class Relaxation:
         deadline.spend(iteration_s * iterations + _RUN_S * entries)
         deadline.spend(_READ_S * self.instance.by_choice.nnz)
 
+    def strengthen(
+        self, node: Node, solution: Solution, goal: float, deadline: Deadline
+    ) -> Solution:
+        """Add parity cuts that a solution breaks and solve again; itself where there are none.
+
+        Cuts without a dual leave.
+        """
+        raw = self._highs.getSolution()
+        value, dual = np.array(raw.row_value), np.array(raw.row_dual)
+        sources = np.flatnonzero((self._kind == _TARGET) | (self._kind == _CUT))
+        rows = [self._row(self._kind[k], self._number[k]) for k in sources]
+        tight = [row for row, v in zip(rows, value[sources], strict=True) if v <= row.low + 1e-6]
+        cuts, work_s = parity_cuts(tight, solution.x)
+        deadline.spend(work_s)
+        if not cuts:
+            return solution
+        self._delete((self._kind == _CUT) & (dual <= 0))
+        self.cuts += cuts
+        self._add_rows(_CUT, np.arange(len(self.cuts) - len(cuts), len(self.cuts)))
+        return self.solve(node, goal, deadline)
+
     def purge(self, solution: Solution) -> None:
         """Leave out slack targets once there are too many rows."""
         if len(self._kind) <= MOST_ROWS:
@@ -163,8 +186,9 @@ class Relaxation:
         cost = _reduced_costs(by_choice.indptr, by_choice.indices, self.instance.cost, target_dual)
         bound = float((target_dual * self.instance.need).sum())
         for k in np.flatnonzero(~target & (dual != 0)):
-            cost[self._row(self._kind[k], self._number[k])] -= dual[k]
-            bound += dual[k]
+            row = self._row(self._kind[k], self._number[k])
+            cost[row.index] -= dual[k] * row.value
+            bound += dual[k] * row.low
         bound += cost[node.fixed].sum()
         bound += np.minimum(cost[node.alive & ~node.fixed], 0.0).sum()
         optimal = self._highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
@@ -196,25 +220,28 @@ class Relaxation:
         present = self._number[self._kind == _BRANCH]
         self._add_rows(_BRANCH, np.setdiff1d(np.array(node.path, np.int64), present))
 
-    def _row(self, kind: int, number: int) -> NDArray[np.int32]:
+    def _row(self, kind: int, number: int) -> Row:
+        if kind == _CUT:
+            return self.cuts[number]
         if kind == _BRANCH:
-            return self.branches[number]
+            return _counted(self.branches[number], 1.0)
         if kind == _GROUP:
-            return np.flatnonzero(self.instance.group == number).astype(np.int32)
+            return _counted(np.flatnonzero(self.instance.group == number), 1.0)
         by_target = self.instance.by_target
-        return by_target.indices[by_target.indptr[number] : by_target.indptr[number + 1]]
+        index = by_target.indices[by_target.indptr[number] : by_target.indptr[number + 1]]
+        return _counted(index, float(self.instance.need[number]))
 
     def _add_rows(self, kind: int, numbers: NDArray[np.int64]) -> None:
         if not len(numbers):
             return
         rows = [self._row(kind, number) for number in numbers]
-        start = np.cumsum([0] + [len(row) for row in rows])
-        low = np.full(len(rows), -np.inf if kind == _GROUP else 1.0)
-        if kind == _TARGET:
-            low = self.instance.need[numbers].astype(np.float64)
-        high = np.full(len(rows), 1.0 if kind == _GROUP else np.inf)
+        start = np.cumsum([0] + [len(row.index) for row in rows])
+        bound = np.array([row.low for row in rows])
+        low = np.full(len(rows), -np.inf) if kind == _GROUP else bound
+        high = bound if kind == _GROUP else np.full(len(rows), np.inf)
         self._highs.addRows(len(rows), low, high, start[-1], start[:-1].astype(np.int32),
-                            np.concatenate(rows).astype(np.int32), np.ones(start[-1]))  # fmt: skip
+                            np.concatenate([row.index for row in rows]),
+                            np.concatenate([row.value for row in rows]))  # fmt: skip
         self._kind = np.append(self._kind, np.full(len(rows), kind, np.int8))
         self._number = np.append(self._number, numbers)
 
@@ -222,6 +249,11 @@ class Relaxation:
         if gone.any():
             self._highs.deleteRows(int(gone.sum()), np.flatnonzero(gone).astype(np.int32))
             self._kind, self._number = self._kind[~gone], self._number[~gone]
+
+
+def _counted(index: NDArray[np.integer], low: float) -> Row:
+    """So many of some rows."""
+    return Row(index.astype(np.int32), np.ones(len(index)), low)
 
 
 @njit(cache=True)

@@ -19,8 +19,10 @@ from roadsight.placement.cover.result import is_within
 
 _WHOLE = 1e-6
 _FIRST_RETRY = 32
-_STEPS_PER_NODE = 100
+_STEPS_PER_NODE = 400
 _ENTRY_S = 4e-9  # work of a propagation by entry of the matrix, measured
+_ROOT_CUTS, _NODE_CUTS = 40, 2
+_PATIENCE, _LEAST_RISE = 3, 0.05
 
 
 @dataclass(frozen=True)
@@ -37,10 +39,18 @@ class Search:
 
     With whole costs all nodes of one rounded-up bound are equal, so that the search goes deep until
     that cost is refuted or reached, and its bound rises step by step: it is proven at any time.
+
+    With a ``ceiling``, only covers that cost less count, and the first of them ends the search.
     """
 
-    def __init__(self, relaxation: Relaxation, local: LocalSearch, gap: float = 0.0) -> None:
-        self.relaxation, self.gap = relaxation, gap
+    def __init__(
+        self,
+        relaxation: Relaxation,
+        local: LocalSearch,
+        gap: float = 0.0,
+        ceiling: float = np.inf,
+    ) -> None:
+        self.relaxation, self.gap, self.ceiling = relaxation, gap, ceiling
         self.instance: Instance = relaxation.instance
         self.local = local
         self.best = local.best
@@ -52,20 +62,24 @@ class Search:
 
     @property
     def cost(self) -> float:
-        """Cost of the best cover so far, in steps."""
-        return np.inf if self.best is None else float(self.instance.cost[self.best].sum())
+        """Cost that a cover must go below to count, in steps."""
+        own = np.inf if self.best is None else float(self.instance.cost[self.best].sum())
+        return min(own, self.ceiling)
 
     def run(self, root: Solution, deadline: Deadline) -> Outcome:
         """Search below the root, whose relaxation is solved."""
         alive = np.ones(self.instance.shape[0], bool)
-        start = self._tighten(Node(alive, np.zeros_like(alive)), root)
+        node = Node(alive, np.zeros_like(alive))
+        root = self._strengthen(node, root, _ROOT_CUTS, deadline)
+        start = self._tighten(node, root)
         queue = [(self.instance.round_up(root.bound), 0, 0, start)]
         pushed = 0
         while queue:
             key, depth, _, node = queue[0]
             if key > self.instance.goal(self.cost):
                 break
-            if deadline.passed() or is_within(self.gap, self.cost, key):
+            below = self.cost < self.ceiling < np.inf
+            if below or deadline.passed() or is_within(self.gap, self.cost, key):
                 return Outcome(self.best, key, self.nodes)
             heapq.heappop(queue)
             bound, children = self._expand(node, deadline)
@@ -82,10 +96,28 @@ class Search:
         """Look for a better cover again each time the tree has doubled."""
         if self.nodes < _FIRST_RETRY or self.nodes & (self.nodes - 1):
             return
-        if self.cost < self.local.cost:
+        if self.cost < min(self.local.cost, self.ceiling):
             self.local.best = self.best
-        self.local.run(self.nodes * _STEPS_PER_NODE, bound, deadline)
+        enough = bound if np.isinf(self.ceiling) else self.instance.goal(self.ceiling)
+        self.local.run(self.nodes * _STEPS_PER_NODE, enough, deadline)
         self.best = self.local.best
+
+    def _strengthen(
+        self, node: Node, solution: Solution, rounds: int, deadline: Deadline
+    ) -> Solution:
+        """Cuts at a node, as long as they raise its bound by a part of what is missing."""
+        goal = self.instance.goal(self.cost)
+        bounds = [solution.bound]
+        while len(bounds) <= rounds and not solution.exceeds(goal):
+            stronger = self.relaxation.strengthen(node, solution, goal, deadline)
+            if stronger is solution or not (stronger.complete or stronger.exceeds(goal)):
+                break
+            solution = stronger
+            bounds.append(solution.bound)
+            rise = bounds[-1] - bounds[max(len(bounds) - 1 - _PATIENCE, 0)]
+            if len(bounds) > _PATIENCE and rise < _LEAST_RISE * (goal - bounds[-1]):
+                break
+        return solution
 
     def _expand(self, node: Node, deadline: Deadline) -> tuple[float, tuple[Node, ...] | None]:
         """Bound and children of a node; None for children where time ran out."""
@@ -105,14 +137,22 @@ class Search:
                 return solution.bound, ()
             if not solution.complete:
                 return solution.bound, None
-            if np.abs(solution.x - np.round(solution.x)).max() < _WHOLE:
-                self.best = self._cheaper(solution.x > 0.5)
+            if self._takes(solution):
                 return solution.bound, ()
             tighter = self._tighten(node, solution)
             changed = (tighter.alive != node.alive).sum() + (tighter.fixed != node.fixed).sum()
             node = tighter
             if changed <= 0.05 * node.alive.sum():
                 break
+        return self._divide(node, solution, deadline)
+
+    def _divide(
+        self, node: Node, solution: Solution, deadline: Deadline
+    ) -> tuple[float, tuple[Node, ...]]:
+        """Bound and children of a node that only cuts can refute."""
+        solution = self._strengthen(node, solution, _NODE_CUTS, deadline)
+        if solution.exceeds(self.instance.goal(self.cost)) or self._takes(solution):
+            return solution.bound, ()
         self.relaxation.purge(solution)
         return solution.bound, divide(self.relaxation, node, solution)
 
@@ -133,9 +173,13 @@ class Search:
     def _keeps(self, chosen: NDArray[np.bool_], path: tuple[int, ...]) -> bool:
         return all(chosen[self.relaxation.branches[k]].any() for k in path)
 
-    def _cheaper(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
-        cost = float(self.instance.cost[chosen].sum())
-        return chosen if cost < self.cost else self.best
+    def _takes(self, solution: Solution) -> bool:
+        """Whether a solution is a cover; it becomes the best where it costs less."""
+        whole = np.abs(solution.x - np.round(solution.x)).max() < _WHOLE
+        chosen = solution.x > 0.5
+        if whole and float(self.instance.cost[chosen].sum()) < self.cost:
+            self.best = chosen
+        return bool(whole)
 
     def _tighten(self, node: Node, solution: Solution) -> Node:
         """Fix rows whose other value costs more than the goal by the reduced costs alone."""

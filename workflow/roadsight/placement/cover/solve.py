@@ -8,11 +8,12 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.placement.cover.core import is_small, prove_on_core
 from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.local_search import LocalSearch, greedy_cover
 from roadsight.placement.cover.problem import CoverProblem, Instance
 from roadsight.placement.cover.reductions import Reduced, reduce_problem
-from roadsight.placement.cover.relaxation import Node, Relaxation
+from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
 from roadsight.placement.cover.result import (
     INFEASIBLE,
     OPTIMAL,
@@ -24,7 +25,7 @@ from roadsight.placement.cover.result import (
 )
 from roadsight.placement.cover.search import Outcome, Search
 
-_FIRST_STEPS = 4_000
+_FIRST_STEPS, _MOST_SPARE = 4_000, 50
 
 
 def solve_cover_problem(
@@ -66,18 +67,64 @@ def _solve_part(
     bound = instance.round_up(_simple_bound(instance))
     if _enough(instance, best, bound, gap) or deadline.passed():
         return Outcome(best, bound, 0), None
-    relaxation = Relaxation(instance)
-    everything = np.ones(instance.shape[0], bool)
-    root = relaxation.solve(Node(everything, ~everything), np.inf, deadline)
+    relaxation, root = _root(instance, np.inf, deadline)
     if np.isinf(root.bound):
         return Outcome(None, np.inf, 0), None
     bound = max(bound, instance.round_up(root.bound))
     local = LocalSearch(instance, best, root.target_dual > 0, rng)
-    local.run(_FIRST_STEPS, bound, deadline)
+    _search_while_it_pays(local, bound, deadline)
     if _enough(instance, local.best, bound, gap) or not root.complete:
         return Outcome(local.best, bound, 0), root.bound
+    if is_small(local):
+
+        def solve(core: Instance, limit: Deadline, ceiling: float) -> Outcome:
+            return _solve_core(core, rng, limit, gap, ceiling)
+
+        return prove_on_core(local, bound, solve, deadline, gap), root.bound
     outcome = Search(relaxation, local, gap).run(root, deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes), root.bound
+
+
+def _search_while_it_pays(local: LocalSearch, bound: float, deadline: Deadline) -> None:
+    """The longer, the more rows the bound leaves; twice as long after each time that found any."""
+    steps = _FIRST_STEPS
+    if local.best is not None:
+        spare = local.best.sum() * (local.cost - bound) / local.cost
+        steps *= int(np.clip(spare, 1, _MOST_SPARE))
+    while True:
+        before = local.cost
+        local.run(steps, bound, deadline)
+        if not local.cost < before:
+            return
+        steps *= 2
+
+
+def _solve_core(
+    core: Instance, rng: np.random.Generator, deadline: Deadline, gap: float, ceiling: float
+) -> Outcome:
+    """A cover of a core that costs less than a ceiling, or the proof that there is none.
+
+    Without a ceiling, the cheapest cover.
+    """
+    goal = core.goal(ceiling)
+    relaxation, root = _root(core, goal, deadline)
+    bound = core.round_up(root.bound)
+    if root.exceeds(goal):
+        return Outcome(None, bound, 0)
+    local = LocalSearch(core, greedy_cover(core), root.target_dual > 0, rng)
+    enough = core.round_up(bound if np.isinf(ceiling) else goal)
+    local.run(_FIRST_STEPS, enough, deadline)
+    if local.cost <= enough or not root.complete:
+        return Outcome(local.best, bound, 0)
+    outcome = Search(relaxation, local, gap, ceiling).run(root, deadline)
+    return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes)
+
+
+def _root(instance: Instance, goal: float, deadline: Deadline) -> tuple[Relaxation, Solution]:
+    """Relaxation of an instance, solved, or stopped once its bound exceeds the goal."""
+    relaxation = Relaxation(instance)
+    everything = np.ones(instance.shape[0], bool)
+    return relaxation, relaxation.solve(Node(everything, ~everything), goal, deadline)
 
 
 def _proven(instance: Instance, best: NDArray[np.bool_] | None, bound: float) -> bool:

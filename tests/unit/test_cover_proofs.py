@@ -1,0 +1,141 @@
+"""Cuts that no whole cover breaks, and proofs on a few targets."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+from roadsight.placement.cover import CoverProblem, core, solve_cover_problem
+from roadsight.placement.cover.deadline import Deadline, WorkLimit
+from roadsight.placement.cover.parity_cuts import Row, parity_cuts
+from roadsight.placement.cover.reductions import reduce_problem
+from roadsight.placement.cover.relaxation import Node, Relaxation
+
+
+def relaxed(matrix, at_least=1):
+    """Relaxation of the one part of a problem, its node and its solution."""
+    (part,) = reduce_problem(CoverProblem(matrix, at_least=at_least)).parts
+    relaxation = Relaxation(part)
+    everything = np.ones(part.shape[0], bool)
+    node = Node(everything, ~everything)
+    return relaxation, node, relaxation.solve(node, np.inf, Deadline(None))
+
+
+def ring(size, width):
+    """Each row covers some targets in turn on a ring."""
+    away = (np.arange(size) - np.arange(size)[:, None]) % size
+    return sparse.csr_matrix(away < width)
+
+
+def covers(part):
+    """All whole covers of an instance, brute force."""
+    dense = part.by_choice.toarray()
+    for bits in itertools.product([0, 1], repeat=part.shape[0]):
+        x = np.array(bits)
+        if (x @ dense >= part.need).all():
+            yield x
+
+
+def strengthened(relaxation, node, solution, rounds=20):
+    for _ in range(rounds):
+        stronger = relaxation.strengthen(node, solution, np.inf, Deadline(None))
+        if stronger is solution:
+            break
+        assert stronger.bound >= solution.bound - 1e-7
+        solution = stronger
+    return solution
+
+
+def test_an_odd_ring_is_proven_by_one_cut():
+    relaxation, node, solution = relaxed(ring(7, 2))
+    assert solution.bound == pytest.approx(3.5)
+    assert strengthened(relaxation, node, solution).bound == pytest.approx(4.0)
+    assert relaxation.cuts[0].low == 4
+    np.testing.assert_array_equal(relaxation.cuts[0].value, 1.0)
+
+
+@pytest.mark.parametrize("most", [1, 3])
+def test_no_whole_cover_breaks_a_cut(most):
+    rng = np.random.default_rng(8)
+    cuts = sharper = 0
+    for _ in range(120):
+        matrix = sparse.csr_matrix(rng.random((12, 25)) < rng.uniform(0.25, 0.45))
+        matrix = matrix[:, np.asarray(matrix.sum(axis=0)).ravel() > most]
+        at_least = rng.integers(1, most + 1, matrix.shape[1])
+        if len(reduce_problem(CoverProblem(matrix, at_least=at_least)).parts) != 1:
+            continue
+        relaxation, node, solution = relaxed(matrix, at_least)
+        after = strengthened(relaxation, node, solution)
+        every = list(covers(relaxation.instance))
+        for cut in relaxation.cuts:
+            assert min(cut.value @ x[cut.index] for x in every) >= cut.low
+        assert after.bound <= min(x.sum() for x in every) + 1e-6
+        cuts += len(relaxation.cuts)
+        sharper += after.bound > solution.bound + 1e-3
+    assert cuts > 50
+    assert sharper > 15
+
+
+def test_each_cut_is_broken_by_the_solution_it_was_made_for():
+    rng = np.random.default_rng(3)
+    relaxation, _, solution = relaxed(random_matrix(rng))
+    seen = relaxation.instance.by_choice.T @ solution.x
+    tight = np.flatnonzero(np.abs(seen - 1) < 1e-7)
+    columns = relaxation.instance.by_target
+    sources = [
+        Row(columns[:, [t]].indices.astype(np.int32), np.ones(columns[:, [t]].nnz), 1.0)
+        for t in tight
+    ]
+    cuts, work_s = parity_cuts(sources, solution.x)
+    assert len(cuts) > 3
+    assert work_s > 0
+    missing = [cut.low - cut.value @ solution.x[cut.index] for cut in cuts]
+    assert min(missing) > 0.01
+    assert missing == sorted(missing, reverse=True)
+    assert parity_cuts([], solution.x) == ([], 0.0)
+
+
+def random_matrix(rng, choices=30, targets=100):
+    """Choices that cover a sixth of the targets each, without rhyme or reason: far from whole."""
+    matrix = sparse.csr_matrix(rng.random((choices, targets)) < 0.16)
+    return matrix[:, np.asarray(matrix.sum(axis=0)).ravel() > 1]
+
+
+@pytest.mark.parametrize("kind", ["equal", "costs", "groups", "twice"])
+def test_cores_prove_what_all_targets_prove(kind, monkeypatch):
+    used = []
+    prove = core.prove_on_core
+    monkeypatch.setattr(
+        "roadsight.placement.cover.solve.prove_on_core",
+        lambda *a: used.append(a) or prove(*a),
+    )
+    for seed in range(14):
+        rng = np.random.default_rng(seed)
+        problem = CoverProblem(
+            random_matrix(rng),
+            rng.integers(2, 7, 30) if kind == "costs" else None,
+            rng.integers(-20, 10, 30) if kind == "groups" else None,
+            2 if kind == "twice" else 1,
+        )
+        monkeypatch.setattr("roadsight.placement.cover.core._LARGEST_SHARE", 0.0)
+        plain = solve_cover_problem(problem)
+        monkeypatch.setattr("roadsight.placement.cover.core._LARGEST_SHARE", 0.9)
+        cover = solve_cover_problem(problem)
+        assert cover.status == plain.status
+        assert cover.objective == plain.objective
+        if cover.status == "optimal":
+            assert cover.bound == cover.objective
+            assert (problem.matrix[cover.chosen].sum(axis=0) >= problem.at_least).all()
+    assert len(used) > 1
+
+
+def test_a_core_that_runs_out_of_work_keeps_its_bound(monkeypatch):
+    monkeypatch.setattr("roadsight.placement.cover.core._LARGEST_SHARE", 1.0)
+    problem = CoverProblem(random_matrix(np.random.default_rng(5), 40, 150))
+    found = [solve_cover_problem(problem, WorkLimit(limit_s)) for limit_s in (0.05, 0.2, 60.0)]
+    best = found[-1]
+    assert best.status == "optimal"
+    for cover in found:
+        assert cover.bound <= best.objective <= cover.objective
+        assert cover.status == ("optimal" if cover.bound == cover.objective else "time_limit")
