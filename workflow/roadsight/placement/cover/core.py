@@ -70,5 +70,5 @@ def _on_core(local: LocalSearch, solve: SolvePart, deadline: Deadline) -> Outcom
         if outcome.best is None:
             return Outcome(None, bound, nodes)
         chosen |= np.isin(instance.choice, part.choice[outcome.best])
-    cheap = float(instance.cost[chosen].sum()) <= instance.goal(local.cost)
+    cheap = float(instance.cost[chosen].sum()) < local.cost
     return Outcome(chosen if cheap else None, bound, nodes)

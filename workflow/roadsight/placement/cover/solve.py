@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,10 +77,7 @@ def _solve_part(
     if _enough(instance, local.best, bound, gap) or not root.complete:
         return Outcome(local.best, bound, 0), root.bound
     if is_small(local):
-
-        def solve(core: Instance, limit: Deadline, ceiling: float) -> Outcome:
-            return _solve_core(core, rng, limit, gap, ceiling)
-
+        solve = partial(_solve_core, rng=rng, gap=gap)
         return prove_on_core(local, bound, solve, deadline, gap), root.bound
     outcome = Search(relaxation, local, gap).run(root, deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes), root.bound
@@ -100,7 +98,7 @@ def _search_while_it_pays(local: LocalSearch, bound: float, deadline: Deadline) 
 
 
 def _solve_core(
-    core: Instance, rng: np.random.Generator, deadline: Deadline, gap: float, ceiling: float
+    core: Instance, deadline: Deadline, ceiling: float, rng: np.random.Generator, gap: float
 ) -> Outcome:
     """A cover of a core that costs less than a ceiling, or the proof that there is none.
 
