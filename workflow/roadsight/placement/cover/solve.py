@@ -84,17 +84,15 @@ def _solve_part(
 
 
 def _search_while_it_pays(local: LocalSearch, bound: float, deadline: Deadline) -> None:
-    """The longer, the more rows the bound leaves; twice as long after each time that found any."""
-    steps = _FIRST_STEPS
-    if local.best is not None:
-        spare = local.best.sum() * (local.cost - bound) / local.cost
-        steps *= int(np.clip(spare, 1, _MOST_SPARE))
+    """Search the longer, the more rows the bound leaves, and again after each find."""
     while True:
+        spare = 1.0
+        if local.best is not None:
+            spare = local.best.sum() * (local.cost - bound) / local.cost
         before = local.cost
-        local.run(steps, bound, deadline)
+        local.run(_FIRST_STEPS * int(np.clip(spare, 1, _MOST_SPARE)), bound, deadline)
         if not local.cost < before:
             return
-        steps *= 2
 
 
 def _solve_core(
