@@ -20,7 +20,7 @@ _NEIGHBOURS = 10
 _STARTS, _CUTS = 250, 60
 _LONGEST, _LARGEST_LOW = 40, 1000.0
 _ODD_SHARE, _EVEN = 0.95, 1e-3
-_MOVE_S, _READ_S = 1e-9, 4e-8  # work, measured: by column of a move, and by entry of the rows
+_MOVE_S, _READ_S = 7e-10, 1.5e-7  # work, measured: by column of a move, and by entry of the rows
 
 
 @dataclass(frozen=True)

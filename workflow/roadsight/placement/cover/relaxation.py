@@ -86,7 +86,8 @@ class Relaxation:
         self.instance = instance
         self.choices, self.targets = instance.shape
         self.branches: list[NDArray[np.int32]] = []
-        self.cuts: list[Row] = []
+        self.cuts: dict[int, Row] = {}
+        self._cuts_made = 0
         self._kind = np.empty(0, np.int8)
         self._number = np.empty(0, np.int64)
         self._columns = np.arange(self.choices, dtype=np.int32)
@@ -148,14 +149,21 @@ class Relaxation:
         value, dual = np.array(raw.row_value), np.array(raw.row_dual)
         sources = np.flatnonzero((self._kind == _TARGET) | (self._kind == _CUT))
         rows = [self._row(self._kind[k], self._number[k]) for k in sources]
-        tight = [row for row, v in zip(rows, value[sources], strict=True) if v <= row.low + 1e-6]
+        tight = [
+            row for row, v in zip(rows, value[sources], strict=True) if v - row.low <= _TOLERANCE
+        ]
         cuts, work_s = parity_cuts(tight, solution.x)
         deadline.spend(work_s)
         if not cuts:
             return solution
-        self._delete((self._kind == _CUT) & (dual <= 0))
-        self.cuts += cuts
-        self._add_rows(_CUT, np.arange(len(self.cuts) - len(cuts), len(self.cuts)))
+        idle = (self._kind == _CUT) & (dual <= 0)
+        for number in self._number[idle]:
+            del self.cuts[number]
+        self._delete(idle)
+        numbers = np.arange(self._cuts_made, self._cuts_made + len(cuts))
+        self.cuts |= dict(zip(numbers.tolist(), cuts, strict=True))
+        self._cuts_made += len(cuts)
+        self._add_rows(_CUT, numbers)
         return self.solve(node, goal, deadline)
 
     def purge(self, solution: Solution) -> None:
