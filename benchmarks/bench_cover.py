@@ -58,17 +58,22 @@ SITES = (
     Corridor(2045, 956, 32, 22.5, 120.0, False),
     Corridor(2045, 956, 32, 22.5, 120.0, True),
     Corridor(2045, 956, 64, 22.5, 120.0, True),
+    Corridor(2045, 956, 128, 22.5, 120.0, True),
     Corridor(6239, 1900, 32, 22.5, 120.0, False),
     Corridor(6239, 1900, 64, 22.5, 120.0, True),
+    Corridor(6239, 1900, 128, 22.5, 120.0, False),
     Corridor(8219, 2019, 32, 22.5, 120.0, True),
     Corridor(8219, 2019, 64, 22.5, 120.0, False),
+    Corridor(8219, 2019, 128, 22.5, 120.0, True),
 )
 QUICK = Corridor(400, 160, 32, 22.5, 120.0, True)
-HOLES = (
+HARDER = (
+    Corridor(6239, 1900, 16, 15.0, 120.0, False),
     Corridor(2045, 956, 16, 15.0, 100.0, False, holes=0.2),
     Corridor(6239, 1900, 16, 15.0, 100.0, False, holes=0.2),
     Corridor(8219, 2019, 16, 15.0, 100.0, False, holes=0.2),
 )
+"""Rings of 16 channels with gaps between them, and detections lost at random."""
 LARGE = Corridor(80_000, 20_000, 64, 22.5, 120.0, False, length_m=4_000.0)
 PUBLIC = {
     "camera_placement_ac01.txt": 7,
@@ -205,7 +210,7 @@ def rows(size: Size) -> list[dict[str, Any]]:
     found = [compare(site, LIMIT_S) for site in SITES]
     if size == "usual":
         return found
-    harder = [compare(site, 60.0) for site in HOLES]
+    harder = [compare(site, 60.0) for site in HARDER]
     return [*found, *_public(), *harder, compare(LARGE, 300.0)]
 
 
