@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -109,17 +110,15 @@ class TileWriter:
             pq.ParquetWriter(
                 temporary,
                 schema,
-                compression="zstd",
-                use_dictionary=[name for name in names if name not in POSITION],
-                column_encoding=dict.fromkeys(POSITION, "BYTE_STREAM_SPLIT"),
                 write_page_checksum=True,
+                **_storage(names),
             ) as writer,
         ):
             for iy, ix in sorted(self._pieces):
                 records = self._gather(self._pieces[iy, ix])
-                columns = [np.ascontiguousarray(records[name]) for name in names]
+                columns = {name: np.ascontiguousarray(records[name]) for name in names}
                 writer.write_table(pa.table(columns, schema=schema), row_group_size=len(records))
-                tiles.append(Tile(ix, iy, len(records), _bounds(records)))
+                tiles.append(Tile(ix, iy, len(records), _bounds(columns)))
             index = {
                 "tile_size_m": self._tile_size_m,
                 "tiles": [asdict(tile) for tile in tiles],
@@ -154,8 +153,21 @@ def _stable_order(ix: NDArray[np.int64], iy: NDArray[np.int64]) -> NDArray[np.in
     return np.argsort(number, kind="stable")
 
 
-def _bounds(records: NDArray) -> tuple[float, float, float, float, float, float]:
-    x, y, z = (records[axis] for axis in POSITION)
+def _storage(names: Sequence[str]) -> dict[str, Any]:
+    """How columns are written: bytes of a kind together, positions to be read fast, all else small.
+
+    LZ4 takes a tenth more room for positions than zstd and half the time to read, which every step
+    does. Dictionaries would take twice the time to write.
+    """
+    return {
+        "compression": {name: "lz4" if name in POSITION else "zstd" for name in names},
+        "use_dictionary": False,
+        "column_encoding": dict.fromkeys(names, "BYTE_STREAM_SPLIT"),
+    }
+
+
+def _bounds(columns: Mapping[str, NDArray]) -> tuple[float, float, float, float, float, float]:
+    x, y, z = (columns[axis] for axis in POSITION)
     return (
         float(x.min()),
         float(y.min()),

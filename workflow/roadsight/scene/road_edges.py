@@ -279,11 +279,10 @@ def _planes(
     apart = np.where(valid, z - middle[:, None], 0.0)
     weight = (valid & (np.abs(apart) <= 0.3)).astype(np.float64)
     terms = np.stack([np.ones(row.shape), row - place[:, :1], column - place[:, 1:]], axis=-1)
-    square = np.einsum("nk,nki,nkj->nij", weight, terms, terms)
+    weighted = (weight[..., None] * terms).transpose(0, 2, 1)
     # As if the slope were known to be some 5 cm a cell, so that few or collinear pixels do.
-    square += np.diag([1e-9, 0.3, 0.3])
-    right = np.einsum("nk,nki,nk->ni", weight, terms, apart)
-    return middle + np.linalg.solve(square, right[..., None])[:, 0, 0]
+    square = weighted @ terms + np.diag([1e-9, 0.3, 0.3])
+    return middle + np.linalg.solve(square, weighted @ apart[..., None])[:, 0, 0]
 
 
 def _without_small(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:

@@ -18,7 +18,6 @@ from roadsight.io.atomic import read_json
 from roadsight.io.rasters import read_raster
 from roadsight.io.tiles import CloudTiles, Points
 from roadsight.io.top_rasters import TopRasterWriter
-from roadsight.io.vectors import read_layer
 from roadsight.io.voxel_tables import VoxelTableWriter
 from roadsight.scene.paved import PavedArea
 from roadsight.scene.voxel_classes import (
@@ -58,7 +57,7 @@ def rasterise_lidar(arguments: argparse.Namespace) -> None:
         for part in settled(grid, cloud, table, paved):
             voxels.add(grid.indices(part.voxel), part.cls)
             top.add(seen_from_above(grid, part))
-            road += int(np.isin(part.cls, (ROAD, BRIDGE)).sum())
+            road += int(((part.cls == ROAD) | (part.cls == BRIDGE)).sum())
     log.info("%d points, %d voxels, %d of road or bridge", cloud.points, voxels.rows, road)
     if road == 0:
         raise InputError(
@@ -102,6 +101,8 @@ def _paved_area(
     arguments: argparse.Namespace, cloud: CloudTiles, table: NDArray[np.uint8], frame: Frame
 ) -> PavedArea | None:
     """Nothing for a cloud that knows its roads, else the pavement found in it or given."""
+    from roadsight.io.vectors import read_layer  # noqa: PLC0415  # slow to load, rarely needed
+
     counts = np.zeros(256, np.int64)
     for number in range(len(cloud.tiles)):
         counts += np.bincount(
