@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import ctypes
 import gc
+import json
 import math
 import os
 import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -37,19 +39,30 @@ def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
     return result, cpu_s, round(max(after - before, 0.0), 1) if known else None
 
 
+_LAUNCHER = """
+import json, os, subprocess, sys
+child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+_, status, used = os.wait4(child.pid, 0)
+print(json.dumps([os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, used.ru_maxrss]))
+"""
+
+
 def measured_apart(command: list[str]) -> tuple[float, float]:
     """CPU seconds and peak memory in MiB of a program, its start included.
+
+    A small process starts it: the system counts a parent's memory as its child's.
 
     Raises
     ------
     RuntimeError : it failed.
     """
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    _, status, used = os.wait4(child.pid, 0)
-    child.returncode = os.waitstatus_to_exitcode(status)
-    if child.returncode:
+    told = subprocess.run(
+        [sys.executable, "-c", _LAUNCHER, *command], stdout=subprocess.PIPE, check=True
+    ).stdout
+    failed, cpu_s, peak_kib = json.loads(told)
+    if failed:
         raise RuntimeError(f"{' '.join(command)} failed")
-    return used.ru_utime + used.ru_stime, round(used.ru_maxrss / 1024, 1)
+    return cpu_s, round(peak_kib / 1024, 1)
 
 
 def _memory_mib(reset: bool) -> float | None:

@@ -20,32 +20,39 @@ _SAME_ANGLE = 1e-9
 
 @njit(cache=True)
 def _pair_bins(
-    p: NDArray[np.float64], n: NDArray[np.float64], q: NDArray[np.float64], m: NDArray[np.float64]
+    xyz: NDArray[np.float64], normals: NDArray[np.float64], i: int, j: int
 ) -> tuple[int, int, int]:
     """Bins of the three pair angles; -1 where the pair has none (coincident or collinear)."""
-    d = q - p
-    length = math.sqrt(d[0] ** 2 + d[1] ** 2 + d[2] ** 2)
+    dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
+    length = math.sqrt(dx**2 + dy**2 + dz**2)
     if length == 0.0:
         return -1, -1, -1
-    d = d / length
-    along_n, along_m = np.dot(n, d), np.dot(m, d)
+    dx, dy, dz = dx / length, dy / length, dz / length
+    along_i = normals[i, 0] * dx + normals[i, 1] * dy + normals[i, 2] * dz
+    along_j = normals[j, 0] * dx + normals[j, 1] * dy + normals[j, 2] * dz
+    first, second, phi = i, j, along_i
     # The normal closer to the line between the points is the frame's first axis. Points with the
     # same neighbours have the same normal: rounding must not choose the sign of their third angle.
-    if abs(along_m) > abs(along_n) + _SAME_ANGLE:
-        u, other, d, phi = m, n, -d, -along_m
-    else:
-        u, other, phi = n, m, along_n
-    v = np.cross(d, u)
-    size = math.sqrt(v[0] ** 2 + v[1] ** 2 + v[2] ** 2)
+    if abs(along_j) > abs(along_i) + _SAME_ANGLE:
+        first, second, phi = j, i, -along_j
+        dx, dy, dz = -dx, -dy, -dz
+    ux, uy, uz = normals[first, 0], normals[first, 1], normals[first, 2]
+    ox, oy, oz = normals[second, 0], normals[second, 1], normals[second, 2]
+    vx, vy, vz = dy * uz - dz * uy, dz * ux - dx * uz, dx * uy - dy * ux
+    size = math.sqrt(vx**2 + vy**2 + vz**2)
     if size == 0.0:
         return -1, -1, -1
-    v = v / size
-    theta = math.atan2(np.dot(np.cross(u, v), other), np.dot(u, other))
-    alpha = np.dot(v, other)
-    first = min(BINS - 1, max(0, int(math.floor(BINS * (theta + math.pi) / (2 * math.pi)))))
-    second = min(BINS - 1, max(0, int(math.floor(BINS * (alpha + 1) * 0.5))))
-    third = min(BINS - 1, max(0, int(math.floor(BINS * (phi + 1) * 0.5))))
-    return first, second, third
+    vx, vy, vz = vx / size, vy / size, vz / size
+    wx, wy, wz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    theta = math.atan2(wx * ox + wy * oy + wz * oz, ux * ox + uy * oy + uz * oz)
+    alpha = vx * ox + vy * oy + vz * oz
+    return _bin((theta + math.pi) / math.pi), _bin(alpha + 1), _bin(phi + 1)
+
+
+@njit(cache=True)
+def _bin(value: float) -> int:
+    """Bin of a value from 0 to 2."""
+    return min(BINS - 1, max(0, int(math.floor(BINS * value * 0.5))))
 
 
 @njit(cache=True)
@@ -60,14 +67,15 @@ def _simplified(
             present += j >= 0
         if present == 0 or math.isnan(normals[i, 0]):
             continue
+        share = 100.0 / present
         for j in neighbours[i]:
             if j < 0 or math.isnan(normals[j, 0]):
                 continue
-            a, b, c = _pair_bins(xyz[i], normals[i], xyz[j], normals[j])
+            a, b, c = _pair_bins(xyz, normals, i, j)
             if a >= 0:
-                histograms[i, a] += 100.0 / present
-                histograms[i, BINS + b] += 100.0 / present
-                histograms[i, 2 * BINS + c] += 100.0 / present
+                histograms[i, a] += share
+                histograms[i, BINS + b] += share
+                histograms[i, 2 * BINS + c] += share
     return histograms
 
 
@@ -83,13 +91,18 @@ def _weighted(
     for i in range(len(simplified)):
         mixed[:] = 0.0
         for k in range(neighbours.shape[1]):
-            if neighbours[i, k] >= 0 and distance[i, k] > 0.0:
-                mixed += simplified[neighbours[i, k]] / distance[i, k] ** 2
-        for third in range(3):
-            part = slice(third * BINS, (third + 1) * BINS)
-            total = mixed[part].sum()
+            j, apart = neighbours[i, k], distance[i, k]
+            if j >= 0 and apart > 0.0:
+                weight = 1.0 / apart**2
+                for f in range(FEATURES):
+                    mixed[f] += simplified[j, f] * weight
+        for start in range(0, FEATURES, BINS):
+            total = 0.0
+            for f in range(start, start + BINS):
+                total += mixed[f]
             scale = 100.0 / total if total > 0.0 else 0.0
-            out[i, part] = simplified[i, part] + scale * mixed[part]
+            for f in range(start, start + BINS):
+                out[i, f] = simplified[i, f] + scale * mixed[f]
     return out
 
 

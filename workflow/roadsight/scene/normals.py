@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
@@ -79,11 +80,25 @@ def plane_residuals_m(
     return np.sqrt(np.maximum(least, 0.0))
 
 
+@njit(cache=True)
 def _covariances(xyz_m: NDArray[np.float64], neighbours: NDArray[np.int64]) -> NDArray[np.float64]:
     """Covariance (n, 3, 3) of each point and its neighbours, about their own centroid."""
-    group = np.concatenate([np.arange(len(xyz_m))[:, None], neighbours], axis=1)
-    present = (group >= 0)[..., None]
-    points = np.where(present, xyz_m[group], 0.0)
-    count = present.sum(axis=1)
-    points = np.where(present, points - (points.sum(axis=1) / count)[:, None], 0.0)
-    return np.einsum("nki,nkj->nij", points, points) / count[..., None]
+    out = np.empty((len(xyz_m), 3, 3))
+    group = np.empty((neighbours.shape[1] + 1, 3))
+    for i in range(len(xyz_m)):
+        group[0], count = xyz_m[i], 1
+        for j in neighbours[i]:
+            if j >= 0:
+                group[count] = xyz_m[j]
+                count += 1
+        for axis in range(3):
+            centre = group[:count, axis].sum() / count
+            for k in range(count):
+                group[k, axis] -= centre
+        for a in range(3):
+            for b in range(a + 1):
+                total = 0.0
+                for k in range(count):
+                    total += group[k, a] * group[k, b]
+                out[i, a, b] = out[i, b, a] = total / count
+    return out
