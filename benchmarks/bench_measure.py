@@ -6,7 +6,6 @@ import ctypes
 import gc
 import json
 import math
-import os
 import subprocess
 import sys
 import time
@@ -43,7 +42,8 @@ _LAUNCHER = """
 import json, os, subprocess, sys
 child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 _, status, used = os.wait4(child.pid, 0)
-print(json.dumps([os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime, used.ru_maxrss]))
+cpu_s = used.ru_utime + used.ru_stime
+print(json.dumps([os.waitstatus_to_exitcode(status), cpu_s, used.ru_maxrss]))
 """
 
 
