@@ -203,8 +203,8 @@ def _agreement(cover: Cover, value: float, bound: float) -> tuple[float, str]:
 
 def rows(size: Size) -> list[dict[str, Any]]:
     """Rows of the benchmark: one small corridor, the study's sites, and all that is harder."""
-    small = detection_matrix(QUICK)
-    solve_cover_problem(CoverProblem(small))  # compiles
+    for site in (QUICK, SITES[1]):
+        solve_cover_problem(CoverProblem(detection_matrix(site)))  # compiles
     if size == "quick":
         return [compare(QUICK, 20.0)]
     found = [compare(site, LIMIT_S) for site in SITES]

@@ -63,7 +63,7 @@ def test_an_odd_ring_is_proven_by_one_cut():
 def test_no_whole_cover_breaks_a_cut(most):
     rng = np.random.default_rng(8)
     made = sharper = 0
-    for _ in range(120):
+    for _ in range(180):
         matrix = sparse.csr_matrix(rng.random((12, 25)) < rng.uniform(0.25, 0.45))
         matrix = matrix[:, np.asarray(matrix.sum(axis=0)).ravel() > most]
         at_least = rng.integers(1, most + 1, matrix.shape[1])

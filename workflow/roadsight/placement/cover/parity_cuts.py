@@ -8,6 +8,7 @@ half of what the choices with an odd sum have less than 1 of together.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -56,14 +57,15 @@ def parity_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
     if share.min() >= _ODD_SHARE:
         sets, share, more = _descend(odd, x[support], *moves, starts, True)
         tried += more
-    found: dict[bytes, Row] = {}
+    work_s = _MOVE_S * tried * len(moves[2]) + _READ_S * rows.nnz
+    found: dict[bytes, _INTS] = {}
     for k in np.argsort(share, kind="stable"):
         if share[k] >= _ODD_SHARE or len(found) == _CUTS:
             break
         chosen = kept[sets[k]]
         if low[chosen].sum() < _LARGEST_LOW:
-            found.setdefault(chosen.tobytes(), _rounded(rows[chosen], low[chosen]))
-    return list(found.values()), _MOVE_S * tried * len(moves[2]) + _READ_S * rows.nnz
+            found.setdefault(chosen.tobytes(), chosen)
+    return _rounded(list(found.values()), rows, low), work_s
 
 
 def _matrix(rows: list[Row], choices: int) -> sparse.csr_matrix:
@@ -73,12 +75,24 @@ def _matrix(rows: list[Row], choices: int) -> sparse.csr_matrix:
     return sparse.csr_matrix((value, index, start), shape=(len(rows), choices))
 
 
-def _rounded(rows: sparse.csr_matrix, low: _FLOATS) -> Row:
-    total = np.asarray(rows.sum(axis=0)).ravel()
-    right = np.ceil(low.sum() / 2)
-    index = np.flatnonzero(total)
-    value = np.minimum(np.ceil(total[index] / 2), right)
-    return Row(index.astype(np.int32), value.astype(np.float64), float(right))
+def _rounded(sets: list[_INTS], rows: sparse.csr_matrix, low: _FLOATS) -> list[Row]:
+    """Half the sum of each set of rows, rounded up."""
+    if not sets:
+        return []
+    start = np.cumsum([0] + [len(chosen) for chosen in sets])
+    member = sparse.csr_matrix(
+        (np.ones(start[-1]), np.concatenate(sets), start), shape=(len(sets), len(low))
+    )
+    total = (member @ rows).tocsr()
+    total.sort_indices()
+    right = np.ceil(member @ low / 2)
+    value = np.minimum(np.ceil(total.data / 2), np.repeat(right, np.diff(total.indptr)))
+    parts = [slice(a, b) for a, b in pairwise(total.indptr.tolist())]
+    index = total.indices.astype(np.int32)
+    return [
+        Row(index[part], value[part], float(least))
+        for part, least in zip(parts, right, strict=True)
+    ]
 
 
 def _distinct(patterns: NDArray[np.bool_]) -> _INTS:

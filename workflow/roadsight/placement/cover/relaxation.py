@@ -16,7 +16,7 @@ from roadsight.placement.cover.problem import Instance
 FIRST_TARGETS = 300
 ADDED_TARGETS = 60
 MOST_ROWS = 400
-_TOLERANCE = 1e-6
+_TOLERANCE, _LOOSE = 1e-6, 0.5
 # Work in seconds, measured: an iteration by the root of the entries of the linear program, setting
 # one up and reading the instance by entry.
 _ITERATION_S, _RUN_S, _READ_S = 4e-7, 2.5e-8, 3e-9
@@ -143,7 +143,7 @@ class Relaxation:
     ) -> Solution:
         """Add parity cuts that a solution breaks and solve again; itself where there are none.
 
-        Cuts without a dual leave.
+        Cuts without a dual leave, and targets that are seen by far more than they need.
         """
         raw = self._highs.getSolution()
         value, dual = np.array(raw.row_value), np.array(raw.row_dual)
@@ -159,7 +159,7 @@ class Relaxation:
         idle = (self._kind == _CUT) & (dual <= 0)
         for number in self._number[idle]:
             del self.cuts[number]
-        self._delete(idle)
+        self._delete(idle | (self._slack(value) > _LOOSE))
         numbers = np.arange(self._cuts_made, self._cuts_made + len(cuts))
         self.cuts |= dict(zip(numbers.tolist(), cuts, strict=True))
         self._cuts_made += len(cuts)
@@ -170,12 +170,17 @@ class Relaxation:
         """Leave out slack targets once there are too many rows."""
         if len(self._kind) <= MOST_ROWS:
             return
-        value = np.array(self._highs.getSolution().row_value)
+        slack = self._slack(np.array(self._highs.getSolution().row_value)) > _TOLERANCE
         target = self._kind == _TARGET
-        slack = np.zeros(len(target), bool)
-        slack[target] = value[target] > self.instance.need[self._number[target]] + _TOLERANCE
         slack[target] &= solution.target_dual[self._number[target]] <= 0
         self._delete(slack)
+
+    def _slack(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """By how much targets are seen more than they need, given each row's value; else 0."""
+        target = self._kind == _TARGET
+        slack = np.zeros(len(target))
+        slack[target] = value[target] - self.instance.need[self._number[target]]
+        return slack
 
     def _stopped(self, bound: float) -> Solution:
         nothing = np.zeros(self.choices)

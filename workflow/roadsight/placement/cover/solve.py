@@ -26,7 +26,7 @@ from roadsight.placement.cover.result import (
 )
 from roadsight.placement.cover.search import Outcome, Search
 
-_FIRST_STEPS, _MOST_SPARE = 4_000, 50
+_FIRST_STEPS, _SPARE_STEPS, _MOST_SPARE = 2_000, 4_000, 50
 
 
 def solve_cover_problem(
@@ -90,7 +90,8 @@ def _search_while_it_pays(local: LocalSearch, bound: float, deadline: Deadline) 
         if local.best is not None:
             spare = local.best.sum() * (local.cost - bound) / local.cost
         before = local.cost
-        local.run(_FIRST_STEPS * int(np.clip(spare, 1, _MOST_SPARE)), bound, deadline)
+        more = int(np.clip(spare, 1, _MOST_SPARE)) - 1
+        local.run(_FIRST_STEPS + _SPARE_STEPS * more, bound, deadline)
         if not local.cost < before:
             return
 
