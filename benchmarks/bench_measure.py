@@ -19,6 +19,14 @@ Cost = tuple[str, float, float | None]
 Size = Literal["quick", "usual", "full"]
 """Workloads: small ones for tests, those of every day, and the published ones with their tens."""
 
+_LAUNCHER = """
+import json, os, subprocess, sys
+child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+_, status, used = os.wait4(child.pid, 0)
+cpu_s = used.ru_utime + used.ru_stime
+print(json.dumps([os.waitstatus_to_exitcode(status), cpu_s, used.ru_maxrss]))
+"""
+
 
 def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
     """Result, CPU seconds and added peak memory in MiB (None where the system does not tell).
@@ -36,15 +44,6 @@ def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
     after = _memory_mib(reset=False)
     known = before is not None and after is not None
     return result, cpu_s, round(max(after - before, 0.0), 1) if known else None
-
-
-_LAUNCHER = """
-import json, os, subprocess, sys
-child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-_, status, used = os.wait4(child.pid, 0)
-cpu_s = used.ru_utime + used.ru_stime
-print(json.dumps([os.waitstatus_to_exitcode(status), cpu_s, used.ru_maxrss]))
-"""
 
 
 def measured_apart(command: list[str]) -> tuple[float, float]:

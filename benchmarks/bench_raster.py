@@ -131,7 +131,7 @@ def _compare(folder: Path, points: int) -> list[dict[str, Any]]:
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] and sys.argv[1] in _LAYERS:
+    if sys.argv[1:] and sys.argv[1] in _LAYERS:
         decode(Path(sys.argv[2]), sys.argv[1])
     else:
         print(json.dumps(rows("full" if "--full" in sys.argv else "usual"), indent=2))

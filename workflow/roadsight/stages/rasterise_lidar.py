@@ -57,7 +57,7 @@ def rasterise_lidar(arguments: argparse.Namespace) -> None:
         for part in settled(grid, cloud, table, paved):
             voxels.add(grid.indices(part.voxel), part.cls)
             top.add(seen_from_above(grid, part))
-            road += int(((part.cls == ROAD) | (part.cls == BRIDGE)).sum())
+            road += int(np.isin(part.cls, (ROAD, BRIDGE)).sum())
     log.info("%d points, %d voxels, %d of road or bridge", cloud.points, voxels.rows, road)
     if road == 0:
         raise InputError(
@@ -101,8 +101,6 @@ def _paved_area(
     arguments: argparse.Namespace, cloud: CloudTiles, table: NDArray[np.uint8], frame: Frame
 ) -> PavedArea | None:
     """Nothing for a cloud that knows its roads, else the pavement found in it or given."""
-    from roadsight.io.vectors import read_layer  # noqa: PLC0415  # slow to load, rarely needed
-
     counts = np.zeros(256, np.int64)
     for number in range(len(cloud.tiles)):
         counts += np.bincount(
@@ -122,6 +120,8 @@ def _paved_area(
             found=f"{share:.3%} of classes {arguments.road_classes}",
             hint="name its road class (poles.road_classes), or have the pavement found",
         )
+    from roadsight.io.vectors import read_layer  # noqa: PLC0415  # slow to load, rarely needed
+
     outline = shapely.union_all(
         read_layer(arguments.pavement, "pavement", frame).geometry.to_numpy()
     )
