@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 import pyogrio
 import pytest
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import write_json
 from roadsight.io.tables import read_about, read_table
-from roadsight.io.top_rasters import TopRasterWriter
+from roadsight.io.top_rasters import TopRasterWriter, read_top
 from roadsight.scene.road_edges import (
     EdgeSettings,
     clean_road,
@@ -21,8 +22,8 @@ from roadsight.scene.road_edges import (
     edge_lines,
     edge_pixels,
     outlines,
-    surface_heights,
 )
+from roadsight.scene.surface_heights import medians, surface_heights
 from roadsight.scene.voxel_classes import VoxelGrid, count_classes, seen_from_above, settle
 from roadsight.stages import extract_road_edges
 
@@ -208,3 +209,40 @@ def test_surface_heights_ignore_what_stands_on_the_road():
     found = surface_heights(place, dirty, road)
     np.testing.assert_allclose(found[:2], 10 + 0.01 * place[:2, 0] - 0.02 * place[:2, 1], atol=0.01)
     assert np.isnan(found[2])
+
+
+@given(st.integers(0, 10**6), st.integers(1, 12))
+def test_medians_are_those_of_the_valid(seed, width):
+    rng = np.random.default_rng(seed)
+    values = rng.integers(-9, 9, (30, width)) / 4
+    valid = rng.random(values.shape) < rng.random((30, 1))
+    expected = [
+        np.median(row[own]) if own.any() else np.nan for row, own in zip(values, valid, strict=True)
+    ]
+    np.testing.assert_array_equal(medians(values, valid), expected)
+
+
+def whole_level(share, occupied, image):
+    """The level of every pixel, then cut off inside and outside."""
+    sigma = max(0.7, 0.5 * image.closing)
+    weight = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), sigma)
+    blurred = cv2.GaussianBlur(np.where(occupied, share, 0).astype(np.float32), (0, 0), sigma)
+    road = image.road.astype(np.uint8)
+    level = np.where(weight > 1e-3, blurred / np.maximum(weight, 1e-3), road)
+    step = np.arange(-image.closing - 2, image.closing + 3)
+    disc = (np.hypot(step[:, None], step) <= image.closing + 2.25).astype(np.uint8)
+    level[cv2.erode(road, disc, borderValue=1) > 0] = 1
+    level[cv2.dilate(road, disc, borderValue=0) == 0] = 0
+    return level
+
+
+@pytest.mark.parametrize("density", [30.0, 6.0])
+def test_level_near_the_road_is_that_of_the_whole_image(tmp_path, density):
+    xyz, cls, _ = road_cloud(density=density)
+    write_top(tmp_path, xyz, cls)
+    top = read_top(tmp_path / "top.tif", FRAME)
+    occupied = top.cls > 0
+    image = clean_road(top.cls == 11, occupied, CELL, EdgeSettings())
+    level = edge_level(top.road_share, occupied, image)
+    assert 0 < level[level > 0].min() < 0.5
+    np.testing.assert_array_equal(level, whole_level(top.road_share, occupied, image))

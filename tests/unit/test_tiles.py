@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+
 import numpy as np
+import pyarrow as pa
 import pytest
 
 from roadsight.errors import InputError
+from roadsight.io.arrow import as_numpy, as_table
 from roadsight.io.atomic import write_json
 from roadsight.io.tile_writer import TileWriter
 from roadsight.io.tiles import COLOUR, COLUMN_TYPES, CloudTiles, stack_xyz
@@ -179,3 +184,37 @@ def test_other_files_are_refused(tmp_path):
     for name in ("a.json", "t.parquet", "missing.parquet"):
         with pytest.raises(InputError, match="cannot be read as a tiled cloud"):
             CloudTiles(tmp_path / name)
+
+
+def test_points_are_counted_by_class(tmp_path):
+    points = cloud(4000)
+    points["classification"] %= 5
+    write(tmp_path / "c.parquet", points)
+    classes, counts = np.unique(points["classification"], return_counts=True)
+    assert CloudTiles(tmp_path / "c.parquet").classes == dict(
+        zip(classes.tolist(), counts.tolist(), strict=True)
+    )
+
+
+@pytest.mark.parametrize("kind", ["f4", "u2", "u1", "i4", "f8"])
+@pytest.mark.parametrize("rows", [0, 1, 7])
+def test_columns_pass_through_arrow_unchanged(kind, rows):
+    values = (np.arange(2 * rows) * 3).astype(kind)[::2]
+    schema = pa.schema([("a", pa.from_numpy_dtype(kind))])
+    table = as_table({"a": values}, schema)
+    table.validate(full=True)
+    assert table["a"].to_pylist() == values.tolist()
+    twice = pa.concat_tables([table, table])["a"]
+    found = as_numpy(twice)
+    assert found.dtype == values.dtype
+    np.testing.assert_array_equal(found, np.tile(values, 2))
+
+
+def test_clouds_are_written_and_read_without_pandas(tmp_path):
+    write(tmp_path / "c.parquet", cloud(100))
+    script = (
+        "import sys; from roadsight.io.tiles import CloudTiles;"
+        f"CloudTiles({str(tmp_path / 'c.parquet')!r}).read();"
+        "sys.exit('pandas' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0

@@ -20,12 +20,12 @@ from roadsight.io.tables import read_about, read_table
 from roadsight.io.tile_writer import TileWriter
 from roadsight.io.top_rasters import TopRasterWriter, read_top
 from roadsight.io.vectors import write_layers
+from roadsight.scene.classes import class_table
 from roadsight.scene.paved import PavedArea
 from roadsight.scene.voxel_classes import (
     Columns,
     VoxelGrid,
     add_runs,
-    class_table,
     count_classes,
     seen_from_above,
     settle,
@@ -257,6 +257,23 @@ def test_stage_gives_the_same_bytes_for_any_tiles_and_order(site):
     for r, c, key in zip(row, column, map(tuple, index.tolist()), strict=True):
         assert top.cls[r, c] == columns[key][0]
         assert top.height_m[r, c] == pytest.approx(columns[key][1], abs=0.002)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(0, 10**6), st.sampled_from([0.2, FOOT, 0.7]), st.sampled_from([0.5, 1.0, 7.0]))
+def test_voxels_within_a_tile_hold_no_points_of_others(seed, cell, tile_m):
+    xyz, cls = cloud(seed, 3000, (9.0, 8.0, 1.0))
+    xyz[:500, :2] = np.rint(xyz[:500, :2] / tile_m) * tile_m  # on the seams
+    grid = VoxelGrid.over(Frame((1234.5, 77.25, -3.0)), cell, [*xyz.min(axis=0), *xyz.max(axis=0)])
+    tile = np.floor(xyz[:, :2].astype(float) / tile_m)
+    west, south = tile[-1] * tile_m
+    here = (tile == tile[-1]).all(axis=1)
+    inner, others = (count_classes(grid, list(xyz[own].T), cls[own]) for own in (here, ~here))
+    within = grid.within(inner.voxel, west, south, tile_m)
+    columns = {int(v) // grid.shape[2] for v in others.voxel}
+    assert not columns & {int(v) // grid.shape[2] for v in inner.voxel[within]}
+    if tile_m == 7.0:
+        assert within.any()
 
 
 def test_stage_takes_the_road_from_the_pavement(site):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -18,17 +18,34 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
+from roadsight.io.arrow import as_table
 from roadsight.io.atomic import atomic_path, no_room
 from roadsight.io.tiles import COLOUR, COLUMN_TYPES, METADATA_KEY, POSITION, Tile
 
 _MAX_TILES = 40_000
 
 
+class _Batch(NamedTuple):
+    """Points that came together: where their first column lies in the spill file, and how many."""
+
+    at: int
+    rows: int
+
+
+class _Piece(NamedTuple):
+    """Points of a tile in a batch: ``rows`` of them from the ``start`` of each column."""
+
+    batch: _Batch
+    start: int
+    rows: int
+
+
 class TileWriter:
     """Sorts a stream of points into tiles with bounded memory.
 
-    Points go to an anonymous file beside the output as they come, each batch sorted by tile;
-    `finish` then gathers one tile after the other. The result does not depend on the batches.
+    Points go to an anonymous file beside the output as they come, each batch sorted by tile and
+    column after column; `finish` then gathers one tile after the other. The result does not depend
+    on the batches.
 
     Parameters
     ----------
@@ -40,10 +57,9 @@ class TileWriter:
     def __init__(self, path: str | os.PathLike[str], tile_size_m: float, coloured: bool) -> None:
         self._path = Path(path)
         self._tile_size_m = tile_size_m
-        self._names = [name for name in COLUMN_TYPES if coloured or name not in COLOUR]
-        self._record = np.dtype([(name, COLUMN_TYPES[name]) for name in self._names])
-        self._pieces: dict[tuple[int, int], list[tuple[int, int]]] = defaultdict(list)
-        self._rows = 0
+        names = [name for name in COLUMN_TYPES if coloured or name not in COLOUR]
+        self._types = {name: np.dtype(COLUMN_TYPES[name]) for name in names}
+        self._pieces: dict[tuple[int, int], list[_Piece]] = defaultdict(list)
         self._path.parent.mkdir(parents=True, exist_ok=True)
         self._spill = tempfile.TemporaryFile(dir=self._path.parent)  # noqa: SIM115  # see close
 
@@ -69,21 +85,17 @@ class TileWriter:
         ------
         InputError : the points fill too many tiles.
         """
-        columns = {name: np.asarray(points[name], self._record[name]) for name in self._names}
+        columns = {name: np.asarray(points[name], kind) for name, kind in self._types.items()}
         ix, iy = ((columns[axis] / np.float64(self._tile_size_m)).astype(np.int64) for axis in "xy")
-        tile = iy << 32 | ix
-        order = _stable_order(ix, iy)
-        tile = tile[order]
-        records = np.empty(len(tile), self._record)
-        for name, values in columns.items():
-            records[name] = values[order]
-        starts = np.flatnonzero(np.diff(tile, prepend=-1))
-        ends = np.append(starts[1:], len(tile))
-        for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-            key = int(tile[start])
-            self._pieces[key >> 32, key & 0xFFFFFFFF].append((self._rows + start, end - start))
-        self._spill_out(records.data)
-        self._rows += len(records)
+        order, starts = _by_tile(ix, iy)
+        ends = [*starts[1:], len(order)]
+        batch = _Batch(self._spill.tell(), len(order))
+        for start, end in zip(starts, ends, strict=True):
+            first = order[start]
+            piece = _Piece(batch, start, end - start)
+            self._pieces[int(iy[first]), int(ix[first])].append(piece)
+        for values in columns.values():
+            self._spill_out(values[order].data)
         if len(self._pieces) > _MAX_TILES:
             raise InputError(
                 "the cloud fills too many tiles",
@@ -102,9 +114,12 @@ class TileWriter:
 
     def finish(self) -> list[Tile]:
         """Write the file and return its tiles."""
-        names = self._names
-        schema = pa.schema([(name, pa.from_numpy_dtype(self._record[name])) for name in names])
+        names = list(self._types)
+        schema = pa.schema(
+            [(name, pa.from_numpy_dtype(kind)) for name, kind in self._types.items()]
+        )
         tiles = []
+        classes: Counter[int] = Counter()
         with (
             atomic_path(self._path) as temporary,
             pq.ParquetWriter(
@@ -115,42 +130,49 @@ class TileWriter:
             ) as writer,
         ):
             for iy, ix in sorted(self._pieces):
-                records = self._gather(self._pieces[iy, ix])
-                columns = {name: np.ascontiguousarray(records[name]) for name in names}
-                writer.write_table(pa.table(columns, schema=schema), row_group_size=len(records))
-                tiles.append(Tile(ix, iy, len(records), _bounds(columns)))
+                columns = self._gather(self._pieces[iy, ix])
+                rows = len(columns["x"])
+                writer.write_table(as_table(columns, schema), row_group_size=rows)
+                tiles.append(Tile(ix, iy, rows, _bounds(columns)))
+                classes.update(dict(enumerate(np.bincount(columns["classification"]).tolist())))
             index = {
                 "tile_size_m": self._tile_size_m,
                 "tiles": [asdict(tile) for tile in tiles],
+                "classes": {cls: count for cls, count in sorted(classes.items()) if count},
             }
-            writer.add_key_value_metadata(
-                {METADATA_KEY: json.dumps(index, sort_keys=True).encode()}
-            )
+            writer.add_key_value_metadata({METADATA_KEY: json.dumps(index).encode()})
         return tiles
 
-    def _gather(self, pieces: Sequence[tuple[int, int]]) -> NDArray:
+    def _gather(self, pieces: Sequence[_Piece]) -> dict[str, NDArray]:
         """Points of one tile from their places in the spill file."""
-        records = np.empty(sum(count for _, count in pieces), self._record)
+        rows = sum(piece.rows for piece in pieces)
+        columns = {name: np.empty(rows, kind) for name, kind in self._types.items()}
         done = 0
-        for start, count in pieces:
-            self._spill.seek(start * self._record.itemsize)
-            self._spill.readinto(records[done : done + count].view(np.uint8).data)
-            done += count
-        return records
+        for piece in pieces:
+            column_at = piece.batch.at
+            for values in columns.values():
+                self._spill.seek(column_at + piece.start * values.itemsize)
+                self._spill.readinto(values[done : done + piece.rows].data)
+                column_at += piece.batch.rows * values.itemsize
+            done += piece.rows
+        return columns
 
 
-def _stable_order(ix: NDArray[np.int64], iy: NDArray[np.int64]) -> NDArray[np.intp]:
-    """Order (n,) of points by row and column of their tiles, equal ones as they came.
+def _by_tile(ix: NDArray[np.int64], iy: NDArray[np.int64]) -> tuple[NDArray[np.intp], list[int]]:
+    """Order (n,) of points by row and column of their tiles, and where in it each tile starts.
 
-    Numbers of 16 bits are sorted by radix, in a quarter of the time; a batch rarely has more tiles.
+    Points of a tile stay as they came. Numbers of 16 bits are sorted by radix, in a quarter of the
+    time; a batch rarely has more tiles.
     """
     if len(ix) == 0:
-        return np.empty(0, np.intp)
-    wide = int(ix.max() - ix.min()) + 1
+        return np.empty(0, np.intp), []
+    wide, high = (int(index.max() - index.min()) + 1 for index in (ix, iy))
     number = (iy - iy.min()) * wide + (ix - ix.min())
-    if number.max() < 2**16:
+    if wide * high <= 2**16:
         number = number.astype(np.uint16)
-    return np.argsort(number, kind="stable")
+    order = np.argsort(number, kind="stable")
+    number = number[order]
+    return order, [0, *(np.flatnonzero(number[1:] != number[:-1]) + 1).tolist()]
 
 
 def _storage(names: Sequence[str]) -> dict[str, Any]:
@@ -163,6 +185,7 @@ def _storage(names: Sequence[str]) -> dict[str, Any]:
         "compression": {name: "lz4" if name in POSITION else "zstd" for name in names},
         "use_dictionary": False,
         "column_encoding": dict.fromkeys(names, "BYTE_STREAM_SPLIT"),
+        "write_statistics": list(POSITION),
     }
 
 

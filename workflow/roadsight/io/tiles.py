@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from roadsight.errors import InputError
+from roadsight.io.arrow import as_numpy
 
 POSITION = ("x", "y", "z")
 COLOUR = ("red", "green", "blue")
@@ -62,6 +63,7 @@ class CloudTiles:
     tile_size_m : edge of a tile.
     points : number of points.
     columns : names of the columns.
+    classes : number of points by class.
 
     Raises
     ------
@@ -74,6 +76,7 @@ class CloudTiles:
             self._file = pq.ParquetFile(self._path, page_checksum_verification=True)
             index = json.loads(self._file.metadata.metadata[METADATA_KEY])
             self.tile_size_m = float(index["tile_size_m"])
+            self.classes = {int(cls): int(count) for cls, count in index["classes"].items()}
             self.tiles = [
                 Tile(**tile | {"bounds_m": tuple(tile["bounds_m"])}) for tile in index["tiles"]
             ]
@@ -113,7 +116,7 @@ class CloudTiles:
         numbers = range(len(self.tiles)) if tiles is None else tiles
         with _readable(self._path):
             table = self._file.read_row_groups(list(numbers), columns=names, use_threads=False)
-        return {name: table.column(name).to_numpy() for name in names}
+        return {name: as_numpy(table.column(name)) for name in names}
 
     def read_within(self, bounds_m: Bounds, columns: Sequence[str] | None = None) -> Points:
         """Columns of the points inside a box, half open (``west <= x < east``).

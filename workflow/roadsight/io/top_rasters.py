@@ -10,13 +10,14 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import rasterio
 from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 from rasterio.errors import RasterioError
-from rasterio.io import DatasetWriter
+from rasterio.io import DatasetReader, DatasetWriter
 from rasterio.windows import Window
 
 from roadsight.errors import InputError
@@ -24,7 +25,9 @@ from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import atomic_path, close_within, open_within
 from roadsight.io.whole import check_raster
-from roadsight.scene.voxel_classes import Columns, VoxelGrid
+
+if TYPE_CHECKING:  # compiled loops that a reader does not need
+    from roadsight.scene.voxel_classes import Columns, VoxelGrid
 
 _BLOCK = 256
 _NODATA = -9999.0
@@ -42,7 +45,7 @@ class TopRasterWriter:
     def __init__(self, path: str | os.PathLike[str], frame: Frame, grid: VoxelGrid) -> None:
         self._place, self._frame, self._grid = atomic_path(path), frame, grid
         self._block, self._written = -1, 0
-        self._pixels: NDArray[np.float32] = np.empty((0, 0, 0), np.float32)
+        self._pixels = np.full((len(_BANDS), _BLOCK, grid.shape[0]), _NODATA, np.float32)
 
     def __enter__(self) -> TopRasterWriter:
         self._file = open_within(self._place, self._create)
@@ -56,7 +59,7 @@ class TopRasterWriter:
         crs = self._frame.crs_wkt and horizontal(CRS.from_wkt(self._frame.crs_wkt)).to_wkt()
         raster = rasterio.open(
             path, "w", driver="GTiff", width=columns, height=rows, count=3,
-            dtype="float32", crs=crs, nodata=_NODATA, compress="deflate", predictor=3, tiled=True,
+            dtype="float32", crs=crs, nodata=_NODATA, compress="deflate", zlevel=1, tiled=True,
             blockxsize=_BLOCK, blockysize=_BLOCK, interleave="band", sparse_ok=True,
             bigtiff="if_safer", transform=rasterio.Affine(cell, 0.0, west, 0.0, -cell, north),
         )  # fmt: skip
@@ -69,14 +72,15 @@ class TopRasterWriter:
         row = self._grid.shape[1] - 1 - columns.row
         block = row // _BLOCK
         height = columns.height_m / self._frame.vertical_unit_m + self._frame.origin[2]
-        bands = np.stack([columns.cls, height, columns.road_share])
-        for number in np.unique(block)[::-1].tolist():
+        for number in range(block.max(initial=-1), block.min(initial=0) - 1, -1):
             own = block == number
-            if number != self._block:
+            if own.any() and number != self._block:
                 self._flush()
                 self._block = number
-                self._pixels = np.full((3, _BLOCK, self._grid.shape[0]), _NODATA, np.float32)
-            self._pixels[:, row[own] - number * _BLOCK, columns.column[own]] = bands[:, own]
+            place = row[own] - number * _BLOCK, columns.column[own]
+            self._pixels[0][place] = columns.cls[own]
+            self._pixels[1][place] = height[own]
+            self._pixels[2][place] = columns.road_share[own]
 
     def _flush(self) -> None:
         if self._block < 0:
@@ -85,9 +89,10 @@ class TopRasterWriter:
         rows = min(_BLOCK, self._grid.shape[1] - first)
         for west in range(0, self._grid.shape[0], _BLOCK):
             part = self._pixels[:, :rows, west : west + _BLOCK]
-            if (part != _NODATA).any():
+            if (part[0] != _NODATA).any():
                 self._file.write(part, window=Window(west, first, part.shape[2], rows))
                 self._written += 1
+        self._pixels.fill(_NODATA)
 
     def __exit__(
         self,
@@ -148,22 +153,31 @@ def read_top(path: str | os.PathLike[str], frame: Frame) -> TopRaster:
         with rasterio.open(path) as raster:
             if raster.descriptions != _BANDS:
                 raise ValueError("its bands are others")
-            cls, share = (_zeroed(raster.read(band)) for band in (1, 3))
-            height, transform = raster.read(2), raster.transform
+            cls, height, share = _layers(raster, frame)
+            transform = raster.transform
     except (RasterioError, OSError, ValueError) as error:
         raise InputError(
             f"cannot be read as an overhead view of the cloud ({error})",
             where=str(path),
             hint="delete it and run the workflow again",
         ) from error
-    height[height == _NODATA] = np.nan
-    height -= np.float32(frame.origin[2])
-    height *= np.float32(frame.vertical_unit_m)
     west_m, north_m = (round(float(m), 6) for m in frame.to_local([transform.c, transform.f]))
     cell_size_m = round(transform.a * frame.unit_m, 9)
-    return TopRaster(cls.astype(np.uint8), height, share, west_m, north_m, cell_size_m)
+    return TopRaster(cls, height, share, west_m, north_m, cell_size_m)
 
 
-def _zeroed(band: NDArray[np.float32]) -> NDArray[np.float32]:
-    band[band == _NODATA] = 0.0
-    return band
+def _layers(
+    raster: DatasetReader, frame: Frame
+) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+    """Class, height in local metres and road share, block by block: most are often empty."""
+    cls, share = np.zeros(raster.shape, np.uint8), np.zeros(raster.shape, np.float32)
+    height = np.full(raster.shape, np.nan, np.float32)
+    lowest, unit_m = np.float32(frame.origin[2]), np.float32(frame.vertical_unit_m)
+    for _, window in raster.block_windows(1):
+        kind, level, part = raster.read(window=window)
+        hit = kind != _NODATA
+        if hit.any():
+            place = window.toslices()
+            cls[place][hit], share[place][hit] = kind[hit], part[hit]
+            height[place][hit] = (level[hit] - lowest) * unit_m
+    return cls, height, share

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from roadsight.io.arrow import as_table
 from roadsight.io.atomic import atomic_path, close_within, open_within
 
 _GROUP = 1 << 20
@@ -40,21 +41,28 @@ class VoxelTableWriter:
         self._file = open_within(
             self._place,
             lambda path: pq.ParquetWriter(
-                path, self._schema, compression="zstd", write_page_checksum=True
+                path,
+                self._schema,
+                compression="zstd",
+                write_page_checksum=True,
+                use_dictionary=False,
+                column_encoding=dict.fromkeys(_SCHEMA.names, "BYTE_STREAM_SPLIT"),
             ),
         )
         return self
 
     def add(self, indices: NDArray[np.int32], cls: NDArray[np.uint8]) -> None:
         """Add voxels: indices ix, iy, iz (n, 3) and classes (n,)."""
-        columns = [*np.ascontiguousarray(indices.T), cls]
-        self._waiting.append(pa.table(columns, schema=self._schema))
+        columns = dict(zip(_SCHEMA.names, (*indices.T, cls), strict=True))
+        self._waiting.append(as_table(columns, self._schema))
         self.rows += len(cls)
         if sum(len(part) for part in self._waiting) >= _GROUP:
             self._flush(whole_groups=True)
 
     def _flush(self, whole_groups: bool) -> None:
-        waiting = pa.concat_tables([*self._waiting, self._schema.empty_table()]).combine_chunks()
+        if not self._waiting:
+            return
+        waiting = pa.concat_tables(self._waiting).combine_chunks()
         cut = len(waiting) // _GROUP * _GROUP if whole_groups else len(waiting)
         if cut:
             self._file.write_table(waiting.slice(0, cut), row_group_size=_GROUP)

@@ -108,7 +108,9 @@ def edge_pixels(image: RoadImage, border_cells: float) -> _MASK:
     return (road > inner) & (image.surveyed_cells > border_cells)
 
 
-def edge_level(road_share: NDArray[np.floating], occupied: _MASK, image: RoadImage) -> _FLOATS:
+def edge_level(
+    road_share: NDArray[np.floating], occupied: _MASK, image: RoadImage
+) -> NDArray[np.float32]:
     """Smoothed share of road points (rows, columns): the edge runs at a half.
 
     Pixels without points say nothing. Well inside and well outside the cleaned road, the level is
@@ -118,14 +120,16 @@ def edge_level(road_share: NDArray[np.floating], occupied: _MASK, image: RoadIma
     weight = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), sigma)
     share = cv2.GaussianBlur(np.where(occupied, road_share, 0.0).astype(np.float32), (0, 0), sigma)
     road = image.road.astype(np.uint8)
-    level = np.where(weight > 1e-3, share / np.maximum(weight, 1e-3), road)
-    reach = image.closing + 2
-    level[cv2.erode(road, _disc(reach), borderValue=1) > 0] = 1.0
-    level[cv2.dilate(road, _disc(reach), borderValue=0) == 0] = 0.0
+    reach = _disc(image.closing + 2)
+    level = np.zeros(road.shape, np.float32)
+    near = np.nonzero(cv2.dilate(road, reach, borderValue=0))
+    weight, share = weight[near], share[near]
+    level[near] = np.where(weight > 1e-3, share / np.maximum(weight, 1e-3), road[near])
+    level[cv2.erode(road, reach, borderValue=1) > 0] = 1.0
     return level
 
 
-def outlines(image: RoadImage, level: _FLOATS, window_cells: float) -> list[_FLOATS]:
+def outlines(image: RoadImage, level: NDArray[np.floating], window_cells: float) -> list[_FLOATS]:
     """Closed outlines of the road as fractional (row, column) pairs, each (n, 2).
 
     The chain of edge pixels is smoothed and every place moved across it to where the level is a
@@ -144,7 +148,7 @@ def outlines(image: RoadImage, level: _FLOATS, window_cells: float) -> list[_FLO
     return lines
 
 
-def _to_level(line: _FLOATS, level: _FLOATS, reach: float) -> _FLOATS:
+def _to_level(line: _FLOATS, level: NDArray[np.floating], reach: float) -> _FLOATS:
     """Move places of a closed line (n, 2) across it to the nearest crossing of level one half."""
     tangent = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
@@ -246,49 +250,13 @@ def _runs_of(keep: _MASK) -> list[NDArray[np.int64]]:
     return [index[a:b] for a, b in zip(starts, ends, strict=True)]
 
 
-def surface_heights(
-    place: _FLOATS, height_m: NDArray[np.float32], road: _MASK, radius_cells: int = 4
-) -> _FLOATS:
-    """Height of the road surface at places (n, 2) in rows and columns, NaN without road near.
-
-    A plane through the road pixels around, without those far from their median.
-    """
-    step = np.arange(-radius_cells, radius_cells + 1)
-    rows, columns = (grid.ravel() for grid in np.meshgrid(step, step, indexing="ij"))
-    heights = np.empty(len(place))
-    for start in range(0, len(place), 20_000):
-        part = place[start : start + 20_000]
-        heights[start : start + len(part)] = _planes(part, rows, columns, height_m, road)
-    return heights
-
-
-def _planes(
-    place: _FLOATS, rows: NDArray, columns: NDArray, height_m: NDArray, road: _MASK
-) -> _FLOATS:
-    """Heights at places of planes through the road pixels at offsets ``rows``, ``columns``."""
-    row = np.round(place[:, :1]).astype(int) + rows
-    column = np.round(place[:, 1:]).astype(int) + columns
-    valid = (row >= 0) & (row < road.shape[0]) & (column >= 0) & (column < road.shape[1])
-    row, column = np.where(valid, row, 0), np.where(valid, column, 0)
-    z = height_m[row, column].astype(np.float64)
-    valid &= road[row, column] & np.isfinite(z)
-    some = valid.any(axis=1)
-    z = np.where(valid, z, np.nan)
-    middle = np.full(len(place), np.nan)
-    middle[some] = np.nanmedian(z[some], axis=1)
-    apart = np.where(valid, z - middle[:, None], 0.0)
-    weight = (valid & (np.abs(apart) <= 0.3)).astype(np.float64)
-    terms = np.stack([np.ones(row.shape), row - place[:, :1], column - place[:, 1:]], axis=-1)
-    weighted = (weight[..., None] * terms).transpose(0, 2, 1)
-    # As if the slope were known to be some 5 cm a cell, so that few or collinear pixels do.
-    square = weighted @ terms + np.diag([1e-9, 0.3, 0.3])
-    return middle + np.linalg.solve(square, weighted @ apart[..., None])[:, 0, 0]
-
-
 def _without_small(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
     """Mask without components (of pixels that share a side) of fewer cells."""
-    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-    keep = stats[:, cv2.CC_STAT_AREA] >= least_cells
+    count, labels = cv2.connectedComponents(mask, connectivity=4)
+    cells = np.zeros(count, np.int64)
+    for start in range(0, len(labels), 256):
+        cells += np.bincount(labels[start : start + 256].ravel(), minlength=count)
+    keep = cells >= least_cells
     keep[0] = False
     return keep[labels].astype(np.uint8)
 

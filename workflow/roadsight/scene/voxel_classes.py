@@ -15,9 +15,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.scene.voxel_kernels import BRIDGE, ROAD, point_keys, runs_of, tops, winners
+from roadsight.scene.voxel_kernels import indices_of, point_keys, runs_of, tops, winners
 
 _INTS = NDArray[np.int64]
+_MASK = NDArray[np.bool_]
 _CLASS_BITS = _HEIGHT_BITS = 8
 _KEY_BITS = 63 - _CLASS_BITS - _HEIGHT_BITS
 _NUDGE_M = 2.5e-4
@@ -76,15 +77,23 @@ class VoxelGrid:
 
     def indices(self, voxel: _INTS) -> NDArray[np.int32]:
         """Indices ix, iy, iz (n, 3) of voxel numbers (n,)."""
-        columns, _, layers = self.shape
-        column, iz = np.divmod(voxel, layers)
-        iy, ix = np.divmod(column, columns)
-        return (np.stack([ix, iy, iz], axis=1) + self.low).astype(np.int32)
+        return indices_of(voxel, np.array(self.shape), np.array(self.low)).T
 
     def first_open_row(self, north_m: float) -> int:
         """First row of the window that points north of ``north_m`` may still fall into."""
-        row = np.floor((north_m - self.corner_m[1] + _NUDGE_M - _SLACK_M) / self.cell_size_m)
-        return int(np.clip(row, 0, self.shape[1]))
+        return int(np.clip(self._reached(1, north_m - _SLACK_M), 0, self.shape[1]))
+
+    def _reached(self, axis: int, at_m: float) -> int:
+        return int(np.floor((at_m - self.corner_m[axis] + _NUDGE_M) / self.cell_size_m))
+
+    def within(self, voxel: _INTS, west_m: float, south_m: float, size_m: float) -> _MASK:
+        """Which voxels (n,) no point outside a half open square of the plan can fall into."""
+        row, column = np.divmod(voxel // self.shape[2], self.shape[0])
+        inside = np.ones(len(voxel), bool)
+        for axis, low_m, index in ((0, west_m, column), (1, south_m, row)):
+            inside &= index > self._reached(axis, low_m + _SLACK_M)
+            inside &= index < self._reached(axis, low_m + size_m - _SLACK_M)
+        return inside
 
     def row_start(self, row: int) -> int:
         """Number of the first voxel of a row of the window."""
@@ -110,9 +119,10 @@ class ClassRuns:
         """Runs below a voxel number, and the rest."""
         cut = int(np.searchsorted(self.voxel, voxel))
         south, north = slice(None, cut), slice(cut, None)
-        return self._part(south), self._part(north)
+        return self.part(south), self.part(north)
 
-    def _part(self, rows: slice) -> ClassRuns:
+    def part(self, rows: slice | _MASK) -> ClassRuns:
+        """Some of the runs."""
         return ClassRuns(self.voxel[rows], self.cls[rows], self.points[rows], self.heights[rows])
 
 
@@ -140,25 +150,17 @@ class Columns:
 
     Parameters
     ----------
-    row, column : (n,) in the grid's window.
+    row, column : (n,) in the grid's window, 32 bits.
     cls : (n,) of the highest voxel; road or bridge where the column has any.
     height_m : (n,) mean of that voxel's points, or of the uppermost road surface's; local metres.
     road_share : (n,) share of road and bridge among the points at that surface, 0 without road.
     """
 
-    row: _INTS
-    column: _INTS
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
     cls: NDArray[np.uint8]
     height_m: NDArray[np.float64]
     road_share: NDArray[np.float64]
-
-
-def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> NDArray[np.uint8]:
-    """Class (256,) that each class of a cloud stands for, road and bridge being 11 and 17."""
-    table = np.arange(256, dtype=np.uint8)
-    table[list(bridge_classes)] = BRIDGE
-    table[list(road_classes)] = ROAD
-    return table
 
 
 def count_classes(
@@ -201,6 +203,6 @@ def seen_from_above(grid: VoxelGrid, voxels: Voxels) -> Columns:
     number, cls, layer, share = tops(
         voxels.voxel, voxels.cls, voxels.own, voxels.points, voxels.heights, layers
     )
-    row, column = np.divmod(number, columns)
+    row, column = (index.astype(np.int32) for index in np.divmod(number, columns))
     height = grid.corner_m[2] + layer * grid.cell_size_m - _NUDGE_M
     return Columns(row, column, cls, height, share)

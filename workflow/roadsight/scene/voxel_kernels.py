@@ -6,8 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-GROUND, ROAD, BRIDGE = 2, 11, 17
-"""ASPRS classes that matter here."""
+from roadsight.scene.classes import BRIDGE, ROAD
 
 _INTS = NDArray[np.int64]
 
@@ -33,6 +32,19 @@ def point_keys(
         voxel = (row * shape[0] + column) * shape[2] + layer
         keys[i] = (voxel << 16) | (np.int64(cls[i]) << 8) | part
     return keys
+
+
+@njit(cache=True)
+def indices_of(voxel: _INTS, shape: _INTS, low: _INTS) -> NDArray[np.int32]:
+    """Indices ix, iy, iz (3, n) of voxel numbers (n,)."""
+    indices = np.empty((3, len(voxel)), np.int32)
+    for i in range(len(voxel)):
+        column = voxel[i] // shape[2]
+        row = column // shape[0]
+        indices[0, i] = column - row * shape[0] + low[0]
+        indices[1, i] = row + low[1]
+        indices[2, i] = voxel[i] - column * shape[2] + low[2]
+    return indices
 
 
 @njit(cache=True)

@@ -12,9 +12,8 @@ from roadsight.errors import InputError
 from roadsight.io.tables import read_table
 from roadsight.io.terrains import write_terrain
 from roadsight.io.tiles import CloudTiles, stack_xyz
+from roadsight.scene.classes import BRIDGE, GROUND, ROAD, class_table
 from roadsight.scene.tin import add_cells, cell_means, sum_cells, triangulate
-from roadsight.scene.voxel_classes import class_table
-from roadsight.scene.voxel_kernels import BRIDGE, GROUND, ROAD
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 

@@ -20,6 +20,7 @@ from roadsight.io.tables import read_table, write_table
 from roadsight.io.tiles import CloudTiles
 from roadsight.io.top_rasters import TopRaster, read_top
 from roadsight.io.vectors import write_layers
+from roadsight.scene.classes import BRIDGE, ROAD
 from roadsight.scene.curbs import Curbs, CurbSettings, find_curbs
 from roadsight.scene.road_edges import (
     EdgeLines,
@@ -30,9 +31,8 @@ from roadsight.scene.road_edges import (
     edge_lines,
     edge_pixels,
     outlines,
-    surface_heights,
 )
-from roadsight.scene.voxel_kernels import BRIDGE, ROAD
+from roadsight.scene.surface_heights import surface_heights
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("extract_road_edges")

@@ -19,24 +19,16 @@ from roadsight.io.rasters import read_raster
 from roadsight.io.tiles import CloudTiles, Points
 from roadsight.io.top_rasters import TopRasterWriter
 from roadsight.io.voxel_tables import VoxelTableWriter
+from roadsight.scene.classes import BRIDGE, ROAD, class_table
 from roadsight.scene.paved import PavedArea
-from roadsight.scene.voxel_classes import (
-    ClassRuns,
-    VoxelGrid,
-    Voxels,
-    add_runs,
-    class_table,
-    count_classes,
-    seen_from_above,
-    settle,
-)
-from roadsight.scene.voxel_kernels import BRIDGE, ROAD
+from roadsight.scene.settled_voxels import Settled, join, settle_area
+from roadsight.scene.voxel_classes import ClassRuns, VoxelGrid, add_runs, count_classes
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("rasterise_lidar")
 
-_ROWS = 8
+_ROWS = 32
 
 
 def rasterise_lidar(arguments: argparse.Namespace) -> None:
@@ -56,7 +48,7 @@ def rasterise_lidar(arguments: argparse.Namespace) -> None:
     ):
         for part in settled(grid, cloud, table, paved):
             voxels.add(grid.indices(part.voxel), part.cls)
-            top.add(seen_from_above(grid, part))
+            top.add(part.columns)
             road += int(np.isin(part.cls, (ROAD, BRIDGE)).sum())
     log.info("%d points, %d voxels, %d of road or bridge", cloud.points, voxels.rows, road)
     if road == 0:
@@ -69,23 +61,36 @@ def rasterise_lidar(arguments: argparse.Namespace) -> None:
 
 def settled(
     grid: VoxelGrid, cloud: CloudTiles, table: NDArray[np.uint8], paved: PavedArea | None
-) -> Iterator[Voxels]:
-    """Voxels of the cloud from south to north, each once, whatever the tiles are."""
+) -> Iterator[Settled]:
+    """Voxels of the cloud from south to north, each once, whatever the tiles are.
+
+    What tiles share waits until all of them are read.
+    """
     numbers = logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles")
-    runs: list[ClassRuns] = []
-    done = 0
+    shared: list[ClassRuns] = []
+    done, size_m = 0, cloud.tile_size_m
     for iy, row in groupby(numbers, key=lambda number: cloud.tiles[number].iy):
+        parts = []
         for number in row:
             points = cloud.read(("x", "y", "z", "classification"), [number])
             cls = _classes(points, table, paved)
-            runs.append(count_classes(grid, [points[axis] for axis in "xyz"], cls))
-        open_row = grid.first_open_row((iy + 1) * cloud.tile_size_m)
-        for end in [*range(done + _ROWS, open_row, _ROWS), open_row]:
-            halves = [part.split(grid.row_start(end)) for part in runs]
-            yield settle(add_runs([south for south, _ in halves]))
-            runs = [north for _, north in halves]
-        runs, done = [add_runs(runs)], open_row
-    yield from (settle(part) for part in runs)
+            runs = count_classes(grid, [points[axis] for axis in "xyz"], cls)
+            own = grid.within(runs.voxel, cloud.tiles[number].ix * size_m, iy * size_m, size_m)
+            parts.append(settle_area(grid, runs.part(own)))
+            shared.append(runs.part(~own))
+        open_row = grid.first_open_row((iy + 1) * size_m)
+        south, north = add_runs(shared).split(grid.row_start(open_row))
+        yield from _in_rows(grid, [*parts, settle_area(grid, south)], range(done, open_row, _ROWS))
+        shared, done = [north], open_row
+    yield from (settle_area(grid, part) for part in shared)
+
+
+def _in_rows(grid: VoxelGrid, parts: list[Settled], starts: range) -> Iterator[Settled]:
+    """Parts beside each other, some rows of all of them at a time."""
+    for start in starts:
+        halves = [part.split(grid, start + starts.step) for part in parts]
+        yield join([south for south, _ in halves])
+        parts = [north for _, north in halves]
 
 
 def _classes(
@@ -101,13 +106,9 @@ def _paved_area(
     arguments: argparse.Namespace, cloud: CloudTiles, table: NDArray[np.uint8], frame: Frame
 ) -> PavedArea | None:
     """Nothing for a cloud that knows its roads, else the pavement found in it or given."""
-    counts = np.zeros(256, np.int64)
-    for number in range(len(cloud.tiles)):
-        counts += np.bincount(
-            cloud.read(["classification"], [number])["classification"], minlength=256
-        )
-    log.info("points by class: %s", {c: int(counts[c]) for c in np.flatnonzero(counts).tolist()})
-    share = counts[table == ROAD].sum() / max(counts.sum(), 1)
+    log.info("points by class: %s", cloud.classes)
+    on_road = sum(count for cls, count in cloud.classes.items() if table[cls] == ROAD)
+    share = on_road / max(cloud.points, 1)
     use_class = arguments.road_source == "class" or (
         arguments.road_source == "auto" and share >= arguments.least_road_share
     )

@@ -22,7 +22,7 @@ from roadsight.io.tiles import CloudTiles
 from roadsight.io.top_rasters import TopRaster, read_top
 from roadsight.io.videologs import ImageSource, read_videolog_table
 from roadsight.poles.videolog import OK, Site, TrackSettings, build_frames
-from roadsight.scene.voxel_kernels import BRIDGE, ROAD
+from roadsight.scene.classes import BRIDGE, ROAD
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 

@@ -1,0 +1,26 @@
+"""Columns between NumPy and Arrow without a copy.
+
+Arrow's own conversions load pandas first, which takes a short step a tenth of its time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+
+def as_table(columns: Mapping[str, NDArray], schema: pa.Schema) -> pa.Table:
+    """Table of numeric columns (n,) of the types that the schema names."""
+    arrays = []
+    for name, kind in zip(schema.names, schema.types, strict=True):
+        values = np.ascontiguousarray(columns[name], kind.to_pandas_dtype())
+        arrays.append(pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(values)]))
+    return pa.table(arrays, schema=schema)
+
+
+def as_numpy(column: pa.ChunkedArray) -> NDArray:
+    """Numeric column (n,) without gaps; read only where it is one piece."""
+    return np.from_dlpack(column.combine_chunks())

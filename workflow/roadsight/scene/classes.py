@@ -1,0 +1,18 @@
+"""Classes of a cloud's points that matter here (ASPRS LAS 1.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+GROUND, ROAD, BRIDGE = 2, 11, 17
+
+
+def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> NDArray[np.uint8]:
+    """Class (256,) that each class of a cloud stands for, road and bridge being 11 and 17."""
+    table = np.arange(256, dtype=np.uint8)
+    table[list(bridge_classes)] = BRIDGE
+    table[list(road_classes)] = ROAD
+    return table
