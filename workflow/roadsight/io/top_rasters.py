@@ -69,10 +69,12 @@ class TopRasterWriter:
 
     def add(self, columns: Columns) -> None:
         """Add columns that lie north of, or beside, all that came before."""
+        if not len(columns.row):
+            return
         row = self._grid.shape[1] - 1 - columns.row
         block = row // _BLOCK
         height = columns.height_m / self._frame.vertical_unit_m + self._frame.origin[2]
-        for number in range(block.max(initial=-1), block.min(initial=0) - 1, -1):
+        for number in range(block.max(), block.min() - 1, -1):
             own = block == number
             if own.any() and number != self._block:
                 self._flush()
