@@ -67,7 +67,7 @@ def _compared(
     """Surfels beside each other way."""
     edge_m = max(0.1, plan_spacing_m(_density(cloud)))
     lidar = SurfelLidar(build_surfels(sum_moments(cloud, edge_m)))
-    ways = {SURFEL: lidar.depth_map, "nothing returns": _empty}
+    ways = {SURFEL: lidar.depth_map, "bound: an empty map": _empty}
     for way in ("preliminary", "hybrid"):
         ways[way] = partial(model_of_points(way), cloud)
     for title, file in NETWORKS.items():
