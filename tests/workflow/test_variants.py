@@ -101,6 +101,16 @@ def test_a_failing_run_says_what_snakemake_said(in_base: Checkout, tmp_path: Pat
         variant.run([SOLUTION])
 
 
+def test_a_failing_job_says_what_its_stage_said(in_base: Checkout, tmp_path: Path):
+    variant = prepared(in_base, tmp_path / "variant", {"targets": {"cell_size_m": 2.0}})
+    pavement = variant.result("scene/pavement.gpkg")
+    pavement.unlink()
+    pavement.write_bytes(b"none")
+    said = r"variant: the workflow failed; found results/\S+pavement.gpkg: cannot be read as vector"
+    with pytest.raises(VariantError, match=said):
+        variant.run([SOLUTION])
+
+
 def test_a_site_without_results_is_refused(tmp_path: Path):
     (tmp_path / "base").mkdir()
     with pytest.raises(InputError, match="has no results to start from"):

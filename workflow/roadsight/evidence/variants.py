@@ -7,6 +7,7 @@ in a work folder of its own, and Snakemake's own rules of staleness recompute th
 from __future__ import annotations
 
 import csv
+import logging
 import os
 import re
 import subprocess
@@ -17,16 +18,21 @@ from pathlib import Path
 from typing import Any
 
 from roadsight.config.load import merged
+from roadsight.errors import InputError
 from roadsight.io.atomic import write_json
 from roadsight.io.mirror import mirror_site
 from roadsight.io.usage import last_usage
 
+log = logging.getLogger(__name__)
+
 _PACKAGE = Path(__file__).resolve().parents[2]
 _CONFIG = "variant.json"
+_LOG = re.compile(r"^ +log: (\S+)", re.MULTILINE)
+_MESSAGE = "roadsight: "
 _JOB = re.compile(r"^(?:local)?(?:rule|checkpoint) (\w+):$", re.MULTILINE)
 
 
-class VariantError(RuntimeError):
+class VariantError(InputError):
     """The workflow failed in a variant's folder."""
 
 
@@ -184,9 +190,22 @@ class Variant:
             check=False,
         )
         if finished.returncode != 0:
-            end = finished.stdout[-4000:]
-            raise VariantError(f"{' '.join(command)} failed in {self.folder}:\n{end}")
+            log.error("%s failed:\n%s", " ".join(command), finished.stdout[-4000:])
+            raise VariantError(
+                "the workflow failed",
+                where=str(self.folder),
+                found=self._told(finished.stdout),
+                hint="see logs in that folder",
+            )
         return finished.stdout
+
+    def _told(self, output: str) -> str:
+        """What a stage or the configuration said was wrong, else the last that Snakemake said."""
+        logs = [self.folder / name for name in dict.fromkeys(_LOG.findall(output))]
+        texts = [path.read_text(errors="replace") for path in logs if path.is_file()]
+        lines = [line for text in (output, *texts) for line in text.splitlines()]
+        told = [line for line in lines if line.startswith(_MESSAGE)]
+        return told[-1].removeprefix(_MESSAGE) if told else output.strip()[-400:]
 
 
 def _environment() -> dict[str, str]:
