@@ -22,7 +22,7 @@ rule rasterise_lidar:
     conda:
         ENVIRONMENT
     resources:
-        mem_mb=megabytes(50),
+        mem_mb=megabytes(10),
         runtime=minutes(),
     params:
         road_source=road_source,
