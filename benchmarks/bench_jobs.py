@@ -121,7 +121,8 @@ def _stage(
 ) -> dict[str, Any]:
     cpu_s, peak_mib = _total({rule: used[rule] for rule in stage.rules if rule in used})
     published_s = 60 * stage.minutes_per_mile * stage.cores
-    title = f"poles, {stage.title[0].lower()}{stage.title[1:]}"
+    first, *rest = stage.title.split()
+    title = " ".join(["poles,", first.lower() if first.istitle() else first, *rest])
     return _beside(title, cpu_s / miles, peak_mib, published_s, work)
 
 

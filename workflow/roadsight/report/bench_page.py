@@ -111,7 +111,7 @@ def _bar(row: Mapping[str, Any], one: float, end: float, y: float) -> str:
     name, ratio = str(row["kernel"]), number(_short(row["ratio"]))
     title = f"{name}, {row['workload']}: {ratio} times ({row['against']})"
     other = row["workload"] if name.startswith("set cover") else row["against"]
-    label = f"{name}: {str(other).split(' (')[0].split(', ')[0]}"
+    label = f"{name}: {str(other).split(' (')[0].split(', its ')[0]}"
     return (
         f"<g><title>{escape(title)}</title>"
         f'<text class="name" x="{_LEFT - 10:g}" y="{y + 14:.1f}" text-anchor="end">'
