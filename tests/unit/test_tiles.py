@@ -211,10 +211,16 @@ def test_columns_pass_through_arrow_unchanged(kind, rows):
 
 
 def test_clouds_are_written_and_read_without_pandas(tmp_path):
-    write(tmp_path / "c.parquet", cloud(100))
-    script = (
-        "import sys; from roadsight.io.tiles import CloudTiles;"
-        f"CloudTiles({str(tmp_path / 'c.parquet')!r}).read();"
-        "sys.exit('pandas' in sys.modules)"
-    )
-    assert subprocess.run([sys.executable, "-c", script], check=False).returncode == 0
+    np.savez(tmp_path / "points.npz", **cloud(100))
+    script = """
+import sys
+import numpy as np
+from roadsight.io.tile_writer import TileWriter
+from roadsight.io.tiles import CloudTiles
+with TileWriter("c.parquet", 25.0, coloured=True) as writer:
+    writer.append(np.load("points.npz"))
+    writer.finish()
+assert len(CloudTiles("c.parquet").read()["x"]) == 100
+assert "pandas" not in sys.modules
+"""
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True)

@@ -164,17 +164,17 @@ class Variant:
         listed = self._snakemake(targets, "--summary")
         rows = csv.DictReader(listed[listed.index("output_file\t") :].splitlines(), delimiter="\t")
         jobs = {row["log-file(s)"]: row["rule"] for row in rows if row["log-file(s)"] != "-"}
-        return [self._record(rule, log) for log, rule in sorted(jobs.items())]
+        return [self._record(rule, path) for path, rule in sorted(jobs.items())]
 
-    def _record(self, rule: str, log: str) -> JobRecord:
-        usage = last_usage(self.folder / log)
-        inside = Path(log).relative_to(Path("logs") / self.site)
+    def _record(self, rule: str, path: str) -> JobRecord:
+        usage = last_usage(self.folder / path)
+        inside = Path(path).relative_to(Path("logs") / self.site)
         benchmark = self.result("benchmarks") / inside.with_suffix(".tsv")
         if usage is None or not benchmark.is_file():
-            raise VariantError(f"{log} in {self.folder} does not say what the job used")
+            raise VariantError(f"{path} in {self.folder} does not say what the job used")
         lines = list(csv.DictReader(benchmark.read_text().splitlines(), delimiter="\t"))
         ran = benchmark.stat().st_mtime_ns > (self.folder / _CONFIG).stat().st_mtime_ns
-        return JobRecord(rule, log, ran, usage.cpu_s, float(lines[-1]["s"]), usage.peak_mib)
+        return JobRecord(rule, path, ran, usage.cpu_s, float(lines[-1]["s"]), usage.peak_mib)
 
     def _snakemake(self, targets: Sequence[str], *options: str) -> str:
         """Standard output and error of Snakemake in the variant's folder."""
@@ -195,7 +195,7 @@ class Variant:
                 "the workflow failed",
                 where=str(self.folder),
                 found=self._told(finished.stdout),
-                hint="see logs in that folder",
+                hint="see the logs in that folder",
             )
         return finished.stdout
 

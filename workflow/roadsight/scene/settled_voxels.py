@@ -13,7 +13,7 @@ from roadsight.scene.voxel_classes import ClassRuns, Columns, VoxelGrid, seen_fr
 
 @dataclass(frozen=True)
 class Settled:
-    """Voxels of whole columns and what is seen of them from above, in a third of their runs' room.
+    """Voxels of whole columns and what is seen of them from above, in half of their runs' room.
 
     Parameters
     ----------
