@@ -20,6 +20,7 @@ from laspy import DecompressionSelection as Fields
 from pyproj import CRS
 
 from bench_measure import Size, measured_apart, row
+from roadsight.config.environment import prepare_environment
 
 POINTS, LENGTH_M, WIDTH_M = 34_012_557, 10_139.0, 30.48
 _BATCH = 1_000_000
@@ -134,4 +135,5 @@ if __name__ == "__main__":
     if sys.argv[1:] and sys.argv[1] in _LAYERS:
         decode(Path(sys.argv[2]), sys.argv[1])
     else:
+        prepare_environment()
         print(json.dumps(rows("full" if "--full" in sys.argv else "usual"), indent=2))

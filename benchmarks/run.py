@@ -12,8 +12,9 @@ from pathlib import Path
 from typing import get_args
 
 sys.path.insert(0, str(Path(__file__).parent))
-for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
-    os.environ.setdefault(variable, "1")
+from roadsight.config.environment import prepare_environment
+
+prepare_environment()
 
 from bench_measure import Size  # noqa: E402  # the number of threads is settled before
 from roadsight import __version__  # noqa: E402

@@ -11,21 +11,28 @@ from roadsight.io.sources import package_digest
 
 _PYC_HEADER_BYTES = 16
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
+_ALLOCATION = {
+    "ARROW_DEFAULT_MEMORY_POOL": "system",
+    "MALLOC_MMAP_THRESHOLD_": str(2**25),
+    "MALLOC_TRIM_THRESHOLD_": str(2**28),
+}
 
 
 def prepare_environment() -> None:
     """Set what stages inherit.
 
     They run with the interpreter that runs Snakemake, whether or not its environment is active.
-    Kernels are single-threaded by design; shards are what runs in parallel. Numba notices an edit
+    Kernels are single-threaded by design; shards are what runs in parallel. Arrays up to 32 MiB
+    come from memory that a stage has had before (Linux clears new pages in about the time in which
+    a point is sorted into its tile). Numba notices an edit
     in a kernel's own file only, not in the kernels that it calls: its cache is kept by the digest
     of all sources.
     """
     drop_damaged_bytecode(Path(__file__).parents[1])
     folder = str(Path(sys.executable).parent)
     os.environ["PATH"] = f"{folder}{os.pathsep}{os.environ.get('PATH', os.defpath)}"
-    for variable in _THREADS:
-        os.environ.setdefault(variable, "1")
+    for variable, value in (dict.fromkeys(_THREADS, "1") | _ALLOCATION).items():
+        os.environ.setdefault(variable, value)
     os.environ["NUMBA_CACHE_DIR"] = str(kernel_cache(Path()).resolve())
 
 

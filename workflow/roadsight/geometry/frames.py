@@ -41,7 +41,9 @@ class Frame:
         """Native coordinates (..., 2 or 3) to local metres, float64."""
         xyz = np.asarray(native, dtype=np.float64)
         n = xyz.shape[-1]
-        return (xyz - np.asarray(self.origin)[:n]) * self.scale[:n]
+        local = xyz - np.asarray(self.origin)[:n]
+        local *= self.scale[:n]
+        return local
 
     def to_native(self, local_m: ArrayLike) -> NDArray[np.float64]:
         """Local metres (..., 2 or 3) to native coordinates, float64."""

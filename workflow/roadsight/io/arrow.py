@@ -6,10 +6,22 @@ Arrow's own conversions load pandas first, which takes a short step a tenth of i
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
+
+
+def schema_of(types: Mapping[str, Any]) -> pa.Schema:
+    """Schema of numeric columns without gaps, which are written in two thirds of the time.
+
+    Parameters
+    ----------
+    types : NumPy type of each column.
+    """
+    fields = [(name, pa.from_numpy_dtype(np.dtype(kind))) for name, kind in types.items()]
+    return pa.schema([pa.field(name, kind, nullable=False) for name, kind in fields])
 
 
 def as_table(columns: Mapping[str, NDArray], schema: pa.Schema) -> pa.Table:

@@ -29,7 +29,7 @@ from roadsight.io.whole import check_raster
 if TYPE_CHECKING:  # compiled loops that a reader does not need
     from roadsight.scene.voxel_classes import Columns, VoxelGrid
 
-_BLOCK = 256
+_BLOCK_ROWS, _BLOCK_COLUMNS = 128, 256
 _NODATA = -9999.0
 _BANDS = ("class", "height", "road share")
 
@@ -45,7 +45,7 @@ class TopRasterWriter:
     def __init__(self, path: str | os.PathLike[str], frame: Frame, grid: VoxelGrid) -> None:
         self._place, self._frame, self._grid = atomic_path(path), frame, grid
         self._block, self._written = -1, 0
-        self._pixels = np.full((len(_BANDS), _BLOCK, grid.shape[0]), _NODATA, np.float32)
+        self._pixels = np.full((len(_BANDS), _BLOCK_ROWS, grid.shape[0]), _NODATA, np.float32)
 
     def __enter__(self) -> TopRasterWriter:
         self._file = open_within(self._place, self._create)
@@ -60,7 +60,7 @@ class TopRasterWriter:
         raster = rasterio.open(
             path, "w", driver="GTiff", width=columns, height=rows, count=3,
             dtype="float32", crs=crs, nodata=_NODATA, compress="deflate", zlevel=1, tiled=True,
-            blockxsize=_BLOCK, blockysize=_BLOCK, interleave="band", sparse_ok=True,
+            blockxsize=_BLOCK_COLUMNS, blockysize=_BLOCK_ROWS, interleave="band", sparse_ok=True,
             bigtiff="if_safer", transform=rasterio.Affine(cell, 0.0, west, 0.0, -cell, north),
         )  # fmt: skip
         for number, name in enumerate(_BANDS, start=1):
@@ -72,14 +72,14 @@ class TopRasterWriter:
         if not len(columns.row):
             return
         row = self._grid.shape[1] - 1 - columns.row
-        block = row // _BLOCK
+        block = row // _BLOCK_ROWS
         height = columns.height_m / self._frame.vertical_unit_m + self._frame.origin[2]
         for number in range(block.max(), block.min() - 1, -1):
             own = block == number
             if own.any() and number != self._block:
                 self._flush()
                 self._block = number
-            place = row[own] - number * _BLOCK, columns.column[own]
+            place = row[own] - number * _BLOCK_ROWS, columns.column[own]
             self._pixels[0][place] = columns.cls[own]
             self._pixels[1][place] = height[own]
             self._pixels[2][place] = columns.road_share[own]
@@ -87,10 +87,10 @@ class TopRasterWriter:
     def _flush(self) -> None:
         if self._block < 0:
             return
-        first = self._block * _BLOCK
-        rows = min(_BLOCK, self._grid.shape[1] - first)
-        for west in range(0, self._grid.shape[0], _BLOCK):
-            part = self._pixels[:, :rows, west : west + _BLOCK]
+        first = self._block * _BLOCK_ROWS
+        rows = min(_BLOCK_ROWS, self._grid.shape[1] - first)
+        for west in range(0, self._grid.shape[0], _BLOCK_COLUMNS):
+            part = self._pixels[:, :rows, west : west + _BLOCK_COLUMNS]
             if (part[0] != _NODATA).any():
                 self._file.write(part, window=Window(west, first, part.shape[2], rows))
                 self._written += 1

@@ -12,13 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from roadsight.io.arrow import as_table
+from roadsight.io.arrow import as_table, schema_of
 from roadsight.io.atomic import atomic_path, close_within, open_within
 
 _GROUP = 1 << 20
-_SCHEMA = pa.schema(
-    [("ix", pa.int32()), ("iy", pa.int32()), ("iz", pa.int32()), ("cls", pa.uint8())]
-)
+_SCHEMA = schema_of({**dict.fromkeys(("ix", "iy", "iz"), "i4"), "cls": "u1"})
 
 
 class VoxelTableWriter:

@@ -18,6 +18,7 @@ _FLOATS = NDArray[np.float64]
 _MASK = NDArray[np.bool_]
 _MISSED_HOLES = 1e-4
 _LARGEST_CLOSING = 6
+_ROWS = 16
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,8 @@ def edge_level(
     """
     sigma = max(0.7, 0.5 * image.closing)
     weight = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), sigma)
-    share = cv2.GaussianBlur(np.where(occupied, road_share, 0.0).astype(np.float32), (0, 0), sigma)
+    share = np.where(occupied, road_share, 0.0).astype(np.float32, copy=False)
+    share = cv2.GaussianBlur(share, (0, 0), sigma)
     road = image.road.astype(np.uint8)
     reach = _disc(image.closing + 2)
     level = np.zeros(road.shape, np.float32)
@@ -254,8 +256,8 @@ def _without_small(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.ui
     """Mask without components (of pixels that share a side) of fewer cells."""
     count, labels = cv2.connectedComponents(mask, connectivity=4)
     cells = np.zeros(count, np.int64)
-    for start in range(0, len(labels), 256):
-        cells += np.bincount(labels[start : start + 256].ravel(), minlength=count)
+    for start in range(0, len(labels), _ROWS):
+        cells += np.bincount(labels[start : start + _ROWS].ravel(), minlength=count)
     keep = cells >= least_cells
     keep[0] = False
     return keep[labels].astype(np.uint8)

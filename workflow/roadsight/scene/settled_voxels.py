@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from roadsight.scene.voxel_classes import ClassRuns, Columns, VoxelGrid, seen_from_above, settle
 
+_COLUMNS = tuple(field.name for field in fields(Columns))
+
 
 @dataclass(frozen=True)
 class Settled:
@@ -46,10 +48,9 @@ def join(parts: Sequence[Settled]) -> Settled:
     voxel = np.concatenate([part.voxel for part in parts])
     order = np.argsort(voxel, kind="stable")
     cls = np.concatenate([part.cls for part in parts])[order]
-    names = [field.name for field in fields(Columns)]
-    columns = [np.concatenate([getattr(part.columns, name) for part in parts]) for name in names]
+    columns = [np.concatenate([getattr(part.columns, name) for part in parts]) for name in _COLUMNS]
     return Settled(voxel[order], cls, Columns(*columns))
 
 
 def _part(columns: Columns, rows: slice) -> Columns:
-    return Columns(*(getattr(columns, field.name)[rows] for field in fields(Columns)))
+    return Columns(*(getattr(columns, name)[rows] for name in _COLUMNS))

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 _FLOATS = NDArray[np.float64]
 _MASK = NDArray[np.bool_]
+_BATCH = 1_000
 
 
 def surface_heights(
@@ -19,8 +20,8 @@ def surface_heights(
     step = np.arange(-radius_cells, radius_cells + 1)
     rows, columns = (grid.ravel() for grid in np.meshgrid(step, step, indexing="ij"))
     heights = np.empty(len(place))
-    for start in range(0, len(place), 20_000):
-        part = place[start : start + 20_000]
+    for start in range(0, len(place), _BATCH):
+        part = place[start : start + _BATCH]
         heights[start : start + len(part)] = _planes(part, rows, columns, height_m, road)
     return heights
 

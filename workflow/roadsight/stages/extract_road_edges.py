@@ -6,6 +6,7 @@ import argparse
 import logging
 import sys
 from dataclasses import fields
+from typing import TYPE_CHECKING
 
 import geopandas as gpd
 import numpy as np
@@ -21,7 +22,6 @@ from roadsight.io.tiles import CloudTiles
 from roadsight.io.top_rasters import TopRaster, read_top
 from roadsight.io.vectors import write_layers
 from roadsight.scene.classes import BRIDGE, ROAD
-from roadsight.scene.curbs import Curbs, CurbSettings, find_curbs
 from roadsight.scene.road_edges import (
     EdgeLines,
     EdgeSettings,
@@ -35,6 +35,9 @@ from roadsight.scene.road_edges import (
 from roadsight.scene.surface_heights import surface_heights
 from roadsight.stages.command import run_stage
 
+if TYPE_CHECKING:
+    from roadsight.scene.curbs import Curbs
+
 log = logging.getLogger("extract_road_edges")
 
 _BESIDE_M = 45.0
@@ -45,16 +48,17 @@ def extract_road_edges(arguments: argparse.Namespace) -> None:
     """Write the edge points as a table and as lines."""
     frame = Frame.from_dict(read_json(arguments.frame))
     if arguments.method == "curbs":
-        edges = _curbs(arguments)
-        about: dict[str, object] = {"method": "curbs", "settings": vars(CurbSettings())}
+        edges, about = _curbs(arguments)
     else:
         edges, about = _outlined(arguments, frame)
     write_table(arguments.edges, edges, about)
     write_layers(arguments.lines, {"road_edges": _layer(edges)}, frame)
 
 
-def _curbs(arguments: argparse.Namespace) -> pd.DataFrame:
-    """Curbs beside the track of each route."""
+def _curbs(arguments: argparse.Namespace) -> tuple[pd.DataFrame, dict[str, object]]:
+    """Curbs beside the track of each route, and how they were found."""
+    from roadsight.scene.curbs import CurbSettings, find_curbs  # noqa: PLC0415  # slow to load
+
     if not (arguments.cloud and arguments.frames):
         raise InputError(
             "curbs are looked for in the cloud, beside the track", found="no --cloud, --frames"
@@ -78,7 +82,7 @@ def _curbs(arguments: argparse.Namespace) -> pd.DataFrame:
             where=arguments.cloud,
             hint="use road_edges.method contours; curbs need some hundred points per m2",
         )
-    return edges
+    return edges, {"method": "curbs", "settings": vars(CurbSettings())}
 
 
 def _beside(cloud: CloudTiles, track_xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
