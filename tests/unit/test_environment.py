@@ -38,5 +38,7 @@ def test_stages_reuse_memory_that_they_have_had(monkeypatch):
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
     prepare_environment()
     assert os.environ["OMP_NUM_THREADS"] == "2"  # what a user has set stays
-    found = subprocess.run([sys.executable, "-c", _PAGES], env=os.environ, capture_output=True)
+    found = subprocess.run(
+        [sys.executable, "-c", _PAGES], env=os.environ, stdout=subprocess.PIPE, check=True
+    )
     assert float(found.stdout) < 0.1  # share of an array that is in new pages
