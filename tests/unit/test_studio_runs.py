@@ -220,3 +220,29 @@ def test_a_run_that_does_not_get_the_lock_leaves_the_files_of_the_other(
         lock.close()
         for file in files:
             file.unlink(missing_ok=True)
+
+
+def test_the_state_is_told_while_the_next_run_begins(runs, tmp_path):
+    folder = tmp_path / FOLDER
+    hold(folder).close()
+    order = {"time": 0.0, "site": None, "target": "all", "cores": 1, "expected_s": {}}
+    write_json(folder / ORDER, order)
+    done = threading.Event()
+
+    def begin_and_end():
+        while not done.is_set():
+            write_json(folder / ENDED, {"code": 0, "stopped": False, "time": 1.0})
+            for name in (EVENTS, OUTPUT):
+                (folder / name).write_text("{}\n")
+            for name in (ENDED, EVENTS, OUTPUT):
+                (folder / name).unlink()
+
+    other = threading.Thread(target=begin_and_end)
+    other.start()
+    try:
+        statuses = {runs.state()["status"] for _ in range(300)}
+    finally:
+        done.set()
+        other.join()
+        (folder / ORDER).unlink()
+    assert statuses <= {"done", "lost"}

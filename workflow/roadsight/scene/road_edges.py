@@ -119,8 +119,8 @@ def edge_level(
     """
     sigma = max(0.7, 0.5 * image.closing)
     weight = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), sigma)
-    share = np.where(occupied, road_share, 0.0).astype(np.float32, copy=False)
-    share = cv2.GaussianBlur(share, (0, 0), sigma)
+    paved = np.where(occupied, road_share, 0.0).astype(np.float32, copy=False)
+    share = cv2.GaussianBlur(paved, (0, 0), sigma)
     road = image.road.astype(np.uint8)
     reach = _disc(image.closing + 2)
     level = np.zeros(road.shape, np.float32)

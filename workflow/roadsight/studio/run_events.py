@@ -29,10 +29,12 @@ Event = Mapping[str, Any]
 
 def read_events(path: Path) -> list[dict[str, Any]]:
     """Events of a file that may still be written: an unfinished last line is left out."""
-    if not path.exists():
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except FileNotFoundError:
         return []
     found = []
-    for line in path.read_text(encoding="utf-8", errors="replace").split("\n")[:-1]:
+    for line in text.split("\n")[:-1]:
         try:
             event = json.loads(line)
         except ValueError:

@@ -174,7 +174,9 @@ class Runs:
         if not (folder / ORDER).exists():
             return _NO_RUN | about
         order = read_json(folder / ORDER)
-        ended = read_json(folder / ENDED) if (folder / ENDED).exists() else None
+        ended = None
+        with suppress(InputError):  # the next run removes it when it begins
+            ended = read_json(folder / ENDED)
         return about | self._told(order, ended, alive)
 
     def _told(
@@ -245,8 +247,9 @@ def _status(order: dict[str, Any], ended: dict[str, Any] | None, alive: bool) ->
 
 def _tail(path: Path) -> str:
     """Last part of a text file; empty if there is none."""
-    if not path.is_file():
+    try:
+        with path.open("rb") as file:
+            file.seek(max(os.fstat(file.fileno()).st_size - _LOG_BYTES, 0))
+            return file.read().decode("utf-8", errors="replace")
+    except (FileNotFoundError, IsADirectoryError):
         return ""
-    with path.open("rb") as file:
-        file.seek(max(path.stat().st_size - _LOG_BYTES, 0))
-        return file.read().decode("utf-8", errors="replace")
