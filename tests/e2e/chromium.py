@@ -41,7 +41,7 @@ class Chromium:
     """
 
     def __init__(self, profile, width=1280, height=720):
-        self.complaints, self.requests, self._unanswered = [], [], set()
+        self.complaints, self.requests = [], []
         self._id, self._session, self._received = 0, None, queue.Queue()
         read_command, self._write = os.pipe()
         self._read, write_answer = os.pipe()
@@ -125,15 +125,6 @@ class Chromium:
             assert time.monotonic() < end, f"never true: {condition}"
             time.sleep(0.05)
 
-    def settle(self, seconds=60):
-        """Wait until all that pages have asked for is answered."""
-        end = time.monotonic() + seconds
-        self.run("0")
-        while self._unanswered:
-            assert time.monotonic() < end, "never answered"
-            time.sleep(0.05)
-            self.run("0")
-
     def _holds(self, condition):
         try:
             return self.run(f"Boolean({condition})")
@@ -163,6 +154,3 @@ class Chromium:
             self.complaints.append(str(details["args"]))
         elif event["method"] == "Network.requestWillBeSent":
             self.requests.append(details["request"]["url"])
-            self._unanswered.add(details["requestId"])
-        elif event["method"] in ("Network.loadingFinished", "Network.loadingFailed"):
-            self._unanswered.discard(details["requestId"])

@@ -18,8 +18,6 @@ def open_studio(browser, studio, place="", ready="studio.page"):
     browser.open(studio.address)
     browser.until("window.studio?.project")
     if place:
-        browser.until("studio.page || document.querySelector('main .message')")
-        browser.settle()
         browser.run(f"location.hash = '#/{place}'")
         browser.until(f"studio.page && location.hash === '#/{place}'")
         browser.complaints.clear()  # of the page that the studio began with
