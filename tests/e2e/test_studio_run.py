@@ -29,7 +29,11 @@ def studio(tmp_path_factory):
 
 @pytest.fixture
 def page(browser, studio):
-    return open_studio(browser, studio, "run/small")
+    opened = open_studio(browser, studio, "run/small")
+    # The page that the studio begins with may be told late that there is no cloud yet.
+    opened.run("new Promise((done) => setTimeout(done, 2000))")
+    opened.complaints.clear()
+    return opened
 
 
 def at_rest(page):
