@@ -203,6 +203,18 @@ def test_stray_point_far_away(tmp_path):
         run(tmp_path, [write_las(tmp_path / "a.laz", xyz, UTM)])
 
 
+@pytest.mark.filterwarnings("error")
+def test_stray_point_that_the_header_hides(tmp_path):
+    xyz = [[500_000, 5_500_000, 0], [500_000, 5_500_000, 0], [550_000, 5_500_000, 0]]
+    path = write_las(tmp_path / "a.las", xyz, UTM, scale=1e3)
+    content = bytearray(path.read_bytes())
+    start = int.from_bytes(content[96:100], "little")  # offset to point data
+    content[start : start + 4] = (2_000_000_000).to_bytes(4, "little")
+    path.write_bytes(content)
+    with pytest.raises(InputError, match="too large for one site"):
+        ingest([path], UnitChoice(), None, 1, tmp_path / "c.parquet", tmp_path / "f.json")
+
+
 @pytest.mark.parametrize("size", [0.5, 0.0, -5.0, 12.5, float("nan"), float("inf")])
 def test_tiles_of_broken_metres_are_refused(tmp_path, size):
     path = write_las(tmp_path / "a.laz", random_points(10), UTM)

@@ -72,6 +72,19 @@ def test_bytes_do_not_depend_on_the_batches(tmp_path, stray_m):
     assert written[0] == written[1] == written[2]
 
 
+@pytest.mark.parametrize("columns", [2**16 - 1, 2**16, 2**16 + 1, 2**32])
+def test_tiles_of_a_batch_that_are_far_apart(tmp_path, columns):
+    points = cloud(40, coloured=False)
+    points["x"][::2], points["y"][:] = 0.0, 1.0
+    points["x"][1::2] = (columns - 0.5) * 25.0
+    tiles = write(tmp_path / "c.parquet", points)
+    far = int(points["x"][1].astype(float) // 25.0)  # single precision moves the farthest
+    assert [(tile.ix, tile.iy, tile.rows) for tile in tiles] == [(0, 0, 20), (far, 0, 20)]
+    assert far == pytest.approx(columns - 1, rel=1e-7)
+    found = CloudTiles(tmp_path / "c.parquet").read()
+    np.testing.assert_array_equal(found["z"], np.append(points["z"][::2], points["z"][1::2]))
+
+
 def test_points_on_a_border_belong_to_the_tile_that_begins_there(tmp_path):
     points = {name: values[:4] for name, values in cloud(4).items()}
     points["x"] = np.array([0, np.nextafter(np.float32(25), 0), 25, 50], np.float32)

@@ -23,10 +23,9 @@ def prepare_environment() -> None:
 
     They run with the interpreter that runs Snakemake, whether or not its environment is active.
     Kernels are single-threaded by design; shards are what runs in parallel. Arrays up to 32 MiB
-    come from memory that a stage has had before (Linux clears new pages in about the time in which
-    a point is sorted into its tile). Numba notices an edit
-    in a kernel's own file only, not in the kernels that it calls: its cache is kept by the digest
-    of all sources.
+    come from memory that a stage has had before: new pages are dear on virtual machines. Numba
+    notices an edit in a kernel's own file only, not in the kernels that it calls: its cache is kept
+    by the digest of all sources.
     """
     drop_damaged_bytecode(Path(__file__).parents[1])
     folder = str(Path(sys.executable).parent)

@@ -6,14 +6,13 @@ Arrow's own conversions load pandas first, which takes a short step a tenth of i
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
+from numpy.typing import DTypeLike, NDArray
 
 
-def schema_of(types: Mapping[str, Any]) -> pa.Schema:
+def schema_of(types: Mapping[str, DTypeLike]) -> pa.Schema:
     """Schema of numeric columns without gaps, which are written in two thirds of the time.
 
     Parameters

@@ -88,7 +88,7 @@ class TileWriter:
         InputError : the points fill too many tiles.
         """
         columns = {name: np.asarray(points[name], kind) for name, kind in self._types.items()}
-        ix, iy = ((columns[axis] / np.float64(self._tile_size_m)).astype(np.int32) for axis in "xy")
+        ix, iy = (_numbers(columns[axis], self._tile_size_m) for axis in "xy")
         order, starts = _by_tile(ix, iy)
         ends = [*starts[1:], len(order)]
         batch = _Batch(self._spill.tell(), len(order))
@@ -160,7 +160,15 @@ class TileWriter:
         return columns
 
 
-def _by_tile(ix: NDArray[np.int32], iy: NDArray[np.int32]) -> tuple[NDArray[np.intp], list[int]]:
+def _numbers(at_m: NDArray[np.float32], tile_size_m: float) -> NDArray[np.signedinteger]:
+    """Number (n,) of the tile's column or row; 32 bits take a quarter of the time of 64."""
+    number = at_m / np.float64(tile_size_m)
+    return number.astype(np.int32 if number.max(initial=0.0) < 2**31 else np.int64)
+
+
+def _by_tile(
+    ix: NDArray[np.signedinteger], iy: NDArray[np.signedinteger]
+) -> tuple[NDArray[np.intp], list[int]]:
     """Order (n,) of points by row and column of their tiles, and where in it each tile starts.
 
     Points of a tile stay as they came. Numbers of 16 bits are sorted by radix, in a quarter of the
@@ -169,8 +177,10 @@ def _by_tile(ix: NDArray[np.int32], iy: NDArray[np.int32]) -> tuple[NDArray[np.i
     if len(ix) == 0:
         return np.empty(0, np.intp), []
     wide, high = (int(index.max() - index.min()) + 1 for index in (ix, iy))
-    kind = np.uint16 if wide * high <= 2**16 else np.int64
-    number = (iy - iy.min()).astype(kind) * kind(wide) + (ix - ix.min()).astype(kind)
+    if wide * high <= 2**16:
+        number = ((iy - iy.min()) * wide + (ix - ix.min())).astype(np.uint16)
+    else:
+        number = (iy - iy.min()).astype(np.int64) * wide + (ix - ix.min())
     order = np.argsort(number, kind="stable")
     number = number[order]
     return order, [0, *(np.flatnonzero(number[1:] != number[:-1]) + 1).tolist()]
