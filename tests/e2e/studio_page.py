@@ -13,15 +13,13 @@ def open_studio(browser, studio, place="", ready="studio.page"):
     browser.complaints.clear()
     set_size(browser, 1280, 720)
     # From a page that keeps nothing: what the last one wrote as it left is there by now.
-    browser.open(studio.address.partition("/#")[0] + "/assets/icon.svg")
+    root, _, token = studio.address.partition("/#token=")
+    browser.open(f"{root}/assets/icon.svg")
     browser.run("localStorage.clear()")
-    browser.open(studio.address)
-    browser.until("window.studio?.project")
     if place:
-        browser.run(f"location.hash = '#/{place}'")
-        browser.until(f"studio.page && location.hash === '#/{place}'")
-        browser.complaints.clear()  # of the page that the studio began with
-    browser.until(ready)
+        browser.run(f"localStorage.setItem('roadsight-token', {token!r})")
+    browser.open(f"{root}/#/{place}" if place else studio.address)
+    browser.until(f"window.studio && ({ready})")
     return browser
 
 

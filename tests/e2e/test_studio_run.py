@@ -29,11 +29,7 @@ def studio(tmp_path_factory):
 
 @pytest.fixture
 def page(browser, studio):
-    opened = open_studio(browser, studio, "run/small")
-    # The page that the studio begins with may be told late that there is no cloud yet.
-    opened.run("new Promise((done) => setTimeout(done, 2000))")
-    opened.complaints.clear()
-    return opened
+    return open_studio(browser, studio, "run/small")
 
 
 def at_rest(page):
