@@ -23,17 +23,17 @@ SLOWEST_MS = 200
 MOVES = 3
 """The fastest of them counts: other work on the machine only ever slows the page."""
 MOVE = """new Promise((done) => {
-    const { view } = studio.page, gaps = [];
-    let last = performance.now();
-    const next = (now) => {
-        gaps.push(now - last);
-        last = now;
-        view.pan(gaps.length % 40 < 20 ? 6 : -6, 1);
-        if (gaps.length < 90) requestAnimationFrame(next);
-        else done(gaps.slice(30));
+    const { view } = studio.page;
+    let turns = 0;
+    const next = () => {
+        if (view.stats.frames.length > 40) done(view.stats.frames.slice(10));
+        else requestAnimationFrame(next);
+        view.pan(++turns % 40 < 20 ? 6 : -6, 1);
     };
+    view.stats.frames = [];
     requestAnimationFrame(next);
 })"""
+"""Milliseconds from the beginning of each frame to its end on the screen, while the view moves."""
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +59,9 @@ def test_five_million_points(studio, tmp_path, mode):
         page.run("studio.page.view.setAll(true)")
         page.run(f"studio.page.setMode('{mode}')")
         page.until("studio.page.view.settled && studio.page.view.stats.points > 4.9e6", 200)
-        gaps = min((sorted(page.run(MOVE)) for _ in range(MOVES)), key=statistics.median)
-        told = f"median {statistics.median(gaps):.0f} ms, 95 % {gaps[len(gaps) * 95 // 100]:.0f} ms"
+        frames = min((sorted(page.run(MOVE)) for _ in range(MOVES)), key=statistics.median)
+        median, late = statistics.median(frames), frames[len(frames) * 95 // 100]
+        told = f"median {median:.0f} ms, 95 % {late:.0f} ms"
         print(f"{mode}: {told}")
-        assert statistics.median(gaps) < SLOWEST_MS, told
+        assert median < SLOWEST_MS, told
         page.until("studio.page.view.settled && studio.page.view.stats.points > 4.9e6", 200)

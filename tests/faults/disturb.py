@@ -130,11 +130,25 @@ class Run:
             time.sleep(0.02)
         return self.process.poll() is None
 
-    def end(self, timeout_s: float = 600) -> int:
+    def end(self, timeout_s: float = 900) -> int:
         """Wait for its end; a stage that outlives it does not hold the test up."""
-        code = self.process.wait(timeout_s)
+        try:
+            code = self.process.wait(timeout_s)
+        except subprocess.TimeoutExpired as error:
+            raise AssertionError(
+                f"still there: {self._processes()}\n{self.text[-6000:]}"
+            ) from error
         self._reader.join(0.5)
         return code
+
+    def _processes(self) -> list[str]:
+        """What runs, its state and the seconds of a processor that it has had."""
+        told = []
+        for process in descendants(psutil.Process(self.process.pid)):
+            with suppress(psutil.NoSuchProcess):
+                times, name = process.cpu_times(), " ".join(process.cmdline()[:6])
+                told.append(f"{name} ({process.status()}, {times.user + times.system:.0f} s)")
+        return told
 
     @property
     def text(self) -> str:

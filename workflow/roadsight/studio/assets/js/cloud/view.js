@@ -10,7 +10,7 @@ import { modeNumber, pointMaterial } from "./material.js";
 import { COARSEST_PX, Tiles } from "./tiles.js";
 
 const FRAME_MS = { slow: 45, fast: 22 };
-const BUDGET = { least: 60_000, first: 600_000 };
+const BUDGET = { least: 20_000, first: 600_000, atRest: 150_000 };
 const REST_MS = 150;
 
 export class CloudView {
@@ -179,22 +179,38 @@ export class CloudView {
   }
 
   frame(now) {
+    if (this.isDrawing(now)) {
+      if (this.overOnly && !this.restart) this.drawOver();
+      this.overOnly = false;
+      return this.request();
+    }
     const moving = this.inMotion || now - (this.movedAt ?? 0) < REST_MS;
     this.inMotion = false;
     if (this.restart) this.begin();
-    const drew = this.slice();
-    this.adapt(now, moving && drew);
+    if (this.pending?.length) this.slice(now, moving);
     if (this.overOnly || this.began) this.drawOver();
     this.overOnly = this.began = false;
-    if (this.pending.length) this.request();
-    else if (moving) this.request();
+    if (this.pending?.length || moving) this.request();
+  }
+
+  // Whether the last slice is still being drawn. Nothing is begun before it is on the screen: frames that
+  // queue up come late, and what one takes would not be known.
+  isDrawing(now) {
+    if (!this.drawing) return false;
+    const gl = this.renderer.getContext();
+    if (gl.clientWaitSync(this.drawing.fence, 0, 0) === gl.TIMEOUT_EXPIRED) return true;
+    gl.deleteSync(this.drawing.fence);
+    if (this.drawing.moving) this.adapt(now - this.drawing.began);
+    this.drawing = null;
+    return false;
   }
 
   begin() {
     this.restart = false;
     this.began = true;
     this.camera.updateMatrixWorld();
-    this.pending = this.tiles.update(this.camera, (bounds) => this.pixelsPerMetre(bounds));
+    const wanted = this.tiles.update(this.camera, (bounds) => this.pixelsPerMetre(bounds));
+    this.pending = wanted.map((points) => ({ points, start: 0 }));
     const ratio = this.renderer.getPixelRatio();
     const { uniforms } = this.material;
     uniforms.u_scale.value = ratio * (this.mode === "plan" ? this.camera.zoom : this.size[1] / (2 * Math.tan((FIELD_OF_VIEW_DEG * Math.PI) / 360)));
@@ -203,32 +219,33 @@ export class CloudView {
     this.renderer.setClearColor(new Color(themeColour("canvas")), 1);
     this.renderer.clear();
     this.stats.points = 0;
-    this.stats.wanted = this.pending.reduce((sum, points) => sum + points.userData.count, 0);
+    this.stats.wanted = wanted.reduce((sum, points) => sum + points.userData.count, 0);
   }
 
-  // Draw the next points of the frame, as many as fit.
-  slice() {
-    this.pending ??= [];
-    let room = this.budget;
+  // Draw the next points of the frame, as many as fit: of the last chunk only a part.
+  slice(began, moving) {
+    let room = moving ? this.budget : Math.max(this.budget, BUDGET.atRest);
     const shown = [];
-    while (this.pending.length && (room > 0 || !shown.length)) {
-      const points = this.pending.shift();
-      room -= points.userData.count;
-      shown.push(points);
+    while (this.pending.length && room > 0) {
+      const part = this.pending[0];
+      const count = Math.min(part.points.userData.count - part.start, Math.ceil(room));
+      part.points.geometry.setDrawRange(part.start, count);
+      part.points.visible = true;
+      shown.push(part.points);
+      part.start += count;
+      if (part.start === part.points.userData.count) this.pending.shift();
+      this.stats.points += count;
+      room -= count;
     }
-    if (!shown.length) return false;
-    for (const points of shown) points.visible = true;
     this.renderer.render(this.scene, this.camera);
     for (const points of shown) points.visible = false;
-    this.stats.points += shown.reduce((sum, points) => sum + points.userData.count, 0);
-    return true;
+    const gl = this.renderer.getContext();
+    this.drawing = { began, moving, fence: gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0) };
+    gl.flush();
   }
 
   // More points in a frame where frames come fast, fewer where they come late.
-  adapt(now, busy) {
-    const took = now - (this.drawnAt ?? now);
-    this.drawnAt = now;
-    if (!busy || took <= 0 || took > 1000) return;
+  adapt(took) {
     this.stats.frames.push(took);
     if (this.stats.frames.length > 600) this.stats.frames.shift();
     if (took > FRAME_MS.slow) this.budget = Math.max(BUDGET.least, 0.7 * this.budget);
