@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
 from pathlib import Path
@@ -82,3 +83,32 @@ def test_everything_that_python_imports_for_a_stage_is_listed(project, monkeypat
     listed = {Path(name).resolve() for name in stage_sources("place_candidates")}
     assert len(imported) > 8
     assert imported <= listed
+
+
+PLACES = [
+    "if True:\n    pass\nelse:\n    {}",
+    "try:\n    {}\nfinally:\n    pass",
+    "try:\n    pass\nexcept OSError:\n    {}",
+    "try:\n    pass\nfinally:\n    {}",
+    "try:\n    pass\nexcept OSError:\n    pass\nelse:\n    {}",
+    "for _ in ():\n    pass\nelse:\n    {}",
+    "while False:\n    {}",
+    "with open('x'):\n    {}",
+    "class A:\n    def f(self):\n        {}",
+    "async def f():\n    async with g():\n        {}",
+    "match 1:\n    case 1:\n        {}",
+]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_imports_count_wherever_statements_stand(package, tmp_path, place):
+    (tmp_path / "roadsight/stages/four.py").write_text(place.format("import roadsight.other"))
+    assert "roadsight/other.py" in stage_sources("four")
+
+
+def test_as_many_imports_as_a_walk_over_all_nodes_finds(project):
+    for path in (project / "workflow/roadsight").rglob("*.py"):
+        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        wanted = [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
+        found = sources._statements(ast.parse(path.read_text(encoding="utf-8")))
+        assert len(wanted) == sum(isinstance(node, ast.Import | ast.ImportFrom) for node in found)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import hashlib
 import os
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -19,22 +20,22 @@ def stage_sources(stage: str) -> list[str]:
     pending = [f"roadsight.stages.{stage}"]
     while pending:
         module = pending.pop()
-        path = _file(module)
-        if path is None or module in found:
+        if module in found or (path := _file(module)) is None:
             continue
         found[module] = path
         pending += _imports(path)
         if "." in module:
             pending.append(module.rpartition(".")[0])
-    return sorted(_shown(path) for path in found.values())
+    root = _shown_root()
+    return sorted(str(root / path.relative_to(_PACKAGE_ROOT)) for path in found.values())
 
 
-def _shown(path: Path) -> str:
-    """Relative to the work folder, or through its link to the package where it has one."""
+def _shown_root() -> Path:
+    """Relative to the work folder, or its link to the package where it has one."""
     link = Path(_PACKAGE_ROOT.name)
     if link.exists() and link.samefile(_PACKAGE_ROOT):
-        return str(link / path.relative_to(_PACKAGE_ROOT))
-    return os.path.relpath(path)
+        return link
+    return Path(os.path.relpath(_PACKAGE_ROOT))
 
 
 def _file(module: str) -> Path | None:
@@ -45,14 +46,24 @@ def _file(module: str) -> Path | None:
 
 @cache
 def _imports(path: Path) -> list[str]:
-    """Names that a file imports, anywhere in it; ``from a import b`` may name a module a.b."""
+    """Modules that a file imports, anywhere in it; ``from a import b`` may name a module a.b."""
     names = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-        if isinstance(node, ast.Import):
-            names += [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
-            names += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
-    return [name for name in names if name.partition(".")[0] == "roadsight"]
+    for statement in _statements(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(statement, ast.Import):
+            names += [alias.name for alias in statement.names]
+        elif isinstance(statement, ast.ImportFrom) and statement.module and not statement.level:
+            module = statement.module
+            names += [module, *(f"{module}.{alias.name}" for alias in statement.names)]
+    own = [name for name in dict.fromkeys(names) if name.partition(".")[0] == "roadsight"]
+    return [name for name in own if _file(name)]
+
+
+def _statements(block: ast.AST) -> Iterator[ast.AST]:
+    """Everything in a block that may hold statements, which are a tenth of a file's nodes."""
+    for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for statement in getattr(block, part, ()):
+            yield statement
+            yield from _statements(statement)
 
 
 def package_digest() -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import os
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +38,7 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
     InputError : missing, not text, or not YAML (with the line).
     """
     try:
-        content = yaml.load(Path(path).read_text(encoding="utf-8"), _OneKeyOnce)
-        _check_size(content, {})
-        return content
+        return copy.deepcopy(_parsed(Path(path).read_text(encoding="utf-8")))
     except OSError as error:
         raise InputError("cannot be read", where=str(path), found=error.strerror) from error
     except UnicodeDecodeError as error:
@@ -52,6 +52,14 @@ def read_yaml(path: str | os.PathLike[str]) -> Any:
         line = f"{path}, line {mark.line + 1}" if mark else str(path)
         problem = getattr(error, "problem", None) or getattr(error, "reason", error)
         raise InputError("is not valid YAML", where=line, found=problem) from error
+
+
+@lru_cache(maxsize=64)
+def _parsed(text: str) -> Any:
+    """Content of a text that every site names anew, such as the plans; callers get copies."""
+    content = yaml.load(text, _OneKeyOnce)
+    _check_size(content, {})
+    return content
 
 
 def _check_size(content: Any, known: dict[int, int]) -> int:
