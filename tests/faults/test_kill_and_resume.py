@@ -26,7 +26,7 @@ settings:
 """,
     "fault_road": """\
 site: fault_road
-sample: {scene: rural, length_m: 150, pulses_per_m2: 10}
+sample: {scene: rural, length_m: 80, pulses_per_m2: 10}
 jobs: [poles]
 settings:
   shards: 2
