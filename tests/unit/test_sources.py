@@ -108,7 +108,9 @@ def test_imports_count_wherever_statements_stand(package, tmp_path, place):
 
 def test_as_many_imports_as_a_walk_over_all_nodes_finds(project):
     for path in (project / "workflow/roadsight").rglob("*.py"):
-        nodes = ast.walk(ast.parse(path.read_text(encoding="utf-8")))
-        wanted = [node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)]
-        found = sources._statements(ast.parse(path.read_text(encoding="utf-8")))
-        assert len(wanted) == sum(isinstance(node, ast.Import | ast.ImportFrom) for node in found)
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        wanted, found = (
+            {node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)}
+            for nodes in (ast.walk(tree), sources._statements(tree))
+        )
+        assert wanted == found, path
