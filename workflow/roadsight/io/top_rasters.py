@@ -31,6 +31,7 @@ if TYPE_CHECKING:  # compiled loops that a reader does not need
 
 _BLOCK_ROWS, _BLOCK_COLUMNS = 128, 256
 _NODATA = -9999.0
+_CACHE_MIB = 16  # each block is read once
 _BANDS = ("class", "height", "road share")
 
 
@@ -152,7 +153,7 @@ def read_top(path: str | os.PathLike[str], frame: Frame) -> TopRaster:
     InputError : the file is missing, damaged, or no raster of this kind.
     """
     try:
-        with rasterio.open(path) as raster:
+        with rasterio.Env(GDAL_CACHEMAX=_CACHE_MIB), rasterio.open(path) as raster:
             if raster.descriptions != _BANDS:
                 raise ValueError("its bands are others")
             cls, height, share = _layers(raster, frame)
@@ -177,9 +178,12 @@ def _layers(
     lowest, unit_m = np.float32(frame.origin[2]), np.float32(frame.vertical_unit_m)
     for _, window in raster.block_windows(1):
         kind, level, part = raster.read(window=window)
-        hit = kind != _NODATA
-        if hit.any():
+        empty = kind == _NODATA
+        if not empty.all():
             place = window.toslices()
-            cls[place][hit], share[place][hit] = kind[hit], part[hit]
-            height[place][hit] = (level[hit] - lowest) * unit_m
+            cls[place], share[place] = np.maximum(kind, 0), np.maximum(part, 0)
+            level -= lowest
+            level *= unit_m
+            level[empty] = np.nan
+            height[place] = level
     return cls, height, share

@@ -12,13 +12,16 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+
+from roadsight.geometry.rings import resampled, runs_of, smoothed, trimmed
+from roadsight.scene.pixels import between_pixels, blocks
 
 _FLOATS = NDArray[np.float64]
 _MASK = NDArray[np.bool_]
 _MISSED_HOLES = 1e-4
 _LARGEST_CLOSING = 6
 _ROWS = 16
+_BLOCK = 256
 
 
 @dataclass(frozen=True)
@@ -78,12 +81,13 @@ def clean_road(
     closed = cv2.morphologyEx(np.pad(is_road, margin).astype(np.uint8), cv2.MORPH_CLOSE, disc)
     road = cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc).astype(np.uint8)
     cell_m2 = cell_size_m**2
-    road = _without_small(road, settings.smallest_road_m2 / cell_m2)
-    road = 1 - _without_small(1 - road, settings.smallest_hole_m2 / cell_m2)
+    labels = np.empty(road.shape, np.int32)  # once: fresh memory is dear
+    road = _without_small(road, settings.smallest_road_m2 / cell_m2, labels)
+    road = 1 - _without_small(1 - road, settings.smallest_hole_m2 / cell_m2, labels)
     wide = _disc(radius + 1)
     seen = cv2.morphologyEx(np.pad(occupied, margin).astype(np.uint8), cv2.MORPH_CLOSE, wide)
     unknown = (1 - np.maximum(seen, road)).astype(np.uint8)
-    surveyed = 1 - _without_small(unknown, settings.smallest_hole_m2 / cell_m2)
+    surveyed = 1 - _without_small(unknown, settings.smallest_hole_m2 / cell_m2, labels)
     distance = cv2.distanceTransform(surveyed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     inner = (slice(margin, -margin), slice(margin, -margin))
     return RoadImage(road[inner].astype(bool), distance[inner] - 0.5, radius)
@@ -117,18 +121,28 @@ def edge_level(
     Pixels without points say nothing. Well inside and well outside the cleaned road, the level is
     1 and 0, so that what was filled or dropped has no edge.
     """
-    sigma = max(0.7, 0.5 * image.closing)
+    halo = 2 * image.closing + 4
+    level = np.zeros(image.road.shape, np.float32)
+    for inner, outer, core in blocks(image.road.shape, _BLOCK, halo):
+        if image.road[outer].any():
+            near = _level(road_share[outer], occupied[outer], image.road[outer], image.closing)
+            level[inner] = near[core]
+    return level
+
+
+def _level(
+    road_share: NDArray[np.floating], occupied: _MASK, road: _MASK, closing: int
+) -> NDArray[np.float32]:
+    """Level of a block (rows, columns), right where its surroundings are in it."""
+    sigma = max(0.7, 0.5 * closing)
     weight = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), sigma)
     paved = np.where(occupied, road_share, 0.0).astype(np.float32, copy=False)
     share = cv2.GaussianBlur(paved, (0, 0), sigma)
-    road = image.road.astype(np.uint8)
-    reach = _disc(image.closing + 2)
-    level = np.zeros(road.shape, np.float32)
-    near = np.nonzero(cv2.dilate(road, reach, borderValue=0))
-    weight, share = weight[near], share[near]
-    level[near] = np.where(weight > 1e-3, share / np.maximum(weight, 1e-3), road[near])
-    level[cv2.erode(road, reach, borderValue=1) > 0] = 1.0
-    return level
+    pixels, reach = road.astype(np.uint8), _disc(closing + 2)
+    share = np.where(weight > 1e-3, share / np.maximum(weight, 1e-3), pixels)
+    share[cv2.dilate(pixels, reach, borderValue=0) == 0] = 0.0
+    share[cv2.erode(pixels, reach, borderValue=1) > 0] = 1.0
+    return share
 
 
 def outlines(image: RoadImage, level: NDArray[np.floating], window_cells: float) -> list[_FLOATS]:
@@ -144,9 +158,9 @@ def outlines(image: RoadImage, level: NDArray[np.floating], window_cells: float)
         pixels = chain[:, 0, ::-1].astype(np.float64) - 1.0
         if len(pixels) < 8:
             continue
-        rough = _resampled(_smoothed(pixels, window_cells), 1.0)
+        rough = resampled(smoothed(pixels, window_cells), 1.0)
         moved = _to_level(rough, level, image.closing + 1.5)
-        lines.append(_smoothed(moved, window_cells))
+        lines.append(smoothed(moved, window_cells))
     return lines
 
 
@@ -157,9 +171,7 @@ def _to_level(line: _FLOATS, level: NDArray[np.floating], reach: float) -> _FLOA
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     steps = np.arange(-reach, reach + 0.125, 0.25)
     places = line[:, None] + steps[:, None] * normal[:, None]
-    values = (
-        ndimage.map_coordinates(level, places.transpose(2, 0, 1), order=1, mode="nearest") - 0.5
-    )
+    values = between_pixels(level, places[..., 0], places[..., 1]) - 0.5
     crossing = (values[:, :-1] <= 0) != (values[:, 1:] <= 0)
     share = values[:, :-1] / np.where(crossing, values[:, :-1] - values[:, 1:], 1.0)
     offset = np.where(crossing, steps[:-1] + 0.25 * share, np.inf)
@@ -172,23 +184,6 @@ def _to_level(line: _FLOATS, level: NDArray[np.floating], reach: float) -> _FLOA
     index = np.arange(len(line))
     chosen = np.interp(index, index[found], chosen[found], period=len(line))
     return line + chosen[:, None] * normal
-
-
-def _smoothed(line: _FLOATS, sigma: float) -> _FLOATS:
-    """Closed line (n, 2) smoothed by a Gaussian window that does not shrink arcs."""
-    if sigma <= 0:
-        return line
-    once = ndimage.gaussian_filter1d(line, sigma, axis=0, mode="wrap")
-    return 2 * once - ndimage.gaussian_filter1d(once, sigma, axis=0, mode="wrap")
-
-
-def _resampled(line: _FLOATS, spacing: float) -> _FLOATS:
-    """Closed line (n, 2) at equal steps of about ``spacing``."""
-    ring = np.vstack([line, line[:1]])
-    station = np.append(0.0, np.cumsum(np.hypot(*np.diff(ring, axis=0).T)))
-    count = max(8, round(station[-1] / spacing))
-    at = np.arange(count) * station[-1] / count
-    return np.column_stack([np.interp(at, station, ring[:, axis]) for axis in (0, 1)])
 
 
 @dataclass(frozen=True)
@@ -220,16 +215,11 @@ def edge_lines(
     places, tangents = [np.empty((0, 2))], [np.empty((0, 2))]
     lengths = []
     for outline in rings:
-        ring = _resampled(outline, step)
+        ring = resampled(outline, step)
         tangent = np.roll(ring, -reach, axis=0) - np.roll(ring, reach, axis=0)
         tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-        row, column = ring.T
-        inside = ndimage.map_coordinates(
-            image.surveyed_cells, [row, column], order=1, mode="constant", cval=0.0
-        )
-        keep = inside > settings.border_cells
-        keep = ndimage.minimum_filter1d(keep.astype(np.uint8), 2 * trim + 1, mode="wrap") > 0
-        for run in _runs_of(keep):
+        inside = between_pixels(image.surveyed_cells, *ring.T)
+        for run in runs_of(trimmed(inside > settings.border_cells, trim)):
             if len(run) * settings.spacing_m >= settings.shortest_m:
                 places.append(ring[run])
                 tangents.append(tangent[run])
@@ -238,29 +228,22 @@ def edge_lines(
     return EdgeLines(np.concatenate(places), np.concatenate(tangents), number)
 
 
-def _runs_of(keep: _MASK) -> list[NDArray[np.int64]]:
-    """Indices of the runs of kept places on a ring; a ring that is kept whole is one run."""
-    if keep.all():
-        return [np.arange(len(keep))]
-    if not keep.any():
-        return []
-    first = int(np.flatnonzero(~keep)[0])
-    index = (np.arange(len(keep)) + first) % len(keep)
-    kept = keep[index]
-    starts = np.flatnonzero(np.diff(kept.astype(np.int8), prepend=0) == 1)
-    ends = np.flatnonzero(np.diff(kept.astype(np.int8), append=0) == -1) + 1
-    return [index[a:b] for a, b in zip(starts, ends, strict=True)]
+def _without_small(
+    mask: NDArray[np.uint8], least_cells: float, labels: NDArray[np.int32]
+) -> NDArray[np.uint8]:
+    """Mask without components (of pixels that share a side) of fewer cells.
 
-
-def _without_small(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
-    """Mask without components (of pixels that share a side) of fewer cells."""
-    count, labels = cv2.connectedComponents(mask, connectivity=4)
+    Parameters
+    ----------
+    labels : of the mask's shape, filled with the components' numbers.
+    """
+    count, _ = cv2.connectedComponents(mask, labels, connectivity=4)
     cells = np.zeros(count, np.int64)
     for start in range(0, len(labels), _ROWS):
         cells += np.bincount(labels[start : start + _ROWS].ravel(), minlength=count)
-    keep = cells >= least_cells
-    keep[0] = False
-    return keep[labels].astype(np.uint8)
+    keep = (cells >= least_cells).astype(np.uint8)
+    keep[0] = 0
+    return keep[labels]
 
 
 def _disc(radius: int) -> NDArray[np.uint8]:

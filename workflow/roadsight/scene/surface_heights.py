@@ -17,33 +17,48 @@ def surface_heights(
 
     A plane through the road pixels around, without those far from their median.
     """
-    step = np.arange(-radius_cells, radius_cells + 1)
-    rows, columns = (grid.ravel() for grid in np.meshgrid(step, step, indexing="ij"))
     heights = np.empty(len(place))
     for start in range(0, len(place), _BATCH):
         part = place[start : start + _BATCH]
-        heights[start : start + len(part)] = _planes(part, rows, columns, height_m, road)
+        heights[start : start + len(part)] = _planes(part, height_m, road, radius_cells)
     return heights
 
 
 def _planes(
-    place: _FLOATS, rows: NDArray, columns: NDArray, height_m: NDArray, road: _MASK
+    place: _FLOATS, height_m: NDArray[np.float32], road: _MASK, radius_cells: int
 ) -> _FLOATS:
-    """Heights at places of planes through the road pixels at offsets ``rows``, ``columns``."""
-    row = np.round(place[:, :1]).astype(int) + rows
-    column = np.round(place[:, 1:]).astype(int) + columns
-    valid = (row >= 0) & (row < road.shape[0]) & (column >= 0) & (column < road.shape[1])
-    row, column = np.where(valid, row, 0), np.where(valid, column, 0)
-    z = height_m[row, column].astype(np.float64)
-    valid &= road[row, column] & np.isfinite(z)
+    """Heights at places (n, 2) of planes through the road pixels around each."""
+    offsets = np.arange(-radius_cells, radius_cells + 1)
+    nearest = np.round(place)
+    row, column = nearest.astype(np.int64).T[:, :, None] + offsets
+    inside_row, inside_column = (
+        np.clip(at, 0, size - 1) for at, size in zip((row, column), road.shape, strict=True)
+    )
+    window = inside_row[:, :, None], inside_column[:, None, :]
+    valid = road[window] & (row == inside_row)[:, :, None] & (column == inside_column)[:, None, :]
+    valid, z = valid.reshape(len(place), -1), height_m[window].reshape(len(place), -1)
+    z = z.astype(np.float64)
+    valid &= np.isfinite(z)
     middle = medians(z, valid)
     apart = np.where(valid, z - middle[:, None], 0.0)
     weight = (valid & (np.abs(apart) <= 0.3)).astype(np.float64)
-    terms = np.stack([np.ones(row.shape), row - place[:, :1], column - place[:, 1:]], axis=-1)
-    weighted = (weight[..., None] * terms).transpose(0, 2, 1)
+    plane = _planes_through(weight, apart, offsets)
+    return middle + plane[:, 0] + (plane[:, 1:] * (place - nearest)).sum(axis=1)
+
+
+def _planes_through(weight: _FLOATS, height: _FLOATS, offsets: NDArray[np.int64]) -> _FLOATS:
+    """Height in the middle and slopes down and right (n, 3) of planes through windows of pixels.
+
+    Parameters
+    ----------
+    weight, height : (n, k * k) by pixel, row by row. offsets : (k,) of its rows and columns.
+    """
+    down, right = (grid.ravel() for grid in np.meshgrid(offsets, offsets, indexing="ij"))
+    terms = np.stack([np.ones(len(down)), down, right], axis=1)
+    products = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), 9)
     # As if the slope were known to be some 5 cm a cell, so that few or collinear pixels do.
-    square = weighted @ terms + np.diag([1e-9, 0.3, 0.3])
-    return middle + np.linalg.solve(square, weighted @ apart[..., None])[:, 0, 0]
+    square = (weight @ products).reshape(-1, 3, 3) + np.diag([1e-9, 0.3, 0.3])
+    return np.linalg.solve(square, ((weight * height) @ terms)[..., None])[:, :, 0]
 
 
 def medians(values: _FLOATS, valid: _MASK) -> _FLOATS:
