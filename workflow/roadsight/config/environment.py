@@ -13,6 +13,7 @@ _PYC_HEADER_BYTES = 16
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS")
 _ALLOCATION = {
     "ARROW_DEFAULT_MEMORY_POOL": "system",
+    "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
     "MALLOC_MMAP_THRESHOLD_": str(2**25),
     "MALLOC_TRIM_THRESHOLD_": str(2**28),
 }
@@ -22,10 +23,10 @@ def prepare_environment() -> None:
     """Set what stages inherit.
 
     They run with the interpreter that runs Snakemake, whether or not its environment is active.
-    Kernels are single-threaded by design; shards are what runs in parallel. Arrays up to 32 MiB
-    come from memory that a stage has had before: new pages are dear on virtual machines. Numba
-    notices an edit in a kernel's own file only, not in the kernels that it calls: its cache is kept
-    by the digest of all sources.
+    Kernels are single-threaded by design; shards are what runs in parallel. New pages of memory are
+    dear on virtual machines: arrays up to 32 MiB come from memory that a stage has had before, and
+    what is new comes in large pages. Numba notices an edit in a kernel's own file only, not in the
+    kernels that it calls: its cache is kept by the digest of all sources.
     """
     drop_damaged_bytecode(Path(__file__).parents[1])
     folder = str(Path(sys.executable).parent)
