@@ -137,7 +137,7 @@ def _level(
     sigma = max(0.7, 0.5 * closing)
     weight = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), sigma)
     paved = np.where(occupied, road_share, 0.0).astype(np.float32, copy=False)
-    share = cv2.GaussianBlur(paved, (0, 0), sigma)
+    share = np.asarray(cv2.GaussianBlur(paved, (0, 0), sigma), np.float32)
     pixels, reach = road.astype(np.uint8), _disc(closing + 2)
     share = np.where(weight > 1e-3, share / np.maximum(weight, 1e-3), pixels)
     share[cv2.dilate(pixels, reach, borderValue=0) == 0] = 0.0

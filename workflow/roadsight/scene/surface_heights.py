@@ -58,7 +58,8 @@ def _planes_through(weight: _FLOATS, height: _FLOATS, offsets: NDArray[np.int64]
     products = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), 9)
     # As if the slope were known to be some 5 cm a cell, so that few or collinear pixels do.
     square = (weight @ products).reshape(-1, 3, 3) + np.diag([1e-9, 0.3, 0.3])
-    return np.linalg.solve(square, ((weight * height) @ terms)[..., None])[:, :, 0]
+    plane = np.linalg.solve(square, ((weight * height) @ terms)[..., None])
+    return np.asarray(plane[:, :, 0], np.float64)
 
 
 def medians(values: _FLOATS, valid: _MASK) -> _FLOATS:
