@@ -13,7 +13,7 @@ from roadsight.placement.cover.problem import Instance
 from roadsight.placement.cover.reductions import arrays
 
 _CHUNK = 2_000
-_NEW_TARGETS = 50
+_NEW_TARGETS, _NEW_SHARE = 50, 1 / 50
 _STEP_S, _ENTRY_S = 5e-6, 6e-10  # work of a step, measured: fixed, and by entry of the matrix
 
 _State = namedtuple(
@@ -98,9 +98,14 @@ class LocalSearch:
         return not len(missing)
 
     def _missing(self, trial: NDArray[np.bool_]) -> NDArray[np.int64]:
-        """Some of the targets that a trial leaves open."""
-        seen = self.instance.by_choice.T @ trial.astype(np.int32)
-        return np.flatnonzero(seen < self.instance.need)[:_NEW_TARGETS]
+        """Some of the targets that a trial leaves open, from all over the road."""
+        taken = self.instance.by_choice[np.flatnonzero(trial)]
+        seen = np.bincount(taken.indices, minlength=taken.shape[1])
+        missing = np.flatnonzero(seen < self.instance.need)
+        most = max(_NEW_TARGETS, round(_NEW_SHARE * len(seen)))
+        if len(missing) <= most:
+            return missing
+        return missing[np.linspace(0, len(missing) - 1, most).astype(np.int64)]
 
 
 @njit(cache=True)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from roadsight.placement.cover.core import is_small, prove_on_core
 from roadsight.placement.cover.deadline import Deadline
+from roadsight.placement.cover.interior import interior_bound, is_large
 from roadsight.placement.cover.local_search import LocalSearch, greedy_cover
 from roadsight.placement.cover.problem import CoverProblem, Instance
 from roadsight.placement.cover.reductions import Reduced, reduce_problem
@@ -68,6 +69,8 @@ def _solve_part(
     bound = instance.round_up(_simple_bound(instance))
     if _enough(instance, best, bound, gap) or deadline.passed():
         return Outcome(best, bound, 0), None
+    if is_large(instance) and best is not None:
+        return _solve_large(instance, best, rng, deadline, gap)
     relaxation, root = _root(instance, np.inf, deadline)
     if np.isinf(root.bound):
         return Outcome(None, np.inf, 0), None
@@ -77,10 +80,34 @@ def _solve_part(
     if _enough(instance, local.best, bound, gap) or not root.complete:
         return Outcome(local.best, bound, 0), root.bound
     if is_small(local):
-        solve = partial(_solve_core, rng=rng, gap=gap)
-        return prove_on_core(local, bound, solve, deadline, gap), root.bound
+        return _prove(local, bound, rng, deadline, gap), root.bound
     outcome = Search(relaxation, local, gap).run(root, deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes), root.bound
+
+
+def _solve_large(
+    instance: Instance,
+    best: NDArray[np.bool_],
+    rng: np.random.Generator,
+    deadline: Deadline,
+    gap: float,
+) -> tuple[Outcome, float]:
+    """Outcome of a large instance from a cover: at most a third of the time goes to a bound."""
+    inner = interior_bound(instance, rng, deadline.part(3))
+    bound = instance.round_up(max(inner.bound, _simple_bound(instance)))
+    local = LocalSearch(instance, best, inner.target_dual > 0, rng)
+    _search_while_it_pays(local, bound, deadline)
+    if _enough(instance, local.best, bound, gap) or deadline.passed():
+        return Outcome(local.best, bound, 0), inner.bound
+    return _prove(local, bound, rng, deadline, gap), inner.bound
+
+
+def _prove(
+    local: LocalSearch, bound: float, rng: np.random.Generator, deadline: Deadline, gap: float
+) -> Outcome:
+    """Proof on the targets that a local search looks at, or a cheaper cover."""
+    solve = partial(_solve_core, rng=rng, gap=gap)
+    return prove_on_core(local, bound, solve, deadline, gap)
 
 
 def _search_while_it_pays(local: LocalSearch, bound: float, deadline: Deadline) -> None:

@@ -1,0 +1,115 @@
+"""Bounds of large instances by interior points, and covers where they are used."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+from scipy.optimize import linprog
+
+from roadsight.placement.cover import CoverProblem, interior, solve_cover_problem
+from roadsight.placement.cover.deadline import Deadline, WorkLimit
+from roadsight.placement.cover.interior import interior_bound, is_large, lagrangian_bound
+from roadsight.placement.cover.reductions import reduce_problem
+
+LENGTH_M, REACH_M = 300, 25
+
+
+@pytest.fixture(autouse=True)
+def every_instance_is_large(monkeypatch):
+    monkeypatch.setattr(interior, "_LARGE", 0)
+    monkeypatch.setattr(interior, "_LEAST_TARGETS", 40)
+
+
+def road(seed, share=0.8):
+    """Candidates along a road, each of which sees most of what is near."""
+    rng = np.random.default_rng(seed)
+    targets = rng.uniform(0, LENGTH_M, 400)
+    near = np.abs(targets - rng.uniform(0, LENGTH_M, 90)[:, None]) < REACH_M
+    seen = near & (rng.random(near.shape) < share)
+    return sparse.csr_matrix(seen[:, seen.sum(axis=0) > 2])
+
+
+def problem_of(seed, kind):
+    matrix, rng = road(seed, 0.97), np.random.default_rng(seed)
+    if kind == "costs":
+        return CoverProblem(matrix, rng.integers(2, 9, matrix.shape[0]))
+    if kind == "twice":
+        return CoverProblem(matrix, at_least=2)
+    return CoverProblem(matrix)
+
+
+def relaxed(part):
+    """Optimum of the whole linear relaxation, by another way."""
+    found = linprog(part.cost, A_ub=-part.by_choice.T, b_ub=-part.need, bounds=(0, 1))
+    return found.fun
+
+
+@pytest.mark.parametrize("kind", ["plain", "costs", "twice"])
+def test_the_bound_is_next_to_that_of_the_whole_relaxation(kind):
+    for seed in range(4):
+        for part in reduce_problem(problem_of(seed, kind)).parts:
+            found = interior_bound(part, np.random.default_rng(1), Deadline(None))
+            assert (found.target_dual >= 0).all()
+            assert found.bound == pytest.approx(lagrangian_bound(part, found.target_dual))
+            assert 0.99 * relaxed(part) <= found.bound <= relaxed(part) + 1e-6
+
+
+def test_any_duals_prove_a_bound():
+    (part,) = reduce_problem(CoverProblem(road(2))).parts
+    for seed in range(20):
+        dual = np.random.default_rng(seed).exponential(0.05, part.shape[1])
+        assert lagrangian_bound(part, dual) <= relaxed(part) + 1e-6
+
+
+def test_no_time_leaves_a_bound_that_holds():
+    (part,) = reduce_problem(CoverProblem(road(3))).parts
+    for limit in (Deadline(0.0), WorkLimit(0.0), WorkLimit(1e-3)):
+        found = interior_bound(part, np.random.default_rng(1), limit)
+        assert 0 <= found.bound <= relaxed(part) + 1e-6
+
+
+@pytest.mark.parametrize("kind", ["plain", "costs", "twice"])
+def test_large_instances_are_proven_alike(kind, monkeypatch):
+    found = [solve_cover_problem(problem_of(seed, kind)) for seed in range(4)]
+    monkeypatch.setattr(interior, "_LARGE", 2**62)
+    for seed, cover in enumerate(found):
+        other = solve_cover_problem(problem_of(seed, kind))
+        assert cover.status == other.status == "optimal"
+        assert cover.objective == other.objective == cover.bound
+
+
+def test_groups_are_kept_and_may_be_infeasible():
+    matrix = road(5)
+    pairs = np.arange(matrix.shape[0]) // 2
+    cover = solve_cover_problem(CoverProblem(matrix, groups=pairs))
+    assert cover.status == "optimal"
+    assert len(np.unique(pairs[cover.chosen])) == len(cover.chosen)
+    one = solve_cover_problem(CoverProblem(matrix, groups=np.zeros(matrix.shape[0], int)))
+    assert one.status == "infeasible"
+
+
+def test_a_limit_by_work_gives_the_same_cover_twice():
+    first, second = (
+        solve_cover_problem(CoverProblem(road(6, 0.4)), WorkLimit(0.3)) for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.chosen, second.chosen)
+    assert first.bound == second.bound
+
+
+def test_local_search_has_its_share_of_a_short_limit(monkeypatch):
+    """A relaxation that takes as long as it may does not keep covers from getting better."""
+
+    def endless(part, rng, deadline):
+        deadline.spend(deadline.left_s())
+        return interior.InteriorBound(0.0, np.zeros(part.shape[1]))
+
+    monkeypatch.setattr("roadsight.placement.cover.solve.interior_bound", endless)
+    problem = CoverProblem(road(7))
+    from_greedy = solve_cover_problem(problem, WorkLimit(1e-6))
+    assert solve_cover_problem(problem, WorkLimit(2.0)).objective < from_greedy.objective
+
+
+def test_published_sizes_are_not_large(monkeypatch):
+    monkeypatch.undo()
+    (part, *_) = reduce_problem(CoverProblem(road(1))).parts
+    assert not is_large(part)
+    assert interior._LARGE > 2_019 * 8_219
