@@ -22,6 +22,7 @@ _FLOATS = NDArray[np.float64]
 _LARGE = 40_000_000
 _LEAST_TARGETS, _FIRST_SHARE, _ADDED_SHARE = 500, 1 / 12, 1 / 24
 _OPEN, _IDLE, _LEAST_RISE, _TOLERANCE = 1e-3, 1e-6, 2e-3, 1e-5
+_PATIENCE = 3
 _STEP_S = 3e-7  # work of a step by entry of the linear program, measured
 
 
@@ -52,7 +53,7 @@ def interior_bound(
     targets = instance.shape[1]
     inside = np.zeros(targets, bool)
     inside[rng.permutation(targets)[: _some(targets, _FIRST_SHARE)]] = True
-    best = InteriorBound(0.0, np.zeros(targets))
+    best, rounds_alike = InteriorBound(0.0, np.zeros(targets)), 0
     while True:
         share, dual = _solve(instance, np.flatnonzero(inside), deadline)
         found = InteriorBound(lagrangian_bound(instance, dual), dual)
@@ -61,7 +62,8 @@ def interior_bound(
         entering = np.argsort(-missing, kind="stable")[: _some(targets, _ADDED_SHARE)]
         entering = entering[missing[entering] > _OPEN]
         rises = best.bound - before > _LEAST_RISE * best.bound
-        if deadline.passed() or not (rises and len(entering)):
+        rounds_alike = 0 if rises else rounds_alike + 1
+        if deadline.passed() or rounds_alike == _PATIENCE or not len(entering):
             return best
         inside &= dual > _IDLE
         inside[entering] = True
