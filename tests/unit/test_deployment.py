@@ -6,9 +6,14 @@ import numpy as np
 from scipy import sparse
 
 from roadsight.placement.cover import CoverProblem
+from roadsight.placement.cover.budget import budgeted
+from roadsight.placement.cover.construct import Builder
 from roadsight.placement.cover.curve import coverage_curve
+from roadsight.placement.cover.cuts import Cuts
+from roadsight.placement.cover.deadline import WorkLimit
 from roadsight.placement.cover.deploy import solve_deployment
 from roadsight.placement.cover.deployment import Deployment
+from roadsight.placement.cover.master import Master, Relaxed
 
 
 def test_a_price_on_coverage_changes_no_complete_answer():
@@ -33,3 +38,20 @@ def test_points_within_the_gap_are_named_so():
     points = coverage_curve(deployment, [4.0, 8.0], 0.0, gap=0.9)
     assert {point.status for point in points} <= {"optimal", "within_gap"}
     assert {p.status for p in coverage_curve(deployment, [4.0, 8.0], 0.0)} == {"time_limit"}
+
+
+def test_a_relaxation_without_end_leaves_time_to_look_for_better(monkeypatch):
+    rng = np.random.default_rng(4)
+    seen = sparse.csr_matrix(rng.random((60, 400)) < 0.12)
+    deployment = budgeted(CoverProblem(seen), 9.0, None)
+    builder = Builder(Cuts(deployment), np.random.default_rng(1))
+    builder.build(np.empty(0, np.int64))
+
+    def endless(master, node, goal, deadline, rounds):
+        deadline.spend(deadline.left_s())
+        return Relaxed(-400.0, np.zeros(60), np.zeros(60), settled=False, complete=False)
+
+    monkeypatch.setattr(Master, "solve", endless)
+    found = solve_deployment(deployment, WorkLimit(0.01)).cover
+    assert found.objective < builder.value
+    assert found.bound == -400.0

@@ -17,7 +17,7 @@ from roadsight.placement.cover.result import is_within
 
 _WHOLE = 1e-6
 _ROOT_ROUNDS, _ROUNDS = 200, 12
-_ROOT_STEPS, _STEPS = 200, 2
+_ROOT_STEPS, _STEPS, _LAST_STEPS = 200, 2, 2_000
 _DIVES = 20
 _PAIRED_TARGETS = 80
 _FRACTION = 0.02
@@ -75,10 +75,11 @@ class Tree:
         rounds = _ROOT_ROUNDS if root else _ROUNDS
         while True:
             goal = self.deployment.goal(self.builder.value)
-            answer = self.master.solve(node, goal, deadline, rounds)
+            answer = self.master.solve(node, goal, deadline.part(2) if root else deadline, rounds)
             if answer.bound > goal or answer.bound == np.inf:
                 return answer.bound, []
             if not answer.complete:
+                self.builder.improve(_LAST_STEPS if root else 0, answer.bound, deadline)
                 return answer.bound, None
             self._build(answer, root, deadline)
             tighter = self._tighten(node, answer)
