@@ -8,6 +8,7 @@ from scipy.optimize import linprog
 from roadsight.placement.cover import CoverProblem, interior, solve_cover_problem
 from roadsight.placement.cover.deadline import Deadline, WorkLimit
 from roadsight.placement.cover.interior import interior_bound, is_large, lagrangian_bound
+from roadsight.placement.cover.local_search import LocalSearch, greedy_cover
 from roadsight.placement.cover.reductions import reduce_problem
 
 LENGTH_M, REACH_M = 300, 25
@@ -113,3 +114,18 @@ def test_published_sizes_are_not_large(monkeypatch):
     (part, *_) = reduce_problem(CoverProblem(road(1))).parts
     assert not is_large(part)
     assert interior._LARGE > 2_019 * 8_219
+
+
+def test_open_targets_join_local_search_from_all_over_the_road():
+    (part, *_) = reduce_problem(CoverProblem(road(4))).parts
+    none = np.zeros(part.shape[1], bool)
+    local = LocalSearch(part, greedy_cover(part), none, np.random.default_rng(1))
+    trial = np.zeros(part.shape[0], bool)
+    trial[:3] = True
+    is_open = part.by_choice[trial].sum(axis=0).A1 == 0
+    assert not local.accept(trial)
+    joined = np.flatnonzero(local.active)
+    assert len(joined) == 50
+    assert is_open[joined].all()
+    assert joined[[0, -1]].tolist() == np.flatnonzero(is_open)[[0, -1]].tolist()
+    assert local.accept(local.best)
