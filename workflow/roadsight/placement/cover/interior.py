@@ -8,36 +8,19 @@ a cover is at most cheaper.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import highspy
 import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.problem import Instance
-from roadsight.placement.cover.relaxation import quiet_highs
+from roadsight.placement.cover.relaxation import Solution, quiet_highs
 
-_FLOATS = NDArray[np.float64]
 _LARGE = 40_000_000
 _LEAST_TARGETS, _FIRST_SHARE, _ADDED_SHARE = 500, 1 / 12, 1 / 24
 _OPEN, _IDLE, _LEAST_RISE, _TOLERANCE = 1e-3, 1e-6, 2e-3, 1e-5
 _PATIENCE = 3
 _STEP_S = 3e-7  # work of a step by entry of the linear program, measured
-
-
-@dataclass(frozen=True)
-class InteriorBound:
-    """What interior points tell of an instance.
-
-    Parameters
-    ----------
-    bound : Lagrangian bound of the duals, in steps: valid whatever the solver's tolerances.
-    target_dual : (n,) dual of each target.
-    """
-
-    bound: float
-    target_dual: _FLOATS
 
 
 def is_large(instance: Instance) -> bool:
@@ -46,43 +29,33 @@ def is_large(instance: Instance) -> bool:
     return choices * targets > _LARGE
 
 
-def interior_bound(
-    instance: Instance, rng: np.random.Generator, deadline: Deadline
-) -> InteriorBound:
-    """Bound of the linear relaxation, as far as it rises and time allows."""
-    targets = instance.shape[1]
+def interior_bound(instance: Instance, rng: np.random.Generator, deadline: Deadline) -> Solution:
+    """Relaxation with the best bound that was found, as far as it rises and time allows."""
+    choices, targets = instance.shape
     inside = np.zeros(targets, bool)
     inside[rng.permutation(targets)[: _some(targets, _FIRST_SHARE)]] = True
-    best, rounds_alike = InteriorBound(0.0, np.zeros(targets)), 0
+    best = Solution(0.0, np.zeros(choices), instance.cost, np.zeros(targets), False)
+    rounds_alike = 0
     while True:
-        share, dual = _solve(instance, np.flatnonzero(inside), deadline)
-        found = InteriorBound(lagrangian_bound(instance, dual), dual)
-        before, best = best.bound, max(best, found, key=lambda one: one.bound)
-        missing = np.where(inside, 0.0, instance.need - instance.by_choice.T @ share)
+        found = _solve(instance, np.flatnonzero(inside), deadline)
+        rises = found.bound > (1 + _LEAST_RISE) * best.bound
+        best = max(best, found, key=lambda one: one.bound)
+        missing = np.where(inside, 0.0, instance.need - instance.by_choice.T @ found.x)
         entering = np.argsort(-missing, kind="stable")[: _some(targets, _ADDED_SHARE)]
         entering = entering[missing[entering] > _OPEN]
-        rises = best.bound - before > _LEAST_RISE * best.bound
         rounds_alike = 0 if rises else rounds_alike + 1
         if deadline.passed() or rounds_alike == _PATIENCE or not len(entering):
             return best
-        inside &= dual > _IDLE
+        inside &= found.target_dual > _IDLE
         inside[entering] = True
-
-
-def lagrangian_bound(instance: Instance, target_dual: _FLOATS) -> float:
-    """Least cost of a cover, in steps, that duals (n,) of at least 0 prove."""
-    reduced = instance.cost - instance.by_choice @ target_dual
-    return float((target_dual * instance.need).sum() + np.minimum(reduced, 0.0).sum())
 
 
 def _some(targets: int, share: float) -> int:
     return max(_LEAST_TARGETS, round(share * targets))
 
 
-def _solve(
-    instance: Instance, targets: NDArray[np.int64], deadline: Deadline
-) -> tuple[_FLOATS, _FLOATS]:
-    """Shares (m,) of the choices and duals (n,) of the relaxation on some targets."""
+def _solve(instance: Instance, targets: NDArray[np.int64], deadline: Deadline) -> Solution:
+    """Relaxation on some targets."""
     choices = instance.shape[0]
     rows = instance.by_choice[:, targets].T.tocsr()
     step_s = _STEP_S * rows.nnz
@@ -102,15 +75,16 @@ def _solve(
     return _read(highs, instance, targets)
 
 
-def _read(
-    highs: highspy.Highs, instance: Instance, targets: NDArray[np.int64]
-) -> tuple[_FLOATS, _FLOATS]:
+def _read(highs: highspy.Highs, instance: Instance, targets: NDArray[np.int64]) -> Solution:
     """Shares and duals, all 0 where the method was stopped before it had any."""
     raw = highs.getSolution()
-    share, dual = np.array(raw.col_value), np.array(raw.row_dual)
-    whole = len(share) == instance.shape[0] and len(dual) == len(targets)
-    if not (whole and np.isfinite(share).all() and np.isfinite(dual).all()):
-        share, dual = np.zeros(instance.shape[0]), np.zeros(len(targets))
-    every = np.zeros(instance.shape[1])
-    every[targets] = np.maximum(dual, 0.0)
-    return np.clip(share, 0.0, 1.0), every
+    share, row_dual = np.array(raw.col_value), np.array(raw.row_dual)
+    whole = len(share) == instance.shape[0] and len(row_dual) == len(targets)
+    if not (whole and np.isfinite(share).all() and np.isfinite(row_dual).all()):
+        share, row_dual = np.zeros(instance.shape[0]), np.zeros(len(targets))
+    dual = np.zeros(instance.shape[1])
+    dual[targets] = np.maximum(row_dual, 0.0)
+    reduced = instance.cost - instance.by_choice @ dual
+    bound = float((dual * instance.need).sum() + np.minimum(reduced, 0.0).sum())
+    complete = highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
+    return Solution(bound, np.clip(share, 0.0, 1.0), reduced, dual, complete)
