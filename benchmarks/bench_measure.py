@@ -6,12 +6,13 @@ import ctypes
 import gc
 import json
 import math
+import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 Cost = tuple[str, float, float | None]
 """Name, CPU seconds, added peak MiB."""
@@ -20,12 +21,21 @@ Size = Literal["quick", "usual", "full"]
 """Workloads: small ones for tests, those of every day, and the published ones with their tens."""
 
 _LAUNCHER = """
-import json, os, subprocess, sys
+import json, os, subprocess, sys, time
+start = time.monotonic()
 child = subprocess.Popen(sys.argv[1:], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 _, status, used = os.wait4(child.pid, 0)
-cpu_s = used.ru_utime + used.ru_stime
-print(json.dumps([os.waitstatus_to_exitcode(status), cpu_s, used.ru_maxrss]))
+wall_s, cpu_s = time.monotonic() - start, used.ru_utime + used.ru_stime
+print(json.dumps([os.waitstatus_to_exitcode(status), cpu_s, wall_s, used.ru_maxrss]))
 """
+
+
+class Used(NamedTuple):
+    """What a program took: CPU seconds, seconds by the clock, peak MiB."""
+
+    cpu_s: float
+    wall_s: float
+    peak_mib: float
 
 
 def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
@@ -46,8 +56,8 @@ def measured(function: Callable[[], Any]) -> tuple[Any, float, float | None]:
     return result, cpu_s, round(max(after - before, 0.0), 1) if known else None
 
 
-def measured_apart(command: list[str]) -> tuple[float, float]:
-    """CPU seconds and peak memory in MiB of a program, its start included.
+def measured_apart(command: list[str], threads: int = 1) -> Used:
+    """What a program takes, its start included, with as many threads where it can use them.
 
     A small process starts it: the system counts a parent's memory as its child's.
 
@@ -56,12 +66,15 @@ def measured_apart(command: list[str]) -> tuple[float, float]:
     RuntimeError : it failed.
     """
     told = subprocess.run(
-        [sys.executable, "-c", _LAUNCHER, *command], stdout=subprocess.PIPE, check=True
+        [sys.executable, "-c", _LAUNCHER, *command],
+        env=os.environ | {"RAYON_NUM_THREADS": str(threads)},
+        stdout=subprocess.PIPE,
+        check=True,
     ).stdout
-    failed, cpu_s, peak_kib = json.loads(told)
+    failed, cpu_s, wall_s, peak_kib = json.loads(told)
     if failed:
         raise RuntimeError(f"{' '.join(command)} failed")
-    return cpu_s, round(peak_kib / 1024, 1)
+    return Used(cpu_s, wall_s, round(peak_kib / 1024, 1))
 
 
 def _memory_mib(reset: bool) -> float | None:
@@ -81,9 +94,11 @@ def row(
     against: Cost,
     agreement: tuple[float, str],
     workload: str,
+    wall_s: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """One comparison."""
-    return {
+    """One comparison; ``wall_s`` by the clock, of both, where threads make it another story."""
+    clock = {} if wall_s is None else {"wall_s_ours": wall_s[0], "wall_s_against": wall_s[1]}
+    return clock | {
         "kernel": kernel,
         "ours": ours[0],
         "against": against[0],

@@ -38,7 +38,7 @@ from roadsight.io.videologs import ImageSource, read_videolog_table
 from roadsight.placement.sensors import load_sensors
 from roadsight.poles.manifest import LabelMap
 from roadsight.stages.ingest_cloud import survey
-from tests.unit.las_files import random_points, wkt_of, write_las
+from tests.unit.las_files import in_chunks, random_points, wkt_of, write_las
 from tests.unit.onnx_bytes import pointwise
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,6 +67,8 @@ def _clouds(folder: Path) -> list[bytes]:
         write_las(folder / "b.laz", xyz, wkt, point_format=7, red=7, green=8, blue=9),
         write_las(folder / "c.laz", xyz, point_format=3, version="1.2"),
         write_las(folder / "d.las", xyz[:40], point_format=1, version="1.2"),
+        in_chunks(write_las(folder / "e.laz", xyz, wkt), 90),
+        in_chunks(write_las(folder / "f.laz", xyz, point_format=1, version="1.2"), [120, 180]),
     ]
     return [file.read_bytes() for file in files]
 

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import struct
 from pathlib import Path
 
 import laspy
+import lazrs
 import numpy as np
 import pytest
 from laspy.vlrs.known import WktCoordinateSystemVlr
@@ -35,6 +37,26 @@ def write_las(path, xyz, wkt=None, point_format=6, version="1.4", scale=0.001, o
     for name, values in dims.items():
         las[name] = np.broadcast_to(values, len(xyz))
     las.write(str(path))
+    return path
+
+
+def in_chunks(path, sizes):
+    """Compress a LAZ file again, in chunks of so many points each, or of these sizes in turn."""
+    with laspy.open(path) as reader:
+        start = reader.header.offset_to_point_data
+        record = reader.header.vlrs.get("LasZipVlr")[0].record_data
+        points = reader.read().points.array
+    varying = not isinstance(sizes, int)
+    changed = record[:12] + struct.pack("<I", 2**32 - 1 if varying else sizes) + record[16:]
+    head = path.read_bytes()[:start].replace(record, changed)
+    with path.open("wb") as stream:
+        stream.write(head)
+        compressor = lazrs.LasZipCompressor(stream, lazrs.LazVlr(changed))
+        for k, part in enumerate(np.split(points, np.cumsum(sizes)[:-1]) if varying else [points]):
+            if k:
+                compressor.finish_current_chunk()
+            compressor.compress_many(np.frombuffer(part.tobytes(), np.uint8))
+        compressor.done()
     return path
 
 

@@ -31,6 +31,7 @@ def test_peers_and_bounds_have_tables_of_their_own() -> None:
     assert "decoding" in bounds
     assert ">4<" in bounds  # four times the bound
     assert page([ROW, bound]) == html
+    assert ">2.5<" in page([bound | {"wall_s_ours": 5.0, "wall_s_against": 2.0}])  # by the clock
 
 
 @pytest.mark.parametrize("rows", [[], [ROW | {"agreement": None}], [ROW | {"ratio": 0.0}]])

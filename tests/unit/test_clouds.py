@@ -5,14 +5,16 @@ from __future__ import annotations
 import shutil
 import struct
 
+import laspy
 import numpy as np
 import pytest
-from las_files import DATA, needs_data, random_points, wkt_of, write_las
+from las_files import DATA, in_chunks, needs_data, random_points, wkt_of, write_las
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud_scan import kept_chunks, scan_cloud
 from roadsight.io.clouds import iter_chunks, read_header, read_laz, write_laz
+from roadsight.io.laz_chunks import are_apart
 
 XYZ = random_points(500)
 
@@ -49,6 +51,59 @@ def test_formats_and_chunks_give_the_same_points(tmp_path, suffix, point_format,
         np.testing.assert_array_equal(whole.colour[:, 2], number + 2)
 
 
+def spread(path):
+    """Whether threads decode the chunks of a file."""
+    with laspy.open(path) as reader:
+        return are_apart(path, reader.header)
+
+
+CHUNKS = [64, [100, 1, 300, 99], 500, [500]]
+FORMATS = [(0, "1.2"), (3, "1.2"), (6, "1.4"), (7, "1.4")]
+
+
+@pytest.mark.parametrize("sizes", CHUNKS, ids=str)
+@pytest.mark.parametrize(("point_format", "version"), FORMATS)
+def test_chunks_decoded_by_threads_give_the_same_points(tmp_path, point_format, version, sizes):
+    dims = {"intensity": np.arange(500), "classification": np.arange(500) % 19}
+    path = write_las(tmp_path / "a.laz", XYZ, None, point_format, version, **dims)
+    assert not spread(path)  # one chunk of 50,000
+    before = read_laz(path)
+    in_chunks(path, sizes)
+    assert spread(path) == (sizes in (CHUNKS[0], CHUNKS[1]))
+    after = read_laz(path)
+    np.testing.assert_array_equal(after.xyz, before.xyz)
+    for name, values in before.dims.items():
+        np.testing.assert_array_equal(after.dims[name], values)
+    parts = list(iter_chunks(path, 77))
+    np.testing.assert_array_equal(np.concatenate([part.xyz for part in parts]), before.xyz)
+
+
+@pytest.mark.parametrize(("point_format", "version"), FORMATS)
+def test_a_chunk_table_that_does_not_fit_the_points_is_not_relied_on(
+    tmp_path, point_format, version
+):
+    path = write_las(tmp_path / "a.laz", XYZ, None, point_format, version)
+    in_chunks(path, 200)
+    with laspy.open(path) as reader:
+        points_at = reader.header.offset_to_point_data
+    (table_at,) = struct.unpack_from("<q", path.read_bytes(), points_at)
+    whole = path.read_bytes()
+    for count, sizes in [(3, b""), (3, bytes(12)), (3, b"\xff" * 40), (0, bytes(40))]:
+        path.write_bytes(whole[: table_at + 4] + struct.pack("<I", count) + sizes)
+        assert not spread(path)
+    np.testing.assert_allclose(next(iter_chunks(path)).xyz, XYZ, rtol=0, atol=1e-6)
+
+
+def test_chunks_beyond_memory_are_decoded_one_after_the_other(tmp_path):
+    path = in_chunks(write_las(tmp_path / "a.laz", XYZ), 100)
+    data = path.read_bytes()
+    with laspy.open(path) as reader:
+        record = reader.header.vlrs.get("LasZipVlr")[0].record_data
+    huge = record[:12] + struct.pack("<I", 2**31) + record[16:]
+    path.write_bytes(data.replace(record, huge))
+    assert not spread(path)
+
+
 def test_scan_leaves_noise_and_withheld_out(tmp_path):
     classes = np.array([2, 7, 18, 2, 7, 6, 1, 2])
     withheld = np.array([0, 0, 0, 1, 1, 0, 0, 0])
@@ -78,8 +133,6 @@ def test_points_that_cannot_be_reprojected_are_an_error(tmp_path):
 
 
 def test_geotiff_keys_are_read(tmp_path):
-    import laspy
-
     header = laspy.LasHeader(point_format=1, version="1.2")
     header.scales = np.full(3, 0.001)
     keys = [(1, 1, 0, 2), (3072, 0, 1, 2264), (4099, 0, 1, 9003)]
@@ -200,10 +253,15 @@ def test_every_truncation_is_one_message(tmp_path, suffix):
             list(iter_chunks(path))
 
 
-@pytest.mark.parametrize(("suffix", "point_format"), [("las", 1), ("laz", 1), ("laz", 7)])
-def test_flipped_bytes_give_points_or_one_message(tmp_path, suffix, point_format):
+@pytest.mark.parametrize(
+    ("suffix", "point_format", "sizes"),
+    [("las", 1, None), ("laz", 1, None), ("laz", 7, None), ("laz", 1, 60), ("laz", 7, 60)],
+)
+def test_flipped_bytes_give_points_or_one_message(tmp_path, suffix, point_format, sizes):
     version = "1.4" if point_format > 5 else "1.2"
     path = write_las(tmp_path / f"a.{suffix}", XYZ, wkt_of("EPSG:25832"), point_format, version)
+    if sizes:
+        in_chunks(path, sizes)
     data = path.read_bytes()
     rng = np.random.default_rng(5)
     read = failed = 0

@@ -227,16 +227,16 @@ def site(tmp_path):
     return tmp_path
 
 
-def test_stage_gives_the_same_bytes_for_any_tiles_and_order(site):
+def test_stage_gives_the_same_bytes_for_any_tiles_order_and_threads(site):
     xyz, cls = cloud(7, 30_000, (130.0, 90.0, 12.0))
     rng = np.random.default_rng(1)
-    for name, tile_m, order in (
-        ("a", 50.0, None),
-        ("b", 7.0, None),
-        ("c", 500.0, rng.permutation(len(xyz))),
+    for name, tile_m, order, threads in (
+        ("a", 50.0, None, "1"),
+        ("b", 7.0, None, "3"),
+        ("c", 500.0, rng.permutation(len(xyz)), "2"),
     ):
         path = write_site(site, xyz, cls, tile_m, order, f"cloud_{name}")
-        assert run(site, path, name) == 0
+        assert run(site, path, name, "--threads", threads) == 0
     table = read_table(site / "a.parquet")
     about = read_about(site / "a.parquet")
     expected, columns = reference(xyz.astype(float), cls, about["anchor"], about["cell_size_m"])

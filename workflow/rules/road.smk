@@ -21,6 +21,7 @@ rule rasterise_lidar:
         benchmark_of("rasterise_lidar")
     conda:
         ENVIRONMENT
+    threads: 2
     resources:
         mem_mb=megabytes(10),
         runtime=minutes(),
@@ -31,7 +32,7 @@ rule rasterise_lidar:
         "python -m roadsight.stages.rasterise_lidar --cloud {input.cloud}"
         " --frame {input.frame} --dem {input.dem} --pavement {input.pavement}"
         " --road-source {params.road_source} {params.options} --voxels {output.voxels}"
-        " --top {output.top} > {log} 2>&1"
+        " --top {output.top} --threads {threads} > {log} 2>&1"
 
 
 rule extract_road_edges:

@@ -19,6 +19,7 @@ rule ingest_cloud:
         benchmark_of("ingest_cloud")
     conda:
         ENVIRONMENT
+    threads: 2
     resources:
         mem_mb=each_attempt(1000),
     params:
@@ -29,7 +30,7 @@ rule ingest_cloud:
         target_crs=site_field("target_crs"),
         tile_size_m=setting("scene.tile_size_m"),
     shell:
-        "python -m roadsight.stages.ingest_cloud --site {wildcards.site}"
+        "RAYON_NUM_THREADS={threads} python -m roadsight.stages.ingest_cloud --site {wildcards.site}"
         " --crs={params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
         " --target-crs={params.target_crs:q} --tile-size-m {params.tile_size_m}"
         " --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"

@@ -22,7 +22,7 @@ from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import atomic_path
 from roadsight.io.las_header import COLOURS, CloudHeader, check_structure, cloud_header
-from roadsight.io.laz_layers import check_layers
+from roadsight.io.laz_chunks import are_apart, check_layers
 
 CHUNK_POINTS = 1_000_000
 _LAZ_SCALE = 0.001
@@ -227,7 +227,12 @@ def _open(
 def _decoded(
     path: str | os.PathLike[str], reader: laspy.LasReader, chunk_points: int
 ) -> Iterator[laspy.ScaleAwarePointRecord]:
-    """Decode the points of an open cloud and count them."""
+    """Decode the points of an open cloud and count them.
+
+    As many threads work as ``RAYON_NUM_THREADS`` says.
+    """
+    if are_apart(Path(path), reader.header):
+        reader.laz_backend = laspy.LazBackend.LazrsParallel
     count = 0
     for points in reader.chunk_iterator(chunk_points):
         count += len(points)

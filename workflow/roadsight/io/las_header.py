@@ -23,6 +23,7 @@ COLOURS = ("red", "green", "blue")
 _WKT_RECORD, _GEO_KEY_RECORD = 2112, 34735
 _RECORD_HEADER_BYTES, _EXTENDED_RECORD_HEADER_BYTES = 54, 60
 _SHORTEST_HEADER_BYTES, _LAS_14_HEADER_BYTES = 227, 375
+_LEAST_POINT_BYTES = 20
 _COMPRESSED = 0x80
 _TABLE_OFFSET_AT_END = -1
 
@@ -104,7 +105,7 @@ def _chunk_table_problem(stream: BinaryIO, points_at: int, size: int) -> str:
     if not points_at + 8 <= table_at <= size - 8:
         return "is cut off: its chunk table lies outside the file"
     chunks = _integer_at(stream, table_at) >> 32 & 0xFFFFFFFF
-    if chunks > size:
+    if chunks > size // _LEAST_POINT_BYTES + 1:  # each begins with a whole point
         return f"is damaged: its chunk table announces {chunks} chunks"
     return ""
 

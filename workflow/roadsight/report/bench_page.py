@@ -59,12 +59,22 @@ def _shown(row: Mapping[str, Any]) -> dict[str, Any]:
         "against_s": number(_short(row["cpu_s_against"])),
         "ratio": number(_short(row["ratio"])),
         "times": number(_short(1 / row["ratio"])) if row["ratio"] > 0 else "\u2013",
+        "clock": _clock(row),
         "ours_mib": _mib(row["peak_mib_ours"]),
         "against_mib": _mib(row["peak_mib_against"]),
         "agreement": "\u2013" if row["agreement"] is None else number(row["agreement"]),
         "metric": row["agreement_metric"],
         "slower": row["ratio"] < 1,
     }
+
+
+def _clock(row: Mapping[str, Any]) -> dict[str, str] | None:
+    """Seconds by the clock and their quotient, where they were taken."""
+    if "wall_s_ours" not in row:
+        return None
+    ours, against = row["wall_s_ours"], row["wall_s_against"]
+    values = {"ours_s": ours, "against_s": against, "times": ours / max(against, 1e-9)}
+    return {name: number(_short(value)) for name, value in values.items()}
 
 
 def _short(value: float) -> float:

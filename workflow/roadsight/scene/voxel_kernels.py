@@ -11,7 +11,7 @@ from roadsight.scene.classes import BRIDGE, ROAD
 _INTS = NDArray[np.int64]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def point_keys(
     x: NDArray[np.floating],
     y: NDArray[np.floating],
@@ -34,7 +34,7 @@ def point_keys(
     return keys
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def indices_of(voxel: _INTS, shape: _INTS, low: _INTS) -> NDArray[np.int32]:
     """Indices ix, iy, iz (3, n) of voxel numbers (n,)."""
     indices = np.empty((3, len(voxel)), np.int32)
@@ -47,7 +47,7 @@ def indices_of(voxel: _INTS, shape: _INTS, low: _INTS) -> NDArray[np.int32]:
     return indices
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def runs_of(keys: _INTS) -> tuple[_INTS, NDArray[np.uint8], _INTS, _INTS]:
     """Voxel, class, points and heights of the runs of sorted keys."""
     count = 0
@@ -65,7 +65,7 @@ def runs_of(keys: _INTS) -> tuple[_INTS, NDArray[np.uint8], _INTS, _INTS]:
     return voxel, cls, points, heights
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def winners(
     voxel: _INTS, cls: NDArray[np.uint8], points: _INTS, heights: _INTS
 ) -> tuple[_INTS, NDArray[np.uint8], _INTS, _INTS, _INTS]:
@@ -94,7 +94,7 @@ def winners(
     return number, winner, own, total, height
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def tops(
     voxel: _INTS,
     cls: NDArray[np.uint8],

@@ -7,6 +7,7 @@ import logging
 import sys
 from collections.abc import Iterator
 from itertools import groupby
+from operator import itemgetter
 
 import numpy as np
 import shapely
@@ -16,13 +17,14 @@ from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import read_json
 from roadsight.io.rasters import read_raster
-from roadsight.io.tiles import CloudTiles, Points
+from roadsight.io.tiles import CloudTiles, Points, Tile
 from roadsight.io.top_rasters import TopRasterWriter
 from roadsight.io.voxel_tables import VoxelTableWriter
 from roadsight.scene.classes import BRIDGE, ROAD, class_table
 from roadsight.scene.paved import PavedArea
 from roadsight.scene.settled_voxels import Settled, join, settle_area
 from roadsight.scene.voxel_classes import ClassRuns, VoxelGrid, add_runs, count_classes
+from roadsight.stages.ahead import in_order
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
@@ -46,7 +48,7 @@ def rasterise_lidar(arguments: argparse.Namespace) -> None:
         VoxelTableWriter(arguments.voxels, about) as voxels,
         TopRasterWriter(arguments.top, frame, grid) as top,
     ):
-        for part in settled(grid, cloud, table, paved):
+        for part in settled(grid, cloud, table, paved, arguments.threads):
             voxels.add(grid.indices(part.voxel), part.cls)
             top.add(part.columns)
             road += int(np.isin(part.cls, (ROAD, BRIDGE)).sum())
@@ -60,29 +62,43 @@ def rasterise_lidar(arguments: argparse.Namespace) -> None:
 
 
 def settled(
-    grid: VoxelGrid, cloud: CloudTiles, table: NDArray[np.uint8], paved: PavedArea | None
+    grid: VoxelGrid,
+    cloud: CloudTiles,
+    table: NDArray[np.uint8],
+    paved: PavedArea | None,
+    threads: int,
 ) -> Iterator[Settled]:
     """Voxels of the cloud from south to north, each once, whatever the tiles are.
 
     What tiles share waits until all of them are read.
     """
-    numbers = logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles")
+    size_m = cloud.tile_size_m
+
+    def work(read: tuple[Tile, Points]) -> tuple[int, Settled, ClassRuns]:
+        tile, points = read
+        cls = _classes(points, table, paved)
+        runs = count_classes(grid, [points[axis] for axis in "xyz"], cls)
+        own = grid.within(runs.voxel, tile.ix * size_m, tile.iy * size_m, size_m)
+        return tile.iy, settle_area(grid, runs.part(own)), runs.part(~own)
+
     shared: list[ClassRuns] = []
-    done, size_m = 0, cloud.tile_size_m
-    for iy, row in groupby(numbers, key=lambda number: cloud.tiles[number].iy):
+    done = 0
+    for iy, row in groupby(in_order(work, _points_of_tiles(cloud), threads), key=itemgetter(0)):
         parts = []
-        for number in row:
-            points = cloud.read(("x", "y", "z", "classification"), [number])
-            cls = _classes(points, table, paved)
-            runs = count_classes(grid, [points[axis] for axis in "xyz"], cls)
-            own = grid.within(runs.voxel, cloud.tiles[number].ix * size_m, iy * size_m, size_m)
-            parts.append(settle_area(grid, runs.part(own)))
-            shared.append(runs.part(~own))
+        for _, part, open_runs in row:
+            parts.append(part)
+            shared.append(open_runs)
         open_row = grid.first_open_row((iy + 1) * size_m)
         south, north = add_runs(shared).split(grid.row_start(open_row))
         yield from _in_rows(grid, [*parts, settle_area(grid, south)], range(done, open_row, _ROWS))
         shared, done = [north], open_row
     yield from (settle_area(grid, part) for part in shared)
+
+
+def _points_of_tiles(cloud: CloudTiles) -> Iterator[tuple[Tile, Points]]:
+    for number in logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles"):
+        columns = ("x", "y", "z", "classification")
+        yield cloud.tiles[number], cloud.read(columns, [number])
 
 
 def _in_rows(grid: VoxelGrid, parts: list[Settled], starts: range) -> Iterator[Settled]:
@@ -148,6 +164,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--pavement-height-m", type=float, default=0.3, help="farthest from the terrain model"
     )
+    parser.add_argument("--threads", type=int, default=1)
     return run_stage(parser, rasterise_lidar, argv)
 
 
