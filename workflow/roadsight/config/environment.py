@@ -25,9 +25,10 @@ def prepare_environment() -> None:
     """Set what stages inherit.
 
     They run with the interpreter that runs Snakemake, whether or not its environment is active.
-    Kernels are single-threaded by design; shards are what runs in parallel. New pages of memory are
-    dear on virtual machines: arrays up to 32 MiB come from memory that a stage has had before, and
-    what is new comes in large pages. Numba notices an edit in a kernel's own file only, not in the
+    Kernels are single-threaded by design; shards are what runs in parallel, and the rules of the
+    few steps that all others wait for ask for threads. New pages of memory are dear on virtual
+    machines: arrays up to 32 MiB come from memory that a stage has had before, and what is new
+    comes in large pages. Numba notices an edit in a kernel's own file only, not in the
     kernels that it calls: its cache is kept by the digest of all sources.
     """
     drop_damaged_bytecode(Path(__file__).parents[1])
