@@ -27,6 +27,7 @@ NO_NUMERICS = {
     "measure_precision": "compares single and double precision",
     "measure_tradeoff": "runs other stages",
     "plan_effects": "compares measured numbers with thresholds",
+    "ahead": "threads around any stage",
     "progress": "shared by all stages",
     "render_depth_pairs": "the maps of render_depth_maps, whose cases hold for it",
     "render_videolog": "generates a sample",
