@@ -94,6 +94,16 @@ def test_a_chunk_table_that_does_not_fit_the_points_is_not_relied_on(
     np.testing.assert_allclose(next(iter_chunks(path)).xyz, XYZ, rtol=0, atol=1e-6)
 
 
+def test_more_chunks_than_their_first_points_have_room_for_are_refused(tmp_path):
+    path = write_las(tmp_path / "a.laz", XYZ)
+    with laspy.open(path) as reader:
+        points_at = reader.header.offset_to_point_data
+    (table_at,) = struct.unpack_from("<q", path.read_bytes(), points_at)
+    patched(path, table_at + 4, "<I", path.stat().st_size // 20 + 2)
+    with pytest.raises(InputError, match="chunk table announces"):
+        read_header(path)
+
+
 def test_chunks_beyond_memory_are_decoded_one_after_the_other(tmp_path):
     path = in_chunks(write_las(tmp_path / "a.laz", XYZ), 100)
     data = path.read_bytes()

@@ -72,18 +72,15 @@ def _laz_record(header: laspy.LasHeader) -> bytes:
 
 
 def _table(path: Path, header: laspy.LasHeader) -> _Chunks:
-    """What the file's table says of its chunks; none where it cannot be read or they are large."""
+    """What the file's table says of its chunks; none where it cannot be read."""
     record = lazrs.LazVlr(_laz_record(header))
-    varying = record.uses_variable_size_chunks()
-    if not varying and record.chunk_size() > _LARGEST_CHUNK:
-        return []
     try:
         with path.open("rb") as stream:
             stream.seek(header.offset_to_point_data)
             table: _Chunks = lazrs.read_chunk_table(stream, record)
     except (lazrs.LazrsError, OSError):
         return []
-    if table and not varying:  # it has the last as full as the others
+    if table and not record.uses_variable_size_chunks():  # it has the last as full as the others
         table[-1] = (header.point_count - (len(table) - 1) * record.chunk_size(), table[-1][1])
     return table
 
