@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from roadsight.placement.cover import CoverProblem, core, solve_cover_problem
+from roadsight.placement.cover import CoverProblem, core, interior, solve_cover_problem
 from roadsight.placement.cover.deadline import Deadline, WorkLimit
-from roadsight.placement.cover.parity_cuts import Row, parity_cuts
+from roadsight.placement.cover.pair_cuts import _descend, pair_cuts
+from roadsight.placement.cover.parity_cuts import parity_cuts
 from roadsight.placement.cover.reductions import reduce_problem
 from roadsight.placement.cover.relaxation import Node, Relaxation
+from roadsight.placement.cover.rows import Row, distinct, stacked
 
 
 def relaxed(matrix, at_least=1):
@@ -37,11 +39,11 @@ def covers(part):
             yield x
 
 
-def strengthened(relaxation, node, solution, rounds=20):
+def strengthened(relaxation, node, solution, parity=True, rounds=20):
     """Solution after so many rounds of cuts, and all cuts that were made."""
     cuts = {}
     for _ in range(rounds):
-        stronger = relaxation.strengthen(node, solution, np.inf, Deadline(None))
+        stronger = relaxation.strengthen(node, solution, np.inf, Deadline(None), parity)
         if stronger is solution:
             break
         assert stronger.bound >= solution.bound - 1e-7
@@ -53,14 +55,24 @@ def strengthened(relaxation, node, solution, rounds=20):
 def test_an_odd_ring_is_proven_by_one_cut():
     relaxation, node, solution = relaxed(ring(7, 2))
     assert solution.bound == pytest.approx(3.5)
+    alone, _ = strengthened(relaxation, node, solution, parity=False)
+    assert alone is solution
     after, cuts = strengthened(relaxation, node, solution)
     assert after.bound == pytest.approx(4.0)
     assert cuts[0].low == 4
     np.testing.assert_array_equal(cuts[0].value, 1.0)
 
 
-@pytest.mark.parametrize("most", [1, 3])
-def test_no_whole_cover_breaks_a_cut(most):
+def test_targets_that_no_choice_covers_together_need_two():
+    relaxation, node, solution = relaxed(sparse.csr_matrix(~np.eye(4, dtype=bool)))
+    assert solution.bound == pytest.approx(4 / 3)
+    after, cuts = strengthened(relaxation, node, solution, parity=False)
+    assert after.bound == pytest.approx(2.0)
+    assert {cut.low for cut in cuts} == {2.0}
+
+
+@pytest.mark.parametrize(("most", "parity"), [(1, False), (1, True), (3, True)])
+def test_no_whole_cover_breaks_a_cut(most, parity):
     rng = np.random.default_rng(8)
     made = sharper = 0
     for _ in range(180):
@@ -70,7 +82,7 @@ def test_no_whole_cover_breaks_a_cut(most):
         if len(reduce_problem(CoverProblem(matrix, at_least=at_least)).parts) != 1:
             continue
         relaxation, node, solution = relaxed(matrix, at_least)
-        after, cuts = strengthened(relaxation, node, solution)
+        after, cuts = strengthened(relaxation, node, solution, parity)
         every = list(covers(relaxation.instance))
         for cut in cuts:
             assert min(cut.value @ x[cut.index] for x in every) >= cut.low
@@ -81,23 +93,54 @@ def test_no_whole_cover_breaks_a_cut(most):
     assert sharper > 15
 
 
-def test_each_cut_is_broken_by_the_solution_it_was_made_for():
-    rng = np.random.default_rng(3)
-    relaxation, _, solution = relaxed(random_matrix(rng))
+def tight_rows(relaxation, solution):
+    """Rows of the targets that a solution covers exactly."""
     seen = relaxation.instance.by_choice.T @ solution.x
     tight = np.flatnonzero(np.abs(seen - 1) < 1e-7)
     columns = relaxation.instance.by_target
-    sources = [
+    return [
         Row(columns[:, [t]].indices.astype(np.int32), np.ones(columns[:, [t]].nnz), 1.0)
         for t in tight
     ]
-    cuts, work_s = parity_cuts(sources, solution.x)
+
+
+@pytest.mark.parametrize("separate", [pair_cuts, parity_cuts])
+def test_each_cut_is_broken_by_the_solution_it_was_made_for(separate):
+    relaxation, _, solution = relaxed(random_matrix(np.random.default_rng(3)))
+    cuts, work_s = separate(tight_rows(relaxation, solution), solution.x)
     assert len(cuts) > 3
     assert work_s > 0
     missing = [cut.low - cut.value @ solution.x[cut.index] for cut in cuts]
     assert min(missing) > 0.01
-    assert missing == sorted(missing, reverse=True)
-    assert parity_cuts([], solution.x) == ([], 0.0)
+    np.testing.assert_allclose(missing, sorted(missing, reverse=True))
+    assert separate([], solution.x) == ([], 0.0)
+
+
+def left_side(pattern, x, chosen):
+    """Shares of the columns in some of the chosen rows, and once more of those in all of them."""
+    inside = pattern[:, chosen]
+    return x @ inside.any(axis=1) + x @ inside.all(axis=1)
+
+
+def test_descents_end_where_no_single_row_helps():
+    rng = np.random.default_rng(4)
+    away = rng.random((60, 1, 2)) - rng.random((150, 2))
+    matrix = sparse.csr_matrix(np.hypot(*away.transpose(2, 0, 1)) < 0.35)
+    relaxation, _, solution = relaxed(matrix)
+    support = np.flatnonzero(solution.x > 1e-9)
+    rows = stacked(tight_rows(relaxation, solution), len(solution.x))[:, support].toarray()
+    pattern, x = np.ascontiguousarray(rows[distinct(rows > 0)].T), solution.x[support]
+    pairs = np.array(list(itertools.combinations(range(pattern.shape[1]), 2)))
+    sets, left, moves = _descend(pattern, x, pairs)
+    assert moves > 0
+    assert (sets.sum(axis=1) > 2).any()
+    for chosen, least in zip(sets, left, strict=True):
+        assert least == pytest.approx(left_side(pattern > 0, x, chosen))
+        for row in range(len(chosen)):
+            other = chosen.copy()
+            other[row] = not other[row]
+            if other.sum() > 2 and chosen.sum() > 2:
+                assert left_side(pattern > 0, x, other) > least - 2e-4
 
 
 def random_matrix(rng, choices=30, targets=100):
@@ -122,10 +165,11 @@ def test_cores_prove_what_all_targets_prove(kind, monkeypatch):
             rng.integers(-20, 10, 30) if kind == "groups" else None,
             2 if kind == "twice" else 1,
         )
-        monkeypatch.setattr("roadsight.placement.cover.core._LARGEST_SHARE", 0.0)
         plain = solve_cover_problem(problem)
-        monkeypatch.setattr("roadsight.placement.cover.core._LARGEST_SHARE", 0.9)
-        cover = solve_cover_problem(problem)
+        with monkeypatch.context() as context:
+            context.setattr(interior, "_LARGE", 0)
+            context.setattr(interior, "_LEAST_TARGETS", 40)
+            cover = solve_cover_problem(problem)
         assert cover.status == plain.status
         assert cover.objective == plain.objective
         if cover.status == "optimal":
@@ -135,7 +179,7 @@ def test_cores_prove_what_all_targets_prove(kind, monkeypatch):
 
 
 def test_a_core_that_runs_out_of_work_keeps_its_bound(monkeypatch):
-    monkeypatch.setattr("roadsight.placement.cover.core._LARGEST_SHARE", 1.0)
+    monkeypatch.setattr(interior, "_LARGE", 0)
     problem = CoverProblem(random_matrix(np.random.default_rng(5), 40, 150))
     found = [solve_cover_problem(problem, WorkLimit(limit_s)) for limit_s in (0.05, 0.2, 60.0)]
     best = found[-1]

@@ -7,13 +7,14 @@ half of what the choices with an odd sum have less than 1 of together.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy import sparse
+
+from roadsight.placement.cover.rows import Row, common_shares, distinct, stacked
 
 _FLOATS = NDArray[np.float64]
 _INTS = NDArray[np.int64]
@@ -22,15 +23,6 @@ _STARTS, _CUTS = 250, 60
 _LONGEST, _LARGEST_LOW = 40, 1000.0
 _ODD_SHARE, _EVEN = 0.95, 1e-3
 _MOVE_S, _READ_S = 7e-10, 1.5e-7  # work, measured: by column of a move, and by entry of the rows
-
-
-@dataclass(frozen=True)
-class Row:
-    """``sum value_k x_index_k >= low``, all of them whole numbers."""
-
-    index: NDArray[np.int32]
-    value: _FLOATS
-    low: float
 
 
 def parity_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
@@ -42,10 +34,10 @@ def parity_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
     """
     if not sources:
         return [], 0.0
-    rows, low = _matrix(sources, len(x)), np.array([row.low for row in sources])
+    rows, low = stacked(sources, len(x)), np.array([row.low for row in sources])
     support = np.flatnonzero(x > 1e-9)
     odd = np.asarray(rows[:, support].toarray() % 2, bool)
-    kept = _distinct(np.column_stack([odd, low % 2]).astype(bool))
+    kept = distinct(np.column_stack([odd, low % 2]).astype(bool))
     odd, odd_low = odd[kept], (low[kept] % 2).astype(bool)
     starts = np.flatnonzero(odd_low)
     if not len(starts) or not len(support):
@@ -68,13 +60,6 @@ def parity_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
     return _rounded(list(found.values()), rows, low), work_s
 
 
-def _matrix(rows: list[Row], choices: int) -> sparse.csr_matrix:
-    start = np.cumsum([0] + [len(row.index) for row in rows])
-    index = np.concatenate([row.index for row in rows])
-    value = np.concatenate([row.value for row in rows])
-    return sparse.csr_matrix((value, index, start), shape=(len(rows), choices))
-
-
 def _rounded(sets: list[_INTS], rows: sparse.csr_matrix, low: _FLOATS) -> list[Row]:
     """Half the sum of each set of rows, rounded up."""
     if not sets:
@@ -95,12 +80,6 @@ def _rounded(sets: list[_INTS], rows: sparse.csr_matrix, low: _FLOATS) -> list[R
     ]
 
 
-def _distinct(patterns: NDArray[np.bool_]) -> _INTS:
-    """Numbers of the first rows of each pattern, in their order."""
-    _, first = np.unique(np.packbits(patterns, axis=1), axis=0, return_index=True)
-    return np.sort(first)
-
-
 def _moves(
     odd: NDArray[np.bool_], odd_low: NDArray[np.bool_], x: _FLOATS
 ) -> tuple[_INTS, _INTS, _INTS]:
@@ -109,9 +88,7 @@ def _moves(
     Returns pairs (p, 2) of rows, twice the same for one; where the columns of each that change
     parity begin, (p + 1,); and these columns.
     """
-    # Sparse, because the order of sums in a dense product depends on the number of threads.
-    pattern = sparse.csr_matrix(odd.astype(np.float64))
-    common = (pattern @ sparse.diags_array(x) @ pattern.T).toarray()
+    common = common_shares(odd, x)
     size = common.diagonal()
     apart = np.round(size[:, None] + size - 2 * common, 9)
     np.fill_diagonal(apart, np.inf)

@@ -10,13 +10,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.placement.cover.deadline import Deadline
-from roadsight.placement.cover.parity_cuts import Row, parity_cuts
+from roadsight.placement.cover.pair_cuts import pair_cuts
+from roadsight.placement.cover.parity_cuts import parity_cuts
 from roadsight.placement.cover.problem import Instance
+from roadsight.placement.cover.rows import Row
 
 FIRST_TARGETS = 300
-ADDED_TARGETS = 60
+ADDED_TARGETS = 120
 MOST_ROWS = 400
-_TOLERANCE, _LOOSE = 1e-6, 0.5
+_TOLERANCE, _LOOSE = 1e-6, 0.05
 # Work in seconds, measured: an iteration by the root of the entries of the linear program, setting
 # one up and reading the instance by entry.
 _ITERATION_S, _RUN_S, _READ_S = 4e-7, 2.5e-8, 3e-9
@@ -139,21 +141,24 @@ class Relaxation:
         deadline.spend(_READ_S * self.instance.by_choice.nnz)
 
     def strengthen(
-        self, node: Node, solution: Solution, goal: float, deadline: Deadline
+        self, node: Node, solution: Solution, goal: float, deadline: Deadline, parity: bool
     ) -> Solution:
-        """Add parity cuts that a solution breaks and solve again; itself where there are none.
+        """Add cuts that a solution breaks, by parity too where asked for, and solve again.
 
-        Cuts without a dual leave, and targets that are seen by far more than they need.
+        Itself where there are none. Cuts without a dual leave, and targets that are seen by more
+        than they need.
         """
         raw = self._highs.getSolution()
         value, dual = np.array(raw.row_value), np.array(raw.row_dual)
         sources = np.flatnonzero((self._kind == _TARGET) | (self._kind == _CUT))
         rows = [self._row(self._kind[k], self._number[k]) for k in sources]
-        tight = [
-            row for row, v in zip(rows, value[sources], strict=True) if v - row.low <= _TOLERANCE
-        ]
-        cuts, work_s = parity_cuts(tight, solution.x)
-        deadline.spend(work_s)
+        excess = value[sources] - np.array([row.low for row in rows])
+        tight = [row for row, e in zip(rows, excess, strict=True) if e <= _TOLERANCE]
+        cuts: list[Row] = []
+        for separate in (pair_cuts, parity_cuts) if parity else (pair_cuts,):
+            found, work_s = separate(tight, solution.x)
+            deadline.spend(work_s)
+            cuts += found
         if not cuts:
             return solution
         idle = (self._kind == _CUT) & (dual <= 0)

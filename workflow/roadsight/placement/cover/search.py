@@ -17,11 +17,13 @@ from roadsight.placement.cover.reductions import MAX_BITS, arrays
 from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
 from roadsight.placement.cover.result import is_within
 
+FIRST_STEPS = 2_000
+_SPARE_STEPS, _MOST_SPARE = 4_000, 50
 _WHOLE = 1e-6
 _FIRST_RETRY = 32
 _STEPS_PER_NODE = 400
 _ENTRY_S = 4e-9  # work of a propagation by entry of the matrix, measured
-_ROOT_CUTS, _NODE_CUTS = 40, 2
+_FIRST_CUTS, _ROOT_CUTS, _NODE_CUTS = 3, 40, 2
 _PATIENCE, _LEAST_RISE = 3, 0.05
 
 
@@ -32,6 +34,19 @@ class Outcome:
     best: NDArray[np.bool_] | None
     bound: float
     nodes: int
+
+
+def search_while_it_pays(local: LocalSearch, bound: float, deadline: Deadline) -> None:
+    """Search the longer, the more rows the bound leaves, and again after each find."""
+    while True:
+        spare = 1.0
+        if local.best is not None:
+            spare = local.best.sum() * (local.cost - bound) / local.cost
+        before = local.cost
+        more = int(np.clip(spare, 1, _MOST_SPARE)) - 1
+        local.run(FIRST_STEPS + _SPARE_STEPS * more, bound, deadline)
+        if not local.cost < before:
+            return
 
 
 class Search:
@@ -70,6 +85,10 @@ class Search:
         """Search below the root, whose relaxation is solved."""
         alive = np.ones(self.instance.shape[0], bool)
         node = Node(alive, np.zeros_like(alive))
+        if np.isinf(self.ceiling):
+            root = self._strengthen(node, root, _FIRST_CUTS, deadline)
+            search_while_it_pays(self.local, self.instance.round_up(root.bound), deadline)
+            self.best = self.local.best
         root = self._strengthen(node, root, _ROOT_CUTS, deadline)
         start = self._tighten(node, root)
         queue = [(self.instance.round_up(root.bound), 0, 0, start)]
@@ -105,11 +124,16 @@ class Search:
     def _strengthen(
         self, node: Node, solution: Solution, rounds: int, deadline: Deadline
     ) -> Solution:
-        """Cuts at a node, as long as they raise its bound by a part of what is missing."""
+        """Cuts at a node, as long as they raise its bound by a part of what is missing.
+
+        At the root, cuts by parity join once the others no longer halve what is missing.
+        """
         goal = self.instance.goal(self.cost)
         bounds = [solution.bound]
         while len(bounds) <= rounds and not solution.exceeds(goal):
-            stronger = self.relaxation.strengthen(node, solution, goal, deadline)
+            fast = len(bounds) == 1 or bounds[-1] - bounds[-2] > goal - bounds[-1]
+            parity = rounds == _NODE_CUTS or not fast
+            stronger = self.relaxation.strengthen(node, solution, goal, deadline, parity)
             if stronger is solution or not (stronger.complete or stronger.exceeds(goal)):
                 break
             solution = stronger

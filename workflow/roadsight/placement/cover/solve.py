@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.placement.cover.core import is_small, prove_on_core
+from roadsight.placement.cover.core import prove_on_core
 from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.interior import interior_bound, is_large
 from roadsight.placement.cover.local_search import LocalSearch, greedy_cover
@@ -25,9 +25,7 @@ from roadsight.placement.cover.result import (
     is_within,
     relative_gap,
 )
-from roadsight.placement.cover.search import Outcome, Search
-
-_FIRST_STEPS, _SPARE_STEPS, _MOST_SPARE = 2_000, 4_000, 50
+from roadsight.placement.cover.search import FIRST_STEPS, Outcome, Search, search_while_it_pays
 
 
 def solve_cover_problem(
@@ -76,11 +74,9 @@ def _solve_part(
         return Outcome(None, np.inf, 0), None
     bound = max(bound, instance.round_up(root.bound))
     local = LocalSearch(instance, best, root.target_dual > 0, rng)
-    _search_while_it_pays(local, bound, deadline)
+    local.run(FIRST_STEPS, bound, deadline)
     if _enough(instance, local.best, bound, gap) or not root.complete:
         return Outcome(local.best, bound, 0), root.bound
-    if is_small(local):
-        return _prove(local, bound, rng, deadline, gap), root.bound
     outcome = Search(relaxation, local, gap).run(root, deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes), root.bound
 
@@ -96,7 +92,7 @@ def _solve_large(
     inner = interior_bound(instance, rng, deadline.part(3))
     bound = instance.round_up(max(inner.bound, _simple_bound(instance)))
     local = LocalSearch(instance, best, inner.target_dual > 0, rng)
-    _search_while_it_pays(local, bound, deadline)
+    search_while_it_pays(local, bound, deadline)
     if _enough(instance, local.best, bound, gap) or deadline.passed():
         return Outcome(local.best, bound, 0), inner.bound
     return _prove(local, bound, rng, deadline, gap), inner.bound
@@ -108,19 +104,6 @@ def _prove(
     """Proof on the targets that a local search looks at, or a cheaper cover."""
     solve = partial(_solve_core, rng=rng, gap=gap)
     return prove_on_core(local, bound, solve, deadline, gap)
-
-
-def _search_while_it_pays(local: LocalSearch, bound: float, deadline: Deadline) -> None:
-    """Search the longer, the more rows the bound leaves, and again after each find."""
-    while True:
-        spare = 1.0
-        if local.best is not None:
-            spare = local.best.sum() * (local.cost - bound) / local.cost
-        before = local.cost
-        more = int(np.clip(spare, 1, _MOST_SPARE)) - 1
-        local.run(_FIRST_STEPS + _SPARE_STEPS * more, bound, deadline)
-        if not local.cost < before:
-            return
 
 
 def _solve_core(
@@ -137,7 +120,7 @@ def _solve_core(
         return Outcome(None, bound, 0)
     local = LocalSearch(core, greedy_cover(core), root.target_dual > 0, rng)
     enough = core.round_up(bound if np.isinf(ceiling) else goal)
-    local.run(_FIRST_STEPS, enough, deadline)
+    local.run(FIRST_STEPS, enough, deadline)
     if local.cost <= enough or not root.complete:
         return Outcome(local.best, bound, 0)
     outcome = Search(relaxation, local, gap, ceiling).run(root, deadline)
