@@ -18,10 +18,16 @@ from roadsight.placement.cover.reductions import shrink, split_components
 from roadsight.placement.cover.result import is_within
 from roadsight.placement.cover.search import Outcome
 
+_LARGEST_SHARE = 0.5
 _STEPS = 2_000
 
 SolvePart = Callable[[Instance, Deadline, float], Outcome]
 """Outcome of an instance: its best cover, or any that costs less than a ceiling."""
+
+
+def is_small(local: LocalSearch) -> bool:
+    """Whether the targets that a local search looks at are few enough to be a core."""
+    return float(local.active.mean()) <= _LARGEST_SHARE
 
 
 def prove_on_core(

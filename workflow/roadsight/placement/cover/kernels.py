@@ -233,3 +233,31 @@ def _fix_last_member(members: Mask, alive: Mask, fixed: Mask) -> int:
         fixed[last] = True
         return 1
     return 0 if free else -1
+
+
+@njit(cache=True)
+def coverage(
+    start: NDArray[np.int32], index: NDArray[np.int32], x: NDArray[np.float64], targets: int
+) -> NDArray[np.float64]:
+    """Sum of the shares x of the rows that cover each column."""
+    total = np.zeros(targets)
+    for i in range(len(x)):
+        if x[i] > 1e-9:
+            for p in range(start[i], start[i + 1]):
+                total[index[p]] += x[i]
+    return total
+
+
+@njit(cache=True)
+def reduced_costs(
+    start: NDArray[np.int32],
+    index: NDArray[np.int32],
+    cost: NDArray[np.float64],
+    dual: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Costs of the rows less the duals of the columns that they cover."""
+    reduced = cost.copy()
+    for i in range(len(cost)):
+        for p in range(start[i], start[i + 1]):
+            reduced[i] -= dual[index[p]]
+    return reduced

@@ -6,17 +6,17 @@ from dataclasses import dataclass
 
 import highspy
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from roadsight.placement.cover.balas_ng_cuts import balas_ng_cuts
 from roadsight.placement.cover.deadline import Deadline
-from roadsight.placement.cover.pair_cuts import pair_cuts
+from roadsight.placement.cover.kernels import coverage, reduced_costs
 from roadsight.placement.cover.parity_cuts import parity_cuts
 from roadsight.placement.cover.problem import Instance
 from roadsight.placement.cover.rows import Row
 
 FIRST_TARGETS = 300
-ADDED_TARGETS = 120
+ADDED_TARGETS = 60
 MOST_ROWS = 400
 _TOLERANCE, _LOOSE = 1e-6, 0.05
 # Work in seconds, measured: an iteration by the root of the entries of the linear program, setting
@@ -154,11 +154,12 @@ class Relaxation:
         rows = [self._row(self._kind[k], self._number[k]) for k in sources]
         excess = value[sources] - np.array([row.low for row in rows])
         tight = [row for row, e in zip(rows, excess, strict=True) if e <= _TOLERANCE]
-        cuts: list[Row] = []
-        for separate in (pair_cuts, parity_cuts) if parity else (pair_cuts,):
-            found, work_s = separate(tight, solution.x)
+        cuts, work_s = balas_ng_cuts(tight, solution.x)
+        deadline.spend(work_s)
+        if parity or not cuts:
+            more, work_s = parity_cuts(tight, solution.x)
             deadline.spend(work_s)
-            cuts += found
+            cuts += more
         if not cuts:
             return solution
         idle = (self._kind == _CUT) & (dual <= 0)
@@ -170,6 +171,10 @@ class Relaxation:
         self._cuts_made += len(cuts)
         self._add_rows(_CUT, numbers)
         return self.solve(node, goal, deadline)
+
+    def targets_inside(self) -> NDArray[np.int64]:
+        """Numbers of the targets that the relaxation holds at present."""
+        return self._number[self._kind == _TARGET]
 
     def purge(self, solution: Solution) -> None:
         """Leave out slack targets once there are too many rows."""
@@ -201,7 +206,7 @@ class Relaxation:
         target = self._kind == _TARGET
         target_dual[self._number[target]] = dual[target]
         by_choice = self.instance.by_choice
-        cost = _reduced_costs(by_choice.indptr, by_choice.indices, self.instance.cost, target_dual)
+        cost = reduced_costs(by_choice.indptr, by_choice.indices, self.instance.cost, target_dual)
         bound = float((target_dual * self.instance.need).sum())
         for k in np.flatnonzero(~target & (dual != 0)):
             row = self._row(self._kind[k], self._number[k])
@@ -215,7 +220,7 @@ class Relaxation:
     def _separate(self, x: NDArray[np.float64]) -> bool:
         """Add violated targets and groups; False where there are none."""
         by_choice, group = self.instance.by_choice, self.instance.group
-        missing = self.instance.need - _coverage(
+        missing = self.instance.need - coverage(
             by_choice.indptr, by_choice.indices, x, self.targets
         )
         missing[self._number[self._kind == _TARGET]] = 0.0
@@ -272,29 +277,3 @@ class Relaxation:
 def _counted(index: NDArray[np.integer], low: float) -> Row:
     """So many of some rows."""
     return Row(index.astype(np.int32), np.ones(len(index)), low)
-
-
-@njit(cache=True)
-def _coverage(
-    start: NDArray[np.int32], index: NDArray[np.int32], x: NDArray[np.float64], targets: int
-) -> NDArray[np.float64]:
-    total = np.zeros(targets)
-    for i in range(len(x)):
-        if x[i] > 1e-9:
-            for p in range(start[i], start[i + 1]):
-                total[index[p]] += x[i]
-    return total
-
-
-@njit(cache=True)
-def _reduced_costs(
-    start: NDArray[np.int32],
-    index: NDArray[np.int32],
-    cost: NDArray[np.float64],
-    dual: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    reduced = cost.copy()
-    for i in range(len(cost)):
-        for p in range(start[i], start[i + 1]):
-            reduced[i] -= dual[index[p]]
-    return reduced

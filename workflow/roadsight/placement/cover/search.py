@@ -23,7 +23,7 @@ _WHOLE = 1e-6
 _FIRST_RETRY = 32
 _STEPS_PER_NODE = 400
 _ENTRY_S = 4e-9  # work of a propagation by entry of the matrix, measured
-_FIRST_CUTS, _ROOT_CUTS, _NODE_CUTS = 3, 40, 2
+FIRST_CUTS, _ROOT_CUTS, _NODE_CUTS = 3, 40, 2
 _PATIENCE, _LEAST_RISE = 3, 0.05
 
 
@@ -81,16 +81,18 @@ class Search:
         own = np.inf if self.best is None else float(self.instance.cost[self.best].sum())
         return min(own, self.ceiling)
 
+    def strengthen(self, root: Solution, deadline: Deadline, rounds: int = _ROOT_CUTS) -> Solution:
+        """Cuts at the root, as long as they pay."""
+        return self._strengthen(self._everything(), root, rounds, deadline)
+
+    def search_locally(self, bound: float, deadline: Deadline) -> None:
+        """Local search, as long as it pays."""
+        search_while_it_pays(self.local, bound, deadline)
+        self.best = self.local.best
+
     def run(self, root: Solution, deadline: Deadline) -> Outcome:
         """Search below the root, whose relaxation is solved."""
-        alive = np.ones(self.instance.shape[0], bool)
-        node = Node(alive, np.zeros_like(alive))
-        if np.isinf(self.ceiling):
-            root = self._strengthen(node, root, _FIRST_CUTS, deadline)
-            search_while_it_pays(self.local, self.instance.round_up(root.bound), deadline)
-            self.best = self.local.best
-        root = self._strengthen(node, root, _ROOT_CUTS, deadline)
-        start = self._tighten(node, root)
+        start = self._tighten(self._everything(), root)
         queue = [(self.instance.round_up(root.bound), 0, 0, start)]
         pushed = 0
         while queue:
@@ -105,13 +107,13 @@ class Search:
             if children is None:
                 return Outcome(self.best, key, self.nodes)
             key = max(key, self.instance.round_up(bound))
-            self._search_locally(queue[0][0] if queue else key, deadline)
+            self._search_again(queue[0][0] if queue else key, deadline)
             for child in children:
                 pushed += 1
                 heapq.heappush(queue, (key, depth - 1, -pushed, child))
         return Outcome(self.best, self.cost, self.nodes)
 
-    def _search_locally(self, bound: float, deadline: Deadline) -> None:
+    def _search_again(self, bound: float, deadline: Deadline) -> None:
         """Look for a better cover again each time the tree has doubled."""
         if self.nodes < _FIRST_RETRY or self.nodes & (self.nodes - 1):
             return
@@ -121,19 +123,22 @@ class Search:
         self.local.run(self.nodes * _STEPS_PER_NODE, enough, deadline)
         self.best = self.local.best
 
+    def _everything(self) -> Node:
+        alive = np.ones(self.instance.shape[0], bool)
+        return Node(alive, ~alive)
+
     def _strengthen(
         self, node: Node, solution: Solution, rounds: int, deadline: Deadline
     ) -> Solution:
         """Cuts at a node, as long as they raise its bound by a part of what is missing.
 
-        At the root, cuts by parity join once the others no longer halve what is missing.
+        Cuts by parity join once the others no longer halve what is missing.
         """
         goal = self.instance.goal(self.cost)
         bounds = [solution.bound]
         while len(bounds) <= rounds and not solution.exceeds(goal):
             fast = len(bounds) == 1 or bounds[-1] - bounds[-2] > goal - bounds[-1]
-            parity = rounds == _NODE_CUTS or not fast
-            stronger = self.relaxation.strengthen(node, solution, goal, deadline, parity)
+            stronger = self.relaxation.strengthen(node, solution, goal, deadline, not fast)
             if stronger is solution or not (stronger.complete or stronger.exceeds(goal)):
                 break
             solution = stronger

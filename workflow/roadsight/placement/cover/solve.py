@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.placement.cover.core import prove_on_core
+from roadsight.placement.cover.core import is_small, prove_on_core
 from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.interior import interior_bound, is_large
 from roadsight.placement.cover.local_search import LocalSearch, greedy_cover
@@ -25,7 +25,13 @@ from roadsight.placement.cover.result import (
     is_within,
     relative_gap,
 )
-from roadsight.placement.cover.search import FIRST_STEPS, Outcome, Search, search_while_it_pays
+from roadsight.placement.cover.search import (
+    FIRST_CUTS,
+    FIRST_STEPS,
+    Outcome,
+    Search,
+    search_while_it_pays,
+)
 
 
 def solve_cover_problem(
@@ -77,8 +83,34 @@ def _solve_part(
     local.run(FIRST_STEPS, bound, deadline)
     if _enough(instance, local.best, bound, gap) or not root.complete:
         return Outcome(local.best, bound, 0), root.bound
-    outcome = Search(relaxation, local, gap).run(root, deadline)
-    return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes), root.bound
+    search = Search(relaxation, local, gap)
+    return _cut_and_branch(search, root, bound, rng, deadline), root.bound
+
+
+def _cut_and_branch(
+    search: Search, root: Solution, bound: float, rng: np.random.Generator, deadline: Deadline
+) -> Outcome:
+    """Outcome of an instance whose root is solved: by cuts alone, else on a core or by a tree."""
+    instance, local, gap = search.instance, search.local, search.gap
+    cut = _cut_root(search, root, deadline)
+    bound = min(max(bound, instance.round_up(cut.bound)), local.cost)
+    if _enough(instance, local.best, bound, gap) or deadline.passed():
+        return Outcome(local.best, bound, 0)
+    if is_small(local):
+        local.active[search.relaxation.targets_inside()] = True
+        return _prove(local, bound, rng, deadline, gap)
+    outcome = search.run(cut, deadline)
+    return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes)
+
+
+def _cut_root(search: Search, root: Solution, deadline: Deadline) -> Solution:
+    """Root with cuts, and local search once the first of them tell how long it pays."""
+    first = deadline.part(3)
+    cut = search.strengthen(root, first, FIRST_CUTS)
+    bound = search.instance.round_up(cut.bound)
+    search.search_locally(bound, deadline)
+    enough = _enough(search.instance, search.best, bound, search.gap)
+    return cut if enough or first.passed() else search.strengthen(cut, deadline)
 
 
 def _solve_large(
@@ -123,7 +155,8 @@ def _solve_core(
     local.run(FIRST_STEPS, enough, deadline)
     if local.cost <= enough or not root.complete:
         return Outcome(local.best, bound, 0)
-    outcome = Search(relaxation, local, gap, ceiling).run(root, deadline)
+    search = Search(relaxation, local, gap, ceiling)
+    outcome = search.run(search.strengthen(root, deadline), deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes)
 
 

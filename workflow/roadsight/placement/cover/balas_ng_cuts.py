@@ -1,4 +1,4 @@
-"""Inequalities for sets of targets that no single choice covers: two are needed.
+"""Inequalities of Balas and Ng: targets that no single choice covers need two.
 
 For targets S that are asked for once each, the choices that cover some of S and once more those
 that cover all of S add up to 2 at least: one choice covers all, or two are needed. All facets with
@@ -22,7 +22,7 @@ _MOST_MOVES, _STEPS = 3e9, 6  # entries of the shares' matrix that all descents 
 _MOVE_S, _READ_S = 3e-10, 1.5e-7  # work, measured: by such an entry, and by entry of the rows
 
 
-def pair_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
+def balas_ng_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
     """Cuts that a solution breaks, the most broken first, and the work in seconds.
 
     Parameters
