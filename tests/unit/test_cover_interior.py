@@ -10,7 +10,12 @@ from roadsight.placement.cover.deadline import Deadline, WorkLimit
 from roadsight.placement.cover.interior import interior_bound, is_large
 from roadsight.placement.cover.local_search import LocalSearch, greedy_cover
 from roadsight.placement.cover.reductions import reduce_problem
-from roadsight.placement.cover.relaxation import Solution
+from roadsight.placement.cover.relaxation import (
+    ADDED_TARGETS,
+    COMPARED_TARGETS,
+    Relaxation,
+    Solution,
+)
 
 LENGTH_M, REACH_M = 300, 25
 
@@ -132,3 +137,30 @@ def test_open_targets_join_local_search_from_all_over_the_road():
     assert is_open[joined].all()
     assert joined[[0, -1]].tolist() == np.flatnonzero(is_open)[[0, -1]].tolist()
     assert local.accept(local.best)
+
+
+def test_local_search_stops_at_a_find_and_says_what_is_left():
+    (part, *_) = reduce_problem(CoverProblem(road(4))).parts
+    everything = np.ones(part.shape[1], bool)
+    local = LocalSearch(part, np.ones(part.shape[0], bool), everything, np.random.default_rng(1))
+    assert 0 < local.improve(500, 0.0, Deadline(None)) < 500
+    found = local.cost
+    assert found < part.shape[0]
+    assert local.improve(500, found, Deadline(None)) == 0
+    assert local.cost == found
+
+
+def test_of_many_targets_no_neighbours_join_the_relaxation_at_once():
+    rng = np.random.default_rng(1)
+    place = np.linspace(0, LENGTH_M, 1_500)
+    near = np.abs(place - rng.uniform(0, LENGTH_M, 300)[:, None]) < REACH_M
+    problem = CoverProblem(sparse.csr_matrix(near & (rng.random(near.shape) < 0.9)))
+    (part, *_) = reduce_problem(problem).parts
+    relaxation = Relaxation(part)
+    before = relaxation.targets_inside()
+    assert part.shape[1] - len(before) > 2 * COMPARED_TARGETS
+    assert relaxation._separate(np.zeros(part.shape[0]))
+    joined = np.setdiff1d(relaxation.targets_inside(), before)
+    assert len(joined) == ADDED_TARGETS
+    absent = np.setdiff1d(np.arange(part.shape[1]), before)
+    assert np.diff(np.searchsorted(absent, joined)).min() > 1

@@ -16,7 +16,7 @@ from roadsight.placement.cover.problem import Instance
 from roadsight.placement.cover.rows import Row
 
 FIRST_TARGETS = 300
-ADDED_TARGETS = 60
+ADDED_TARGETS, COMPARED_TARGETS = 60, 400
 MOST_ROWS = 400
 _TOLERANCE, _LOOSE = 1e-6, 0.05
 # Work in seconds, measured: an iteration by the root of the entries of the linear program, setting
@@ -225,6 +225,8 @@ class Relaxation:
         )
         missing[self._number[self._kind == _TARGET]] = 0.0
         bad = np.flatnonzero(missing > _TOLERANCE)
+        # Neighbours miss about as much and say the same: not all of them join.
+        bad = bad[:: 1 + len(bad) // COMPARED_TARGETS]
         bad = bad[np.argsort(-missing[bad], kind="stable")[:ADDED_TARGETS]]
         grouped = group >= 0
         load = np.bincount(group[grouped], x[grouped], minlength=1)

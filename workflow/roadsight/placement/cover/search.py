@@ -44,7 +44,7 @@ def search_while_it_pays(local: LocalSearch, bound: float, deadline: Deadline) -
             spare = local.best.sum() * (local.cost - bound) / local.cost
         before = local.cost
         more = int(np.clip(spare, 1, _MOST_SPARE)) - 1
-        local.run(FIRST_STEPS + _SPARE_STEPS * more, bound, deadline)
+        local.improve(FIRST_STEPS + _SPARE_STEPS * more, bound, deadline)
         if not local.cost < before:
             return
 
