@@ -10,6 +10,8 @@ from roadsight.placement.cover.exchanges import exchange, fill
 from roadsight.placement.cover.problem import Instance
 from roadsight.placement.cover.reductions import arrays
 
+FIRST_STEPS = 2_000
+_SPARE_STEPS, _MOST_SPARE = 4_000, 50
 _CHUNK = 2_000
 _NEW_TARGETS, _NEW_SHARE = 50, 1 / 50
 _STEP_S, _ENTRY_S = 5e-6, 6e-10  # work of a step, measured: fixed, and by entry of the matrix
@@ -107,3 +109,23 @@ class LocalSearch:
         if len(missing) <= most:
             return missing
         return missing[np.linspace(0, len(missing) - 1, most).astype(np.int64)]
+
+
+def search_while_it_pays(
+    local: LocalSearch, bound: float, deadline: Deadline, apart: float = 0.0
+) -> None:
+    """Search the longer, the more rows the bound leaves, and again after each find.
+
+    It pays as long as a cheaper cover may cost more than so many rows above the bound.
+    """
+    instance = local.instance
+    enough = instance.round_up(bound)
+    while instance.goal(local.cost) - bound > apart * instance.cost.mean():
+        spare = 1.0
+        if local.best is not None:
+            spare = local.best.sum() * (local.cost - enough) / local.cost
+        before = local.cost
+        more = int(np.clip(spare, 1, _MOST_SPARE)) - 1
+        local.improve(FIRST_STEPS + _SPARE_STEPS * more, enough, deadline)
+        if not local.cost < before:
+            return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import highspy
 import numpy as np
@@ -18,7 +18,7 @@ from roadsight.placement.cover.rows import Row
 FIRST_TARGETS = 300
 ADDED_TARGETS, COMPARED_TARGETS = 60, 400
 MOST_ROWS = 400
-_TOLERANCE, _LOOSE = 1e-6, 0.05
+_TOLERANCE, _LOOSE = 1e-6, 0.02
 # Work in seconds, measured: an iteration by the root of the entries of the linear program, setting
 # one up and reading the instance by entry.
 _ITERATION_S, _RUN_S, _READ_S = 4e-7, 2.5e-8, 3e-9
@@ -51,6 +51,7 @@ class Solution:
     reduced_cost : (m,) of the same duals.
     target_dual : (n,) dual of each target, 0 where it is not in the relaxation.
     complete : False where the goal or the time limit stopped it: only ``bound`` is meant then.
+    priced : other constraints with a dual above 0, and it.
     """
 
     bound: float
@@ -58,6 +59,7 @@ class Solution:
     reduced_cost: NDArray[np.float64]
     target_dual: NDArray[np.float64]
     complete: bool
+    priced: tuple[tuple[Row, float], ...] = ()
 
     def exceeds(self, goal: float) -> bool:
         """Whether nothing cheap enough is left: the bound is too high, or nothing is feasible."""
@@ -81,7 +83,7 @@ class Relaxation:
     """Relaxation by row generation: targets and groups enter when violated.
 
     Costs never change, so the last basis is dual feasible at every node and the dual simplex goes
-    on from it.
+    on from it. ``work_s`` is what all of it took so far, in seconds.
     """
 
     def __init__(self, instance: Instance) -> None:
@@ -89,7 +91,7 @@ class Relaxation:
         self.choices, self.targets = instance.shape
         self.branches: list[NDArray[np.int32]] = []
         self.cuts: dict[int, Row] = {}
-        self._cuts_made = 0
+        self._cuts_made, self.work_s = 0, 0.0
         self._kind = np.empty(0, np.int8)
         self._number = np.empty(0, np.int64)
         self._columns = np.arange(self.choices, dtype=np.int32)
@@ -114,16 +116,18 @@ class Relaxation:
     def solve(self, node: Node, goal: float, deadline: Deadline) -> Solution:
         """Solve the relaxation at a node, or stop once its bound exceeds ``goal``."""
         self._enter(node)
-        if np.isfinite(goal):
-            self._highs.setOptionValue("objective_bound", float(goal) + _TOLERANCE)
+        self._highs.setOptionValue("objective_bound", float(goal) + _TOLERANCE)
+        risen = -np.inf
         while True:
             self._run(deadline)
             if self._highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
                 return self._stopped(np.inf)
             solution = self._read(node)
             if solution.bound > goal or not solution.complete or deadline.passed():
-                return Solution(solution.bound, solution.x, solution.reduced_cost,
-                                solution.target_dual, False)  # fmt: skip
+                return replace(solution, complete=False)
+            if solution.bound > risen + _TOLERANCE and len(self._kind) > FIRST_TARGETS:
+                risen = solution.bound
+                self._delete(self._slack(np.array(self._highs.getSolution().row_value)) > _LOOSE)
             if not self._separate(solution.x):
                 return solution
 
@@ -137,8 +141,10 @@ class Relaxation:
         self._highs.setOptionValue("simplex_iteration_limit", deadline.count_left(iteration_s))
         self._highs.run()
         iterations = max(self._highs.getInfo().simplex_iteration_count, 0)
-        deadline.spend(iteration_s * iterations + _RUN_S * entries)
-        deadline.spend(_READ_S * self.instance.by_choice.nnz)
+        work_s = iteration_s * iterations + _RUN_S * entries
+        work_s += _READ_S * self.instance.by_choice.nnz
+        self.work_s += work_s
+        deadline.spend(work_s)
 
     def strengthen(
         self, node: Node, solution: Solution, goal: float, deadline: Deadline, parity: bool
@@ -208,14 +214,18 @@ class Relaxation:
         by_choice = self.instance.by_choice
         cost = reduced_costs(by_choice.indptr, by_choice.indices, self.instance.cost, target_dual)
         bound = float((target_dual * self.instance.need).sum())
-        for k in np.flatnonzero(~target & (dual != 0)):
-            row = self._row(self._kind[k], self._number[k])
-            cost[row.index] -= dual[k] * row.value
-            bound += dual[k] * row.low
+        others = np.flatnonzero(~target & (dual != 0))
+        rows = [self._row(self._kind[k], self._number[k]) for k in others]
+        for row, price in zip(rows, dual[others], strict=True):
+            cost[row.index] -= price * row.value
+            bound += price * row.low
         bound += cost[node.fixed].sum()
         bound += np.minimum(cost[node.alive & ~node.fixed], 0.0).sum()
         optimal = self._highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
-        return Solution(float(bound), x, cost, target_dual, optimal)
+        priced = tuple(
+            (row, price) for row, price in zip(rows, dual[others], strict=True) if price > 0
+        )
+        return Solution(float(bound), x, cost, target_dual, optimal, priced)
 
     def _separate(self, x: NDArray[np.float64]) -> bool:
         """Add violated targets and groups; False where there are none."""

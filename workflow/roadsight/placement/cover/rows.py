@@ -23,8 +23,8 @@ class Row:
 def stacked(rows: list[Row], choices: int) -> sparse.csr_matrix:
     """Left sides of some rows, (rows, choices)."""
     start = np.cumsum([0] + [len(row.index) for row in rows])
-    index = np.concatenate([row.index for row in rows])
-    value = np.concatenate([row.value for row in rows])
+    index = np.concatenate([np.empty(0, np.int32), *(row.index for row in rows)])
+    value = np.concatenate([np.empty(0), *(row.value for row in rows)])
     return sparse.csr_matrix((value, index, start), shape=(len(rows), choices))
 
 

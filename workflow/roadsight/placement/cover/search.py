@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.placement.cover.branching import divide
+from roadsight.placement.cover.closing import Closing
 from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.kernels import drop_dominated_choices, pack_bits, propagate
 from roadsight.placement.cover.local_search import LocalSearch
@@ -17,14 +18,10 @@ from roadsight.placement.cover.reductions import MAX_BITS, arrays
 from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
 from roadsight.placement.cover.result import is_within
 
-FIRST_STEPS = 2_000
-_SPARE_STEPS, _MOST_SPARE = 4_000, 50
 _WHOLE = 1e-6
 _FIRST_RETRY = 32
 _STEPS_PER_NODE = 400
 _ENTRY_S = 4e-9  # work of a propagation by entry of the matrix, measured
-FIRST_CUTS, _ROOT_CUTS, _NODE_CUTS = 3, 40, 2
-_PATIENCE, _LEAST_RISE = 3, 0.05
 
 
 @dataclass(frozen=True)
@@ -34,19 +31,6 @@ class Outcome:
     best: NDArray[np.bool_] | None
     bound: float
     nodes: int
-
-
-def search_while_it_pays(local: LocalSearch, bound: float, deadline: Deadline) -> None:
-    """Search the longer, the more rows the bound leaves, and again after each find."""
-    while True:
-        spare = 1.0
-        if local.best is not None:
-            spare = local.best.sum() * (local.cost - bound) / local.cost
-        before = local.cost
-        more = int(np.clip(spare, 1, _MOST_SPARE)) - 1
-        local.improve(FIRST_STEPS + _SPARE_STEPS * more, bound, deadline)
-        if not local.cost < before:
-            return
 
 
 class Search:
@@ -65,11 +49,11 @@ class Search:
         gap: float = 0.0,
         ceiling: float = np.inf,
     ) -> None:
-        self.relaxation, self.gap, self.ceiling = relaxation, gap, ceiling
+        self.relaxation, self.local = relaxation, local
+        self.gap, self.ceiling = gap, ceiling
         self.instance: Instance = relaxation.instance
-        self.local = local
-        self.best = local.best
         self.nodes = 0
+        self._closing = Closing(relaxation, local, ceiling)
         choices, targets = self.instance.shape
         rows = self.instance.by_choice
         small = choices * targets <= MAX_BITS
@@ -78,17 +62,16 @@ class Search:
     @property
     def cost(self) -> float:
         """Cost that a cover must go below to count, in steps."""
-        own = np.inf if self.best is None else float(self.instance.cost[self.best].sum())
-        return min(own, self.ceiling)
+        return min(self.local.cost, self.ceiling)
 
-    def strengthen(self, root: Solution, deadline: Deadline, rounds: int = _ROOT_CUTS) -> Solution:
-        """Cuts at the root, as long as they pay."""
-        return self._strengthen(self._everything(), root, rounds, deadline)
+    @property
+    def best(self) -> NDArray[np.bool_] | None:
+        """Best cover so far."""
+        return self.local.best
 
-    def search_locally(self, bound: float, deadline: Deadline) -> None:
-        """Local search, as long as it pays."""
-        search_while_it_pays(self.local, bound, deadline)
-        self.best = self.local.best
+    def strengthen(self, root: Solution, deadline: Deadline) -> Solution:
+        """Cuts at the root, as long as they pay, and local search between them."""
+        return self._closing.strengthen_root(self._everything(), root, deadline)
 
     def run(self, root: Solution, deadline: Deadline) -> Outcome:
         """Search below the root, whose relaxation is solved."""
@@ -117,36 +100,12 @@ class Search:
         """Look for a better cover again each time the tree has doubled."""
         if self.nodes < _FIRST_RETRY or self.nodes & (self.nodes - 1):
             return
-        if self.cost < min(self.local.cost, self.ceiling):
-            self.local.best = self.best
         enough = bound if np.isinf(self.ceiling) else self.instance.goal(self.ceiling)
         self.local.run(self.nodes * _STEPS_PER_NODE, enough, deadline)
-        self.best = self.local.best
 
     def _everything(self) -> Node:
         alive = np.ones(self.instance.shape[0], bool)
         return Node(alive, ~alive)
-
-    def _strengthen(
-        self, node: Node, solution: Solution, rounds: int, deadline: Deadline
-    ) -> Solution:
-        """Cuts at a node, as long as they raise its bound by a part of what is missing.
-
-        Cuts by parity join once the others no longer halve what is missing.
-        """
-        goal = self.instance.goal(self.cost)
-        bounds = [solution.bound]
-        while len(bounds) <= rounds and not solution.exceeds(goal):
-            fast = len(bounds) == 1 or bounds[-1] - bounds[-2] > goal - bounds[-1]
-            stronger = self.relaxation.strengthen(node, solution, goal, deadline, not fast)
-            if stronger is solution or not (stronger.complete or stronger.exceeds(goal)):
-                break
-            solution = stronger
-            bounds.append(solution.bound)
-            rise = bounds[-1] - bounds[max(len(bounds) - 1 - _PATIENCE, 0)]
-            if len(bounds) > _PATIENCE and rise < _LEAST_RISE * (goal - bounds[-1]):
-                break
-        return solution
 
     def _expand(self, node: Node, deadline: Deadline) -> tuple[float, tuple[Node, ...] | None]:
         """Bound and children of a node; None for children where time ran out."""
@@ -159,7 +118,7 @@ class Search:
             if left is None or self.instance.cost[node.fixed].sum() > goal:
                 return np.inf, ()
             if (left <= 0).all() and self._keeps(node.fixed, node.path):
-                self.best = node.fixed.copy()
+                self.local.best = node.fixed.copy()
                 return np.inf, ()
             solution = self.relaxation.solve(node, goal, deadline)
             if solution.exceeds(goal):
@@ -179,7 +138,7 @@ class Search:
         self, node: Node, solution: Solution, deadline: Deadline
     ) -> tuple[float, tuple[Node, ...]]:
         """Bound and children of a node that only cuts can refute."""
-        solution = self._strengthen(node, solution, _NODE_CUTS, deadline)
+        solution = self._closing.strengthen(node, solution, deadline)
         if solution.exceeds(self.instance.goal(self.cost)) or self._takes(solution):
             return solution.bound, ()
         self.relaxation.purge(solution)
@@ -207,7 +166,7 @@ class Search:
         whole = np.abs(solution.x - np.round(solution.x)).max() < _WHOLE
         chosen = solution.x > 0.5
         if whole and float(self.instance.cost[chosen].sum()) < self.cost:
-            self.best = chosen
+            self.local.best = chosen
         return bool(whole)
 
     def _tighten(self, node: Node, solution: Solution) -> Node:

@@ -12,7 +12,12 @@ from numpy.typing import NDArray
 from roadsight.placement.cover.core import is_small, prove_on_core
 from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.interior import interior_bound, is_large
-from roadsight.placement.cover.local_search import LocalSearch, greedy_cover
+from roadsight.placement.cover.local_search import (
+    FIRST_STEPS,
+    LocalSearch,
+    greedy_cover,
+    search_while_it_pays,
+)
 from roadsight.placement.cover.problem import CoverProblem, Instance
 from roadsight.placement.cover.reductions import Reduced, reduce_problem
 from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
@@ -25,13 +30,7 @@ from roadsight.placement.cover.result import (
     is_within,
     relative_gap,
 )
-from roadsight.placement.cover.search import (
-    FIRST_CUTS,
-    FIRST_STEPS,
-    Outcome,
-    Search,
-    search_while_it_pays,
-)
+from roadsight.placement.cover.search import Outcome, Search
 
 
 def solve_cover_problem(
@@ -92,7 +91,7 @@ def _cut_and_branch(
 ) -> Outcome:
     """Outcome of an instance whose root is solved: by cuts alone, else on a core or by a tree."""
     instance, local, gap = search.instance, search.local, search.gap
-    cut = _cut_root(search, root, deadline)
+    cut = search.strengthen(root, deadline)
     bound = min(max(bound, instance.round_up(cut.bound)), local.cost)
     if _enough(instance, local.best, bound, gap) or deadline.passed():
         return Outcome(local.best, bound, 0)
@@ -101,16 +100,6 @@ def _cut_and_branch(
         return _prove(local, bound, rng, deadline, gap)
     outcome = search.run(cut, deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes)
-
-
-def _cut_root(search: Search, root: Solution, deadline: Deadline) -> Solution:
-    """Root with cuts, and local search once the first of them tell how long it pays."""
-    first = deadline.part(3)
-    cut = search.strengthen(root, first, FIRST_CUTS)
-    bound = search.instance.round_up(cut.bound)
-    search.search_locally(bound, deadline)
-    enough = _enough(search.instance, search.best, bound, search.gap)
-    return cut if enough or first.passed() else search.strengthen(cut, deadline)
 
 
 def _solve_large(
