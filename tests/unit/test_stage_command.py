@@ -6,6 +6,8 @@ import argparse
 import errno
 import os
 import signal
+import subprocess
+import sys
 
 import pytest
 
@@ -90,3 +92,13 @@ def test_termination_leaves_no_temporary_file(run, tmp_path):
     assert ended.value.code == 143
     assert sorted(tmp_path.iterdir()) == before
     assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+
+
+def test_a_stage_does_not_look_for_garbage_when_it_ends():
+    code = """
+import atexit, gc
+atexit.register(lambda: print(gc.isenabled(), gc.get_freeze_count() > 1000))
+import roadsight.stages.command
+"""
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert found.stdout.split() == ["True", "True"]
