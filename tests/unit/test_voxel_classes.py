@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, defaultdict
+from unittest import mock
 
 import geopandas as gpd
 import numpy as np
@@ -20,6 +21,7 @@ from roadsight.io.tables import read_about, read_table
 from roadsight.io.tile_writer import TileWriter
 from roadsight.io.top_rasters import TopRasterWriter, read_top
 from roadsight.io.vectors import write_layers
+from roadsight.scene import voxel_classes
 from roadsight.scene.classes import class_table
 from roadsight.scene.paved import PavedArea
 from roadsight.scene.voxel_classes import (
@@ -171,6 +173,59 @@ def test_moving_the_cloud_by_whole_cells_moves_the_indices(step):
     origin = tuple(o + 0.5 * s for o, s in zip((10.0, 20.0, 30.0), step, strict=True))
     there = as_dict(*voxelise(xyz, cls, Frame(origin), 0.5))
     assert there == {tuple(np.add(k, step).tolist()): v for k, v in here.items()}
+
+
+def runs_of(grid, xyz, cls):
+    runs = count_classes(grid, list(xyz.T.copy()), cls)
+    return [getattr(runs, name) for name in ("voxel", "cls", "points", "heights")]
+
+
+def sorted_runs(grid, xyz, cls):
+    """Runs of points that are sorted, whatever the columns are."""
+    with mock.patch.object(voxel_classes, "_COLUMNS_A_POINT", -1):
+        return runs_of(grid, xyz, cls)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.integers(1, 2000),
+    st.sampled_from([(4.0, 3.0, 2.0), (0.5, 0.4, 90.0), (90.0, 80.0, 0.0), (0.0, 0.0, 9.0)]),
+    st.sampled_from([0.2, FOOT, 0.7, 200.0]),
+    st.sampled_from([0, 1, 32]),
+)
+def test_columns_count_as_sorting_does(seed, count, extent, cell, steps):
+    # Sparse and dense, flat and tall, and with chains that are given up.
+    xyz, cls = cloud(seed, count, extent)
+    cls[::7], cls[::11] = 255, 0
+    window = [-3, -2, -1, *(xyz.max(axis=0) + 5)]
+    grid = VoxelGrid.over(Frame((1234.5, 77.25, -3.0)), cell, window)
+    with mock.patch.object(voxel_classes, "_STEPS_A_POINT", steps):
+        found = runs_of(grid, xyz, cls)
+    expected = sorted_runs(grid, xyz, cls)
+    for one, other in zip(found, expected, strict=True):
+        assert one.dtype == other.dtype
+        np.testing.assert_array_equal(one, other)
+    counts = Counter(zip(*map(tuple, grid_indices(grid, xyz).T), cls.tolist(), strict=True))
+    keys = zip(*map(tuple, grid.indices(found[0]).T.tolist()), found[1].tolist(), strict=True)
+    assert dict(zip(keys, found[2].tolist(), strict=True)) == counts
+
+
+def grid_indices(grid, xyz):
+    """Indices (n, 3) of the voxels of points."""
+    moved = xyz.astype(float) - (grid.corner_m - 2.5e-4)
+    return np.floor(moved / grid.cell_size_m).astype(int) + grid.low
+
+
+def test_points_beside_the_window_go_to_its_nearest_voxels():
+    grid = VoxelGrid.over(Frame((0, 0, 0)), 0.5, [0, 0, 0, 1.9, 1.9, 1.9])
+    xyz = np.array([[-1, 0.1, 0.1], [0.1, 7, 0.1], [0.1, 0.1, 9], [1, 1, -3], [np.nan, 1, 1]])
+    inside = np.array([[0, 0.1, 0.1], [0.1, 1.9, 0.1], [0.1, 0.1, 1.9], [1, 1, 0], [0, 1, 1]])
+    cls = np.arange(5, dtype=np.uint8)
+    for some in (slice(None), slice(0, 4), slice(4, 5)):
+        found, expected = (runs_of(grid, points[some], cls[some]) for points in (xyz, inside))
+        for one, other in zip(found[:3], expected[:3], strict=True):
+            np.testing.assert_array_equal(one, other)
 
 
 def test_stray_points_are_refused_with_a_hint():

@@ -1,8 +1,9 @@
 """Class of each voxel of a classified cloud, and what an overhead view of it shows.
 
 A voxel is road or bridge as soon as one of its points is, and else of its most frequent class
-(paper 2, section 3.2.1). Points are counted as sorted 64 bit keys, whole numbers throughout, so
-that the result depends neither on their order nor on how the cloud is cut into tiles.
+(paper 2, section 3.2.1). Points are counted by column, or as sorted 64 bit keys where that would
+take too much memory or time, in whole numbers throughout, so that the result depends neither on
+their order nor on how the cloud is cut into tiles.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.scene.column_runs import by_column, chained
 from roadsight.scene.voxel_kernels import indices_of, point_keys, runs_of, tops, winners
 
 _INTS = NDArray[np.int64]
@@ -23,6 +25,7 @@ _CLASS_BITS = _HEIGHT_BITS = 8
 _KEY_BITS = 63 - _CLASS_BITS - _HEIGHT_BITS
 _NUDGE_M = 2.5e-4
 _SLACK_M = 1e-6
+_COLUMNS_A_POINT, _STEPS_A_POINT = 8, 32
 
 
 @dataclass(frozen=True)
@@ -167,11 +170,41 @@ def count_classes(
     grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]], cls: NDArray[np.uint8]
 ) -> ClassRuns:
     """Runs of points given as x, y, z, each (n,), local metres, and classes (n,)."""
-    x, y, z = xyz_m
-    start = grid.corner_m - _NUDGE_M
-    keys = point_keys(x, y, z, cls, start, grid.cell_size_m, np.array(grid.shape, np.int64))
+    shape, box = np.array(grid.shape, np.int64), _columns_around(grid, xyz_m)
+    columns = int(box[2] * box[3])
+    if columns <= _COLUMNS_A_POINT * len(cls):
+        place, keys = _keys(grid, xyz_m, cls, box)
+        first, runs, used = chained(place, keys, columns, _STEPS_A_POINT * len(cls))
+        if used >= 0:
+            return ClassRuns(*by_column(first, runs, used, shape, box))
+    place, keys = _keys(grid, xyz_m, cls, np.array([0, 0, *grid.shape[:2]]))
+    keys += place * (grid.shape[2] << (_CLASS_BITS + _HEIGHT_BITS))
     keys.sort()
     return ClassRuns(*runs_of(keys))
+
+
+def _keys(
+    grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]], cls: NDArray[np.uint8], box: _INTS
+) -> tuple[_INTS, _INTS]:
+    """Columns in a box and keys in these of points, each (n,), see `point_keys`."""
+    x, y, z = xyz_m
+    start, shape = grid.corner_m - _NUDGE_M, np.array(grid.shape, np.int64)
+    return point_keys(x, y, z, cls, start, grid.cell_size_m, shape, box)
+
+
+def _columns_around(grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]]) -> _INTS:
+    """First column and row, columns and rows around points; of the window where they have no ends.
+
+    The ends round as the points do, so that none of them lies outside.
+    """
+    cells = np.array(grid.shape[:2])
+    ends = [[axis.min(initial=np.inf), axis.max(initial=-np.inf)] for axis in xyz_m[:2]]
+    start = (grid.corner_m - _NUDGE_M)[:2, None]
+    index = np.floor((np.array(ends, np.float64) - start) / grid.cell_size_m)
+    if not np.isfinite(index).all():
+        return np.array([0, 0, *cells])
+    low, high = np.clip(index.T, 0, cells - 1).astype(np.int64)
+    return np.concatenate([low, high - low + 1])
 
 
 def add_runs(parts: Sequence[ClassRuns]) -> ClassRuns:

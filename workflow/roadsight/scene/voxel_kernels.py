@@ -11,7 +11,7 @@ from roadsight.scene.classes import BRIDGE, ROAD
 _INTS = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, error_model="numpy")
 def point_keys(
     x: NDArray[np.floating],
     y: NDArray[np.floating],
@@ -20,18 +20,26 @@ def point_keys(
     start: NDArray[np.float64],
     edge_m: float,
     shape: _INTS,
-) -> _INTS:
-    """Keys (n,) of points: voxel, class, and height above its floor in 256ths."""
-    keys = np.empty(len(x), np.int64)
+    box: _INTS,
+) -> tuple[_INTS, _INTS]:
+    """Column of points in a box of columns, and layer, class and height above its floor in 256ths.
+
+    Parameters
+    ----------
+    x, y, z, cls : (n,) metres and class. start : (3,) corner of the window. shape : (3,) its cells.
+    box : (4,) first column and row, columns and rows.
+    """
+    place, key = np.empty(len(x), np.int64), np.empty(len(x), np.int64)
+    # Without branches, processors take several points at once.
     for i in range(len(x)):
         column = min(max(int(np.floor((x[i] - start[0]) / edge_m)), 0), shape[0] - 1)
         row = min(max(int(np.floor((y[i] - start[1]) / edge_m)), 0), shape[1] - 1)
         height = (z[i] - start[2]) / edge_m
         layer = min(max(int(np.floor(height)), 0), shape[2] - 1)
         part = min(max(int((height - layer) * 256.0), 0), 255)
-        voxel = (row * shape[0] + column) * shape[2] + layer
-        keys[i] = (voxel << 16) | (np.int64(cls[i]) << 8) | part
-    return keys
+        place[i] = (row - box[1]) * box[2] + column - box[0]
+        key[i] = (layer << 16) | (np.int64(cls[i]) << 8) | part
+    return place, key
 
 
 @njit(cache=True, nogil=True)
