@@ -74,16 +74,16 @@ class TopRasterWriter:
             return
         row = self._grid.shape[1] - 1 - columns.row
         block = row // _BLOCK_ROWS
+        place = (row % _BLOCK_ROWS).astype(np.intp) * self._grid.shape[0] + columns.column
         height = columns.height_m / self._frame.vertical_unit_m + self._frame.origin[2]
+        bands = [band.astype(np.float32) for band in (columns.cls, height, columns.road_share)]
         for number in range(block.max(), block.min() - 1, -1):
-            own = block == number
-            if own.any() and number != self._block:
+            own = np.flatnonzero(block == number)
+            if len(own) and number != self._block:
                 self._flush()
                 self._block = number
-            place = row[own] - number * _BLOCK_ROWS, columns.column[own]
-            self._pixels[0][place] = columns.cls[own]
-            self._pixels[1][place] = height[own]
-            self._pixels[2][place] = columns.road_share[own]
+            for pixels, band in zip(self._pixels, bands, strict=True):
+                pixels.reshape(-1)[place[own]] = band[own]
 
     def _flush(self) -> None:
         if self._block < 0:

@@ -8,7 +8,14 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.scene.voxel_classes import ClassRuns, Columns, VoxelGrid, seen_from_above, settle
+from roadsight.scene.voxel_classes import (
+    CLASS_BITS,
+    ClassRuns,
+    Columns,
+    VoxelGrid,
+    seen_from_above,
+    settle,
+)
 
 _COLUMNS = tuple(field.name for field in fields(Columns))
 
@@ -45,11 +52,14 @@ def settle_area(grid: VoxelGrid, runs: ClassRuns) -> Settled:
 
 def join(parts: Sequence[Settled]) -> Settled:
     """Parts that share no column as one, its voxels by rising number."""
-    voxel = np.concatenate([part.voxel for part in parts])
-    order = np.argsort(voxel, kind="stable")
-    cls = np.concatenate([part.cls for part in parts])[order]
+    keys = np.concatenate([part.voxel for part in parts])
+    keys <<= CLASS_BITS
+    keys |= np.concatenate([part.cls for part in parts])
+    keys.sort(kind="stable")  # fast where parts are sorted
+    cls = (keys & (2**CLASS_BITS - 1)).astype(np.uint8)
+    keys >>= CLASS_BITS
     columns = [np.concatenate([getattr(part.columns, name) for part in parts]) for name in _COLUMNS]
-    return Settled(voxel[order], cls, Columns(*columns))
+    return Settled(keys, cls, Columns(*columns))
 
 
 def _part(columns: Columns, rows: slice) -> Columns:

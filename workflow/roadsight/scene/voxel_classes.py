@@ -21,8 +21,8 @@ from roadsight.scene.voxel_kernels import indices_of, point_keys, runs_of, tops,
 
 _INTS = NDArray[np.int64]
 _MASK = NDArray[np.bool_]
-_CLASS_BITS = _HEIGHT_BITS = 8
-_KEY_BITS = 63 - _CLASS_BITS - _HEIGHT_BITS
+CLASS_BITS = _HEIGHT_BITS = 8
+_KEY_BITS = 63 - CLASS_BITS - _HEIGHT_BITS
 _NUDGE_M = 2.5e-4
 _SLACK_M = 1e-6
 _COLUMNS_A_POINT, _STEPS_A_POINT = 8, 32
@@ -178,7 +178,7 @@ def count_classes(
         if used >= 0:
             return ClassRuns(*by_column(first, runs, used, shape, box))
     place, keys = _keys(grid, xyz_m, cls, np.array([0, 0, *grid.shape[:2]]))
-    keys += place * (grid.shape[2] << (_CLASS_BITS + _HEIGHT_BITS))
+    keys += place * (grid.shape[2] << (CLASS_BITS + _HEIGHT_BITS))
     keys.sort()
     return ClassRuns(*runs_of(keys))
 
@@ -213,7 +213,7 @@ def add_runs(parts: Sequence[ClassRuns]) -> ClassRuns:
         np.concatenate([getattr(part, name) for part in parts])
         for name in ("voxel", "cls", "points", "heights")
     )
-    voxel <<= _CLASS_BITS
+    voxel <<= CLASS_BITS
     voxel |= cls
     order = np.argsort(voxel, kind="stable")
     keys = voxel[order]
@@ -222,7 +222,7 @@ def add_runs(parts: Sequence[ClassRuns]) -> ClassRuns:
     first = np.flatnonzero(np.diff(keys, prepend=-1))
     sums = (np.add.reduceat(column[order], first) for column in (points, heights))
     keys = keys[first]
-    return ClassRuns(keys >> _CLASS_BITS, (keys & 255).astype(np.uint8), *sums)
+    return ClassRuns(keys >> CLASS_BITS, (keys & 255).astype(np.uint8), *sums)
 
 
 def settle(runs: ClassRuns) -> Voxels:
