@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from roadsight.geometry.rings import resampled, runs_of, smoothed, trimmed
-from roadsight.scene.pixels import between_pixels, blocks
+from roadsight.scene.pixels import between_pixels, blocks, windows_around
 
 seeds = st.integers(0, 10**6)
 
@@ -70,3 +70,25 @@ def test_blocks_give_what_the_whole_image_gives(seed, rows, columns, size, halo)
         found[inner] = part[core]
     whole = ndimage.maximum_filter(image, window, mode="constant", cval=-1)
     np.testing.assert_array_equal(found, whole)
+
+
+@given(seeds, st.integers(1, 25), st.integers(1, 25), st.integers(1, 9), st.integers(0, 4))
+def test_windows_hold_all_that_lies_around_their_places(seed, rows, columns, size, halo):
+    rng = np.random.default_rng(seed)
+    image = rng.normal(0, 1, (rows, columns))
+    place = rng.uniform(0, [rows - 1, columns - 1], (rng.integers(0, 40), 2))
+    seen = np.zeros(len(place), int)
+    for own, window in windows_around(place, image.shape, size, halo):
+        seen[own] += 1
+        start = np.array([part.start for part in window])
+        part = image[window]
+        assert max(part.shape) <= size + 1 + 2 * halo
+        near = np.maximum(np.floor(place[own]) - halo, 0)
+        far = np.minimum(np.floor(place[own]) + 1 + halo, np.subtract(image.shape, 1))
+        assert (near >= start).all() and (far < start + part.shape).all()
+        found, expected = (
+            between_pixels(part, *(place[own] - start).T),
+            between_pixels(image, *place[own].T),
+        )
+        np.testing.assert_allclose(found, expected, atol=1e-12)
+    assert (seen == 1).all()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from unittest import mock
+
 import cv2
 import numpy as np
 import pyogrio
@@ -15,6 +17,7 @@ from roadsight.io.atomic import write_json
 from roadsight.io.tables import read_about, read_table
 from roadsight.io.top_rasters import TopRasterWriter, read_top
 from roadsight.scene import road_edges
+from roadsight.scene.pixels import between_pixels
 from roadsight.scene.road_edges import (
     EdgeSettings,
     clean_road,
@@ -22,7 +25,9 @@ from roadsight.scene.road_edges import (
     edge_level,
     edge_lines,
     edge_pixels,
+    in_survey,
     outlines,
+    without_small,
 )
 from roadsight.scene.surface_heights import medians, surface_heights
 from roadsight.scene.voxel_classes import VoxelGrid, count_classes, seen_from_above, settle
@@ -277,3 +282,66 @@ def test_level_near_the_road_is_that_of_the_whole_image(tmp_path, monkeypatch, d
     assert 0 < level[level > 0].min() < 0.5
     # Vectors of single precision end elsewhere, which may change the last bit.
     np.testing.assert_allclose(level, whole_level(top.road_share, occupied, image), atol=2e-7)
+
+
+def patches(seed, shape, share):
+    """Mask with some large patches, some small ones and some single pixels."""
+    rng = np.random.default_rng(seed)
+    noise = cv2.GaussianBlur(rng.normal(size=shape), (0, 0), 1.5)
+    mask = (noise > np.quantile(noise, 1 - share)) ^ (rng.random(shape) < 0.02)
+    return mask.astype(np.uint8)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.tuples(st.integers(1, 90), st.integers(1, 90)),
+    st.floats(0.05, 0.95),
+    st.sampled_from([0.0, 1.0, 2.0, 3.5, 9.0, 40.0, 1e12]),
+)
+def test_small_components_are_those_of_the_whole_mask(seed, shape, share, least):
+    mask = patches(seed, shape, share)
+    count, labels = cv2.connectedComponents(mask, connectivity=4)
+    expected = np.zeros_like(mask)
+    for number in range(1, count):
+        own = labels == number
+        expected[own] = own.sum() >= least
+    with mock.patch.object(road_edges, "_LABELS_BLOCK", 16):
+        np.testing.assert_array_equal(without_small(mask, least), expected)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.integers(0, 10**6),
+    st.sampled_from([0.0, 0.05, 0.5, 1.0]),
+    st.sampled_from([0.0, 1.5, 2.5, 7.0]),
+)
+def test_survey_ends_where_the_distances_of_the_whole_image_say(seed, share, border):
+    rng = np.random.default_rng(seed)
+    road = np.zeros(rng.integers(1, 80, 2), bool)
+    surveyed = rng.random(np.add(road.shape, 6)) >= share
+    image = road_edges.RoadImage(road, surveyed, 1)
+    places = rng.uniform(-2, np.add(road.shape, 2), (200, 2))
+    places[:60] = np.round(places[:60])
+    known = np.argwhere(~surveyed) - 3.0
+    with mock.patch.object(road_edges, "_BLOCK", 16):
+        found = in_survey(image, places, border)
+    assert len(in_survey(image, places[:0], border)) == 0
+    if not len(known):
+        assert found.all()
+        return
+    pixels = np.stack(np.indices(road.shape), axis=-1)
+    gap = np.linalg.norm(pixels[:, :, None] - known, axis=-1).min(axis=-1).astype(np.float32) - 0.5
+    np.testing.assert_array_equal(found, between_pixels(gap, *places.T) > border)
+
+
+def test_batches_of_places_move_as_all_of_them_do(tmp_path):
+    xyz, cls, _ = road_cloud(density=20.0)
+    write_top(tmp_path, xyz, cls)
+    top = read_top(tmp_path / "top.tif", FRAME)
+    image = clean_road(top.cls == 11, top.cls > 0, CELL, EdgeSettings())
+    level = edge_level(top.road_share, top.cls > 0, image)
+    expected = outlines(image, level, 2.0)
+    with mock.patch.object(road_edges, "_BATCH", 7):
+        for found, ring in zip(outlines(image, level, 2.0), expected, strict=True):
+            np.testing.assert_array_equal(found, ring)

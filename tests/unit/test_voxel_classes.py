@@ -22,7 +22,7 @@ from roadsight.io.tile_writer import TileWriter
 from roadsight.io.top_rasters import TopRasterWriter, read_top
 from roadsight.io.vectors import write_layers
 from roadsight.scene import voxel_classes
-from roadsight.scene.classes import class_table
+from roadsight.scene.classes import class_table, is_road
 from roadsight.scene.paved import PavedArea
 from roadsight.scene.voxel_classes import (
     Columns,
@@ -245,6 +245,7 @@ def test_no_points():
 def test_class_table():
     table = class_table([11, 40], [26])
     assert table[[11, 40, 26, 2]].tolist() == [11, 11, 17, 2]
+    assert is_road(np.arange(256, dtype=np.uint8)).nonzero()[0].tolist() == [11, 17]
 
 
 def test_paved_area_needs_plan_and_height():
@@ -363,6 +364,12 @@ def test_top_raster_blocks_and_georeference(tmp_path):
     assert set(columns.tolist()) == {5}
     np.testing.assert_allclose(top.height_m[rows, columns], [6.56, 6.0, 3.0, 0.0], atol=1e-4)
     np.testing.assert_allclose(top.pixels(top.xy_m(rows, columns)), [rows, columns], atol=1e-6)
+    for names in ([], ["height_m"], ["road_share"]):
+        part = read_top(tmp_path / "top.tif", frame, names)
+        np.testing.assert_array_equal(part.cls, top.cls)
+        for name in ("height_m", "road_share"):
+            expected = getattr(top, name) if name in names else np.empty((0, 0))
+            np.testing.assert_array_equal(getattr(part, name), expected)
     with rasterio.open(tmp_path / "top.tif") as raster:
         assert raster.xy(rows[-1], 5) == pytest.approx((1005.5, 2000.5))
         assert raster.descriptions == ("class", "height", "road share")

@@ -7,6 +7,7 @@ out in blocks, so that memory is bounded by one row of blocks.
 from __future__ import annotations
 
 import os
+from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -120,8 +121,8 @@ class TopRaster:
     Parameters
     ----------
     cls : (rows, columns) class, 0 where nothing was hit.
-    height_m : (rows, columns) float32, NaN where nothing was hit.
-    road_share : (rows, columns) float32, 0 where there is no road.
+    height_m : (rows, columns) float32, NaN where nothing was hit; (0, 0) if it was not read.
+    road_share : (rows, columns) float32, 0 where there is no road; (0, 0) if it was not read.
     west_m, north_m : outer corner of cell (0, 0). cell_size_m : edge of a cell.
     """
 
@@ -145,8 +146,16 @@ class TopRaster:
         return (self.north_m - y) / self.cell_size_m - 0.5, column
 
 
-def read_top(path: str | os.PathLike[str], frame: Frame) -> TopRaster:
+def read_top(
+    path: str | os.PathLike[str],
+    frame: Frame,
+    layers: Collection[str] = ("height_m", "road_share"),
+) -> TopRaster:
     """Read what `TopRasterWriter` wrote, heights in local metres.
+
+    Parameters
+    ----------
+    layers : which to read beside the class.
 
     Raises
     ------
@@ -156,7 +165,7 @@ def read_top(path: str | os.PathLike[str], frame: Frame) -> TopRaster:
         with rasterio.Env(GDAL_CACHEMAX=_CACHE_MIB), rasterio.open(path) as raster:
             if raster.descriptions != _BANDS:
                 raise ValueError("its bands are others")
-            cls, height, share = _layers(raster, frame)
+            cls, height, share = _layers(raster, frame, layers)
             transform = raster.transform
     except (RasterioError, OSError, ValueError) as error:
         raise InputError(
@@ -170,20 +179,24 @@ def read_top(path: str | os.PathLike[str], frame: Frame) -> TopRaster:
 
 
 def _layers(
-    raster: DatasetReader, frame: Frame
+    raster: DatasetReader, frame: Frame, layers: Collection[str]
 ) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
     """Class, height in local metres and road share, block by block: most are often empty."""
-    cls, share = np.zeros(raster.shape, np.uint8), np.zeros(raster.shape, np.float32)
-    height = np.full(raster.shape, np.nan, np.float32)
+    heights, shares = "height_m" in layers, "road_share" in layers
+    cls = np.zeros(raster.shape, np.uint8)
+    height = np.full(raster.shape if heights else (0, 0), np.nan, np.float32)
+    share = np.zeros(raster.shape if shares else (0, 0), np.float32)
     lowest, unit_m = np.float32(frame.origin[2]), np.float32(frame.vertical_unit_m)
     for _, window in raster.block_windows(1):
-        kind, level, part = raster.read(window=window)
-        empty = kind == _NODATA
-        if not empty.all():
-            place = window.toslices()
-            cls[place], share[place] = np.maximum(kind, 0), np.maximum(part, 0)
-            level -= lowest
-            level *= unit_m
+        kind = raster.read(1, window=window)
+        empty, place = kind == _NODATA, window.toslices()
+        if empty.all():
+            continue
+        cls[place] = np.maximum(kind, 0)
+        if shares:
+            share[place] = np.maximum(raster.read(3, window=window), 0)
+        if heights:
+            level = (raster.read(2, window=window) - lowest) * unit_m
             level[empty] = np.nan
             height[place] = level
     return cls, height, share

@@ -16,3 +16,8 @@ def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> N
     table[list(bridge_classes)] = BRIDGE
     table[list(road_classes)] = ROAD
     return table
+
+
+def is_road(cls: NDArray[np.uint8]) -> NDArray[np.bool_]:
+    """Whether classes, of any shape, are road or bridge."""
+    return (cls == ROAD) | (cls == BRIDGE)

@@ -50,6 +50,24 @@ def blocks(shape: tuple[int, int], size: int, halo: int) -> Iterator[Block]:
             yield Block(inner, outer, core)
 
 
+def windows_around(
+    place: NDArray[np.float64], shape: tuple[int, int], size: int, halo: int
+) -> Iterator[tuple[NDArray[np.int64], tuple[slice, slice]]]:
+    """Windows of an image around places (n, 2) of the same block: which places, and the window.
+
+    A window reaches ``halo`` pixels beyond those between which its places lie, if the image does.
+    Places beyond the image belong to its nearest pixels.
+    """
+    pixel = np.clip(np.floor(place), 0, np.array(shape) - 1).astype(np.int64)
+    number = pixel[:, 0] // size * shape[1] + pixel[:, 1] // size
+    order = np.argsort(number, kind="stable")
+    for own in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
+        if len(own):
+            low = np.maximum(pixel[own].min(axis=0) - halo, 0)
+            high = pixel[own].max(axis=0) + 2 + halo  # places lie between two pixels
+            yield own, (slice(low[0], high[0]), slice(low[1], high[1]))
+
+
 def _span(first: int, size: int, halo: int, end: int) -> tuple[slice, slice, slice]:
     last, start = min(first + size, end), max(first - halo, 0)
     return (

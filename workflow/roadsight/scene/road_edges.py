@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.geometry.rings import resampled, runs_of, smoothed, trimmed
-from roadsight.scene.pixels import between_pixels, blocks
+from roadsight.scene.pixels import between_pixels, blocks, windows_around
 
 _FLOATS = NDArray[np.float64]
 _MASK = NDArray[np.bool_]
@@ -22,6 +22,8 @@ _MISSED_HOLES = 1e-4
 _LARGEST_CLOSING = 6
 _ROWS = 16
 _BLOCK = 256
+_LABELS_BLOCK = 4096
+_BATCH = 1_000
 
 
 @dataclass(frozen=True)
@@ -57,13 +59,18 @@ class RoadImage:
 
     Parameters
     ----------
-    road : (rows, columns) whether road. surveyed_cells : (rows, columns) float32, distance to what
-        was not surveyed, cells. closing : radius that cleaned it, cells.
+    road : (rows, columns) whether road. closing : radius that cleaned it, cells.
+    surveyed : whether surveyed, with 2 closing + 1 cells more on each side.
     """
 
     road: _MASK
-    surveyed_cells: NDArray[np.float32]
+    surveyed: _MASK
     closing: int
+
+    @property
+    def margin(self) -> int:
+        """Cells around the image that were looked at."""
+        return 2 * self.closing + 1
 
 
 def clean_road(
@@ -78,19 +85,16 @@ def clean_road(
     radius = closing_radius(occupied, is_road, settings.closing_cells)
     margin = 2 * radius + 1
     disc = _disc(radius)
-    closed = cv2.morphologyEx(np.pad(is_road, margin).astype(np.uint8), cv2.MORPH_CLOSE, disc)
-    road = cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc).astype(np.uint8)
-    cell_m2 = cell_size_m**2
-    labels = np.empty(road.shape, np.int32)  # once: fresh memory is dear
-    road = _without_small(road, settings.smallest_road_m2 / cell_m2, labels)
-    road = 1 - _without_small(1 - road, settings.smallest_hole_m2 / cell_m2, labels)
+    least_cells = np.array([settings.smallest_road_m2, settings.smallest_hole_m2]) / cell_size_m**2
+    closed = cv2.morphologyEx(np.pad(is_road.view(np.uint8), margin), cv2.MORPH_CLOSE, disc)
+    opened = np.asarray(cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc), np.uint8)
+    road = without_small(opened, least_cells[0])
+    road = 1 - without_small(1 - road, least_cells[1])
     wide = _disc(radius + 1)
-    seen = cv2.morphologyEx(np.pad(occupied, margin).astype(np.uint8), cv2.MORPH_CLOSE, wide)
-    unknown = (1 - np.maximum(seen, road)).astype(np.uint8)
-    surveyed = 1 - _without_small(unknown, settings.smallest_hole_m2 / cell_m2, labels)
-    distance = cv2.distanceTransform(surveyed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    seen = cv2.morphologyEx(np.pad(occupied.view(np.uint8), margin), cv2.MORPH_CLOSE, wide)
+    surveyed = 1 - without_small(1 - np.maximum(seen, road), least_cells[1])
     inner = (slice(margin, -margin), slice(margin, -margin))
-    return RoadImage(road[inner].astype(bool), distance[inner] - 0.5, radius)
+    return RoadImage(road[inner].view(bool), surveyed.view(bool), radius)
 
 
 def closing_radius(occupied: _MASK, is_road: _MASK, least: int) -> int:
@@ -99,8 +103,9 @@ def closing_radius(occupied: _MASK, is_road: _MASK, least: int) -> int:
     Points that fall at random with a mean of d a cell leave a disc of radius r empty with
     probability exp(-pi d r^2); d follows from the share of occupied cells around the road.
     """
-    around = cv2.dilate(is_road.astype(np.uint8), _disc(2)).astype(bool)
-    share = float(np.mean(occupied[around])) if around.any() else 1.0
+    around = cv2.dilate(is_road.view(np.uint8), _disc(2)).view(bool)
+    cells = np.count_nonzero(around)
+    share = np.count_nonzero(occupied & around) / cells if cells else 1.0
     density = -np.log(max(1.0 - share, 1e-3))
     radius = np.sqrt(-np.log(_MISSED_HOLES) / (np.pi * max(density, 1e-3)))
     return int(np.clip(np.ceil(radius - 0.25), max(least, 1), max(least, _LARGEST_CLOSING)))
@@ -110,7 +115,26 @@ def edge_pixels(image: RoadImage, border_cells: float) -> _MASK:
     """Edge pixels of the road (rows, columns), without the ends of the data (the paper's way)."""
     road = image.road.astype(np.uint8)
     inner = cv2.erode(np.pad(road, 1), np.ones((3, 3), np.uint8))[1:-1, 1:-1]
-    return (road > inner) & (image.surveyed_cells > border_cells)
+    edge = road > inner
+    place = np.argwhere(edge)
+    edge[tuple(place[~in_survey(image, place.astype(np.float64), border_cells)].T)] = False
+    return edge
+
+
+def in_survey(image: RoadImage, place: _FLOATS, border_cells: float) -> _MASK:
+    """Whether places (n, 2) are farther than ``border_cells`` from what was not surveyed.
+
+    Windows are so wide that what lies beyond them is farther.
+    """
+    inside = np.empty(len(place), bool)
+    held = np.clip(place, 0.0, np.array(image.road.shape) - 1.0) + image.margin
+    reach = int(np.ceil(border_cells)) + 2
+    for own, window in windows_around(held, image.surveyed.shape, _BLOCK, reach):
+        surveyed = image.surveyed[window].view(np.uint8)
+        distance = cv2.distanceTransform(surveyed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        row, column = (held[own] - [part.start for part in window]).T
+        inside[own] = between_pixels(distance - 0.5, row, column) > border_cells
+    return inside
 
 
 def edge_level(
@@ -170,20 +194,27 @@ def _to_level(line: _FLOATS, level: NDArray[np.floating], reach: float) -> _FLOA
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     steps = np.arange(-reach, reach + 0.125, 0.25)
-    places = line[:, None] + steps[:, None] * normal[:, None]
-    values = between_pixels(level, places[..., 0], places[..., 1]) - 0.5
-    crossing = (values[:, :-1] <= 0) != (values[:, 1:] <= 0)
-    share = values[:, :-1] / np.where(crossing, values[:, :-1] - values[:, 1:], 1.0)
-    offset = np.where(crossing, steps[:-1] + 0.25 * share, np.inf)
-    nearest = np.abs(offset).argmin(axis=1)
-    chosen = offset[np.arange(len(line)), nearest]
-    found = np.isfinite(chosen)
+    parts = [slice(start, start + _BATCH) for start in range(0, len(line), _BATCH)]
+    offset = np.concatenate([_crossing(line[own], normal[own], level, steps) for own in parts])
+    found = np.isfinite(offset)
     if not found.any():
         return line
     # Where nothing crosses, the line keeps the offset of its neighbours.
     index = np.arange(len(line))
-    chosen = np.interp(index, index[found], chosen[found], period=len(line))
-    return line + chosen[:, None] * normal
+    offset = np.interp(index, index[found], offset[found], period=len(line))
+    return line + offset[:, None] * normal
+
+
+def _crossing(
+    place: _FLOATS, normal: _FLOATS, level: NDArray[np.floating], steps: _FLOATS
+) -> _FLOATS:
+    """Steps (n,) from places (n, 2) along normals to the nearest level of a half, or infinite."""
+    row, column = (place[:, None] + steps[:, None] * normal[:, None]).transpose(2, 0, 1)
+    values = between_pixels(level, row, column) - 0.5
+    crossing = (values[:, :-1] <= 0) != (values[:, 1:] <= 0)
+    share = values[:, :-1] / np.where(crossing, values[:, :-1] - values[:, 1:], 1.0)
+    offset = np.where(crossing, steps[:-1] + 0.25 * share, np.inf)
+    return offset[np.arange(len(place)), np.abs(offset).argmin(axis=1)]
 
 
 @dataclass(frozen=True)
@@ -214,12 +245,14 @@ def edge_lines(
     reach = max(1, round(1.0 / settings.spacing_m))
     places, tangents = [np.empty((0, 2))], [np.empty((0, 2))]
     lengths = []
-    for outline in rings:
-        ring = resampled(outline, step)
+    sampled = [resampled(outline, step) for outline in rings]
+    inside = in_survey(image, np.concatenate([*places, *sampled]), settings.border_cells)
+    for ring, kept in zip(
+        sampled, np.split(inside, np.cumsum([len(r) for r in sampled])), strict=False
+    ):
         tangent = np.roll(ring, -reach, axis=0) - np.roll(ring, reach, axis=0)
         tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
-        inside = between_pixels(image.surveyed_cells, *ring.T)
-        for run in runs_of(trimmed(inside > settings.border_cells, trim)):
+        for run in runs_of(trimmed(kept, trim)):
             if len(run) * settings.spacing_m >= settings.shortest_m:
                 places.append(ring[run])
                 tangents.append(tangent[run])
@@ -228,16 +261,22 @@ def edge_lines(
     return EdgeLines(np.concatenate(places), np.concatenate(tangents), number)
 
 
-def _without_small(
-    mask: NDArray[np.uint8], least_cells: float, labels: NDArray[np.int32]
-) -> NDArray[np.uint8]:
+def without_small(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
     """Mask without components (of pixels that share a side) of fewer cells.
 
-    Parameters
-    ----------
-    labels : of the mask's shape, filled with the components' numbers.
+    A component that reaches from a block to the end of its surroundings has at least as many cells
+    as the surroundings are wide.
     """
-    count, _ = cv2.connectedComponents(mask, labels, connectivity=4)
+    halo = int(min(np.ceil(least_cells), max(mask.shape)))
+    kept = np.empty_like(mask)
+    for inner, outer, core in blocks(mask.shape, max(_LABELS_BLOCK, 4 * halo), halo):
+        kept[inner] = _large(mask[outer], least_cells)[core]
+    return kept
+
+
+def _large(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
+    """Pixels of a mask in components of no fewer cells."""
+    count, labels = cv2.connectedComponents(mask, connectivity=4)
     cells = np.zeros(count, np.int64)
     for start in range(0, len(labels), _ROWS):
         cells += np.bincount(labels[start : start + _ROWS].ravel(), minlength=count)

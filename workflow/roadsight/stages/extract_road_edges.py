@@ -21,7 +21,7 @@ from roadsight.io.tables import read_table, write_table
 from roadsight.io.tiles import CloudTiles
 from roadsight.io.top_rasters import TopRaster, read_top
 from roadsight.io.vectors import write_layers
-from roadsight.scene.classes import BRIDGE, ROAD
+from roadsight.scene.classes import ROAD, is_road
 from roadsight.scene.road_edges import (
     EdgeLines,
     EdgeSettings,
@@ -105,45 +105,46 @@ def _outlined(
     arguments: argparse.Namespace, frame: Frame
 ) -> tuple[pd.DataFrame, dict[str, object]]:
     """Edges of the road class in the overhead view, and how they were made."""
-    top = read_top(arguments.top, frame)
+    top = read_top(arguments.top, frame, ["road_share"])
     names = [field.name for field in fields(EdgeSettings)]
     settings = EdgeSettings(**{name: getattr(arguments, name) for name in names})
-    image = clean_road(np.isin(top.cls, (ROAD, BRIDGE)), top.cls > 0, top.cell_size_m, settings)
-    edges = (_pixels if arguments.method == "pixels" else _lines)(top, image, settings)
+    image = clean_road(is_road(top.cls), top.cls > 0, top.cell_size_m, settings)
+    lines = (_pixels if arguments.method == "pixels" else _lines)(top, image, settings)
+    # Heights only now, in the memory that the lines took.
+    edges = _table(read_top(arguments.top, frame, ["height_m"]), lines)
+    road_m2 = np.count_nonzero(image.road) * top.cell_size_m**2
     if len(edges) == 0:
         raise InputError(
             "no road edge found",
             where=arguments.top,
-            found=f"{image.road.sum() * top.cell_size_m**2:.0f} m2 of road after cleaning",
+            found=f"{road_m2:.0f} m2 of road after cleaning",
             hint="lower smallest_road_m2, or check the road class of the cloud",
         )
     log.info(
-        "%d edge points of %.0f m2 of road, closed by %d cells",
-        len(edges),
-        image.road.sum() * top.cell_size_m**2,
-        image.closing,
+        "%d edge points of %.0f m2 of road, closed by %d cells", len(edges), road_m2, image.closing
     )
     about = {"cell_size_m": top.cell_size_m, "method": arguments.method, "settings": vars(settings)}
     return edges, about
 
 
-def _lines(top: TopRaster, image: RoadImage, settings: EdgeSettings) -> pd.DataFrame:
+def _lines(top: TopRaster, image: RoadImage, settings: EdgeSettings) -> EdgeLines:
     """Edge points between the pixels, along polylines with the direction of each."""
     level = edge_level(top.road_share, top.cls > 0, image)
     rings = outlines(image, level, settings.window_cells(image, top.cell_size_m))
-    return _table(top, edge_lines(rings, image, top.cell_size_m, settings))
+    return edge_lines(rings, image, top.cell_size_m, settings)
 
 
-def _pixels(top: TopRaster, image: RoadImage, settings: EdgeSettings) -> pd.DataFrame:
+def _pixels(_: TopRaster, image: RoadImage, settings: EdgeSettings) -> EdgeLines:
     """Edge pixels' centres; they belong to no line and have no direction."""
     place = np.argwhere(edge_pixels(image, settings.border_cells)).astype(np.float64)
     no_line = np.full(len(place), -1, np.int32)
-    return _table(top, EdgeLines(place, np.full(place.shape, np.nan), no_line))
+    return EdgeLines(place, np.full(place.shape, np.nan), no_line)
 
 
 def _table(top: TopRaster, lines: EdgeLines) -> pd.DataFrame:
+    """Edge points in local metres, without those that have no road near."""
     x, y = top.xy_m(*lines.place.T).T
-    z = surface_heights(lines.place, top.height_m, np.isin(top.cls, (ROAD, BRIDGE)))
+    z = surface_heights(lines.place, top.height_m, is_road(top.cls))
     columns = {"x": x, "y": y, "z": z, "polyline": lines.polyline}
     columns |= {"tangent_x": lines.tangent[:, 1], "tangent_y": -lines.tangent[:, 0]}
     edges = pd.DataFrame(columns)

@@ -20,7 +20,7 @@ from roadsight.io.rasters import read_raster
 from roadsight.io.tiles import CloudTiles, Points, Tile
 from roadsight.io.top_rasters import TopRasterWriter
 from roadsight.io.voxel_tables import VoxelTableWriter
-from roadsight.scene.classes import BRIDGE, ROAD, class_table
+from roadsight.scene.classes import BRIDGE, ROAD, class_table, is_road
 from roadsight.scene.paved import PavedArea
 from roadsight.scene.settled_voxels import Settled, join, settle_area
 from roadsight.scene.voxel_classes import ClassRuns, VoxelGrid, add_runs, count_classes
@@ -51,7 +51,7 @@ def rasterise_lidar(arguments: argparse.Namespace) -> None:
         for part in settled(grid, cloud, table, paved, arguments.threads):
             voxels.add(grid.indices(part.voxel), part.cls)
             top.add(part.columns)
-            road += int(np.isin(part.cls, (ROAD, BRIDGE)).sum())
+            road += int(np.count_nonzero(is_road(part.cls)))
     log.info("%d points, %d voxels, %d of road or bridge", cloud.points, voxels.rows, road)
     if road == 0:
         raise InputError(

@@ -22,7 +22,7 @@ from roadsight.io.tiles import CloudTiles
 from roadsight.io.top_rasters import TopRaster, read_top
 from roadsight.io.videologs import ImageSource, read_videolog_table
 from roadsight.poles.videolog import OK, Site, TrackSettings, build_frames
-from roadsight.scene.classes import BRIDGE, ROAD
+from roadsight.scene.classes import is_road
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
@@ -144,7 +144,7 @@ def _paved_heights(view: TopRaster, xy: NDArray[np.float64]) -> NDArray[np.float
             slice(max(row - reach, 0), max(row + reach + 1, 0)),
             slice(max(column - reach, 0), max(column + reach + 1, 0)),
         )
-        road = np.isin(view.cls[window], (ROAD, BRIDGE))
+        road = is_road(view.cls[window])
         if road.any():
             heights[number] = np.median(view.height_m[window][road])
     return heights
