@@ -86,9 +86,10 @@ def clean_road(
     margin = 2 * radius + 1
     disc = _disc(radius)
     least_cells = np.array([settings.smallest_road_m2, settings.smallest_hole_m2]) / cell_size_m**2
-    closed = cv2.morphologyEx(np.pad(is_road.view(np.uint8), margin), cv2.MORPH_CLOSE, disc)
-    opened = np.asarray(cv2.morphologyEx(closed, cv2.MORPH_OPEN, disc), np.uint8)
-    road = without_small(opened, least_cells[0])
+    road = np.pad(is_road.view(np.uint8), margin)
+    for step in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
+        road = np.asarray(cv2.morphologyEx(road, step, disc), np.uint8)
+    road = without_small(road, least_cells[0])
     road = 1 - without_small(1 - road, least_cells[1])
     wide = _disc(radius + 1)
     seen = cv2.morphologyEx(np.pad(occupied.view(np.uint8), margin), cv2.MORPH_CLOSE, wide)

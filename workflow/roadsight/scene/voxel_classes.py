@@ -177,8 +177,9 @@ def count_classes(
         first, runs, used = chained(place, keys, columns, _STEPS_A_POINT * len(cls))
         if used >= 0:
             return ClassRuns(*by_column(first, runs, used, shape, box))
-    place, keys = _keys(grid, xyz_m, cls, np.array([0, 0, *grid.shape[:2]]))
-    keys += place * (grid.shape[2] << (CLASS_BITS + _HEIGHT_BITS))
+    keys, rest = _keys(grid, xyz_m, cls, np.array([0, 0, *grid.shape[:2]]))
+    keys *= grid.shape[2] << (CLASS_BITS + _HEIGHT_BITS)
+    keys += rest
     keys.sort()
     return ClassRuns(*runs_of(keys))
 
