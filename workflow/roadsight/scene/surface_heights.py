@@ -34,9 +34,10 @@ def _planes(
     inside_row, inside_column = (
         np.clip(at, 0, size - 1) for at, size in zip((row, column), road.shape, strict=True)
     )
-    window = inside_row[:, :, None], inside_column[:, None, :]
-    valid = road[window] & (row == inside_row)[:, :, None] & (column == inside_column)[:, None, :]
-    valid, z = valid.reshape(len(place), -1), height_m[window].reshape(len(place), -1)
+    window = inside_row[:, :, None] * road.shape[1] + inside_column[:, None, :]
+    valid = road.take(window)
+    valid &= (row == inside_row)[:, :, None] & (column == inside_column)[:, None, :]
+    valid, z = valid.reshape(len(place), -1), height_m.take(window).reshape(len(place), -1)
     z = z.astype(np.float64)
     valid &= np.isfinite(z)
     middle = medians(z, valid)
