@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import resource
 from contextlib import contextmanager
+from unittest.mock import patch
 
 import geopandas as gpd
 import numpy as np
@@ -60,6 +61,12 @@ def tiles(path):
     with TileWriter(path, 50.0, coloured=False) as writer:
         writer.append(points | {name: np.zeros(len(XYZ), np.uint8) for name in numbers})
         writer.finish()
+
+
+def waiting_tiles(path):
+    """As `tiles`, when hardly any points are held."""
+    with patch("roadsight.io.tile_writer._HELD_POINTS", 5000):
+        tiles(path)
 
 
 def voxels(path):
@@ -125,6 +132,7 @@ WRITERS = {
     "table.parquet": table,
     "depth.parquet": depth_maps,
     "cloud.parquet": tiles,
+    "waiting.parquet": waiting_tiles,
     "voxels.parquet": voxels,
     "dem.tif": raster,
     "top.tif": top,

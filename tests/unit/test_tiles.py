@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from roadsight.errors import InputError
 from roadsight.io.arrow import as_numpy, as_table
 from roadsight.io.atomic import write_json
 from roadsight.io.tile_writer import TileWriter
-from roadsight.io.tiles import COLOUR, COLUMN_TYPES, CloudTiles, stack_xyz
+from roadsight.io.tiles import COLOUR, COLUMN_TYPES, METADATA_KEY, CloudTiles, stack_xyz
 
 
 def cloud(count, seed=0, extent=(120.0, 80.0, 12.0), coloured=True):
@@ -72,7 +74,86 @@ def test_bytes_do_not_depend_on_the_batches(tmp_path, stray_m):
     assert written[0] == written[1] == written[2]
 
 
-@pytest.mark.parametrize("columns", [2**16 - 1, 2**16, 2**16 + 1, 2**32])
+def by_tile(points, tile_size_m=25.0):
+    """Numbers of the points of each tile, in row-major order: the slow way."""
+    ix, iy = (np.floor(points[a].astype(float) / tile_size_m).astype(int) for a in "xy")
+    keys = sorted(set(zip(iy.tolist(), ix.tolist(), strict=True)))
+    return [np.flatnonzero((iy == row) & (ix == column)) for row, column in keys]
+
+
+def in_order(points, order):
+    return {name: values[order] for name, values in points.items()}
+
+
+ORDERS = {
+    "as flown": lambda points: np.argsort(points["x"] // 4, kind="stable"),
+    "in no order": lambda points: np.arange(len(points["x"])),
+    "tile after tile": lambda points: np.concatenate(by_tile(points)),
+}
+
+
+@pytest.mark.parametrize("order", ORDERS)
+@pytest.mark.parametrize(("held", "least"), [(50, 1), (50, 200), (400, 30), (900, 300), (5000, 1)])
+@pytest.mark.parametrize("extent", [(120.0, 80.0, 12.0), (20.0, 20.0, 5.0)])
+def test_more_points_than_are_held(tmp_path, monkeypatch, order, held, least, extent):
+    monkeypatch.setattr("roadsight.io.tile_writer._HELD_POINTS", held)
+    monkeypatch.setattr("roadsight.io.tile_writer._LEAST_POINTS", least)
+    points = cloud(4000, 3, extent)
+    points = in_order(points, ORDERS[order](points))
+    tiles = write(tmp_path / "c.parquet", points, batch=170)
+    found = CloudTiles(tmp_path / "c.parquet")
+    expected = by_tile(points)
+    assert found.tiles == tiles
+    assert [tile.rows for tile in tiles] == [len(own) for own in expected]
+    for number, own in enumerate(expected):
+        alone = found.read(tiles=[number])
+        for name, values in points.items():
+            np.testing.assert_array_equal(alone[name], values[own])
+        xyz = stack_xyz(alone)
+        np.testing.assert_array_equal(tiles[number].bounds_m, [*xyz.min(axis=0), *xyz.max(axis=0)])
+    everything = found.read()
+    np.testing.assert_array_equal(everything["z"], points["z"][np.concatenate(expected)])
+    assert sum(found.classes.values()) == found.points == 4000
+    bytes_of_batches = (tmp_path / "c.parquet").read_bytes()
+    write(tmp_path / "c.parquet", points)
+    assert (tmp_path / "c.parquet").read_bytes() == bytes_of_batches
+    assert [path.name for path in tmp_path.iterdir()] == ["c.parquet"]
+
+
+def test_tiles_in_few_pieces_where_their_points_come_together(tmp_path, monkeypatch):
+    monkeypatch.setattr("roadsight.io.tile_writer._HELD_POINTS", 1000)
+    monkeypatch.setattr("roadsight.io.tile_writer._LEAST_POINTS", 100)
+    monkeypatch.setattr("roadsight.io.tile_spill.TileSpill.add", None)  # never asked to
+    points = cloud(8000, 4, (500.0, 25.0, 5.0))
+    points = in_order(points, np.argsort(points["x"]))
+    assert len(write(tmp_path / "c.parquet", points)) == 20
+    assert pq.ParquetFile(tmp_path / "c.parquet").num_row_groups <= 30
+
+
+@pytest.mark.parametrize(
+    "groups", [None, [[0], [1]], [[0], [1], [1]], [[0], [2], [1]], [[0], [1], []], [0, 1, 2], "012"]
+)
+def test_files_whose_index_does_not_fit_are_refused(tmp_path, groups):
+    """None: as the index was before tiles had several row groups."""
+    path = tmp_path / "c.parquet"
+    write(path, cloud(3000, extent=(60.0, 20.0, 5.0)))
+    table = pq.ParquetFile(path)
+    index = json.loads(table.metadata.metadata[METADATA_KEY])
+    assert index["groups"] == [[0], [1], [2]]
+    if groups is None:
+        del index["groups"]
+    else:
+        index["groups"] = groups
+    parts = [table.read_row_group(group) for group in range(3)]
+    with pq.ParquetWriter(path, table.schema_arrow) as writer:
+        for part in parts:
+            writer.write_table(part)
+        writer.add_key_value_metadata({METADATA_KEY: json.dumps(index).encode()})
+    with pytest.raises(InputError, match=r"cannot be read as a tiled cloud.*delete it"):
+        CloudTiles(path)
+
+
+@pytest.mark.parametrize("columns", [2**8 - 1, 2**8, 2**16 - 1, 2**16, 2**16 + 1, 2**32])
 def test_tiles_of_a_batch_that_are_far_apart(tmp_path, columns):
     points = cloud(40, coloured=False)
     points["x"][::2], points["y"][:] = 0.0, 1.0

@@ -1,7 +1,8 @@
-"""A site's cloud as one Parquet file: one row group for each occupied square tile.
+"""A site's cloud as one Parquet file: row groups of occupied square tiles, and an index of them.
 
 Tiles are squares of the local frame, half open (``ix * size <= x < (ix + 1) * size``), in row-major
-order from the south-west; inside a tile the points keep the order in which they came.
+order from the south-west; inside a tile the points keep the order in which they came. Row groups
+lie in the file as they were written: a tile has one, or more where its points came far apart.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +61,7 @@ class CloudTiles:
 
     Attributes
     ----------
-    tiles : every tile, in the order of its points in the file.
+    tiles : every tile, in the order in which all points are read.
     tile_size_m : edge of a tile.
     points : number of points.
     columns : names of the columns.
@@ -80,15 +82,21 @@ class CloudTiles:
             self.tiles = [
                 Tile(**tile | {"bounds_m": tuple(tile["bounds_m"])}) for tile in index["tiles"]
             ]
-            rows = [
-                self._file.metadata.row_group(i).num_rows
-                for i in range(self._file.metadata.num_row_groups)
-            ]
+            self._groups: list[list[int]] = index["groups"]
             self.columns: list[str] = self._file.schema_arrow.names
-            if rows != [tile.rows for tile in self.tiles] or not set(POSITION) <= set(self.columns):
+            if not (self._groups_match() and set(POSITION) <= set(self.columns)):
                 raise ValueError("its tiles do not match its index")
-        self.points = sum(rows)
+        self.points = sum(tile.rows for tile in self.tiles)
         self._bounds_m = np.array([tile.bounds_m for tile in self.tiles]).reshape(-1, 6)
+
+    def _groups_match(self) -> bool:
+        """Whether each row group belongs to one tile, and tiles have as many points as it says."""
+        about = self._file.metadata
+        rows = [about.row_group(group).num_rows for group in range(about.num_row_groups)]
+        named = sorted(chain.from_iterable(self._groups))
+        return named == list(range(len(rows))) and [
+            sum(rows[group] for group in groups) for groups in self._groups
+        ] == [tile.rows for tile in self.tiles]
 
     def read(
         self, columns: Sequence[str] | None = None, tiles: Sequence[int] | None = None
@@ -114,8 +122,9 @@ class CloudTiles:
                 "lacks a column", where=str(self._path), found=missing, allowed=self.columns
             )
         numbers = range(len(self.tiles)) if tiles is None else tiles
+        groups = [group for number in numbers for group in self._groups[number]]
         with _readable(self._path):
-            table = self._file.read_row_groups(list(numbers), columns=names, use_threads=False)
+            table = self._file.read_row_groups(groups, columns=names, use_threads=False)
         return {name: as_numpy(table.column(name)) for name in names}
 
     def read_within(self, bounds_m: Bounds, columns: Sequence[str] | None = None) -> Points:
