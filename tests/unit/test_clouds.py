@@ -12,7 +12,7 @@ from las_files import DATA, in_chunks, needs_data, random_points, wkt_of, write_
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.cloud_scan import kept_chunks, scan_cloud
+from roadsight.io.cloud_scan import Contents, kept_chunks, scan_cloud
 from roadsight.io.clouds import iter_chunks, read_header, read_laz, write_laz
 from roadsight.io.laz_chunks import are_apart
 
@@ -49,6 +49,16 @@ def test_formats_and_chunks_give_the_same_points(tmp_path, suffix, point_format,
     assert (whole.colour is not None) == (point_format in (3, 7))
     if whole.colour is not None:
         np.testing.assert_array_equal(whole.colour[:, 2], number + 2)
+
+
+@pytest.mark.parametrize("chunk_points", [7, 77, 200, 230, 500, 10**6])
+def test_chunks_are_cut_from_what_is_decoded_at_once(tmp_path, monkeypatch, chunk_points):
+    monkeypatch.setattr("roadsight.io.clouds._DECODED_POINTS", 200)
+    path = write_las(tmp_path / "a.laz", XYZ)
+    chunks = list(iter_chunks(path, chunk_points))
+    full, rest = divmod(500, chunk_points)
+    assert [len(chunk) for chunk in chunks] == [chunk_points] * full + [rest] * (rest > 0)
+    np.testing.assert_array_equal(np.concatenate([c.xyz for c in chunks]), read_laz(path).xyz)
 
 
 def spread(path):
@@ -119,14 +129,15 @@ def test_scan_leaves_noise_and_withheld_out(tmp_path):
     withheld = np.array([0, 0, 0, 1, 1, 0, 0, 0])
     xyz = np.arange(24.0).reshape(8, 3) * 3
     path = write_las(tmp_path / "a.laz", xyz, classification=classes, withheld=withheld)
-    scan = scan_cloud(path, None, 3)
+    contents = Contents()
+    scan = scan_cloud(path, None, 3, contents.take)
     assert (scan.points, scan.withheld, scan.noise) == (4, 2, 2)
-    assert scan.classes == {1: 1, 2: 2, 6: 1}
+    assert contents.classes == {1: 1, 2: 2, 6: 1}
     np.testing.assert_allclose(scan.lower, xyz[0])
     np.testing.assert_allclose(scan.upper, xyz[7])
     kept = np.concatenate([chunk.xyz for chunk, _, _ in kept_chunks(path, None, 3)])
     np.testing.assert_allclose(kept, xyz[[0, 5, 6, 7]])
-    assert not scan.intense
+    assert not contents.intense
     assert len(scan.sha256) == 64
 
 

@@ -7,7 +7,6 @@ import json
 import os
 import re
 import textwrap
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from roadsight.geometry.location import utm_code
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import centre_of, site_frame
 from roadsight.io.atomic import atomic_path
-from roadsight.io.cloud_scan import CloudScan, kept_chunks, scan_cloud
+from roadsight.io.cloud_scan import CloudScan, Contents, kept_chunks, scan_cloud
 from roadsight.io.las_header import CloudHeader
 from roadsight.scene.profile import CELL_M, density, merge_counts
 
@@ -86,10 +85,11 @@ def run(arguments: argparse.Namespace) -> None:
     path = arguments.out or Path("config/sites", f"{name}.yaml")
     if path.exists() and not arguments.force:
         raise InputError("exists already", where=str(path), hint="choose another, or add --force")
-    scans = [scan_cloud(cloud) for cloud in arguments.clouds]
+    contents = Contents()
+    scans = [scan_cloud(cloud, take=contents.take) for cloud in arguments.clouds]
     findings, unit_m = find_keys(scans)
     clouds = [_written(cloud, path) for cloud in arguments.clouds]
-    text = site_text(name, clouds, describe_clouds(scans, unit_m), findings)
+    text = site_text(name, clouds, describe_clouds(scans, contents, unit_m), findings)
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     print(f"wrote {path}")
@@ -188,7 +188,9 @@ placement:
 """
 
 
-def describe_clouds(scans: Sequence[CloudScan], unit_m: float | None) -> list[str]:
+def describe_clouds(
+    scans: Sequence[CloudScan], contents: Contents, unit_m: float | None
+) -> list[str]:
     """Extent, density, classes and other contents, one sentence each.
 
     Parameters
@@ -200,13 +202,10 @@ def describe_clouds(scans: Sequence[CloudScan], unit_m: float | None) -> list[st
     unit = "m" if unit_m else "units of the cloud"
     square = "m2" if unit_m else "square unit"
     size = " x ".join(f"{side:.1f}" for side in (upper - lower)[:2] * length)
-    classes: Counter[int] = Counter()
-    for scan in scans:
-        classes.update(scan.classes)
-    total = classes.total()
+    total = contents.classes.total()
     named = ", ".join(
         f"{c} {_CLASS_NAMES.get(c, 'not a common class')} {n / total:.1%}"
-        for c, n in sorted(classes.items())
+        for c, n in sorted(contents.classes.items())
     )
     dropped = sum(scan.withheld + scan.noise for scan in scans)
     return [
@@ -215,7 +214,7 @@ def describe_clouds(scans: Sequence[CloudScan], unit_m: float | None) -> list[st
         f"y {lower[1]:.2f} to {upper[1]:.2f}, z {lower[2]:.2f} to {upper[2]:.2f}.",
         f"Density {_density(scans, length):.2f} points per {square} where there are any (median).",
         f"Classes: {named}.",
-        f"Intensity: {'yes' if any(scan.intense for scan in scans) else 'no'}. "
+        f"Intensity: {'yes' if contents.intense else 'no'}. "
         f"Colour: {'yes' if all(scan.brightest for scan in scans) else 'no'}.",
     ]
 

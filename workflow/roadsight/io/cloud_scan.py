@@ -12,13 +12,12 @@ from numpy.typing import NDArray
 
 from roadsight.errors import InputError
 from roadsight.io.checksums import sha256
-from roadsight.io.clouds import CHUNK_POINTS, Chunk, iter_chunks, read_header
+from roadsight.io.chunks import Chunk
+from roadsight.io.clouds import CHUNK_POINTS, iter_chunks, read_header
 from roadsight.io.las_header import CloudHeader
 
 NOISE_CLASSES = (7, 18)
 """ASPRS classes of low and high noise."""
-
-_IS_NOISE = np.isin(np.arange(256), NOISE_CLASSES)
 
 Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
@@ -35,8 +34,6 @@ class CloudScan:
     points : points that are neither withheld nor noise.
     lower, upper : least and greatest native x, y, z of these points, shape (3,).
     withheld, noise : points left out as withheld, and as noise but not withheld.
-    classes : number of these points by class.
-    intense : whether any of them has an intensity above 0.
     brightest : greatest red, green or blue; 0 without colour.
     sha256 : of the file.
     """
@@ -47,10 +44,28 @@ class CloudScan:
     upper: NDArray[np.float64]
     withheld: int
     noise: int
-    classes: dict[int, int]
-    intense: bool
     brightest: int
     sha256: str
+
+
+class Contents:
+    """What clouds hold beside positions and colour.
+
+    Attributes
+    ----------
+    classes : number of points by class.
+    intense : whether any of them has an intensity above 0.
+    """
+
+    def __init__(self) -> None:
+        self.classes: Counter[int] = Counter()
+        self.intense = False
+
+    def take(self, _: str | os.PathLike[str], chunk: Chunk) -> None:
+        """Count points; meant for `scan_cloud`."""
+        counts = np.bincount(chunk.classification)
+        self.classes.update({int(c): int(counts[c]) for c in np.flatnonzero(counts)})
+        self.intense = self.intense or bool(chunk.intensity.any())
 
 
 def kept_chunks(
@@ -71,13 +86,21 @@ def kept_chunks(
     InputError : the cloud cannot be read, or a point cannot be reprojected.
     """
     for chunk in iter_chunks(path, chunk_points):
-        noisy = _IS_NOISE[chunk.classification] & ~chunk.withheld
+        noisy = _noisy(chunk)
         kept = chunk.select(~(chunk.withheld | noisy))
         if move is not None:
             kept = replace(kept, xyz=move(kept.xyz))
             if not np.isfinite(kept.xyz).all():
                 raise InputError("has points that cannot be reprojected", where=str(path))
-        yield kept, int(chunk.withheld.sum()), int(noisy.sum())
+        yield kept, int(np.count_nonzero(chunk.withheld)), int(np.count_nonzero(noisy))
+
+
+def _noisy(chunk: Chunk) -> NDArray[np.bool_]:
+    """Points of a chunk (n,) that are noise but not withheld."""
+    noisy = np.zeros(len(chunk), bool)
+    for cls in NOISE_CLASSES:
+        noisy |= chunk.classification == cls
+    return noisy & ~chunk.withheld
 
 
 def scan_cloud(
@@ -97,9 +120,7 @@ def scan_cloud(
     InputError : as `kept_chunks`, or every point is withheld or noise.
     """
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-    classes: Counter[int] = Counter()
     points = withheld = noise = brightest = 0
-    intense = False
     for chunk, chunk_withheld, chunk_noise in kept_chunks(path, move, chunk_points):
         withheld, noise, points = (
             withheld + chunk_withheld,
@@ -108,9 +129,6 @@ def scan_cloud(
         )
         lower = np.minimum(lower, chunk.xyz.min(axis=0, initial=np.inf))
         upper = np.maximum(upper, chunk.xyz.max(axis=0, initial=-np.inf))
-        counts = np.bincount(chunk.classification)
-        classes.update({int(c): int(counts[c]) for c in np.flatnonzero(counts)})
-        intense = intense or bool(chunk.intensity.any())
         if chunk.colour is not None:
             brightest = max(brightest, int(chunk.colour.max(initial=0)))
         if take is not None:
@@ -122,6 +140,5 @@ def scan_cloud(
             found=f"{withheld} withheld, {noise} noise",
         )
     return CloudScan(
-        read_header(path), points, lower, upper, withheld, noise, dict(sorted(classes.items())),
-        intense, brightest, sha256(path),
-    )  # fmt: skip
+        read_header(path), points, lower, upper, withheld, noise, brightest, sha256(path)
+    )

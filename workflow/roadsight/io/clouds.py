@@ -21,10 +21,14 @@ from pyproj.exceptions import CRSError
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.atomic import atomic_path
+from roadsight.io.chunks import Chunk, chunk_of, native_xyz
 from roadsight.io.las_header import COLOURS, CloudHeader, check_structure, cloud_header
 from roadsight.io.laz_chunks import are_apart, check_layers
 
-CHUNK_POINTS = 1_000_000
+CHUNK_POINTS = 125_000
+"""What is computed of so many points stays in the processor's cache."""
+
+_DECODED_POINTS = 8 * CHUNK_POINTS
 _LAZ_SCALE = 0.001
 _LAZ_DATE = date(2000, 1, 1)
 _DEGREES_PER_SCAN_ANGLE = 0.006
@@ -41,45 +45,6 @@ _CHUNK_LAYERS = (
 
 # What laspy logs as an error also arrives as an exception, which becomes one message here.
 logging.getLogger("laspy").setLevel(logging.CRITICAL)
-
-
-@dataclass(frozen=True)
-class Chunk:
-    """Consecutive points of a cloud.
-
-    Parameters
-    ----------
-    xyz : native coordinates, shape (n, 3), float64.
-    intensity : uint16, shape (n,).
-    classification, return_number, number_of_returns : uint8, shape (n,); 0 where not recorded.
-    withheld : points that their producer asks to leave out, bool, shape (n,).
-    colour : red, green, blue as stored, uint16, shape (n, 3), or None.
-    """
-
-    xyz: NDArray[np.float64]
-    intensity: NDArray[np.uint16]
-    classification: NDArray[np.uint8]
-    return_number: NDArray[np.uint8]
-    number_of_returns: NDArray[np.uint8]
-    withheld: NDArray[np.bool_]
-    colour: NDArray[np.uint16] | None
-
-    def __len__(self) -> int:
-        return len(self.xyz)
-
-    def select(self, mask: NDArray[np.bool_]) -> Chunk:
-        """Points where ``mask``, of shape (n,), is true."""
-        if mask.all():
-            return self
-        return Chunk(
-            self.xyz[mask],
-            self.intensity[mask],
-            self.classification[mask],
-            self.return_number[mask],
-            self.number_of_returns[mask],
-            self.withheld[mask],
-            None if self.colour is None else self.colour[mask],
-        )
 
 
 @dataclass(frozen=True)
@@ -132,18 +97,12 @@ def iter_chunks(path: str | os.PathLike[str], chunk_points: int = CHUNK_POINTS) 
     ------
     InputError : as `read_header`, or the points end early or cannot be decoded.
     """
+    at_once = chunk_points * max(_DECODED_POINTS // chunk_points, 1)
     with _open(path, _CHUNK_LAYERS) as reader:
         header = cloud_header(Path(path), reader.header)
-        for points in _decoded(path, reader, chunk_points):
-            yield Chunk(
-                xyz=_native(points, header),
-                intensity=np.asarray(points.intensity, np.uint16),
-                classification=np.asarray(points.classification, np.uint8),
-                return_number=np.asarray(points.return_number, np.uint8),
-                number_of_returns=np.asarray(points.number_of_returns, np.uint8),
-                withheld=np.asarray(points.withheld, bool),
-                colour=_colour(points) if header.coloured else None,
-            )
+        for points in _decoded(path, reader, at_once):
+            for start in range(0, len(points), chunk_points):
+                yield chunk_of(points[start : start + chunk_points], header)
 
 
 def read_laz(path: str | os.PathLike[str]) -> NativeCloud:
@@ -155,10 +114,12 @@ def read_laz(path: str | os.PathLike[str]) -> NativeCloud:
     """
     with _open(path) as reader:
         header = cloud_header(Path(path), reader.header)
-        parts = list(_decoded(path, reader, CHUNK_POINTS))
+        parts = list(_decoded(path, reader, _DECODED_POINTS))
         names = [n for n in reader.header.point_format.dimension_names if n not in "XYZ"]
         dims = {name: np.concatenate([np.asarray(part[name]) for part in parts]) for name in names}
-        return NativeCloud(np.concatenate([_native(part, header) for part in parts]), dims, header)
+        return NativeCloud(
+            np.concatenate([native_xyz(part, header) for part in parts]), dims, header
+        )
 
 
 def write_laz(
@@ -245,18 +206,6 @@ def _decoded(
             allowed=f"{reader.header.point_count}, as its header says",
             hint="copy or download it again",
         )
-
-
-def _native(points: laspy.ScaleAwarePointRecord, header: CloudHeader) -> NDArray[np.float64]:
-    xyz = np.empty((3, len(points))).T  # each axis in one piece
-    for axis, integers in enumerate((points.X, points.Y, points.Z)):
-        np.multiply(integers, header.scale[axis], out=xyz[:, axis])
-    xyz += header.offset
-    return xyz
-
-
-def _colour(points: laspy.ScaleAwarePointRecord) -> NDArray[np.uint16]:
-    return np.stack([np.asarray(points[name], np.uint16) for name in COLOURS], axis=1)
 
 
 def _new_header(

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.geometry.frames import Frame
+from roadsight.io.chunks import Chunk
 from roadsight.io.cloud_scan import CloudScan
-from roadsight.io.clouds import Chunk
 from roadsight.io.tile_writer import TileWriter
 from roadsight.io.tiles import COLOUR, Tile
 
@@ -35,12 +36,17 @@ class TileDraft:
     def __enter__(self) -> TileDraft:
         return self
 
-    def __exit__(self, *_: object) -> None:
-        self._give_up()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._give_up(error)
 
-    def _give_up(self) -> None:
+    def _give_up(self, error: BaseException | None = None) -> None:
         if self._writer is not None:
-            self._writer.close()
+            self._writer.close(error)
             self._writer = None
 
     def take(self, path: str | os.PathLike[str], chunk: Chunk) -> None:

@@ -53,7 +53,7 @@ def ingest(
     choice : configured CRS and units.
     target_crs : CRS to reproject to on the way in, or None.
     tile_size_m : edge of a tile, whole metres, so that tiles are made of whole cells.
-    chunk_points : points in memory at once; the result does not depend on it.
+    chunk_points : points looked at together; the result does not depend on it.
 
     Raises
     ------
