@@ -18,6 +18,7 @@ import shapely
 
 from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.reference import UnitChoice
 from roadsight.io.atomic import write_json
 from roadsight.io.clouds import write_laz
 from roadsight.io.depth_maps import DepthMapInfo, DepthMapWriter
@@ -32,6 +33,7 @@ from roadsight.io.videolog_shards import JpegShardWriter, write_csv
 from roadsight.io.voxel_tables import VoxelTableWriter
 from roadsight.scene.tin import Terrain
 from roadsight.scene.voxel_classes import Columns, VoxelGrid
+from roadsight.stages.ingest_cloud import ingest
 from tests.unit.las_files import wkt_of
 
 FRAME = Frame((458_000.0, 5_428_000.0, 100.0), crs_wkt=wkt_of("EPSG:25832"))
@@ -171,3 +173,18 @@ def test_writer_on_a_full_disk(tmp_path, name, share):
     assert "\n" not in str(error.value)
     assert target.read_bytes() == old
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_cloud_is_read_on_a_full_disk(tmp_path):
+    """The disk is full while tiles are drafted, before the cloud is read to its end."""
+    laz(tmp_path / "a.laz")
+    target = tmp_path / "out" / "cloud.parquet"
+    whole = (UnitChoice(), None, 25.0, target, tmp_path / "out" / "frame.json", 1000)
+    with (
+        patch("roadsight.io.tile_writer._HELD_POINTS", 5000),
+        files_at_most(30_000),
+        pytest.raises(InputError, match="no room") as error,
+    ):
+        ingest([tmp_path / "a.laz"], *whole)
+    assert str(target) in str(error.value)
+    assert list(target.parent.iterdir()) == []

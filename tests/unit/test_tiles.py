@@ -14,6 +14,7 @@ import pytest
 from roadsight.errors import InputError
 from roadsight.io.arrow import as_numpy, as_table
 from roadsight.io.atomic import write_json
+from roadsight.io.tile_spill import TileSpill
 from roadsight.io.tile_writer import TileWriter
 from roadsight.io.tiles import COLOUR, COLUMN_TYPES, METADATA_KEY, CloudTiles, stack_xyz
 
@@ -120,14 +121,26 @@ def test_more_points_than_are_held(tmp_path, monkeypatch, order, held, least, ex
     assert [path.name for path in tmp_path.iterdir()] == ["c.parquet"]
 
 
-def test_tiles_in_few_pieces_where_their_points_come_together(tmp_path, monkeypatch):
+def test_points_that_come_together_hardly_wait_in_a_file(tmp_path, monkeypatch):
     monkeypatch.setattr("roadsight.io.tile_writer._HELD_POINTS", 1000)
     monkeypatch.setattr("roadsight.io.tile_writer._LEAST_POINTS", 100)
-    monkeypatch.setattr("roadsight.io.tile_spill.TileSpill.add", None)  # never asked to
+    waited = []
+    monkeypatch.setattr(TileSpill, "add", spied(waited, TileSpill.add))
     points = cloud(8000, 4, (500.0, 25.0, 5.0))
     points = in_order(points, np.argsort(points["x"]))
-    assert len(write(tmp_path / "c.parquet", points)) == 20
-    assert pq.ParquetFile(tmp_path / "c.parquet").num_row_groups <= 30
+    points["y"][:5] += 25.0  # a tile that does not grow
+    assert len(write(tmp_path / "c.parquet", points)) == 21
+    assert {(1, 0): 5} in waited
+    assert sum(sum(rows.values()) for rows in waited) < 80
+    assert pq.ParquetFile(tmp_path / "c.parquet").num_row_groups <= 31
+
+
+def spied(seen, function):
+    def wrapper(self, rows, points):
+        seen.append(rows)
+        return function(self, rows, points)
+
+    return wrapper
 
 
 @pytest.mark.parametrize(
@@ -309,6 +322,7 @@ def test_clouds_are_written_and_read_without_pandas(tmp_path):
     script = """
 import sys
 import numpy as np
+from roadsight.io.tile_spill import TileSpill
 from roadsight.io.tile_writer import TileWriter
 from roadsight.io.tiles import CloudTiles
 with TileWriter("c.parquet", 25.0, coloured=True) as writer:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from array import array
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.io.atomic import no_room
+
+_WRITTEN_POINTS = 1 << 15
 
 TileKey = tuple[int, int]
 """Row and column of a tile."""
@@ -51,33 +53,37 @@ class TileSpill:
         """Number of points of a tile that wait."""
         return self._rows.get(tile, 0)
 
-    def add(
-        self, tiles: Sequence[TileKey], rows: Sequence[int], points: Mapping[str, NDArray]
-    ) -> None:
+    def add(self, rows: Mapping[TileKey, int], points: Mapping[str, NDArray]) -> None:
         """Let points wait.
 
         Parameters
         ----------
-        tiles, rows : tiles and how many points each has, in the order of the points.
+        rows : number of points of each tile, in the order of the points.
         points : every column, each of shape (n,).
 
         Raises
         ------
         InputError : the disk is full.
         """
-        records = np.empty(sum(rows), self._record)
-        for name in self._record.names or ():
-            records[name] = points[name]
         place = self._file.seek(0, os.SEEK_END)
         try:
-            self._file.write(records.data)
+            for start in range(0, sum(rows.values()), _WRITTEN_POINTS):
+                self._file.write(self._packed(points, start).data)
             self._file.flush()
         except OSError as error:
             raise no_room(self._target) from error
-        for tile, count in zip(tiles, rows, strict=True):
+        for tile, count in rows.items():
             self._places.setdefault(tile, array("q")).extend((place, count))
             self._rows[tile] = self.rows(tile) + count
             place += count * self._record.itemsize
+
+    def _packed(self, points: Mapping[str, NDArray], start: int) -> NDArray[np.void]:
+        """Records of some points, few enough to stay in the processor's cache."""
+        columns = {name: points[name][start : start + _WRITTEN_POINTS] for name in points}
+        records = np.empty(len(columns["x"]), self._record)
+        for name, values in columns.items():
+            records[name] = values
+        return records
 
     def take(self, tile: TileKey) -> NDArray[np.void]:
         """Points of a tile (n,) as records, in the order in which they came; they wait no more."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from types import TracebackType
 
@@ -16,7 +16,7 @@ from roadsight.io.tile_spill import TileKey, TileSpill
 from roadsight.io.tiles import COLOUR, COLUMN_TYPES, Tile
 
 _MAX_TILES = 40_000
-_HELD_POINTS = 2_000_000
+_HELD_POINTS = 1_000_000
 _LEAST_POINTS = 1 << 15
 """Points of a tile that are worth a row group of their own, before the last."""
 
@@ -24,9 +24,10 @@ _LEAST_POINTS = 1 << 15
 class TileWriter:
     """Sorts a stream of points into tiles with bounded memory.
 
-    So many points are held. When there are more, tiles with enough of them are written; what is
-    left is held on, or, where it is more than half (points in no order), waits in an anonymous file
-    beside the output. The result does not depend on the batches.
+    So many points are held. When there are more, tiles with enough of them are written. Of what is
+    left, tiles that still grow are held on; others wait in an anonymous file beside the output, and
+    all do where they are more than half (points in no order). The result does not depend on the
+    batches.
 
     Parameters
     ----------
@@ -40,7 +41,7 @@ class TileWriter:
         names = [name for name in COLUMN_TYPES if coloured or name not in COLOUR]
         types = {name: np.dtype(COLUMN_TYPES[name]) for name in names}
         self._held = {name: np.empty(_HELD_POINTS, kind) for name, kind in types.items()}
-        self._count = 0
+        self._count = self._held_on = 0
         self._known: set[TileKey] = set()
         self._spill = TileSpill(target, types)
         self._file = TileFile(target, types)
@@ -103,13 +104,13 @@ class TileWriter:
     def _write_tiles(self, least: int) -> None:
         """Write the tiles that have at least so many points; keep the others."""
         tiles, parts = self._parts()
-        left = []
+        left = {}
         for tile, part in zip(tiles, parts, strict=True):
             if self._spill.rows(tile) + len(part) >= least:
                 self._write(tile, part)
             else:
-                left.append((tile, part))
-        self._keep([tile for tile, _ in left], [part for _, part in left])
+                left[tile] = part
+        self._keep(left)
 
     def _parts(self) -> tuple[list[TileKey], list[NDArray[np.intp]]]:
         """Tiles of the points that are held, and the points' numbers tile by tile."""
@@ -132,23 +133,32 @@ class TileWriter:
 
     def _write(self, tile: TileKey, part: NDArray[np.intp]) -> None:
         """Write a tile's points: those that wait, then those that are held."""
-        points = {name: held.take(part) for name, held in self._held.items()}
+        points = self._taken(part)
         if self._spill.rows(tile):
             waiting = self._spill.take(tile)
             points = {name: np.concatenate([waiting[name], points[name]]) for name in points}
         self._file.write(tile, points)
 
-    def _keep(self, tiles: Sequence[TileKey], parts: Sequence[NDArray[np.intp]]) -> None:
-        """Hold on the points of some tiles, or let them wait where they are many."""
-        order = np.concatenate([np.empty(0, np.intp), *parts])
-        self._count = 0
-        if 2 * len(order) > _HELD_POINTS:
-            points = {name: held.take(order) for name, held in self._held.items()}
-            self._spill.add(tiles, [len(part) for part in parts], points)
-        else:
-            for held in self._held.values():
-                held[: len(order)] = held.take(order)
-            self._count = len(order)
+    def _keep(self, left: Mapping[TileKey, NDArray[np.intp]]) -> None:
+        """Hold on the points of some tiles, or let them wait."""
+        many = 2 * sum(map(len, left.values())) > _HELD_POINTS
+        waiting, growing = {}, [np.empty(0, np.intp)]
+        for tile, part in left.items():
+            if many or part[-1] < self._held_on:
+                waiting[tile] = part
+            else:
+                growing.append(part)
+        if waiting:
+            points = self._taken(np.concatenate(list(waiting.values())))
+            self._spill.add({tile: len(part) for tile, part in waiting.items()}, points)
+        points = self._taken(np.concatenate(growing))
+        self._count = self._held_on = len(points["x"])
+        for name, values in points.items():
+            self._held[name][: self._count] = values
+
+    def _taken(self, part: NDArray[np.intp]) -> dict[str, NDArray]:
+        """Columns of some of the points that are held."""
+        return {name: held.take(part) for name, held in self._held.items()}
 
 
 def _numbers(at_m: NDArray[np.float32], tile_size_m: float) -> NDArray[np.signedinteger]:
