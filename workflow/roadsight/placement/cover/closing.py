@@ -13,7 +13,7 @@ from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
 
 _ROOT_CUTS, _NODE_CUTS = 40, 2
 _PATIENCE, _LEAST_RISE = 3, 0.05
-_NEAR, _MOST_SLACK = 0.1, 0.5  # by the mean cost of a row
+_NEAR, _LEAST_SLACK, _MOST_SLACK, _ROOT_SLACK = 0.1, 1e-3, 0.15, 0.5  # by a row's mean cost
 _ENUMERATED, _LESS_SLACK = 0.25, 0.85
 
 
@@ -63,7 +63,7 @@ class Closing:
             solution = stronger
             bounds.append(solution.bound)
             if at_root:
-                search_while_it_pays(self.local, solution.bound, deadline, _MOST_SLACK)
+                search_while_it_pays(self.local, solution.bound, deadline, _ROOT_SLACK)
             rise = bounds[-1] - bounds[max(len(bounds) - 1 - _PATIENCE, 0)]
             if len(bounds) > _PATIENCE and rise < _LEAST_RISE * (self.goal - bounds[-1]):
                 return solution
@@ -95,7 +95,9 @@ class Closing:
         a good deal smaller.
         """
         instance = self.relaxation.instance
-        while 0 <= (slack := self.goal - solution.bound) <= _MOST_SLACK * self._row_cost:
+        share = _MOST_SLACK if node.path or node.fixed.any() else _ROOT_SLACK
+        least, most = _LEAST_SLACK * self._row_cost, share * self._row_cost
+        while least <= (slack := self.goal - solution.bound) <= most:
             left_s = _ENUMERATED * self.relaxation.work_s - self._enumerated_s
             if slack > _LESS_SLACK * self._tried or left_s <= 0:
                 break
