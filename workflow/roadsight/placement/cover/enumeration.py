@@ -28,7 +28,7 @@ from roadsight.placement.cover.problem import Instance
 from roadsight.placement.cover.relaxation import Node, Solution
 from roadsight.placement.cover.rows import stacked
 
-_MOST_ROWS, _MOST_WORDS = 4_096, 2**22
+_MOST_ROWS, _MOST_WORDS = 4_096, 2**23
 _PRICED, _TIGHT, _TOLERANCE = 1e-9, 0.02, 1e-7
 _MOVE_S, _ENTRY_S = 2e-9, 1e-8  # work, measured: a word or entry looked at, one set up
 
@@ -63,17 +63,18 @@ def enumerate_covers(
     slack = goal - solution.bound + _TOLERANCE * max(1.0, abs(goal))
     dear = np.maximum(solution.reduced_cost, 0.0) > slack
     rows = np.flatnonzero(node.alive & ~node.fixed & ~dear)
-    if not _is_small(instance, len(rows)):
+    fixed = np.flatnonzero(node.fixed)
+    money = goal - float(instance.cost[fixed].sum()) + _TOLERANCE
+    depths = 2 + int(np.searchsorted(np.sort(instance.cost[rows]).cumsum(), money, "right"))
+    if not _is_small(instance, len(rows), depths):
         return Enumeration(False, None, 0.0)
     rows = rows[np.argsort(-solution.x[rows], kind="stable")]
-    fixed = np.flatnonzero(node.fixed)
     prices, slack = _prices(instance, solution, rows, fixed, slack)
     targets = _targets(instance, solution, rows, fixed)
     work_s = _ENTRY_S * (prices.value.size + 2 * len(targets.target))
     pairs = affordable_pairs(prices, instance.group[rows], slack)
-    money = goal - float(instance.cost[fixed].sum()) + _TOLERANCE
     answer, taken, moves = enumerate_rows(
-        prices, targets, pairs, slack, money, (most_work_s - work_s) / _MOVE_S
+        prices, targets, pairs, slack, money, depths, (most_work_s - work_s) / _MOVE_S
     )
     cover = None
     if answer == FOUND:
@@ -82,9 +83,10 @@ def enumerate_covers(
     return Enumeration(answer == EXCLUDED, cover, work_s + _MOVE_S * moves)
 
 
-def _is_small(instance: Instance, rows: int) -> bool:
-    words = (rows + 63) // 64
-    return 0 < rows <= _MOST_ROWS and words * instance.shape[1] <= _MOST_WORDS
+def _is_small(instance: Instance, rows: int, depths: int) -> bool:
+    """Whether bits of all targets, and needs and prices at all depths, find room."""
+    words = (rows + 63) // 64 * instance.shape[1] + depths * (rows + instance.shape[1])
+    return 0 < rows <= _MOST_ROWS and words <= _MOST_WORDS
 
 
 def _prices(

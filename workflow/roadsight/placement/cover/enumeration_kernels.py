@@ -108,15 +108,25 @@ def _beyond(value: float, spare: float) -> float:
 
 @njit(cache=True)
 def enumerate_rows(
-    prices: Prices, targets: Targets, pairs: Bits, slack: float, money: float, most_moves: float
+    prices: Prices,
+    targets: Targets,
+    pairs: Bits,
+    slack: float,
+    money: float,
+    depths: int,
+    most_moves: float,
 ) -> tuple[int, NDArray[np.int64], float]:
     """Rows that cover all targets within slack and money, or that there are none.
+
+    Parameters
+    ----------
+    depths : more than rows that can be paid, by two at least.
 
     Returns
     -------
     one of the answers above, the rows that were found, words and entries looked at
     """
-    stack = _new_stack(prices, targets, pairs, slack, money)
+    stack = _new_stack(prices, targets, pairs, slack, money, depths)
     _drop_dear_rows(stack, prices, 0)
     depth, moves = 0, _choose_target(stack, targets, 0)
     while depth >= 0:
@@ -138,9 +148,10 @@ def enumerate_rows(
 
 
 @njit(cache=True)
-def _new_stack(prices: Prices, targets: Targets, pairs: Bits, slack: float, money: float) -> _Stack:
+def _new_stack(
+    prices: Prices, targets: Targets, pairs: Bits, slack: float, money: float, depths: int
+) -> _Stack:
     count, words = pairs.shape
-    depths = min(count, max(int(money / prices.cost.min()), 0)) + 2
     stack = _Stack(
         np.zeros((depths, words), np.uint64), np.zeros((depths, count)),
         np.zeros((depths, words), np.uint64), np.zeros(depths, np.int64),
