@@ -10,6 +10,7 @@ from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.enumeration import enumerate_covers
 from roadsight.placement.cover.local_search import LocalSearch, search_while_it_pays
 from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
+from roadsight.placement.cover.result import is_within
 
 _ROOT_CUTS, _NODE_CUTS = 40, 2
 _PATIENCE, _LEAST_RISE = 3, 0.05
@@ -22,11 +23,15 @@ class Closing:
 
     Parameters
     ----------
-    local : keeps the best cover. ceiling : covers have to cost less to count, too.
+    local : keeps the best cover. gap : share of its cost that is close enough to the bound.
+    ceiling : covers have to cost less to count, too, and the first that does is enough.
     """
 
-    def __init__(self, relaxation: Relaxation, local: LocalSearch, ceiling: float) -> None:
-        self.relaxation, self.local, self.ceiling = relaxation, local, ceiling
+    def __init__(
+        self, relaxation: Relaxation, local: LocalSearch, gap: float, ceiling: float
+    ) -> None:
+        self.relaxation, self.local = relaxation, local
+        self.gap, self.ceiling = gap, ceiling
         self._row_cost = float(relaxation.instance.cost.mean())
         self._tried, self._enumerated_s = np.inf, 0.0
 
@@ -54,7 +59,7 @@ class Closing:
         at_root = rounds == _ROOT_CUTS
         while True:
             solution = self._enumerate(node, solution, deadline)
-            if len(bounds) > rounds or solution.exceeds(self.goal):
+            if len(bounds) > rounds or self._is_enough(solution):
                 return solution
             fast = len(bounds) == 1 or bounds[-1] - bounds[-2] > self.goal - bounds[-1]
             stronger = self._cut(node, solution, not fast, deadline, at_root)
@@ -67,6 +72,13 @@ class Closing:
             rise = bounds[-1] - bounds[max(len(bounds) - 1 - _PATIENCE, 0)]
             if len(bounds) > _PATIENCE and rise < _LEAST_RISE * (self.goal - bounds[-1]):
                 return solution
+
+    def _is_enough(self, solution: Solution) -> bool:
+        """Whether no cover that counts is left, or what is known of them is enough."""
+        cost = min(self.local.cost, self.ceiling)
+        bound = self.relaxation.instance.round_up(solution.bound)
+        found = self.local.cost < self.ceiling < np.inf
+        return found or solution.exceeds(self.goal) or is_within(self.gap, cost, bound)
 
     def _cut(
         self, node: Node, solution: Solution, parity: bool, deadline: Deadline, at_root: bool

@@ -53,7 +53,7 @@ class Search:
         self.gap, self.ceiling = gap, ceiling
         self.instance: Instance = relaxation.instance
         self.nodes = 0
-        self._closing = Closing(relaxation, local, ceiling)
+        self._closing = Closing(relaxation, local, gap, ceiling)
         choices, targets = self.instance.shape
         rows = self.instance.by_choice
         small = choices * targets <= MAX_BITS
