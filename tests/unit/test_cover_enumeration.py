@@ -14,7 +14,9 @@ from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.enumeration import enumerate_covers
 from roadsight.placement.cover.enumeration_kernels import _lowest, _ones, affordable_pairs
 from roadsight.placement.cover.kernels import reduced_costs
+from roadsight.placement.cover.local_search import LocalSearch, greedy_cover
 from roadsight.placement.cover.problem import Instance
+from roadsight.placement.cover.reductions import reduce_problem
 from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
 
 ROWS, TARGETS = 11, 24
@@ -224,6 +226,47 @@ def test_answers_are_the_same_with_and_without(monkeypatch, at_least):
     without = [solve_cover_problem(road(seed, at_least)) for seed in range(3)]
     assert [cover.objective for cover in found] == [cover.objective for cover in without]
     assert {cover.status for cover in found + without} == {"optimal"}
+
+
+def closing_of(problem, gap=0.0, ceiling=np.inf):
+    """How a problem's root is closed, its node, and its solution."""
+    (part,) = reduce_problem(problem).parts
+    root = Node(np.ones(part.shape[0], bool), np.zeros(part.shape[0], bool))
+    relaxation = Relaxation(part)
+    solution = relaxation.solve(root, np.inf, Deadline(None))
+    local = LocalSearch(
+        part, greedy_cover(part), solution.target_dual > 0, np.random.default_rng(1)
+    )
+    return closing.Closing(relaxation, local, gap, ceiling), root, solution
+
+
+def test_cuts_end_with_what_is_enough():
+    until_proven, root, solution = closing_of(road(3))
+    proven = until_proven.strengthen_root(root, solution, Deadline(None))
+    assert solution.bound < proven.bound
+    assert until_proven.relaxation.cuts
+    greedy = closing_of(road(3))[0].local.cost
+    for enough in ({"gap": 0.9}, {"ceiling": greedy + 1}):
+        near, root, solution = closing_of(road(3), **enough)
+        assert near.strengthen_root(root, solution, Deadline(None)) is solution
+        assert not near.relaxation.cuts
+
+
+def test_near_the_goal_the_relaxation_stops_before_the_goal(monkeypatch):
+    near, root, solution = closing_of(road(3))
+    near.local.run(5_000, solution.bound, Deadline(None))
+    goals = []
+
+    def noted(node, before, goal, *others):
+        goals.append((before.bound, goal, near.goal))
+        return before
+
+    monkeypatch.setattr(near.relaxation, "strengthen", noted)
+    monkeypatch.setattr(closing, "_ROOT_SLACK", -1.0)
+    assert near.strengthen_root(root, solution, Deadline(None)) is solution
+    far = replace(solution, bound=near.goal - 0.05)
+    assert near.strengthen_root(root, far, Deadline(None)) is far
+    assert [goal for _, goal, _ in goals] == [near.goal - closing._NEAR, near.goal]
 
 
 @pytest.mark.parametrize("first", [5, 10_000])
