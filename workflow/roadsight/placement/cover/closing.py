@@ -13,6 +13,7 @@ from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
 from roadsight.placement.cover.result import is_within
 
 _ROOT_CUTS, _NODE_CUTS = 40, 2
+_LONG_SEARCH = 4  # once the first three rounds tell how many rows may be spared
 _PATIENCE, _LEAST_RISE = 3, 0.05
 _NEAR, _LEAST_SLACK, _MOST_SLACK, _ROOT_SLACK = 0.1, 1e-3, 0.15, 0.5  # by a row's mean cost
 _ENUMERATED, _LESS_SLACK = 0.25, 0.85
@@ -68,10 +69,15 @@ class Closing:
             solution = stronger
             bounds.append(solution.bound)
             if at_root:
-                search_while_it_pays(self.local, solution.bound, deadline, _ROOT_SLACK)
+                self._search(solution.bound, deadline, len(bounds) == _LONG_SEARCH)
             rise = bounds[-1] - bounds[max(len(bounds) - 1 - _PATIENCE, 0)]
             if len(bounds) > _PATIENCE and rise < _LEAST_RISE * (self.goal - bounds[-1]):
                 return solution
+
+    def _search(self, bound: float, deadline: Deadline, is_long: bool) -> None:
+        """Local search while cover and bound are farther apart than enumeration reaches."""
+        spare = {} if is_long else {"most_spare": 1}
+        search_while_it_pays(self.local, bound, deadline, _ROOT_SLACK, **spare)
 
     def _is_enough(self, solution: Solution) -> bool:
         """Whether no cover that counts is left, or what is known of them is enough."""

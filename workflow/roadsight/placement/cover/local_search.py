@@ -112,11 +112,16 @@ class LocalSearch:
 
 
 def search_while_it_pays(
-    local: LocalSearch, bound: float, deadline: Deadline, apart: float = 0.0
+    local: LocalSearch,
+    bound: float,
+    deadline: Deadline,
+    apart: float = 0.0,
+    most_spare: int = _MOST_SPARE,
 ) -> None:
     """Search the longer, the more rows the bound leaves, and again after each find.
 
     It pays as long as a cheaper cover may cost more than so many rows above the bound.
+    ``most_spare``: so many of the rows that the bound leaves make it longer at most.
     """
     instance = local.instance
     enough = instance.round_up(bound)
@@ -125,7 +130,7 @@ def search_while_it_pays(
         if local.best is not None:
             spare = local.best.sum() * (local.cost - enough) / local.cost
         before = local.cost
-        more = int(np.clip(spare, 1, _MOST_SPARE)) - 1
+        more = int(np.clip(spare, 1, most_spare)) - 1
         local.improve(FIRST_STEPS + _SPARE_STEPS * more, enough, deadline)
         if not local.cost < before:
             return
