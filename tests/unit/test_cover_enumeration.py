@@ -222,7 +222,7 @@ def test_answers_are_the_same_with_and_without(monkeypatch, at_least):
         found = [solve_cover_problem(road(seed, at_least)) for seed in range(3)]
     assert any(answer.excluded for answer in made)
     monkeypatch.setattr(closing, "_ROOT_SLACK", -1.0)
-    monkeypatch.setattr(closing, "_MOST_SLACK", -1.0)
+    monkeypatch.setattr(closing, "_NODE_SLACK", -1.0)
     without = [solve_cover_problem(road(seed, at_least)) for seed in range(3)]
     assert [cover.objective for cover in found] == [cover.objective for cover in without]
     assert {cover.status for cover in found + without} == {"optimal"}

@@ -8,14 +8,18 @@ import numpy as np
 
 from roadsight.placement.cover.deadline import Deadline
 from roadsight.placement.cover.enumeration import enumerate_covers
-from roadsight.placement.cover.local_search import LocalSearch, search_while_it_pays
+from roadsight.placement.cover.local_search import (
+    MOST_SPARE,
+    LocalSearch,
+    search_while_it_pays,
+)
 from roadsight.placement.cover.relaxation import Node, Relaxation, Solution
 from roadsight.placement.cover.result import is_within
 
 _ROOT_CUTS, _NODE_CUTS = 40, 2
 _LONG_SEARCH = 4  # once the first three rounds tell how many rows may be spared
 _PATIENCE, _LEAST_RISE = 3, 0.05
-_NEAR, _LEAST_SLACK, _MOST_SLACK, _ROOT_SLACK = 0.1, 1e-3, 0.15, 0.5  # by a row's mean cost
+_NEAR, _LEAST_SLACK, _NODE_SLACK, _ROOT_SLACK = 0.1, 1e-3, 0.15, 0.5  # by a row's mean cost
 _ENUMERATED, _LESS_SLACK = 0.25, 0.85
 
 
@@ -76,8 +80,8 @@ class Closing:
 
     def _search(self, bound: float, deadline: Deadline, is_long: bool) -> None:
         """Local search while cover and bound are farther apart than enumeration reaches."""
-        spare = {} if is_long else {"most_spare": 1}
-        search_while_it_pays(self.local, bound, deadline, _ROOT_SLACK, **spare)
+        most_spare = MOST_SPARE if is_long else 1
+        search_while_it_pays(self.local, bound, deadline, _ROOT_SLACK, most_spare)
 
     def _is_enough(self, solution: Solution) -> bool:
         """Whether no cover that counts is left, or what is known of them is enough."""
@@ -113,7 +117,7 @@ class Closing:
         a good deal smaller.
         """
         instance = self.relaxation.instance
-        share = _MOST_SLACK if node.path or node.fixed.any() else _ROOT_SLACK
+        share = _NODE_SLACK if node.path or node.fixed.any() else _ROOT_SLACK
         least, most = _LEAST_SLACK * self._row_cost, share * self._row_cost
         while least <= (slack := self.goal - solution.bound) <= most:
             left_s = _ENUMERATED * self.relaxation.work_s - self._enumerated_s

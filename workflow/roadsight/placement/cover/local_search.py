@@ -11,7 +11,7 @@ from roadsight.placement.cover.problem import Instance
 from roadsight.placement.cover.reductions import arrays
 
 FIRST_STEPS = 2_000
-_SPARE_STEPS, _MOST_SPARE = 4_000, 50
+_SPARE_STEPS, MOST_SPARE = 4_000, 50
 _CHUNK = 2_000
 _NEW_TARGETS, _NEW_SHARE = 50, 1 / 50
 _STEP_S, _ENTRY_S = 2.5e-6, 3e-10  # work of a step, measured: fixed, and by entry of the matrix
@@ -116,7 +116,7 @@ def search_while_it_pays(
     bound: float,
     deadline: Deadline,
     apart: float = 0.0,
-    most_spare: int = _MOST_SPARE,
+    most_spare: int = MOST_SPARE,
 ) -> None:
     """Search the longer, the more rows the bound leaves, and again after each find.
 
