@@ -36,8 +36,8 @@ from roadsight.poles.alignment.search import search
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.alignment.verdict import Limits, doubt
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "unit"))
-from road_bed import RoadBed, frames_of
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from tests.helpers.road_bed import RoadBed, frames_of
 
 YAW_DEG = 0.1
 _CROWN_DEG = 1.146

@@ -20,8 +20,8 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import sparse
 
 from bench_measure import Size, measured, row
-from roadsight.io.matrices import read_element_list, read_set_list
-from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
+from roadsight.io.records.matrices import read_element_list, read_set_list
+from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 
 RADIUS_M, HEIGHT_M, MIN_BEAMS = 0.25, 0.6, 8
 AZIMUTH_STEP_DEG = 0.1

@@ -15,15 +15,16 @@ import numpy as np
 from bench_lidar_scene import exact_depth, mobile_cloud, pavement_targets, sensor_poses
 from bench_measure import Cost, Size, measured, row
 from roadsight.evidence.exact_ranges import WRONG_M, share_wrong
-from roadsight.placement.detection import MIN_BEAMS, count_hits
-from roadsight.placement.models import model_of_points
-from roadsight.placement.sensors import Sensor, load_sensors
-from roadsight.placement.surfel_lidar import SurfelLidar
+from roadsight.io.images.depth_networks import network_for
+from roadsight.placement.depth.models import model_of_points
+from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.sensors.sensors import Sensor, load_sensors
+from roadsight.placement.sight.detection import MIN_BEAMS, count_hits
 from roadsight.scene.profile import count_cells, density
 from roadsight.scene.spacing import plan_spacing_m
-from roadsight.scene.surfels import build_surfels
-from roadsight.scene.voxel_moments import sum_moments
-from roadsight.synthetic.highway import build_highway
+from roadsight.scene.surfels.surfels import build_surfels
+from roadsight.scene.surfels.voxel_moments import sum_moments
+from roadsight.synthetic.highway.highway import build_highway
 
 ROOT = Path(__file__).parents[1]
 NETWORKS = {"": "depth_unet.onnx", ", published pairs": "depth_unet_published.onnx"}
@@ -73,7 +74,7 @@ def _compared(
     for title, file in NETWORKS.items():
         for way, model in (("U-Net", "unet"), ("U-Net, mask", "unet_mask")):
             network = str(ROOT / "resources" / "models" / file)
-            ways[way + title] = partial(model_of_points(model, network), cloud)
+            ways[way + title] = partial(model_of_points(model, network_for(model, network)), cloud)
     costs: dict[str, Cost] = {}
     texts, right = {}, {}
     for way, render in ways.items():

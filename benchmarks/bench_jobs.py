@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 
 from bench_lidar import rendered_hits
 from bench_measure import Size, measured, row
-from roadsight.config.tradeoffs import PublishedStage, load_tradeoffs
-from roadsight.io.atomic import read_json
-from roadsight.io.tiles import CloudTiles, stack_xyz
-from roadsight.io.usage import Usage, last_usage
-from roadsight.placement.hybrid import hybrid_depth
-from roadsight.placement.sensors import load_sensors
+from roadsight.evidence.studies import PublishedStage, load_tradeoffs
+from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.usage import Usage, last_usage
+from roadsight.placement.depth.hybrid import hybrid_depth
+from roadsight.placement.sensors.sensors import load_sensors
 
 ROOT = Path(__file__).parents[1]
 PLACEMENT, POLES = "sample", "sample_rural"

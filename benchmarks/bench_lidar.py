@@ -25,15 +25,16 @@ from bench_lidar_scene import (
 )
 from bench_measure import Cost, Size, measured, row
 from roadsight.evidence.exact_ranges import WRONG_M, share_wrong
-from roadsight.placement.detection import MIN_BEAMS, count_hits
-from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
-from roadsight.placement.models import model_of_points
-from roadsight.placement.rays import beam_directions
-from roadsight.placement.sensors import Sensor, load_sensors
-from roadsight.placement.surfel_lidar import SurfelLidar
-from roadsight.scene.surfels import Surfels, build_surfels
-from roadsight.scene.voxel_moments import sum_moments
-from roadsight.synthetic.highway import Highway, build_highway
+from roadsight.io.images.depth_networks import network_for
+from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.depth.models import model_of_points
+from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.sensors.rays import beam_directions
+from roadsight.placement.sensors.sensors import Sensor, load_sensors
+from roadsight.placement.sight.detection import MIN_BEAMS, count_hits
+from roadsight.scene.surfels.surfels import Surfels, build_surfels
+from roadsight.scene.surfels.voxel_moments import sum_moments
+from roadsight.synthetic.highway.highway import Highway, build_highway
 
 SENSORS = ("OS-128", "VLP-16")
 SURFEL, HYBRID, EXACT = "surfel", "hybrid (Algorithm 1)", "exact ray casting"
@@ -92,7 +93,7 @@ def _compile(cloud: NDArray[np.float32], sensor: Sensor, pose: Pose) -> None:
     depth = lidar.depth_map(sensor, *pose)
     hybrid_depth(cloud, sensor, *pose)
     for model in UNETS.values():
-        model_of_points(model, str(NETWORK))(cloud, sensor, *pose)
+        model_of_points(model, network_for(model, NETWORK))(cloud, sensor, *pose)
     count_hits(depth, sensor, *pose, np.zeros((1, 3)))
 
 
@@ -130,7 +131,7 @@ def _depth_maps(
         EXACT: partial(exact_depth, highway),
     }
     for way, model in UNETS.items():
-        ways[way] = partial(model_of_points(model, str(NETWORK)), cloud)
+        ways[way] = partial(model_of_points(model, network_for(model, NETWORK)), cloud)
     depths, costs = {}, {}
     for way, render in ways.items():
         maps, cpu_s, peak = measured(

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.evidence.exact_ranges import exact_ranges
-from roadsight.placement.sensors import Sensor
-from roadsight.placement.targets import place_targets
-from roadsight.synthetic.alignment import heading_at, to_plan
-from roadsight.synthetic.highway import Highway
-from roadsight.synthetic.mobile_scanner import scan
-from roadsight.synthetic.terrain import height_at
+from roadsight.placement.candidates.targets import place_targets
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.synthetic.casting.alignment import heading_at, to_plan
+from roadsight.synthetic.casting.terrain import height_at
+from roadsight.synthetic.highway.highway import Highway
+from roadsight.synthetic.highway.mobile_scanner import scan
 
 Pose = tuple[NDArray[np.float64], float]
 

@@ -21,6 +21,7 @@ from pyproj import CRS
 
 from bench_measure import Size, measured_apart, row
 from roadsight.config.environment import prepare_environment
+from roadsight.io.records.sources import stage_module
 
 POINTS, LENGTH_M, WIDTH_M = 34_012_557, 10_139.0, 30.48
 _BATCH = 1_000_000
@@ -88,7 +89,7 @@ def decode(path: Path, layers: str) -> None:
 
 
 def _stage(name: str, *arguments: str | Path) -> list[str]:
-    return [sys.executable, "-m", f"roadsight.stages.{name}", *map(str, arguments)]
+    return [sys.executable, "-m", stage_module(name), *map(str, arguments)]
 
 
 def rows(size: Size) -> list[dict[str, Any]]:

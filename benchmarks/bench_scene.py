@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench_measure import Size, measured, row
-from roadsight.scene.clusters import euclidean_clusters
-from roadsight.scene.describe import describe_ground
-from roadsight.scene.ground import GroundSettings
-from roadsight.scene.terrain import label_ground
+from roadsight.scene.pavement.clusters import euclidean_clusters
+from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.terrain.ground import GroundSettings
+from roadsight.scene.terrain.terrain import label_ground
 
 NEIGHBOURS = 10
 

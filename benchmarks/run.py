@@ -7,19 +7,19 @@ import importlib
 import os
 import platform
 import sys
-from importlib import resources
 from pathlib import Path
 from typing import get_args
 
 sys.path.insert(0, str(Path(__file__).parent))
 from roadsight.config.environment import prepare_environment
+from roadsight.report.files import read_assets
 
 prepare_environment()
 
 from bench_measure import Size  # noqa: E402  # the number of threads is settled before
 from roadsight import __version__  # noqa: E402
-from roadsight.io.atomic import write_json  # noqa: E402
-from roadsight.report.bench_page import ASSETS, render_bench  # noqa: E402
+from roadsight.io.records.atomic import write_json  # noqa: E402
+from roadsight.report.evidence.bench_page import ASSETS, render_bench  # noqa: E402
 
 PROGRAMS = (
     "bench_scene",
@@ -56,8 +56,7 @@ def main() -> None:
 
 
 def _assets() -> dict[str, str]:
-    folder = resources.files("roadsight.report") / "assets"
-    return {name: (folder / name).read_text(encoding="utf-8") for name in ASSETS}
+    return read_assets(ASSETS)
 
 
 if __name__ == "__main__":

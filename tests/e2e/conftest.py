@@ -5,8 +5,9 @@ from __future__ import annotations
 import shutil
 
 import pytest
-from chromium import BINARY, Chromium
-from studio_project import Studio, make_project
+
+from tests.e2e.chromium import BINARY, Chromium
+from tests.e2e.studio_project import Studio, make_project
 
 
 @pytest.fixture(scope="module")

@@ -15,11 +15,9 @@ import numpy as np
 import yaml
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "tests" / "unit"))
-from report_poles import WIDTH_PX, PolesSite  # noqa: E402
-from report_site import ReportSite  # noqa: E402
-
-from roadsight.io.tables import read_table, write_table  # noqa: E402
+from roadsight.io.records.tables import read_table, write_table  # noqa: E402
+from tests.helpers.report_poles import WIDTH_PX, PolesSite  # noqa: E402
+from tests.helpers.report_site import ReportSite  # noqa: E402
 
 SITES = {
     "tiny": {"title": "Tiny road", "jobs": ["placement"]},

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import re
-import sys
 from pathlib import Path
 
 import pytest
-from chromium import BINARY
 
-from roadsight.stages import write_report, write_site_page
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "unit"))
-from report_site import PLANS, ReportSite
+from roadsight.stages.evidence import write_report, write_site_page
+from tests.e2e.chromium import BINARY
+from tests.helpers.report_site import PLANS, ReportSite
 
 pytestmark = pytest.mark.skipif(BINARY is None, reason="no Chromium to open the report with")
 

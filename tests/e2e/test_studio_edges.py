@@ -7,15 +7,15 @@ import re
 
 import numpy as np
 import pytest
-import studio_page
 import yaml
-from studio_page import check_look, key, open_studio
 
+from roadsight.base.texts import read_yaml
 from roadsight.config.load import load_config, load_site
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import read_json
-from roadsight.io.texts import read_yaml
-from roadsight.io.vectors import read_lines, read_polygons
+from roadsight.io.records.atomic import read_json
+from roadsight.io.vector.vectors import read_lines, read_polygons
+from tests.e2e import studio_page
+from tests.e2e.studio_page import check_look, key, open_studio
 
 pytestmark = pytest.mark.xdist_group("studio")
 READY = "window.studio?.page?.preview && studio.page.view.settled && !studio.page.looking"

@@ -6,11 +6,11 @@ import statistics
 
 import numpy as np
 import pytest
-from chromium import BINARY, Chromium
-from studio_page import open_studio
-from studio_project import Studio, make_project
 
-from roadsight.io.tile_writer import TileWriter
+from roadsight.io.cloud.tile_writer import TileWriter
+from tests.e2e.chromium import BINARY, Chromium
+from tests.e2e.studio_page import open_studio
+from tests.e2e.studio_project import Studio, make_project
 
 pytestmark = [
     pytest.mark.full,

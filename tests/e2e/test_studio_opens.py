@@ -10,7 +10,8 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 import yaml
-from studio_project import Studio, make_project
+
+from tests.e2e.studio_project import Studio, make_project
 
 pytestmark = pytest.mark.xdist_group("studio")
 NAMED = "my road (2)"

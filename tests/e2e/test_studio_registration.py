@@ -7,14 +7,23 @@ import shutil
 import numpy as np
 import pandas as pd
 import pytest
-from studio_page import check_look, click_at, drag, hold_back, key, noted, open_studio, press
-from studio_project import Studio, make_project
 
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import read_json
-from roadsight.io.baselines import read_baselines
-from roadsight.io.camera_tables import read_cameras
+from roadsight.io.images.baselines import read_baselines
+from roadsight.io.images.camera_tables import read_cameras
+from roadsight.io.records.atomic import read_json
+from tests.e2e.studio_page import (
+    check_look,
+    click_at,
+    drag,
+    hold_back,
+    key,
+    noted,
+    open_studio,
+    press,
+)
+from tests.e2e.studio_project import Studio, make_project
 
 pytestmark = pytest.mark.xdist_group("studio")
 READY = "window.studio?.page?.content && studio.page.error && !studio.page.measuring"

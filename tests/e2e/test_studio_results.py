@@ -6,8 +6,9 @@ import shutil
 
 import pytest
 import yaml
-from studio_page import LOOKS, check_look, click, hold_back, key, open_studio, text
-from studio_project import Studio, make_project
+
+from tests.e2e.studio_page import LOOKS, check_look, click, hold_back, key, open_studio, text
+from tests.e2e.studio_project import Studio, make_project
 
 pytestmark = pytest.mark.xdist_group("studio")
 PART = "studio.page.part"

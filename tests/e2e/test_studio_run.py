@@ -6,10 +6,11 @@ import json
 import sys
 
 import pytest
-from studio_page import LOOKS, check_look, click, key, open_studio, text
-from studio_project import Studio, make_project
 
-from small_workflow import small_project  # isort: skip  # studio_project says where it is
+from tests.e2e.studio_page import LOOKS, check_look, click, key, open_studio, text
+from tests.e2e.studio_project import Studio, make_project
+
+from tests.helpers.small_workflow import small_project  # isort: skip  # studio_project says where it is
 
 pytestmark = pytest.mark.xdist_group("studio")
 EFFECT = {

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 
 import pytest
-from studio_page import hold_back, key, noted, open_studio
+
+from tests.e2e.studio_page import hold_back, key, noted, open_studio
 
 pytestmark = pytest.mark.xdist_group("studio")
 READY = "window.studio?.page?.preview && !studio.page.looking"

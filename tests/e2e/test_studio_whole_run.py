@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from chromium import BINARY
-from studio_page import check_look, click, key, open_studio, text
-from studio_project import Studio
-from tests.workflow.conftest import Checkout
 
-from roadsight.io.atomic import read_json
+from roadsight.io.records.atomic import read_json
+from tests.e2e.chromium import BINARY
+from tests.e2e.studio_page import check_look, click, key, open_studio, text
+from tests.e2e.studio_project import Studio
+from tests.workflow.conftest import Checkout
 
 pytestmark = [
     pytest.mark.full,

@@ -16,25 +16,25 @@ import pandas as pd
 import pytest
 import shapely
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
-from roadsight.io.atomic import write_json
-from roadsight.io.clouds import write_laz
-from roadsight.io.depth_maps import DepthMapInfo, DepthMapWriter
-from roadsight.io.image_shards import ImageShardWriter
-from roadsight.io.rasters import write_raster
-from roadsight.io.tables import write_table
-from roadsight.io.terrains import write_terrain
-from roadsight.io.tile_writer import TileWriter
-from roadsight.io.top_rasters import TopRasterWriter
-from roadsight.io.vectors import write_geojson, write_layers
-from roadsight.io.videolog_shards import JpegShardWriter, write_csv
-from roadsight.io.voxel_tables import VoxelTableWriter
-from roadsight.scene.tin import Terrain
-from roadsight.scene.voxel_classes import Columns, VoxelGrid
-from roadsight.stages.ingest_cloud import ingest
-from tests.unit.las_files import wkt_of
+from roadsight.io.cloud.clouds import write_laz
+from roadsight.io.cloud.tile_writer import TileWriter
+from roadsight.io.cloud.voxel_tables import VoxelTableWriter
+from roadsight.io.images.image_shards import ImageShardWriter
+from roadsight.io.images.videolog_shards import JpegShardWriter, write_csv
+from roadsight.io.raster.rasters import write_raster
+from roadsight.io.raster.top_rasters import TopRasterWriter
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.depth_maps import DepthMapInfo, DepthMapWriter
+from roadsight.io.records.tables import write_table
+from roadsight.io.records.terrains import write_terrain
+from roadsight.io.vector.vectors import write_geojson, write_layers
+from roadsight.scene.terrain.tin import Terrain
+from roadsight.scene.voxels.voxel_classes import Columns, VoxelGrid
+from roadsight.stages.scene.ingest_cloud import ingest
+from tests.helpers.las_files import wkt_of
 
 FRAME = Frame((458_000.0, 5_428_000.0, 100.0), crs_wkt=wkt_of("EPSG:25832"))
 RNG = np.random.default_rng(5)
@@ -67,7 +67,7 @@ def tiles(path):
 
 def waiting_tiles(path):
     """As `tiles`, when hardly any points are held."""
-    with patch("roadsight.io.tile_writer._HELD_POINTS", 5000):
+    with patch("roadsight.io.cloud.tile_writer._HELD_POINTS", 5000):
         tiles(path)
 
 
@@ -181,7 +181,7 @@ def test_a_cloud_is_read_on_a_full_disk(tmp_path):
     target = tmp_path / "out" / "cloud.parquet"
     whole = (UnitChoice(), None, 25.0, target, tmp_path / "out" / "frame.json", 1000)
     with (
-        patch("roadsight.io.tile_writer._HELD_POINTS", 5000),
+        patch("roadsight.io.cloud.tile_writer._HELD_POINTS", 5000),
         files_at_most(30_000),
         pytest.raises(InputError, match="no room") as error,
     ):

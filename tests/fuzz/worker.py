@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from tests.fuzz.mutate import mutated
 from tests.fuzz.readers import READERS, Reader
 

@@ -10,8 +10,8 @@ import pytest
 
 from roadsight.evidence.hardcases.case import CaseResult, hard_case, measure
 from roadsight.evidence.hardcases.catalogue import all_cases
-from roadsight.report.hardcases_page import ASSETS, render_hardcases, share_of_bound
-from roadsight.stages.run_hardcases import case_table, main
+from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases, share_of_bound
+from roadsight.stages.evidence.run_hardcases import case_table, main
 
 CASES = all_cases()
 NO_NUMERICS = {
@@ -100,7 +100,7 @@ def test_a_case_passes_only_if_it_is_hard_and_held(naive, ours, passed):
 
 def test_table_and_page(tmp_path, project, monkeypatch):
     few = CASES[:3]
-    monkeypatch.setattr("roadsight.stages.run_hardcases.all_cases", lambda: few)
+    monkeypatch.setattr("roadsight.stages.evidence.run_hardcases.all_cases", lambda: few)
     table, page = tmp_path / "hardcases.csv", tmp_path / "index.html"
     assert main(["--table", str(table), "--page", str(page)]) == 0
     with table.open(newline="") as file:

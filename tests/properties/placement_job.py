@@ -10,8 +10,9 @@ import laspy
 import numpy as np
 import pandas as pd
 
-from roadsight.io.atomic import read_json
-from roadsight.io.tables import read_table
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.sources import stage_module
+from roadsight.io.records.tables import read_table
 
 SENSORS = str(Path(__file__).resolve().parents[2] / "config/sensors.yaml")
 SENSOR = "OS-32"
@@ -102,7 +103,7 @@ class PlacementJob:
 
     def _stage(self, stage: str, *options: str, **files: str) -> None:
         named = [p for key, name in files.items() for p in (f"--{key}", self.path(name))]
-        assert importlib.import_module(f"roadsight.stages.{stage}").main([*named, *options]) == 0
+        assert importlib.import_module(stage_module(stage)).main([*named, *options]) == 0
 
     def run(self, street: Street) -> PlacementJob:
         """All stages from the cloud to the proven cover of one plan."""

@@ -13,8 +13,9 @@ import pandas as pd
 from pyproj import CRS, Transformer
 
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, pixel_directions, project
-from roadsight.io.tables import read_table
-from roadsight.poles.classes import PixelClass
+from roadsight.io.records.sources import stage_module
+from roadsight.io.records.tables import read_table
+from roadsight.poles.images.classes import PixelClass
 
 LABELS = str(Path(__file__).resolve().parents[2] / "resources/manifests/labels_project.yaml")
 LENS = Intrinsics.from_field_of_view(800, 480, 60.0)
@@ -158,7 +159,7 @@ class PolesJob:
             for key, name in files.items()
             for part in (f"--{key.replace('_', '-')}", self.path(name))
         ]
-        assert importlib.import_module(f"roadsight.stages.{stage}").main([*named, *options]) == 0
+        assert importlib.import_module(stage_module(stage)).main([*named, *options]) == 0
 
     def run(self, lane: Lane) -> PolesJob:
         """All stages from the cloud and the videolog to the poles."""

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from roadsight.placement.cover import CoverProblem, solve_cover_problem
-from roadsight.placement.cover.reductions import reduce_problem
+from roadsight.setcover import CoverProblem, solve_cover_problem
+from roadsight.setcover.common.reductions import reduce_problem
 
 
 @st.composite

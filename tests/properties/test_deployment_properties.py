@@ -9,14 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import sparse
 
-from roadsight.errors import InputError
-from roadsight.placement.cover import CoverProblem
-from roadsight.placement.cover.alternatives import most_different, replacements
-from roadsight.placement.cover.conflicts import spacing_cliques
-from roadsight.placement.cover.curve import coverage_curve
-from roadsight.placement.cover.deadline import WorkLimit
-from roadsight.placement.cover.deploy import solve_costly_cover, solve_deployment
-from roadsight.placement.cover.deployment import Deployment
+from roadsight.base.errors import InputError
+from roadsight.setcover import CoverProblem
+from roadsight.setcover.common.deadline import WorkLimit
+from roadsight.setcover.plans.alternatives import most_different, replacements
+from roadsight.setcover.plans.conflicts import spacing_cliques
+from roadsight.setcover.plans.curve import coverage_curve
+from roadsight.setcover.plans.deploy import solve_costly_cover, solve_deployment
+from roadsight.setcover.plans.deployment import Deployment
 
 GOALS = ("cover", "budget", "price", "overlap")
 

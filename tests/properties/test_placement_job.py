@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from placement_job import PlacementJob, make_street
 
-from roadsight.io.tables import read_table
+from roadsight.io.records.tables import read_table
+from tests.properties.placement_job import PlacementJob, make_street
 
 pytestmark = [pytest.mark.full, pytest.mark.xdist_group("placement_job")]
 FEET = 3937 / 1200

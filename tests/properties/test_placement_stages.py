@@ -16,15 +16,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from shapely import LineString, MultiPolygon, affinity
 
-from roadsight.placement.candidates import HeightSettings, stack_candidates
-from roadsight.placement.detection import count_hits
-from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
-from roadsight.placement.positions import positions_along
-from roadsight.placement.sensors import Sensor
-from roadsight.placement.surfel_lidar import SurfelLidar
-from roadsight.placement.targets import place_targets
-from roadsight.scene.surfels import build_surfels
-from roadsight.scene.voxel_moments import add_moments, sum_moments
+from roadsight.placement.candidates.candidates import HeightSettings, stack_candidates
+from roadsight.placement.candidates.positions import positions_along
+from roadsight.placement.candidates.targets import place_targets
+from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sight.detection import count_hits
+from roadsight.scene.surfels.surfels import build_surfels
+from roadsight.scene.surfels.voxel_moments import add_moments, sum_moments
 
 SEEDS = st.integers(0, 2**31)
 ANGLES = st.floats(-180.0, 180.0)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from poles_job import PolesJob, make_lane
 
 from roadsight.geometry.cameras import wrap_deg
+from tests.properties.poles_job import PolesJob, make_lane
 
 pytestmark = [pytest.mark.full, pytest.mark.xdist_group("poles_job")]
 

@@ -9,17 +9,17 @@ from hypothesis import strategies as st
 
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.geometry.frames import Frame
-from roadsight.poles.classes import PixelClass
-from roadsight.poles.hazard import HazardSettings, rate_poles
-from roadsight.poles.image_edges import trace_edges
-from roadsight.poles.pole_masks import find_instances
-from roadsight.poles.scenarios import RouteTracks
-from roadsight.poles.track import headings_deg
+from roadsight.poles.drive.track import headings_deg
+from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.image_edges import trace_edges
+from roadsight.poles.images.pole_masks import find_instances
+from roadsight.poles.risk.hazard import HazardSettings, rate_poles
+from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.triangulate.locate import triangulate
 from roadsight.poles.triangulate.rays import TriangulationSettings, make_rays
-from roadsight.scene.tin import add_cells, cell_means, sum_cells
-from roadsight.scene.tin import triangulate as make_terrain
-from roadsight.scene.voxel_classes import (
+from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells
+from roadsight.scene.terrain.tin import triangulate as make_terrain
+from roadsight.scene.voxels.voxel_classes import (
     VoxelGrid,
     add_runs,
     count_classes,

@@ -8,12 +8,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roadsight.geometry.frames import Frame
-from roadsight.scene.clusters import euclidean_clusters
-from roadsight.scene.fpfh import fpfh
 from roadsight.scene.grids import Grid, lowest_per_cell
-from roadsight.scene.ground import GroundSettings, coarse_at, coarse_ground, ground_mask
-from roadsight.scene.normals import nearest_neighbours, upward_normals
-from roadsight.scene.voxels import column_means
+from roadsight.scene.pavement.clusters import euclidean_clusters
+from roadsight.scene.pavement.fpfh import fpfh
+from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
+from roadsight.scene.surfels.thinning import column_means
+from roadsight.scene.terrain.ground import GroundSettings, coarse_at, coarse_ground, ground_mask
 
 # Cells are binary fractions and points lie on a binary raster, so that moving them is exact.
 SETTINGS = GroundSettings(pillar_width_m=0.25, coarse_cell_m=1.0)

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.kernels import bring_kernels
+from tests.helpers.kernels import bring_kernels
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -15,13 +15,13 @@ import pytest
 import shapely
 import yaml
 
+from roadsight.base.errors import InputError
+from roadsight.base.texts import read_yaml
 from roadsight.config.load import load_config, load_site
-from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import write_json
-from roadsight.io.texts import read_yaml
-from roadsight.io.vectors import write_layers
-from roadsight.stages import (
+from roadsight.io.records.atomic import write_json
+from roadsight.io.vector.vectors import write_layers
+from roadsight.stages.scene import (
     build_dem,
     build_edges,
     cluster_fpfh,
@@ -29,7 +29,7 @@ from roadsight.stages import (
     ingest_cloud,
     profile_scene,
 )
-from tests.unit.las_files import DATA, needs_data, random_points, wkt_of, write_las
+from tests.helpers.las_files import DATA, needs_data, random_points, wkt_of, write_las
 from tests.workflow.conftest import TINY_SITE, Checkout
 
 UTM = wkt_of("EPSG:25832")

@@ -12,17 +12,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import read_json
-from roadsight.io.depth_maps import DepthMaps
-from roadsight.io.image_shards import ImageShard
-from roadsight.io.rasters import read_raster
-from roadsight.io.tables import read_about, read_table
-from roadsight.io.terrains import read_terrain
-from roadsight.io.tiles import CloudTiles
-from roadsight.io.top_rasters import read_top
-from roadsight.io.vectors import read_layer
+from roadsight.io.cloud.tiles import CloudTiles
+from roadsight.io.images.image_shards import ImageShard
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.raster.top_rasters import read_top
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.depth_maps import DepthMaps
+from roadsight.io.records.tables import read_about, read_table
+from roadsight.io.records.terrains import read_terrain
+from roadsight.io.vector.vectors import read_layer
 from tests.faults.disturb import Disturbed, check_same, digests
 
 FRAME = Frame((0.0, 0.0, 0.0))

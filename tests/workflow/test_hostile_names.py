@@ -9,7 +9,7 @@ import shlex
 import pytest
 import yaml
 
-from tests.unit.las_files import random_points, wkt_of, write_las
+from tests.helpers.las_files import random_points, wkt_of, write_las
 from tests.workflow.conftest import Checkout
 
 NAMES = (

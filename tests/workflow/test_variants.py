@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from roadsight.base.errors import InputError
+from roadsight.base.texts import read_yaml
 from roadsight.config.load import load_config
-from roadsight.errors import InputError
 from roadsight.evidence.variants import Variant, VariantError
-from roadsight.io.mirror import mirror_site
-from roadsight.io.texts import read_yaml
+from roadsight.io.records.mirror import mirror_site
 from tests.workflow.conftest import Checkout
 from tests.workflow.test_staleness import after
 

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Sequence
 
 from roadsight import __version__
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 
 COMMANDS = (
     "init",

@@ -10,13 +10,13 @@ from pathlib import Path
 from roadsight.config.environment import prepare_environment
 from roadsight.config.load import load_config, load_site, load_sites
 from roadsight.config.named import NamedValue
-from roadsight.config.tradeoffs import load_evidence_sites, load_tradeoffs
+from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
-from roadsight.errors import InputError
-from roadsight.io.checksums import CachedChecksums
-from roadsight.io.sources import stage_sources
-from roadsight.io.texts import read_yaml
-from roadsight.placement.sensors import load_sensors
+from roadsight.base.errors import InputError
+from roadsight.io.records.checksums import CachedChecksums
+from roadsight.io.records.sources import stage_sources
+from roadsight.base.texts import read_yaml
+from roadsight.placement.sensors.sensors import load_sensors
 
 prepare_environment()
 

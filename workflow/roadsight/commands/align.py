@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pandas as pd
 
+from roadsight.base.errors import InputError
 from roadsight.commands.chain import MANIFESTS, Chain, add_cloud_arguments
-from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import read_json
-from roadsight.io.sighting_tables import write_csv
-from roadsight.io.tables import read_table
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.sighting_tables import write_csv
+from roadsight.io.records.tables import read_table
 
 _COLUMNS = {"heading_deg": "heading_grid_deg", "focal_px": "fx_px"}
 _WRITTEN = (

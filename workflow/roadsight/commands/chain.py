@@ -7,8 +7,9 @@ import importlib
 import sys
 from pathlib import Path
 
-from roadsight.io.atomic import read_json
-from roadsight.stages.ingest_cloud import UNITS
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.sources import stage_module
+from roadsight.stages.scene.ingest_cloud import UNITS
 
 MANIFESTS = Path(__file__).resolve().parents[3] / "resources" / "manifests"
 _ROAD_CLASS, _LEAST_ROAD = "11", 1e-4
@@ -45,7 +46,7 @@ class Chain:
             for name, file in files.items()
             for part in (f"--{name.replace('_', '-')}", self.path(file))
         ]
-        code = importlib.import_module(f"roadsight.stages.{stage}").main([*named, *options])
+        code = importlib.import_module(stage_module(stage)).main([*named, *options])
         if code:
             sys.exit(code)
 

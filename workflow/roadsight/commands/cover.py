@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from roadsight.base.errors import InputError
 from roadsight.commands.cover_options import Asked, asked_of, curve_of, swaps_of
-from roadsight.errors import InputError
-from roadsight.io.atomic import write_json
-from roadsight.io.matrices import read_matrix, read_vector
-from roadsight.placement.cover import Cover, CoverProblem, solve_cover_problem
-from roadsight.placement.cover.deploy import solve_deployment
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.matrices import read_matrix, read_vector
+from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
+from roadsight.setcover.plans.deploy import solve_deployment
 
 _FIRST = 5
 

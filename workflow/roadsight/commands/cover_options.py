@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.errors import InputError
-from roadsight.io.matrices import read_vector
-from roadsight.placement.cover import Cover, CoverProblem
-from roadsight.placement.cover.alternatives import replacements
-from roadsight.placement.cover.budget import budgeted
-from roadsight.placement.cover.conflicts import spacing_cliques
-from roadsight.placement.cover.curve import coverage_curve, spread_budgets
-from roadsight.placement.cover.deployment import Deployment
-from roadsight.placement.cover.problem import objective_step
+from roadsight.base.errors import InputError
+from roadsight.io.records.matrices import read_vector
+from roadsight.setcover import Cover, CoverProblem
+from roadsight.setcover.common.problem import objective_step
+from roadsight.setcover.plans.alternatives import replacements
+from roadsight.setcover.plans.budget import budgeted
+from roadsight.setcover.plans.conflicts import spacing_cliques
+from roadsight.setcover.plans.curve import coverage_curve, spread_budgets
+from roadsight.setcover.plans.deployment import Deployment
 
 
 @dataclass(frozen=True)

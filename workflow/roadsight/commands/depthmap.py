@@ -8,14 +8,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.errors import InputError
 from roadsight.commands.memory import MemoryCloud, add_cloud_arguments, check_output, load_cloud
-from roadsight.errors import InputError
-from roadsight.io.atomic import atomic_path
-from roadsight.placement.models import MODELS, model_of_points
-from roadsight.placement.sensors import Sensor, load_sensor
-from roadsight.placement.surfel_lidar import SurfelLidar
-from roadsight.scene.surfels import build_surfels
-from roadsight.scene.voxel_moments import sum_moments
+from roadsight.io.images.depth_networks import network_for
+from roadsight.io.records.atomic import atomic_path
+from roadsight.placement.depth.models import MODELS, model_of_points
+from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.sensors.sensors import Sensor, load_sensor
+from roadsight.scene.surfels.surfels import build_surfels
+from roadsight.scene.surfels.voxel_moments import sum_moments
 
 _SENSORS = Path(__file__).parents[3] / "config" / "sensors.yaml"
 _NETWORK = Path(__file__).parents[3] / "resources" / "models" / "depth_unet.onnx"
@@ -86,7 +87,7 @@ def _depth(
 ) -> NDArray[np.float32]:
     yaw_deg = arguments.azimuth_deg
     if arguments.model != "surfel":
-        model = model_of_points(arguments.model, arguments.network)
+        model = model_of_points(arguments.model, network_for(arguments.model, arguments.network))
         return model(cloud.xyz_m, sensor, position_m, yaw_deg)
     edge_m = max(_SURFEL_M, cloud.spacing_m)
     surfels = build_surfels(sum_moments(cloud.xyz_m, edge_m))

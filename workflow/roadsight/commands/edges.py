@@ -6,6 +6,7 @@ import argparse
 
 import geopandas as gpd
 
+from roadsight.base.errors import InputError
 from roadsight.commands.memory import (
     add_cloud_arguments,
     check_output,
@@ -14,9 +15,8 @@ from roadsight.commands.memory import (
     pavement_of,
 )
 from roadsight.commands.pavement import add_pavement_arguments
-from roadsight.errors import InputError
-from roadsight.io.vectors import write_layers
-from roadsight.scene.edges import OutlineSettings, outline_edges, spline_line
+from roadsight.io.vector.vectors import write_layers
+from roadsight.scene.edges.splines import OutlineSettings, outline_edges, spline_line
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
+from roadsight.base.errors import InputError
+from roadsight.base.texts import read_yaml
 from roadsight.config.load import ResolvedSite, load_config, load_site
-from roadsight.errors import InputError
+from roadsight.evidence.cost_tables import SHIPPED, CostTable, fit_costs, read_costs, write_costs
 from roadsight.evidence.costs import Amounts
 from roadsight.evidence.estimate import Estimate, estimate
-from roadsight.io.atomic import write_json
-from roadsight.io.clouds import read_extent, read_header
-from roadsight.io.cost_tables import SHIPPED, CostTable, fit_costs, read_costs, write_costs
-from roadsight.io.las_header import CloudHeader
-from roadsight.io.texts import read_yaml
-from roadsight.io.videologs import ImageSource
+from roadsight.io.cloud.clouds import read_extent, read_header
+from roadsight.io.cloud.las_header import CloudHeader
+from roadsight.io.images.videologs import ImageSource
+from roadsight.io.records.atomic import write_json
 
 log = logging.getLogger("roadsight")
 

@@ -11,7 +11,7 @@ from roadsight.commands.memory import (
     labels_of,
     load_cloud,
 )
-from roadsight.io.clouds import write_laz
+from roadsight.io.cloud.clouds import write_laz
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

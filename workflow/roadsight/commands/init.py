@@ -13,14 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.geometry.crs import StatedCrs, unit_name
 from roadsight.geometry.location import utm_code
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import centre_of, site_frame
-from roadsight.io.atomic import atomic_path
-from roadsight.io.cloud_scan import CloudScan, Contents, kept_chunks, scan_cloud
-from roadsight.io.las_header import CloudHeader
+from roadsight.io.cloud.cloud_scan import CloudScan, Contents, kept_chunks, scan_cloud
+from roadsight.io.cloud.las_header import CloudHeader
+from roadsight.io.records.atomic import atomic_path
 from roadsight.scene.profile import CELL_M, density, merge_counts
 
 _DATA_VARIABLE = "ROADSIGHT_DATA"

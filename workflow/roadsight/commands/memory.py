@@ -11,23 +11,23 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely import MultiPolygon
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
-from roadsight.io.clouds import NativeCloud, read_laz
-from roadsight.scene.describe import GroundDescription, describe_ground
-from roadsight.scene.ground import GroundSettings, ground_settings_for
-from roadsight.scene.pavement import (
+from roadsight.io.cloud.clouds import NativeCloud, read_laz
+from roadsight.scene.pavement.describe import GroundDescription, describe_ground
+from roadsight.scene.pavement.outline import (
     PavementSettings,
     inside,
     outline_pavement,
     pavement_settings_for,
 )
+from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.profile import count_cells, density
-from roadsight.scene.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.spacing import plan_spacing_m, uses_intensity
-from roadsight.scene.terrain import label_ground
-from roadsight.stages.ingest_cloud import UNITS, survey
+from roadsight.scene.terrain.ground import GroundSettings, ground_settings_for
+from roadsight.scene.terrain.terrain import label_ground
+from roadsight.stages.scene.ingest_cloud import UNITS, survey
 
 log = logging.getLogger("roadsight")
 

@@ -12,7 +12,7 @@ from roadsight.commands.memory import (
     load_cloud,
     pavement_of,
 )
-from roadsight.io.clouds import write_laz
+from roadsight.io.cloud.clouds import write_laz
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

@@ -9,19 +9,24 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from roadsight.base.errors import InputError
 from roadsight.commands.chain import Chain, add_cloud_arguments
-from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import read_json, write_json
-from roadsight.io.clicked_pairs import read_pairs
-from roadsight.io.rasters import read_raster
-from roadsight.io.sighting_tables import read_text_table
-from roadsight.io.tables import read_table
+from roadsight.io.images.clicked_pairs import read_pairs
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.sighting_tables import read_text_table
+from roadsight.io.records.tables import read_table
 from roadsight.poles.alignment.drive import Place, places_of
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import RoadEdges
-from roadsight.poles.baselines import baseline
-from roadsight.poles.registration import FEWEST_PAIRS, Registration, is_flat, register_camera
+from roadsight.poles.calibration.baselines import baseline
+from roadsight.poles.calibration.registration import (
+    FEWEST_PAIRS,
+    Registration,
+    is_flat,
+    register_camera,
+)
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

@@ -6,8 +6,8 @@ import argparse
 import math
 from dataclasses import replace
 
-from roadsight.errors import InputError
-from roadsight.io.sighting_tables import read_sightings, write_csv
+from roadsight.base.errors import InputError
+from roadsight.io.records.sighting_tables import read_sightings, write_csv
 from roadsight.poles.triangulate.geographic import triangulate_geographic, triangulate_published
 from roadsight.poles.triangulate.published import PUBLISHED_DISTANCE
 from roadsight.poles.triangulate.rays import TriangulationSettings

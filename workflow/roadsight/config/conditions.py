@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from roadsight.config.section import Section, Share
+from roadsight.base.section import Section, Share
 
 
 class Conditions(Section):

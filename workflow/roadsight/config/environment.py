@@ -7,7 +7,7 @@ import os
 import sys
 from pathlib import Path
 
-from roadsight.io.sources import package_digest
+from roadsight.io.records.sources import package_digest
 
 _PYC_HEADER_BYTES = 16
 _THREADS = (

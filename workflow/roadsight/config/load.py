@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from roadsight.base.errors import InputError
+from roadsight.base.texts import read_yaml
+from roadsight.base.validation import check_path, validated
 from roadsight.config.plans import Plan, check_sensors, load_plans
 from roadsight.config.schema import Config, Settings
 from roadsight.config.sites import Site
-from roadsight.config.validate import check_path, validated
 from roadsight.effects.catalogue import check_names, load_catalogue
-from roadsight.errors import InputError
-from roadsight.io.texts import read_yaml
 
 SITES = Path("config/sites")
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
-from roadsight.config.section import Count, Metres, Section
+from roadsight.base.section import Count, Metres, Section
 
 Money = Annotated[float, Field(ge=0, le=1e12)]
 FILES = ("areas", "forbidden", "mandatory", "poles")

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pydantic import Field, model_validator
 
+from roadsight.base.errors import InputError, nearest
+from roadsight.base.section import Name, Section
+from roadsight.base.texts import read_yaml
+from roadsight.base.validation import validated
 from roadsight.config.plan_options import PlanOptions
-from roadsight.config.section import Name, Section
-from roadsight.config.validate import validated
-from roadsight.errors import InputError, nearest
-from roadsight.io.texts import read_yaml
 
 
 class Plan(PlanOptions):

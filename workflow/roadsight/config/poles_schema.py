@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from roadsight.config.section import Count, Degrees, LasClass, Metres, Positive, Section
+from roadsight.base.section import Count, Degrees, LasClass, Metres, Positive, Section
 
 
 class Voxels(Section):

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from roadsight.config.section import Section
+from roadsight.base.section import Section
 
 Yaw = Annotated[float, Field(ge=-180, le=180)]
 Pitch = Annotated[float, Field(ge=-90, le=90)]

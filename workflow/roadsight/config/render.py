@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from roadsight.config.schema import Config
-from roadsight.io.atomic import atomic_path
+from roadsight.io.records.atomic import atomic_path
 
 _HEAD = """\
 # Settings of roadsight. Generated from the schema by `make config`: a site file may override any of

@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from roadsight.base.section import Count, Metres, Name, Section, Share
 from roadsight.config.conditions import Conditions
 from roadsight.config.poles_schema import (
     Alignment,
@@ -22,7 +23,6 @@ from roadsight.config.poles_schema import (
     Voxels,
 )
 from roadsight.config.poses import Poses
-from roadsight.config.section import Count, Metres, Name, Section, Share
 from roadsight.config.sensing import Lidar, Targets
 
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
-from roadsight.config.section import Count, Metres, Section
+from roadsight.base.section import Count, Metres, Section
 
 Curve = Annotated[list[float], Field(min_length=2, max_length=2)]
 """a and b of p = a ln(n) + b."""
@@ -45,7 +45,7 @@ class Targets(Section):
     lidar_curve: Curve = Field(
         default=[0.152, 0.659],
         description="a and b of the probability a ln(n) + b to be found by n beams"
-        " (docs/targets.md)",
+        " (docs/placement/targets.md)",
     )
     camera_curve: Curve = Field(
         default=[0.055, 0.155], description="the same by n pixels of a camera"
@@ -66,7 +66,7 @@ class Lidar(Section):
     """Virtual LiDAR."""
 
     model: Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"] = Field(
-        default="surfel", description="way to depth maps (docs/depth-maps.md)"
+        default="surfel", description="way to depth maps (docs/placement/depth-maps.md)"
     )
     network: str = Field(
         default="resources/models/depth_unet.onnx",

@@ -6,8 +6,8 @@ from typing import Any, Literal
 
 from pydantic import Field, model_validator
 
+from roadsight.base.section import Count, Name, Section
 from roadsight.config.plans import Plan
-from roadsight.config.section import Count, Name, Section
 
 Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
 
@@ -70,7 +70,9 @@ class PlacementInputs(Section):
 class Masks(Section):
     """Where the classes of pixels come from: a network, or label images made elsewhere."""
 
-    model: str | None = Field(default=None, description="manifest of an ONNX model, docs/models.md")
+    model: str | None = Field(
+        default=None, description="manifest of an ONNX model, docs/poles/models.md"
+    )
     labels: str | None = Field(default=None, description="folder of label images")
     map: str | None = Field(default=None, description="label map of the label images")
 
@@ -91,7 +93,9 @@ class Masks(Section):
 class Depth(Section):
     """Where the relative depth of pixels comes from."""
 
-    model: str | None = Field(default=None, description="manifest of an ONNX model, docs/models.md")
+    model: str | None = Field(
+        default=None, description="manifest of an ONNX model, docs/poles/models.md"
+    )
     images: str | None = Field(default=None, description="folder of 16-bit images, 0 = unknown")
     kind: Literal["inverse_depth", "depth"] = Field(
         default="inverse_depth", description="what the images hold; larger inverse depth is nearer"

@@ -8,12 +8,12 @@ from typing import Literal
 
 from pydantic import Field
 
-from roadsight.config.section import Section
-from roadsight.config.validate import validated
+from roadsight.base.errors import InputError, nearest
+from roadsight.base.section import Section
+from roadsight.base.texts import read_yaml
+from roadsight.base.validation import validated
 from roadsight.effects.quantities import QUANTITIES as PLACEMENT
 from roadsight.effects.quantities_poles import QUANTITIES as POLES
-from roadsight.errors import InputError, nearest
-from roadsight.io.texts import read_yaml
 
 Mode = Literal["auto", "simulate", "skip"]
 Job = Literal["placement", "poles"]

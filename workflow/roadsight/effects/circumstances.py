@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from roadsight.placement.sensors import AnySensor
+from roadsight.placement.sensors.sensors import AnySensor
 
 SETTINGS: dict[str, set[str] | bool] = {
     "conditions": True,

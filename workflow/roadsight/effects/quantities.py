@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from roadsight.effects.circumstances import Circumstances, Quantity
-from roadsight.placement.earth import rise_m
-from roadsight.placement.light import (
+from roadsight.placement.sensors.earth import rise_m
+from roadsight.placement.sensors.light import (
     CLEAR_M,
     contrast_range_m,
     fog_extinction_per_m,
@@ -17,9 +17,9 @@ from roadsight.placement.light import (
     reflectivity_range_m,
     wavelength_nm,
 )
-from roadsight.placement.passing import CAR, TRUCK, expected_in_the_way, vehicles_per_m
-from roadsight.placement.sensors import AnySensor, Camera, Radar, Rosette, Sensor
-from roadsight.placement.shapes import shape_of
+from roadsight.placement.sensors.sensors import AnySensor, Camera, Radar, Rosette, Sensor
+from roadsight.placement.sight.passing import CAR, TRUCK, expected_in_the_way, vehicles_per_m
+from roadsight.placement.sight.shapes import shape_of
 
 _NEAREST_LANES = 2.0
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 
 from roadsight.effects.circumstances import Circumstances, Quantity
-from roadsight.placement.earth import rise_m
-from roadsight.poles.drive_lenses import with_given
-from roadsight.poles.plumb_line import CERTAIN_SIGMAS
+from roadsight.placement.sensors.earth import rise_m
+from roadsight.poles.drive.drive_lenses import with_given
+from roadsight.poles.images.plumb_line import CERTAIN_SIGMAS
 
 _KNOWN_TO = 0.9
 """Fields of view are known to 10 %: a narrower one shows less of the roadside."""

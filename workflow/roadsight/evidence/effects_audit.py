@@ -9,10 +9,10 @@ from typing import Any
 
 import pandas as pd
 
-from roadsight.io.atomic import read_json
-from roadsight.io.detections import read_detections
-from roadsight.io.tables import read_table
-from roadsight.io.usage import last_usage
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.detections import read_detections
+from roadsight.io.records.tables import read_table
+from roadsight.io.records.usage import last_usage
 
 RULES = {
     "mount_tilt": "tilt_mounts",

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from roadsight.evidence.exact_ranges import exact_ranges
 from roadsight.geometry.frames import Frame
-from roadsight.placement.detection import MIN_BEAMS, count_hits
-from roadsight.placement.sensors import Sensor
-from roadsight.synthetic.alignment import to_plan
-from roadsight.synthetic.highway import build_highway
-from roadsight.synthetic.terrain import height_at
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sight.detection import MIN_BEAMS, count_hits
+from roadsight.synthetic.casting.alignment import to_plan
+from roadsight.synthetic.casting.terrain import height_at
+from roadsight.synthetic.highway.highway import build_highway
 
 _FLOATS = NDArray[np.float64]
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.placement.rays import beam_directions
-from roadsight.placement.sensors import Sensor
-from roadsight.synthetic.scene import Scene
+from roadsight.placement.sensors.rays import beam_directions
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.synthetic.casting.scene import Scene
 
 _FLOATS = NDArray[np.float64]
 

@@ -25,9 +25,9 @@ from roadsight.evidence.placement_metrics import (
     unseen,
 )
 from roadsight.evidence.results import Results
-from roadsight.io.atomic import read_json
-from roadsight.io.tables import read_table
-from roadsight.io.vectors import read_layer
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_table
+from roadsight.io.vector.vectors import read_layer
 
 _MATCH_M = 3
 _STEP_M = 1.0

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from roadsight.evidence.exact_ranges import share_wrong
 from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.evidence.results import Results
-from roadsight.io.atomic import read_json
-from roadsight.io.depth_maps import DepthMaps
-from roadsight.io.detections import read_detections
-from roadsight.io.poses import read_poses
-from roadsight.io.rasters import read_raster
-from roadsight.io.tables import read_table
-from roadsight.placement.sensors import Sensor
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.depth_maps import DepthMaps
+from roadsight.io.records.detections import read_detections
+from roadsight.io.records.poses import read_poses
+from roadsight.io.records.tables import read_table
+from roadsight.placement.sensors.sensors import Sensor
 
 _MAPS = 6
 _STEP_M = 1.0

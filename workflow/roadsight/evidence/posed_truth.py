@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.evidence.exact_highway import ExactHighway
-from roadsight.placement.detection import MIN_BEAMS
-from roadsight.placement.detectors import Criteria, detector_of
-from roadsight.placement.posed import Panorama
-from roadsight.placement.poses import Turn, local_from_sensor
-from roadsight.placement.sensors import AnySensor, load_sensor, panorama_name
-from roadsight.placement.shapes import Cylinder
-from roadsight.placement.sight import Sight
+from roadsight.placement.sensors.poses import Turn, local_from_sensor
+from roadsight.placement.sensors.sensors import AnySensor, load_sensor, panorama_name
+from roadsight.placement.sight.detection import MIN_BEAMS
+from roadsight.placement.sight.detectors import Criteria, detector_of
+from roadsight.placement.sight.posed import Panorama
+from roadsight.placement.sight.shapes import Cylinder
+from roadsight.placement.sight.sight import Sight
 
 _STEP_DEG = 0.2
 TARGET = Cylinder(radius_m=0.25, height_m=0.6)

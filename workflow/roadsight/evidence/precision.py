@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.scene.normals import nearest_neighbours, upward_normals
+from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 
 _FLOATS = NDArray[np.float64]
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.posed_truth import RCS_M2, TARGET
-from roadsight.placement.detection import MIN_BEAMS
-from roadsight.placement.poses import AS_MOUNTED, turns_of
-from roadsight.placement.sensors import AnySensor, Sensor
+from roadsight.placement.sensors.poses import AS_MOUNTED, turns_of
+from roadsight.placement.sensors.sensors import AnySensor, Sensor
+from roadsight.placement.sight.detection import MIN_BEAMS
 
 _SEEN_BY = {
     "kind": "cylinder",

@@ -9,9 +9,9 @@ import pandas as pd
 
 from roadsight.evidence.exact_highway import ExactHighway
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import read_json
-from roadsight.io.tables import read_table
-from roadsight.placement.sensors import AnySensor
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_table
+from roadsight.placement.sensors.sensors import AnySensor
 
 
 @dataclass(frozen=True)

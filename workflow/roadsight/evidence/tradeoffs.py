@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from roadsight.config.tradeoffs import WHOLE_JOB, Measure, Study
 from roadsight.evidence.metrics import METRICS
+from roadsight.evidence.studies import WHOLE_JOB, Measure, Study
 from roadsight.evidence.variants import JobRecord
 
 NOT_OF_THE_JOB = frozenset(
@@ -100,7 +100,7 @@ def study_rows(study: Study, levels: Mapping[str, Mapping[str, Any]]) -> list[di
 
     Parameters
     ----------
-    levels : by name, what `roadsight.stages.measure_tradeoff` wrote.
+    levels : by name, what `roadsight.stages.evidence.measure_tradeoff` wrote.
     """
     return [row for measure in study.measures for row in measure_rows(study, measure, levels)]
 
@@ -184,7 +184,7 @@ def _number(value: float | None) -> float:
 
 
 def precision_rows(measured: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Rows of what `roadsight.stages.measure_precision` wrote."""
+    """Rows of what `roadsight.stages.evidence.measure_precision` wrote."""
     rows = []
     for metric, unit in (("coordinate_error_m", "m"), ("normal_error_deg", "deg")):
         levels = measured["levels"]

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from roadsight.base.errors import InputError
 from roadsight.config.load import merged
-from roadsight.errors import InputError
-from roadsight.io.atomic import write_json
-from roadsight.io.mirror import mirror_site
-from roadsight.io.usage import last_usage
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.mirror import mirror_site
+from roadsight.io.records.usage import last_usage
 
 log = logging.getLogger(__name__)
 

@@ -13,7 +13,7 @@ from typing import Any
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 
 METRES_PER_UNIT = {"metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}
 """Metres in one unit of each name that a site file may state."""

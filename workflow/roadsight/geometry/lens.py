@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 
 _FLOATS = NDArray[np.float64]
 _STEPS = 60

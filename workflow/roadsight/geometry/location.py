@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pyproj import CRS, Proj, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, unit_name, with_linear_unit
 
 _AREA_TOLERANCE_DEG = 1.0

@@ -11,7 +11,7 @@ from typing import Literal
 
 from pyproj import CRS
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.geometry.crs import (
     METRES_PER_UNIT,
     StatedCrs,

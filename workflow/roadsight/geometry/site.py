@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import Transformer
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, linear_units, parse_crs
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.location import (

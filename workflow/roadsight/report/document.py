@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.placement.sensors import KINDS
+from roadsight.placement.sensors.sensors import KINDS
 from roadsight.report import wording
-from roadsight.report.effects import effect_rows
 from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES
-from roadsight.report.page import FORMAT
 from roadsight.report.parameters import figure_rows, setting_groups
-from roadsight.report.plan_view import best_plan, plan_views
-from roadsight.report.poles_page import FORMAT as POLES_FORMAT
-from roadsight.report.poles_view import poles_view
+from roadsight.report.poles.poles_page import FORMAT as POLES_FORMAT
+from roadsight.report.poles.poles_view import poles_view
+from roadsight.report.site.effects import effect_rows
+from roadsight.report.site.page import FORMAT
+from roadsight.report.site.plan_view import best_plan, plan_views
 from roadsight.report.templates import template_environment
 
 _ROWS_SHOWN = 100

@@ -2,6 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from importlib import resources
+
+_FOLDERS = {".j2": "templates", ".css": "styles", ".js": "scripts"}
+
+
+def read_assets(names: Iterable[str]) -> dict[str, str]:
+    """Text of templates, styles and scripts of the pages, by file name."""
+    assets = resources.files("roadsight.report") / "assets"
+    return {
+        name: (assets / _FOLDERS[f".{name.rpartition('.')[2]}"] / name).read_text(encoding="utf-8")
+        for name in names
+    }
+
+
 STYLES = ("base.css", "parts.css", "views.css", "poles.css")
 SCRIPTS = (
     "data.js",

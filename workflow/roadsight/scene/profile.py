@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from roadsight.errors import InputError
-from roadsight.scene.relief import cover_core, slopes_deg
+from roadsight.base.errors import InputError
+from roadsight.scene.terrain.relief import cover_core, slopes_deg
 
 CELL_M = 1.0
 """Edge of the cells that are counted; tiles are made of whole ones."""

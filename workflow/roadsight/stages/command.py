@@ -15,9 +15,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from roadsight.errors import InputError
-from roadsight.io.atomic import written
-from roadsight.io.usage import own_usage
+from roadsight.base.errors import InputError
+from roadsight.io.records.atomic import written
+from roadsight.io.records.usage import own_usage
 
 log = logging.getLogger("roadsight")
 

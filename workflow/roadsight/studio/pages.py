@@ -12,8 +12,8 @@ from typing import Any
 
 from flask import Blueprint, Flask, Response, abort, send_file
 
-from roadsight.studio.evidence_pages import PAGES, pages
 from roadsight.studio.project import Project
+from roadsight.studio.results.evidence_pages import PAGES, pages
 
 _POLICY = (
     "sandbox allow-scripts allow-downloads; default-src 'none'; script-src 'unsafe-inline'; "

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from roadsight.base.errors import InputError
+from roadsight.base.texts import read_yaml
 from roadsight.config.load import SITES, ResolvedSite, load_config, load_site
 from roadsight.config.schema import Config
-from roadsight.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.atomic import read_json
-from roadsight.io.texts import read_yaml
+from roadsight.io.records.atomic import read_json
 
 CONFIG = Path("config/config.yaml")
 FRAME, CLOUD, GROUND, DEM = (

@@ -7,7 +7,7 @@ from typing import TypeVar
 from flask import request
 from pydantic import BaseModel, ValidationError
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 
 Model = TypeVar("Model", bound=BaseModel)
 _JSON = "application/json"

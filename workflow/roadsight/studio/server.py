@@ -11,7 +11,7 @@ from werkzeug.exceptions import HTTPException
 from werkzeug.serving import BaseWSGIServer, WSGIRequestHandler, make_server
 from werkzeug.wrappers import Response as AnyResponse
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.studio.guard import LOOPBACK, protect
 from roadsight.studio.pages import serve_pages
 from roadsight.studio.project import Project

@@ -13,10 +13,10 @@ from typing import Any, Literal
 
 import yaml
 
+from roadsight.base.errors import InputError
 from roadsight.config.load import resolve_site
 from roadsight.config.plan_options import FILES
-from roadsight.errors import InputError
-from roadsight.io.atomic import atomic_path
+from roadsight.io.records.atomic import atomic_path
 from roadsight.studio.project import FRAME, Project, SiteFolder
 from roadsight.studio.site_text import with_value
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import yaml
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 
 
 def with_value(text: str, section: str, key: str, value: str | None) -> str:

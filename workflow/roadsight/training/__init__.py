@@ -1,1 +1,1 @@
-"""Training of the project's own small networks on rendered roads (docs/training.md)."""
+"""Training of the project's own small networks on rendered roads (docs/poles/training.md)."""

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.poles.classes import PixelClass
+from roadsight.poles.images.classes import PixelClass
 from roadsight.training.samples import DEPTH_SCALE, Sample
 
 _FLOATS = NDArray[np.float32]

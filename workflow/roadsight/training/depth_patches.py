@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.placement.normalising import normalised
-from roadsight.training.depth_pairs import STEP_M, DepthPairs
+from roadsight.io.records.depth_pairs import STEP_M, DepthPairs
+from roadsight.placement.depth.normalising import normalised
 
 PATCH_CELLS = 56
 _TRIES = 8

@@ -8,12 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.evidence.exact_ranges import exact_ranges
-from roadsight.placement.sensors import Sensor
-from roadsight.synthetic.alignment import heading_at, to_plan
-from roadsight.synthetic.highway import Highway, build_highway
-from roadsight.synthetic.mobile_scanner import scan
-from roadsight.synthetic.scene import Scene
-from roadsight.synthetic.simple_scenes import (
+from roadsight.placement.depth.depth_sensor import HEIGHTS_M
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.synthetic.casting.alignment import heading_at, to_plan
+from roadsight.synthetic.casting.scene import Scene
+from roadsight.synthetic.casting.simple_scenes import (
     box_scene,
     cylinder_scene,
     ellipsoid_scene,
@@ -21,8 +20,9 @@ from roadsight.synthetic.simple_scenes import (
     tunnel_scene,
     wall_scene,
 )
-from roadsight.synthetic.terrain import height_at
-from roadsight.training.depth_sensor import HEIGHTS_M
+from roadsight.synthetic.casting.terrain import height_at
+from roadsight.synthetic.highway.highway import Highway, build_highway
+from roadsight.synthetic.highway.mobile_scanner import scan
 
 _FLOATS = NDArray[np.float64]
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.evidence.exact_ranges import WRONG_M
-from roadsight.io.depth_networks import DepthNetwork
-from roadsight.placement.depth_filling import fill_linearly
-from roadsight.placement.unet import refined
+from roadsight.io.images.depth_networks import DepthNetwork
+from roadsight.io.records.depth_pairs import STEP_M, DepthPairs, digest, read_dataset
+from roadsight.placement.depth.depth_filling import fill_linearly
+from roadsight.placement.depth.unet import refined
 from roadsight.stages.command import run_stage
-from roadsight.training.depth_pairs import STEP_M, DepthPairs, digest, read_dataset
 from roadsight.training.record import update_record
 
 log = logging.getLogger("evaluate_depth_network")

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.io.models import Model, open_model
-from roadsight.poles.classes import PixelClass
-from roadsight.poles.metric_depth import balancing_weights, fit_metric_depth
-from roadsight.poles.networks import class_mask, inverse_depth, tensor_of
+from roadsight.io.images.models import Model, open_model
+from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.networks import class_mask, inverse_depth, tensor_of
+from roadsight.poles.sightings.metric_depth import balancing_weights, fit_metric_depth
 from roadsight.stages.command import run_stage
 from roadsight.training.measures import (
     affine_fit,

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from roadsight.io.checksums import sha256
+from roadsight.io.records.checksums import sha256
 
 _WARM_UP = 0.05
 _KEEP = 0.998

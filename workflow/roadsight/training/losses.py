@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from roadsight.poles.classes import PixelClass
+from roadsight.poles.images.classes import PixelClass
 
 CLASS_WEIGHTS = {
     PixelClass.ROAD: 1.5,

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.poles.classes import PixelClass
-from roadsight.poles.pole_masks import Instance, find_instances
+from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.pole_masks import Instance, find_instances
 
 _MASK = NDArray[np.uint8]
 _FLOATS = NDArray[np.float64]

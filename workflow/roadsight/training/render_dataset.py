@@ -6,9 +6,9 @@ import argparse
 import logging
 import sys
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.stages.command import run_stage
-from roadsight.synthetic.rendering_training import random_training_views
+from roadsight.synthetic.rendering.rendering_training import random_training_views
 from roadsight.training.samples import Sample, write_sample
 
 log = logging.getLogger("render_dataset")

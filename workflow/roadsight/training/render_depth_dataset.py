@@ -13,12 +13,12 @@ from pathlib import Path
 
 import numpy as np
 
-from roadsight.errors import InputError
-from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
+from roadsight.base.errors import InputError
+from roadsight.io.records.depth_pairs import stack_pairs, write_pairs
+from roadsight.placement.depth.depth_sensor import training_sensor
+from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.stages.command import run_stage
-from roadsight.training.depth_pairs import stack_pairs, write_pairs
 from roadsight.training.depth_scenes import ScannedScene, highway_site, simple_site
-from roadsight.training.depth_sensor import training_sensor
 
 log = logging.getLogger("render_depth_dataset")
 

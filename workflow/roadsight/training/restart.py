@@ -12,7 +12,7 @@ import torch
 from onnx import numpy_helper
 from torch import Tensor, nn
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 
 
 def start_from(network: nn.Module, path: str | os.PathLike[str], images: Tensor) -> None:

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 
 DEPTH_SCALE = 65535.0
 """Stored inverse depth is this over the depth in metres; 0 is the sky."""

@@ -15,11 +15,11 @@ import onnx
 import torch
 from torch import nn
 
-from roadsight.errors import InputError
-from roadsight.placement.normalising import MULTIPLE_CELLS, STEP_DEG
+from roadsight.base.errors import InputError
+from roadsight.io.records.depth_pairs import DepthPairs, digest, read_dataset
+from roadsight.placement.depth.normalising import MULTIPLE_CELLS, STEP_DEG
 from roadsight.stages.command import run_stage
 from roadsight.training.depth_network import DepthUnet, depth_loss
-from roadsight.training.depth_pairs import DepthPairs, digest, read_dataset
 from roadsight.training.depth_patches import PATCH_CELLS, Patches, random_patches
 from roadsight.training.export import export_network
 from roadsight.training.learning import Schedule, facts_of, learn

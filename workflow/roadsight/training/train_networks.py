@@ -18,7 +18,7 @@ import onnx
 import torch
 from torch import Tensor, nn
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.stages.command import run_stage
 from roadsight.training.augment import Batch, Crops, random_batch
 from roadsight.training.export import export_network

@@ -16,9 +16,9 @@ from roadsight.poles.alignment.pose import ALONG, SIZE, Spread, Start
 from roadsight.poles.alignment.roadside import RoadEdges, edges_ahead
 from roadsight.poles.alignment.solve import Fit, ImageEdges, Noise, Task, descend
 from roadsight.poles.alignment.verdict import sigmas
-from roadsight.poles.calibration import Mount, shared_mean
-from roadsight.poles.lidar_poles import stem_axis
-from roadsight.poles.registration import register_camera
+from roadsight.poles.calibration.calibration import Mount, shared_mean
+from roadsight.poles.calibration.registration import register_camera
+from roadsight.poles.sightings.lidar_poles import stem_axis
 
 _FLOATS = NDArray[Any]
 _LENS = Intrinsics.centred(1920, 1200, 1600.0)

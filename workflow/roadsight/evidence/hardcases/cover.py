@@ -11,10 +11,10 @@ from scipy import sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
 from roadsight.evidence.hardcases.case import Errors, hard_case
-from roadsight.placement.cover.problem import CoverProblem
-from roadsight.placement.cover.result import INFEASIBLE
-from roadsight.placement.cover.solve import solve_cover_problem
-from roadsight.placement.coverage import times_seen
+from roadsight.placement.sight.coverage import times_seen
+from roadsight.setcover.common.problem import CoverProblem
+from roadsight.setcover.common.result import INFEASIBLE
+from roadsight.setcover.cover.solve import solve_cover_problem
 
 _FLOATS = NDArray[Any]
 

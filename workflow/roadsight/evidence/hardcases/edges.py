@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from shapely import LineString, MultiPolygon, box
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
-from roadsight.placement.candidates import HeightSettings, facing_deg, free_heights_m
-from roadsight.placement.positions import positions_along
-from roadsight.placement.targets import place_targets
-from roadsight.scene.edges import natural_spline
+from roadsight.placement.candidates.candidates import HeightSettings, facing_deg, free_heights_m
+from roadsight.placement.candidates.positions import positions_along
+from roadsight.placement.candidates.targets import place_targets
+from roadsight.scene.edges.splines import natural_spline
 
 _FLOATS = NDArray[Any]
 

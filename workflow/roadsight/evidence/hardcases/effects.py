@@ -12,15 +12,15 @@ from shapely import LineString, MultiPolygon, Polygon
 
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.lens import RadialLens
-from roadsight.placement.lanes import trace_lanes
-from roadsight.placement.light import (
+from roadsight.placement.candidates.tilt import road_normals, tilt_rotation
+from roadsight.placement.sensors.light import (
     fog_extinction_per_m,
     rain_extinction_per_m,
     range_in_air_m,
 )
-from roadsight.placement.tilt import road_normals, tilt_rotation
-from roadsight.poles.drive_profile import beside_track
-from roadsight.scene.reflectivity import ASPHALT, reflectivity_of
+from roadsight.placement.sight.lanes import trace_lanes
+from roadsight.poles.drive.drive_profile import beside_track
+from roadsight.scene.pavement.reflectivity import ASPHALT, reflectivity_of
 
 _FLOATS = NDArray[Any]
 

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from pyproj import CRS, Geod, Proj, Transformer
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.crs import linear_units, parse_crs, stated_crs
 from roadsight.geometry.frames import Frame
@@ -17,8 +17,8 @@ from roadsight.geometry.location import (
     utm_code,
 )
 from roadsight.geometry.north import SiteNorth
-from roadsight.poles.validation import geodesic_m
-from roadsight.poles.videolog import OK, Site, locate
+from roadsight.poles.drive.videolog import OK, Site, locate
+from roadsight.poles.risk.validation import geodesic_m
 
 _GEOD = Geod(ellps="WGS84")
 

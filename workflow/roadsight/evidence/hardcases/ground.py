@@ -13,10 +13,10 @@ from scipy.spatial import cKDTree
 
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
-from roadsight.io.rasters import read_raster, write_raster
+from roadsight.io.raster.rasters import read_raster, write_raster
 from roadsight.scene.grids import Grid, lowest_per_cell
-from roadsight.scene.ground import GroundSettings, coarse_at, coarse_ground, ground_mask
 from roadsight.scene.profile import mean_spacing_m
+from roadsight.scene.terrain.ground import GroundSettings, coarse_at, coarse_ground, ground_mask
 from roadsight.scene.traffic import Columns, is_traffic
 
 _FLOATS = NDArray[Any]

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.cameras import Intrinsics
-from roadsight.poles.classes import PixelClass
-from roadsight.poles.image_edges import trace_edges
-from roadsight.poles.image_matches import features, matched
-from roadsight.poles.lanes import fit_curve
-from roadsight.poles.manifest import LabelMap
-from roadsight.poles.networks import folder_mask, packed_depth
-from roadsight.poles.pole_masks import find_instances
-from roadsight.poles.sighting_bearing import ViewCamera
-from roadsight.poles.sighting_depth import ground_distances, sample_depth
+from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.image_edges import trace_edges
+from roadsight.poles.images.image_matches import features, matched
+from roadsight.poles.images.lanes import fit_curve
+from roadsight.poles.images.manifest import LabelMap
+from roadsight.poles.images.networks import folder_mask, packed_depth
+from roadsight.poles.images.pole_masks import find_instances
+from roadsight.poles.sightings.sighting_bearing import ViewCamera
+from roadsight.poles.sightings.sighting_depth import ground_distances, sample_depth
 
 _FLOATS = NDArray[Any]
 

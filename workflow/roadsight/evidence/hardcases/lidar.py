@@ -16,20 +16,20 @@ from scipy.spatial import cKDTree
 
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
-from roadsight.io.clouds import read_laz, write_laz
-from roadsight.placement.aimed import Camera
-from roadsight.placement.detection import count_hits
-from roadsight.placement.detectors import Criteria, detector_of
-from roadsight.placement.hybrid import hybrid_depth, preliminary_depth
-from roadsight.placement.obstacles import blocked_sight_lines
-from roadsight.placement.posed import Panorama
-from roadsight.placement.rays import sensor_from_spherical, spherical_from_sensor
-from roadsight.placement.sensors import Sensor
-from roadsight.placement.shapes import Cylinder
-from roadsight.placement.sight import Sight
-from roadsight.placement.surfel_lidar import SurfelLidar
-from roadsight.scene.surfels import build_surfels
-from roadsight.scene.voxel_moments import sum_moments
+from roadsight.io.cloud.clouds import read_laz, write_laz
+from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.sensors.aimed import Camera
+from roadsight.placement.sensors.rays import sensor_from_spherical, spherical_from_sensor
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sight.detection import count_hits
+from roadsight.placement.sight.detectors import Criteria, detector_of
+from roadsight.placement.sight.obstacles import blocked_sight_lines
+from roadsight.placement.sight.posed import Panorama
+from roadsight.placement.sight.shapes import Cylinder
+from roadsight.placement.sight.sight import Sight
+from roadsight.scene.surfels.surfels import build_surfels
+from roadsight.scene.surfels.voxel_moments import sum_moments
 
 _FLOATS = NDArray[Any]
 _AT = (0.0, 0.0, 0.0)

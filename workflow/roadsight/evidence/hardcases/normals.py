@@ -10,11 +10,11 @@ from scipy.spatial import cKDTree
 from sklearn.cluster import KMeans
 
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
-from roadsight.scene.clusters import euclidean_clusters
-from roadsight.scene.describe import describe_ground
-from roadsight.scene.fpfh import fpfh
-from roadsight.scene.normals import nearest_neighbours, upward_normals
-from roadsight.scene.smoothness import fit_smoothness, is_smooth
+from roadsight.scene.pavement.clusters import euclidean_clusters
+from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.pavement.fpfh import fpfh
+from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
+from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 
 _FLOATS = NDArray[Any]
 _FAR = np.array([500_000.0, 6_543_000.0, 200.0])

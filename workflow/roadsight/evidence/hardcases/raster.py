@@ -11,13 +11,19 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.frames import Frame
-from roadsight.scene.occlusion import TerrainSight
-from roadsight.scene.road_edges import EdgeSettings, clean_road, edge_level, edge_lines, outlines
-from roadsight.scene.tin import Terrain, add_cells, cell_means, sum_cells, triangulate
-from roadsight.scene.voxel_classes import VoxelGrid, add_runs, count_classes, settle
+from roadsight.scene.edges.road_edges import (
+    EdgeSettings,
+    clean_road,
+    edge_level,
+    edge_lines,
+    outlines,
+)
+from roadsight.scene.terrain.occlusion import TerrainSight
+from roadsight.scene.terrain.tin import Terrain, add_cells, cell_means, sum_cells, triangulate
+from roadsight.scene.voxels.voxel_classes import VoxelGrid, add_runs, count_classes, settle
 
 _FLOATS = NDArray[Any]
 _FAR = np.array([632_000.0, 6_543_000.0, 0.0])

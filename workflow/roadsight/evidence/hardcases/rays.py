@@ -11,7 +11,7 @@ from pyproj import Geod
 from scipy.optimize import curve_fit
 
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
-from roadsight.poles.metric_depth import fit_metric_depth, fuse_depths, ground_distance_m
+from roadsight.poles.sightings.metric_depth import fit_metric_depth, fuse_depths, ground_distance_m
 from roadsight.poles.triangulate.geographic import triangulate_geographic
 from roadsight.poles.triangulate.locate import error_ellipse, triangulate
 from roadsight.poles.triangulate.rays import TriangulationSettings, cross_rays, make_rays, pair_rays

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.evidence.pavement_scores import binary_scores
-from roadsight.poles.hazard import side_slopes
-from roadsight.poles.scenarios import RouteTracks, track_radius_m
-from roadsight.poles.validation import describe, match_points
+from roadsight.poles.risk.hazard import side_slopes
+from roadsight.poles.risk.scenarios import RouteTracks, track_radius_m
+from roadsight.poles.risk.validation import describe, match_points
 
 _FLOATS = NDArray[Any]
 _FAR = np.array([632_000.0, 4_123_000.0])

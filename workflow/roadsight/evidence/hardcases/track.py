@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.cameras import Intrinsics, wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
-from roadsight.poles.lidar_poles import PoleColumns
-from roadsight.poles.sighting_bearing import ViewCamera, matching_columns
-from roadsight.poles.track import headings_deg
-from roadsight.poles.videolog import TrackSettings, split_drives
+from roadsight.poles.drive.track import headings_deg
+from roadsight.poles.drive.videolog import TrackSettings, split_drives
+from roadsight.poles.sightings.lidar_poles import PoleColumns
+from roadsight.poles.sightings.sighting_bearing import ViewCamera, matching_columns
 
 _FLOATS = NDArray[Any]
 

@@ -15,7 +15,7 @@ from roadsight.poles.alignment.roadside import NearEdges, RoadEdges, edges_ahead
 from roadsight.poles.alignment.roadway import roadway_at
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.alignment.track import extended_track, track_headings_deg
-from roadsight.poles.lidar_poles import PoleColumns
+from roadsight.poles.sightings.lidar_poles import PoleColumns
 
 _FLOATS = NDArray[np.float64]
 Visible = Callable[[_FLOATS, _FLOATS], NDArray[np.bool_]]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import cKDTree
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
 

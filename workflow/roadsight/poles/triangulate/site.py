@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from roadsight.errors import InputError
+from roadsight.base.errors import InputError
 from roadsight.poles.triangulate.groups import locate_points
 from roadsight.poles.triangulate.locate import describe_groups, triangulate
 from roadsight.poles.triangulate.merging import merge_groups

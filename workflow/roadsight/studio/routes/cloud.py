@@ -6,12 +6,12 @@ from typing import Any
 
 from flask import Blueprint, Response, request
 
-from roadsight.io.tiles import stack_xyz
-from roadsight.studio.cloud import Clouds
+from roadsight.io.cloud.tiles import stack_xyz
+from roadsight.studio.cloud.cloud import Clouds
+from roadsight.studio.cloud.snapping import REACH_M, snap_to_cloud
+from roadsight.studio.edges.shapes import Metre, Shape
 from roadsight.studio.project import Project
 from roadsight.studio.requests import body
-from roadsight.studio.shapes import Metre, Shape
-from roadsight.studio.snapping import REACH_M, snap_to_cloud
 
 
 class Place(Shape):

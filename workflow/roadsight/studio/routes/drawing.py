@@ -6,11 +6,11 @@ from typing import Any
 
 from flask import Blueprint
 
-from roadsight.studio.drawing import current_area, load_drawing, save_drawing, terrain_of
-from roadsight.studio.preview import preview
+from roadsight.studio.edges.drawing import current_area, load_drawing, save_drawing, terrain_of
+from roadsight.studio.edges.preview import preview
+from roadsight.studio.edges.shapes import Drawing
 from roadsight.studio.project import Project
 from roadsight.studio.requests import body, version
-from roadsight.studio.shapes import Drawing
 from roadsight.studio.site_files import saving, site_version
 
 

@@ -7,10 +7,10 @@ from typing import Any
 
 from flask import Blueprint, Response
 
-from roadsight.studio.drive import Drives, SiteDrive
-from roadsight.studio.pictures import lens_for, without_distortion
 from roadsight.studio.project import Project
-from roadsight.studio.registering import (
+from roadsight.studio.registration.drive import Drives, SiteDrive
+from roadsight.studio.registration.pictures import lens_for, without_distortion
+from roadsight.studio.registration.registering import (
     BaselineBody,
     PairsBody,
     PoseBody,
@@ -19,7 +19,7 @@ from roadsight.studio.registering import (
     points_around,
     solve_pairs,
 )
-from roadsight.studio.registration_files import save_baseline, save_correction
+from roadsight.studio.registration.registration_files import save_baseline, save_correction
 from roadsight.studio.requests import body, version
 from roadsight.studio.site_files import saving, site_version
 

@@ -6,10 +6,10 @@ from typing import Any
 
 from flask import Blueprint, Response, request
 
-from roadsight.studio.layout import Layouts, WhatIf
-from roadsight.studio.pole_review import Decisions, Pictures, review, save_decisions
 from roadsight.studio.project import Project
 from roadsight.studio.requests import body, version
+from roadsight.studio.results.layout import Layouts, WhatIf
+from roadsight.studio.results.pole_review import Decisions, Pictures, review, save_decisions
 from roadsight.studio.site_files import saving, site_version
 
 

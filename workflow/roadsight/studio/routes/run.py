@@ -7,11 +7,11 @@ from typing import Any
 from flask import Blueprint
 from pydantic import BaseModel, ConfigDict
 
-from roadsight.studio.evidence_pages import effects_of, frontiers
 from roadsight.studio.project import Project
 from roadsight.studio.requests import body
-from roadsight.studio.runs import Runs
-from roadsight.studio.snakemake_calls import Order
+from roadsight.studio.results.evidence_pages import effects_of, frontiers
+from roadsight.studio.run.runs import Runs
+from roadsight.studio.run.snakemake_calls import Order
 
 
 class Stop(BaseModel):

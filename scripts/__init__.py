@@ -1,0 +1,1 @@
+"""Chores of the project: the machine check, the plan of the rooms."""

@@ -1,0 +1,169 @@
+"""``roadsight init``: what the starter file says for clouds of different quality."""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+import pytest
+import yaml
+
+from roadsight.base.errors import InputError
+from roadsight.base.validation import validated
+from roadsight.commands import init
+from roadsight.config.sites import Site
+from tests.helpers.las_files import DATA, needs_data, random_points, wkt_of, write_las
+
+UTM = wkt_of("EPSG:25832")
+
+
+def run(*arguments):
+    parser = argparse.ArgumentParser()
+    init.add_parser(parser.add_subparsers())
+    parsed = parser.parse_args(["init", *map(str, arguments)])
+    parsed.run(parsed)
+
+
+def written(path):
+    """Text of a site file, and its content as the workflow will read it."""
+    text = path.read_text()
+    content = yaml.safe_load(text)
+    validated(Site, content, str(path))
+    return text, content
+
+
+def test_starter_file_of_a_good_cloud(tmp_path, capsys):
+    classes = np.repeat([2, 6, 26, 7], [300, 100, 99, 1])
+    cloud = write_las(
+        tmp_path / "My Road (1).laz", random_points(500), UTM, classification=classes, intensity=5
+    )
+    out = tmp_path / "site.yaml"
+    run(cloud, "-o", out)
+    text, content = written(out)
+    assert content == {
+        "site": "my_road_1",
+        "clouds": [str(cloud)],
+        "crs": "auto",
+        "units": "auto",
+        "vertical_units": "auto",
+        "jobs": ["placement"],
+        "placement": {"edges": None, "tma": None},
+    }
+    for part in (
+        "499 points, 1 withheld or noise left out",
+        "2 ground 60.1%, 6 building 20.0%, 26 not a common class 19.8%",
+        "auto takes ETRS89 / UTM zone 32N from the header",
+        "here metre; z assumed to be in metre",
+        "Intensity: yes. Colour: no.",
+    ):
+        assert part in text
+    assert capsys.readouterr().out == f"wrote {out}\n"
+
+
+def test_extent_and_density_are_in_metres_whatever_the_unit(tmp_path):
+    metres = random_points(20_000, extent=(50, 40, 5), corner=(638750, 221750, 100))
+    foot = 1200 / 3937
+    for name, xyz, crs in [
+        ("m", metres, "EPSG:32119+5703"),
+        ("ft", metres / foot, "EPSG:6543+6360"),
+    ]:
+        out = tmp_path / f"{name}.yaml"
+        run(write_las(tmp_path / f"{name}.laz", xyz, wkt_of(crs)), "-o", out)
+        text, _ = written(out)
+        assert "Extent 50.0 x 40.0 m;" in text
+        line = next(line for line in text.splitlines() if "Density" in line)
+        assert float(line.split()[2]) == pytest.approx(10, rel=0.15)
+
+
+def test_cloud_without_crs_must_be_filled_in(tmp_path, capsys):
+    out = tmp_path / "site.yaml"
+    run(write_las(tmp_path / "a.laz", random_points(50)), "-o", out)
+    text, content = written(out)
+    assert content["crs"] is None
+    assert "# Required: EPSG code" in text
+    assert "units of the cloud" in text
+    assert "fill in crs: EPSG code" in capsys.readouterr().out
+
+
+def test_header_that_cannot_be_right_must_be_filled_in(tmp_path, capsys):
+    out = tmp_path / "site.yaml"
+    run(write_las(tmp_path / "a.laz", random_points(50), wkt_of("EPSG:28992")), "-o", out)
+    text, content = written(out)
+    assert content["crs"] is None
+    assert "cannot be right" in text
+    assert "fill in crs" in capsys.readouterr().out
+
+
+def test_us_metres_need_a_vertical_unit(tmp_path, capsys):
+    xyz = random_points(50, corner=(638750, 221750, 100))
+    out = tmp_path / "site.yaml"
+    run(write_las(tmp_path / "a.laz", xyz, wkt_of("EPSG:32119")), "-o", out)
+    _, content = written(out)
+    assert content["crs"] == "auto"
+    assert "fill in vertical_units" in capsys.readouterr().out
+
+
+def test_degrees_get_a_projected_crs(tmp_path):
+    xyz = random_points(50, extent=(0.002, 0.002, 9), corner=(9.0, 50.0, 100.0))
+    out = tmp_path / "site.yaml"
+    run(write_las(tmp_path / "a.laz", xyz, wkt_of("EPSG:4979"), scale=1e-8), "-o", out)
+    assert written(out)[1]["target_crs"] == "EPSG:32632"
+
+
+def test_an_existing_file_is_kept_without_force(tmp_path):
+    cloud = write_las(tmp_path / "a.laz", random_points(5), UTM)
+    out = tmp_path / "site.yaml"
+    out.write_text("mine")
+    with pytest.raises(InputError, match=r"exists already.*--force"):
+        run(cloud, "-o", out)
+    assert out.read_text() == "mine"
+    run(cloud, "-o", out, "--force")
+    assert written(out)[1]["site"] == "a"
+
+
+def test_bad_input_writes_nothing(tmp_path):
+    out = tmp_path / "site.yaml"
+    one = write_las(tmp_path / "one.laz", random_points(5), UTM)
+    two = write_las(tmp_path / "two.laz", random_points(5), wkt_of("EPSG:28992"))
+    for clouds, message in [
+        ([tmp_path / "none.laz"], "no such file"),
+        ([one, two], "differ in CRS"),
+    ]:
+        with pytest.raises(InputError, match=message):
+            run(*clouds, "-o", out)
+    with pytest.raises(InputError, match="no letter or digit"):
+        run(one, "-o", out, "--site", "!!")
+    assert not out.exists()
+
+
+def test_default_place_and_relative_paths(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("ROADSIGHT_DATA", raising=False)
+    (tmp_path / "data").mkdir()
+    write_las(tmp_path / "data" / "a.laz", random_points(5), UTM)
+    run("data/a.laz", "--site", "Main Street")
+    _, content = written(tmp_path / "config" / "sites" / "main_street.yaml")
+    assert content["site"] == "main_street"
+    assert content["clouds"] == ["../../data/a.laz"]
+
+
+def test_paths_below_the_data_folder_use_its_variable(tmp_path, monkeypatch):
+    (tmp_path / "data" / "x").mkdir(parents=True)
+    monkeypatch.setenv("ROADSIGHT_DATA", str(tmp_path / "data"))
+    cloud = write_las(tmp_path / "data" / "x" / "a.laz", random_points(5), UTM)
+    run(cloud, "-o", tmp_path / "site.yaml")
+    assert written(tmp_path / "site.yaml")[1]["clouds"] == ["${ROADSIGHT_DATA}/x/a.laz"]
+
+
+@pytest.mark.real
+@needs_data
+@pytest.mark.parametrize(
+    ("name", "crs"),
+    [("autzen_arterial", "auto"), ("montpellier_street", "auto"), ("nc_unit_trap", None)],
+)
+def test_real_clouds(tmp_path, name, crs):
+    out = tmp_path / "site.yaml"
+    run(DATA / "clouds" / f"{name}.laz", "-o", out)
+    _, content = written(out)
+    assert content["crs"] == crs
+    assert content["clouds"] == [f"${{ROADSIGHT_DATA}}/clouds/{name}.laz"]

@@ -1,0 +1,124 @@
+"""Effects of the pole job that bend numbers: grid scale, curvature of the Earth, relief, lenses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from pyproj import CRS, Geod
+
+from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.lens import RadialLens
+from roadsight.geometry.north import SiteNorth
+from roadsight.poles.alignment.drive import Reach, near_edges, places_of
+from roadsight.poles.alignment.roadside import RoadEdges
+from roadsight.poles.risk.hazard import HazardSettings
+from roadsight.stages.poles.alignment_inputs import lowered
+from roadsight.stages.poles.rate_hazard import grid_scale, rate_on_ground
+from roadsight.synthetic.rendering.images import Camera, Finish, RuralRenderer
+from roadsight.synthetic.rendering.rendering_look import drive_look
+from roadsight.synthetic.rural.rural_road import build_rural
+from roadsight.synthetic.rural.videolog import random_drives
+from tests.helpers.road_bed import RoadBed, frames_of
+
+MERCATOR = Frame((0.0, 6_600_000.0, 0.0), 1.0, 1.0, CRS.from_epsg(3857).to_wkt())
+
+
+class TestScale:
+    @pytest.mark.parametrize(
+        ("epsg", "origin"), [(32632, (300_000.0, 5_428_000.0, 0.0)), (2154, (770_000.0, 6.28e6, 0))]
+    )
+    def test_is_grid_length_over_geodesic_length(self, epsg, origin):
+        crs = CRS.from_epsg(epsg)
+        north = SiteNorth(Frame(origin, 1.0, 1.0, crs.to_wkt()))
+        ends = np.array([[0.0, 0.0], [300.0, 400.0]])
+        latitude, longitude = north.to_geographic(ends)
+        ellipsoid = crs.ellipsoid
+        geod = Geod(a=ellipsoid.semi_major_metre, rf=ellipsoid.inverse_flattening)
+        length = geod.inv(longitude[0], latitude[0], longitude[1], latitude[1])[2]
+        assert north.scale(ends).mean() == pytest.approx(500.0 / length, abs=2e-7)
+
+    def test_of_poles(self):
+        poles = pd.DataFrame({"x": [0.0, 50.0], "y": [0.0, 80.0]})
+        latitude = np.radians(SiteNorth(MERCATOR).to_geographic(poles.to_numpy())[0].mean())
+        assert grid_scale(poles, MERCATOR) == pytest.approx(1 / np.cos(latitude), rel=3e-3)
+        assert grid_scale(poles.iloc[:0], MERCATOR) == 1.0
+        assert grid_scale(poles, Frame((0, 0, 0))) == 1.0
+
+    def site(self, scale):
+        edges = np.column_stack([np.arange(-50, 250, 0.25), np.full(1200, 4.0)])
+        poles = pd.DataFrame({"x": [60.0, 100.0], "y": [9.0, 7.0], "sigma_major_m": [0.2, 0.3]})
+        track = pd.DataFrame({"x": np.arange(0.0, 200.0, 8.0), "y": 0.0})
+        frames = (scale * track).assign(route="r", sequence=range(25))
+
+        def height(x, y):
+            return -0.1 * (y / scale)
+
+        return scale * poles, scale * edges, frames, height, HazardSettings()
+
+    def test_the_rating_is_that_on_the_ground_whatever_the_grid(self):
+        expected = rate_on_ground(*self.site(1.0), 1.0)
+        found = rate_on_ground(*self.site(1.6), 1.6)
+        pd.testing.assert_frame_equal(found, expected, rtol=1e-9)
+        assert expected["offset_m"].tolist() == pytest.approx([5.0, 3.0], abs=0.02)
+        ignored = rate_on_ground(*self.site(1.6), 1.0)
+        assert ignored["offset_m"].iloc[0] == pytest.approx(8.0, abs=0.02)
+
+
+def test_far_edges_are_lowered_by_the_drop_of_the_horizon():
+    bed = RoadBed(seed=1, images=6)
+    edges = RoadEdges.from_points(bed.road_edges)
+    place = places_of(frames_of(bed), edges)[2]
+    there = near_edges(place, edges, Reach())
+    low = lowered(there, place)
+    away = np.hypot(*(there.xyz_m[:, :2] - [place.start.x_m, place.start.y_m]).T)
+    np.testing.assert_array_equal(low.xyz_m[:, :2], there.xyz_m[:, :2])
+    drop = there.xyz_m[:, 2] - low.xyz_m[:, 2]
+    np.testing.assert_allclose(drop, 0.87 * away**2 / (2 * 6_371_000.0), atol=1e-12)
+    assert drop.max() > 1e-4
+    assert low.left == there.left
+
+
+@pytest.fixture(scope="module")
+def level():
+    return build_rural(2, 60.0, detail=0.01, relief=0.0)
+
+
+class TestScenes:
+    def test_a_level_scene_has_a_level_road_where_the_hilly_one_is(self, level):
+        hilly = build_rural(2, 60.0, detail=0.01)
+        station = np.linspace(0, 60, 61)
+        assert np.ptp(level.line.height(station)) == 0.0
+        assert np.ptp(hilly.line.height(station)) > 0.1
+        np.testing.assert_array_equal(level.line.plan(station, 2.0), hilly.line.plan(station, 2.0))
+
+    def test_drives_with_another_field_of_view_or_no_side_views(self):
+        usual, wide = random_drives(2)[0], random_drives(2, hfov_deg=80.0)[0]
+        assert wide.intrinsics.hfov_deg == pytest.approx(80.0)
+        assert wide.mount == usual.mount
+        assert wide.views["right"] == pytest.approx(78.5)
+        assert random_drives(2, side_views=False)[0].views == {"front": 0.0}
+        assert random_drives(2)[1] == random_drives(2, hfov_deg=80.0)[1]
+
+    def test_a_lens_moves_what_the_pinhole_shows(self, level):
+        own = Intrinsics.from_field_of_view(160, 120, 60.0)
+        lens = RadialLens.centred(-0.15, 0.0, 160, 120, own.focal_px)
+        eye = np.array([*level.line.plan(10.0, -1.6), level.line.height(10.0) + 2.2])
+        heading = 90.0 - np.degrees(level.line.heading(10.0))
+        camera = Camera(own, cam_from_world(heading, 0.0, 0.0), eye)
+        renderer = RuralRenderer(level)
+        finish = Finish(noise=0.0)
+        look = drive_look(2, 0)
+        plain = renderer.render_view(camera, look, finish, 1)
+        bent = renderer.render_view(camera, look, finish, 1, lens)
+        # What a pixel of the lens shows lies on the ray through the straightened pixel.
+        rows = [(100, 10), (110, 80), (95, 150)]
+        for v, u in rows:
+            straight = lens.undistort([[u, v]])[0]
+            ray = (straight - [own.cx_px, own.cy_px]) / own.focal_px
+            place = camera.position_m + bent.depth_m[v, u] * np.array([*ray, 1.0]) @ camera.rotation
+            uv, _ = project(own, camera.rotation, eye, place[None])
+            np.testing.assert_allclose(lens.distort(uv)[0], [u, v], atol=1e-3)
+            assert level.height(place[None, :2])[0] == pytest.approx(place[2], abs=0.1)
+        assert (plain.classes != bent.classes).mean() > 0.005

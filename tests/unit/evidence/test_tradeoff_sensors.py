@@ -1,0 +1,123 @@
+"""Levels of studies whose plans place sensors of any kind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import SimpleNamespace
+
+import pandas as pd
+import pytest
+
+from roadsight.base.errors import InputError
+from roadsight.config.poses import Poses
+from roadsight.evidence.exact_highway import ExactHighway
+from roadsight.evidence.metrics import METRICS
+from roadsight.evidence.refusals import refuse_sensors_without_maps
+from roadsight.evidence.results import Results
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.tables import write_table
+from roadsight.placement.sensors.sensors import AimedSensor, Sensor, load_sensors
+from roadsight.stages.evidence import measure_tradeoff
+from roadsight.synthetic.highway.highway import build_highway
+
+LENGTH_M = 60.0
+AS_MOUNTED = Poses().spinning.model_dump()
+CONFIG = {
+    "sites": ["tradeoffs_highway"],
+    "sensors_file": "config/sensors.yaml",
+    "overrides": {},
+}
+
+
+@pytest.fixture
+def sensors(project):
+    return load_sensors(project / "config/sensors.yaml")
+
+
+@pytest.fixture(scope="module")
+def road(tmp_path_factory):
+    """Results with a target every 4 m of the road, the place above it, and the exact scene."""
+    folder = tmp_path_factory.mktemp("road")
+    frame = build_highway(1, LENGTH_M).frame()
+    write_json(folder / "scene/frame.json", frame.to_dict())
+    exact = ExactHighway(1, LENGTH_M, frame)
+    xy_m, height_m = exact.road_heights(4.0)
+    feet = pd.DataFrame({"x": xy_m[:, 0], "y": xy_m[:, 1], "z": height_m})
+    feet["target"] = [f"t{row}" for row in range(len(feet))]
+    write_table(folder / "placement/targets.parquet", feet)
+    x, y, z = map(float, feet[["x", "y", "z"]].to_numpy()[len(feet) // 3])
+    return folder, {"x": x, "y": y, "z": z + 6.0}
+
+
+def lost(road, sensors, *chosen):
+    """Share of the targets that chosen sensors miss; each is a name with a pose or none."""
+    folder, place = road
+    entries = [{"sensor": name, "yaw_deg": 20.0, **place, **pose} for name, pose in chosen]
+    write_json(folder / "placement/p/solution.json", {"excluded": [], "sensors": entries})
+    known = {name: sensors[name] for name, _ in chosen}
+    return METRICS["targets_lost"].value(Results(folder, folder, 1, LENGTH_M, "p", known))
+
+
+@pytest.mark.parametrize("name", ["Avia", "camera-8mp", "radar-77ghz"])
+def test_what_aimed_sensors_lose_is_measured(road, sensors, name):
+    down, up = ({"pitch_deg": pitch, "roll_deg": 0.0} for pitch in (-15.0, 80.0))
+    assert isinstance(sensors[name], AimedSensor)
+    assert 0.0 < lost(road, sensors, (name, down)) < 1.0
+    assert lost(road, sensors, (name, up)) == 1.0
+
+
+def test_mixed_plans_see_what_any_of_their_sensors_sees(road, sensors):
+    level = {"pitch_deg": 0.0, "roll_deg": 0.0}
+    camera, lidar = ("camera-8mp", {"pitch_deg": -15.0, "roll_deg": 0.0}), ("OS-64", level)
+    alone = [lost(road, sensors, one) for one in (camera, lidar)]
+    both = lost(road, sensors, camera, lidar)
+    assert both <= min(alone)
+    assert both >= sum(alone) - 1 - 1e-12
+    assert lost(road, sensors, ("OS-64", {})) == pytest.approx(alone[1], abs=0.03)
+
+
+METRICS_OF_MAPS = ["beams_wrong", "range_rmse_m", "detections_wrong"]
+
+
+class TestRefusals:
+    @pytest.mark.parametrize("metric", METRICS_OF_MAPS)
+    def test_maps_are_asked_of_spinning_lidars_only(self, sensors, metric):
+        aimed = {name: sensors[name] for name in ("radar-77ghz", "camera-8mp")}
+        told = rf"metric {metric}: reads depth maps .* found radar-77ghz, camera-8mp"
+        with pytest.raises(InputError, match=told):
+            refuse_sensors_without_maps(["sensors", metric], aimed, AS_MOUNTED)
+        refuse_sensors_without_maps([metric], aimed | {"OS-64": sensors["OS-64"]}, AS_MOUNTED)
+
+    @pytest.mark.parametrize("metric", METRICS_OF_MAPS)
+    def test_turned_lidars_have_no_maps_of_their_own(self, sensors, metric):
+        turned = AS_MOUNTED | {"pitch_deg": [-10.0, 0.0]}
+        with pytest.raises(InputError, match=r"OS-64 in the poses .*'pitch_deg': \[-10.0, 0.0\]"):
+            refuse_sensors_without_maps([metric], {"OS-64": sensors["OS-64"]}, turned)
+
+    def test_other_metrics_take_any_sensor(self, sensors):
+        rest = [name for name in METRICS if name not in METRICS_OF_MAPS]
+        refuse_sensors_without_maps(rest, {"radar-77ghz": sensors["radar-77ghz"]}, AS_MOUNTED)
+
+
+class TestStage:
+    def test_metrics_are_given_all_sensors_of_the_plan(self, project, monkeypatch):
+        monkeypatch.chdir(project)
+        config = CONFIG | {"plans": ["any-kind"]}
+        site = measure_tradeoff._site(config, "tradeoffs_highway", {})
+        variant = SimpleNamespace(result=Path, site="tradeoffs_highway")
+        found = measure_tradeoff._results(variant, site, measure_tradeoff._sensors(site, config))
+        assert list(found.sensors) == site.plans["any-kind"].sensors
+        assert sum(isinstance(sensor, Sensor) for sensor in found.sensors.values()) == 1
+
+    def test_a_plan_without_maps_is_refused_before_anything_runs(
+        self, project, monkeypatch, tmp_path, capsys
+    ):
+        monkeypatch.chdir(project)
+        config = CONFIG | {"plans": ["radar"]}
+        arguments = ["--site", "tradeoffs_highway", "--config", json.dumps(config)]
+        arguments += ["--changes", "{}", "--metrics", "beams_wrong"]
+        arguments += ["--work", str(tmp_path / "work"), "--out", str(tmp_path / "out.json")]
+        assert measure_tradeoff.main(arguments) == 2
+        assert "metric beams_wrong: reads depth maps" in capsys.readouterr().err
+        assert not (tmp_path / "work").exists()

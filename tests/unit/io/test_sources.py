@@ -1,0 +1,116 @@
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from roadsight.io.records import sources
+from roadsight.io.records.sources import stage_sources
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A package in which stage ``one`` reaches ``deep`` through two imports."""
+    content = {
+        "roadsight/__init__.py": "",
+        "roadsight/stages/__init__.py": "",
+        "roadsight/stages/one.py": "import numpy\nfrom roadsight.core import near, CONSTANT\n",
+        "roadsight/stages/two.py": "import roadsight.other\n",
+        "roadsight/core/__init__.py": "from roadsight.core.constants import CONSTANT\n",
+        "roadsight/core/constants.py": "CONSTANT = 1\n",
+        "roadsight/core/near.py": "def f():\n    from roadsight.core.deep import g\n    return g\n",
+        "roadsight/core/deep.py": "import roadsight.core.near\n\n\ndef g():\n    return 1\n",
+        "roadsight/core/unused.py": "",
+        "roadsight/other.py": "",
+        "elsewhere/roadsightish.py": "",
+    }
+    for name, text in content.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(sources, "_PACKAGE_ROOT", tmp_path)
+    monkeypatch.chdir(tmp_path)
+
+
+def test_transitive_lazy_and_package_imports_are_found_and_others_are_not(package):
+    assert stage_sources("one") == [
+        "roadsight/__init__.py",
+        "roadsight/core/__init__.py",
+        "roadsight/core/constants.py",
+        "roadsight/core/deep.py",
+        "roadsight/core/near.py",
+        "roadsight/stages/__init__.py",
+        "roadsight/stages/one.py",
+    ]
+
+
+def test_another_stage_has_its_own_sources(package):
+    found = stage_sources("two")
+    assert "roadsight/other.py" in found
+    assert not [name for name in found if "core" in name]
+
+
+def test_nothing_is_imported_to_find_out(package, tmp_path):
+    (tmp_path / "roadsight/stages/three.py").write_text("raise SystemExit('imported')\n")
+    assert "roadsight/stages/three.py" in stage_sources("three")
+
+
+def test_paths_are_relative_to_the_work_folder(package, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert "../roadsight/stages/one.py" in stage_sources("one")
+
+
+def test_ground_stage_depends_on_the_ground_filter_and_not_on_fpfh(project, monkeypatch):
+    monkeypatch.chdir(project)
+    found = stage_sources("build_dem")
+    for name in ("stages/build_dem", "scene/ground", "scene/grids", "io/atomic", "errors"):
+        assert f"workflow/roadsight/{name}.py" in found
+    for name in ("scene/fpfh", "placement/candidates"):
+        assert f"workflow/roadsight/{name}.py" not in found
+
+
+def test_everything_that_python_imports_for_a_stage_is_listed(project, monkeypatch):
+    monkeypatch.chdir(project)
+    code = (
+        "import sys, roadsight.stages.placement.place_candidates\n"
+        "for name, module in sys.modules.items():\n"
+        "    if name.partition('.')[0] == 'roadsight' and module.__file__: print(module.__file__)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    imported = {Path(line).resolve() for line in run.stdout.split()}
+    listed = {Path(name).resolve() for name in stage_sources("place_candidates")}
+    assert len(imported) > 8
+    assert imported <= listed
+
+
+PLACES = [
+    "if True:\n    pass\nelse:\n    {}",
+    "try:\n    {}\nfinally:\n    pass",
+    "try:\n    pass\nexcept OSError:\n    {}",
+    "try:\n    pass\nfinally:\n    {}",
+    "try:\n    pass\nexcept OSError:\n    pass\nelse:\n    {}",
+    "for _ in ():\n    pass\nelse:\n    {}",
+    "while False:\n    {}",
+    "with open('x'):\n    {}",
+    "class A:\n    def f(self):\n        {}",
+    "async def f():\n    async with g():\n        {}",
+    "match 1:\n    case 1:\n        {}",
+]
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_imports_count_wherever_statements_stand(package, tmp_path, place):
+    (tmp_path / "roadsight/stages/four.py").write_text(place.format("import roadsight.other"))
+    assert "roadsight/other.py" in stage_sources("four")
+
+
+def test_as_many_imports_as_a_walk_over_all_nodes_finds(project):
+    for path in (project / "workflow/roadsight").rglob("*.py"):
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        wanted, found = (
+            {node for node in nodes if isinstance(node, ast.Import | ast.ImportFrom)}
+            for nodes in (ast.walk(tree), sources._statements(tree))
+        )
+        assert wanted == found, path

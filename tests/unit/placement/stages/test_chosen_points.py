@@ -1,0 +1,55 @@
+"""Points by height of chosen sensors in poses, from the panoramas that judged them."""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from roadsight.base.errors import InputError
+from roadsight.io.records.detections import read_detections
+from roadsight.io.records.tables import read_table, write_table
+from roadsight.stages.placement.chosen_points import points_by_height
+from roadsight.stages.placement.detection_inputs import add_sight_arguments, read_shaped_targets
+from tests.unit.placement.stages.test_pose_stages import detect, road  # noqa: F401 (a fixture)
+
+
+@pytest.mark.parametrize("box", [None, ("0.5", "0.5", "1.7")])
+def test_sensors_in_poses_add_up_to_what_detection_measured(road, box):  # noqa: F811
+    folder, _ = road
+    options = ["--box", *box] if box else []
+    place = str(folder / ("headed" if box else "targets"))
+    if box:
+        write_table(place, read_table(folder / "targets").assign(heading_rad=0.3))
+    kinds = {"eye": "pixels", "brush": "points", "ring": "points", "ear": None}
+    seen = read_detections([detect(folder, name, *options, "--targets", place) for name in kinds])
+    rows = seen[["sensor", "candidate"]].drop_duplicates().astype(str)
+    chosen = rows.groupby("sensor").head(2).reset_index(drop=True)
+    parser = argparse.ArgumentParser()
+    add_sight_arguments(parser)
+    arguments = parser.parse_args(options)
+    arguments.targets, arguments.out = place, "out"
+    arguments.sensors = str(folder / "sensors.yaml")
+    arguments.depth, arguments.candidates = [folder / "depth"], [folder / "candidates"]
+    arguments.azimuth_stride = 1
+    targets, feet, shape = read_shaped_targets(arguments)
+    for name, unit in kinds.items():
+        part = chosen[chosen["sensor"] == name]
+        found = points_by_height(arguments, part, feet, shape)
+        assert list(found) == ([unit] if unit else [])
+        if unit is None:
+            continue
+        mine = seen[seen["candidate"].astype(str).isin(part["candidate"])]
+        mine = mine[mine["sensor"].astype(str) == name]
+        # Two sensors may see a target, of which one too weakly to count.
+        told = mine.groupby(mine["target"].astype(str))["hits"].sum()
+        total = pd.Series(found[unit].sum(axis=1), targets["target"].astype(str))
+        assert (total[told.index] > told - len(part)).all()
+        both = mine.groupby(mine["target"].astype(str)).size() == len(part)
+        alike = told[both[both].index]
+        np.testing.assert_allclose(total[alike.index], alike, atol=len(part))
+    with pytest.raises(InputError, match="missing"):
+        points_by_height(arguments, pd.DataFrame({"sensor": ["ring"], "candidate": ["a"]}),
+                         feet, shape)  # fmt: skip

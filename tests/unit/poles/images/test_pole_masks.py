@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.pole_masks import MaskSettings, find_instances
+
+HEIGHT, WIDTH = 1200, 900
+
+
+def scene() -> np.ndarray:
+    mask = np.full((HEIGHT, WIDTH), PixelClass.OTHER, np.uint8)
+    mask[:500] = PixelClass.SKY
+    return mask
+
+
+def draw(mask, u, top, bottom, width=12, lean=0.0, cls=PixelClass.POLE):
+    for v in range(top, bottom):
+        left = round(u + lean * (v - bottom) - width / 2)
+        mask[v, max(left, 0) : left + width] = cls
+
+
+def test_axis_and_foot_of_a_leaning_pole():
+    mask = scene()
+    draw(mask, 400, 200, 800, lean=0.05)
+    (pole,) = find_instances(mask)
+    assert pole.reason == ""
+    assert pole.u_foot == pytest.approx(399.5, abs=0.6)
+    assert pole.v_foot == 799.5
+    assert pole.slope == pytest.approx(0.05, abs=0.002)
+    assert pole.width_px == 12
+    assert pole.foot == "visible"
+    assert not pole.cut
+    assert float(pole.axis_u(np.array([200.0]))[0]) == pytest.approx(369.5, abs=0.8)
+
+
+def test_wires_and_arms_do_not_move_the_axis():
+    plain, wired = scene(), scene()
+    for mask in (plain, wired):
+        draw(mask, 400, 200, 800)
+    wired[230:240, 300:640] = PixelClass.POLE
+    wired[205:209] = PixelClass.POLE
+    (a,), (b,) = find_instances(plain), find_instances(wired)
+    assert (b.u_foot, b.v_foot) == pytest.approx((a.u_foot, a.v_foot), abs=0.3)
+    assert b.u_max - b.u_min < 40
+    assert b.reason == ""
+
+
+def test_two_poles_on_one_wire_are_two():
+    mask = scene()
+    draw(mask, 200, 200, 800)
+    draw(mask, 600, 220, 780)
+    mask[230:240, 200:600] = PixelClass.POLE
+    assert [one.u_foot for one in find_instances(mask)] == pytest.approx([199.5, 599.5], abs=0.2)
+
+
+def test_a_pole_cut_by_a_sign_is_one():
+    mask = scene()
+    draw(mask, 400, 200, 800)
+    mask[400:480, 360:440] = PixelClass.SIGN
+    (pole,) = find_instances(mask)
+    assert pole.v_min == 199.5
+    assert pole.touches_sign
+
+
+def test_poles_above_one_another_but_aside_stay_two():
+    mask = scene()
+    draw(mask, 400, 200, 480)
+    draw(mask, 430, 500, 800)
+    assert len(find_instances(mask)) == 2
+
+
+def test_more_than_255_components_are_told_apart():
+    mask = np.zeros((240, 3000), np.uint8)
+    for k in range(300):
+        mask[40:200, 10 * k + 3 : 10 * k + 6] = PixelClass.POLE
+    found = find_instances(mask, settings=MaskSettings(min_width_px=1.0))
+    assert len(found) == 300
+    assert [one.u_foot for one in found] == pytest.approx([10 * k + 4 for k in range(300)])
+
+
+@pytest.mark.parametrize(
+    ("cls", "foot"),
+    [
+        (PixelClass.VEHICLE, "hidden"),
+        (PixelClass.BUILDING, "hidden"),
+        (PixelClass.VEGETATION, "plants"),
+        (PixelClass.ROAD, "visible"),
+    ],
+)
+def test_what_lies_below_a_foot_says_whether_it_is_in_sight(cls, foot):
+    mask = scene()
+    draw(mask, 400, 200, 800)
+    mask[800:900, 300:500] = cls
+    assert find_instances(mask)[0].foot == foot
+
+
+def test_what_the_frame_cuts_is_known():
+    mask = scene()
+    draw(mask, 3, 0, HEIGHT)
+    (pole,) = find_instances(mask)
+    assert pole.cut == {"left", "top", "bottom"}
+    assert pole.foot == "hidden"
+
+
+def test_small_and_stout_things_are_no_poles():
+    mask = scene()
+    draw(mask, 100, 700, 738)
+    draw(mask, 300, 600, 700, width=60)
+    draw(mask, 500, 400, 800, width=2)
+    reasons = {float(np.round(one.u_foot, -2)): one.reason for one in find_instances(mask)}
+    assert reasons == {100: "too small", 300: "not slender", 500: "too small"}
+
+
+def test_empty_masks_have_no_instances():
+    assert find_instances(scene()) == []
+    assert find_instances(np.zeros((5, 5), np.uint8)) == []
+
+
+def test_other_kinds_take_the_same_way():
+    mask = scene()
+    mask[300:380, 200:280] = PixelClass.SIGN
+    draw(mask, 600, 300, 900, width=40, cls=PixelClass.TREE)
+    (sign,), (tree,) = find_instances(mask, "sign"), find_instances(mask, "tree")
+    assert (sign.kind, sign.reason, round(sign.u_foot)) == ("sign", "", 240)
+    assert (tree.kind, tree.reason, round(tree.u_foot)) == ("tree", "", 600)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(-300, 300), st.integers(-150, 150))
+def test_poles_move_with_the_image(du, dv):
+    here = np.zeros((HEIGHT, WIDTH), np.uint8)
+    draw(here, 450, 200, 800, lean=0.03)
+    there = np.roll(here, (dv, du), axis=(0, 1))
+    (a,), (b,) = find_instances(here), find_instances(there)
+    assert b.u_foot - a.u_foot == pytest.approx(du, abs=1e-6)
+    assert b.v_foot - a.v_foot == pytest.approx(dv)
+    assert b.slope == pytest.approx(a.slope, abs=1e-9)
+
+
+def test_thresholds_scale_with_the_image():
+    large = scene()
+    draw(large, 400, 200, 800)
+    small = np.ascontiguousarray(large[::4, ::4])
+    (a,), (b,) = find_instances(large), find_instances(small)
+    assert (a.reason, b.reason) == ("", "")
+    assert b.u_foot * 4 == pytest.approx(a.u_foot, abs=4)

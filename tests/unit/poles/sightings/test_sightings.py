@@ -1,0 +1,194 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roadsight.geometry.cameras import Intrinsics, project, wrap_deg
+from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.sightings.lidar_poles import PoleColumns
+from roadsight.poles.sightings.sighting_bearing import (
+    ViewCamera,
+    image_bearings,
+    matching_columns,
+    nearest_projected,
+    with_place,
+)
+from roadsight.poles.sightings.sightings import Evidence, SightingSettings, measure_view
+
+NONE = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
+CAMERA = ViewCamera(
+    Intrinsics.from_field_of_view(1000, 600, 60.0), (5.0, -3.0, 2.5), 355.0, -2.0, 1.0,
+    sigma_heading_deg=0.1, sigma_pitch_deg=0.1, sigma_lateral_m=0.1, sigma_along_m=0.3,
+)  # fmt: skip
+
+
+def level(x, y):
+    return np.zeros(np.shape(x))
+
+
+def place(bearing_deg: float, distance_m: float) -> np.ndarray:
+    angle = np.radians(bearing_deg)
+    return np.array([5.0, -3.0]) + distance_m * np.array([np.sin(angle), np.cos(angle)])
+
+
+def rendered(poles, camera=CAMERA, height_m=9.0, background_m=200.0):
+    """Road mask and inverse depth of level ground with upright poles of radius 0.15 m."""
+    rows, columns = camera.intrinsics.height_px, camera.intrinsics.width_px
+    v, u = np.mgrid[:rows, :columns]
+    rays = camera.rays(np.column_stack([u.ravel(), v.ravel()]))
+    along = rays @ camera.rotation()[2]
+    with np.errstate(divide="ignore"):
+        z = np.where(rays[:, 2] < 0, -2.5 / rays[:, 2] * along, np.inf).reshape(rows, columns)
+    mask = np.where(z < 300, PixelClass.ROAD, PixelClass.SKY).astype(np.uint8)
+    inverse = 1 / np.minimum(z, background_m)
+    for xy in sorted(poles, key=lambda p: -np.hypot(*(p - camera.position_m[:2]))):
+        ends = np.array([[*xy, 0.0], [*xy, height_m]])
+        (foot, top), depth = project(camera.intrinsics, camera.rotation(), camera.position_m, ends)
+        half = 0.15 * camera.intrinsics.focal_px / depth[0]
+        for row in range(max(round(top[1]), 0), min(round(foot[1]) + 1, rows)):
+            centre = foot[0] + (row - foot[1]) * (top[0] - foot[0]) / (top[1] - foot[1])
+            cells = slice(max(round(centre - half), 0), max(round(centre + half) + 1, 0))
+            mask[row, cells], inverse[row, cells] = PixelClass.POLE, 1 / depth[0]
+    packed = np.clip(1 + 65000 * (inverse * 3 + 0.02), 1, 65535)
+    return mask, packed.astype(np.uint16)
+
+
+def test_bearing_of_the_axis_is_the_heading_and_sigma_has_its_parts():
+    camera = ViewCamera(Intrinsics.centred(801, 601, 800.0), (0, 0, 2), 10.0, sigma_heading_deg=0.3)
+    bearing, sigma = image_bearings(camera, [[400.0, 300.0]], 4.0)
+    assert float(bearing[0]) == pytest.approx(10.0)
+    assert float(sigma[0]) == pytest.approx(np.hypot(np.degrees(4 / 800), 0.3), rel=1e-3)
+    assert float(with_place(camera, bearing, sigma, [20.0])[0]) == pytest.approx(float(sigma[0]))
+    beside = ViewCamera(camera.intrinsics, (0, 0, 2), 10.0, sigma_lateral_m=0.5)
+    seen = with_place(beside, [10.0, 100.0], [0.0, 0.0], [20.0, 20.0])
+    assert seen == pytest.approx([np.degrees(np.arctan(0.5 / 20)), 0.0], abs=1e-6)
+
+
+def test_bearing_and_distances_of_upright_poles_are_right():
+    truth = [(335.0, 30.0), (350.0, 12.0), (15.0, 20.0)]
+    mask, depth = rendered([place(*one) for one in truth])
+    table = measure_view(CAMERA, mask, depth, Evidence(level, NONE, np.empty((0, 3))))
+    assert table["kept"].tolist() == [True, True, True]
+    bearing = np.array([one[0] for one in truth])
+    distance = np.array([one[1] for one in truth])
+    error = wrap_deg(table["bearing_grid_deg"] - bearing)
+    assert np.abs(error).max() < 0.1
+    assert (np.abs(error) < 3 * table["sigma_bearing_deg"]).all()
+    for name in ("depth_network_m", "depth_ground_m", "depth_m"):
+        assert np.allclose(table[name], distance, rtol=0.03)
+    apart = np.abs(table["depth_m"] - distance)
+    assert (apart < 3 * table["sigma_depth_m"]).all()
+    assert np.allclose(table["height_m"][[0, 2]], 9.0, rtol=0.12)
+    assert set(table["depth_from"]) == {"network+ground"}
+
+
+def test_a_single_lidar_column_sharpens_bearing_and_distance():
+    mask, depth = rendered([place(350.0, 20.0)])
+    column = PoleColumns(place(350.05, 20.4)[None], np.array([9.0]), np.array([0.1]))
+    points = np.empty((0, 3))
+    plain = measure_view(CAMERA, mask, depth, Evidence(level, NONE, points)).iloc[0]
+    sharp = measure_view(CAMERA, mask, depth, Evidence(level, column, points)).iloc[0]
+    assert (plain["method"], sharp["method"]) == ("image", "fused")
+    assert sharp["depth_m"] == pytest.approx(20.4, abs=0.1)
+    assert sharp["sigma_depth_m"] < plain["sigma_depth_m"]
+    low, high = sorted([plain["bearing_grid_deg"], 350.05])
+    assert low <= sharp["bearing_grid_deg"] <= high
+    assert sharp["sigma_bearing_deg"] < plain["sigma_bearing_deg"]
+    image_only = SightingSettings(bearing="image")
+    unmoved = measure_view(CAMERA, mask, depth, Evidence(level, column, points), image_only).iloc[0]
+    assert unmoved["bearing_grid_deg"] == plain["bearing_grid_deg"]
+
+
+def test_two_columns_that_agree_are_not_used():
+    two = PoleColumns(
+        np.array([place(350.0, 20.0), place(350.1, 20.5)]), np.full(2, 9.0), np.full(2, 0.1)
+    )
+    found = matching_columns(
+        CAMERA, two, np.array([350.0]), np.array([0.2]), np.array([20.0]), np.array([1.0]), 60.0
+    )
+    assert found.tolist() == [-1]
+    far = PoleColumns(
+        np.array([place(350.0, 20.0), place(350.0, 45.0)]), np.full(2, 9.0), np.full(2, 0.1)
+    )
+    known = matching_columns(
+        CAMERA, far, np.array([350.0]), np.array([0.2]), np.array([20.0]), np.array([1.0]), 60.0
+    )
+    unknown = matching_columns(
+        CAMERA, far, np.array([350.0]), np.array([0.2]), np.array([np.nan]), np.array([np.nan]),
+        60.0,
+    )  # fmt: skip
+    assert (known.tolist(), unknown.tolist()) == ([0], [-1])
+
+
+def test_published_bearing_is_that_of_the_lidar_point_nearest_to_the_foot():
+    points = np.array([[*place(350.0, 20.0), 0.0], [*place(350.3, 21.0), 3.0], [500.0, 0.0, 0.0]])
+    uv, _ = project(CAMERA.intrinsics, CAMERA.rotation(), CAMERA.position_m, points)
+    box = np.array([[*(uv[0] - [4, 100]), *(uv[0] + 4)]])
+    bearing, distance = nearest_projected(CAMERA, points, uv[:1] + 1.0, box, 20.0)
+    assert (float(bearing[0]), float(distance[0])) == pytest.approx((350.0, 20.0))
+    aside, _ = nearest_projected(CAMERA, points, uv[:1] + 5.0, box + 5000.0, 20.0)
+    assert float(aside[0]) == pytest.approx(350.0)
+    nothing, _ = nearest_projected(CAMERA, points, uv[:1] + 500.0, box + 5000.0, 20.0)
+    assert np.isnan(nothing[0])
+    mask, depth = rendered([place(350.0, 20.0)])
+    evidence = Evidence(level, NONE, points)
+    row = measure_view(CAMERA, mask, depth, evidence, SightingSettings(bearing="lidar")).iloc[0]
+    assert row["method"] == "lidar"
+    assert row["bearing_grid_deg"] == pytest.approx(350.0)
+
+
+def test_hidden_feet_have_no_distance_by_the_ground():
+    mask, depth = rendered([place(350.0, 20.0)])
+    table = measure_view(CAMERA, mask, depth, Evidence(level, NONE, np.empty((0, 3))))
+    row = int(table["v_foot"].iloc[0])
+    mask[row - 20 : row + 60, :] = PixelClass.VEHICLE
+    hidden = measure_view(CAMERA, mask, depth, Evidence(level, NONE, np.empty((0, 3)))).iloc[0]
+    assert not hidden["foot_visible"]
+    assert np.isnan(hidden["depth_ground_m"])
+    assert hidden["depth_network_m"] == pytest.approx(20.0, rel=0.05)
+
+
+def test_grass_shows_a_foot_and_a_bush_hides_it():
+    mask, depth = rendered([place(350.0, 20.0)])
+    evidence = Evidence(level, NONE, np.empty((0, 3)))
+    u, v = measure_view(CAMERA, mask, depth, evidence)[["u_foot", "v_foot"]].iloc[0].astype(int)
+    strip = (slice(v + 1, v + 90), slice(u - 80, u + 80))
+    mask[strip] = PixelClass.VEGETATION
+    assert measure_view(CAMERA, mask, depth, evidence)["foot_visible"].iloc[0]
+    depth[strip] = np.uint16(65000 * (3 / 9.0 + 0.02))
+    assert not measure_view(CAMERA, mask, depth, evidence)["foot_visible"].iloc[0]
+
+
+def test_what_is_dropped_says_why():
+    poles = [place(350.0, 20.0), place(0.0, 80.0), place(340.0, 15.0)]
+    mask, depth = rendered(poles)
+    evidence = Evidence(level, NONE, np.empty((0, 3)))
+    reasons = dict(enumerate(measure_view(CAMERA, mask, depth, evidence)["reason"]))
+    assert reasons == {0: "", 1: "", 2: "too far"}
+    low, low_depth = rendered([place(350.0, 20.0)], height_m=2.0)
+    assert measure_view(CAMERA, low, low_depth, evidence)["reason"].tolist() == ["too low"]
+    rule = SightingSettings(height_rule="none")
+    assert measure_view(CAMERA, low, low_depth, evidence, rule)["reason"].tolist() == [""]
+    published = SightingSettings(height_rule="published")
+    whole = measure_view(CAMERA, *rendered([place(350.0, 24.0)], height_m=7.0), evidence, published)
+    assert whole["reason"].tolist() == ["too low"]
+
+
+def test_without_depth_the_ground_is_enough_and_without_both_it_is_said():
+    mask, depth = rendered([place(350.0, 20.0)])
+    for nothing in (None, np.zeros_like(depth)):
+        row = measure_view(CAMERA, mask, nothing, Evidence(level, NONE, np.empty((0, 3)))).iloc[0]
+        assert row["depth_from"] == "ground"
+        assert row["depth_m"] == pytest.approx(20.0, rel=0.03)
+
+    def unknown(x, y):
+        return np.full(np.shape(x), np.nan)
+
+    row = measure_view(CAMERA, mask, depth, Evidence(unknown, NONE, np.empty((0, 3)))).iloc[0]
+    assert (row["reason"], bool(row["kept"])) == ("distance unknown", False)
+
+
+def test_an_empty_view_has_no_rows():
+    mask = np.zeros((600, 1000), np.uint8)
+    table = measure_view(CAMERA, mask, None, Evidence(level, NONE, np.empty((0, 3))))
+    assert len(table) == 0

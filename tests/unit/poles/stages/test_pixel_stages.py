@@ -1,0 +1,231 @@
+"""The stages that read images, on a tiny videolog of one road with two poles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+from pyproj import CRS
+
+from roadsight.geometry.cameras import wrap_deg
+from roadsight.geometry.frames import Frame
+from roadsight.io.images.image_shards import ImageShard, ImageShardWriter
+from roadsight.io.raster.rasters import write_raster
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.poles.images.classes import PixelClass
+from roadsight.stages.poles import measure_poles, trace_image_edges
+from tests.helpers.onnx_bytes import pointwise
+from tests.unit.poles.images.test_image_edges import straight_road
+from tests.unit.poles.sightings.test_sightings import CAMERA, place, rendered
+
+TRUTH = ((350.0, 20.0), (15.0, 25.0))
+FRAME = Frame(
+    (760_000.0, 600_000.0, 2_150.0), 1200 / 3937, 1200 / 3937, CRS.from_epsg(6543).to_wkt()
+)
+
+
+@pytest.fixture
+def frames(tmp_path):
+    count = 3
+    table = pd.DataFrame(
+        {
+            "image": [f"a{i}.jpg" for i in range(count)], "route": "r", "sequence": range(count),
+            "path": [f"a{i}.jpg" for i in range(count)], "left_path": "", "right_path": "",
+            "status": ["ok"] * (count - 1) + ["no position"],
+        }
+    )  # fmt: skip
+    write_table(tmp_path / "frames.parquet", table)
+    return tmp_path
+
+
+def write_site(folder):
+    mask, depth = rendered([place(*one) for one in TRUTH])
+    for name, image in (("masks", mask), ("depth", depth)):
+        with ImageShardWriter(folder / f"{name}.zip") as shard:
+            for i in range(2):
+                shard.write(f"a{i}", image)
+    write_json(folder / "frame.json", FRAME.to_dict())
+    write_raster(folder / "dem.tif", np.zeros((260, 260)), FRAME, -130.0, 130.0, 1.0)
+    angles = {"heading_deg": 355.0, "pitch_deg": -2.0, "roll_deg": 1.0}
+    own = CAMERA.intrinsics
+    pose = {
+        "x": 5.0, "y": -3.0, "z": 2.5, **angles, "focal_px": own.focal_px, "cx_px": own.cx_px,
+        "cy_px": own.cy_px, "width_px": 1000, "height_px": 600, "sigma_heading_deg": 0.1,
+        "sigma_pitch_deg": 0.1, "sigma_lateral_m": 0.1, "sigma_along_m": 0.1,
+    }  # fmt: skip
+    rows = [{"image": f"a{i}.jpg", **pose, "accepted": i == 0} for i in range(2)]
+    write_table(folder / "cameras.parquet", pd.DataFrame(rows))
+    stem = np.floor(np.array([[*place(*TRUTH[0]), z] for z in np.arange(0, 9, 0.3)]) / 0.3)
+    voxels = pd.DataFrame(stem.astype(np.int32), columns=["ix", "iy", "iz"]).assign(cls=np.uint8(1))
+    about = {"cell_size_m": 0.3, "anchor": [0.0, 0.0, 0.0]}
+    write_table(folder / "voxels.parquet", voxels, about)
+    x, y = place(*TRUTH[0])
+    column = {
+        "x": x,
+        "y": y,
+        "z_ground": 0.0,
+        "top_m": 9.0,
+        "sigma_m": 0.05,
+        "points": 9.0,
+        "open_top": 0.0,
+    }
+    write_table(folder / "columns.parquet", pd.DataFrame([column]))
+
+
+def measure(folder, *more: str) -> int:
+    names = ("frames", "cameras", "masks", "depth", "dem", "voxels", "columns", "frame", "out")
+    files = ("frames.parquet", "cameras.parquet", "masks.zip", "depth.zip", "dem.tif",
+             "voxels.parquet", "columns.parquet", "frame.json", "sightings.parquet")  # fmt: skip
+    pairs = [w for n, f in zip(names, files, strict=True) for w in (f"--{n}", str(folder / f))]
+    return measure_poles.main([*pairs, *more])
+
+
+def test_sightings_of_accepted_cameras_are_written(frames):
+    write_site(frames)
+    assert measure(frames) == 0
+    table = read_table(frames / "sightings.parquet")
+    assert table["image"].tolist() == ["a0.jpg", "a0.jpg"]
+    assert table["kept"].all()
+    assert np.abs(wrap_deg(table["bearing_grid_deg"] - [350.0, 15.0])).max() < 0.3
+    assert np.allclose(table["depth_m"], [20.0, 25.0], rtol=0.05)
+    assert table["method"].tolist() == ["fused", "image"]
+    turn = wrap_deg(table["bearing_deg"] - table["bearing_grid_deg"])
+    assert np.ptp(turn) < 1e-6
+    assert 0.1 < abs(turn[0]) < 3.0
+    assert table["latitude"].between(34, 37).all()
+    assert read_about(frames / "sightings.parquet")["settings"]["bearing"] == "fused"
+    first = (frames / "sightings.parquet").read_bytes()
+    assert measure(frames) == 0
+    assert (frames / "sightings.parquet").read_bytes() == first
+
+
+def test_a_shard_without_images_has_an_empty_table_of_the_same_columns(frames):
+    write_site(frames)
+    assert measure(frames) == 0
+    full = read_table(frames / "sightings.parquet")
+    cameras = read_table(frames / "cameras.parquet").assign(accepted=False)
+    write_table(frames / "cameras.parquet", cameras)
+    assert measure(frames) == 0
+    empty = read_table(frames / "sightings.parquet")
+    assert len(empty) == 0
+    assert list(empty.columns) == list(full.columns)
+    pd.concat([empty, full]).to_numpy()
+
+
+def test_images_without_poles_give_an_empty_table(frames):
+    write_site(frames)
+    with ImageShardWriter(frames / "masks.zip") as shard:
+        shard.write("a0", np.full((600, 1000), PixelClass.ROAD, np.uint8))
+    assert measure(frames) == 0
+    assert len(read_table(frames / "sightings.parquet")) == 0
+
+
+def test_a_pole_in_two_views_is_kept_once(frames):
+    write_site(frames)
+    table = read_table(frames / "frames.parquet")
+    table["right_path"] = "right/" + table["path"]
+    write_table(frames / "frames.parquet", table)
+    poles = [place(*one) for one in TRUTH]
+    turned = replace(CAMERA, yaw_deg=20.0)
+    for name, part in (("masks", 0), ("depth", 1)):
+        with ImageShardWriter(frames / f"{name}.zip") as shard:
+            shard.write("a0", rendered(poles)[part])
+            shard.write("a0.right", rendered(poles, turned)[part])
+    assert measure(frames, "--right-yaw-deg", "20") == 0
+    found = read_table(frames / "sightings.parquet")
+    assert len(found) == 4
+    assert found["kept"].sum() == 2
+    assert set(found.loc[~found["kept"], "reason"]) == {"same as in the front view"}
+    beside = found[found["view"] == "right"]["bearing_grid_deg"]
+    assert np.abs(wrap_deg(beside - [350.0, 15.0])).max() < 0.3
+
+
+def test_edges_are_written_by_image_and_empty_ones_say_why(frames):
+    with ImageShardWriter(frames / "masks.zip") as shard:
+        shard.write("a0", straight_road())
+        shard.write("a1", np.zeros((60, 80), np.uint8))
+    arguments = ["--frames", str(frames / "frames.parquet"), "--masks", str(frames / "masks.zip"),
+                 "--out", str(frames / "edges.parquet")]  # fmt: skip
+    assert trace_image_edges.main(arguments) == 0
+    table = read_table(frames / "edges.parquet")
+    assert set(table["image"]) == {"a0.jpg"}
+    assert set(table["kind"]) == {"lane", "border"}
+    assert (table["u"].dtype, table["side"].dtype) == (np.float32, np.int8)
+    reasons = read_about(frames / "edges.parquet")["without_edges"]
+    assert reasons == {"a1.jpg": "no road in the mask"}
+
+
+def write_images(folder) -> None:
+    (folder / "images").mkdir()
+    image = np.zeros((40, 60, 3), np.uint8)
+    image[20:] = (0, 0, 255)
+    image[5:30, 30:34] = (255, 0, 0)
+    for i in range(2):
+        cv2.imwrite(str(folder / f"images/a{i}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 100])
+
+
+def manifest(folder, weights, **changes) -> str:
+    (folder / "tiny.onnx").write_bytes(pointwise(np.array(weights), ("h", "w")))
+    size = {"multiple_of": 4}
+    content = {"file": "tiny.onnx", "input": {"colour": "BGR", "size": size}} | changes
+    (folder / "tiny.yaml").write_text(yaml.safe_dump(content))
+    return str(folder / "tiny.yaml")
+
+
+def test_masks_come_from_networks_and_from_folders(frames):
+    pytest.importorskip("roadsight.io.images.videologs")
+    from roadsight.stages.poles import segment_images
+
+    write_images(frames)
+    path = manifest(
+        frames, [[0, 0.5, 0], [0, 0, 1], [1, 0, 0]], task="classes", labels=3,
+        output={"kind": "logits"}, classes={0: "sky", 1: "road", 2: "vegetation"},
+    )  # fmt: skip
+    (frames / "labels").mkdir()
+    label = np.zeros((40, 60), np.uint8)
+    label[5:30, 30:34] = 1
+    for i in range(2):
+        cv2.imwrite(str(frames / f"labels/a{i}.png"), label)
+    (frames / "map.yaml").write_text("labels: 2\nclasses: {1: pole}\n")
+    arguments = ["--frames", str(frames / "frames.parquet"), "--images", str(frames / "images"),
+                 "--out", str(frames / "masks.zip"), "--source", path,
+                 "--source", str(frames / "labels"), str(frames / "map.yaml")]  # fmt: skip
+    assert segment_images.main(arguments) == 0
+    shard = ImageShard(frames / "masks.zip")
+    assert sorted(shard.names) == ["a0", "a1"]
+    mask = shard.read("a0")
+    assert mask[35, 10] == PixelClass.ROAD
+    assert (mask[5:30, 30:34] == PixelClass.POLE).all()
+    (frames / "labels/a1.png").unlink()
+    assert segment_images.main(arguments) == 2
+
+
+def test_depth_the_wrong_way_round_names_the_key_to_change(frames, capsys):
+    pytest.importorskip("roadsight.io.images.videologs")
+    from roadsight.stages.poles import estimate_depth
+
+    (frames / "images").mkdir()
+    (frames / "depth").mkdir()
+    rows = np.arange(40, dtype=np.uint16)[:, None] * np.ones((1, 60), np.uint16)
+    for i in range(2):
+        grey = (rows * 5).astype(np.uint8)
+        cv2.imwrite(str(frames / f"images/a{i}.jpg"), cv2.merge([grey] * 3))
+        cv2.imwrite(str(frames / f"depth/a{i}.png"), 1000 + rows * 100)
+    base = ["--frames", str(frames / "frames.parquet"), "--images", str(frames / "images"),
+            "--out", str(frames / "depth.zip"), "--source"]  # fmt: skip
+    spec = {"task": "relative_depth", "output": {"kind": "inverse_depth"}}
+    assert estimate_depth.main([*base, manifest(frames, [[1, 0, 0]], **spec)]) == 0
+    (frames / "depth.zip").unlink()
+    assert estimate_depth.main([*base, manifest(frames, [[-1, 0, 0]], **spec)]) == 2
+    assert "output.kind" in capsys.readouterr().err
+    assert not (frames / "depth.zip").exists()
+    assert estimate_depth.main([*base, str(frames / "depth")]) == 0
+    near = ImageShard(frames / "depth.zip").read("a0")
+    assert near[39, 0] > near[0, 0] > 0
+    assert estimate_depth.main([*base, manifest(frames, [[0, 0, 0]], **spec)]) == 0
+    assert not ImageShard(frames / "depth.zip").read("a0").any()

@@ -1,0 +1,231 @@
+"""Stages from sightings to poles, hazard and validation, and the verb, through command lines."""
+
+import argparse
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyogrio
+import pytest
+from pyproj import CRS
+
+from roadsight.base.errors import InputError
+from roadsight.commands import triangulate as verb
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.north import SiteNorth
+from roadsight.io.raster.rasters import write_raster
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.io.vector.point_tables import read_points
+from roadsight.stages.poles import rate_hazard, triangulate_poles, validate_poles
+
+FEET = Frame((900_000.0, 700_000.0, 2000.0), 1200 / 3937, 1200 / 3937, CRS("EPSG:6543").to_wkt())
+POLES = np.array([[20.0, 8.0], [42, -7], [60, 8], [85, 9], [100, -8], [121, 8]])
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory):
+    """A straight road in feet with six poles, seen from cameras every 8 m."""
+    folder = tmp_path_factory.mktemp("poles")
+    write_json(folder / "frame.json", FEET.to_dict())
+    rng = np.random.default_rng(5)
+    rows = []
+    for number, x in enumerate(np.arange(0, 136, 8.0)):
+        for pole in POLES:
+            gap = pole - [x, 0]
+            depth = np.hypot(*gap)
+            if gap[0] > 1 and depth < 24:
+                bearing = np.degrees(np.arctan2(*gap)) + rng.normal(0, 0.2)
+                rows.append((f"i{number:03d}.jpg", number, x, bearing, depth * rng.normal(1, 0.05)))
+    sightings = pd.DataFrame(
+        rows, columns=["image", "sequence", "x", "bearing_grid_deg", "depth_m"]
+    ).assign(route="r", kind="pole", y=0.0, sigma_bearing_deg=0.3, sigma_depth_m=1.0, kept=True)
+    sightings["depth_lidar_m"] = np.nan
+    write_table(folder / "s0.parquet", sightings.iloc[::2])
+    write_table(folder / "s1.parquet", sightings.iloc[1::2])
+    write_table(folder / "none.parquet", sightings.iloc[:0])
+    frames = pd.DataFrame(
+        {"route": "r", "sequence": range(17), "x": np.arange(0, 136, 8.0), "y": 0.0}
+    )
+    write_table(folder / "frames.parquet", frames)
+    x = np.arange(-5, 140, 0.3)
+    edges = [pd.DataFrame({"x": x, "y": y, "z": 0.0}) for y in (-4.0, 4.0)]
+    write_table(folder / "edges.parquet", pd.concat(edges))
+    slope = np.repeat(-0.1 * np.abs(np.arange(20, -20, -0.5) - 0.25)[:, None], 320, axis=1)
+    write_raster(folder / "dem.tif", slope, FEET, -10.0, 20.0, 0.5)
+    latitude, longitude = SiteNorth(FEET).to_geographic(POLES)
+    truth = pd.DataFrame({"lat": latitude, "lon": longitude})
+    far = pd.DataFrame({"lat": [latitude[0] + 0.01], "lon": [longitude[0]]})
+    pd.concat([truth, far]).to_csv(folder / "truth.csv", index=False)
+    return folder
+
+
+def run_triangulation(site, *shards, **more):
+    ends = {"poles": "parquet", "layers": "gpkg", "csv": "csv", "geojson": "geojson"}
+    tag = more.get("tag", "")
+    out = {name: str(site / f"{name}{tag}.{end}") for name, end in ends.items()}
+    arguments = [
+        "--sightings",
+        *(str(site / s) for s in shards),
+        "--frame",
+        str(site / "frame.json"),
+    ]
+    arguments += [f"--{name}={path}" for name, path in out.items()]
+    arguments += [
+        "--dem",
+        str(site / "dem.tif"),
+        "--sigma-position-m",
+        "0.3",
+        *more.get("also", []),
+    ]
+    return triangulate_poles.main(arguments), out
+
+
+@pytest.fixture(scope="module")
+def poles(site):
+    code, out = run_triangulation(site, "s0.parquet", "s1.parquet")
+    assert code == 0
+    return out
+
+
+def test_poles_are_where_they_are(site, poles):
+    table = read_table(poles["poles"])
+    gaps = np.hypot(*(table[["x", "y"]].to_numpy()[:, None] - POLES).transpose(2, 0, 1))
+    assert len(table) == len(POLES)
+    assert gaps.min(axis=0).max() < 1.0
+    assert table["z"].to_numpy() == pytest.approx(-0.1 * np.abs(table["y"]), abs=0.05)
+    lat, _ = SiteNorth(FEET).to_geographic(table[["x", "y"]].to_numpy())
+    assert table["latitude"].to_numpy() == pytest.approx(lat)
+    assert read_about(poles["poles"])["method"] == "packing"
+    layers = dict(pyogrio.list_layers(poles["layers"]))
+    assert layers == {"poles": "Point Z", "ellipses": "Polygon", "rays": "LineString"}
+    assert len(pyogrio.read_dataframe(poles["layers"], layer="rays")) == table["score"].sum()
+    features = json.loads(Path(poles["geojson"]).read_text())["features"]
+    assert features[0]["geometry"]["coordinates"][1] == pytest.approx(lat[0], abs=1e-8)
+    assert len(pd.read_csv(poles["csv"])) == len(POLES)
+
+
+def test_shards_in_any_order_give_the_same_poles(site, poles):
+    _, again = run_triangulation(site, "s1.parquet", "s0.parquet", tag="_again")
+    pd.testing.assert_frame_equal(
+        read_table(again["poles"]), read_table(poles["poles"]), check_exact=True
+    )
+
+
+def test_no_sightings_are_empty_tables_and_a_warning(site, caplog):
+    code, out = run_triangulation(site, "none.parquet", tag="_none")
+    assert code == 0
+    assert "fewer than two sightings" in caplog.text
+    assert len(read_table(out["poles"])) == 0
+    assert list(read_table(out["poles"]).columns)[:4] == ["id", "kind", "x", "y"]
+    assert len(pd.read_csv(out["csv"])) == 0
+
+
+def test_poles_near_road_voxels_are_withheld(site):
+    voxels = pd.DataFrame({"ix": [20, 42], "iy": [7, -8], "iz": 0, "cls": [11, 5]})
+    about = {"cell_size_m": 1.0, "anchor": [0.0, 0.0, 0.0]}
+    write_table(site / "voxels.parquet", voxels, about)
+    also = ["--voxels", str(site / "voxels.parquet")]
+    _, out = run_triangulation(site, "s0.parquet", "s1.parquet", tag="_road", also=also)
+    table = read_table(out["poles"])
+    assert (~table["kept"]).sum() == 1
+    assert "road" in table["reason"][~table["kept"]].iloc[0]
+    assert len(pd.read_csv(out["csv"])) == len(POLES) - 1
+
+
+def test_hazard_and_validation(site, poles):
+    common = [f"--{name}={site / name}.{end}" for name, end in
+              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    common += ["--poles", poles["poles"]]
+    out, csv = site / "hazard.parquet", site / "hazard.csv"
+    dem = ["--dem", str(site / "dem.tif"), "--out", str(out), "--csv", str(csv)]
+    assert rate_hazard.main([*common, *dem]) == 0
+    table = read_table(out)
+    assert table["offset_m"].to_numpy() == pytest.approx(np.abs(table["y"]) - 4, abs=0.1)
+    assert table["slope_rise_over_run"].to_numpy() == pytest.approx(-0.1, abs=0.02)
+    assert table["side"].to_numpy().tolist() == (-np.sign(table["y"])).tolist()
+    assert "AASHTO" in read_about(out)["clear_zone"]
+    written = pd.read_csv(csv)
+    assert {"latitude", "longitude"} <= set(written)
+    native = FEET.to_native(table[["x", "y"]].to_numpy())
+    assert written[["x", "y"]].to_numpy() == pytest.approx(native, abs=1e-4)
+    assert rate_hazard.main([*common, *dem, "--aadt", "-1"]) == 2
+
+    result = site / "validation.json"
+    truth = ["--truth", str(site / "truth.csv"), "--out", str(result)]
+    assert validate_poles.main([*common, *truth]) == 0
+    found = json.loads(result.read_text())
+    assert found["truth"] == {"within_reach": 6, "out_of_reach": 1, "reach_m": 25.0}
+    assert found["thresholds"][0]["f1"] == 1.0
+    assert len(found["thresholds"]) == 16
+    assert found["mean_m"] < 0.6
+    row = found["errors"][0]
+    assert np.hypot(row["across_m"], row["along_m"]) == pytest.approx(row["geodesic_m"], rel=1e-3)
+    assert row["scenarios"] == ["straight road"]
+    assert found["scenarios"]["extraneous"] is None
+    assert len(found["warnings"]) == 1
+
+
+def test_known_poles_in_native_coordinates(site, tmp_path):
+    native = FEET.to_native(POLES)
+    pd.DataFrame(native, columns=["X", " y"]).to_csv(tmp_path / "t.csv", index=False)
+    points = read_points(tmp_path / "t.csv", FEET)
+    assert points[["x", "y"]].to_numpy() == pytest.approx(POLES, abs=1e-6)
+    assert points["id"].iloc[0] == "t1"
+    (tmp_path / "bad.csv").write_text("lat,lon\n35.5,abc\n")
+    with pytest.raises(InputError, match="line 2"):
+        read_points(tmp_path / "bad.csv", FEET)
+    (tmp_path / "other.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(InputError, match="lacks columns"):
+        read_points(tmp_path / "other.csv", FEET)
+
+
+def run_verb(*words):
+    parser = argparse.ArgumentParser()
+    verb.add_parser(parser.add_subparsers())
+    arguments = parser.parse_args(["triangulate", *map(str, words)])
+    arguments.run(arguments)
+
+
+SIGHTINGS = """lat,lon,bearing,depth
+51.5,-0.1,45,12
+51.5001,-0.1,90,8
+51.5,-0.09984,0,
+"""
+
+
+@pytest.mark.parametrize("flags", [[], ["--published", "--seed", "3"], ["--depths-as-given"]])
+def test_verb_writes_poles(tmp_path, flags):
+    (tmp_path / "s.csv").write_text(SIGHTINGS)
+    run_verb(tmp_path / "s.csv", *flags, "-o", tmp_path / "p.csv")
+    table = pd.read_csv(tmp_path / "p.csv")
+    assert list(table.columns) == ["lat", "lon", "score", "sigma_m"]
+    assert len(table) == 1
+    assert table["lat"].iloc[0] == pytest.approx(51.5001, abs=5e-5)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("lat,lon,bearing,depth\n51.5,-0.1,45,14\n", "fewer than two sightings"),
+        ("lat,lon,bearing,depth\n", "fewer than two sightings"),
+        ("lat,lon,depth\n1,2,3\n", "lacks the column bearing"),
+        ("lat,lon,bearing\n51,0,1\n95,0,1\n", "line 3.*-90 to 90"),
+        ("lat,lon,bearing\n51,0,1\n51,0,x\n", "line 3"),
+        ("lat,lon,bearing,depth\n51,0,1,2\n51,0,1,inf\n", "line 3"),
+    ],
+)
+def test_verb_refuses_bad_tables(tmp_path, text, message):
+    (tmp_path / "s.csv").write_text(text)
+    with pytest.raises(InputError, match=message):
+        run_verb(tmp_path / "s.csv", "-o", tmp_path / "p.csv")
+    assert not (tmp_path / "p.csv").exists()
+
+
+def test_verb_refuses_bad_values(tmp_path):
+    (tmp_path / "s.csv").write_text(SIGHTINGS)
+    with pytest.raises(InputError, match="--max-distance-m"):
+        run_verb(tmp_path / "s.csv", "--max-distance-m", "0", "-o", tmp_path / "p.csv")
+    with pytest.raises(InputError, match="cannot be read"):
+        run_verb(tmp_path / "none.csv", "-o", tmp_path / "p.csv")

@@ -1,0 +1,275 @@
+"""Triangulation: geometry, invariance, degenerate input, and the published sample."""
+
+import itertools
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roadsight.poles.triangulate.groups import Points, fit_groups, locate_points
+from roadsight.poles.triangulate.locate import (
+    calibrate_depths,
+    drop_near_structures,
+    error_ellipse,
+    withhold_thin,
+)
+from roadsight.poles.triangulate.merging import follows_sequence, merge_groups
+from roadsight.poles.triangulate.packing import choose_groups
+from roadsight.poles.triangulate.rays import (
+    TriangulationSettings,
+    cross_rays,
+    make_rays,
+    pair_rays,
+)
+from roadsight.poles.triangulate.site import POLE_COLUMNS, site_poles
+from tests.helpers.pole_street import FINE, found, nearest, rays_of, street
+
+
+def test_finds_every_pole_of_a_street():
+    truth, rows = street()
+    poles = found(rows)
+    assert len(poles) == len(truth)
+    assert nearest(poles, truth).min(axis=0).max() < 0.8
+    assert poles["kept"].all()
+    assert (poles["score"] >= 2).all()
+
+
+@given(
+    st.floats(0, 360), st.floats(-5e6, 5e6), st.floats(-5e6, 5e6), st.permutations(list(range(8)))
+)
+@settings(max_examples=15, deadline=None)
+def test_moves_turns_and_order_of_rows_carry_over(turn_deg, east_m, north_m, start):
+    _, rows = street(poles=4)
+    radians = np.radians(turn_deg)
+    matrix = np.array([[np.cos(radians), np.sin(radians)], [-np.sin(radians), np.cos(radians)]])
+    moved = rows.copy()
+    moved[:, :2] = rows[:, :2] @ matrix.T + [east_m, north_m]
+    moved[:, 2] += turn_deg
+    moved = np.roll(moved, start[0], axis=0)[::-1]
+    before, after = found(rows), found(moved)
+    expected = before[["x", "y"]].to_numpy() @ matrix.T + [east_m, north_m]
+    assert len(after) == len(before)
+    assert nearest(after, expected).min(axis=1).max() < 1e-5
+    assert np.sort(after["sigma_major_m"]) == pytest.approx(np.sort(before["sigma_major_m"]))
+
+
+def test_permuted_and_repeated_rows_give_the_same_bytes(rng):
+    _, rows = street()
+    again = np.concatenate([rows, rows[5:9]])[rng.permutation(len(rows) + 4)]
+    pd.testing.assert_frame_equal(found(again), found(rows), check_exact=True)
+
+
+def test_bearings_on_either_side_of_north_are_near_each_other():
+    rows = np.array([[-1.0, 0, 5.0, 12, 0], [1.0, 0, -5.0, 12, 1], [0.0, -4, 360, 16, 2]])
+    poles = found(rows)
+    assert len(poles) == 1
+    assert poles[["x", "y"]].to_numpy()[0] == pytest.approx([0, 12], abs=0.3)
+
+
+def test_error_ellipse_of_two_rays_at_a_right_angle():
+    rows = np.array([[0.0, -10, 0, np.nan, 0], [-10.0, 0, 90, np.nan, 1]])
+    poles = found(rows)
+    assert poles[["x", "y"]].to_numpy()[0] == pytest.approx([0, 0], abs=0.4)
+    across = np.hypot(0.3, 20 * np.radians(0.5))
+    assert poles["sigma_major_m"].to_numpy() == pytest.approx([across], rel=0.01)
+
+
+@pytest.mark.parametrize("apart_deg", [0.0, 0.2])
+def test_almost_parallel_rays_place_the_pole_by_depth(apart_deg):
+    rows = np.array([[0.0, 0, 10, 15, 0], [0.0, 1, 10 + apart_deg, 14, 1]])
+    poles = found(rows)
+    assert len(poles) == 1
+    ahead = np.array([np.sin(np.radians(10)), np.cos(np.radians(10))])
+    assert poles[["x", "y"]].to_numpy()[0] @ ahead == pytest.approx(15, abs=0.6)
+    assert poles["sigma_major_m"].iloc[0] > 5 * poles["sigma_minor_m"].iloc[0]
+    assert poles["sigma_azimuth_deg"].iloc[0] == pytest.approx(10, abs=0.5)
+
+
+def test_a_long_ellipse_withholds_the_pole_with_a_reason():
+    rows = np.array([[0.0, 0, 10, 20, 0], [0.0, 1, 10, 19, 1]])
+    poles = found(rows, TriangulationSettings(max_sigma_m=0.5, calibrate_depth=False))
+    assert poles["kept"].tolist() == [False]
+    assert poles["reason"].iloc[0] == "error ellipse longer than 0.5 m"
+
+
+def test_rays_that_cross_behind_a_camera_or_too_far_make_no_pole():
+    back = np.array([[0.0, 0, -30, 10, 0], [4.0, 0, 30, 10, 1]])
+    far = np.array([[0.0, 0, 2, 60, 0], [4.0, 0, -2, 60, 1]])
+    assert len(found(back)) == len(found(far)) == 0
+
+
+def test_one_image_never_sees_a_pole_twice():
+    rows = np.array([[0.0, 0, 10, 10, 7], [1.0, 0, 5, 10, 7]])
+    assert len(found(rows)) == 0
+    rows[1, 4] = 8
+    assert len(found(rows)) == 1
+
+
+def test_a_standing_camera_makes_no_pole_alone():
+    rows = np.array([[0.01 * n, 0, 30 + 0.1 * n, 10, n] for n in range(6)])
+    assert len(found(rows)) == 0
+
+
+@pytest.mark.parametrize("depth", [0.0, -3.0, np.nan, np.inf])
+def test_unknown_depths_are_no_depths(depth):
+    truth, rows = street(poles=3)
+    rows[:, 3] = depth
+    poles = found(rows)
+    assert nearest(poles, truth).min(axis=0).max() < 2.5
+
+
+def test_empty_and_single_rows():
+    assert len(found(np.empty((0, 5)))) == 0
+    assert len(found(street()[1][:1])) == 0
+    bad = np.array([[np.nan, 0, 10, 5, 0], [0, 0, np.nan, 5, 1]])
+    assert len(rays_of(bad)) == 0
+
+
+def test_depth_scale_is_found_from_the_crossings():
+    _, rows = street(poles=30, noise_depth=0.15, gap_m=5.0)
+    rows[:, 3] /= 1.4
+    assert calibrate_depths(rays_of(rows), FINE) == pytest.approx(1.4, rel=0.1)
+    assert calibrate_depths(rays_of(rows[:12]), FINE) == 1.0
+
+
+def test_group_place_is_the_least_squares_place(rng):
+    _, rows = street(poles=2)
+    rays = rays_of(rows)
+    points = locate_points(rays, FINE)
+    members = np.array([[0, 1]])
+    fitted, _ = fit_groups(rays, points, members, FINE)
+
+    def misfit(place):
+        rest = points.place_m[[0, 1]] - place
+        return 0.5 * sum(r @ h @ r for r, h in zip(rest, points.information[[0, 1]], strict=True))
+
+    assert fitted.cost[0] == pytest.approx(misfit(fitted.place_m[0]))
+    for step in rng.normal(0, 0.1, (20, 2)):
+        assert misfit(fitted.place_m[0] + step) >= fitted.cost[0]
+
+
+def test_pairs_agree_with_all_pairs():
+    _, rows = street()
+    rays = rays_of(rows)
+    slow = [
+        [i, j]
+        for i, j in itertools.combinations(range(len(rays)), 2)
+        if rays.image[i] != rays.image[j]
+        and 0.5 <= np.hypot(*(rays.camera_m[i] - rays.camera_m[j])) <= 60
+    ]
+    assert pair_rays(rays, FINE).tolist() == slow
+
+
+def is_packing(groups):
+    rays = [ray for group in groups for ray in group]
+    return len(set(rays)) == len(rays)
+
+
+def test_packing_agrees_with_every_choice(rng):
+    for _ in range(20):
+        members = [rng.choice(7, size=rng.integers(2, 4), replace=False) for _ in range(9)]
+        gain = rng.uniform(-1, 5, 9)
+        choices = (c for n in range(5) for c in itertools.combinations(range(9), n))
+        best = max(sum(gain[list(c)]) for c in choices if is_packing([members[n] for n in c]))
+        chosen = choose_groups(members, gain, 7)
+        assert gain[chosen].sum() == pytest.approx(best)
+        greedy = choose_groups(members, gain, 7, largest=0)
+        used = np.concatenate([members[c] for c in greedy])
+        assert len(set(used.tolist())) == len(used)
+        assert gain[greedy].sum() <= best + 1e-9
+
+
+def test_crossings_and_parallel_rays():
+    rays = make_rays([[0, 0], [10, 0], [20, 0]], [45, 315, 45], image=[0, 1, 2])
+    along, place = cross_rays(rays, np.array([[0, 1], [0, 2]]))
+    assert along[0] == pytest.approx([50**0.5] * 2)
+    assert place[0] == pytest.approx([5, 5])
+    assert np.isnan(along[1]).all()
+
+
+def sequence_rays(depths, bearings):
+    n = len(depths)
+    return make_rays(
+        np.column_stack([8.0 * np.arange(n), np.zeros(n)]), bearings, depths,
+        image=np.arange(n), route=["r"] * n, sequence=np.arange(n),
+    )  # fmt: skip
+
+
+def test_sequence_rule():
+    everyone = np.arange(3)
+    assert follows_sequence(sequence_rays([30, 22, 14], [80, 75, 60]), everyone, FINE)
+    assert follows_sequence(sequence_rays([30, 22, 14], [350, 355, 10]), everyone, FINE)
+    assert not follows_sequence(sequence_rays([14, 22, 30], [80, 75, 60]), everyone, FINE)
+    assert not follows_sequence(sequence_rays([30, 22, 14], [80, 60, 75]), everyone, FINE)
+    far = sequence_rays([30, 22, 14], [80, 75, 60])
+    assert not follows_sequence(far, everyone, TriangulationSettings(sequence_m=7.0))
+
+
+def test_groups_within_their_errors_merge_but_not_across_one_image():
+    places = np.array([[0, 0], [0.2, 0], [0.4, 0], [0.5, 0.1]])
+    points = Points(places, np.repeat(np.eye(2)[None], 4, axis=0))
+    groups = [np.array([0, 1]), np.array([2, 3])]
+    rays = make_rays(np.column_stack([np.arange(4.0), np.zeros(4)]), [0] * 4, image=range(4))
+    assert [g.tolist() for g in merge_groups(rays, points, groups, FINE)] == [[0, 1, 2, 3]]
+    same = make_rays(rays.camera_m, rays.bearing_deg, image=[0, 1, 1, 2])
+    assert len(merge_groups(same, points, groups, FINE)) == 2
+
+
+def test_structures_withhold_poles():
+    from scipy.spatial import cKDTree
+
+    poles = pd.DataFrame({"x": [0.0, 9.0], "y": 0.0, "kept": True, "reason": ""})
+    dropped = drop_near_structures(poles, cKDTree([[1.0, 0.0]]))
+    assert dropped["kept"].tolist() == [False, True]
+    assert "road, bridge or building" in dropped["reason"].iloc[0]
+    assert drop_near_structures(poles, None)["kept"].all()
+
+
+def test_ellipse_axes():
+    major, minor, azimuth = error_ellipse(np.array([[[9.0, 0], [0, 1]], [[1.0, 0], [0, 4]]]))
+    assert major.tolist() == [3, 2]
+    assert minor.tolist() == [1, 1]
+    assert azimuth.tolist() == [90, 0]
+
+
+def site_table(rows, kind="pole"):
+    n = len(rows)
+    columns = {"image": [f"i{int(r[4]):03d}" for r in rows], "route": "r", "sequence": rows[:, 4]}
+    columns |= {"kind": kind, "x": rows[:, 0], "y": rows[:, 1], "bearing_grid_deg": rows[:, 2]}
+    columns |= {"depth_m": rows[:, 3], "sigma_bearing_deg": np.nan, "sigma_depth_m": np.nan}
+    return pd.DataFrame(columns | {"kept": np.ones(n, bool)})
+
+
+@pytest.mark.parametrize("method", ["packing", "sweep"])
+def test_site_keeps_kinds_apart_and_names_images(method):
+    _, rows = street(poles=3, noise_deg=0.05, noise_depth=0.02)
+    both = pd.concat([site_table(rows), site_table(rows, "sign")], ignore_index=True)
+    poles, pole_of, _ = site_poles(both, FINE, method)
+    assert set(POLE_COLUMNS) - {"z", "latitude", "longitude"} == set(poles.columns)
+    assert poles.groupby("kind").size().to_dict() == {"pole": 3, "sign": 3}
+    assert (poles["kind"].to_numpy()[pole_of[pole_of >= 0]] == both["kind"][pole_of >= 0]).all()
+    first = both["image"][pole_of == 0]
+    assert poles["images"].iloc[0] == ";".join(sorted(first))
+
+
+def test_site_without_usable_sightings_is_an_empty_table():
+    table = site_table(street()[1]).assign(kept=False)
+    poles, pole_of, scales = site_poles(table, FINE)
+    assert len(poles) == 0
+    assert (pole_of == -1).all()
+    assert scales == {}
+
+
+def test_poles_of_few_views_need_the_cloud():
+    poles = pd.DataFrame(
+        {"score": [2, 2, 3, 2], "kept": [True, True, True, False], "reason": [""] * 3 + ["long"]}
+    )
+    pole_of = np.array([0, 0, 1, 1, 2, 2, 2, -1, 3, 3])
+    in_cloud = np.array([0, 0, 0, 1, 0, 0, 0, 1, 0, 0], bool)
+    found = withhold_thin(poles, pole_of, in_cloud, 3)
+    assert found["kept"].tolist() == [False, True, True, False]
+    assert "fewer than 3 images" in found["reason"][0]
+    assert found["reason"][3] == "long"
+    assert withhold_thin(poles, pole_of, in_cloud, 2)["kept"].tolist() == [True, True, True, False]

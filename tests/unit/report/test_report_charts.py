@@ -1,0 +1,112 @@
+"""Plots as SVG, and what they are made of."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from xml.etree import ElementTree
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roadsight.report.charts import Chart, span_of, ticks
+from roadsight.report.poles import published
+
+numbers = st.floats(-1e6, 1e6)
+
+
+@given(numbers, st.floats(1e-3, 1e6))
+def test_ticks_are_even_inside_and_few(low, width):
+    found = ticks((low, low + width))
+    assert 2 <= len(found) <= 11
+    assert all(low - 1e-6 * width <= tick <= low + width + 1e-6 * width for tick in found)
+    steps = {round((b - a) / width, 5) for a, b in pairwise(found)}
+    assert max(steps) - min(steps) < 2e-5
+
+
+@given(st.lists(st.one_of(st.none(), numbers), max_size=20))
+def test_span_holds_every_value_and_is_never_empty(values):
+    low, high = span_of(values)
+    assert low < high
+    assert all(low <= value <= high for value in values if value is not None)
+
+
+def test_span_leaves_out_a_wild_value():
+    assert span_of([*[1.0] * 200, 2.0, 1e6], share=0.98)[1] < 10
+
+
+def chart():
+    return Chart("Title & more", "x", "y", (0.0, 10.0), (0.0, 1.0), 200.0, 100.0)
+
+
+def test_chart_is_well_formed_and_named():
+    made = chart()
+    made.dots([1.0], [0.5], "good", ["<pole> & co"])
+    made.bars([0.0, 1.0, 2.0], [1, 0], "good")
+    made.level(0.5, "fit", "half < 1")
+    root = ElementTree.fromstring(made.svg())
+    assert root.get("aria-label") == "Title & more"
+    assert "<pole> & co" in "".join(root.itertext())
+    assert "half < 1" in "".join(root.itertext())
+
+
+def test_line_breaks_where_values_are_missing():
+    made = chart()
+    made.line([0.0, 1.0, 2.0, 3.0], [0.1, None, float("nan"), 0.4], "good")
+    path = re.search(r'class="line good" d="([^"]*)"', made.svg()).group(1)
+    assert path.count("M") == 2
+    assert "L" not in path
+
+
+def test_band_needs_both_sides_of_two_neighbours():
+    made = chart()
+    made.band([0.0, 1.0, 2.0, 3.0], [0.1, 0.1, None, 0.1], [0.2, 0.2, 0.2, 0.2], "sigma")
+    assert made.svg().count('class="band sigma"') == 1
+
+
+def test_dots_are_where_their_values_are():
+    made = chart()
+    made.dots([0.0, 10.0], [0.0, 1.0], "good", ["a", "b"])
+    places = re.findall(r'cx="([\d.]+)" cy="([\d.]+)"', made.svg())
+    (x0, y0), (x1, y1) = ([float(v) for v in place] for place in places)
+    assert x0 < x1
+    assert y0 > y1
+    made.dots([5.0], [99.0], "good", ["beyond"])
+    assert re.findall(r'cy="([\d.]+)"', made.svg())[-1] == places[1][1]
+
+
+def test_level_outside_the_plot_is_not_drawn():
+    made = chart()
+    made.level(2.0, "reference", "far")
+    assert "far" not in made.svg()
+
+
+def test_papers_table_agrees_with_its_own_text():
+    poles, mean = published.scenario_mean_m("Extraneous_features")
+    assert (poles, round(mean, 2)) == (4, 14.55)
+    straight, curved = (published.scenario_mean_m(name) for name in published.SCENARIOS[:2])
+    assert straight[0] + curved[0] == published.CHECKED
+    mean = (straight[0] * straight[1] + curved[0] * curved[1]) / published.CHECKED
+    assert mean == pytest.approx(published.MEAN_M, abs=0.06)
+    assert published.scenario_mean_m("tunnel") is None
+
+
+@given(st.lists(st.tuples(st.floats(0, 10), st.floats(0, 1)), min_size=1, max_size=12))
+def test_labels_cover_no_other_one_and_stay_inside(places):
+    made = Chart("t", "x", "y", (0.0, 10.0), (0.0, 1.0))
+    for number, place in enumerate(places):
+        made.label(*place, f"level {number}")
+    notes = re.findall(
+        r'class="note" x="([-\d.]+)" y="([-\d.]+)" text-anchor="(\w+)">([^<]*)<', made.svg()
+    )
+    assert notes[0][3] == "level 0"
+    boxes = []
+    for x, y, anchor, text in notes:
+        left = float(x) - (0 if anchor == "start" else 5.5 * len(text))
+        boxes.append((left, float(y) - 10, left + 5.5 * len(text), float(y)))
+    for number, (left, top, right, bottom) in enumerate(boxes):
+        assert left >= 0 and right <= 470 and top >= -1 and bottom <= 270
+        for other in boxes[:number]:
+            apart = left >= other[2] or right <= other[0] or top >= other[3] or bottom <= other[1]
+            assert apart

@@ -1,0 +1,273 @@
+"""The page of a site's poles and the report made of it, from artifacts on disk."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.tables import read_table, write_table
+from roadsight.stages.evidence import write_poles_page, write_report, write_site_page
+from tests.helpers.report_poles import REASON, PolesSite, changed_validation, without
+from tests.helpers.report_site import ReportSite
+from tests.unit.report.test_report_document import Elements
+
+TITLE = 'Valley <script>alert(1)</script> & "quotes"'
+
+
+@pytest.fixture(scope="module")
+def sites(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("sites")
+    return [
+        PolesSite(folder, "valley", length_m=176.0, poles=6, points=500, title=TITLE),
+        PolesSite(folder, "local", length_m=80.0, poles=3, crs=None, known=0, points=500),
+    ]
+
+
+@pytest.fixture(scope="module")
+def pages(sites):
+    for site in sites:
+        assert write_poles_page.main(site.poles_arguments) == 0
+    return [site.poles_page for site in sites]
+
+
+@pytest.fixture(scope="module")
+def valley(pages):
+    return read_json(pages[0])
+
+
+@pytest.fixture(scope="module")
+def html(sites, pages, tmp_path_factory):
+    """A site with both jobs, one with its scene alone, one with poles alone."""
+    folder = tmp_path_factory.mktemp("report")
+    bare = ReportSite(folder, "bare", placed=False)
+    scenes = [bare, sites[0]]
+    for site in scenes:
+        assert write_site_page.main(site.arguments) == 0
+    given = [str(site.path("page.json")) for site in scenes]
+    return report(folder, *given, poles=pages)
+
+
+@pytest.fixture(scope="module")
+def elements(html):
+    return Elements(html)
+
+
+def report(folder, *scenes, poles):
+    out = folder / "report.html"
+    arguments = ["--poles-pages", *map(str, poles), "--out", str(out)]
+    assert write_report.main([*(["--pages", *scenes] if scenes else []), *arguments]) == 0
+    return out.read_text(encoding="utf-8")
+
+
+def rendered(page, folder):
+    """Visible text of the report of one page of poles."""
+    write_json(folder / "given.json", page)
+    return Elements(report(folder, poles=[folder / "given.json"])).text
+
+
+class TestPage:
+    def test_same_artifacts_give_the_same_bytes(self, sites, pages, tmp_path):
+        again = tmp_path / "page.json"
+        arguments = [str(again) if a == str(pages[0]) else a for a in sites[0].poles_arguments]
+        assert write_poles_page.main(arguments) == 0
+        assert again.read_bytes() == pages[0].read_bytes()
+
+    def test_counts_agree_with_the_tables(self, sites, valley):
+        site = sites[0]
+        assert valley["counts"] == {
+            "images": len(site.frames),
+            "aligned": int(site.cameras["accepted"].sum()),
+            "rejected": int((~site.cameras["accepted"]).sum()),
+            "sightings": len(site.sightings),
+            "kept": int(site.sightings["kept"].sum()),
+            "poles": len(site.poles),
+            "routes": 1,
+            "length_m": pytest.approx(8.0 * (len(site.frames) - 1)),
+        }
+        assert valley["rejections"]["images"] == [
+            [REASON, valley["counts"]["rejected"]],
+            ["has no place", 1],
+            ["stands still", 1],
+        ]
+
+    def test_images_of_unknown_place_are_not_on_the_map(self, valley):
+        layer = valley["layers"]["cameras"]
+        assert "lost.jpg" not in layer["images"]
+        assert len(layer["images"]) == valley["counts"]["images"] - 1
+
+    def test_poles_know_their_images_and_sightings(self, sites, valley):
+        names = valley["layers"]["cameras"]["images"]
+        for pole, row in zip(valley["layers"]["poles"], sites[0].poles.itertuples(), strict=True):
+            assert [names[camera] for camera in pole["cameras"]] == row.images.split(";")
+            assert pole["sightings"] == row.score
+            longitude, latitude = pole["lon_lat_deg"]
+            assert (latitude, longitude) == pytest.approx((row.latitude, row.longitude))
+
+    def test_rejected_images_are_shown_with_their_reason(self, valley):
+        rejected = [image for image in valley["images"] if image["state"] == 1]
+        assert rejected
+        assert all(image["reason"] == REASON for image in rejected)
+        assert all(image["lidar"]["count"] > 0 for image in valley["images"])
+
+    def test_projected_edge_lies_on_the_edge_in_the_image(self, valley):
+        from tests.unit.report.test_report_poles import unpacked
+
+        image = next(image for image in valley["images"] if image["state"] == 0)
+        lidar, found = (unpacked(image[key]).reshape(-1, 2) / 8 for key in ("lidar", "edges"))
+        nearest = [abs(lidar - point).sum(axis=1).min() for point in found]
+        assert max(nearest) < 20
+
+    def test_depth_fit_follows_its_samples(self, valley):
+        fit = valley["depth_fit"]
+        said = [fit["c1"] / z + fit["c2"] for z in fit["distance_m"]]
+        apart = sorted(abs(a - b) for a, b in zip(said, fit["relative"], strict=True))
+        assert apart[len(apart) // 2] < 0.03
+        assert set(valley["depth_checks"]) == {"network", "ground"}
+
+    def test_page_stays_small(self, pages):
+        assert pages[0].stat().st_size < 3e6
+
+    def test_job_without_what_is_optional(self, sites, tmp_path):
+        optional = ("hazard", "images", "dem", "masks", "depth", "files", "validation")
+        arguments = without(sites[0].poles_arguments, *optional, "out")
+        out = tmp_path / "page.json"
+        given = ["--validation", "--hazard", "--out", str(out)]
+        assert write_poles_page.main([*arguments, *given]) == 0
+        page = read_json(out)
+        assert page["depth_fit"] is None
+        assert {image["jpeg"] for image in page["images"]} == {None}
+        text = rendered(page, tmp_path)
+        for absent in ("From relative depth", "Against known", "Roadside hazard", "Files of the"):
+            assert (absent in text) == (absent == "From relative depth")
+
+    def test_job_that_found_nothing(self, sites, tmp_path):
+        site, arguments = sites[1], []
+        empty = {"poles": "poles.parquet", "hazard": "hazard.parquet"}
+        for path in site.shards("sightings", "parquet"):
+            write_table(tmp_path / path.rpartition("/")[2], read_table(path).iloc[:0])
+        for name in empty.values():
+            write_table(tmp_path / name, read_table(site.path("poles", name)).iloc[:0])
+        arguments = without(site.poles_arguments, "sightings", "out", *empty)
+        shards = [str(tmp_path / f"{n}.parquet") for n in range(2)]
+        given = [part for k, v in empty.items() for part in (f"--{k}", str(tmp_path / v))]
+        out = str(tmp_path / "page.json")
+        assert (
+            write_poles_page.main([*arguments, *given, "--sightings", *shards, "--out", out]) == 0
+        )
+        text = rendered(read_json(out), tmp_path)
+        assert "No pole was located." in text
+        assert "Only 0 sightings" in text
+
+    def test_lack_of_an_artifact_is_one_message(self, sites, tmp_path, capsys):
+        arguments = without(sites[0].poles_arguments, "top", "out")
+        given = ["--top", str(tmp_path / "none.tif"), "--out", str(tmp_path / "page.json")]
+        assert write_poles_page.main([*arguments, *given]) == 2
+        assert "cannot be read as an overhead view" in capsys.readouterr().err
+
+
+class TestReport:
+    def test_same_pages_give_the_same_bytes(self, pages, tmp_path):
+        first = report(tmp_path, poles=pages)
+        assert report(tmp_path, poles=pages) == first
+
+    def test_sites_have_the_sections_of_their_jobs(self, elements):
+        anchors = [a["href"][1:] for t, a in elements.tags if t == "a" and "sections" not in a]
+        by_site = {
+            n: {a.partition(f"site-{n}-")[2] for a in anchors if a.startswith(f"site-{n}-")}
+            for n in range(3)
+        }
+        common = {"parameters", "provenance"}
+        scene = {"map", "scene3d", "scene"}
+        found = {"poles", "images", "alignment", "depth", "hazard", "files"}
+        checked = {"checked", "components"}
+        assert by_site == {
+            0: common | scene,
+            1: common | scene | found | checked,
+            2: common | found,
+        }
+
+    def test_every_anchor_leads_somewhere(self, elements):
+        identifiers = [a["id"] for _, a in elements.tags if "id" in a]
+        assert len(identifiers) == len(set(identifiers))
+        assert {a["href"][1:] for t, a in elements.tags if t == "a"} <= set(identifiers)
+
+    def test_nothing_is_loaded_from_elsewhere(self, elements):
+        for tag, attributes in elements.tags:
+            assert tag not in ("link", "iframe", "img", "object", "embed")
+            assert "src" not in attributes
+            assert attributes.get("href", "#").startswith("#")
+
+    def test_texts_from_data_are_escaped(self, html, elements):
+        assert "<script>alert" not in html
+        assert TITLE in elements.text
+        assert "No <edges> in the image" in elements.text
+        assert "My <own>" in elements.text
+
+    def test_key_texts(self, elements):
+        for text in (
+            "Poles located",
+            "Images aligned",
+            "Mean error",
+            "The known poles cover half of the route.",
+            "No known poles for this site",
+            "6 known poles within reach of an image (25",
+            "Ratings: 3 high, 3 low",
+            "Poles withheld",
+            "Near a building",
+            "Three quarters within",
+            "6.3",
+            "Curved road",
+            "Intersection",
+            "paper",
+            "F1",
+            "0.35",
+            "Side-view stitching",
+            "essential for objects that only side views show",
+            "results/valley/poles/poles.gpkg",
+            "WGS 84",
+            "Clear zone",
+            "2021/00000.jpg",
+        ):
+            assert text in elements.text, text
+
+    def test_every_plot_says_what_it_shows(self, elements):
+        plots = [a for t, a in elements.tags if t == "svg"]
+        assert len(plots) == 3 + 3 + 3 + 3 + 4 + 1
+        assert all(a["role"] == "img" and a["aria-label"] for a in plots)
+
+    def test_data_is_read_back(self, html, valley):
+        found = re.findall(r'class="poles-data">(.*?)</script>', html, re.S)
+        assert len(found) == 2
+        assert json.loads(found[0])["layers"] == valley["layers"]
+
+    def test_hazard_table_sorts_by_values_not_texts(self, elements, valley):
+        values = [a["data-value"] for t, a in elements.tags if t == "td" and "data-value" in a]
+        offset = valley["hazard"]["columns"].index("offset_m")
+        assert {str(row[offset]) for row in valley["hazard"]["rows"]} <= set(values)
+
+    def test_truth_of_other_shapes(self, sites, valley, tmp_path):
+        few = {"errors": [], "thresholds": [], "ablation": [], "mean_m": None, "truth": {}}
+        page = valley | {"validation": changed_validation(sites[0], **few)}
+        text = rendered(page, tmp_path)
+        assert "Against known poles" in text
+        assert "What each component is worth" not in text
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"format": "roadsight.page/1"}, "no page of this version"),
+            ({}, "two pages of one site"),
+        ],
+    )
+    def test_wrong_pages_are_refused(self, pages, tmp_path, capsys, change, message):
+        write_json(tmp_path / "page.json", read_json(pages[1]) | change)
+        given = ["--poles-pages", str(pages[1]), str(tmp_path / "page.json")]
+        assert write_report.main([*given, "--out", str(tmp_path / "r.html")]) == 2
+        assert message in capsys.readouterr().err
+
+    def test_report_of_nothing_is_refused(self, tmp_path, capsys):
+        assert write_report.main(["--out", str(tmp_path / "r.html")]) == 2
+        assert "no site to report" in capsys.readouterr().err

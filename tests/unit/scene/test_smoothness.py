@@ -1,0 +1,115 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roadsight.base.errors import InputError
+from roadsight.scene.pavement.fpfh import fpfh
+from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
+from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth, local_intensity
+
+
+@pytest.fixture
+def two_kinds(rng):
+    """Histograms, variation and intensity of 600 smooth, dark and 400 rough, bright points."""
+    smooth = np.arange(1000) < 600
+    histograms = rng.uniform(0, 20, (1000, 33)).astype(np.float32)
+    histograms[smooth, 5] += 150
+    histograms[~smooth, 2:9] += 30
+    variation = np.where(smooth, 0.002, 0.04) * rng.uniform(0.5, 1.5, 1000)
+    intensity = np.where(smooth, 20.0, 60.0) + rng.normal(0, 4, 1000)
+    return smooth, histograms, variation, intensity
+
+
+@pytest.mark.parametrize("with_intensity", [True, False])
+def test_the_two_kinds_are_told_apart(two_kinds, with_intensity):
+    smooth, histograms, variation, intensity = two_kinds
+    model = fit_smoothness(histograms, variation, intensity if with_intensity else None, 1.5, 1)
+    assert (is_smooth(model, histograms, variation, intensity) == smooth).mean() > 0.99
+
+
+def test_unused_intensity_has_no_say_in_the_classes(two_kinds):
+    _, histograms, variation, intensity = two_kinds
+    model = fit_smoothness(histograms, variation, None, 1.5, 1)
+    expected = is_smooth(model, histograms, variation, intensity)
+    for other in (-intensity, np.zeros(1000), np.full(1000, np.nan), 1e9 * intensity):
+        assert (is_smooth(model, histograms, variation, other) == expected).all()
+
+
+def test_intensity_decides_where_the_shapes_are_alike(rng):
+    """A lawn as flat as the road: asphalt is the darker one."""
+    road = np.arange(1000) % 2 == 0
+    histograms = rng.uniform(0, 5, (1000, 33)).astype(np.float32)
+    variation = rng.uniform(0.01, 0.011, 1000)
+    intensity = np.where(road, 10.0, 40.0) + rng.normal(0, 2, 1000)
+    model = fit_smoothness(histograms, variation, intensity, 1.5, 1)
+    assert (is_smooth(model, histograms, variation, intensity) == road).mean() > 0.99
+
+
+def test_a_few_dazzling_returns_do_not_hide_the_intensity_of_the_others(rng):
+    road = np.arange(1000) % 2 == 0
+    histograms = rng.uniform(0, 5, (1000, 33)).astype(np.float32)
+    variation = rng.uniform(0.01, 0.011, 1000)
+    intensity = np.where(road, 10.0, 40.0) + rng.normal(0, 2, 1000)
+    intensity[:9] = 60_000
+    model = fit_smoothness(histograms, variation, intensity, 1.5, 1)
+    assert (is_smooth(model, histograms, variation, intensity) == road)[9:].mean() > 0.99
+
+
+def test_a_constant_intensity_is_no_cue(two_kinds):
+    smooth, histograms, variation, _ = two_kinds
+    constant = np.full(1000, 7.3)
+    model = fit_smoothness(histograms, variation, constant, 1.5, 1)
+    assert (is_smooth(model, histograms, variation, constant) == smooth).mean() > 0.99
+
+
+def test_points_without_a_normal_are_never_smooth_and_never_fitted(two_kinds):
+    smooth, histograms, variation, intensity = two_kinds
+    isolated = np.arange(1000) % 10 == 0
+    histograms, variation = histograms.copy(), variation.copy()
+    histograms[isolated], variation[isolated] = 0, np.nan
+    model = fit_smoothness(histograms, variation, intensity, 1.5, 1)
+    without = fit_smoothness(
+        histograms[~isolated], variation[~isolated], intensity[~isolated], 1.5, 1
+    )
+    np.testing.assert_array_equal(model.centres, without.centres)
+    found = is_smooth(model, histograms, variation, intensity)
+    assert not found[isolated].any()
+    assert (found == smooth)[~isolated].mean() > 0.99
+
+
+def test_the_seed_alone_decides_chance(two_kinds):
+    _, histograms, variation, intensity = two_kinds
+    first, second = (fit_smoothness(histograms, variation, intensity, 1.5, 3) for _ in range(2))
+    assert first.smooth == second.smooth
+    assert first.centres.tobytes() == second.centres.tobytes()
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.07])
+def test_ground_that_is_the_same_everywhere_is_smooth(rng, slope):
+    """A perfect plane: one class only, and nothing in it is rough."""
+    x, y = rng.uniform(0, 9, (2, 300))
+    xyz = np.column_stack([x, y, slope * x])
+    distance, near = nearest_neighbours(xyz, 10)
+    normals, variation = upward_normals(xyz, near)
+    histograms = fpfh(xyz, normals, distance, near)
+    model = fit_smoothness(histograms, variation, None, 1.5, 1)
+    assert is_smooth(model, histograms, variation, np.zeros(300)).all()
+
+
+@pytest.mark.parametrize("n", [0, 1, 20])
+def test_ground_without_two_usable_points_is_refused(n):
+    variation = np.full(n, np.nan)
+    variation[:1] = 0.1
+    with pytest.raises(InputError, match="no ground with a surface"):
+        fit_smoothness(np.zeros((n, 33), np.float32), variation, None, 1.5, 1)
+
+
+class TestLocalIntensity:
+    def test_is_the_median_of_a_point_and_its_neighbours(self):
+        near = np.array([[1, 2], [0, 2], [-1, -1], [0, -1]])
+        found = local_intensity(np.array([1.0, 5.0, 100.0, 8.0]), near)
+        assert found.tolist() == [5.0, 5.0, 100.0, 4.5]
+
+    def test_no_points(self):
+        assert local_intensity(np.empty(0), np.empty((0, 3), np.int64)).shape == (0,)

@@ -1,0 +1,1 @@
+"""What every room uses: errors, validation, sections of settings, YAML, array types, shards."""

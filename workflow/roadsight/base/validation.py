@@ -1,0 +1,73 @@
+"""Validation that ends in one clear message: file, field, value found, value allowed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from roadsight.base.errors import InputError, nearest
+
+_LONGEST_NAME, _LONGEST_PATH = 255, 4095  # bytes, as Linux has it
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def validated(model: type[Model], content: Any, where: str) -> Model:
+    """Check ``content`` against ``model``.
+
+    Raises
+    ------
+    InputError : for the first thing that is wrong; a misspelt key is told its nearest valid one.
+    """
+    if not isinstance(content, dict):
+        raise InputError("must be a mapping of keys to values", where=where, found=repr(content))
+    try:
+        return model.model_validate(content)
+    except ValidationError as error:
+        raise _message(model, error, where) from error
+
+
+def check_path(path: Path, where: str) -> None:
+    """Refuse what no file can be called, and braces, which Snakemake takes for wildcards.
+
+    Raises
+    ------
+    InputError : the path cannot be used.
+    """
+    text = str(path)
+    if set("{}\0") & set(text):
+        raise InputError("a path with braces or null characters", where=where, found=repr(text))
+    if len(text.encode()) > _LONGEST_PATH or any(
+        len(part.encode()) > _LONGEST_NAME for part in path.parts
+    ):
+        raise InputError("a path too long for a file", where=where, found=text)
+
+
+def _message(model: type[BaseModel], error: ValidationError, where: str) -> InputError:
+    # A misspelt key is told before the one that is missing for it.
+    first = min(error.errors(), key=lambda part: part["type"] != "extra_forbidden")
+    field = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        keys = _keys(model, first["loc"][:-1])
+        return InputError(
+            f"unknown key {field!r}", where=where, hint=nearest(str(first["loc"][-1]), keys)
+        )
+    message = first["msg"].removeprefix("Value error, ")
+    if first["type"] == "missing":
+        return InputError(f"key {field!r} is missing", where=where)
+    shown = None if isinstance(first["input"], dict) else repr(first["input"])
+    return InputError(f"{field or 'file'}: {message}", where=where, found=shown)
+
+
+def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Valid keys of the section at ``location``."""
+    for part in location:
+        field = model.model_fields.get(str(part))
+        annotation = field.annotation if field else None
+        options = getattr(annotation, "__args__", (annotation,))
+        sections = [o for o in options if isinstance(o, type) and issubclass(o, BaseModel)]
+        # What is no field is a name within a mapping of sections, such as a plan's.
+        model = sections[0] if sections else model
+    return list(model.model_fields)

@@ -1,0 +1,1 @@
+"""LAS and LAZ files, and the tiles of a site."""

@@ -1,0 +1,248 @@
+"""LAS and LAZ point clouds in their native coordinates."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import date
+from pathlib import Path
+
+import laspy
+import numpy as np
+from laspy import DecompressionSelection
+from laspy.vlrs.known import WktCoordinateSystemVlr
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.chunks import Chunk, chunk_of, native_xyz
+from roadsight.io.cloud.las_header import COLOURS, CloudHeader, check_structure, cloud_header
+from roadsight.io.cloud.laz_chunks import are_apart, check_layers
+from roadsight.io.records.atomic import atomic_path
+
+CHUNK_POINTS = 125_000
+"""What is computed of so many points stays in the processor's cache."""
+
+_DECODED_POINTS = 8 * CHUNK_POINTS
+_LAZ_SCALE = 0.001
+_LAZ_DATE = date(2000, 1, 1)
+_DEGREES_PER_SCAN_ANGLE = 0.006
+_ALL_LAYERS = DecompressionSelection.all()
+_CHUNK_LAYERS = (
+    DecompressionSelection.base()
+    | DecompressionSelection.Z
+    | DecompressionSelection.CLASSIFICATION
+    | DecompressionSelection.FLAGS
+    | DecompressionSelection.INTENSITY
+    | DecompressionSelection.RGB
+)
+"""What a `Chunk` holds; time, angles and the producer's own fields stay compressed."""
+
+# What laspy logs as an error also arrives as an exception, which becomes one message here.
+logging.getLogger("laspy").setLevel(logging.CRITICAL)
+
+
+@dataclass(frozen=True)
+class NativeCloud:
+    """A whole cloud in memory.
+
+    Parameters
+    ----------
+    xyz : native coordinates, shape (n, 3), float64.
+    dims : every other dimension by its LAS name, each of length n.
+    header : what its header says.
+    """
+
+    xyz: NDArray[np.float64]
+    dims: dict[str, NDArray]
+    header: CloudHeader
+
+
+def read_header(path: str | os.PathLike[str]) -> CloudHeader:
+    """Header of a LAS or LAZ file.
+
+    Raises
+    ------
+    InputError : the file is missing, of another kind, damaged, without points, or its scale or
+        offset are no numbers to work with.
+    """
+    with _open(path) as reader:
+        return cloud_header(Path(path), reader.header)
+
+
+def read_extent(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+    """Lower and upper corner (2, 3) of a cloud as its header states them, native coordinates.
+
+    They are rounded to the file's own steps, so that they equal the coordinates of points.
+
+    Raises
+    ------
+    InputError : as `read_header`.
+    """
+    with _open(path) as reader:
+        header = cloud_header(Path(path), reader.header)
+        stated = np.array([reader.header.mins, reader.header.maxs], np.float64)
+        return np.rint((stated - header.offset) / header.scale) * header.scale + header.offset
+
+
+def iter_chunks(path: str | os.PathLike[str], chunk_points: int = CHUNK_POINTS) -> Iterator[Chunk]:
+    """Stream a cloud in file order, at most ``chunk_points`` points at a time.
+
+    Raises
+    ------
+    InputError : as `read_header`, or the points end early or cannot be decoded.
+    """
+    at_once = chunk_points * max(_DECODED_POINTS // chunk_points, 1)
+    with _open(path, _CHUNK_LAYERS) as reader:
+        header = cloud_header(Path(path), reader.header)
+        for points in _decoded(path, reader, at_once):
+            for start in range(0, len(points), chunk_points):
+                yield chunk_of(points[start : start + chunk_points], header)
+
+
+def read_laz(path: str | os.PathLike[str]) -> NativeCloud:
+    """Read a whole cloud with all its dimensions; meant for clouds that fit in memory.
+
+    Raises
+    ------
+    InputError : as `iter_chunks`.
+    """
+    with _open(path) as reader:
+        header = cloud_header(Path(path), reader.header)
+        parts = list(_decoded(path, reader, _DECODED_POINTS))
+        names = [n for n in reader.header.point_format.dimension_names if n not in "XYZ"]
+        dims = {name: np.concatenate([np.asarray(part[name]) for part in parts]) for name in names}
+        return NativeCloud(
+            np.concatenate([native_xyz(part, header) for part in parts]), dims, header
+        )
+
+
+def write_laz(
+    path: str | os.PathLike[str],
+    xyz_m: ArrayLike,
+    frame: Frame,
+    dims: Mapping[str, ArrayLike] | None = None,
+) -> None:
+    """Write points as LAZ 1.4 in the native CRS and units, to 0.001 of a native unit.
+
+    The same points give the same bytes. Colours are written when red, green and blue are all there.
+
+    Parameters
+    ----------
+    xyz_m : local metres, shape (n, 3).
+    dims : further dimensions by name, each of length n; names that LAS 1.4 does not know become
+        extra dimensions of their own type.
+
+    Raises
+    ------
+    InputError : a coordinate is not finite or beyond what LAS integers hold.
+    """
+    xyz = frame.to_native(np.asarray(xyz_m).reshape(-1, 3))
+    offset = np.floor(frame.origin)
+    integers = np.rint((xyz - offset) / _LAZ_SCALE)
+    if not np.all(np.abs(integers) < 2**31):
+        raise InputError(
+            "cannot be written: a coordinate is not finite or too far from the origin",
+            where=str(path),
+        )
+    las = laspy.LasData(_new_header(frame, offset, dims or {}))
+    las.x, las.y, las.z = xyz.T
+    for name, values in (dims or {}).items():
+        las[_las_name(name)] = _las_values(name, np.asarray(values))
+    with atomic_path(path) as temporary:
+        las.write(str(temporary), do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
+
+
+@contextmanager
+def _open(
+    path: str | os.PathLike[str], layers: DecompressionSelection = _ALL_LAYERS
+) -> Iterator[laspy.LasReader]:
+    """Open a cloud; whatever laspy and its decoder raise becomes one InputError.
+
+    Only the ``layers`` of points are decoded, where the point format has layers.
+    """
+    check_structure(Path(path))
+    try:
+        with laspy.open(
+            os.fspath(path),
+            laz_backend=laspy.LazBackend.Lazrs,
+            decompression_selection=layers,
+        ) as reader:
+            check_layers(Path(path), reader.header)
+            yield reader
+    except (InputError, KeyboardInterrupt, SystemExit, GeneratorExit):
+        raise
+    except BaseException as error:  # panics of the decoder are no Exceptions
+        raise InputError(
+            f"is damaged ({type(error).__name__}: {error})",
+            where=str(path),
+            hint="copy or download it again",
+        ) from error
+
+
+def _decoded(
+    path: str | os.PathLike[str], reader: laspy.LasReader, chunk_points: int
+) -> Iterator[laspy.ScaleAwarePointRecord]:
+    """Decode the points of an open cloud and count them.
+
+    As many threads work as ``RAYON_NUM_THREADS`` says.
+    """
+    if are_apart(Path(path), reader.header):
+        reader.laz_backend = laspy.LazBackend.LazrsParallel
+    count = 0
+    for points in reader.chunk_iterator(chunk_points):
+        count += len(points)
+        yield points
+    if count != reader.header.point_count:
+        raise InputError(
+            "ends early",
+            where=str(path),
+            found=f"{count} points",
+            allowed=f"{reader.header.point_count}, as its header says",
+            hint="copy or download it again",
+        )
+
+
+def _new_header(
+    frame: Frame, offset: NDArray[np.float64], dims: Mapping[str, ArrayLike]
+) -> laspy.LasHeader:
+    """LAS 1.4 header with a fixed date, the CRS, and the extra dimensions that ``dims`` need."""
+    header = laspy.LasHeader(version="1.4", point_format=7 if set(COLOURS) <= set(dims) else 6)
+    header.creation_date = _LAZ_DATE
+    header.system_identifier = header.generating_software = "roadsight"
+    header.scales, header.offsets = np.full(3, _LAZ_SCALE), offset
+    header.global_encoding.wkt = True
+    if frame.crs_wkt is not None:
+        header.vlrs.append(WktCoordinateSystemVlr(_las_wkt(CRS.from_wkt(frame.crs_wkt))))
+    known = set(header.point_format.dimension_names)
+    for name, values in dims.items():
+        if _las_name(name) not in known:
+            header.add_extra_dim(
+                laspy.ExtraBytesParams(name, _las_values(name, np.asarray(values)).dtype)
+            )
+    return header
+
+
+def _las_wkt(crs: CRS) -> str:
+    """WKT 1, which LAS asks for, or WKT 2 where WKT 1 cannot say it."""
+    try:
+        return crs.to_wkt("WKT1_GDAL")
+    except CRSError:
+        return crs.to_wkt()
+
+
+def _las_name(name: str) -> str:
+    """Name in LAS 1.4 of a dimension of an older LAS format."""
+    return "scan_angle" if name == "scan_angle_rank" else name
+
+
+def _las_values(name: str, values: NDArray) -> NDArray:
+    """Values in LAS 1.4 of a dimension: scan angles in its unit, bool as 8 bit."""
+    if name == "scan_angle_rank":
+        return np.rint(values / _DEGREES_PER_SCAN_ANGLE).astype(np.int16)
+    return values.astype(np.uint8) if values.dtype == bool else values

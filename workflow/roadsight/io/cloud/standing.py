@@ -1,0 +1,69 @@
+"""A tiled cloud without what only passed through the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.io.cloud.tiles import POSITION, Bounds, CloudTiles, stack_xyz
+from roadsight.io.records.tables import read_table
+
+
+class StandingCloud:
+    """Positions of the points that stand in the scene, tile by tile.
+
+    Parameters
+    ----------
+    cloud : path of the tiled cloud.
+    traffic : path of the traffic mask, or None where traffic was not cleared.
+
+    Raises
+    ------
+    InputError : a file is missing or damaged, or the two do not belong together.
+    """
+
+    def __init__(self, cloud: str, traffic: str | None) -> None:
+        self._cloud = CloudTiles(cloud)
+        rows = [tile.rows for tile in self._cloud.tiles]
+        self._starts = np.cumsum([0, *rows])
+        self._passed = (
+            np.zeros(self._cloud.points, bool)
+            if traffic is None
+            else read_table(traffic)["traffic"].to_numpy()
+        )
+        if len(self._passed) != self._cloud.points:
+            raise InputError(
+                "is not the mask of this cloud",
+                where=str(traffic),
+                found=f"{len(self._passed)} points",
+                allowed=f"{self._cloud.points} as in {cloud}",
+                hint="delete it and run the workflow again",
+            )
+        self.tiles = self._cloud.tiles
+        self.points = int(self._cloud.points - self._passed.sum())
+
+    def xyz(self, tile: int) -> NDArray[np.float32]:
+        """Positions (n, 3) of a tile's standing points, local metres."""
+        passed = self._passed[self._starts[tile] : self._starts[tile + 1]]
+        return stack_xyz(self._cloud.read(POSITION, [tile]))[~passed]
+
+    def xyz_within(self, bounds_m: Bounds) -> NDArray[np.float32]:
+        """Positions (n, 3) of the standing points in a box (west, south, east, north)."""
+        parts: list[NDArray[np.float32]] = [np.empty((0, 3), np.float32)]
+        for number, tile in enumerate(self.tiles):
+            if _overlap(tile.bounds_m, bounds_m):
+                xyz = self.xyz(number)
+                parts.append(xyz[_inside(xyz, bounds_m)])
+        return np.concatenate(parts)
+
+
+def _overlap(tile: Sequence[float], box: Bounds) -> bool:
+    return tile[0] < box[2] and tile[3] >= box[0] and tile[1] < box[3] and tile[4] >= box[1]
+
+
+def _inside(xyz: NDArray[np.float32], box: Bounds) -> NDArray[np.bool_]:
+    x, y = xyz[:, 0], xyz[:, 1]
+    return (x >= box[0]) & (x < box[2]) & (y >= box[1]) & (y < box[3])

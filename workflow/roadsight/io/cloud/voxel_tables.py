@@ -1,0 +1,80 @@
+"""Voxels of a site as a Parquet file that is written piece by piece."""
+
+from __future__ import annotations
+
+import json
+import os
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from roadsight.io.records.arrow import as_table, schema_of
+from roadsight.io.records.atomic import atomic_path, close_within, open_within
+
+_GROUP = 1 << 20
+_SCHEMA = schema_of({**dict.fromkeys(("ix", "iy", "iz"), "i4"), "cls": "u1"})
+
+
+class VoxelTableWriter:
+    """Writes columns ix, iy, iz and cls; the bytes do not depend on the pieces.
+
+    Parameters
+    ----------
+    path : the Parquet file. about : JSON description kept in it, read by `io.tables.read_about`.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], about: dict[str, Any]) -> None:
+        self._place = atomic_path(path)
+        self._schema = _SCHEMA.with_metadata(
+            {b"roadsight": json.dumps(about, sort_keys=True).encode()}
+        )
+        self._waiting: list[pa.Table] = []
+        self.rows = 0
+
+    def __enter__(self) -> VoxelTableWriter:
+        self._file = open_within(
+            self._place,
+            lambda path: pq.ParquetWriter(
+                path,
+                self._schema,
+                compression="zstd",
+                write_page_checksum=True,
+                use_dictionary=False,
+                column_encoding=dict.fromkeys(_SCHEMA.names, "BYTE_STREAM_SPLIT"),
+            ),
+        )
+        return self
+
+    def add(self, indices: NDArray[np.int32], cls: NDArray[np.uint8]) -> None:
+        """Add voxels: indices ix, iy, iz (n, 3) and classes (n,)."""
+        columns = dict(zip(_SCHEMA.names, (*indices.T, cls), strict=True))
+        self._waiting.append(as_table(columns, self._schema))
+        self.rows += len(cls)
+        if sum(len(part) for part in self._waiting) >= _GROUP:
+            self._flush(whole_groups=True)
+
+    def _flush(self, whole_groups: bool) -> None:
+        if not self._waiting:
+            return
+        waiting = pa.concat_tables(self._waiting).combine_chunks()
+        cut = len(waiting) // _GROUP * _GROUP if whole_groups else len(waiting)
+        if cut:
+            self._file.write_table(waiting.slice(0, cut), row_group_size=_GROUP)
+        self._waiting = [waiting.slice(cut)]
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        def close() -> None:
+            if error is None:
+                self._flush(whole_groups=False)
+            self._file.close()
+
+        close_within(self._place, close, error)

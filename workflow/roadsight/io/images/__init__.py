@@ -1,0 +1,1 @@
+"""Videologs, images, label images, networks."""

@@ -1,0 +1,104 @@
+"""Known cameras from CSV tables, in the local frame of a site."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.errors import InputError
+from roadsight.base.shards import shard_of
+from roadsight.geometry.frames import Frame
+
+_ANGLES = {"heading_grid_deg": "heading_deg", "pitch_deg": "pitch_deg", "roll_deg": "roll_deg"}
+_LENS = ("focal_px", "cx_px", "cy_px")
+_SIGMAS = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")
+
+
+def read_cameras(
+    path: str | os.PathLike[str], frame: Frame, intrinsics: str | os.PathLike[str] | None = None
+) -> pd.DataFrame:
+    """Poses of cameras: image, x, y, z (local metres), heading_deg (grid), pitch, roll, lens.
+
+    Parameters
+    ----------
+    path : CSV with image, easting_*, northing_* and height_* in the CRS and units of the site,
+        heading_grid_deg, pitch_deg, roll_deg, and focal_px, cx_px, cy_px unless ``intrinsics`` is
+        given: a CSV with one row fx_px, cx_px, cy_px for all images. Columns sigma_heading_deg,
+        sigma_pitch_deg, sigma_lateral_m, sigma_along_m are taken along where there are any.
+
+    Raises
+    ------
+    InputError : a table cannot be read, lacks a column or holds what is no number.
+    """
+    table = _read(path)
+    native = [
+        _column(table, rf"{name}_(?!above|px)\w+", path)
+        for name in ("easting", "northing", "height")
+    ]
+    numbers = table[[*native, *_present(table, _ANGLES, path)]].apply(
+        pd.to_numeric, errors="coerce"
+    )
+    found = pd.DataFrame({"image": table[_present(table, ("image",), path)[0]].astype(str)})
+    found[["x", "y", "z"]] = frame.to_local(numbers[native].to_numpy(np.float64))
+    for name, own in _ANGLES.items():
+        found[own] = numbers[name]
+    lens = table if intrinsics is None else _read(intrinsics).rename(columns={"fx_px": "focal_px"})
+    for name in _present(lens, _LENS, intrinsics or path):
+        values = pd.to_numeric(lens[name], errors="coerce")
+        found[name] = values if intrinsics is None else float(values.iloc[0])
+    for name in set(_SIGMAS) & set(table.columns):
+        found[name] = pd.to_numeric(table[name], errors="coerce")
+    if not np.isfinite(found.drop(columns="image").to_numpy(np.float64)).all():
+        raise InputError("holds what is no finite number", where=os.fspath(path))
+    return found
+
+
+def posed_images(path: str | os.PathLike[str]) -> set[str]:
+    """Names of the images whose camera a table has.
+
+    Raises
+    ------
+    InputError : it cannot be read or names no images.
+    """
+    table = _read(path)
+    return set(table[_present(table, ("image",), path)[0]].astype(str))
+
+
+def corrections_of_shard(path: str | os.PathLike[str], shard: int, shards: int) -> list[str]:
+    """Rows of a table of corrections, as texts, of the images of one shard.
+
+    Raises
+    ------
+    InputError : it cannot be read or names no images.
+    """
+    table = _read(path)
+    names = table[_present(table, ("image",), path)[0]].astype(str)
+    own = [shard_of(name, shards) == shard for name in names]
+    return [",".join(map(str, row)) for row in table[own].to_numpy().tolist()]
+
+
+def _read(path: str | os.PathLike[str]) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path)
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read as CSV ({error})", where=os.fspath(path)) from error
+
+
+def _column(table: pd.DataFrame, pattern: str, path: str | os.PathLike[str]) -> str:
+    for name in table.columns:
+        if re.fullmatch(pattern, name):
+            return str(name)
+    raise InputError(
+        "lacks a column", where=os.fspath(path), found=", ".join(table.columns), allowed=pattern
+    )
+
+
+def _present(table: pd.DataFrame, names: Iterable[str], path: str | os.PathLike[str]) -> list[str]:
+    wanted = list(names)
+    for name in wanted:
+        _column(table, re.escape(name), path)
+    return wanted

@@ -1,0 +1,96 @@
+"""Many small images in one file: a ZIP of PNGs that any viewer opens."""
+
+from __future__ import annotations
+
+import json
+import os
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.io.records.atomic import atomic_path, close_within, open_within
+
+_ABOUT = "about.json"
+_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+class ImageShardWriter:
+    """Writes images one by one; the file appears under its name when all is well.
+
+    Parameters
+    ----------
+    path : the ZIP to write. about : JSON description kept in it.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], about: dict[str, Any] | None = None) -> None:
+        self._place = atomic_path(path)
+        self._about = about or {}
+
+    def __enter__(self) -> ImageShardWriter:
+        self._zip = open_within(self._place, self._begin)
+        return self
+
+    def _begin(self, path: Path) -> zipfile.ZipFile:
+        archive = zipfile.ZipFile(path, "w", zipfile.ZIP_STORED)
+        about = json.dumps(self._about, sort_keys=True).encode()
+        archive.writestr(zipfile.ZipInfo(_ABOUT, _DATE), about)
+        return archive
+
+    def write(self, name: str, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+        """Add an image (rows, columns) or (rows, columns, 3 BGR) under ``name`` (no extension)."""
+        done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+        if not done:
+            raise InputError("cannot be written as PNG", where=name, found=image.dtype)
+        self._add(f"{name}.png", encoded.tobytes())
+
+    def _add(self, name: str, content: bytes) -> None:
+        self._zip.writestr(zipfile.ZipInfo(name, _DATE), content)
+
+    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
+        close_within(self._place, self._zip.close, error)
+
+
+class ImageShard:
+    """Reads what `ImageShardWriter` wrote.
+
+    Raises
+    ------
+    InputError : the file is missing or damaged.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = os.fspath(path)
+        try:
+            self._zip = zipfile.ZipFile(path)
+            self.about: dict[str, Any] = json.loads(self._zip.read(_ABOUT))
+        except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
+            raise self._damaged(error) from error
+        self.names = [n.removesuffix(".png") for n in self._zip.namelist() if n != _ABOUT]
+
+    def read(self, name: str) -> NDArray[Any]:
+        """Image of that name with its own depth and channels.
+
+        Raises
+        ------
+        InputError : no such image, or it cannot be decoded.
+        """
+        try:
+            content = np.frombuffer(self._zip.read(f"{name}.png"), np.uint8)
+        except (KeyError, zipfile.BadZipFile, OSError) as error:
+            raise self._damaged(error) from error
+        image = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
+        if image is None:
+            raise self._damaged(f"{name} is no image")
+        return image
+
+    def _damaged(self, problem: object) -> InputError:
+        return InputError(
+            f"cannot be read as a shard of images ({problem})",
+            where=self._path,
+            hint="delete it and run the workflow again",
+        )

@@ -1,0 +1,177 @@
+"""Network files with their manifests, checked against each other before any image is read."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import onnxruntime
+
+from roadsight.base.errors import InputError
+from roadsight.base.texts import read_yaml
+from roadsight.base.validation import check_path, validated
+from roadsight.io.images.sessions import open_session
+from roadsight.io.records.checksums import sha256
+from roadsight.poles.images.manifest import LabelMap, Manifest
+
+_FLOAT = "tensor(float)"
+_LABEL_TYPES = ("tensor(uint8)", "tensor(int32)", "tensor(int64)", "tensor(float)")
+_CHANNELS = 3
+
+
+@dataclass(frozen=True)
+class Model:
+    """A network that fits its manifest.
+
+    Parameters
+    ----------
+    manifest : what it expects and gives. session : its ONNX session on the CPU.
+    input_name, output_names : of the tensors used. where : path of the manifest.
+    """
+
+    manifest: Manifest
+    session: onnxruntime.InferenceSession
+    input_name: str
+    output_names: tuple[str, ...]
+    where: str
+
+
+def open_model(path: str | os.PathLike[str], threads: int = 1) -> Model:
+    """Open the network that a manifest describes, on the CPU, deterministic.
+
+    Parameters
+    ----------
+    path : the manifest (YAML). threads : threads inside one operator.
+
+    Raises
+    ------
+    InputError : the manifest is malformed, its file is missing, damaged or another one, or the
+        network's inputs and outputs are not those that the manifest states.
+    """
+    where = str(path)
+    manifest = validated(Manifest, read_yaml(path), where)
+    file = _beside(manifest.file, Path(path))
+    check_path(file, where)
+    if not file.is_file():
+        raise InputError(
+            "file is missing", where=where, found=str(file), hint="see docs/poles/models.md"
+        )
+    if manifest.sha256 is not None and (found := sha256(file)) != manifest.sha256:
+        raise InputError(
+            f"{file.name} is another file than this manifest is for",
+            where=where,
+            found=f"sha256 {found}",
+            allowed=manifest.sha256,
+        )
+    session = open_session(file, threads)
+    input_name = _checked_input(manifest, session, where)
+    return Model(manifest, session, input_name, _checked_outputs(manifest, session, where), where)
+
+
+def read_label_map(path: str | os.PathLike[str]) -> LabelMap:
+    """Label map of a folder of label images.
+
+    Raises
+    ------
+    InputError : it is malformed.
+    """
+    return validated(LabelMap, read_yaml(path), str(path))
+
+
+def _beside(name: str, manifest: Path) -> Path:
+    def value(match: re.Match[str]) -> str:
+        if not os.environ.get(match[1]):
+            raise InputError(
+                f"environment variable {match[1]} is not set", where=f"{manifest}: {name}"
+            )
+        return os.environ[match[1]]
+
+    return manifest.parent / re.sub(r"\$\{(\w+)\}", value, name)
+
+
+def _checked_input(manifest: Manifest, session: onnxruntime.InferenceSession, where: str) -> str:
+    inputs = {tensor.name: tensor for tensor in session.get_inputs()}
+    name = manifest.input.name
+    if name is None and len(inputs) == 1:
+        name = next(iter(inputs))
+    if name is None or name not in inputs or len(inputs) != 1:
+        raise InputError(
+            "needs a network with one input", where=f"{where}: input.name",
+            found=", ".join(inputs), allowed=name,
+            hint="export the network with its other inputs held constant",
+        )  # fmt: skip
+    tensor, size = inputs[name], manifest.input.size
+    dynamic = size.multiple_of is not None
+    wanted = (1, _CHANNELS) + ((None, None) if dynamic else (size.height_px, size.width_px))
+    if not _fits(tensor.shape, wanted, dynamic) or tensor.type != _FLOAT:
+        raise InputError(
+            "does not match the network's input",
+            where=f"{where}: input",
+            found=f"{tensor.name} {_shown(tensor.shape)} {tensor.type}",
+            allowed=f"{_shown(wanted)} {_FLOAT}",
+        )
+    return name
+
+
+def _fits(shape: list[Any], wanted: tuple[int | None, ...], dynamic: bool) -> bool:
+    """A network's free axis takes any length; a manifest's free axis needs a free one."""
+    if len(shape) != len(wanted):
+        return False
+    fixed = [isinstance(length, int) for length in shape]
+    if dynamic and any(fixed[2:]):
+        return False
+    return all(
+        not is_fixed or length == want
+        for length, want, is_fixed in zip(shape, wanted, fixed, strict=True)
+    )
+
+
+def _checked_outputs(
+    manifest: Manifest, session: onnxruntime.InferenceSession, where: str
+) -> tuple[str, ...]:
+    outputs = {tensor.name: tensor for tensor in session.get_outputs()}
+    kind, needed = manifest.output.kind, manifest.output.needed
+    names = manifest.output.names or tuple(outputs)
+    if len(names) != needed or not set(names) <= set(outputs):
+        raise InputError(
+            f"does not name the {needed} output(s) that {kind} needs",
+            where=f"{where}: output.names",
+            found=", ".join(names),
+            allowed=", ".join(outputs),
+        )
+    for position, name in enumerate(names):
+        _check_output(manifest, outputs[name], position, where)
+    return names
+
+
+def _check_output(manifest: Manifest, tensor: Any, position: int, where: str) -> None:
+    """Type, number of axes, and number of labels where the file states it."""
+    kind, labels = manifest.output.kind, manifest.labels
+    types = _LABEL_TYPES if kind == "labels" else (_FLOAT,)
+    axes = {"logits": (4,), "query_masks": ((3,), (4,))[position]}.get(kind, (2, 3, 4))
+    if tensor.type not in types or len(tensor.shape) not in axes:
+        raise InputError(
+            f"output {tensor.name} cannot be {kind}",
+            where=f"{where}: output",
+            found=f"{_shown(tensor.shape)} {tensor.type}",
+            allowed=f"{' or '.join(str(n) for n in axes)} axes, {' or '.join(types)}",
+        )
+    found = {"logits": (1, 0), "query_masks": (2, 1)}.get(kind)
+    if found is None or position > 0:
+        return
+    axis, without_object = found
+    channels = tensor.shape[axis]
+    if isinstance(channels, int) and channels - without_object != labels:
+        raise InputError(
+            "does not state as many labels as the network has",
+            where=f"{where}: labels",
+            found=labels,
+            allowed=channels - without_object,
+        )
+
+
+def _shown(shape: Any) -> str:
+    return " x ".join(str(n) if isinstance(n, int) else "any" for n in shape)

@@ -1,0 +1,58 @@
+"""Which files of a videolog each shard reads, known before anything runs."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path, PurePosixPath
+
+from roadsight.base.shards import shard_of
+from roadsight.io.images.camera_tables import posed_images
+from roadsight.io.images.videologs import ImageSource, read_videolog_table
+
+
+def files_by_shard(
+    table: str | os.PathLike[str], folders: list[str], shards: int
+) -> list[list[Path]]:
+    """Files that belong to the images of each shard, by the names in the videolog's table.
+
+    Parameters
+    ----------
+    table : the videolog. folders : where images, or what was made from them, lie under the images'
+        names with any suffix; a single file belongs to every shard.
+
+    Returns
+    -------
+    one sorted list for each shard
+
+    Raises
+    ------
+    InputError : the table cannot be read.
+    """
+    source = ImageSource(folders[0])
+    owner: dict[str, set[int]] = {}
+    for row in read_videolog_table(table, source).to_dict("records"):
+        shard = shard_of(row["image"], shards)
+        for name in (row["image"], row["left_image"], row["right_image"]):
+            owner.setdefault(PurePosixPath(name).stem, set()).add(shard)
+    found: list[set[Path]] = [set() for _ in range(shards)]
+    for folder in map(Path, folders):
+        files = (
+            [folder] if folder.is_file() else sorted(p for p in folder.rglob("*") if p.is_file())
+        )
+        for file in files:
+            shared = folder.is_file() or file.suffix.lower() == ".zip"
+            for shard in range(shards) if shared else owner.get(file.stem, ()):
+                found[shard].add(file)
+    return [sorted(files) for files in found]
+
+
+def posed_share(table: str | os.PathLike[str], images: str, cameras: str) -> float:
+    """Share of a videolog's images that a table of cameras names.
+
+    Raises
+    ------
+    InputError : one of the tables cannot be read.
+    """
+    rows = read_videolog_table(table, ImageSource(images))
+    named = posed_images(cameras)
+    return float(rows["image"].isin(named).mean()) if len(rows) else 0.0

@@ -1,0 +1,266 @@
+"""Images of a videolog, in folders or ZIP files, and the table of where they were taken."""
+
+from __future__ import annotations
+
+import os
+import re
+import zipfile
+from collections.abc import Callable, Iterable
+from pathlib import Path, PurePosixPath
+
+import cv2
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.io.images.exif import ImageFacts, decoded_image, image_facts
+
+_SUFFIXES = (".jpg", ".jpeg", ".png")
+_ALIASES = {
+    "image": ("image", "image_name", "filename", "file", "name", "photo"),
+    "latitude": ("latitude", "lat", "y"),
+    "longitude": ("longitude", "lon", "long", "lng", "x"),
+    "route": ("route", "route_id", "routeid", "road"),
+    "sequence": ("sequence", "seq", "frame", "order", "mile_post", "milepost"),
+    "left_image": ("left_image", "left"),
+    "right_image": ("right_image", "right"),
+}
+_MOST_BYTES = 1 << 28
+_ONE_ROUTE = "route"
+
+
+class ImageSource:
+    """Images under one path: a folder (with folders and ZIP files in it) or one ZIP file.
+
+    Parameters
+    ----------
+    path : the folder or ZIP file.
+
+    Raises
+    ------
+    InputError : there is no such place, a ZIP file is damaged, or two of them hold one name.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._zips: dict[str, tuple[zipfile.ZipFile, str]] = {}
+        if self.path.is_dir():
+            found = sorted(p for p in self.path.rglob("*") if p.is_file())
+            self._files = {
+                p.relative_to(self.path).as_posix(): p
+                for p in found
+                if p.suffix.lower() in _SUFFIXES
+            }
+            archives = [p for p in found if p.suffix.lower() == ".zip"]
+        elif self.path.is_file():
+            self._files, archives = {}, [self.path]
+        else:
+            raise InputError("is neither a folder nor a ZIP file", where=str(path))
+        for archive in archives:
+            self._open(archive)
+        self._names = sorted({*self._files, *self._zips}, key=natural_key)
+        self._by_key = _lookup(self._names)
+
+    def names(self) -> list[str]:
+        """Names of all images, `/` between folders, numbers within names in their order."""
+        return list(self._names)
+
+    def find(self, name: str) -> str:
+        """Full name of the image that a table calls ``name``: with or without folder and suffix.
+
+        Returns
+        -------
+        the name, or "" if there is no such image or more than one
+
+        Raises
+        ------
+        InputError : the name leads out of the folder.
+        """
+        _check_inside(name, self.path)
+        plain = PurePosixPath(name.replace("\\", "/"))
+        if str(plain) in self._files or str(plain) in self._zips:
+            return str(plain)
+        for key in (str(plain), plain.name, plain.stem):
+            found = self._by_key.get(key.lower(), [])
+            if len(found) == 1:
+                return found[0]
+        return ""
+
+    def content(self, name: str) -> bytes:
+        """Bytes of an image.
+
+        Raises
+        ------
+        InputError : there is no such image, it cannot be read, or its name leads out of the folder.
+        """
+        _check_inside(name, self.path)
+        try:
+            if name in self._files:
+                return self._files[name].read_bytes()
+            archive, member = self._zips[name]
+            with archive.open(member) as stream:
+                content = stream.read(_MOST_BYTES + 1)
+        except KeyError as error:
+            raise InputError("holds no such image", where=str(self.path), found=name) from error
+        except Exception as error:  # a damaged archive raises of every kind
+            raise InputError(f"cannot be read ({error})", where=f"{self.path}: {name}") from error
+        if len(content) > _MOST_BYTES:
+            raise InputError(
+                "is too large for an image", where=f"{self.path}: {name}", allowed="256 MiB"
+            )
+        return content
+
+    def facts(self, name: str) -> ImageFacts:
+        """Size, place and completeness of an image, without decoding it.
+
+        Raises
+        ------
+        InputError : as `content`, or the bytes are no image.
+        """
+        content = self.content(name)
+        try:
+            return image_facts(content)
+        except ValueError as error:
+            raise InputError(f"is no image: {error}", where=f"{self.path}: {name}") from error
+
+    def size(self, name: str) -> tuple[int, int]:
+        """Width and height of an image, pixels; see `facts`."""
+        facts = self.facts(name)
+        return facts.width_px, facts.height_px
+
+    def read(self, name: str) -> NDArray[np.uint8]:
+        """Image (rows, columns, 3 BGR).
+
+        Raises
+        ------
+        InputError : as `content`, or the image cannot be decoded.
+        """
+        image = decoded_image(self.content(name), cv2.IMREAD_COLOR)
+        if image is None:
+            raise InputError("cannot be decoded as an image", where=f"{self.path}: {name}")
+        return image.astype(np.uint8, copy=False)
+
+    def _open(self, path: Path) -> None:
+        try:
+            archive = zipfile.ZipFile(path)
+        except Exception as error:  # as above
+            raise InputError(f"is no ZIP file of images ({error})", where=str(path)) from error
+        for member in archive.namelist():
+            if PurePosixPath(member).suffix.lower() not in _SUFFIXES or "__MACOSX" in member:
+                continue
+            _check_inside(member, path)
+            if member in self._files or member in self._zips:
+                raise InputError("an image is there twice", where=str(path), found=member)
+            self._zips[member] = (archive, member)
+
+
+def natural_key(name: str) -> list[tuple[int, int | str]]:
+    """Key that sorts numbers within names by value: a2 before a10."""
+    parts = re.split(r"(\d+)", name)
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
+
+
+def read_videolog_table(path: str | os.PathLike[str], source: ImageSource) -> pd.DataFrame:
+    """Where the images were taken: a CSV table, or the images' own EXIF.
+
+    Parameters
+    ----------
+    path : CSV file, or a folder or ZIP file of geotagged images. source : the images.
+
+    Returns
+    -------
+    columns image, route, left_image, right_image (str; "" if none), latitude, longitude (float,
+    NaN where missing or no number), sequence (float, the row where none is given)
+
+    Raises
+    ------
+    InputError : the table is missing, empty or no CSV, or lacks a column.
+    """
+    if Path(path).is_dir() or Path(path).suffix.lower() == ".zip":
+        table = _from_exif(source)
+    else:
+        table = _from_csv(Path(path))
+    if not len(table):
+        raise InputError("lists no images", where=str(path))
+    return table
+
+
+def _from_csv(path: Path) -> pd.DataFrame:
+    """Columns under their own names, text stripped, whatever the aliases and their case."""
+    try:
+        table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError("cannot be read", where=str(path), found=error.strerror) from error
+    except ValueError as error:
+        raise InputError(f"is no CSV table ({error})", where=str(path)) from error
+    table.columns = table.columns.str.strip().str.lower().str.replace(" ", "_")
+    found = {
+        name: next((alias for alias in aliases if alias in table), None)
+        for name, aliases in _ALIASES.items()
+    }
+    if missing := [n for n in ("image", "latitude", "longitude") if found[n] is None]:
+        raise InputError(
+            f"has no column {missing[0]}",
+            where=str(path),
+            found=", ".join(table.columns),
+            allowed=" or ".join(_ALIASES[missing[0]]),
+        )
+
+    def column(name: str, default: str) -> pd.Series:
+        alias = found[name]
+        text = pd.Series(default, index=table.index) if alias is None else table[alias]
+        return text.str.strip()
+
+    rows = np.arange(len(table), dtype=float)
+    sequence = pd.to_numeric(column("sequence", ""), errors="coerce").to_numpy(float)
+    return pd.DataFrame(
+        {
+            "image": column("image", ""),
+            "route": column("route", _ONE_ROUTE).replace("", _ONE_ROUTE),
+            "sequence": rows if found["sequence"] is None else sequence,
+            "latitude": pd.to_numeric(column("latitude", ""), errors="coerce").astype(float),
+            "longitude": pd.to_numeric(column("longitude", ""), errors="coerce").astype(float),
+            "left_image": column("left_image", ""),
+            "right_image": column("right_image", ""),
+        }
+    )
+
+
+def _from_exif(source: ImageSource) -> pd.DataFrame:
+    """Images in the order of their names, one route for each folder."""
+    rows = []
+    for number, name in enumerate(source.names()):
+        try:
+            facts = source.facts(name)
+        except InputError:
+            facts = ImageFacts(0, 0)
+        folder = str(PurePosixPath(name).parent)
+        rows.append(
+            {
+                "image": name,
+                "route": _ONE_ROUTE if folder == "." else folder,
+                "sequence": float(number),
+                "latitude": np.nan if facts.latitude is None else facts.latitude,
+                "longitude": np.nan if facts.longitude is None else facts.longitude,
+                "left_image": "",
+                "right_image": "",
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _lookup(names: Iterable[str]) -> dict[str, list[str]]:
+    """Names by what a table may call them: full name, file name, stem; capitals do not matter."""
+    table: dict[str, list[str]] = {}
+    keys: tuple[Callable[[PurePosixPath], str], ...] = (str, lambda p: p.name, lambda p: p.stem)
+    for name in names:
+        for key in dict.fromkeys(key(PurePosixPath(name)).lower() for key in keys):
+            table.setdefault(key, []).append(name)
+    return table
+
+
+def _check_inside(name: str, where: Path) -> None:
+    path = PurePosixPath(name.replace("\\", "/"))
+    if not name or path.is_absolute() or ".." in path.parts or re.match(r"[A-Za-z]:", name):
+        raise InputError("an image's name leads out of the folder", where=str(where), found=name)

@@ -1,0 +1,152 @@
+"""GeoTIFF rasters: written in the site's CRS and units, read back into the local frame."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+import rasterio
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
+from rasterio.errors import RasterioError
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.crs import horizontal
+from roadsight.geometry.frames import Frame
+from roadsight.io.records.atomic import atomic_path
+from roadsight.io.records.whole import check_raster
+
+_CONTENT = "CONTENT"
+_HEIGHT, _VALUE = "height", "value"
+
+
+@dataclass(frozen=True)
+class Raster:
+    """Raster in the local frame.
+
+    Parameters
+    ----------
+    values : float32, shape (rows, columns), rows from north to south; NaN where nothing is known.
+    west_m, north_m : outer corner of cell (0, 0).
+    cell_size_m : edge of a cell.
+    """
+
+    values: NDArray[np.float32]
+    west_m: float
+    north_m: float
+    cell_size_m: float
+
+    def sample(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.float64]:
+        """Values at places, bilinear between cell centres.
+
+        Unknown cells are left out of the mean. A place within the raster whose four cells are all
+        unknown, and any place outside, gives NaN.
+
+        Parameters
+        ----------
+        x_m, y_m : shape (n,).
+        """
+        column = (np.asarray(x_m, np.float64) - self.west_m) / self.cell_size_m - 0.5
+        row = (self.north_m - np.asarray(y_m, np.float64)) / self.cell_size_m - 0.5
+        rows, columns = self.values.shape
+        inside = (np.abs(column + 0.5 - columns / 2) <= columns / 2) & (
+            np.abs(row + 0.5 - rows / 2) <= rows / 2
+        )
+        column, row = np.where(inside, column, 0.0), np.where(inside, row, 0.0)
+        total, weight = np.zeros(column.shape), np.zeros(column.shape)
+        for i in (0, 1):
+            for j in (0, 1):
+                at_row, at_column = np.floor(row) + i, np.floor(column) + j
+                share = (1 - np.abs(row - at_row)) * (1 - np.abs(column - at_column))
+                cell = self.values[
+                    np.clip(at_row, 0, rows - 1).astype(int),
+                    np.clip(at_column, 0, columns - 1).astype(int),
+                ]
+                known = np.isfinite(cell)
+                total += np.where(known, share * cell, 0.0)
+                weight += np.where(known, share, 0.0)
+        return np.divide(
+            total, weight, out=np.full(column.shape, np.nan), where=inside & (weight > 0)
+        )
+
+
+def write_raster(
+    path: str | os.PathLike[str],
+    values: ArrayLike,
+    frame: Frame,
+    west_m: float,
+    north_m: float,
+    cell_size_m: float,
+    nodata: float = -9999.0,
+    is_height: bool = True,
+) -> None:
+    """Write a GeoTIFF in the native CRS and units; the same values give the same bytes.
+
+    Heights become native heights in the native vertical unit, so that they agree with the cloud in
+    any GIS; other values are written as they are.
+
+    Parameters
+    ----------
+    values : shape (rows, columns), rows from north to south, local metres if heights; cells that
+        are not finite become ``nodata``.
+    west_m, north_m : outer corner of cell (0, 0), local metres.
+    is_height : whether the values are heights.
+    """
+    known = np.isfinite(values)
+    native = np.asarray(values, np.float64)
+    if is_height:
+        native = native / frame.vertical_unit_m + frame.origin[2]
+    pixels = np.where(known, native, nodata).astype(np.float32)
+    west, north = frame.to_native([west_m, north_m])
+    cell_size = cell_size_m / frame.unit_m
+    with atomic_path(path) as temporary:
+        with rasterio.open(
+            temporary,
+            "w",
+            driver="GTiff",
+            height=pixels.shape[0],
+            width=pixels.shape[1],
+            count=1,
+            dtype="float32",
+            crs=_crs(frame),
+            transform=rasterio.Affine(cell_size, 0.0, west, 0.0, -cell_size, north),
+            nodata=nodata,
+            compress="deflate",
+            predictor=3,
+        ) as raster:
+            raster.write(pixels, 1)
+            raster.update_tags(**{_CONTENT: _HEIGHT if is_height else _VALUE})
+        check_raster(temporary)
+
+
+def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:
+    """Read what `write_raster` wrote, heights in local metres.
+
+    Raises
+    ------
+    InputError : the file is missing, damaged, or no raster of this kind.
+    """
+    try:
+        with rasterio.open(path) as raster:
+            pixels = raster.read(1).astype(np.float64)
+            transform, nodata = raster.transform, raster.nodata
+            content = raster.tags().get(_CONTENT)
+    except (RasterioError, OSError, ValueError) as error:
+        raise InputError(f"cannot be read as a raster ({error})", where=str(path)) from error
+    if content not in (_HEIGHT, _VALUE):
+        raise InputError(
+            "is no raster that this workflow wrote", where=str(path), hint="delete it and run again"
+        )
+    values = np.where(pixels == nodata, np.nan, pixels)
+    if content == _HEIGHT:
+        values = (values - frame.origin[2]) * frame.vertical_unit_m
+    # Corners and cells come back to the digit, so that grids of one site still coincide.
+    west_m, north_m = (round(float(m), 6) for m in frame.to_local([transform.c, transform.f]))
+    cell_size_m = round(transform.a * frame.unit_m, 9)
+    return Raster(values.astype(np.float32), west_m, north_m, cell_size_m)
+
+
+def _crs(frame: Frame) -> str | None:
+    """Horizontal CRS as WKT."""
+    return None if frame.crs_wkt is None else horizontal(CRS.from_wkt(frame.crs_wkt)).to_wkt()

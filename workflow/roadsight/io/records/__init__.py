@@ -1,0 +1,1 @@
+"""Tables, arrays and JSON between the stages; checksums; atomic writes."""

@@ -1,0 +1,211 @@
+"""Depth maps of many candidates in one Parquet file, one row per candidate.
+
+Ranges are whole steps in 16 bits, differences along each row, compressed by Zstandard; the file's
+metadata says of which sensor they are.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import zstandard
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.io.records.atomic import atomic_path, close_within, open_within
+
+_KEY = b"roadsight"
+_VERSION = 1
+_LEVEL = 3
+_MAPS_IN_GROUP = 8
+_MAX_STEPS = 65_000
+_SCHEMA = pa.schema([("candidate", pa.string()), ("steps", pa.binary())])
+
+
+@dataclass(frozen=True)
+class DepthMapInfo:
+    """What all depth maps of a file share.
+
+    Parameters
+    ----------
+    sensor : name of the sensor. model : how they were rendered.
+    rows, columns : channels (lowest first) and azimuth cells (from the lower limit).
+    step_m : resolution of the stored ranges.
+    """
+
+    sensor: str
+    model: str
+    rows: int
+    columns: int
+    step_m: float
+
+
+def range_step_m(max_range_m: float) -> float:
+    """Step of stored ranges: the fewest whole millimetres that fit 16 bits (2 mm up to 130 m)."""
+    return float(np.ceil(max_range_m / _MAX_STEPS * 1000) / 1000)
+
+
+class DepthMapWriter:
+    """Writes depth maps one after the other; the file appears when the block ends well.
+
+    Parameters
+    ----------
+    path : Parquet file to write.
+    info : what the maps share.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], info: DepthMapInfo) -> None:
+        about = {"version": _VERSION, **asdict(info)}
+        self._info = info
+        self._schema = _SCHEMA.with_metadata({_KEY: json.dumps(about, sort_keys=True).encode()})
+        self._atomic = atomic_path(path)
+        self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
+        self._pending: list[tuple[str, bytes]] = []
+
+    def __enter__(self) -> DepthMapWriter:
+        self._writer = open_within(
+            self._atomic,
+            lambda path: pq.ParquetWriter(
+                path, self._schema, compression="none", write_page_checksum=True
+            ),
+        )
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        def close() -> None:
+            if error is None:
+                self._flush()
+            self._writer.close()
+
+        close_within(self._atomic, close, error)
+
+    def append(self, candidate: str, range_m: NDArray[np.float32]) -> None:
+        """Add the depth map (rows, columns), metres, 0 where nothing returns, of a candidate."""
+        if range_m.shape != (self._info.rows, self._info.columns):
+            raise ValueError(f"depth map of shape {range_m.shape} in a file of {self._info}")
+        steps = _encode(range_m, self._info.step_m)
+        self._pending.append((candidate, self._compressor.compress(steps.tobytes())))
+        if len(self._pending) == _MAPS_IN_GROUP:
+            self._flush()
+
+    def _flush(self) -> None:
+        if self._pending:
+            columns = [pa.array(column) for column in zip(*self._pending, strict=True)]
+            self._writer.write_table(pa.table(columns, schema=self._schema))
+            self._pending.clear()
+
+
+class DepthMaps:
+    """Reads depth maps one after the other, with the memory of a few.
+
+    Attributes
+    ----------
+    info : what the maps share.
+
+    Raises
+    ------
+    InputError : the file is missing, damaged, or holds no depth maps.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = Path(path)
+        try:
+            self._file = pq.ParquetFile(self._path, page_checksum_verification=True)
+            about = json.loads(self._file.schema_arrow.metadata[_KEY])
+            if about.pop("version") != _VERSION:
+                raise ValueError("written by another version")
+            self.info = DepthMapInfo(**about)
+        except (OSError, pa.ArrowException, KeyError, TypeError, ValueError) as error:
+            raise self._damaged(error) from error
+
+    def __len__(self) -> int:
+        return int(self._file.metadata.num_rows)
+
+    def __iter__(self) -> Iterator[tuple[str, NDArray[np.float32]]]:
+        """Candidates and their depth maps (rows, columns), metres, 0 where nothing returns.
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        try:
+            for batch in self._file.iter_batches(batch_size=_MAPS_IN_GROUP, use_threads=False):
+                for candidate, steps in zip(*batch.columns, strict=True):
+                    yield candidate.as_py(), self._decode(steps.as_buffer())
+        except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
+            raise self._damaged(error) from error
+
+    def only(self, candidates: Iterable[str]) -> Iterator[tuple[str, NDArray[np.float32]]]:
+        """As iteration gives them, of these candidates only; what is not there is left out.
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        wanted = pa.array(sorted(candidates), pa.string())
+        try:
+            for group in range(self._file.num_row_groups):
+                names = self._file.read_row_group(group, ["candidate"], use_threads=False)
+                found = pc.is_in(names["candidate"], wanted)
+                if not pc.any(found).as_py():
+                    continue
+                rows = self._file.read_row_group(group, use_threads=False).filter(found)
+                for row in rows.to_pylist():
+                    yield row["candidate"], self._decode(row["steps"])
+        except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
+            raise self._damaged(error) from error
+
+    def _decode(self, content: pa.Buffer | bytes) -> NDArray[np.float32]:
+        shape = (self.info.rows, self.info.columns)
+        size = 2 * shape[0] * shape[1]
+        raw = zstandard.ZstdDecompressor().decompress(content, max_output_size=size)
+        if len(raw) != size:
+            raise ValueError(f"a depth map of {len(raw)} bytes instead of {size}")
+        return _decode(np.frombuffer(raw, "<u2").reshape(shape), self.info.step_m)
+
+    def _damaged(self, error: Exception) -> InputError:
+        return InputError(
+            f"cannot be read as depth maps ({error})",
+            where=str(self._path),
+            hint="delete it and run the workflow again",
+        )
+
+
+@njit(cache=True)
+def _encode(range_m: NDArray[np.float32], step_m: float) -> NDArray[np.uint16]:
+    """Whole steps, at least 1 for a return, as differences along each row modulo 2**16."""
+    steps = np.empty(range_m.shape, np.uint16)
+    for row in range(range_m.shape[0]):
+        before = 0
+        for column in range(range_m.shape[1]):
+            value = range_m[row, column]
+            here = max(int(value / step_m + 0.5), 1) if value > 0 else 0
+            steps[row, column] = (here - before) & 0xFFFF
+            before = here
+    return steps
+
+
+@njit(cache=True)
+def _decode(steps: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
+    range_m = np.empty(steps.shape, np.float32)
+    for row in range(steps.shape[0]):
+        here = 0
+        for column in range(steps.shape[1]):
+            here = (here + int(steps[row, column])) & 0xFFFF
+            range_m[row, column] = here * step_m
+    return range_m

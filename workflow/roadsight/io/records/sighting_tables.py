@@ -1,0 +1,97 @@
+"""Sightings as a user's CSV table, and poles back."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.records.atomic import atomic_path
+
+_NEEDED = {"lat": (-90.0, 90.0), "lon": (-180.0, 360.0), "bearing": (-360.0, 720.0)}
+_DECIMALS = 4
+_OPTIONAL = ("depth", "sigma_bearing_deg", "sigma_depth_m")
+
+
+def read_sightings(path: str | os.PathLike[str]) -> pd.DataFrame:
+    """Sightings of a CSV file: lat, lon, bearing; further depth, image and sigmas where stated.
+
+    An empty depth or sigma is NaN (unknown).
+
+    Raises
+    ------
+    InputError : the file cannot be read, lacks a column, or a number is missing or impossible.
+    """
+    table = read_text_table(path)
+    missing = [name for name in _NEEDED if name not in table]
+    if missing:
+        raise InputError(
+            f"lacks the column {', '.join(missing)}",
+            where=str(path),
+            found=", ".join(table.columns),
+            allowed="lat, lon, bearing; further depth, image, sigma_bearing_deg, sigma_depth_m",
+        )
+    for name, (least, most) in _NEEDED.items():
+        numbers = _numbers(path, table, name, empty_allowed=False)
+        wrong = np.flatnonzero(~((numbers >= least) & (numbers <= most)))
+        if len(wrong):
+            raise InputError(
+                f"{name} is out of range",
+                where=f"{path}, line {wrong[0] + 2}",
+                found=table[name].iloc[wrong[0]],
+                allowed=f"{least:g} to {most:g} degrees",
+            )
+        table[name] = numbers
+    for name in set(_OPTIONAL) & set(table):
+        table[name] = _numbers(path, table, name, empty_allowed=True)
+    return table
+
+
+def read_text_table(path: str | os.PathLike[str]) -> pd.DataFrame:
+    """Cells of a CSV file as text, column names in lower case without blanks around them.
+
+    Raises
+    ------
+    InputError : the file cannot be read, is no CSV table or is empty.
+    """
+    try:
+        table = pd.read_csv(Path(path), dtype=str, keep_default_na=False, encoding="utf-8-sig")
+    except OSError as error:
+        raise InputError("cannot be read", where=str(path), found=error.strerror) from error
+    except ValueError as error:
+        raise InputError(f"is no CSV table ({error})", where=str(path)) from error
+    table.columns = table.columns.str.strip().str.lower()
+    return table
+
+
+def write_csv(path: str | os.PathLike[str], table: pd.DataFrame) -> None:
+    """Write a table as CSV; NaN becomes an empty cell."""
+    with atomic_path(path) as temporary:
+        table.to_csv(temporary, index=False, lineterminator="\n")
+
+
+def in_native(table: pd.DataFrame, frame: Frame) -> pd.DataFrame:
+    """Table with columns x, y and, if there, z in native coordinates instead of local metres."""
+    names = [name for name in ("x", "y", "z") if name in table]
+    native = frame.to_native(table[names].to_numpy(np.float64))
+    return table.assign(**dict(zip(names, native.T.round(_DECIMALS), strict=True)))
+
+
+def _numbers(
+    path: str | os.PathLike[str], table: pd.DataFrame, name: str, empty_allowed: bool
+) -> np.ndarray:
+    text = table[name].str.strip()
+    numbers = pd.to_numeric(text, errors="coerce").to_numpy(np.float64)
+    wrong = ~np.isfinite(numbers) & ~((text == "").to_numpy() & empty_allowed)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"{name} is no finite number",
+            where=f"{path}, line {row + 2}",
+            found=repr(table[name].iloc[row]),
+        )
+    return numbers

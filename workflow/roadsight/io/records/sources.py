@@ -1,0 +1,88 @@
+"""Source files behind a stage, found by walking its imports without importing anything."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import os
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+_PACKAGE_ROOT = Path(__file__).resolve().parents[3]
+_CHAPTERS = ("scene", "placement", "poles", "evidence")
+
+
+def stage_module(stage: str) -> str:
+    """Dotted name of the module of a stage, whose chapter its stem alone does not say.
+
+    Raises
+    ------
+    ValueError : no chapter has such a stage.
+    """
+    for chapter in _CHAPTERS:
+        module = f"roadsight.stages.{chapter}.{stage}"
+        if stage.isidentifier() and _file(module) is not None:
+            return module
+    raise ValueError(f"there is no stage {stage!r}")
+
+
+def stage_sources(stage: str) -> list[str]:
+    """First-party files that the module of a stage pulls in, relative to the work folder."""
+    found: dict[str, Path] = {}
+    pending = [stage_module(stage)]
+    while pending:
+        module = pending.pop()
+        if module in found or (path := _file(module)) is None:
+            continue
+        found[module] = path
+        pending += _imports(path)
+        if "." in module:
+            pending.append(module.rpartition(".")[0])
+    root = _shown_root()
+    return sorted(str(root / path.relative_to(_PACKAGE_ROOT)) for path in found.values())
+
+
+def _shown_root() -> Path:
+    """Relative to the work folder, or its link to the package where it has one."""
+    link = Path(_PACKAGE_ROOT.name)
+    if link.exists() and link.samefile(_PACKAGE_ROOT):
+        return link
+    return Path(os.path.relpath(_PACKAGE_ROOT))
+
+
+def _file(module: str) -> Path | None:
+    base = _PACKAGE_ROOT.joinpath(*module.split("."))
+    path = base / "__init__.py" if base.is_dir() else base.with_suffix(".py")
+    return path if path.exists() else None
+
+
+@cache
+def _imports(path: Path) -> list[str]:
+    """Modules that a file imports, anywhere in it; ``from a import b`` may name a module a.b."""
+    names = []
+    for statement in _statements(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(statement, ast.Import):
+            names += [alias.name for alias in statement.names]
+        elif isinstance(statement, ast.ImportFrom) and statement.module and not statement.level:
+            module = statement.module
+            names += [module, *(f"{module}.{alias.name}" for alias in statement.names)]
+    own = [name for name in dict.fromkeys(names) if name.partition(".")[0] == "roadsight"]
+    return [name for name in own if _file(name)]
+
+
+def _statements(block: ast.AST) -> Iterator[ast.AST]:
+    """Everything in a block that may hold statements, which are a tenth of a file's nodes."""
+    for part in ("body", "orelse", "finalbody", "handlers", "cases"):
+        for statement in getattr(block, part, ()):
+            yield statement
+            yield from _statements(statement)
+
+
+def package_digest() -> str:
+    """Short digest of all the package's sources, by content."""
+    digest = hashlib.sha256()
+    for path in sorted((_PACKAGE_ROOT / "roadsight").rglob("*.py")):
+        digest.update(path.relative_to(_PACKAGE_ROOT).as_posix().encode() + b"\0")
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:16]

@@ -1,0 +1,1 @@
+"""Vector layers and tables of lines and points."""

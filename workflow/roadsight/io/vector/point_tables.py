@@ -1,0 +1,111 @@
+"""Known poles of a user as points in the local frame."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.north import SiteNorth
+from roadsight.io.records.sighting_tables import read_text_table
+from roadsight.io.vector.vector_sources import load_local
+
+_AXES = (("latitude", "longitude"), ("lat", "lon"), ("x", "y"))
+_NAMES = ("id", "name")
+
+
+def read_points(
+    path: str | os.PathLike[str],
+    frame: Frame,
+    default_crs: str | None = None,
+    attributes: Sequence[str] = (),
+) -> pd.DataFrame:
+    """Points of a CSV table (lat, lon or native x, y) or of any vector file, in local metres.
+
+    Polygons and lines of a vector file count by their middle.
+
+    Parameters
+    ----------
+    default_crs : CRS of a vector file that names none, see `load_local`.
+    attributes : further columns that are numbers where they are given.
+
+    Returns
+    -------
+    columns id (text), kind (text, "" if not given), x, y, and the attributes (NaN if not given)
+
+    Raises
+    ------
+    InputError : the file cannot be read or holds no points, or a coordinate is no finite number,
+        or an attribute no number.
+    """
+    if Path(path).suffix.lower() != ".csv":
+        features = load_local(Path(path), frame, default_crs)
+        middle = shapely.get_coordinates(shapely.centroid(features.geometry.to_numpy()))
+        return _named(middle, features, attributes, path)
+    table = read_text_table(path)
+    axes = next((pair for pair in _AXES if set(pair) <= set(table.columns)), None)
+    if axes is None:
+        raise InputError(
+            "lacks columns", where=str(path), found=", ".join(table.columns),
+            allowed="lat, lon (or latitude, longitude) or x, y in the site's CRS",
+        )  # fmt: skip
+    if len(table) == 0:
+        raise InputError("holds no points", where=str(path))
+    numbers = table[list(axes)].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
+    local = frame.to_local(numbers) if axes[0] == "x" else SiteNorth(frame).to_local(*numbers.T)
+    wrong = ~np.isfinite(local).all(axis=1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            "holds a place that is no finite number or that the site's CRS cannot hold",
+            where=f"{path}, line {row + 2}", found=table[list(axes)].iloc[row].tolist(),
+        )  # fmt: skip
+    return _named(local, table, attributes, path)
+
+
+def _named(
+    xy_m: np.ndarray,
+    table: pd.DataFrame | gpd.GeoDataFrame,
+    attributes: Sequence[str],
+    path: str | os.PathLike[str],
+) -> pd.DataFrame:
+    column = next((name for name in _NAMES if name in table), None)
+    names = [f"t{n}" for n in range(1, len(xy_m) + 1)]
+    if column is not None:
+        names = table[column].astype(str).tolist()
+    kinds = table["kind"].astype(str).tolist() if "kind" in table else [""] * len(names)
+    points = pd.DataFrame({"id": names, "kind": kinds, "x": xy_m[:, 0], "y": xy_m[:, 1]})
+    for name in attributes:
+        points[name] = attribute_numbers(table, name, path)
+    return points
+
+
+def attribute_numbers(
+    table: pd.DataFrame | gpd.GeoDataFrame, name: str, where: str | os.PathLike[str]
+) -> np.ndarray:
+    """Values of an attribute, NaN where it is not given.
+
+    Raises
+    ------
+    InputError : a value that is given is no finite number of 0 or more.
+    """
+    if name not in table:
+        return np.full(len(table), np.nan)
+    given = table[name].notna() & (table[name].astype(str).str.strip() != "")
+    numbers = pd.to_numeric(table[name], errors="coerce").to_numpy(np.float64)
+    wrong = given.to_numpy() & ~(np.isfinite(numbers) & (numbers >= 0))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            f"{name} is no number of 0 or more",
+            where=f"{where}, feature {row + 1}",
+            found=table[name].iloc[row],
+        )
+    return numbers

@@ -1,0 +1,175 @@
+"""Users' vector files of any common kind and CRS, brought into the local frame."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pyogrio
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.crs import horizontal, parse_crs
+from roadsight.geometry.frames import Frame
+from roadsight.io.vector.line_tables import read_line_table
+
+_GEOJSON, _TABLE = (".geojson", ".json"), (".csv",)
+_OTHER = (".gpkg", ".shp", ".fgb", ".sqlite", ".gml", ".kml")
+_NATIVE = ("local", "native")
+_WGS84 = CRS.from_epsg(4326)
+
+Mapping = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+
+
+def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.GeoDataFrame:
+    """Features of a file in local metres, with their attributes.
+
+    Parameters
+    ----------
+    default_crs : CRS of a file that names none; the site's own if None, but longitude and latitude
+        for GeoJSON, as its standard says. ``local`` stands for the site's own coordinates.
+
+    Raises
+    ------
+    InputError : the file is missing, of another kind, empty, has features without geometry or with
+        coordinates that are no numbers, or its CRS is unknown or leads outside the site's.
+    """
+    features, stated = _load(path)
+    if len(features) == 0:
+        raise InputError("holds no features", where=str(path))
+    geometries = features.geometry.to_numpy()
+    for number, geometry in enumerate(geometries, start=1):
+        if geometry is None or geometry.is_empty:
+            raise InputError("has no geometry", where=f"{path}, feature {number}")
+        coordinates = shapely.get_coordinates(geometry, include_z=geometry.has_z)
+        if not np.isfinite(coordinates).all():
+            raise InputError(
+                "has a coordinate that is no finite number", where=f"{path}, feature {number}"
+            )
+    if stated is None:
+        stated = _default(path, geometries, frame, default_crs)
+    if stated is not None and stated.is_geographic:
+        _check_degrees(path, geometries, stated.name)
+    native = _to_native(path, stated, frame)
+    local = map_coordinates(geometries, lambda xyz: frame.to_local(native(xyz)))
+    return gpd.GeoDataFrame(features.drop(columns=features.geometry.name), geometry=local)
+
+
+def map_coordinates(geometries: NDArray, mapping: Mapping) -> NDArray:
+    """Geometries with ``mapping`` applied to their coordinates, (n, 2) or (n, 3) as they have z."""
+    mapped = geometries.copy()
+    for has_z in (False, True):
+        chosen = shapely.has_z(geometries) == has_z
+        mapped[chosen] = shapely.transform(geometries[chosen], mapping, include_z=has_z)
+    return mapped
+
+
+def read_features(path: Path, layer: str | None = None) -> gpd.GeoDataFrame:
+    """Features of one layer, or of the only one, as they are stored.
+
+    Raises
+    ------
+    InputError : the file is missing or unreadable, or has several layers and none is named.
+    """
+    if not path.is_file():
+        raise InputError("is a directory" if path.is_dir() else "no such file", where=str(path))
+    try:
+        layers = [name for name, kind in pyogrio.list_layers(path) if kind is not None]
+        if layer is None and len(layers) == 1:
+            layer = layers[0]
+        if layer in layers:
+            return pyogrio.read_dataframe(path, layer=layer)
+    except Exception as error:  # GDAL's drivers raise of every kind
+        raise InputError(f"cannot be read as vector data ({error})", where=str(path)) from error
+    raise InputError(
+        "has no layer with geometry" if not layers else "needs one layer that can be told",
+        where=str(path),
+        found=", ".join(layers) or None,
+        allowed=layer or "a file with one layer",
+    )
+
+
+def _load(path: Path) -> tuple[gpd.GeoDataFrame, CRS | None]:
+    """Features and the CRS that the file itself names."""
+    suffix = path.suffix.lower()
+    if suffix in _TABLE:
+        return read_line_table(path)
+    if suffix not in (*_GEOJSON, *_OTHER):
+        raise InputError(
+            "is no vector file by its name",
+            where=str(path),
+            allowed=", ".join((*_GEOJSON, *_TABLE, *_OTHER)),
+        )
+    features = read_features(path)
+    if suffix in _GEOJSON and not _names_crs(path):
+        return features, None
+    return features, features.crs
+
+
+def _names_crs(path: Path) -> bool:
+    """Whether a GeoJSON file has a member ``crs``; GDAL does not tell."""
+    try:
+        return "crs" in json.loads(path.read_text(encoding="utf-8-sig"))
+    except (ValueError, TypeError, RecursionError):
+        return False
+
+
+def _default(path: Path, geometries: NDArray, frame: Frame, default_crs: str | None) -> CRS | None:
+    """CRS of a file that names none; None for the site's own coordinates."""
+    if default_crs in _NATIVE:
+        return None
+    if default_crs is not None:
+        return parse_crs(default_crs, f"CRS of {path}")
+    if path.suffix.lower() not in _GEOJSON or frame.crs_wkt is None:
+        return None
+    return _WGS84
+
+
+def _check_degrees(path: Path, geometries: NDArray, name: str) -> None:
+    """Refuse longitudes and latitudes that are none."""
+    west, south, east, north = shapely.total_bounds(geometries)
+    if west < -180 or east > 360 or south < -90 or north > 90:
+        raise InputError(
+            f"is in {name}, so its coordinates should be longitude and latitude in degrees",
+            where=str(path),
+            found=f"x {west:g} to {east:g}, y {south:g} to {north:g}",
+            hint="state its CRS in the site file, or `local` for the cloud's own coordinates",
+        )
+
+
+def _to_native(path: Path, stated: CRS | None, frame: Frame) -> Mapping:
+    """Way from a file's coordinates to the site's native ones."""
+    if stated is None:
+        return lambda xyz: xyz
+    if frame.crs_wkt is None:
+        raise InputError(
+            f"is in {stated.name}, but the site is local and has no place on Earth",
+            where=str(path),
+            allowed="the cloud's own coordinates",
+            hint="give the site a CRS, or the file none",
+        )
+    site_crs = CRS.from_wkt(frame.crs_wkt)
+    transformer = Transformer.from_crs(horizontal(stated), horizontal(site_crs), always_xy=True)
+    z_factor = _vertical_unit_m(stated, frame) / frame.vertical_unit_m
+
+    def native(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+        x, y = transformer.transform(xyz[:, 0], xyz[:, 1])
+        moved = np.column_stack([x, y, *(xyz[:, 2:].T * z_factor)])
+        if not np.isfinite(moved).all():
+            raise InputError(f"has coordinates that {site_crs.name} cannot hold", where=str(path))
+        return moved
+
+    return native
+
+
+def _vertical_unit_m(crs: CRS, frame: Frame) -> float:
+    """Metres in one unit of z: by the vertical axis, 1 beside degrees, else as at the site."""
+    up = [axis.unit_conversion_factor for axis in crs.axis_info if axis.direction == "up"]
+    if up:
+        return up[0]
+    return 1.0 if crs.is_geographic else frame.vertical_unit_m

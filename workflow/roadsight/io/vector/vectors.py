@@ -1,0 +1,220 @@
+"""Vector layers: written in the site's CRS and units, read back into the local frame."""
+
+from __future__ import annotations
+
+import os
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+import shapely
+from numpy.typing import NDArray
+from pyproj import CRS, Transformer
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.crs import horizontal
+from roadsight.geometry.frames import Frame
+from roadsight.io.records.atomic import atomic_path
+from roadsight.io.records.whole import check_geojson, check_geopackage
+from roadsight.io.vector.vector_sources import load_local, map_coordinates, read_features
+
+KINDS = ("edge", "median", "line")
+"""Kinds of lines along which sensors may stand."""
+
+_NAME_COLUMNS = ("edge", "name", "id")
+_FIXED_DATE = "2000-01-01T00:00:00.000Z"
+_GEOJSON_DECIMALS = "9"
+
+
+def write_layers(
+    path: str | os.PathLike[str],
+    layers: Mapping[str, gpd.GeoDataFrame],
+    frame: Frame,
+    empty: Mapping[str, str] | None = None,
+) -> None:
+    """Write a GeoPackage in native coordinates; the same layers give the same bytes.
+
+    Parameters
+    ----------
+    layers : features in local metres (x, y, or x, y, z) by layer name, at least one.
+    empty : geometry types, such as "Point Z", of layers that may hold nothing.
+    """
+    if not layers:
+        raise ValueError("a GeoPackage needs a layer")
+    with atomic_path(path) as temporary, _fixed_date():
+        for name, features in layers.items():
+            native = _native(features, frame)
+            kind = None if len(native) else (empty or {}).get(name, "Unknown")
+            pyogrio.write_dataframe(
+                native, temporary, layer=name, driver="GPKG", geometry_type=kind
+            )
+        check_geopackage(temporary, {name: len(features) for name, features in layers.items()})
+
+
+def write_geojson(path: str | os.PathLike[str], features: gpd.GeoDataFrame, frame: Frame) -> None:
+    """Write GeoJSON: WGS 84 degrees with z in metres, or native coordinates of a local site."""
+    native = _native(features, frame)
+    options = {"COORDINATE_PRECISION": _GEOJSON_DECIMALS}
+    if native.crs is not None:
+        transformer = Transformer.from_crs(native.crs, "EPSG:4326", always_xy=True)
+
+        def degrees(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+            lon_lat = transformer.transform(xyz[:, 0], xyz[:, 1])
+            return np.column_stack([*lon_lat, *(xyz[:, 2:].T * frame.vertical_unit_m)])
+
+        geometries = map_coordinates(native.geometry.to_numpy(), degrees)
+        native = native.set_geometry(gpd.GeoSeries(geometries, native.index, crs="EPSG:4326"))
+        options["RFC7946"] = "YES"
+    with atomic_path(path) as temporary, _fixed_date():
+        pyogrio.write_dataframe(
+            native, temporary, layer=Path(path).stem, driver="GeoJSON", layer_options=options
+        )
+        check_geojson(temporary, len(native))
+
+
+def read_layer(path: str | os.PathLike[str], layer: str, frame: Frame) -> gpd.GeoDataFrame:
+    """Features of a layer that `write_layers` wrote, in local metres.
+
+    Raises
+    ------
+    InputError : the file or the layer is missing or unreadable.
+    """
+    features = read_features(Path(path), layer)
+    local = map_coordinates(features.geometry.to_numpy(), frame.to_local)
+    return gpd.GeoDataFrame(features.drop(columns=features.geometry.name), geometry=local)
+
+
+def read_lines(
+    path: str | os.PathLike[str], frame: Frame, default_crs: str | None = None
+) -> gpd.GeoDataFrame:
+    """Digitised lines of a user in local metres.
+
+    Reads GeoJSON, GeoPackage, Shapefile and other GDAL vector files, and CSV tables with one vertex
+    a row (see `roadsight.io.vector.line_tables`), in any CRS. Repeated vertices are dropped; a
+    height of 0 throughout means that none was digitised; parts that do not join become lines of
+    their own, ``name.1`` and so on.
+
+    Parameters
+    ----------
+    default_crs : CRS of a file that names none, see `load_local`.
+
+    Returns
+    -------
+    LineStrings with columns edge (a name of its own) and kind (one of `KINDS`, edge if not stated)
+
+    Raises
+    ------
+    InputError : as `load_local`, or a feature is no line, has fewer than two different vertices,
+        crosses itself, shares its name with another, or is of an unknown kind.
+    """
+    features = load_local(Path(path), frame, default_crs)
+    names = _names(features)
+    kinds = features["kind"] if "kind" in features else ["edge"] * len(features)
+    rows = [
+        (part_name, _kind(kind, f"{path}, {name}"), part)
+        for name, kind, geometry in zip(names, kinds, features.geometry, strict=True)
+        for part_name, part in _parts(name, geometry, f"{path}, {name}")
+    ]
+    lines = gpd.GeoDataFrame(rows, columns=["edge", "kind", "geometry"], geometry="geometry")
+    repeated = lines["edge"][lines["edge"].duplicated()]
+    if len(repeated):
+        raise InputError("two lines share a name", where=str(path), found=repeated.iloc[0])
+    return lines
+
+
+def read_polygons(
+    path: str | os.PathLike[str], frame: Frame, default_crs: str | None = None
+) -> gpd.GeoDataFrame:
+    """Polygons of a user in local metres, without z, one row for each part, attributes kept.
+
+    Parameters
+    ----------
+    default_crs : CRS of a file that names none, see `load_local`.
+
+    Raises
+    ------
+    InputError : as `load_local`, or a feature is no polygon or crosses itself.
+    """
+    features = load_local(Path(path), frame, default_crs)
+    features = features.set_geometry(shapely.force_2d(features.geometry.to_numpy()))
+    for number, geometry in enumerate(features.geometry, start=1):
+        where = f"{path}, feature {number}"
+        _check_type(geometry, ("Polygon", "MultiPolygon"), where)
+        if not geometry.is_valid:
+            reason = shapely.is_valid_reason(geometry)
+            raise InputError("is no valid polygon", where=where, found=reason)
+    return features.explode(ignore_index=True)
+
+
+def _native(features: gpd.GeoDataFrame, frame: Frame) -> gpd.GeoDataFrame:
+    """Features in native coordinates with the horizontal CRS of the site."""
+    crs = None if frame.crs_wkt is None else horizontal(CRS.from_wkt(frame.crs_wkt))
+    geometries = map_coordinates(features.geometry.to_numpy(), frame.to_native)
+    attributes = features.drop(columns=features.geometry.name).reset_index(drop=True)
+    return gpd.GeoDataFrame(attributes, geometry=geometries, crs=crs)
+
+
+@contextmanager
+def _fixed_date() -> Iterator[None]:
+    """Keep the clock out of what GDAL writes, and its warning about local coordinates."""
+    before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _FIXED_DATE})
+    try:
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="'crs' was not provided")
+            yield
+    finally:
+        pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": before})
+
+
+def _names(features: gpd.GeoDataFrame) -> list[str]:
+    """Names by the first name column there is; numbered where a feature has none."""
+    column = next((name for name in _NAME_COLUMNS if name in features), None)
+    values = [None] * len(features) if column is None else features[column].tolist()
+    return [
+        f"e{number}" if pd.isna(value) or value == "" else str(value)
+        for number, value in enumerate(values, start=1)
+    ]
+
+
+def _kind(value: Any, where: str) -> str:
+    """Kind of a line; an empty cell means edge."""
+    if pd.isna(value) or value == "":
+        return "edge"
+    if value not in KINDS:
+        raise InputError("unknown kind", where=where, found=value, allowed=", ".join(KINDS))
+    return str(value)
+
+
+def _parts(
+    name: str, geometry: shapely.Geometry, where: str
+) -> Iterator[tuple[str, shapely.LineString]]:
+    """Joined parts of a line feature, named and checked."""
+    _check_type(geometry, ("LineString", "MultiLineString"), where)
+    if geometry.has_z and not shapely.get_coordinates(geometry, include_z=True)[:, 2].any():
+        geometry = shapely.force_2d(geometry)
+    joined = shapely.line_merge(geometry) if geometry.geom_type == "MultiLineString" else geometry
+    parts = shapely.get_parts(joined)
+    for number, part in enumerate(parts, start=1):
+        line = shapely.remove_repeated_points(part)
+        if shapely.get_num_coordinates(line) < 2 or line.length == 0:
+            raise InputError("has fewer than two different vertices", where=where)
+        if not line.is_simple:
+            raise InputError("crosses itself", where=where, hint="split it or move its vertices")
+        yield (name if len(parts) == 1 else f"{name}.{number}"), line
+
+
+def _check_type(geometry: shapely.Geometry, allowed: tuple[str, ...], where: str) -> None:
+    if geometry.geom_type not in allowed:
+        raise InputError(
+            "is of another kind",
+            where=where,
+            found=geometry.geom_type,
+            allowed=" or ".join(allowed),
+        )

@@ -1,0 +1,1 @@
+"""Where sensors may stand, and the targets that they must see."""

@@ -1,0 +1,183 @@
+"""What a plan's maps mean for targets and candidates: areas, zones, poles, fixed sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from roadsight.base.errors import InputError
+
+
+def needs_by_area(
+    areas: gpd.GeoDataFrame, targets: pd.DataFrame, at_least: int
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Weight of each target and how many sensors must see it, (n,) each.
+
+    Inside several areas, the greatest weight and the greatest number hold. Outside, and where an
+    area states none, the weight is 1 and the number ``at_least``.
+
+    Parameters
+    ----------
+    areas : polygons, local metres, columns weight and at_least (NaN = not stated).
+    targets : columns x, y.
+    """
+    inside = _inside(areas, targets)
+    weight = _greatest(inside, areas["weight"].to_numpy(np.float64), 1.0)
+    need = _greatest(inside, areas["at_least"].to_numpy(np.float64), float(at_least))
+    return weight, need.astype(np.int64)
+
+
+def within_zones(zones: gpd.GeoDataFrame, candidates: pd.DataFrame) -> NDArray[np.bool_]:
+    """Candidates (m,) inside or on the rim of any polygon."""
+    return np.asarray(_inside(zones, candidates).any(axis=0))
+
+
+def mounting_costs(
+    poles: pd.DataFrame, candidates: pd.DataFrame, within_m: float, cost: float, new_cost: float
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Cost of mounting at each candidate (m,), and the number of its pole or -1.
+
+    A candidate uses the cheapest pole near it whose heights allow for it, the nearest of equals.
+
+    Parameters
+    ----------
+    poles : columns x, y, cost (NaN = ``cost``), height_min_m, height_max_m (NaN = no limit).
+    candidates : columns x, y, height_m.
+    """
+    xy_m = candidates[["x", "y"]].to_numpy(np.float64)
+    height_m = candidates["height_m"].to_numpy(np.float64)
+    price = poles["cost"].fillna(cost).to_numpy(np.float64)
+    low_m = poles["height_min_m"].fillna(-np.inf).to_numpy(np.float64)
+    high_m = poles["height_max_m"].fillna(np.inf).to_numpy(np.float64)
+    best = np.full(len(xy_m), float(new_cost))
+    used = np.full(len(xy_m), -1, np.int64)
+    places = poles[["x", "y"]].to_numpy(np.float64)
+    near = cKDTree(places).query_ball_point(xy_m, within_m)
+    for k, around in enumerate(near):
+        fits = [p for p in around if low_m[p] - 1e-9 <= height_m[k] <= high_m[p] + 1e-9]
+        if fits:
+            pole = min(fits, key=lambda p: (price[p], np.hypot(*(places[p] - xy_m[k])), p))
+            best[k], used[k] = price[pole], pole
+    return best, used
+
+
+def snapped(
+    points: pd.DataFrame,
+    candidates: pd.DataFrame,
+    choices: pd.DataFrame,
+    matrix: sparse.csr_matrix,
+    forbidden: NDArray[np.bool_],
+    within_m: float,
+    where: str,
+) -> list[int]:
+    """Row of the matrix for each point that must carry a sensor.
+
+    A point takes the nearest place of candidates; of its heights (and poses) the one nearest to the
+    stated height, or else the one from which its sensor sees most targets, the lowest of equals.
+
+    Parameters
+    ----------
+    points : columns id, kind (sensor; may be "" where the plan has one), x, y, height_m (or NaN).
+    choices : columns sensor and position (row of ``candidates``). matrix : rows = choices.
+    forbidden : (m,) candidates that must carry none.
+
+    Raises
+    ------
+    InputError : a point has no candidate near it, an unknown sensor, or shares its place.
+    """
+    rows: list[int] = []
+    sensors = list(dict.fromkeys(choices["sensor"]))
+    position = choices["position"].to_numpy(np.int64)
+    seen = np.diff(matrix.indptr)
+    taken: dict[tuple[float, float], str] = {}
+    for point in points.itertuples():
+        at = f"{where}, point {point.id}"
+        sensor = _sensor(str(point.kind), sensors, at)
+        nearby = _nearest_place(point, candidates, forbidden, within_m, at)
+        place = tuple(candidates.iloc[nearby[0]][["x", "y"]].to_numpy(np.float64))
+        if place in taken:
+            raise InputError(
+                f"stands at the same candidates as point {taken[place]}", where=at,
+                hint="leave one of them out, or place candidates closer (candidates.spacing_m)",
+            )  # fmt: skip
+        taken[place] = str(point.id)
+        fits = np.isin(position, nearby) & (choices["sensor"] == sensor).to_numpy()
+        all_rows = np.flatnonzero(fits)
+        if not len(all_rows):
+            raise InputError(f"{sensor} sees no target from there in any pose", where=at)
+        height_m = candidates["height_m"].to_numpy(np.float64)[position[all_rows]]
+        stated_m = float(str(point.height_m))
+        if np.isfinite(stated_m):
+            order = np.lexsort((height_m, -seen[all_rows], np.abs(height_m - stated_m)))
+        else:
+            order = np.lexsort((height_m, -seen[all_rows]))
+        rows.append(int(all_rows[order[0]]))
+    return rows
+
+
+def _sensor(kind: str, sensors: Sequence[str], where: str) -> str:
+    if kind in sensors:
+        return kind
+    if kind in ("", "nan", "None") and len(sensors) == 1:
+        return sensors[0]
+    raise InputError(
+        "kind names no sensor of the plan", where=where, found=kind, allowed=", ".join(sensors)
+    )
+
+
+def _nearest_place(
+    point: tuple, candidates: pd.DataFrame, forbidden: NDArray[np.bool_], within_m: float, at: str
+) -> NDArray[np.int64]:
+    """All allowed candidates of the place nearest to a point."""
+    xy_m = candidates[["x", "y"]].to_numpy(np.float64)
+    distance_m = np.hypot(xy_m[:, 0] - point.x, xy_m[:, 1] - point.y)  # type: ignore[attr-defined]
+    nearest_m = distance_m.min(initial=np.inf)
+    if nearest_m > within_m:
+        raise InputError(
+            "has no candidate near it", where=at, found=f"the nearest is {nearest_m:.1f} m away",
+            allowed=f"mandatory.within_m: {within_m:g} m",
+            hint="raise it, move the point, or place candidates closer",
+        )  # fmt: skip
+    if forbidden.any():
+        distance_m = np.where(forbidden, np.inf, distance_m)
+        if distance_m.min() > within_m:
+            raise InputError("lies in a zone without sensors", where=at,
+                             hint="move the point or the zone")  # fmt: skip
+    place = xy_m[np.argmax(distance_m <= distance_m.min() + 1e-6)]  # of two as near, the first
+    return np.flatnonzero((xy_m == place).all(axis=1) & np.isfinite(distance_m))
+
+
+def reach(
+    matrix: sparse.csr_matrix, place: NDArray[np.int64], forbidden: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """How many places (n,) can see each target, each place counting once."""
+    entries = matrix.tocoo()
+    free = ~forbidden[entries.row]
+    shape = (matrix.shape[1], int(place.max(initial=-1)) + 1)
+    ones = np.ones(int(free.sum()))
+    seen = sparse.csr_matrix((ones, (entries.col[free], place[entries.row[free]])), shape=shape)
+    return np.diff(seen.indptr).astype(np.int64)
+
+
+def _inside(areas: gpd.GeoDataFrame, points: pd.DataFrame) -> NDArray[np.bool_]:
+    """(areas, points): whether an area holds a point, its rim included."""
+    places = shapely.points(points["x"].to_numpy(np.float64), points["y"].to_numpy(np.float64))
+    found = np.zeros((len(areas), len(points)), bool)
+    area, point = shapely.STRtree(places).query(areas.geometry.to_numpy(), predicate="intersects")
+    found[area, point] = True
+    return found
+
+
+def _greatest(
+    inside: NDArray[np.bool_], value: NDArray[np.float64], otherwise: float
+) -> NDArray[np.float64]:
+    stated = np.where(inside & np.isfinite(value)[:, None], value[:, None], -np.inf)
+    found = stated.max(axis=0, initial=-np.inf)
+    return np.where(np.isfinite(found), found, otherwise)

@@ -1,0 +1,1 @@
+"""Virtual LiDAR: depth maps of the scene from a candidate."""

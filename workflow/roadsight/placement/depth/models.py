@@ -1,0 +1,45 @@
+"""The ways to a depth map, by their names in the settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
+from roadsight.placement.depth.unet import unet_depth, unet_mask_depth
+
+MODELS = ("surfel", "hybrid", "preliminary", "unet", "unet_mask")
+
+_UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
+NETWORK_MODELS = tuple(_UNETS)
+"""Those that need a network."""
+
+Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+"""Refined depth and score of a return (n, 2, h, w) of normalised maps (n, 1, h, w)."""
+
+
+def model_of_points(
+    name: str, network: Network | None = None, *, min_cell_points: int = 5, neighbours: int = 10
+) -> Callable[..., NDArray[np.float32]]:
+    """Function of points, sensor, position and yaw that gives a depth map.
+
+    Parameters
+    ----------
+    name : one of `MODELS` but surfel. network : for `NETWORK_MODELS`.
+    min_cell_points, neighbours : as `roadsight.placement.depth.hybrid.hybrid_depth` takes them.
+
+    Raises
+    ------
+    InputError : the model needs a network and there is none.
+    """
+    if name == "hybrid":
+        return partial(hybrid_depth, min_cell_points=min_cell_points, neighbours=neighbours)
+    if name not in _UNETS:
+        return preliminary_depth
+    if network is None:
+        raise InputError("needs a network", where=name, hint="name its ONNX file")
+    return partial(_UNETS[name], run=network)

@@ -1,0 +1,114 @@
+"""Depth maps by casting one ray per beam at surfels with Embree."""
+
+from __future__ import annotations
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.placement.sensors.earth import rise_m
+from roadsight.placement.sensors.rays import beam_directions
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.scene.surfels.surfels import Surfels
+
+_CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
+_FARTHEST_M = 1e6
+_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+
+
+class SurfelLidar:
+    """Surfels that rays can be cast at; single-threaded, the same result every time.
+
+    Parameters
+    ----------
+    surfels : in the local frame. Without any surfel nothing ever returns.
+    """
+
+    def __init__(self, surfels: Surfels) -> None:
+        self._origin_m = np.zeros(3)
+        self._scene = None
+        if len(surfels):
+            self._origin_m = np.round(surfels.centre_m.mean(axis=0, dtype=np.float64))
+            corners_m = _corners(surfels, self._origin_m)
+            rows = 4 * np.arange(len(surfels), dtype=np.int32)
+            triangles = (rows[:, None, None] + _TRIANGLES).reshape(-1, 3)
+            self._scene = EmbreeScene()
+            TriangleMesh(self._scene, corners_m.reshape(-1, 3), triangles)
+
+    def cast(
+        self, origins_m: ArrayLike, directions: ArrayLike, max_range_m: float = np.inf
+    ) -> NDArray[np.float32]:
+        """Ranges (n,) of the first surfels along rays, infinite where there is none.
+
+        Parameters
+        ----------
+        origins_m : (n, 3), or (3,) for rays from one point, local metres.
+        directions : (n, 3) unit vectors, local frame.
+        max_range_m : surfels at this range or farther do not count.
+        """
+        directions = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
+        limit_m = np.full(len(directions), min(max_range_m, _FARTHEST_M), np.float32)
+        if self._scene is None or len(directions) == 0:
+            return np.full_like(limit_m, np.inf)
+        origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
+        origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
+        range_m = self._scene.run(origins, directions, dists=limit_m.copy(), query="DISTANCE")
+        range_m[range_m >= limit_m] = np.inf
+        return range_m
+
+    def depth_map(
+        self,
+        sensor: Sensor,
+        position_m: ArrayLike,
+        yaw_deg: float,
+        tilt: NDArray[np.float64] | None = None,
+        curved: bool = False,
+    ) -> NDArray[np.float32]:
+        """Range of every beam's first return, metres, 0 for none; shape (rows, columns).
+
+        Parameters
+        ----------
+        position_m : (3,) local metres. yaw_deg : sensor x from local x, counter-clockwise.
+        tilt : as `beam_directions` takes it. curved : beams rise above the level (`rise_m`).
+        """
+        directions = beam_directions(sensor, yaw_deg, tilt).reshape(-1, 3)
+        range_m = self.cast(position_m, directions, sensor.range_m)
+        if curved:
+            range_m = self.cast(position_m, risen(directions, range_m), sensor.range_m)
+        range_m[np.isinf(range_m)] = 0.0
+        return range_m.reshape(sensor.shape)
+
+
+def risen(directions: NDArray[np.float32], range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Straight lines (n, 3) to where curved beams are at a range.
+
+    A beam climbs by `rise_m`, so little that the range to which it is straightened hardly matters.
+
+    Parameters
+    ----------
+    directions : (n, 3) unit vectors at the sensor. range_m : (n,), infinite for no return.
+    """
+    known = np.where(np.isinf(range_m), 0.0, range_m).astype(np.float64)
+    at = directions * known[:, None]
+    at[:, 2] += rise_m(np.hypot(at[:, 0], at[:, 1]))
+    length = np.linalg.norm(at, axis=1, keepdims=True)
+    straight = np.divide(at, length, out=directions.astype(np.float64), where=length > 0)
+    return straight.astype(np.float32)
+
+
+def _corners(surfels: Surfels, origin_m: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Corners (n, 4, 3) of each surfel: its plane over the borders of its cell."""
+    n = len(surfels)
+    rows, axis = np.arange(n), np.abs(surfels.normal).argmax(axis=1)
+    u, v = (axis + 1) % 3, (axis + 2) % 3
+    across = surfels.normal[rows, axis]
+    slope_u, slope_v = -surfels.normal[rows, u] / across, -surfels.normal[rows, v] / across
+    corners = np.empty((n, 4, 3), np.float32)
+    centre = surfels.centre_m - origin_m
+    for number, (du, dv) in enumerate(_CORNERS):
+        corners[:, number] = centre
+        corners[rows, number, u] += du * surfels.half_m
+        corners[rows, number, v] += dv * surfels.half_m
+        corners[rows, number, axis] += (du * slope_u + dv * slope_v) * surfels.half_m
+    return corners

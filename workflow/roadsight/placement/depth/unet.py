@@ -1,0 +1,176 @@
+"""Depth maps refined by a U-Net (paper 1, section 2.4, Figs. 10 to 12, Table 1).
+
+Whatever the sensor, its preliminary map is made on a fine grid (0.1 degrees, Table 1), normalised
+and given to the network; the refined map is cropped and resized to the sensor's own beams. Of the
+two ways of deployment, `unet_depth` takes the network's ranges, and `unet_mask_depth` only where it
+sees a return: there, ranges are interpolated linearly in the preliminary map.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.placement.depth.depth_filling import fill_linearly
+from roadsight.placement.depth.hybrid import preliminary_depth
+from roadsight.placement.depth.normalising import MULTIPLE_CELLS, STEP_DEG, normalised
+from roadsight.placement.sensors.sensors import Sensor
+
+_FLOATS = NDArray[np.float32]
+
+Run = Callable[[_FLOATS], _FLOATS]
+"""A network: normalised maps (1, 1, h, w) to refined ones and scores of a return (1, 2, h, w)."""
+
+HALO_CELLS = 56
+"""How far around a cell the network looks, rounded up."""
+TILE_CELLS = 720
+"""Columns of a map that the network refines at once: bounds the memory."""
+
+_CONTEXT_DEG = 2.5
+_LARGEST_STEP = 0.05
+
+
+def unet_depth(
+    xyz_m: NDArray[np.floating],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    *,
+    run: Run,
+) -> _FLOATS:
+    """Range of every beam as the network tells it, 0 for none; shape (rows, columns).
+
+    Parameters
+    ----------
+    xyz_m, position_m, yaw_deg : as `roadsight.placement.depth.hybrid.preliminary_depth` takes them.
+    run : the network.
+    """
+    fine = fine_sensor(sensor)
+    depth_m, returns = refined(preliminary_depth(xyz_m, fine, position_m, yaw_deg), run)
+    # A network may tell ranges at which the sensor measures nothing.
+    seen = returns & (depth_m < sensor.range_m)
+    return on_beams(np.where(seen, depth_m, np.float32(0)), fine, sensor)
+
+
+def unet_mask_depth(
+    xyz_m: NDArray[np.floating],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    *,
+    run: Run,
+) -> _FLOATS:
+    """As `unet_depth`, but ranges are interpolated where the network sees a return."""
+    fine = fine_sensor(sensor)
+    preliminary = preliminary_depth(xyz_m, fine, position_m, yaw_deg)
+    _, returns = refined(preliminary, run)
+    return on_beams(fill_linearly(preliminary, returns), fine, sensor)
+
+
+def fine_sensor(sensor: Sensor) -> Sensor:
+    """Sensor of the fine grid around all azimuths: the rows of a sensor and 2.5 degrees more.
+
+    Rows lie on one lattice for all sensors, and are those of Table 1 for a field of view of -22.5
+    to 22.5 degrees. The network looks that far around the outermost beams.
+    """
+    lowest, highest = sensor.elevation_deg[[0, -1]]
+    bottom = max(math.floor((lowest - _CONTEXT_DEG) / STEP_DEG + 1e-6), round(-90 / STEP_DEG))
+    top = min(math.ceil((highest + _CONTEXT_DEG) / STEP_DEG - 1e-6), round(90 / STEP_DEG))
+    return grid_sensor((-180.0, 180.0), (bottom, top), sensor.range_m)
+
+
+def grid_sensor(azimuth_deg: tuple[float, float], rows: tuple[int, int], range_m: float) -> Sensor:
+    """Sensor whose beams are cells of the fine grid.
+
+    Parameters
+    ----------
+    azimuth_deg : right and left limit. rows : lowest and highest limit, in steps from the horizon.
+    """
+    return Sensor.model_validate(
+        {
+            "azimuth_min_deg": azimuth_deg[0],
+            "azimuth_max_deg": azimuth_deg[1],
+            "azimuth_step_deg": STEP_DEG,
+            "elevation_min_deg": (rows[0] + 0.5) * STEP_DEG,
+            "elevation_max_deg": (rows[1] - 0.5) * STEP_DEG,
+            "channels": rows[1] - rows[0],
+            "range_m": range_m,
+        }
+    )
+
+
+def refined(depth_m: _FLOATS, run: Run, *, wraps: bool = True) -> tuple[_FLOATS, NDArray[np.bool_]]:
+    """Refined ranges (rows, columns) of a preliminary map, and where there is a return.
+
+    A map without any return, or with the same range everywhere, has nothing to refine and stays.
+
+    Parameters
+    ----------
+    depth_m : (rows, columns) on the fine grid, 0 for no return.
+    wraps : whether the last column is beside the first one.
+    """
+    values, low, high = normalised(depth_m)
+    if not high > low:
+        return depth_m, depth_m > 0
+    output = _tiled(values, run, wraps)
+    range_m = np.maximum(low + output[0] * np.float32(high - low), 0.0).astype(np.float32)
+    return range_m, (output[1] > 0) & (range_m > 0)
+
+
+def _tiled(values: _FLOATS, run: Run, wraps: bool) -> _FLOATS:
+    """What the network gives, (2, rows, columns), tile by tile with enough around each."""
+    rows, columns = values.shape
+    padded = np.zeros((_rounded_up(rows), columns), np.float32)
+    padded[:rows] = values
+    output = np.empty((2, rows, columns), np.float32)
+    for first in range(0, columns, TILE_CELLS):
+        last = min(first + TILE_CELLS, columns)
+        around = np.arange(first - HALO_CELLS, first + _rounded_up(last - first) + HALO_CELLS)
+        window = padded[:, around % columns]
+        if not wraps:
+            window[:, (around < 0) | (around >= columns)] = 0.0
+        found = run(np.ascontiguousarray(window[None, None]))[0]
+        output[:, :, first:last] = found[:, :rows, HALO_CELLS : HALO_CELLS + last - first]
+    return output
+
+
+def _rounded_up(cells: int) -> int:
+    return -(-cells // MULTIPLE_CELLS) * MULTIPLE_CELLS
+
+
+def on_beams(depth_m: _FLOATS, fine: Sensor, sensor: Sensor) -> _FLOATS:
+    """A map of the fine grid at a sensor's beams: cropped, down-sampled and resized.
+
+    A beam between two cells takes the range between theirs (linear in the inverse range, as a plane
+    is), unless they belong to different surfaces or one has no return: then the nearer cell's.
+
+    Parameters
+    ----------
+    depth_m : (rows, columns) of ``fine``, all around. sensor : whose beams lie within its rows.
+    """
+    column, share = _cells(sensor.azimuth_deg - fine.azimuth_deg[0])
+    left, right = depth_m[:, column % fine.columns], depth_m[:, (column + 1) % fine.columns]
+    across = _between(left, right, share[None, :])
+    row, share = _cells(sensor.elevation_deg - fine.elevation_deg[0])
+    below, above = (np.clip(row + step, 0, fine.rows - 1) for step in (0, 1))
+    return _between(across[below], across[above], share[:, None])
+
+
+def _cells(angle_deg: NDArray[np.float64]) -> tuple[NDArray[np.int64], _FLOATS]:
+    """Cell at or before each angle from the first one, and how far it is to the next, 0 to 1."""
+    steps = np.round(angle_deg / STEP_DEG, 6)
+    cell = np.floor(steps)
+    return cell.astype(np.int64), (steps - cell).astype(np.float32)
+
+
+def _between(one_m: _FLOATS, other_m: _FLOATS, share: _FLOATS) -> _FLOATS:
+    """Range at a share of the way from one cell to the next."""
+    nearer = np.where(share <= 0.5, one_m, other_m)
+    least = np.minimum(one_m, other_m)
+    same = (least > 0) & (np.abs(one_m - other_m) <= _LARGEST_STEP * least) & (share > 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        blended = 1.0 / ((1.0 - share) / one_m + share / other_m)
+    return np.where(same, blended, nearer).astype(np.float32)

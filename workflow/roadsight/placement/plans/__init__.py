@@ -1,0 +1,1 @@
+"""From what a plan asks for to its answer."""

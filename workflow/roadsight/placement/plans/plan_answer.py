@@ -1,0 +1,233 @@
+"""Solves what a plan asks for, and says it in the terms of a report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.placement.plans.plan_problem import Asked, Posed
+from roadsight.setcover.common.deadline import Deadline, WorkLimit
+from roadsight.setcover.common.problem import objective_step
+from roadsight.setcover.common.result import INFEASIBLE, Cover
+from roadsight.setcover.cover.solve import solve_cover_problem
+from roadsight.setcover.plans.alternatives import most_different, replacements
+from roadsight.setcover.plans.curve import coverage_curve, spread_budgets
+from roadsight.setcover.plans.deploy import solve_costly_cover, solve_deployment
+from roadsight.setcover.plans.deployment import Deployment
+
+_LISTED = 50
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Answer of a plan with options.
+
+    Parameters
+    ----------
+    cover : its objective is the cost of the sensors; its bound that of the cost, or NaN where cost
+        is not what is minimised.
+    record : what solution.json says under ``options``.
+    sensors : columns by chosen row. alternatives, different : rows, with what they replace.
+    """
+
+    cover: Cover
+    record: dict[str, Any]
+    sensors: pd.DataFrame
+    alternatives: list[tuple[int, int]]
+    different: NDArray[np.int64]
+
+
+def answer(
+    asked: Asked,
+    posed: Posed,
+    choices: pd.DataFrame,
+    candidates: pd.DataFrame,
+    limit_s: float,
+    seed: int,
+    gap: float,
+) -> Answer:
+    """Solve a plan; the curve and the alternatives have the same limit of work once more.
+
+    Raises
+    ------
+    InputError : nothing meets what is asked, or nothing was found within the limit.
+    """
+    deployment = posed.deployment
+    cover = _solve(deployment, WorkLimit(limit_s), seed, gap)
+    _check(asked, cover, limit_s)
+    names = choices["candidate"].astype(str).to_numpy()
+    position = choices["position"].to_numpy(np.int64)
+    name = lambda row: str(names[row])  # noqa: E731
+    failures = _losses(posed, cover.chosen)
+    record = {"asked": asked.options, "goal": _goal(asked, deployment, cover)}
+    record |= _targets_record(asked, posed, deployment, cover, name)
+    if "curve" in asked.options:
+        record["curve"] = _curve(asked, posed, cover, WorkLimit(limit_s), seed, gap)
+    swaps: list[tuple[int, int]] = []
+    different = np.empty(0, np.int64)
+    if asked.options.get("alternatives"):
+        others = replacements(deployment, cover.chosen)
+        place = _places(candidates, position)
+        found = most_different(deployment, cover.chosen, place, WorkLimit(limit_s), seed)
+        swaps = [(k, int(row)) for k, rows in enumerate(others) for row in rows]
+        different = found.chosen
+        record["alternatives"] = {
+            "replaceable": [len(rows) for rows in others],
+            "by": [[name(row) for row in rows[:_LISTED]] for rows in others],
+            "places": len(np.unique(place[cover.chosen])),
+            "shared_places": found.shared,
+            "least_shared_places": found.least_shared,
+            "different": [name(row) for row in found.chosen],
+        }
+    sensors = pd.DataFrame({
+        "cost": deployment.problem.costs[cover.chosen],
+        "loses": failures,
+        "mandatory": deployment.problem.mandatory[cover.chosen],
+        "pole": [posed.pole[position[row]] for row in cover.chosen],
+    })  # fmt: skip
+    return Answer(_in_cost(deployment, cover), record, sensors, swaps, different)
+
+
+def _solve(deployment: Deployment, limit: Deadline, seed: int, gap: float) -> Cover:
+    """A plain cover by the solver for covers, all else as a deployment."""
+    plain = deployment.complete and not deployment.keep and not len(deployment.cliques)
+    if plain and math.isinf(deployment.budget):
+        equal = len(np.unique(deployment.problem.costs)) == 1
+        solve = solve_cover_problem if equal else solve_costly_cover
+        return solve(deployment.problem, limit, seed, gap)
+    return solve_deployment(deployment, limit, seed, gap).cover
+
+
+def _check(asked: Asked, cover: Cover, limit_s: float) -> None:
+    if cover.status == INFEASIBLE:
+        raise InputError(
+            "no set of sensors meets what the plan asks for",
+            where=asked.where,
+            found=", ".join(sorted(asked.options)),
+            hint="ask for less (spacing_m, keep_share, at_least), or for the best within a budget"
+            " or price",
+        )
+    if not math.isfinite(cover.objective):
+        raise InputError(
+            "no set of sensors was found within the time limit", where=asked.where,
+            found=f"{limit_s:g} s",
+            hint="raise cover.time_limit_s, or ask for less (spacing_m, keep_share)",
+        )  # fmt: skip
+
+
+def _in_cost(deployment: Deployment, cover: Cover) -> Cover:
+    cost = math.fsum(deployment.problem.costs[cover.chosen])
+    return cover if deployment.complete else replace(cover, objective=cost, bound=math.nan)
+
+
+def _goal(asked: Asked, deployment: Deployment, cover: Cover) -> dict[str, Any]:
+    """What was optimised, its value and its bound."""
+    if "budget" in asked.options:
+        return {"kind": "coverage", "value": -cover.objective, "bound": -cover.bound}
+    if "price" in asked.options:
+        most = deployment.worth * deployment.total
+        value, bound = cover.objective + most, cover.bound + most
+        return {"kind": "cost and price", "value": value, "bound": bound}
+    return {"kind": "cost", "value": cover.objective, "bound": cover.bound}
+
+
+def _losses(posed: Posed, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Weight (chosen,) that is no longer seen often enough when each row fails.
+
+    How often is what the targets need, not what a plan that survives failures makes of it.
+    """
+    rows = posed.deployment.problem.matrix[chosen]
+    count = np.asarray(rows.sum(axis=0, dtype=np.int64)).ravel()
+    need = posed.targets["needed"].to_numpy(np.int64)
+    weight = posed.targets["weight"].to_numpy(np.float64)
+    return np.asarray(rows @ np.where((count == need) & (need > 0), weight, 0.0))
+
+
+def _targets_record(
+    asked: Asked,
+    posed: Posed,
+    deployment: Deployment,
+    cover: Cover,
+    name: Any,
+) -> dict[str, Any]:
+    """Weight seen, folds that lack, and what a failure leaves."""
+    needed = posed.targets["asked"].to_numpy(np.int64)
+    weight = posed.targets["weight"].to_numpy(np.float64)
+    rows = deployment.problem.matrix[cover.chosen]
+    count = np.asarray(rows.sum(axis=0, dtype=np.int64)).ravel()
+    seen = (count >= needed) & (needed > 0)
+    critical = np.where(seen & (count == needed), weight, 0.0)
+    lost = np.asarray(rows @ critical)
+    covered = math.fsum(weight[seen])
+    worst = int(np.argmax(lost)) if len(lost) else -1
+    asked_weight = math.fsum(weight[needed > 0])
+    return {
+        "weight": {"seen": covered, "of": asked_weight},
+        "seen_targets": int(seen.sum()),
+        "short": posed.short,
+        "needs": _own_needs(posed, asked),
+        "forbidden_candidates": int(posed.forbidden.sum()),
+        "failure": {
+            "left_share": 1.0 if not covered else 1 - float(lost.max(initial=0.0)) / covered,
+            "worst": name(cover.chosen[worst]) if worst >= 0 else None,
+        },
+    }
+
+
+def _own_needs(posed: Posed, asked: Asked) -> dict[str, int]:
+    """How many sensors must see the targets that ask for another number than the plan."""
+    own = posed.targets[posed.targets["asked"] != asked.at_least]
+    return dict(zip(own["target"].astype(str), own["asked"].astype(int).tolist(), strict=True))
+
+
+def _kept_all(asked: Asked, posed: Posed) -> Deployment:
+    """The deployment whose coverage counts as asked for, also where all of it is to be kept.
+
+    A cover that keeps everything sees each target once more; a budget that buys less cannot.
+    """
+    deployment = posed.deployment
+    if not deployment.complete or asked.options.get("keep_share") != 1:
+        return deployment
+    once = deployment.problem.changed(at_least=posed.targets["needed"].to_numpy(np.int64))
+    return replace(deployment, problem=once, keep=1.0)
+
+
+def _curve(
+    asked: Asked, posed: Posed, cover: Cover, limit: Deadline, seed: int, gap: float
+) -> dict[str, Any]:
+    deployment = _kept_all(asked, posed)
+    charge = np.asarray(deployment.charge)
+    mandatory = deployment.problem.mandatory
+    step = objective_step(charge)
+    most = math.fsum(charge[cover.chosen]) if deployment.complete else deployment.budget
+    least = max(math.fsum(charge[mandatory]), float(charge.min()))
+    budgets = spread_budgets(min(least, most), most, asked.options["curve"], step)
+    full = cover.bound if deployment.complete else 0.0
+    known = [cover.chosen]
+    found = coverage_curve(deployment, budgets, limit, seed, gap, known, full)
+    counted = "sensors" if asked.options.get("budget", {}).get("sensors") else "cost"
+    points = [
+        {
+            "budget": point.budget,
+            "spent": point.spent,
+            "sensors": len(point.chosen),
+            "weight": point.value,
+            "bound": point.bound,
+            "status": point.status,
+        }
+        for point in found
+    ]
+    return {"of": counted, "total": deployment.total, "points": points}
+
+
+def _places(candidates: pd.DataFrame, position: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number of the place (choices,) of each row; heights of one place share it."""
+    xy_m = candidates[["x", "y"]].to_numpy(np.float64)
+    number = np.unique(xy_m, axis=0, return_inverse=True)[1].reshape(-1)
+    return number.astype(np.int64)[position]

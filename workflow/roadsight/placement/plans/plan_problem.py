@@ -1,0 +1,260 @@
+"""From the options of a plan to the deployment problem that they pose."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy import sparse
+
+from roadsight.base.errors import InputError
+from roadsight.placement.candidates.siting import (
+    mounting_costs,
+    needs_by_area,
+    reach,
+    snapped,
+    within_zones,
+)
+from roadsight.setcover.common.problem import CoverProblem
+from roadsight.setcover.plans.conflicts import spacing_cliques
+from roadsight.setcover.plans.deployment import Deployment
+
+_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Options of a plan with its maps.
+
+    Parameters
+    ----------
+    options : as `roadsight.config.plan_options`, those that are set.
+    at_least : sensors that must see each target where no area says otherwise.
+    where : site and plan, for messages.
+    areas, zones : polygons in local metres. fixed, poles : points.
+    exclude : targets that cannot be seen often enough are left out or asked less often.
+    """
+
+    options: dict[str, Any]
+    at_least: int
+    where: str
+    areas: gpd.GeoDataFrame | None = None
+    zones: gpd.GeoDataFrame | None = None
+    fixed: pd.DataFrame | None = None
+    poles: pd.DataFrame | None = None
+    exclude: bool = False
+
+    @property
+    def soft(self) -> bool:
+        """Whether targets may stay unseen."""
+        return "budget" in self.options or "price" in self.options
+
+
+@dataclass(frozen=True)
+class Posed:
+    """The problem that a plan poses, and what the report says of it.
+
+    Parameters
+    ----------
+    targets : the targets that count, with columns weight, asked and needed (how often it is to
+        be seen, and that as far as it can be) and reachable (so often it can be).
+    unseen : names of the targets that no allowed candidate sees.
+    short : {target: how often it can be seen}, where that is less than asked.
+    forbidden : candidates that carry none. pole : (candidates,) name of the pole used, or "".
+    """
+
+    deployment: Deployment
+    targets: pd.DataFrame
+    unseen: list[str]
+    short: dict[str, int]
+    forbidden: NDArray[np.bool_]
+    pole: list[str] = field(default_factory=list)
+
+
+def pose(
+    asked: Asked,
+    matrix: sparse.csr_matrix,
+    choices: pd.DataFrame,
+    candidates: pd.DataFrame,
+    targets: pd.DataFrame,
+) -> Posed:
+    """Problem of a plan.
+
+    Parameters
+    ----------
+    matrix : (choices, targets), as `detection_matrix` gives it.
+    choices, targets : tables in the order of rows (see `choices_of`) and columns.
+    candidates : table that ``position`` of the choices counts in.
+
+    Raises
+    ------
+    InputError : options contradict each other or the site, or ask more than candidates can see.
+    """
+    position = choices["position"].to_numpy(np.int64)
+    zone = np.zeros(len(candidates), bool)
+    if asked.zones is not None:
+        zone = within_zones(asked.zones, candidates)
+    if zone.all():
+        raise InputError("every candidate lies in a zone without sensors", where=asked.where)
+    forbidden = zone[position]
+    mandatory = _mandatory(asked, candidates, choices, matrix, zone)
+    mount, pole = _mounts(asked, candidates)
+    cost = choices["cost"].to_numpy(np.float64) + mount[position]
+    if not (cost > 0).all():
+        raise InputError(
+            "a sensor with its mounting must cost something", where=asked.where,
+            found=cost.min(), hint="raise the sensor's cost or poles.cost",
+        )  # fmt: skip
+    weight, need = _needs(asked, targets)
+    reachable = reach(matrix, position, forbidden)
+    short = np.flatnonzero(reachable < need)
+    known = targets.assign(weight=weight, asked=need, needed=need, reachable=reachable)
+    _check_reach(asked, known, short)
+    if not asked.soft:
+        need = np.minimum(need, reachable)
+        known["needed"] = need
+    keep, fold = _failure_folds(asked, known, weight, need)
+    problem = CoverProblem(matrix, cost, position, fold, mandatory, np.flatnonzero(forbidden))
+    deployment = _deployment(asked, problem, weight, keep, _cliques(asked, candidates, position))
+    _check_mandatory(asked, deployment, mandatory, choices)
+    names = known["target"].to_numpy()
+    return Posed(
+        deployment,
+        known,
+        [str(name) for name in names[reachable == 0]],
+        {str(names[t]): int(reachable[t]) for t in short},
+        zone,
+        pole,
+    )
+
+
+def _needs(asked: Asked, targets: pd.DataFrame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    if asked.areas is None:
+        return np.ones(len(targets)), np.full(len(targets), asked.at_least, np.int64)
+    return needs_by_area(asked.areas, targets, asked.at_least)
+
+
+def _mandatory(
+    asked: Asked,
+    candidates: pd.DataFrame,
+    choices: pd.DataFrame,
+    matrix: sparse.csr_matrix,
+    zone: NDArray[np.bool_],
+) -> list[int]:
+    if asked.fixed is None:
+        return []
+    within_m = asked.options["mandatory"]["within_m"]
+    where = f"{asked.where}: mandatory"
+    return snapped(asked.fixed, candidates, choices, matrix, zone, within_m, where)
+
+
+def _mounts(asked: Asked, candidates: pd.DataFrame) -> tuple[NDArray[np.float64], list[str]]:
+    """Cost of mounting at each candidate, and the name of its pole."""
+    if asked.poles is None:
+        return np.zeros(len(candidates)), [""] * len(candidates)
+    option = asked.options["poles"]
+    mount, pole = mounting_costs(
+        asked.poles, candidates, option["within_m"], option["cost"], option["new_cost"]
+    )
+    names = asked.poles["id"].astype(str).tolist()
+    return mount, [names[p] if p >= 0 else "" for p in pole]
+
+
+def _cliques(
+    asked: Asked, candidates: pd.DataFrame, position: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], ...]:
+    spacing_m = asked.options.get("spacing_m")
+    if spacing_m is None:
+        return ()
+    return spacing_cliques(candidates[["x", "y"]].to_numpy(np.float64)[position], spacing_m)
+
+
+def _failure_folds(
+    asked: Asked, targets: pd.DataFrame, weight: NDArray[np.float64], need: NDArray[np.int64]
+) -> tuple[float, NDArray[np.int64]]:
+    """Share to keep, and how often to see: all of it is to see everything once more."""
+    keep = float(asked.options.get("keep_share") or 0.0)
+    if keep < 1 or asked.soft:
+        return keep, need
+    more = need + ((need > 0) & (weight > 0))
+    lacking = int((more > targets["reachable"]).sum())
+    if lacking:
+        raise InputError(
+            f"no sensor may fail, but {lacking} of {len(targets)} targets cannot be seen by one"
+            " sensor more than asked for",
+            where=asked.where,
+            hint="lower keep_share, or densify the candidates",
+        )
+    return 0.0, more
+
+
+def _deployment(
+    asked: Asked,
+    problem: CoverProblem,
+    weight: NDArray[np.float64],
+    keep: float,
+    cliques: tuple[NDArray[np.int64], ...],
+) -> Deployment:
+    budget, price = asked.options.get("budget"), asked.options.get("price")
+    common: dict[str, Any] = {"weights": weight, "cliques": cliques, "keep": keep}
+    if budget is not None:
+        sensors = budget.get("sensors")
+        return Deployment(
+            problem,
+            complete=False,
+            worth=1.0,
+            cost=np.zeros(len(problem.costs)),
+            charge=np.ones(len(problem.costs)) if sensors else problem.costs,
+            budget=float(sensors or budget["cost"]),
+            **common,
+        )
+    if price is not None:
+        return Deployment(problem, complete=False, worth=float(price), **common)
+    return Deployment(problem, **common)
+
+
+def _check_reach(asked: Asked, targets: pd.DataFrame, short: NDArray[np.int64]) -> None:
+    """One message about all targets that cannot be seen as often as asked."""
+    if not len(short) or asked.exclude or asked.soft:
+        return
+    lacking = targets.iloc[short]
+    first = ", ".join(
+        f"{row.target} ({row.reachable} of {row.needed})"
+        for row in lacking.head(_NAMED).itertuples()
+    )
+    more = ", ..." if len(short) > _NAMED else ""
+    raise InputError(
+        f"{len(short)} of {len(targets)} targets cannot be seen by as many sensors as asked for,"
+        f" {int((lacking['reachable'] == 0).sum())} of them by none",
+        where=asked.where,
+        found=f"{first}{more}",
+        hint="ask for less (at_least, areas), allow more candidates, or ask each target for what it"
+        " can reach with coverage.uncoverable: exclude",
+    )
+
+
+def _check_mandatory(
+    asked: Asked, deployment: Deployment, mandatory: list[int], choices: pd.DataFrame
+) -> None:
+    if not mandatory or not deployment.broken(np.array(sorted(mandatory), np.int64)):
+        return
+    inside = np.zeros(len(deployment.problem.costs), np.int32)
+    inside[mandatory] = 1
+    crowded = (deployment.exclusive @ inside > 1).any()
+    spent = np.asarray(deployment.charge)[mandatory].sum()
+    raise InputError(
+        "the mandatory sensors stand too near each other"
+        if crowded
+        else "the mandatory sensors alone exceed the budget",
+        where=asked.where,
+        found=", ".join(choices["candidate"].astype(str).iloc[mandatory])
+        if crowded
+        else f"{spent:g} of {deployment.budget:g}",
+        hint="lower spacing_m or leave one out"
+        if crowded
+        else "raise the budget or leave some out",
+    )

@@ -1,0 +1,1 @@
+"""Kinds of sensors: channels, fields of view, poses, beams, range."""

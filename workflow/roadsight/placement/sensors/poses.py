@@ -1,0 +1,99 @@
+"""Poses of sensors: how they are turned at a candidate, and which of the turns are worth keeping.
+
+One convention for all kinds and for mounts that lean (`roadsight.placement.candidates.tilt`): a
+sensor looks along its x axis, y points to its left, z up. From the candidate's facing direction (x
+to the road's normal) it is turned by **yaw** to the left, then by **pitch** upwards, then by
+**roll** with its right side up; pitch and roll are those of `roadsight.geometry.cameras`. A leaning
+mount is turned with all of it last. So, from right to left,
+
+    local_from_sensor = tilt  Rz(facing + yaw)  Ry(-pitch)  Rx(-roll)
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+_FLOATS = NDArray[np.float64]
+
+_NUMBER = r"[+-](?:\d+(?:\.\d+)?)"
+_NAME = re.compile(rf"(.*)@y({_NUMBER})p({_NUMBER})r({_NUMBER})")
+
+
+class Turn(NamedTuple):
+    """Yaw to the left, pitch upwards, roll with the right side up, degrees."""
+
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+
+
+AS_MOUNTED = Turn(0.0, 0.0, 0.0)
+"""No turn at all."""
+
+
+def turns_of(
+    yaw_deg: Sequence[float], pitch_deg: Sequence[float], roll_deg: Sequence[float]
+) -> list[Turn]:
+    """All combinations, without repeats, the least turned first: ties between poses go to it.
+
+    Angles are rounded to a thousandth of a degree, as names of poses state them.
+    """
+    turns = {Turn(*(round(float(angle), 3) + 0.0 for angle in angles))
+             for angles in product(yaw_deg, pitch_deg, roll_deg)}  # fmt: skip
+    return sorted(turns, key=lambda turn: (sum(map(abs, turn)), turn))
+
+
+def local_from_sensor(facing_deg: float, turn: Turn, tilt: _FLOATS | None = None) -> _FLOATS:
+    """Rotation (3, 3) whose columns are the sensor's axes in the local frame.
+
+    Parameters
+    ----------
+    facing_deg : direction in which the candidate faces, counter-clockwise from local x.
+    tilt : rotation (3, 3) from the levelled to the leaning mount, local frame; None: levelled.
+    """
+    yaw, pitch, roll = np.radians([facing_deg + turn.yaw_deg, turn.pitch_deg, turn.roll_deg])
+    about_z = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    about_y = np.array(
+        [[np.cos(pitch), 0, -np.sin(pitch)], [0, 1, 0], [np.sin(pitch), 0, np.cos(pitch)]]
+    )
+    about_x = np.array(
+        [[1, 0, 0], [0, np.cos(roll), np.sin(roll)], [0, -np.sin(roll), np.cos(roll)]]
+    )
+    rotation = about_z @ about_y @ about_x
+    return np.asarray(rotation if tilt is None else tilt @ rotation)
+
+
+def pose_name(candidate: str, turn: Turn) -> str:
+    """Name of a candidate in a pose."""
+    yaw, pitch, roll = (f"{angle:+.3f}".rstrip("0").rstrip(".") for angle in turn)
+    return f"{candidate}@y{yaw}p{pitch}r{roll}"
+
+
+def split_pose(name: str) -> tuple[str, Turn]:
+    """Candidate and turn of a name; a name without a pose is a candidate as mounted."""
+    matched = _NAME.fullmatch(name)
+    if matched is None:
+        return name, AS_MOUNTED
+    return matched[1], Turn(*(float(matched[number]) for number in (2, 3, 4)))
+
+
+def not_dominated(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Rows worth keeping of what the poses (m, n) at one position see of the targets.
+
+    A pose is dropped when it sees nothing, the same as an earlier one, or part of what another
+    sees. As poses at a position cost the same and exclude each other, no cover gets dearer by it.
+    """
+    bits = np.packbits(seen, axis=1)
+    keep = np.asarray(seen.any(axis=1))
+    for row in np.flatnonzero(keep):
+        within = ~(bits[row] & ~bits).any(axis=1) & keep
+        same = within & ~(bits & ~bits[row]).any(axis=1)
+        better = within & ~same
+        keep[row] = not (better.any() or same[:row].any())
+    return np.flatnonzero(keep)

@@ -1,0 +1,148 @@
+"""Kinds of sensors, and the sensors file that defines them."""
+
+from __future__ import annotations
+
+import os
+import re
+from typing import Any
+
+import numpy as np
+
+from roadsight.base.errors import InputError, nearest
+from roadsight.base.texts import read_yaml
+from roadsight.base.validation import validated
+from roadsight.placement.sensors.aimed import AimedSensor, Camera, Radar, Rosette
+from roadsight.placement.sensors.spinning import Sensor
+
+__all__ = [
+    "KINDS",
+    "AimedSensor",
+    "AnySensor",
+    "Camera",
+    "Radar",
+    "Rosette",
+    "Sensor",
+    "define_sensor",
+    "load_sensor",
+    "load_sensors",
+    "panorama_name",
+]
+
+AnySensor = Sensor | AimedSensor
+"""A sensor of any kind."""
+
+KINDS: dict[str, type[Sensor] | type[AimedSensor]] = {
+    "spinning": Sensor,
+    "rosette": Rosette,
+    "camera": Camera,
+    "radar": Radar,
+}
+"""Schema of each kind of sensor."""
+
+_PANORAMA = re.compile(r"panorama-(\d*\.?\d+)deg-(\d+)m")
+_PANORAMA_TOP_DEG = 20.0
+
+
+def load_sensors(path: str | os.PathLike[str]) -> dict[str, AnySensor]:
+    """Read the sensors file.
+
+    Parameters
+    ----------
+    path : YAML file with one mapping ``sensors`` of names to definitions, each of a ``kind``.
+
+    Raises
+    ------
+    InputError : malformed file, unknown kind or key, reversed limits, a resolution that is not
+        positive.
+    """
+    content = read_yaml(path)
+    if not isinstance(content, dict) or not isinstance(content.get("sensors"), dict):
+        raise InputError("needs a mapping 'sensors' of names to definitions", where=str(path))
+    if others := sorted(str(key) for key in content if key != "sensors"):
+        raise InputError(
+            f"unknown key {others[0]!r}", where=str(path), hint=nearest(others[0], ["sensors"])
+        )
+    if not content["sensors"]:
+        raise InputError("defines no sensor", where=str(path))
+    return {
+        _checked_name(name, path): define_sensor(definition, f"{path}, sensor {name}")
+        for name, definition in content["sensors"].items()
+    }
+
+
+def load_sensor(path: str | os.PathLike[str], name: str) -> Sensor:
+    """One spinning LiDAR of the sensors file, or the panorama of a name that `panorama_name` gave.
+
+    Raises
+    ------
+    InputError : as `load_sensors`, no sensor of that name, or it is of another kind.
+    """
+    if matched := _PANORAMA.fullmatch(name):
+        return _panorama(float(matched[1]), float(matched[2]))
+    sensors = load_sensors(path)
+    if name not in sensors:
+        raise InputError(f"no sensor {name!r}", where=str(path), hint=nearest(name, sensors))
+    sensor = sensors[name]
+    if not isinstance(sensor, Sensor):
+        raise InputError(
+            f"sensor {name!r} has no depth map of its own",
+            where=str(path),
+            found=f"kind {sensor.to_dict()['kind']}",
+            allowed="a sensor of kind spinning",
+        )
+    return sensor
+
+
+def panorama_name(step_deg: float, range_m: float) -> str:
+    """Name of the depth map from which poses at a position are judged; it says all about it."""
+    return f"panorama-{step_deg:g}deg-{np.ceil(range_m):.0f}m"
+
+
+def _panorama(step_deg: float, range_m: float) -> Sensor:
+    """All directions from straight down to 20 degrees above the horizon, the whole way around.
+
+    Rows are twice as coarse below -20 and again below -45 degrees, where all that is seen is near.
+    """
+    columns = max(round(360 / step_deg), 4)
+    step = 360 / columns
+    bands = ((-90.0, -45.0, 4 * step), (-45.0, -20.0, 2 * step), (-20.0, _PANORAMA_TOP_DEG, step))
+    rows: list[float] = []
+    for low, high, height in bands:
+        count = max(round((high - low) / height), 1)
+        rows += (low + (np.arange(count) + 0.5) * (high - low) / count).tolist()
+    beams = {"azimuth_step_deg": step, "elevations_deg": rows, "range_m": range_m}
+    return Sensor.model_validate(beams)
+
+
+def define_sensor(definition: Any, where: str) -> AnySensor:
+    """A sensor by its definition, checked against the schema of its kind.
+
+    Raises
+    ------
+    InputError : as `load_sensors`; ``where`` is told.
+    """
+    kind = definition.get("kind", "spinning") if isinstance(definition, dict) else "spinning"
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise InputError(
+            "kind: unknown",
+            where=where,
+            found=repr(kind),
+            allowed=", ".join(KINDS),
+            hint=nearest(str(kind), KINDS),
+        )
+    return validated(KINDS[kind], definition, where)
+
+
+def _checked_name(name: object, path: str | os.PathLike[str]) -> str:
+    """Names appear in file names."""
+    text = str(name)
+    if not text.replace("_", "a").replace(".", "a").replace("-", "a").isalnum() or text[0] in ".-":
+        raise InputError(
+            "a sensor's name appears in file names",
+            where=str(path),
+            found=repr(text),
+            allowed="letters, digits, '-', '_' and '.', first a letter, digit or '_'",
+        )
+    if _PANORAMA.fullmatch(text):
+        raise InputError("a sensor's name that is in use", where=str(path), found=repr(text))
+    return text

@@ -1,0 +1,1 @@
+"""Which targets a sensor sees, and what hides the others."""

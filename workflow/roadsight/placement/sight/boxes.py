@@ -1,0 +1,33 @@
+"""Which beams of a mounted, spinning LiDAR return from boxes, exactly."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sight.mounted import beams_on
+from roadsight.placement.sight.shapes import Box
+
+_FLOATS = NDArray[np.float64]
+
+
+def count_box_hits(
+    range_m: NDArray[np.float32],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    tilt: _FLOATS | None,
+    feet_m: _FLOATS,
+    box: Box,
+    max_range_m: float,
+    footprints: bool,
+) -> _FLOATS:
+    """Beams, or shares of wide beams, that return from each box (n,); see `beams_on`.
+
+    Parameters
+    ----------
+    feet_m : (n, 4) x, y, z, local metres, and heading of the length from local x, rad.
+    """
+    pose = (position_m, yaw_deg, tilt)
+    return beams_on(range_m, sensor, *pose, feet_m, box, max_range_m, footprints)[:, 0]

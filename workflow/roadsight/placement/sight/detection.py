@@ -1,0 +1,167 @@
+"""Which targets a sensor sees (paper 1, section 2.5, Fig. 15).
+
+The paper renders a depth map of every target and counts the beams on which the target is nearer
+than the scene. Here the same count comes from the target's angular footprint alone: a target is an
+upright, solid, capped cylinder, and in the vertical plane of one azimuth it is a rectangle.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.placement.sensors.rays import sensor_from_local
+from roadsight.placement.sensors.sensors import Sensor
+
+_FLOATS = NDArray[np.float64]
+_INTS = NDArray[np.int32]
+
+MIN_BEAMS = 8
+"""A target is seen when more beams than this return from it (paper 1, Table 3)."""
+
+# A sensor this near to a target's side touches it and counts as inside, metres.
+_TOUCH_M = 1e-9
+
+
+def count_hits(
+    range_m: NDArray[np.float32],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    targets_xyz_m: NDArray[np.floating],
+    radius_m: float = 0.25,
+    height_m: float = 0.6,
+    max_range_m: float | None = None,
+) -> _INTS:
+    """Number of beams that return from each target (n,).
+
+    A beam returns from a target if it meets the cylinder within the sensor's range and nearer than
+    anything in the scene; equal ranges are the scene's. The pavement needs no tolerance: a cylinder
+    stands on it, so a beam that meets both meets the cylinder first, and where the pavement bulges
+    above the foot it does hide it. A sensor inside a target sees nothing of it; right above one it
+    sees the top.
+
+    Parameters
+    ----------
+    range_m : depth map of the scene, (rows, columns), 0 where nothing returns.
+    position_m : (3,) of the sensor, local metres. yaw_deg : its x axis from local x,
+        counter-clockwise.
+    targets_xyz_m : (n, 3) feet of the targets, local metres.
+    radius_m, height_m : of every target.
+    max_range_m : range from which targets return; the sensor's if not given.
+    """
+    feet = sensor_from_local(targets_xyz_m, position_m, yaw_deg)
+    azimuth = np.radians(sensor.azimuth_deg)
+    elevation = np.radians(sensor.elevation_deg)
+    return _count(
+        range_m,
+        np.column_stack([np.cos(azimuth), np.sin(azimuth)]),
+        np.tan(elevation),
+        1 / np.cos(elevation),
+        sensor.azimuth_min_deg,
+        sensor.azimuth_cell_deg,
+        sensor.range_m if max_range_m is None else max_range_m,
+        np.ascontiguousarray(feet),
+        radius_m,
+        height_m,
+    )
+
+
+@njit(cache=True)
+def _count(
+    depth_m: NDArray[np.float32],
+    heading: _FLOATS,
+    slope: _FLOATS,
+    secant: _FLOATS,
+    start_deg: float,
+    cell_deg: float,
+    max_range_m: float,
+    feet: _FLOATS,
+    radius_m: float,
+    height_m: float,
+) -> _INTS:
+    """Beams on each target: ``heading`` (columns, 2), ``slope`` and ``secant`` (rows,)."""
+    hits = np.zeros(len(feet), np.int32)
+    for target in range(len(feet)):
+        x, y, low = feet[target]
+        if np.sqrt(x * x + y * y) - radius_m >= max_range_m:
+            continue
+        for first, last in column_windows(x, y, radius_m, start_deg, cell_deg, len(heading)):
+            for column in range(first, last + 1):
+                near, far = chord(x, y, heading[column, 0], heading[column, 1], radius_m)
+                rectangle = (near, far, low, low + height_m)
+                first_row, last_row = rows_across(rectangle, slope)
+                for row in range(first_row, last_row):
+                    range_m = entry(rectangle, slope[row]) * secant[row]
+                    scene_m = depth_m[row, column]
+                    if range_m < max_range_m and (scene_m == 0 or range_m < scene_m):
+                        hits[target] += 1
+    return hits
+
+
+@njit(cache=True)
+def column_windows(
+    x: float, y: float, radius_m: float, start_deg: float, cell_deg: float, columns: int
+) -> tuple[tuple[int, int], tuple[int, int]]:
+    """First and last column of the two runs of columns whose beams may meet a circle.
+
+    Azimuths repeat after 360 degrees, so the circle appears at two places of the column axis; each
+    run is cut to the columns that there are. An empty run ends before it begins.
+    """
+    distance = np.sqrt(x * x + y * y)
+    if distance <= radius_m:
+        return (0, columns - 1), (0, -1)
+    half_deg = np.degrees(np.arcsin(radius_m / distance))
+    left_deg = (np.degrees(np.arctan2(y, x)) - half_deg - start_deg) % 360.0
+    return (
+        _cut(left_deg, left_deg + 2 * half_deg, cell_deg, columns),
+        _cut(left_deg - 360.0, left_deg + 2 * half_deg - 360.0, cell_deg, columns),
+    )
+
+
+@njit(cache=True)
+def _cut(low_deg: float, high_deg: float, cell_deg: float, columns: int) -> tuple[int, int]:
+    """Columns whose centres lie between two azimuths, counted from the field of view's limit."""
+    first = int(np.ceil(low_deg / cell_deg - 0.5 - 1e-9))
+    last = int(np.floor(high_deg / cell_deg - 0.5 + 1e-9))
+    return max(first, 0), min(last, columns - 1)
+
+
+@njit(cache=True)
+def chord(x: float, y: float, cosine: float, sine: float, radius_m: float) -> tuple[float, float]:
+    """Horizontal distances at which a beam enters and leaves a circle; (0, 0) if it does not."""
+    along, beside = x * cosine + y * sine, x * sine - y * cosine
+    squared = radius_m * radius_m - beside * beside
+    if squared < 0.0 or along + np.sqrt(squared) <= 0.0:
+        return 0.0, 0.0
+    half = np.sqrt(squared)
+    near = along - half
+    return near if near > _TOUCH_M else 0.0, along + half
+
+
+@njit(cache=True)
+def rows_across(rectangle: tuple[float, float, float, float], slope: _FLOATS) -> tuple[int, int]:
+    """Range of rows whose slopes lead from the origin into a rectangle (near, far, low, high)."""
+    near, far, low, high = rectangle
+    if far <= 0.0 or (near == 0.0 and low <= 0.0 <= high):
+        return 0, 0
+    if near > 0.0:
+        least, greatest = min(low / near, low / far), max(high / near, high / far)
+    elif high < 0.0:
+        least, greatest = -np.inf, high / far
+    else:
+        least, greatest = low / far, np.inf
+    first, end = np.searchsorted(slope, least), np.searchsorted(slope, greatest, side="right")
+    return int(first), int(end)
+
+
+@njit(cache=True)
+def entry(rectangle: tuple[float, float, float, float], slope: float) -> float:
+    """Horizontal distance at which a beam enters a rectangle that it meets."""
+    near, _, low, high = rectangle
+    if slope * near > high:
+        return high / slope
+    if slope * near < low:
+        return low / slope
+    return near

@@ -1,0 +1,174 @@
+"""What stands between a sensor and the targets that it does not see (paper 1, Appendix B).
+
+The paper compares a target's depth with the scene's in the sensor's depth map, and takes the points
+in between for obstacles. Here each sight line is cast on its own, so the answer does not depend on
+the sensor's resolution; where it ends is the obstacle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from roadsight.base.errors import InputError
+
+_FLOATS = NDArray[np.float64]
+Cast = Callable[[_FLOATS, _FLOATS], _FLOATS]
+"""Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 or infinity for none."""
+
+# Heights on a target, as shares of its own, to which sight lines are cast.
+_LEVELS = (0.25, 0.5, 0.75, 1.0)
+# A hit this near to the target is the pavement or the target's own surroundings, metres.
+_NEAR_M = 0.4
+_CELL_M = 1.0
+# Candidates at which an uncovered target is judged.
+NEAREST = 8
+
+
+def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
+    """Sight lines of sensor-target pairs and where they are blocked.
+
+    Parameters
+    ----------
+    pairs : columns candidate, sensor_x, sensor_y, sensor_z and x, y, z (foot of the target), local
+        metres.
+    target_height_m : height of a target. cast : the scene.
+
+    Returns
+    -------
+    index of ``pairs`` with blocked_share (0 to 1 over the lines to the target) and obstacle_x, _y,
+    _z (on the lowest blocked line, NaN where none is).
+    """
+    parts = [
+        _lines_of_sensor(group, target_height_m, cast)
+        for _, group in pairs.groupby("candidate", sort=True)
+    ]
+    if not parts:
+        return pd.DataFrame(columns=_COLUMNS, index=pairs.index, dtype=np.float64)
+    return pd.concat(parts).reindex(pairs.index)
+
+
+_COLUMNS = ["blocked_share", "obstacle_x", "obstacle_y", "obstacle_z"]
+
+
+def _lines_of_sensor(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
+    sensor = pairs[["sensor_x", "sensor_y", "sensor_z"]].to_numpy(np.float64)[0]
+    blocked = np.zeros((len(pairs), len(_LEVELS)), dtype=bool)
+    hits = np.full((len(pairs), 3), np.nan)
+    for column, level in reversed(list(enumerate(_LEVELS))):
+        way = pairs[["x", "y", "z"]].to_numpy(np.float64) - sensor
+        way[:, 2] += level * target_height_m
+        length = np.linalg.norm(way, axis=1)
+        way[length == 0, 2] = 1.0  # any direction will do: nothing is nearer than the sensor itself
+        direction = way / np.linalg.norm(way, axis=1, keepdims=True)
+        reach = np.asarray(cast(sensor, direction), np.float64)
+        hit = (reach > 0) & (reach < length - _NEAR_M)
+        hits[hit] = sensor + reach[hit, None] * direction[hit]
+        blocked[:, column] = hit
+    table = np.column_stack([blocked.mean(axis=1), hits])
+    return pd.DataFrame(table, columns=_COLUMNS, index=pairs.index)
+
+
+def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
+    """Obstacles by cubic metre: where they are and how much they hide.
+
+    Parameters
+    ----------
+    lines : columns target, candidate and those of `blocked_sight_lines`.
+
+    Returns
+    -------
+    x, y, z (mean of the hits), sight_lines, targets (distinct), sensors (distinct), names of both;
+    the greatest first, ties by place.
+    """
+    lines = lines[lines["blocked_share"] > 0]
+    keys = [(lines[f"obstacle_{axis}"] // _CELL_M).rename(axis) for axis in "xyz"]
+    groups = lines.groupby(keys, sort=True)
+    table = pd.DataFrame(
+        {
+            "x": groups["obstacle_x"].mean(),
+            "y": groups["obstacle_y"].mean(),
+            "z": groups["obstacle_z"].mean(),
+            "sight_lines": groups.size(),
+            "targets": groups["target"].nunique(),
+            "sensors": groups["candidate"].nunique(),
+            "target": groups["target"].first(),
+            "sensor": groups["candidate"].first(),
+        }
+    )
+    return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
+
+
+def pairs_in_range(sensors: pd.DataFrame, targets: pd.DataFrame, range_m: _FLOATS) -> pd.DataFrame:
+    """All sensor-target pairs no further apart than the sensor's range.
+
+    Parameters
+    ----------
+    sensors : columns candidate, x, y, z. targets : columns target, x, y, z. range_m : per sensor.
+
+    Returns
+    -------
+    columns candidate, sensor_x, sensor_y, sensor_z, target, x, y, z, distance_m.
+    """
+    place = sensors[["x", "y", "z"]].to_numpy(np.float64)
+    foot = targets[["x", "y", "z"]].to_numpy(np.float64)
+    distance = np.linalg.norm(place[:, None] - foot[None], axis=2)
+    row, column = np.nonzero(distance <= np.asarray(range_m)[:, None])
+    pairs = pd.DataFrame(foot[column], columns=["x", "y", "z"])
+    pairs[["sensor_x", "sensor_y", "sensor_z"]] = place[row]
+    pairs["candidate"] = sensors["candidate"].to_numpy()[row]
+    pairs["target"] = targets["target"].to_numpy()[column]
+    pairs["distance_m"] = distance[row, column]
+    return pairs
+
+
+def explain_gaps(
+    targets: pd.DataFrame,
+    candidates: pd.DataFrame,
+    range_m: float,
+    target_height_m: float,
+    cast: Cast,
+) -> pd.DataFrame:
+    """Why no candidate sees a target, judged at its nearest candidates.
+
+    Parameters
+    ----------
+    targets : columns target, x, y, z. candidates : columns candidate, x, y, z.
+    range_m : longest range of the plan's sensors. cast : the scene.
+
+    Returns
+    -------
+    a row per target: target, x, y, z, reason ("out of range", "hidden" where most sight lines are
+    blocked, else "too few beams"), nearest_m, blocked_share, and the obstacle_x, _y, _z and
+    candidate of the nearest candidate that is most blocked.
+
+    Raises
+    ------
+    InputError : there is no candidate.
+    """
+    if candidates.empty:
+        raise InputError("no candidate at which to judge the uncovered targets")
+    place = candidates[["x", "y", "z"]].to_numpy(np.float64)
+    foot = targets[["x", "y", "z"]].to_numpy(np.float64)
+    count = min(NEAREST, len(candidates))
+    distance, near = cKDTree(place).query(foot, k=count)
+    distance, near = distance.reshape(-1, count), near.reshape(-1, count)
+    pairs = targets[["target", "x", "y", "z"]].loc[targets.index.repeat(count)]
+    pairs = pairs.reset_index(drop=True)
+    pairs[["sensor_x", "sensor_y", "sensor_z"]] = place[near.ravel()]
+    pairs["candidate"] = candidates["candidate"].to_numpy()[near.ravel()]
+    lines = pairs.join(blocked_sight_lines(pairs, target_height_m, cast))
+    share = lines["blocked_share"].to_numpy().reshape(-1, count)
+    worst = np.arange(len(targets)) * count + share.argmax(axis=1)
+    gaps = lines.iloc[worst].reset_index(drop=True)
+    gaps["blocked_share"], gaps["nearest_m"] = share.mean(axis=1), distance[:, 0]
+    gaps["reason"] = np.select(
+        [gaps["nearest_m"] > range_m, gaps["blocked_share"] > 0.5],
+        ["out of range", "hidden"],
+        "too few beams",
+    )
+    return gaps

@@ -1,0 +1,248 @@
+"""Shapes of targets, as kernels take them; what looks at them is another matter.
+
+A shape stands on its foot, (3,) relative to the sensor, in the local frame; a box's foot is (4,),
+with the heading of its length from local x, counter-clockwise, rad. A kernel knows it by
+its `packed` numbers and asks `entered_at` where a ray enters it and `footprint_share` how much of a
+wide beam lies on it; a further shape is a further number there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.placement.sight.detection import chord
+from roadsight.placement.sight.footprints import overlap, slopes_into
+
+_FLOATS = NDArray[np.float64]
+Packed = tuple[int, float, float, float]
+
+CYLINDER, BOX = 0, 1
+
+
+@dataclass(frozen=True)
+class Cylinder:
+    """An upright, solid, capped cylinder.
+
+    Parameters
+    ----------
+    radius_m, height_m : its size.
+    """
+
+    radius_m: float
+    height_m: float
+
+    @property
+    def packed(self) -> Packed:
+        """Number of the shape and its size."""
+        return CYLINDER, float(self.radius_m), float(self.radius_m), float(self.height_m)
+
+    @property
+    def mean_width_m(self) -> float:
+        """Width that one sees from the side."""
+        return 2 * self.radius_m
+
+
+@dataclass(frozen=True)
+class Box:
+    """An upright, solid box.
+
+    Parameters
+    ----------
+    length_m, width_m, height_m : its size; the length lies along its heading.
+    """
+
+    length_m: float
+    width_m: float
+    height_m: float
+
+    @property
+    def packed(self) -> Packed:
+        """Number of the shape and its size."""
+        return BOX, float(self.length_m), float(self.width_m), float(self.height_m)
+
+    @property
+    def mean_width_m(self) -> float:
+        """Width that one sees from the side, the mean over all headings.
+
+        Of any convex outline it is the perimeter over pi (Cauchy), as of a circle.
+        """
+        return float(2 * (self.length_m + self.width_m) / np.pi)
+
+
+Shape = Cylinder | Box
+
+KINDS = {
+    "pedestrian": Box(0.5, 0.5, 1.7),
+    "car": Box(5.79, 2.13, 1.30),
+    "truck": Box(9.14, 2.44, 3.35),
+    "deer": Box(1.6, 0.45, 1.0),
+}
+"""Usual boxes. Car: AASHTO Green Book (2018), design vehicle P, with the height of cars in passing
+sight; truck: its design vehicle SU-30, 30 ft long, 8 ft wide, 11 ft high. Pedestrian and deer (a
+white-tailed doe to its back) are round figures of ours."""
+
+
+def shape_of(targets: Mapping[str, Any]) -> Shape:
+    """The shape that settings of targets ask for.
+
+    Parameters
+    ----------
+    targets : section ``targets`` of the settings: kind, radius_m, height_m, length_m, width_m.
+    """
+    if targets["kind"] == "cylinder":
+        return Cylinder(targets["radius_m"], targets["height_m"])
+    if targets["kind"] == "box":
+        return Box(targets["length_m"], targets["width_m"], targets["height_m"])
+    return KINDS[targets["kind"]]
+
+
+def relative_to(feet_m: _FLOATS, position_m: _FLOATS) -> _FLOATS:
+    """Feet (n, 3) or (n, 4) relative to a sensor; headings stay."""
+    moved = np.array(feet_m, np.float64)
+    moved[:, :3] -= position_m
+    return np.ascontiguousarray(moved)
+
+
+@njit(cache=True)
+def ball_around(shape: Packed) -> tuple[float, float]:
+    """Height of the middle of a ball about a shape, and its radius."""
+    kind, long_m, wide_m, height_m = shape
+    across = long_m * long_m if kind == CYLINDER else (long_m * long_m + wide_m * wide_m) / 4
+    return height_m / 2, np.sqrt(across + height_m**2 / 4)
+
+
+@njit(cache=True)
+def entry_range_m(
+    direction: tuple[float, float, float],
+    foot: _FLOATS,
+    radius_m: float,
+    height_m: float,
+) -> float:
+    """Range at which a beam from the origin enters an upright, capped cylinder; 0 if it does not.
+
+    Parameters
+    ----------
+    direction : unit vector. foot : (3,) middle of the cylinder's lower cap.
+    """
+    east, north, up = direction
+    enter, leave = 0.0, np.inf
+    if abs(up) > 1e-12:
+        one, two = foot[2] / up, (foot[2] + height_m) / up
+        enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
+    elif foot[2] > 0 or foot[2] + height_m < 0:
+        return 0.0
+    flat = east * east + north * north
+    beside = foot[0] * foot[0] + foot[1] * foot[1] - radius_m * radius_m
+    if flat < 1e-24:
+        return enter if beside <= 0 and enter < leave else 0.0
+    along = foot[0] * east + foot[1] * north
+    squared = along * along - flat * beside
+    if squared < 0:
+        return 0.0
+    root = np.sqrt(squared)
+    enter, leave = max(enter, (along - root) / flat), min(leave, (along + root) / flat)
+    return enter if enter < leave else 0.0
+
+
+@njit(cache=True)
+def entered_at(shape: Packed, foot: _FLOATS, ray: tuple[float, float, float]) -> float:
+    """Range at which a ray from the origin along a unit vector enters a shape; 0 if it does not."""
+    kind, long_m, wide_m, height_m = shape
+    if kind == CYLINDER:
+        return entry_range_m(ray, foot, long_m, height_m)
+    ahead, left, far_ahead, far_left = _along_box(foot, ray)
+    enter, leave = 0.0, np.inf
+    for middle, half, part in (
+        (far_ahead, long_m / 2, ahead),
+        (far_left, wide_m / 2, left),
+        (foot[2] + height_m / 2, height_m / 2, ray[2]),
+    ):
+        if abs(part) < 1e-12:
+            if abs(middle) > half:
+                return 0.0
+            continue
+        one, two = (middle - half) / part, (middle + half) / part
+        enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
+    return enter if enter < leave else 0.0
+
+
+@njit(cache=True)
+def height_band(
+    shape: Packed, foot: _FLOATS, ray: tuple[float, float, float], range_m: float, bands: int
+) -> int:
+    """Which of so many equal parts of the height, from 0 at the foot, a ray enters at a range."""
+    share = (range_m * ray[2] - foot[2]) / shape[3]
+    return min(max(int(share * bands), 0), bands - 1)
+
+
+@njit(cache=True)
+def _along_box(foot: _FLOATS, ray: tuple[float, float, float]) -> tuple[float, float, float, float]:
+    """Ray and foot along the length and the width of a box."""
+    cosine, sine = np.cos(foot[3]), np.sin(foot[3])
+    return (
+        cosine * ray[0] + sine * ray[1],
+        cosine * ray[1] - sine * ray[0],
+        cosine * foot[0] + sine * foot[1],
+        cosine * foot[1] - sine * foot[0],
+    )
+
+
+@njit(cache=True)
+def footprint_share(
+    shape: Packed,
+    foot: _FLOATS,
+    ray: tuple[float, float, float],
+    range_m: float,
+    beam: tuple[float, float, float],
+) -> float:
+    """Share of a beam's footprint that lies on a shape which its axis enters at a range.
+
+    The footprint is a rectangle, level and upright, and so is the silhouette that the beam's own
+    azimuth and elevation see (as in `count_shared_hits`).
+
+    Parameters
+    ----------
+    beam : divergence across and upright, rad, and aperture, m.
+    """
+    kind, long_m, wide_m, height_m = shape
+    flat = np.sqrt(ray[0] * ray[0] + ray[1] * ray[1])
+    if flat < 1e-9:
+        return 1.0
+    cosine, sine, slope = ray[0] / flat, ray[1] / flat, ray[2] / flat
+    if kind == CYLINDER:
+        half_m = long_m
+        near, far = chord(foot[0], foot[1], cosine, sine, long_m)
+    else:
+        # Half the width of a box across the beam, and where the beam enters and leaves its plan.
+        ahead, left, far_ahead, far_left = _along_box(foot, (cosine, sine, 0.0))
+        half_m = (long_m * abs(left) + wide_m * abs(ahead)) / 2
+        near, far = _stretch(far_ahead, long_m / 2, ahead, far_left, wide_m / 2, left)
+    if far <= 0.0:
+        return 0.0
+    beside = foot[0] * sine - foot[1] * cosine
+    share = overlap(beside, beam[2] + beam[0] * range_m, -half_m, half_m)
+    tall = (beam[2] / range_m + beam[1]) * (1 + slope * slope)
+    low, high = slopes_into((near, far, foot[2], foot[2] + height_m))
+    return share * overlap(slope, tall, low, high)
+
+
+@njit(cache=True)
+def _stretch(
+    ahead_m: float, half_long: float, ahead: float, left_m: float, half_wide: float, left: float
+) -> tuple[float, float]:
+    """Horizontal distances at which a level ray enters and leaves a rectangle; (0, 0) if not."""
+    enter, leave = 0.0, np.inf
+    for middle, half, part in ((ahead_m, half_long, ahead), (left_m, half_wide, left)):
+        if abs(part) < 1e-12:
+            if abs(middle) > half:
+                return 0.0, 0.0
+            continue
+        one, two = (middle - half) / part, (middle + half) / part
+        enter, leave = max(enter, min(one, two)), min(leave, max(one, two))
+    return (enter, leave) if enter < leave else (0.0, 0.0)

@@ -1,0 +1,103 @@
+"""Beams on targets under the effects that a site simulates."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.placement.sensors.earth import rise_m
+from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sight.boxes import count_box_hits
+from roadsight.placement.sight.detection import count_hits
+from roadsight.placement.sight.footprints import count_shared_hits
+from roadsight.placement.sight.mounted import beams_on, count_tilted_hits
+from roadsight.placement.sight.shapes import Box, Shape
+
+_FLOATS = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Sight:
+    """What a sensor's sight of targets is like; the defaults are the plain case.
+
+    Parameters
+    ----------
+    max_range_m : range from which targets return.
+    footprints : whether beams have the sensor's divergence.
+    curved : whether beams rise above the level (`rise_m`).
+    """
+
+    max_range_m: float
+    footprints: bool = False
+    curved: bool = False
+
+
+def count_beams(
+    range_m: NDArray[np.float32],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    targets_xyz_m: _FLOATS,
+    size_m: tuple[float, float] | Box,
+    sight: Sight,
+    tilt: _FLOATS | None = None,
+) -> NDArray[np.int32] | _FLOATS:
+    """Beams, or shares of beams, that return from each target (n,).
+
+    Parameters
+    ----------
+    range_m, position_m, yaw_deg, targets_xyz_m : as `count_hits` takes them.
+        Feet of boxes are (n, 4), with headings.
+    size_m : radius and height of every target, or the box that it is.
+    tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame; None: levelled.
+    """
+    targets_xyz_m = _as_met(targets_xyz_m, position_m, sight)
+    if isinstance(size_m, Box):
+        pose = (position_m, yaw_deg, tilt)
+        limits = (sight.max_range_m, sight.footprints)
+        return count_box_hits(range_m, sensor, *pose, targets_xyz_m, size_m, *limits)
+    if sight.footprints:
+        return count_shared_hits(
+            range_m, sensor, position_m, yaw_deg, tilt, targets_xyz_m, *size_m, sight.max_range_m
+        )
+    if tilt is not None:
+        return count_tilted_hits(
+            range_m, sensor, position_m, yaw_deg, tilt, targets_xyz_m, *size_m, sight.max_range_m
+        )
+    return count_hits(
+        range_m, sensor, position_m, yaw_deg, targets_xyz_m, *size_m, sight.max_range_m
+    )
+
+
+def beams_by_height(
+    range_m: NDArray[np.float32],
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    feet_m: _FLOATS,
+    shape: Shape,
+    sight: Sight,
+    bands: int,
+    tilt: _FLOATS | None = None,
+) -> _FLOATS:
+    """The beams of `count_beams` by equal parts of the height, the lowest first, (n, bands).
+
+    Of cylinders and levelled sensors those are counted in closed form, so that a beam that just
+    grazes one may count there and not here.
+    """
+    feet_m = _as_met(feet_m, position_m, sight)
+    pose = (position_m, yaw_deg, tilt)
+    limits = (sight.max_range_m, sight.footprints)
+    return beams_on(range_m, sensor, *pose, feet_m, shape, *limits, bands)
+
+
+def _as_met(feet_m: _FLOATS, position_m: ArrayLike, sight: Sight) -> _FLOATS:
+    """Targets as straight beams meet them: where beams are curved, what is far lies deeper."""
+    if not sight.curved:
+        return feet_m
+    offset = feet_m[:, :2] - np.asarray(position_m)[:2]
+    feet_m = feet_m.copy()
+    feet_m[:, 2] -= rise_m(np.hypot(*offset.T))
+    return feet_m

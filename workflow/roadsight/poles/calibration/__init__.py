@@ -1,0 +1,1 @@
+"""What the images of a drive share: lens, mount, side views."""

@@ -1,0 +1,135 @@
+"""A drive's mount, side views and track error, once landmarks tell more than road edges alone."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.landmarks import VIEWS, LandmarkNoise
+from roadsight.poles.alignment.locate import locate
+from roadsight.poles.alignment.pose import FOCAL, TURNS, Spread
+from roadsight.poles.alignment.solve import Fit, Task
+from roadsight.poles.calibration.calibration import Loader, Mount, shared_mean, usable
+from roadsight.poles.calibration.calibration_sides import side_turns
+from roadsight.poles.calibration.calibration_spread import estimated_spread
+from roadsight.poles.calibration.calibration_table import DriveCalibration, drift_of
+
+log = logging.getLogger(__name__)
+_ROUNDS = 8
+_SETTLED = 0.1
+_STITCHED = 0.93
+"""Turn of a side view as a share of the field of view, where views are made to be stitched."""
+_TURN_SIGMA_DEG = 0.5
+_Posed = tuple[Place, Task, Fit]
+
+
+def with_landmarks(
+    calibration: DriveCalibration,
+    places: Sequence[Place],
+    loaders: Sequence[Loader],
+    prior: Mount,
+    noise: LandmarkNoise,
+    side_yaw_deg: tuple[float, float],
+    starts: Mapping[str, NDArray[np.float64]],
+) -> tuple[DriveCalibration, Mapping[str, NDArray[np.float64]]]:
+    """Calibration with what landmarks add, and the images' unknowns; the same if none has any.
+
+    Each round aligns every image under what the others say, then takes mount, side views and the
+    error of the track from all of them, until they no longer move. Lens, side views and poses are
+    solved together: a longer lens with side views turned less looks almost the same, and solving
+    one after the other would stop far from the best. Side views join once their yaw is known
+    roughly.
+
+    Parameters
+    ----------
+    prior : what was known of the mount beforehand. side_yaw_deg : left and right, as far as known.
+    starts : unknowns of the images, as road edges alone give them.
+    """
+    opened = False
+    for _ in range(_ROUNDS):
+        images = [
+            (place, load(*calibration.expected(place)))
+            for place, load in zip(places, loaders, strict=True)
+        ]
+        if all(task.sight is None for _, task in images):
+            return calibration, starts
+        found = [(p, t, locate(t, noise, starts.get(p.image))) for p, t in images]
+        good = [(p, t, fits[0]) for p, t, fits in found if usable(t, fits)]
+        if len(good) < 3:
+            return calibration, starts
+        starts = {**starts, **{place.image: fit.unknowns for place, _, fit in good}}
+        before = calibration.mount
+        calibration = _improved(calibration, good, prior)
+        if not opened:
+            calibration, prior = _opened(calibration, good, prior, noise, side_yaw_deg)
+            opened = True
+        elif _moved(before, calibration.mount) < _SETTLED:
+            break
+    return calibration, starts
+
+
+def _moved(before: Mount, after: Mount) -> float:
+    """How far the drive's mean moved, in standard deviations."""
+    sigma = np.sqrt(np.diag(after.covariance))
+    return float((np.abs(after.mean - before.mean) / sigma).max())
+
+
+def _improved(
+    calibration: DriveCalibration, good: Sequence[_Posed], prior: Mount
+) -> DriveCalibration:
+    mount, spread = calibration.mount, calibration.spread
+    if not calibration.problem:
+        fits = [fit for _, _, fit in good]
+        mount = shared_mean(fits, prior, spread)
+        spread = estimated_spread(fits, mount, Spread())
+    measured = [(place, fit) for place, _, fit in good]
+    drift, numbers = drift_of(measured, mount, spread, calibration.drift.model)
+    return replace(calibration, mount=mount, spread=spread, drift=drift, measured=numbers)
+
+
+def _opened(
+    calibration: DriveCalibration,
+    good: Sequence[_Posed],
+    prior: Mount,
+    noise: LandmarkNoise,
+    side_yaw_deg: tuple[float, float],
+) -> tuple[DriveCalibration, Mount]:
+    """Calibration that looks at the side views, and the prior that goes with it."""
+    posed = [(task, fit) for _, task, fit in good]
+    turns = side_turns(posed, _guesses(calibration, side_yaw_deg, posed), noise)
+    log.info("side views: %s +- %s degrees", turns.deg, turns.sigma_deg)
+    seen = np.flatnonzero(np.isfinite(turns.sigma_deg[1:])) + 1
+    mounts = [calibration.mount, prior]
+    for number, mount in enumerate(mounts):
+        mean, covariance = mount.mean.copy(), mount.covariance.copy()
+        for view in seen:
+            at = TURNS - 1 + view
+            mean[at] = turns.deg[view]
+            covariance[at], covariance[:, at] = 0.0, 0.0
+            covariance[at, at] = _TURN_SIGMA_DEG**2
+        mounts[number] = replace(mount, mean=mean, covariance=covariance)
+    return replace(calibration, mount=mounts[0]), mounts[1]
+
+
+def _guesses(
+    calibration: DriveCalibration,
+    side_yaw_deg: tuple[float, float],
+    images: Sequence[tuple[Task, Fit]],
+) -> dict[str, list[float]]:
+    """Where to look for the yaw of each side view: as given, and as for views that stitch."""
+    width = calibration.key[1]
+    hfov = 2 * np.degrees(np.arctan(0.5 * width / np.exp(calibration.mount.mean[FOCAL])))
+    seen = {
+        view
+        for task, _ in images
+        if task.sight is not None
+        for view in VIEWS[1:]
+        if len(task.sight.axes.seen_by(view))
+    }
+    pairs = zip(VIEWS[1:], side_yaw_deg, (-_STITCHED, _STITCHED), strict=True)
+    return {view: [given, share * hfov] for view, given, share in pairs if view in seen}

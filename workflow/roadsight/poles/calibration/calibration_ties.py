@@ -1,0 +1,76 @@
+"""A drive's calibration with what its images tell each other."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP
+from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.epipolar import POSED
+from roadsight.poles.alignment.landmarks import LandmarkNoise
+from roadsight.poles.alignment.locate import locate
+from roadsight.poles.alignment.ties import Member, pose_misfit, told_by_others
+from roadsight.poles.calibration.calibration import Loader, usable
+from roadsight.poles.calibration.calibration_table import DriveCalibration
+
+log = logging.getLogger(__name__)
+_FLOATS = NDArray[np.float64]
+Shared = Mapping[tuple[str, str], _FLOATS]
+"""Pixels (n, 4) that two images share, by the names of both."""
+
+
+def with_ties(
+    calibration: DriveCalibration,
+    places: Sequence[Place],
+    loaders: Sequence[Loader],
+    noise: LandmarkNoise,
+    starts: Mapping[str, _FLOATS],
+    shared: Shared,
+) -> DriveCalibration:
+    """Calibration in which each image expects the pose that the other images tell it.
+
+    Parameters
+    ----------
+    starts : unknowns of the images, as far as they were found. shared : of images that follow each
+        other; the same calibration if there is none of this drive.
+    """
+    order = sorted(range(len(places)), key=lambda k: places[k].station_m)
+    pairs = [(places[a].image, places[b].image) for a, b in pairwise(order)]
+    if not any(pair in shared for pair in pairs):
+        return calibration
+    empty = np.empty((0, 4))
+    points = [shared.get(pair, empty) for pair in pairs] + [empty]
+    members = [
+        _member(calibration, places[k], loaders[k], noise, starts.get(places[k].image), seen)
+        for k, seen in zip(order, points, strict=True)
+    ]
+    mount, model = calibration.mount, calibration.drift.model
+    told = told_by_others(members, (mount.mean, mount.covariance), calibration.spread, model)
+    return replace(calibration, told=told)
+
+
+def _member(
+    calibration: DriveCalibration,
+    place: Place,
+    load: Loader,
+    noise: LandmarkNoise,
+    start: _FLOATS | None,
+    shared: _FLOATS,
+) -> Member:
+    """One image with what it measures by itself."""
+    mean, information = calibration.expected(place)
+    task = load(mean, information)
+    fits = locate(task, noise, start)
+    if not usable(task, fits):
+        return Member(place, mean, None, shared)
+    normal, gradient = fits[0].taught(OVERLAP, MARK_OVERLAP)
+    mount = calibration.mount
+    rest = (np.diag(mount.covariance) + calibration.spread.vector() ** 2)[POSED:]
+    measured = pose_misfit(normal, gradient, fits[0].unknowns, mount.mean, rest)
+    return Member(place, fits[0].unknowns, measured, shared)

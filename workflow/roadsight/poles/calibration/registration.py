@@ -1,0 +1,208 @@
+"""Camera pose and lens from pairs of a pixel and a place that a person clicked (paper 2, 3.2.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial.transform import Rotation
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.cameras import attitude_deg
+
+_FLOATS = NDArray[np.float64]
+FEWEST_PAIRS = 4
+_HFOVS_DEG = (8.0, 120.0)
+_LOG_FOCAL_SIGMA = 1.0
+_PIXEL_PX = 2.0
+_STARTS = 5
+
+
+@dataclass(frozen=True)
+class Registration:
+    """Pose and focal length from clicked pairs.
+
+    Attributes
+    ----------
+    position_m : (3,) local metres. heading_deg, pitch_deg, roll_deg : as `geometry.cameras`.
+    residuals_px : (n,) distance of each clicked pixel from its place's projection.
+    covariance : (7, 7) of position (m), turn about camera x, y, z (radians), log focal length.
+    """
+
+    position_m: _FLOATS
+    heading_deg: float
+    pitch_deg: float
+    roll_deg: float
+    focal_px: float
+    residuals_px: _FLOATS
+    covariance: _FLOATS
+
+    @property
+    def sigma(self) -> _FLOATS:
+        """One standard deviation of what ``covariance`` is of."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def register_camera(
+    uv_px: ArrayLike, xyz_m: ArrayLike, width_px: int, height_px: int
+) -> Registration:
+    """Pose and focal length that project places onto the clicked pixels.
+
+    Starts from perspective-n-point solutions over a grid of focal lengths, then least squares
+    over all seven unknowns.
+
+    Parameters
+    ----------
+    uv_px : (n, 2). xyz_m : (n, 3) local metres, n >= 4 and better 6 or more, at several depths.
+
+    Raises
+    ------
+    InputError : too few, equal or collinear pairs, or pairs that no camera can see together.
+    """
+    uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
+    xyz = np.asarray(xyz_m, np.float64).reshape(-1, 3)
+    _check(uv, xyz)
+    middle = np.array([(width_px - 1) / 2, (height_px - 1) / 2])
+    origin = xyz.mean(axis=0)
+    best, usual = None, np.log(0.5 * width_px / np.tan(np.radians(30.0)))
+    starts = [
+        (log_focal, start)
+        for log_focal in _log_focals(width_px)
+        for start in _poses(uv - middle, xyz - origin, np.exp(log_focal))
+    ]
+    starts.sort(key=lambda one: _misfit(uv - middle, xyz - origin, *one))
+    for log_focal, start in starts[:_STARTS]:
+        fit = _refined(uv - middle, xyz - origin, start, log_focal, usual)
+        if fit is not None and (best is None or fit.cost < best.cost * (1 - 1e-9)):
+            best = fit
+    if best is None:
+        raise InputError(
+            "no camera sees all the clicked places",
+            where="registration",
+            hint="check that pixels and places are paired rightly",
+        )
+    return _result(best, origin, len(uv))
+
+
+def _check(uv: _FLOATS, xyz: _FLOATS) -> None:
+    where = "registration"
+    if len(uv) != len(xyz) or len(uv) < FEWEST_PAIRS:
+        raise InputError("too few clicked pairs", where=where, found=len(uv), allowed=">= 4")
+    if not (np.isfinite(uv).all() and np.isfinite(xyz).all()):
+        raise InputError("a clicked pair is not finite", where=where)
+    for points, what in ((xyz, "places"), (uv, "pixels")):
+        extent = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+        if extent[1] < 0.01 * extent[0] or extent[0] == 0:
+            raise InputError(
+                f"the clicked {what} lie on one line, which leaves the camera free to turn",
+                where=where,
+                hint="click places on both sides of the road and off the ground",
+            )
+    if len(np.unique(xyz.round(6), axis=0)) < FEWEST_PAIRS:
+        raise InputError("fewer than 4 different places", where=where, allowed=">= 4")
+
+
+def is_flat(xyz_m: ArrayLike) -> bool:
+    """Whether places (n, 3) are within 1 % of a plane: the focal length then rests on little."""
+    xyz = np.asarray(xyz_m, np.float64)
+    extent = np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)
+    return bool(extent[-1] < 0.01 * extent[0])
+
+
+def _log_focals(width_px: int) -> _FLOATS:
+    far, near = np.log(0.5 * width_px / np.tan(np.radians(_HFOVS_DEG) / 2))
+    return np.linspace(far, near, 14)
+
+
+def _poses(uv: _FLOATS, xyz: _FLOATS, focal: float) -> list[_FLOATS]:
+    """Rotation vector and translation (6,) of each perspective-n-point solution."""
+    matrix = np.diag([focal, focal, 1.0])
+    ways = [cv2.SOLVEPNP_EPNP, cv2.SOLVEPNP_SQPNP]
+    if is_flat(xyz):
+        ways = [cv2.SOLVEPNP_IPPE, cv2.SOLVEPNP_SQPNP]
+    found = []
+    for way in ways:
+        try:
+            _, turns, shifts, _ = cv2.solvePnPGeneric(xyz, uv, matrix, None, flags=way)
+        except cv2.error:
+            continue
+        pairs = zip(turns, shifts, strict=True)
+        found += [np.concatenate([turn.ravel(), shift.ravel()]) for turn, shift in pairs]
+    return [pose for pose in found if np.isfinite(pose).all()]
+
+
+def _misfit(uv: _FLOATS, xyz: _FLOATS, log_focal: float, start: _FLOATS) -> float:
+    """Sum of squared distances of a start, in pixels; infinite if a place is behind."""
+    camera = _seen_from(start, xyz)
+    if (camera[:, 2] <= 0).any():
+        return np.inf
+    gap = np.exp(log_focal) * camera[:, :2] / camera[:, 2:] - uv
+    return float((gap**2).sum())
+
+
+def _refined(
+    uv: _FLOATS, xyz: _FLOATS, start: _FLOATS, log_focal: float, usual: float
+) -> OptimizeResult | None:
+    """Least squares over turn, shift and log focal length; None if a place is behind."""
+
+    def misfit(unknowns: _FLOATS) -> _FLOATS:
+        camera = _seen_from(unknowns, xyz)
+        depth = np.maximum(camera[:, 2], 1e-3)
+        gap = np.exp(unknowns[6]) * camera[:, :2] / depth[:, None] - uv
+        gap += 1e3 * np.maximum(1e-3 - camera[:, 2:], 0.0)
+        lens = _PIXEL_PX * (unknowns[6] - usual) / _LOG_FOCAL_SIGMA
+        return np.append(gap.ravel(), lens)
+
+    if (_seen_from(start, xyz)[:, 2] <= 0).any():
+        return None
+    scale = [0.1, 0.1, 0.1, 1.0, 1.0, 1.0, 0.1]
+    fit = least_squares(misfit, np.append(start, log_focal), method="lm", x_scale=scale)
+    well = np.isfinite(fit.x).all() and (_seen_from(fit.x, xyz)[:, 2] > 0).all()
+    return fit if well else None
+
+
+def _seen_from(unknowns: _FLOATS, xyz: _FLOATS) -> _FLOATS:
+    return Rotation.from_rotvec(unknowns[:3]).apply(xyz) + unknowns[3:6]
+
+
+def _result(fit: OptimizeResult, origin: _FLOATS, pairs: int) -> Registration:
+    turn = Rotation.from_rotvec(fit.x[:3])
+    position = -turn.inv().apply(fit.x[3:6])
+    residuals = np.hypot(*fit.fun[: 2 * pairs].reshape(-1, 2).T)
+    # With few pairs the residuals say little: a click is good to two pixels, at best.
+    freedom = 2 * pairs - 7
+    scale_px = max(_PIXEL_PX, np.sqrt((residuals**2).sum() / freedom) if freedom > 0 else 0.0)
+    jacobian = fit.jac
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * scale_px**2
+    # From rotation vector and shift to turn about the camera's axes and position.
+    change = np.zeros((7, 7))
+    to_turn = _turn_per_rotvec(fit.x[:3])
+    matrix = turn.as_matrix()
+    change[:3, 3:6] = -matrix.T
+    moved = np.cross(np.eye(3), fit.x[3:6])
+    change[:3, :3] = matrix.T @ moved.T @ to_turn
+    change[3:6, :3] = to_turn
+    change[6, 6] = 1.0
+    heading, pitch, roll = attitude_deg(matrix)
+    return Registration(
+        position + origin,
+        float(heading),
+        float(pitch),
+        float(roll),
+        float(np.exp(fit.x[6])),
+        residuals,
+        change @ covariance @ change.T,
+    )
+
+
+def _turn_per_rotvec(rotvec: _FLOATS) -> _FLOATS:
+    """Turn about fixed axes for a small change of a rotation vector (left Jacobian)."""
+    step = 1e-6
+    base = Rotation.from_rotvec(rotvec).inv()
+    columns = [
+        (Rotation.from_rotvec(rotvec + step * axis) * base).as_rotvec() / step for axis in np.eye(3)
+    ]
+    return np.column_stack(columns)

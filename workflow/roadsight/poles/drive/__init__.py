@@ -1,0 +1,1 @@
+"""Frames of a videolog, their track and what a drive is like."""

@@ -1,0 +1,269 @@
+"""Frames of a videolog: which images are used, where they were taken and where they look.
+
+Whatever is wrong with one image costs that image only: its ``status`` says why it is not used. What
+is wrong with the whole table (swapped coordinates, another place) is one error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.poles.drive.track import headings_deg, moving, steps_m
+
+_FLOATS = NDArray[np.float64]
+OK = "ok"
+_FEW = 2
+_RARE_SIZE = 20
+
+
+@dataclass(frozen=True)
+class TrackSettings:
+    """Settings of a track.
+
+    Parameters
+    ----------
+    half_window : images to either side that smooth a heading. standing_m : see `headings_deg`.
+    jump_m, jump_factor : a step above both this and this many median steps is a jump.
+    """
+
+    half_window: int = 3
+    standing_m: float = 0.5
+    jump_m: float = 50.0
+    jump_factor: float = 5.0
+
+
+@dataclass(frozen=True)
+class Site:
+    """What the cloud says about places.
+
+    Parameters
+    ----------
+    to_local : function of latitude and longitude (n,), degrees, that gives x, y (n, 2), metres.
+    covers : function of x, y (n, 2): whether the cloud is there. road_height : function of x, y
+        (n, 2): height of the road, NaN where unknown. extent : the cloud's place, in words.
+    """
+
+    to_local: Callable[[ArrayLike, ArrayLike], _FLOATS]
+    covers: Callable[[_FLOATS], NDArray[np.bool_]]
+    road_height: Callable[[_FLOATS], _FLOATS]
+    extent: str = ""
+
+
+def build_frames(table: pd.DataFrame, site: Site, settings: TrackSettings) -> pd.DataFrame:
+    """Frames of all routes, sorted by route and sequence.
+
+    Parameters
+    ----------
+    table : columns image, route, sequence, latitude, longitude, path, left_path, right_path,
+        width_px, height_px and status (of the image file); one row for each image.
+
+    Returns
+    -------
+    the columns above and x, y, z_road, heading_deg, heading_raw_deg, step_m; the sequence as whole
+    numbers, status "ok" or the first reason why the image is not used
+
+    Raises
+    ------
+    InputError : latitude and longitude are swapped, no image is near the cloud, or none is usable.
+    """
+    frames = unique_images(table)
+    frames["status"] = merged(frames["status"], size_status(frames))
+    xy, located = locate(frames, site)
+    frames[["x", "y"]] = xy
+    frames["status"] = merged(located, frames["status"])
+    frames["_located"] = np.asarray(located) == OK
+    frames = in_order(frames)
+    routes = [_along(route, settings) for _, route in frames.groupby("route", sort=True)]
+    frames = pd.concat(routes, ignore_index=True)
+    frames["z_road"] = np.nan
+    known = frames["_located"].to_numpy()
+    frames.loc[known, "z_road"] = site.road_height(frames.loc[known, ["x", "y"]].to_numpy())
+    bare = np.where(frames["z_road"].isna(), "no ground of the cloud near", OK)
+    frames["status"] = merged(frames["status"], bare)
+    _check_any(frames)
+    return frames.drop(columns="_located")
+
+
+def merged(first: ArrayLike, second: ArrayLike) -> NDArray[np.object_]:
+    """The first status unless it is ok, else the second one."""
+    first, second = np.asarray(first, object), np.asarray(second, object)
+    return np.where(first != OK, first, second)
+
+
+def unique_images(table: pd.DataFrame) -> pd.DataFrame:
+    """One row for each image; an image that is listed at two places is not used."""
+    table = table[table["image"] != ""]
+    moved = table.groupby("image")[["latitude", "longitude"]].nunique(dropna=False).max(axis=1) > 1
+    frames = table.drop_duplicates("image").reset_index(drop=True)
+    twice = frames["image"].map(moved).to_numpy(bool)
+    status = np.where(twice, "listed at two places", OK)
+    return frames.assign(status=merged(status, frames["status"]))
+
+
+def size_status(frames: pd.DataFrame) -> NDArray[np.object_]:
+    """Status of images by their size: a few of another size than their route's are not used.
+
+    A camera is calibrated by size and route, for which a handful of images is not enough.
+    """
+    status = np.full(len(frames), OK, object)
+    good = frames["status"] == OK
+    for _, rows in frames[good].groupby("route"):
+        counts = rows.value_counts(["width_px", "height_px"])
+        most = counts.index[0]
+        for size, count in zip(counts.index, counts, strict=True):
+            if count < _RARE_SIZE and count * 5 < counts.iloc[0]:
+                own = rows.index[(rows[["width_px", "height_px"]].to_numpy() == size).all(axis=1)]
+                status[own] = f"{size[0]} x {size[1]} px, others of its route {most[0]} x {most[1]}"
+    return status
+
+
+def locate(frames: pd.DataFrame, site: Site) -> tuple[_FLOATS, NDArray[np.object_]]:
+    """Places x, y (n, 2) of frames, NaN where unknown, and status of each.
+
+    Raises
+    ------
+    InputError : as `build_frames`.
+    """
+    latitude, longitude = (frames[c].to_numpy(float) for c in ("latitude", "longitude"))
+    given = np.isfinite(latitude) & np.isfinite(longitude) & ((latitude != 0) | (longitude != 0))
+    xy = _places(site, latitude, longitude, given)
+    swapped = _places(site, longitude, latitude, given)
+    inside = _covered(site, xy)
+    inside_swapped = _covered(site, swapped) & ~inside
+    if given.any() and not inside.any():
+        _nowhere(frames[given], site, bool(inside_swapped.mean() > 0.5 * given.mean()))
+    status = np.where(inside, OK, "outside the cloud").astype(object)
+    status[inside_swapped] = "latitude and longitude look swapped"
+    status[~given] = "no position"
+    return np.where(inside[:, None], xy, np.nan), status
+
+
+def _places(site: Site, latitude: _FLOATS, longitude: _FLOATS, given: NDArray[np.bool_]) -> _FLOATS:
+    """Places x, y (n, 2); NaN where the coordinates cannot be any."""
+    possible = given & (np.abs(latitude) <= 90) & (np.abs(longitude) <= 360)
+    xy = np.full((len(latitude), 2), np.nan)
+    xy[possible] = site.to_local(latitude[possible], longitude[possible])
+    xy[~np.isfinite(xy).all(axis=1)] = np.nan
+    return xy
+
+
+def _covered(site: Site, xy: _FLOATS) -> NDArray[np.bool_]:
+    covered = np.asarray(np.isfinite(xy).all(axis=1))
+    covered[covered] = site.covers(xy[covered])
+    return covered
+
+
+def _nowhere(frames: pd.DataFrame, site: Site, swapped: bool) -> None:
+    found = (
+        f"latitude {frames['latitude'].median():.5f}, longitude {frames['longitude'].median():.5f}"
+    )
+    if swapped:
+        raise InputError(
+            "latitude and longitude are swapped",
+            where="videolog",
+            found=found,
+            allowed=site.extent or None,
+            hint="exchange the names of the two columns",
+        )
+    raise InputError(
+        "no image was taken near the cloud",
+        where="videolog",
+        found=found,
+        allowed=site.extent or None,
+        hint="check the cloud's CRS and the coordinates, which must be WGS 84 degrees",
+    )
+
+
+def in_order(frames: pd.DataFrame) -> pd.DataFrame:
+    """Frames by route and sequence, ties as they came; a frame without a number gets -1.
+
+    Sequences that are no whole numbers (mile posts) become ranks.
+    """
+    frames = frames.copy()
+    known = np.isfinite(frames["sequence"])
+    lost = np.where(known, OK, "no sequence number")
+    frames["status"] = merged(frames["status"], lost)
+    again = frames[known].duplicated(["route", "sequence"]).reindex(frames.index, fill_value=False)
+    frames["status"] = merged(frames["status"], np.where(again, "sequence number used before", OK))
+    frames["_located"] &= (known & ~again).to_numpy()
+    for _, rows in frames.groupby("route"):
+        number = rows["sequence"]
+        if (number.dropna() % 1 != 0).any():
+            frames.loc[rows.index, "sequence"] = number.rank(method="dense") - 1
+    frames["sequence"] = frames["sequence"].where(known, -1).astype(np.int64)
+    return frames.sort_values(["route", "sequence"], kind="stable", ignore_index=True)
+
+
+def _along(route: pd.DataFrame, settings: TrackSettings) -> pd.DataFrame:
+    """Headings, steps and status of the frames of one route, in order."""
+    route = route.copy()
+    route[["heading_deg", "heading_raw_deg", "step_m"]] = np.nan
+    located = np.flatnonzero(route["_located"])
+    xy = route[["x", "y"]].to_numpy()
+    drives, stray_m = split_drives(xy[located], settings)
+    status = np.full(len(route), OK, object)
+    for row, gap_m in zip(located, stray_m, strict=True):
+        if gap_m > 0:
+            status[row] = f"GPS jump of {gap_m:.0f} m"
+    for drive in drives:
+        rows = located[drive]
+        smooth, raw = headings_deg(xy[rows], settings.half_window, settings.standing_m)
+        columns = ["heading_deg", "heading_raw_deg", "step_m"]
+        route.loc[route.index[rows], columns] = np.column_stack([smooth, raw, steps_m(xy[rows])])
+        still = np.append(False, (np.diff(xy[rows], axis=0) == 0).all(axis=1))
+        status[rows[still]] = "same position as the image before"
+        if np.isnan(smooth).any():
+            only = "the only image of its route" if len(rows) == 1 else "the vehicle never moved"
+            status[rows] = only
+    return route.assign(status=merged(route["status"], status))
+
+
+def split_drives(xy_m: _FLOATS, settings: TrackSettings) -> tuple[list[NDArray[np.int64]], _FLOATS]:
+    """Runs of places of one route without jumps, and strays.
+
+    One or two places that lie a jump away from those before and after are strays. Where the track
+    goes on elsewhere after a jump, it is another drive.
+
+    Parameters
+    ----------
+    xy_m : (n, 2) local metres in order.
+
+    Returns
+    -------
+    drives : numbers of the places of each. stray_m : (n,) length of the jump of a stray, else 0.
+    """
+    stray_m = np.zeros(len(xy_m))
+    if len(xy_m) == 0:
+        return [], stray_m
+    step = steps_m(xy_m)
+    limit = jump_limit_m(xy_m, settings)
+    runs = np.split(np.arange(len(xy_m)), np.flatnonzero(step[:-1] > limit) + 1)
+    if max(map(len, runs)) > _FEW:
+        for run in (run for run in runs if len(run) <= _FEW):
+            stray_m[run] = step[run[0] - 1] if run[0] else step[run[-1]]
+    kept = np.flatnonzero(stray_m == 0)
+    breaks = np.flatnonzero(steps_m(xy_m[kept])[:-1] > limit * (np.diff(kept))) + 1
+    return np.split(kept, breaks), stray_m
+
+
+def jump_limit_m(xy_m: _FLOATS, settings: TrackSettings) -> float:
+    """Longest step of a track that is no jump, by the median step between images that moved."""
+    step = steps_m(xy_m[moving(xy_m, settings.standing_m)])[:-1]
+    usual = float(np.median(step)) if len(step) else 0.0
+    return max(settings.jump_factor * usual, settings.jump_m)
+
+
+def _check_any(frames: pd.DataFrame) -> None:
+    if not (frames["status"] == OK).any():
+        counts = frames["status"].value_counts()
+        raise InputError(
+            "no image can be used",
+            where="videolog",
+            found="; ".join(f"{count} x {reason}" for reason, count in counts.items()),
+        )

@@ -1,0 +1,1 @@
+"""What images show: classes, lane markings, borders, poles in masks, lens."""

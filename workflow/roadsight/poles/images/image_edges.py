@@ -1,0 +1,276 @@
+"""Road edges of one image: lane markings, and the road's border beside them (paper 2, 3.2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.lanes import (
+    Curve,
+    EdgeSettings,
+    centre_lines,
+    clusters_by_row,
+    fit_curve,
+    middle_lines,
+    without_specks,
+)
+from roadsight.poles.images.nearest_borders import on_nearest_border
+
+_FLOATS = NDArray[np.float64]
+LANE, BORDER = "lane", "border"
+_BLUR_PX = 5
+_MARGIN = 0.15
+_ROWS_OF_A_LINE = 12
+
+
+def _table(*classes: PixelClass) -> NDArray[np.uint8]:
+    table = np.zeros(256, np.uint8)
+    table[list(classes)] = 1
+    return table
+
+
+_ROAD = _table(PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
+# Against these the road's border is not traced: they stand in front of it, or it drops out of
+# sight; a kerb is an edge by its own centre-line.
+_OCCLUDERS = _table(
+    PixelClass.VEHICLE, PixelClass.POLE, PixelClass.SIGN, PixelClass.GUARDRAIL,
+    PixelClass.TREE, PixelClass.WIRE, PixelClass.SKY, PixelClass.KERB,
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ImageEdges:
+    """Edges of one image.
+
+    Parameters
+    ----------
+    uv_px : (n, 2) float32. side : (n,) int8, -1 left, +1 right. is_lane : (n,) whether a point is
+    on a marking, else on the road's border. reason : why there is nothing, or "".
+    """
+
+    uv_px: NDArray[np.float32]
+    side: NDArray[np.int8]
+    is_lane: NDArray[np.bool_]
+    reason: str = ""
+
+
+def trace_edges(mask: NDArray[np.uint8], settings: EdgeSettings | None = None) -> ImageEdges:
+    """Edges of the road in a mask of project classes (rows, columns).
+
+    Lane markings without the middle line, as centre-lines; and the border of the road outside the
+    region between the outermost markings, where nothing stands in front of it. A kerb's
+    centre-line is border.
+    """
+    settings = settings or EdgeSettings()
+    road = _cleaned_road(cv2.LUT(mask, _ROAD), settings)
+    span = _road_span(road)
+    markings = centre_lines(mask == PixelClass.MARKING, settings)
+    axes = middle_lines(markings, span, mask.shape[0], settings)
+    tolerance = max(settings.axis_px * settings.scale(mask.shape[0]), 2.0)
+    lanes = markings
+    for axis in axes:
+        lanes = lanes[axis.distance_px(lanes) > tolerance]
+    border = np.concatenate(
+        [_borders(mask, road, settings), centre_lines(mask == PixelClass.KERB, settings)]
+    )
+    border = border[~_between(border, lanes, mask.shape[0])]
+    dividing = _dividing_line(axes, lanes, road, tolerance)
+    if settings.borders == "nearest":
+        reach = max(settings.gap_px * settings.scale(mask.shape[0]), 2.0)
+        border = border[on_nearest_border(border, mask, road, dividing, reach)]
+    points = np.concatenate([lanes, border])
+    row = np.clip(np.round(points[:, 1]), 0, len(mask) - 1).astype(np.int64)
+    side = np.where(points[:, 0] < dividing[row], -1, 1).astype(np.int8)
+    is_lane = np.arange(len(points)) < len(lanes)
+    reason = "" if len(points) else _why_nothing(mask, road)
+    return ImageEdges(points.astype(np.float32), side, is_lane, reason)
+
+
+def _why_nothing(mask: NDArray[np.uint8], road: NDArray[np.uint8]) -> str:
+    if not cv2.LUT(mask, _ROAD).any():
+        return "no road in the mask"
+    return "road too small" if not road.any() else "no edge of the road in sight"
+
+
+def _cleaned_road(road: NDArray, settings: EdgeSettings) -> NDArray[np.uint8]:
+    """The road without specks and without small holes (0 or 1)."""
+    smallest = max((settings.min_border_px * settings.scale(len(road))) ** 2, 4.0)
+    cleaned = without_specks(road, smallest)
+    return 1 - without_specks(1 - cleaned, smallest)
+
+
+@njit(cache=True)
+def _road_span(road: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """First and last road column of each row (rows, 2), NaN without road."""
+    rows, columns = road.shape
+    span = np.full((rows, 2), np.nan)
+    for row in range(rows):
+        left = 0
+        while left < columns and not road[row, left]:
+            left += 1
+        if left == columns:
+            continue
+        right = columns - 1
+        while not road[row, right]:
+            right -= 1
+        span[row] = left, right
+    return span
+
+
+def _borders(mask: NDArray[np.uint8], road: NDArray[np.uint8], settings: EdgeSettings) -> _FLOATS:
+    """Border points (n, 2), finer than a pixel, of parts that are long enough."""
+    rows = np.flatnonzero(road.any(axis=1))
+    if not len(rows):
+        return np.empty((0, 2))
+    # The smoothing of the edge reaches this far beyond the road's own rows.
+    top, end = max(int(rows[0]) - _BLUR_PX, 0), min(int(rows[-1]) + _BLUR_PX + 1, len(road))
+    part = np.ascontiguousarray(road[top:end])
+    soft = cv2.GaussianBlur(
+        part * np.uint8(254), (_BLUR_PX, _BLUR_PX), 0, borderType=cv2.BORDER_REPLICATE
+    )
+    hidden = cv2.dilate(cv2.LUT(mask[top:end], _OCCLUDERS), np.ones((_BLUR_PX, _BLUR_PX), np.uint8))
+    points = _crossings(soft, 127.0)
+    column, row = np.round(points).astype(np.int64).T
+    points = points[hidden[row, column] == 0]
+    points = _long_enough(points, part.shape, settings)
+    return np.add(points, (0.0, float(top)))
+
+
+def _crossings(soft: NDArray, level: float) -> _FLOATS:
+    """Where the smoothed road (rows, columns) crosses ``level``, along rows or columns.
+
+    Each crossing is taken along the axis that cuts the border more squarely.
+    """
+    near = _near_border(soft, level)
+    column, row = near[:, 1], near[:, 0]
+    values = soft.astype(np.int16)
+    last_row, last_column = soft.shape[0] - 1, soft.shape[1] - 1
+    inner = (row > 0) & (row < last_row) & (column > 0) & (column < last_column)
+    row, column = row[inner], column[inner]
+    here = values[row, column]
+    along_u = np.abs(values[row, column + 1] - values[row, column - 1])
+    along_v = np.abs(values[row + 1, column] - values[row - 1, column])
+    found = []
+    for step_u, step_v, chosen in ((1, 0, along_u >= along_v), (0, 1, along_u < along_v)):
+        there = values[row + step_v, column + step_u]
+        crosses = chosen & ((here > level) != (there > level))
+        share = (level - here[crosses]) / (there[crosses] - here[crosses])
+        found.append(
+            np.column_stack([column[crosses] + step_u * share, row[crosses] + step_v * share])
+        )
+    points = np.concatenate(found)
+    return points[np.lexsort((points[:, 0], points[:, 1]))]
+
+
+def _near_border(soft: NDArray[np.uint8], level: float) -> NDArray[np.int64]:
+    """Pixels (n, 2) as row, column that differ from a neighbour below or to the right."""
+    inside = soft > level
+    change = np.zeros(soft.shape, bool)
+    change[:, :-1] |= inside[:, :-1] != inside[:, 1:]
+    change[:-1] |= inside[:-1] != inside[1:]
+    return np.argwhere(change)
+
+
+def _long_enough(points: _FLOATS, shape: tuple[int, int], settings: EdgeSettings) -> _FLOATS:
+    if not len(points):
+        return points
+    cell = max(round(3 * settings.scale(shape[0])), 2)
+    drawn = np.zeros((shape[0] // cell + 1, shape[1] // cell + 1), np.uint8)
+    column, row = (np.floor(points).astype(np.int64) // cell).T
+    drawn[row, column] = 1
+    _, labels = cv2.connectedComponents(drawn, connectivity=8, ltype=cv2.CV_32S)
+    own = labels[row, column]
+    needed = max(settings.min_border_px * settings.scale(shape[0]), 6.0)
+    return points[np.bincount(own)[own] >= needed]
+
+
+def _between(points: _FLOATS, lanes: _FLOATS, height_px: int) -> NDArray[np.bool_]:
+    """Whether points (n, 2) lie in the region that the outermost markings enclose.
+
+    Gaps of dashed lines are bridged by straight lines between the rows that have them.
+    """
+    row, u = clusters_by_row(lanes, 1.5)
+    rows, start, count = np.unique(row, return_index=True, return_counts=True)
+    two = count >= 2
+    if np.count_nonzero(two) < 2 or not len(points):
+        return np.zeros(len(points), bool)
+    rows, left, right = rows[two], u[start[two]], u[start[two] + count[two] - 1]
+    v = points[:, 1]
+    inside_rows = (v >= rows[0] - 0.5) & (v <= min(rows[-1] + 0.5, height_px))
+    low, high = np.interp(v, rows, left), np.interp(v, rows, right)
+    return inside_rows & (points[:, 0] >= low) & (points[:, 0] <= high)
+
+
+def _dividing_line(
+    axes: list[Curve], lanes: _FLOATS, road: NDArray[np.uint8], tolerance_px: float
+) -> _FLOATS:
+    """Column (rows,) of each row between the left and the right side of the road.
+
+    The middle line if there is one, else half-way between the outermost markings; beyond their
+    rows, or without both, the road ahead of the camera.
+    """
+    hints = np.full(len(road), np.nan)
+    axis = axes[len(axes) // 2] if axes else _half_way(lanes, tolerance_px)
+    if axis is not None:
+        rows = np.arange(max(round(axis.v_px[0]), 0), min(round(axis.v_px[-1]) + 1, len(road)))
+        hints[rows] = axis.at(rows)
+    return _road_ahead(road, hints)
+
+
+def _half_way(lanes: _FLOATS, tolerance_px: float) -> Curve | None:
+    row, u = clusters_by_row(lanes, 1.5)
+    rows, start, count = np.unique(row, return_index=True, return_counts=True)
+    two = count >= 2
+    half = 0.5 * (u[start[two]] + u[start[two] + count[two] - 1])
+    if len(half) < _ROWS_OF_A_LINE:
+        return None
+    return fit_curve(np.column_stack([half, rows[two].astype(float)]), tolerance_px)
+
+
+@njit(cache=True)
+def _road_ahead(road: NDArray[np.uint8], hints: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Column (rows,) that goes straight up from the middle, and follows the road where it bends.
+
+    The camera drives on the road, so that its own vertical plane divides the road's sides; the line
+    is moved only as far as needed to stay well inside the road that it came from.
+
+    Parameters
+    ----------
+    hints : (rows,) where the line is known to run, NaN elsewhere.
+    """
+    columns = road.shape[1]
+    here = 0.5 * (columns - 1)
+    width = columns
+    line = np.empty(road.shape[0])
+    for row in range(road.shape[0] - 1, -1, -1):
+        if np.isfinite(hints[row]):
+            here = min(max(hints[row], 0.0), columns - 1.0)
+        at = _nearest_road(road[row], int(round(here)), width)
+        if at >= 0:
+            left, right = at, at
+            while left > 0 and road[row, left - 1]:
+                left -= 1
+            while right < columns - 1 and road[row, right + 1]:
+                right += 1
+            width = right - left + 1
+            if not np.isfinite(hints[row]):
+                margin = _MARGIN * (right - left)
+                here = min(max(here, left + margin), right - margin)
+        line[row] = here
+    return line
+
+
+@njit(cache=True)
+def _nearest_road(line: NDArray[np.uint8], start: int, reach: int) -> int:
+    """Nearest road column to ``start`` within ``reach``, the left one of two; -1 if none."""
+    for step in range(reach + 1):
+        if start - step >= 0 and line[start - step]:
+            return start - step
+        if start + step < len(line) and line[start + step]:
+            return start + step
+    return -1

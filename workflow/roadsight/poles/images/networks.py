@@ -1,0 +1,184 @@
+"""Networks on images: before and after the network, on arrays (paper 2, sections 3.1 and 3.3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.manifest import SILENT, Input, Labels, Manifest
+
+_FLOATS = NDArray[np.float32]
+Run = Callable[[_FLOATS], list[NDArray]]
+"""The network: input tensor (1, 3, h, w) to its used outputs."""
+
+_RESIZE = {
+    "linear": cv2.INTER_LINEAR,
+    "area": cv2.INTER_AREA,
+    "cubic": cv2.INTER_CUBIC,
+    "nearest": cv2.INTER_NEAREST,
+}
+FULL_SCALE = 65535
+METRIC_NEAREST_M = 0.5
+"""Metric inverse depth is stored in steps of 1 / (0.5 m x 65535): 0.3 % at 100 m."""
+_LEAST_CONTRAST = 1e-3
+
+
+def tensor_of(image: NDArray[np.uint8], spec: Input, wanted_height_px: int = 0) -> _FLOATS:
+    """Input tensor (1, 3, h, w) of a BGR image (rows, columns, 3)."""
+    height, width = spec.size.of(image.shape[0], image.shape[1], wanted_height_px)
+    pixels: NDArray = image
+    if image.shape[:2] != (height, width):
+        pixels = cv2.resize(image, (width, height), interpolation=_RESIZE[spec.resize])
+    if spec.colour == "RGB":
+        pixels = cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB)
+    scale = 1.0 / (spec.divide_by * np.array(spec.std))
+    shift = np.array(spec.mean) / np.array(spec.std)
+    values = pixels * scale.astype(np.float32) - shift.astype(np.float32)
+    return np.ascontiguousarray(values.transpose(2, 0, 1)[None], np.float32)
+
+
+def class_mask(
+    outputs: list[NDArray], manifest: Manifest, shape: tuple[int, int], where: str
+) -> NDArray[np.uint8]:
+    """Project classes (rows, columns) of an image from a network's outputs, `SILENT` if none.
+
+    Parameters
+    ----------
+    outputs : class logits (1, L, h, w); labels (1, [1,] h, w); or query class logits
+        (1, Q, L + 1) and mask logits (1, Q, h, w), combined as softmax without the last (no
+        object), times sigmoid, summed over queries. shape : rows, columns of the image.
+
+    Raises
+    ------
+    InputError : a label or number of labels that the manifest does not have.
+    """
+    if manifest.output.kind == "labels":
+        found = np.squeeze(outputs[0])
+        labels = cv2.resize(_checked(found, manifest, where), shape[::-1], interpolation=0)
+        return manifest.lookup()[labels]
+    scores = outputs[0][0]
+    if manifest.output.kind == "query_masks":
+        scores = _query_scores(outputs[0][0], outputs[1][0])
+    if len(scores) != manifest.labels:
+        raise InputError(
+            "does not state as many labels as the network gives",
+            where=f"{where}: labels", found=manifest.labels, allowed=len(scores),
+        )  # fmt: skip
+    return manifest.lookup()[_largest(scores, shape)]
+
+
+def _checked(found: NDArray, labels: Labels, where: str) -> NDArray[np.uint16]:
+    low, high = (found.min(), found.max()) if found.size else (0, 0)
+    if found.ndim != 2 or low < 0 or high >= (labels.labels or 0):
+        raise InputError(
+            "holds a label that is not stated",
+            where=where,
+            found=f"{high if low >= 0 else low}, {found.ndim} axes",
+            allowed=f"0 to {(labels.labels or 0) - 1}, 2 axes",
+        )
+    return found.astype(np.uint16)
+
+
+def _query_scores(class_logits: _FLOATS, mask_logits: _FLOATS) -> _FLOATS:
+    """Scores (L, h, w) from (Q, L + 1) and (Q, h, w)."""
+    shifted = np.exp(class_logits - class_logits.max(axis=1, keepdims=True))
+    shares = (shifted / shifted.sum(axis=1, keepdims=True))[:, :-1]
+    inside = 1.0 / (1.0 + np.exp(-np.clip(mask_logits, -60.0, 60.0)))
+    return np.tensordot(shares.T, inside, axes=1)
+
+
+def _largest(scores: _FLOATS, shape: tuple[int, int]) -> NDArray[np.uint16]:
+    """Label of the largest score at the image's own size; the first of equals.
+
+    One label at a time, because all labels at full size may not fit into memory.
+    """
+    best: NDArray | None = None
+    labels = np.zeros(shape, np.uint16)
+    for label, score in enumerate(scores):
+        full: NDArray = np.ascontiguousarray(score, np.float32)
+        if full.shape != shape:
+            full = cv2.resize(full, shape[::-1], interpolation=cv2.INTER_LINEAR)
+        if best is None:
+            best = full.copy()
+            continue
+        better = full > best
+        labels[better] = label
+        np.copyto(best, full, where=better)
+    return labels
+
+
+def folder_mask(
+    image: NDArray, labels: Labels, shape: tuple[int, int], where: str
+) -> NDArray[np.uint8]:
+    """Project classes (rows, columns) from a label image made elsewhere.
+
+    Raises
+    ------
+    InputError : more than one channel, or a label that the map does not have.
+    """
+    found: NDArray = _checked(image, labels, where)
+    if found.shape != shape:
+        found = cv2.resize(found, shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return labels.lookup()[found]
+
+
+def merge_masks(masks: list[NDArray[np.uint8]], sources: list[Labels]) -> NDArray[np.uint8]:
+    """One mask of several (rows, columns): later ones replace only where they say something."""
+    merged = np.full(masks[0].shape, int(PixelClass.OTHER), np.uint8)
+    for mask, source in zip(masks, sources, strict=True):
+        says = mask != SILENT
+        if source.over is not None:
+            says &= source.replaceable()[merged]
+        np.copyto(merged, mask, where=says)
+    return merged
+
+
+def inverse_depth(outputs: list[NDArray], manifest: Manifest) -> _FLOATS:
+    """Inverse depth (h, w), larger = nearer, NaN where unknown; any scale unless metric."""
+    values = np.asarray(outputs[0], np.float32)
+    values = values.reshape(values.shape[-2:])
+    values = np.where(np.isfinite(values), values, np.nan)
+    if manifest.output.kind == "depth":
+        with np.errstate(divide="ignore"):
+            values = np.where(values > 0, 1.0 / values, np.nan)
+    return values
+
+
+def packed_depth(inverse: _FLOATS, metric: bool) -> NDArray[np.uint16]:
+    """Inverse depth as 16 bit, 0 = unknown; all zero where the map is constant.
+
+    Parameters
+    ----------
+    metric : keep the scale (see `METRIC_NEAREST_M`) instead of stretching to the full range.
+    """
+    known = np.isfinite(inverse)
+    if not known.any():
+        return np.zeros(inverse.shape, np.uint16)
+    low, high = np.percentile(inverse[known], (0.0, 100.0))
+    if high - low <= _LEAST_CONTRAST * max(abs(high), abs(low)):
+        return np.zeros(inverse.shape, np.uint16)
+    if metric:
+        low, high = 0.0, 1.0 / METRIC_NEAREST_M
+    steps = 1.0 + (inverse.astype(np.float64) - low) / (high - low) * (FULL_SCALE - 1)
+    return np.where(known, np.clip(np.nan_to_num(steps), 1, FULL_SCALE), 0).astype(np.uint16)
+
+
+def downward_trend(packed: NDArray[np.uint16]) -> float:
+    """Correlation of inverse depth with the row in the lower half, where the ground is.
+
+    On the ground lower rows are nearer, so this is well above 0; NaN where nothing is known.
+    """
+    lower = packed[packed.shape[0] // 2 :].astype(np.float64)
+    known = (lower > 0).any(axis=1)
+    if np.count_nonzero(known) < 3:
+        return float("nan")
+    rows = np.flatnonzero(known)
+    middle = np.array([np.median(line[line > 0]) for line in lower[known]])
+    if np.ptp(middle) == 0:
+        return 0.0
+    return float(np.corrcoef(rows, middle)[0, 1])

@@ -1,0 +1,268 @@
+"""Single poles (signs, trees, rails) in a mask of project classes (paper 2, section 3.1).
+
+A pole is cleaned of its wires by a vertical opening, gets an axis by a robust line, and a foot at
+the lower end of the axis. More components than 255 are no difficulty: labels have 32 bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.poles.images.classes import PixelClass
+
+_FLOATS = NDArray[np.float64]
+PUBLISHED_HEIGHT_PX = 1200
+KINDS = {
+    "pole": (PixelClass.POLE,),
+    "sign": (PixelClass.SIGN,),
+    "tree": (PixelClass.TREE,),
+    "guardrail": (PixelClass.GUARDRAIL,),
+}
+_HIDERS = (PixelClass.VEHICLE, PixelClass.TREE, PixelClass.GUARDRAIL, PixelClass.SIGN,
+           PixelClass.BUILDING)  # fmt: skip
+_LINE_ROUNDS = 10
+
+
+@dataclass(frozen=True)
+class MaskSettings:
+    """Thresholds in pixels of an image 1200 px high; they scale with the image's height.
+
+    Parameters
+    ----------
+    min_width_px, min_height_px : smaller objects are dropped (published: 10 and 20). wire_px :
+    what is thinner than this along the vertical is a wire. min_aspect : poles must be this many
+    times taller than wide. join_share : pieces of one axis are joined over gaps up to this share
+    of the longer one's height. foot_px : height of the strip below a foot that tells whether
+    something hides it.
+    """
+
+    min_width_px: float = 4.0
+    min_height_px: float = 40.0
+    wire_px: float = 30.0
+    min_aspect: float = 5.0
+    join_share: float = 0.5
+    foot_px: float = 12.0
+
+
+@dataclass(frozen=True)
+class Instance:
+    """One object in an image; pixel centres are whole numbers.
+
+    Parameters
+    ----------
+    kind : "pole", ... . u_foot, v_foot : lower end of its axis. u_min, v_min, u_max, v_max : box.
+    slope : du / dv of the axis. width_px : median width. pixels : area. foot : "visible", "hidden",
+    or "plants" (on grass, or behind a bush). cut : which of "left", "right", "top" and "bottom" of
+    the frame cut it.
+    touches_sign : whether a sign touches it. reason : why it is dropped, or "".
+    """
+
+    kind: str
+    u_foot: float
+    v_foot: float
+    u_min: float
+    v_min: float
+    u_max: float
+    v_max: float
+    slope: float
+    width_px: float
+    pixels: int
+    foot: str
+    cut: frozenset[str]
+    touches_sign: bool
+    reason: str
+
+    def axis_u(self, v_px: _FLOATS) -> _FLOATS:
+        """Column of the axis at rows v (n,)."""
+        return self.u_foot + self.slope * (np.asarray(v_px, np.float64) - self.v_foot)
+
+
+def find_instances(
+    mask: NDArray[np.uint8], kind: str = "pole", settings: MaskSettings | None = None
+) -> list[Instance]:
+    """Objects of one kind in a mask (rows, columns), left to right.
+
+    All are given that are large enough to measure; ``reason`` says which of them are no poles.
+    """
+    settings = settings or MaskSettings()
+    scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
+    own: NDArray = np.isin(mask, [int(c) for c in KINDS[kind]]).view(np.uint8)
+    if kind == "pole":
+        length = max(round(settings.wire_px * scale), 3) | 1  # an even kernel shifts by a pixel
+        own = cv2.morphologyEx(own, cv2.MORPH_OPEN, np.ones((length, 1), np.uint8))
+    pieces = _pieces(own, max(settings.min_height_px * scale / 4, 3.0))
+    if kind == "pole":
+        pieces = _joined(pieces, settings)
+    found = [_measured(piece, mask, kind, settings, scale) for piece in pieces]
+    return sorted(found, key=lambda one: (one.u_foot, one.v_foot))
+
+
+@dataclass
+class _Piece:
+    """Rows of one component: row v, mean column and width of each, ascending rows."""
+
+    v: _FLOATS
+    u: _FLOATS
+    width: _FLOATS
+    u_min: int
+    u_max: int
+
+    @cached_property
+    def axis(self) -> tuple[float, float]:
+        return _axis(self)
+
+    @cached_property
+    def middle_width(self) -> float:
+        return float(np.median(self.width))
+
+    @property
+    def pixels(self) -> int:
+        return int(self.width.sum())
+
+    @property
+    def height(self) -> float:
+        return float(self.v[-1] - self.v[0] + 1)
+
+
+def _pieces(own: NDArray[np.uint8], least_height_px: float) -> list[_Piece]:
+    """Components that are not too low, as rows."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        own, connectivity=8, ltype=cv2.CV_32S
+    )
+    pieces = []
+    for number in range(1, count):
+        left, top, width, height, _ = stats[number]
+        if height < least_height_px:
+            continue
+        inside = labels[top : top + height, left : left + width] == number
+        widths = inside.sum(axis=1)
+        sums = inside @ np.arange(left, left + width, dtype=np.float64)
+        pieces.append(
+            _Piece(
+                np.arange(top, top + height, dtype=np.float64), sums / widths,
+                widths.astype(np.float64), int(left), int(left + width - 1),
+            )
+        )  # fmt: skip
+    return pieces
+
+
+def _axis(piece: _Piece) -> tuple[float, float]:
+    """Column at row 0 and slope du / dv, by least absolute errors; wide rows (arms) count less."""
+    middle = np.median(piece.width)
+    base = 1.0 / np.maximum(piece.width / middle, 1.0) ** 2
+    v0 = piece.v.mean()
+    basis = np.column_stack([np.ones(len(piece.v)), piece.v - v0])
+    weights, solution = base, np.array([np.median(piece.u), 0.0])
+    for _ in range(_LINE_ROUNDS if len(piece.v) > 2 else 0):
+        root = np.sqrt(weights)
+        solution = np.linalg.lstsq(basis * root[:, None], piece.u * root, rcond=None)[0]
+        weights = base / np.maximum(np.abs(piece.u - basis @ solution), 0.25)
+    return float(solution[0] - solution[1] * v0), float(solution[1])
+
+
+def _joined(pieces: list[_Piece], settings: MaskSettings) -> list[_Piece]:
+    """Pieces of one axis as one: a sign, a wire or a leaf cuts a pole in two."""
+    joined = sorted(pieces, key=lambda piece: (piece.v[0], piece.u_min))
+    merged = True
+    while merged:
+        merged = False
+        for i, upper in enumerate(joined):
+            j = _continuation(upper, joined, settings)
+            if j is not None:
+                lower = joined[j]
+                joined[i] = _Piece(
+                    np.concatenate([upper.v, lower.v]), np.concatenate([upper.u, lower.u]),
+                    np.concatenate([upper.width, lower.width]),
+                    min(upper.u_min, lower.u_min), max(upper.u_max, lower.u_max),
+                )  # fmt: skip
+                del joined[j]
+                merged = True
+                break
+    return joined
+
+
+def _continuation(upper: _Piece, pieces: list[_Piece], settings: MaskSettings) -> int | None:
+    """Position of the nearest piece below that lies on the axis of ``upper``."""
+    best, best_gap = None, np.inf
+    for j, lower in enumerate(pieces):
+        gap = lower.v[0] - upper.v[-1] - 1
+        if gap < 0 or gap >= best_gap:
+            continue
+        if gap > settings.join_share * max(upper.height, lower.height):
+            continue
+        width = max(upper.middle_width, lower.middle_width)
+        thinner = min(upper.middle_width, lower.middle_width)
+        # The longer piece has the surer axis: it must meet the other one's near end.
+        upper_longer = upper.height >= lower.height
+        u0, slope = (upper if upper_longer else lower).axis
+        u, v = (lower.u[0], lower.v[0]) if upper_longer else (upper.u[-1], upper.v[-1])
+        if abs(u0 + slope * v - u) <= 0.75 * width and width <= 2.5 * thinner + 1:
+            best, best_gap = j, gap
+    return best
+
+
+def _measured(
+    piece: _Piece, mask: NDArray[np.uint8], kind: str, settings: MaskSettings, scale: float
+) -> Instance:
+    (u0, slope), width = piece.axis, piece.middle_width
+    v_foot = _lowest_row(piece, u0, slope, width) + 0.5
+    u_foot = u0 + slope * v_foot
+    cut = _cut(piece, mask.shape)
+    foot = "hidden"
+    if "bottom" not in cut:
+        foot = _below_foot(mask, u_foot, v_foot, width, max(round(settings.foot_px * scale), 2))
+    low, high = settings.min_width_px * scale, settings.min_height_px * scale
+    reason = ""
+    if width < low or piece.height < high:
+        reason = "too small"
+    elif kind == "pole" and piece.height * np.hypot(1.0, slope) < settings.min_aspect * width:
+        reason = "not slender"
+    return Instance(
+        kind, u_foot, v_foot, piece.u_min - 0.5, piece.v[0] - 0.5, piece.u_max + 0.5,
+        piece.v[-1] + 0.5, slope, width, piece.pixels, foot, cut,
+        _touches(piece, mask, PixelClass.SIGN), reason,
+    )  # fmt: skip
+
+
+def _lowest_row(piece: _Piece, u0: float, slope: float, width: float) -> float:
+    """Last row that still belongs to the axis, so that a stray blob below is not the foot."""
+    on_axis = np.abs(piece.u - u0 - slope * piece.v) <= max(width, 1.5)
+    solid = piece.width >= 0.5 * width
+    good = np.flatnonzero(on_axis & solid)
+    return float(piece.v[good[-1]] if len(good) else piece.v[-1])
+
+
+def _cut(piece: _Piece, shape: tuple[int, ...]) -> frozenset[str]:
+    sides = {
+        "left": piece.u_min <= 0,
+        "right": piece.u_max >= shape[1] - 1,
+        "top": piece.v[0] <= 0,
+        "bottom": piece.v[-1] >= shape[0] - 1,
+    }
+    return frozenset(name for name, touches in sides.items() if touches)
+
+
+def _below_foot(mask: NDArray[np.uint8], u: float, v: float, width: float, deep_px: int) -> str:
+    """What the strip just below a foot says about it, by the majority of its pixels."""
+    half = max(width / 2, 1.0)
+    top = int(np.ceil(v))
+    left = max(int(u - half), 0)
+    below = mask[top : top + deep_px, left : max(int(u + half), left) + 1]
+    if np.count_nonzero(np.isin(below, [int(c) for c in _HIDERS])) >= 0.5 * below.size:
+        return "hidden"
+    return "plants" if np.mean(below == PixelClass.VEGETATION) >= 0.5 else "visible"
+
+
+def _touches(piece: _Piece, mask: NDArray[np.uint8], other: PixelClass) -> bool:
+    """Whether a few rows have pixels of another class on the axis or directly beside the piece."""
+    rows = np.arange(max(int(piece.v[0]) - 2, 0), int(piece.v[-1]) + 1)
+    u0, slope = piece.axis
+    centre = np.round(u0 + slope * rows).astype(int)
+    half = int(np.ceil(piece.middle_width / 2)) + 1
+    columns = np.clip(centre[:, None] + [-half, 0, half], 0, mask.shape[1] - 1)
+    return bool(np.count_nonzero((mask[rows[:, None], columns] == other).any(axis=1)) > 2)

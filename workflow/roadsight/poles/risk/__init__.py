@@ -1,0 +1,1 @@
+"""Hazard of located poles, and their validation."""

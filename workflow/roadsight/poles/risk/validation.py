@@ -1,0 +1,193 @@
+"""Found poles against known ones: matches, errors, precision and recall (paper 2, chapter 4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pyproj import Geod
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+_FLOATS = NDArray[np.float64]
+_INTS = NDArray[np.int64]
+
+THRESHOLDS_M = tuple(range(1, 17))
+FEWEST_TRUTHS = 5
+
+_EDGE_REACH_M = 5.0
+_GEOD = Geod(ellps="WGS84")
+
+
+def match_points(found_m: _FLOATS, truth_m: _FLOATS, threshold_m: float) -> _INTS:
+    """One-to-one matches within a distance: as many as can be, of least total distance.
+
+    Parameters
+    ----------
+    found_m, truth_m : shapes (n, 2) and (m, 2), metres.
+
+    Returns
+    -------
+    rows of found and of truth, shape (k, 2), by found
+    """
+    none = np.empty((0, 2), np.int64)
+    if len(found_m) == 0 or len(truth_m) == 0:
+        return none
+    near = cKDTree(found_m).sparse_distance_matrix(
+        cKDTree(truth_m), threshold_m, output_type="ndarray"
+    )
+    if len(near) == 0:
+        return none
+    n, size = len(found_m), len(found_m) + len(truth_m)
+    graph = csr_array((np.ones(len(near)), (near["i"], n + near["j"])), shape=(size, size))
+    _, part = connected_components(graph, directed=False)
+    order = np.lexsort([near["j"], near["i"], part[near["i"]]])
+    near = near[order]
+    cuts = np.flatnonzero(np.diff(part[near["i"]])) + 1
+    matches = np.concatenate([_assign(block, threshold_m) for block in np.split(near, cuts)])
+    return matches[np.argsort(matches[:, 0])]
+
+
+def _assign(near: NDArray, threshold_m: float) -> _INTS:
+    """Best assignment among the near pairs of one connected part."""
+    rows, row = np.unique(near["i"], return_inverse=True)
+    columns, column = np.unique(near["j"], return_inverse=True)
+    # A missing match costs more than all distances of the part together.
+    missing = (threshold_m + 1.0) * (min(len(rows), len(columns)) + 1)
+    cost = np.full((len(rows), len(columns)), missing)
+    cost[row, column] = near["v"]
+    i, j = linear_sum_assignment(cost)
+    real = cost[i, j] < missing
+    return np.column_stack([rows[i[real]], columns[j[real]]])
+
+
+def score_thresholds(
+    found_m: _FLOATS, truth_m: _FLOATS, thresholds_m: tuple[float, ...] = THRESHOLDS_M
+) -> list[dict[str, float | int | None]]:
+    """True and false positives, false negatives, precision, recall and F1 at each threshold.
+
+    A ratio with nothing below the line is None.
+    """
+    rows: list[dict[str, float | int | None]] = []
+    for threshold_m in thresholds_m:
+        tp = len(match_points(found_m, truth_m, threshold_m))
+        rows.append(
+            {
+                "threshold_m": threshold_m,
+                "tp": tp,
+                "fp": len(found_m) - tp,
+                "fn": len(truth_m) - tp,
+                "precision": _ratio(tp, len(found_m)),
+                "recall": _ratio(tp, len(truth_m)),
+                "f1": _ratio(2 * tp, len(found_m) + len(truth_m)),
+            }
+        )
+    return rows
+
+
+def geodesic_m(
+    latitude_deg: _FLOATS, longitude_deg: _FLOATS, to_latitude: _FLOATS, to_longitude: _FLOATS
+) -> _FLOATS:
+    """Distances on the WGS 84 ellipsoid."""
+    _, _, distance = _GEOD.inv(longitude_deg, latitude_deg, to_longitude, to_latitude)
+    return np.asarray(distance, np.float64)
+
+
+@dataclass(frozen=True)
+class RoadEdges:
+    """Edge points of the road (n, 2), local metres."""
+
+    xy_m: _FLOATS
+
+    def offset_m(self, places_m: _FLOATS) -> tuple[_FLOATS, _INTS]:
+        """Distance to the nearest edge point and its row."""
+        distance, row = cKDTree(self.xy_m).query(places_m)
+        return np.asarray(distance), np.asarray(row, np.int64)
+
+    def normals(self, places_m: _FLOATS) -> _FLOATS:
+        """Unit vectors (n, 2) across the edge nearest to each place.
+
+        The edge's direction is the main axis of its points within 5 m; where they have none, the
+        way from the place to the edge is taken.
+        """
+        tree = cKDTree(self.xy_m)
+        distance, row = tree.query(places_m)
+        normals = np.empty((len(places_m), 2))
+        for number, near in enumerate(tree.query_ball_point(self.xy_m[row], _EDGE_REACH_M)):
+            points = self.xy_m[sorted(near)]
+            variances, axes = np.linalg.eigh(np.cov(points.T, bias=True).reshape(2, 2))
+            away = places_m[number] - self.xy_m[row[number]]
+            if len(points) >= 3 and variances[1] > 4 * variances[0]:
+                normals[number] = axes[:, 0]
+            elif distance[number] > 0:
+                normals[number] = away / distance[number]
+            else:
+                normals[number] = np.nan
+        return normals
+
+
+def split_errors(errors_m: _FLOATS, normals: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
+    """Sizes of error vectors (n, 2) across and along the road edge."""
+    across = np.abs((errors_m * normals).sum(axis=1))
+    along = np.abs(errors_m[:, 0] * normals[:, 1] - errors_m[:, 1] * normals[:, 0])
+    return across, along
+
+
+def describe(values: _FLOATS) -> dict[str, float | int | None]:
+    """Count, mean, standard deviation, least, quartiles and greatest; None where empty."""
+    values = values[np.isfinite(values)]
+    names = ("mean", "std", "min", "q25", "median", "q75", "max")
+    if len(values) == 0:
+        return {"count": 0} | dict.fromkeys(names)
+    spread = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+    numbers = [float(values.mean()), spread, *np.quantile(values, [0, 0.25, 0.5, 0.75, 1])]
+    return {"count": len(values)} | {
+        name: float(number) for name, number in zip(names, numbers, strict=True)
+    }
+
+
+def within_reach(places_m: _FLOATS, cameras_m: _FLOATS, reach_m: float) -> NDArray[np.bool_]:
+    """Whether a camera stands within reach of each place."""
+    if len(places_m) == 0 or len(cameras_m) == 0:
+        return np.zeros(len(places_m), bool)
+    distance, _ = cKDTree(cameras_m).query(places_m)
+    return np.asarray(distance <= reach_m)
+
+
+def describe_scenarios(errors_m: _FLOATS, scenarios: pd.DataFrame) -> dict[str, Any]:
+    """Errors of the matches by scenario; None for a class that could not be measured.
+
+    Parameters
+    ----------
+    errors_m : shape (n,). scenarios : the same rows, see `roadsight.poles.risk.scenarios`.
+    """
+    found: dict[str, Any] = {}
+    for name in ("straight", "curved", "intersection", "extraneous"):
+        known = scenarios[name].notna().to_numpy() if len(scenarios) else np.zeros(0, bool)
+        if len(scenarios) and not known.any():
+            found[name] = None
+            continue
+        chosen = known & scenarios[name].eq(True).to_numpy()
+        found[name] = describe(errors_m[chosen])
+    return found
+
+
+def cautions(truths: int, out_of_reach: int) -> list[str]:
+    """What a reader of the figures should know."""
+    found = []
+    if truths < FEWEST_TRUTHS:
+        found.append(f"only {truths} known poles within reach: the figures say little")
+    if out_of_reach:
+        found.append(
+            f"{out_of_reach} known poles lie out of reach of every camera and do not count"
+        )
+    return found
+
+
+def _ratio(part: float, whole: float) -> float | None:
+    return part / whole if whole else None

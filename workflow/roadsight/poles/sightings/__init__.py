@@ -1,0 +1,1 @@
+"""Poles seen in images and in the cloud: bearing, distance, columns."""

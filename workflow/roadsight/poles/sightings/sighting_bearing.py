@@ -1,0 +1,178 @@
+"""Bearings of pixels with their uncertainty, and what LiDAR says about them (paper 2, 3.3.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.geometry.cameras import (
+    Intrinsics,
+    azimuth_deg,
+    cam_from_world,
+    compass_deg,
+    pixel_directions,
+    project,
+    wrap_deg,
+)
+from roadsight.poles.images.stitching import turned
+from roadsight.poles.sightings.lidar_poles import PoleColumns
+
+_FLOATS = NDArray[np.float64]
+_STEP_DEG = 0.01
+SNAP_SIGMAS = 2.0
+_DEPTH_SHARE = 0.3
+
+
+@dataclass(frozen=True)
+class ViewCamera:
+    """Camera of one view with the uncertainty of its pose.
+
+    Parameters
+    ----------
+    intrinsics : of this view. position_m : (3,), local metres. heading_deg, pitch_deg, roll_deg :
+    of the front camera. yaw_deg : of this view from it. sigma_heading_deg, sigma_pitch_deg,
+    sigma_lateral_m, sigma_along_m : 1 sigma; across and along the front camera's heading.
+    """
+
+    intrinsics: Intrinsics
+    position_m: tuple[float, float, float]
+    heading_deg: float
+    pitch_deg: float = 0.0
+    roll_deg: float = 0.0
+    yaw_deg: float = 0.0
+    sigma_heading_deg: float = 0.0
+    sigma_pitch_deg: float = 0.0
+    sigma_lateral_m: float = 0.0
+    sigma_along_m: float = 0.0
+
+    def rotation(self, pitch_more_deg: float = 0.0) -> _FLOATS:
+        """cam_from_world (3, 3), pitched up by some more."""
+        front = cam_from_world(self.heading_deg, self.pitch_deg + pitch_more_deg, self.roll_deg)
+        return turned(front, self.yaw_deg)
+
+    def rays(self, uv_px: ArrayLike, pitch_more_deg: float = 0.0) -> _FLOATS:
+        """Unit directions (n, 3) in the local frame of pixels (n, 2)."""
+        return pixel_directions(self.intrinsics, self.rotation(pitch_more_deg), uv_px)
+
+    def sigma_across_m(self, bearing_deg: ArrayLike) -> _FLOATS:
+        """Uncertainty (n,) of the camera's place across directions of grid bearing."""
+        apart = np.radians(np.asarray(bearing_deg, np.float64) - self.heading_deg)
+        return np.hypot(np.cos(apart) * self.sigma_lateral_m, np.sin(apart) * self.sigma_along_m)
+
+    def sigma_towards_m(self, bearing_deg: ArrayLike) -> _FLOATS:
+        """Uncertainty (n,) of the camera's place along directions of grid bearing."""
+        apart = np.radians(np.asarray(bearing_deg, np.float64) - self.heading_deg)
+        return np.hypot(np.sin(apart) * self.sigma_lateral_m, np.cos(apart) * self.sigma_along_m)
+
+
+def ray_bearing_deg(rays: _FLOATS) -> _FLOATS:
+    """Grid bearing (n,) in [0, 360) of directions (n, 3)."""
+    return compass_deg(np.degrees(np.arctan2(rays[:, 0], rays[:, 1])))
+
+
+def image_bearings(
+    camera: ViewCamera, uv_px: ArrayLike, sigma_u_px: ArrayLike
+) -> tuple[_FLOATS, _FLOATS]:
+    """Grid bearings of pixels (n, 2) and their sigma (n,), degrees.
+
+    Sigma has the pixel's own error, the heading's and what an error of pitch turns the ray by; the
+    camera's place is not in it, because that needs the distance (`with_place`).
+    """
+    uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
+    bearing = ray_bearing_deg(camera.rays(uv))
+    per_px = wrap_deg(ray_bearing_deg(camera.rays(np.add(uv, (0.5, 0.0)))) - bearing) * 2.0
+    tilted = ray_bearing_deg(camera.rays(uv, pitch_more_deg=_STEP_DEG))
+    per_pitch = wrap_deg(tilted - bearing) / _STEP_DEG
+    parts = np.array(
+        [
+            np.asarray(sigma_u_px, np.float64) * per_px,
+            np.full(len(uv), camera.sigma_heading_deg),
+            per_pitch * camera.sigma_pitch_deg,
+        ]
+    )
+    return bearing, np.sqrt((parts**2).sum(axis=0))
+
+
+def with_place(
+    camera: ViewCamera, bearing_deg: ArrayLike, sigma_deg: ArrayLike, depth_m: ArrayLike
+) -> _FLOATS:
+    """Sigma (n,) of bearings, with the camera's place as it shows at a distance."""
+    across = camera.sigma_across_m(bearing_deg) / np.maximum(np.asarray(depth_m, float), 1.0)
+    return np.hypot(sigma_deg, np.degrees(np.arctan(across)))
+
+
+def nearest_projected(
+    camera: ViewCamera, points_m: _FLOATS, uv_px: _FLOATS, boxes_px: _FLOATS, reach_px: float
+) -> tuple[_FLOATS, _FLOATS]:
+    """Published way: bearing and horizontal distance of the LiDAR point nearest to each foot.
+
+    Points that project into the object's box come first; else the nearest within ``reach_px``.
+
+    Parameters
+    ----------
+    points_m : (m, 3), local metres, those in sight. uv_px : feet (n, 2). boxes_px : (n, 4) as
+        u_min, v_min, u_max, v_max.
+
+    Returns
+    -------
+    grid bearing (n,) in degrees and distance (n,) in metres, NaN where no point is near
+    """
+    bearing, distance = np.full(len(uv_px), np.nan), np.full(len(uv_px), np.nan)
+    seen, _ = project(camera.intrinsics, camera.rotation(), camera.position_m, points_m)
+    good = camera.intrinsics.contains(seen)
+    seen, points = seen[good], points_m[good]
+    for i, (foot, box) in enumerate(zip(uv_px, boxes_px, strict=True)):
+        inside = ((seen >= box[:2]) & (seen <= box[2:])).all(axis=1)
+        apart = np.hypot(*(seen - foot).T)
+        if not inside.any():
+            inside = apart <= reach_px
+        if not inside.any():
+            continue
+        chosen = np.flatnonzero(inside)[np.argmin(apart[inside])]
+        offset = points[chosen, :2] - camera.position_m[:2]
+        bearing[i] = azimuth_deg(np.zeros(2), offset)
+        distance[i] = np.hypot(*offset)
+    return bearing, distance
+
+
+def matching_columns(
+    camera: ViewCamera,
+    columns: PoleColumns,
+    bearing_deg: _FLOATS,
+    sigma_deg: _FLOATS,
+    depth_m: _FLOATS,
+    sigma_depth_m: _FLOATS,
+    farthest_m: float,
+) -> NDArray[np.int64]:
+    """Number of the only pole-like column that agrees with each sighting, -1 if none or several.
+
+    It agrees in bearing within two sigmas, its own and the camera's place included, and in distance
+    within three sigmas and 30 % where a distance is known.
+    """
+    matches = np.full(len(bearing_deg), -1, np.int64)
+    offset = columns.xy_m - np.asarray(camera.position_m[:2])
+    away = np.hypot(offset[:, 0], offset[:, 1])
+    near = np.flatnonzero((away > 1.0) & (away <= farthest_m))
+    if not len(near):
+        return matches
+    direction, away = azimuth_deg(np.zeros(2), offset[near]), away[near]
+    for i in range(len(bearing_deg)):
+        sigma = np.hypot(
+            with_place(camera, direction, sigma_deg[i], away),
+            np.degrees(np.arctan(columns.sigma_m[near] / away)),
+        )
+        agrees = np.abs(wrap_deg(direction - bearing_deg[i])) <= SNAP_SIGMAS * sigma
+        if np.isfinite(depth_m[i]):
+            spread = np.sqrt(
+                sigma_depth_m[i] ** 2
+                + columns.sigma_m[near] ** 2
+                + camera.sigma_towards_m(direction) ** 2
+            )
+            apart = np.abs(away - depth_m[i])
+            agrees &= (apart <= 3.0 * spread) & (apart <= _DEPTH_SHARE * away)
+        found = np.flatnonzero(agrees)
+        if len(found) == 1:
+            matches[i] = near[found[0]]
+    return matches

@@ -1,0 +1,261 @@
+"""Sightings: where an image says that poles stand, seen from its camera (paper 2, 3.3)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.geometry.cameras import azimuth_deg, wrap_deg
+from roadsight.poles.images.pole_masks import (
+    PUBLISHED_HEIGHT_PX,
+    Instance,
+    MaskSettings,
+    find_instances,
+)
+from roadsight.poles.sightings.lidar_poles import PoleColumns
+from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths
+from roadsight.poles.sightings.sighting_bearing import (
+    ViewCamera,
+    image_bearings,
+    matching_columns,
+    nearest_projected,
+    with_place,
+)
+from roadsight.poles.sightings.sighting_depth import (
+    behind_plants,
+    fit_view_depth,
+    ground_distances,
+    network_distances,
+)
+
+_FLOATS = NDArray[np.float64]
+_MODEL_SHARE = 0.05
+
+
+@dataclass(frozen=True)
+class SightingSettings:
+    """How sightings are measured and which are kept.
+
+    Parameters
+    ----------
+    kinds : objects looked for. bearing : "fused" (image, snapped to a single pole-like LiDAR
+    column), "image", or "lidar" (published). sigma_axis_px, sigma_foot_px : of the axis across and
+    of the foot down an image 1200 px high. sigma_ground_m : of the camera's height above the
+    terrain at the foot. nearest_m, farthest_m : distances that are kept. height_rule : "metric"
+    (at least min_height_m), "published" (half the image nearer than 25 m, a quarter nearer than
+    50 m) or "none". sign_post_m : a pole that touches a sign and is lower than this carries it.
+    """
+
+    kinds: tuple[str, ...] = ("pole",)
+    bearing: Literal["fused", "image", "lidar"] = "fused"
+    sigma_axis_px: float = 2.0
+    sigma_foot_px: float = 8.0
+    sigma_ground_m: float = 0.1
+    nearest_m: float = 2.0
+    farthest_m: float = 60.0
+    height_rule: Literal["metric", "published", "none"] = "metric"
+    min_height_m: float = 3.0
+    sign_post_m: float = 4.5
+    mask: MaskSettings = MaskSettings()  # noqa: RUF009 - frozen
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the site knows about a place.
+
+    Parameters
+    ----------
+    height_at : terrain. columns : pole-like LiDAR columns. points_m : voxels (n, 3) within reach,
+    only for the published bearing.
+    """
+
+    height_at: HeightAt
+    columns: PoleColumns
+    points_m: _FLOATS
+
+
+def measure_view(
+    camera: ViewCamera,
+    mask: NDArray[np.uint8],
+    depth: NDArray[np.uint16] | None,
+    evidence: Evidence,
+    settings: SightingSettings | None = None,
+) -> pd.DataFrame:
+    """Sightings in one view, kept or not, left to right within each kind.
+
+    Parameters
+    ----------
+    camera : of the view. mask : project classes (rows, columns). depth : relative inverse depth of
+        any size, or None.
+
+    Returns
+    -------
+    a row for each object: kind, pixels of foot and box, bearing_grid_deg, depth_m (horizontal) and
+    their sigmas, each distance by itself, height_m, kept and reason
+    """
+    settings = settings or SightingSettings()
+    found = [one for kind in settings.kinds for one in find_instances(mask, kind, settings.mask)]
+    scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
+    table = _pixels(found)
+    if not found:
+        return table
+    network, ground, hidden = _own_distances(camera, found, mask, depth, evidence, settings)
+    table["foot_visible"] = ~hidden
+    before = [fuse_depths(*pair)[:2] for pair in zip(*_stack(network, ground), strict=True)]
+    prior, prior_sigma = np.array(before).T
+    feet = table[["u_foot", "v_foot"]].to_numpy()
+    width = table["width_px"].to_numpy()
+    sigma_u = np.hypot(np.maximum(settings.sigma_axis_px * scale, 0.5), 0.1 * width)
+    bearing, sigma = image_bearings(camera, feet, sigma_u)
+    match = matching_columns(
+        camera, evidence.columns, bearing, sigma, prior, prior_sigma, settings.farthest_m
+    )
+    lidar = _column_distances(camera, evidence.columns, match)
+    table = _with_depths(table, {"network": network, "ground": ground, "lidar": lidar})
+    sigma = with_place(camera, bearing, sigma, table["depth_m"].fillna(settings.farthest_m))
+    boxes = table[["u_min", "v_min", "u_max", "v_max"]].to_numpy()
+    bearing, sigma, method = _chosen_bearing(
+        camera, (bearing, sigma), match, evidence, (feet, boxes), settings, 30.0 * scale
+    )
+    table["bearing_grid_deg"], table["sigma_bearing_deg"], table["method"] = bearing, sigma, method
+    table["width_deg"] = np.degrees(np.arctan(width / camera.intrinsics.focal_px))
+    return _judged(table, found, camera, settings)
+
+
+def _own_distances(
+    camera: ViewCamera,
+    found: Sequence[Instance],
+    mask: NDArray[np.uint8],
+    depth: NDArray[np.uint16] | None,
+    evidence: Evidence,
+    settings: SightingSettings,
+) -> tuple[_FLOATS, _FLOATS, NDArray[np.bool_]]:
+    """Distance and sigma (2, n) by the network and by the ground, and whether feet are hidden."""
+    network = np.full((2, len(found)), np.nan)
+    hidden = np.array([one.foot == "hidden" for one in found])
+    if depth is not None and depth.any():
+        fit = fit_view_depth(camera, mask, depth, evidence.height_at)
+        network = np.array(network_distances(camera, found, depth, fit, mask.shape))
+        hidden |= behind_plants(camera, found, depth, fit, evidence.height_at, mask.shape)
+    # A network's error is shared by a whole image: scatter about the fit does not show it.
+    network[1] = np.hypot(network[1], _MODEL_SHARE * network[0])
+    reach_px = max(settings.sigma_foot_px * mask.shape[0] / PUBLISHED_HEIGHT_PX, 1.0)
+    ground = np.array(
+        ground_distances(
+            camera, found, evidence.height_at, reach_px, settings.sigma_ground_m,
+            2.0 * settings.farthest_m,
+        )
+    )  # fmt: skip
+    ground[:, hidden] = np.nan
+    return network, ground, hidden
+
+
+def _pixels(found: Sequence[Instance]) -> pd.DataFrame:
+    names = ("kind", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "width_px",
+             "reason")  # fmt: skip
+    table = pd.DataFrame([{n: getattr(one, n) for n in names} for one in found], columns=names)
+    table["cut_side"] = [bool(one.cut & {"left", "right"}) for one in found]
+    return table
+
+
+def _stack(*pairs: NDArray) -> tuple[_FLOATS, _FLOATS]:
+    """Distances (n, k) and sigmas (n, k) from pairs of them (2, n)."""
+    return np.stack([p[0] for p in pairs], axis=1), np.stack([p[1] for p in pairs], axis=1)
+
+
+def _column_distances(
+    camera: ViewCamera, columns: PoleColumns, match: NDArray[np.int64]
+) -> _FLOATS:
+    """Horizontal distance and sigma (2, n) of the columns that sightings match."""
+    found = np.full((2, len(match)), np.nan)
+    known = match >= 0
+    offset = columns.xy_m[match[known]] - np.asarray(camera.position_m[:2])
+    direction = azimuth_deg(np.zeros(2), offset)
+    found[0, known] = np.hypot(offset[:, 0], offset[:, 1])
+    found[1, known] = np.hypot(columns.sigma_m[match[known]], camera.sigma_towards_m(direction))
+    return found
+
+
+def _with_depths(table: pd.DataFrame, pairs: dict[str, NDArray]) -> pd.DataFrame:
+    columns: dict[str, Any] = {}
+    for name, (distance, sigma) in pairs.items():
+        columns[f"depth_{name}_m"], columns[f"sigma_depth_{name}_m"] = distance, sigma
+    fused = [fuse_depths(*pair) for pair in zip(*_stack(*pairs.values()), strict=True)]
+    columns["depth_m"] = [one[0] for one in fused]
+    columns["sigma_depth_m"] = [one[1] for one in fused]
+    names = np.array(list(pairs))
+    columns["depth_from"] = ["+".join(names[one[2]]) for one in fused]
+    return table.assign(**columns)
+
+
+def _chosen_bearing(
+    camera: ViewCamera,
+    image: tuple[_FLOATS, _FLOATS],
+    match: NDArray[np.int64],
+    evidence: Evidence,
+    pixels: tuple[_FLOATS, _FLOATS],
+    settings: SightingSettings,
+    reach_px: float,
+) -> tuple[_FLOATS, _FLOATS, NDArray]:
+    """Bearing, sigma and the way it was found (n,)."""
+    bearing, sigma = image[0].copy(), image[1].copy()
+    method = np.full(len(bearing), "image", dtype=object)
+    if settings.bearing == "lidar":
+        nearest, _ = nearest_projected(camera, evidence.points_m, *pixels, reach_px)
+        known = np.isfinite(nearest)
+        bearing[known], method[known] = nearest[known], "lidar"
+    if settings.bearing == "fused":
+        for i in np.flatnonzero(match >= 0):
+            offset = evidence.columns.xy_m[match[i]] - np.asarray(camera.position_m[:2])
+            away = float(np.hypot(*offset))
+            direction = float(azimuth_deg(np.zeros(2), offset))
+            # Seen from where the camera is believed to be, the column's direction has no error of
+            # place: the ray meets the column wherever the camera truly was.
+            own = float(np.degrees(np.arctan(evidence.columns.sigma_m[match[i]] / away)))
+            share = sigma[i] ** 2 / (sigma[i] ** 2 + own**2)
+            bearing[i] = (bearing[i] + share * float(wrap_deg(direction - bearing[i]))) % 360.0
+            sigma[i] *= np.sqrt(1.0 - share)
+            method[i] = "fused"
+    return bearing, sigma, method
+
+
+def _judged(
+    table: pd.DataFrame, found: Sequence[Instance], camera: ViewCamera, settings: SightingSettings
+) -> pd.DataFrame:
+    """Rules that need the distance; the first that fails is the reason."""
+    lower = table["v_foot"] - table["v_min"]
+    table["height_m"] = lower * table["depth_m"] / camera.intrinsics.focal_px
+    distances = table[["depth_m", "height_m"]].to_numpy(np.float64)
+    table["reason"] = [
+        one.reason or _why_not(depth, height, one, camera, settings)
+        for one, (depth, height) in zip(found, distances, strict=True)
+    ]
+    table["kept"] = table["reason"] == ""
+    return table
+
+
+def _why_not(
+    depth: float, height: float, one: Instance, camera: ViewCamera, settings: SightingSettings
+) -> str:
+    if not np.isfinite(depth):
+        return "distance unknown"
+    if not settings.nearest_m <= depth <= settings.farthest_m:
+        return "too near" if depth < settings.nearest_m else "too far"
+    if one.kind != "pole" or settings.height_rule == "none":
+        return ""
+    if settings.height_rule == "metric":
+        # What the frame cuts at the top may be of any height.
+        height = np.inf if "top" in one.cut else height
+        too_low, post = height < settings.min_height_m, height < settings.sign_post_m
+    else:
+        share = (one.v_foot - one.v_min) / camera.intrinsics.height_px
+        too_low = share < (0.5 if depth < 25.0 else 0.25 if depth < 50.0 else 0.0)
+        post = share < 1 / 3
+    if too_low:
+        return "too low"
+    return "sign post" if post and one.touches_sign else ""

@@ -1,0 +1,267 @@
+"""What the templates show of a site's poles, made from ``poles/page.json``."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from roadsight.report import wording
+from roadsight.report.poles import published
+from roadsight.report.poles.poles_charts import (
+    SOURCES,
+    depth_check_chart,
+    depth_fit_chart,
+    error_charts,
+    f1_chart,
+    route_charts,
+)
+
+_NAMES = {
+    "GeoPackage": ".gpkg",
+    "GeoJSON": ".geojson",
+    "CSV": ".csv",
+    "Parquet": ".parquet",
+}
+_COORDINATES = {
+    ".gpkg": "coordinate system of the LiDAR",
+    ".geojson": "WGS 84",
+    ".csv": "WGS 84 and local metres",
+    ".parquet": "local metres, with the poles that were withheld",
+}
+_HAZARD_FIRST = ("id", "pole", "kind")
+_HAZARD_TITLES = {
+    "id": "Pole",
+    "offset_m": "Offset to the road edge",
+    "inside_clear_zone": "In the clear zone",
+    "slope_rise_over_run": "Side slope, rise over run",
+    "slope_class": "Slope",
+    "objects_per_km": "Fixed objects per km",
+}
+_HAZARD_HIDDEN = {"x", "y", "z", "latitude", "longitude", "station_m"}
+_RATINGS = ("high", "medium", "low", "unknown")
+
+
+def poles_view(page: dict[str, Any]) -> dict[str, Any]:
+    """Content of the templates.
+
+    Parameters
+    ----------
+    page : content of ``poles/page.json``.
+    """
+    validation = page["validation"]
+    return {
+        "counts": page["counts"],
+        "cards": _cards(page),
+        "cautions": page["cautions"],
+        "rejections": page["rejections"],
+        "images": page["images"],
+        "poles": page["layers"]["poles"],
+        "routes": [
+            {
+                "name": route["route"],
+                "images": len(route["state"]),
+                "charts": route_charts(route),
+            }
+            for route in page["routes"]
+        ],
+        "depth_fit": page["depth_fit"] and {
+            "svg": depth_fit_chart(page["depth_fit"]), **page["depth_fit"],
+        },
+        "depth_checks": [
+            depth_check_chart(source, page["depth_checks"][source])
+            for source in SOURCES
+            if source in page["depth_checks"]
+        ],
+        "hazard": _hazard(page["hazard"], page["layers"]["poles"]),
+        "checked": None if validation is None else _checked(validation),
+        "ablation": _ablation((validation or {}).get("ablation", [])),
+        "files": _files(page["files"]),
+        "sections": _sections(page),
+    }  # fmt: skip
+
+
+def _sections(page: dict[str, Any]) -> list[tuple[str, str]]:
+    """Anchors and titles of the sections, those without content left out."""
+    shown = (
+        ("poles", "Poles on the map", True),
+        ("images", "Images", bool(page["images"])),
+        ("alignment", "Alignment", True),
+        ("depth", "Depth", bool(page["depth_fit"] or page["depth_checks"])),
+        ("checked", "Against known poles", page["validation"] is not None),
+        ("components", "Components", bool((page["validation"] or {}).get("ablation"))),
+        ("hazard", "Roadside hazard", bool(page["hazard"]["rows"])),
+        ("files", "Files", bool(page["files"])),
+    )
+    return [(anchor, title) for anchor, title, there in shown if there]
+
+
+def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Key figures: name, value, remark."""
+    counts, validation = page["counts"], page["validation"] or {}
+    sigmas = [pole["sigma_major_m"] for pole in page["layers"]["poles"]]
+    known = [sigma for sigma in sigmas if sigma is not None]
+    km = f"{wording.number(counts['length_m'] / 1000, 2)} km of road"
+    cards = [
+        ("Poles located", wording.number(counts["poles"]), km if counts["length_m"] else ""),
+        (
+            "Images aligned",
+            wording.number(counts["aligned"]),
+            f"of {wording.number(counts['images'])}",
+        ),
+        ("Sightings kept", wording.number(counts["kept"]),
+         f"of {wording.number(counts['sightings'])}"),
+    ]  # fmt: skip
+    if known:
+        sigma = wording.metres(float(np.median(known)), 2)
+        cards.append(("Uncertainty, median", sigma, "one sigma, longer axis"))
+    if validation.get("mean_m") is not None:
+        checked = wording.counted(len(validation.get("errors", [])), "pole")
+        cards.append(("Mean error", wording.metres(validation["mean_m"], 2), f"{checked} checked"))
+    return cards
+
+
+def _checked(validation: dict[str, Any]) -> dict[str, Any]:
+    """Errors, scores and scenarios beside the paper's own."""
+    errors, thresholds = validation.get("errors", []), validation.get("thresholds", [])
+    geodesic = [error["geodesic_m"] for error in errors if error.get("geodesic_m") is not None]
+    across = [abs(e["across_m"]) for e in errors if e.get("across_m") is not None]
+    rows = [
+        ("Poles matched to known ones", wording.number(len(errors)),
+         wording.number(published.CHECKED)),
+        ("Mean distance", _mean(geodesic), wording.metres(published.MEAN_M)),
+        ("Standard deviation", _deviation(geodesic), wording.metres(published.STD_M)),
+        ("Three quarters within", _quartile(geodesic), wording.metres(published.WITHIN_75_M)),
+        ("Across the road, three quarters within", _quartile(across),
+         wording.metres(published.ACROSS_75_M)),
+    ]  # fmt: skip
+    return {
+        "truth": _truth(validation),
+        "rows": rows,
+        "errors": error_charts(errors) if errors else [],
+        "f1": f1_chart(thresholds) if thresholds else "",
+        "thresholds": [row | {"paper": _paper_f1(row["threshold_m"])} for row in thresholds],
+        "scenarios": _scenarios(errors),
+    }
+
+
+def _truth(validation: dict[str, Any]) -> str:
+    """Which known poles count."""
+    truth = validation.get("truth")
+    if not isinstance(truth, dict):
+        return "" if truth is None else f"Known poles: {truth}."
+    known, away = truth.get("within_reach", 0), truth.get("out_of_reach", 0)
+    text = wording.counted(known, "known pole") + " within reach of an image"
+    if "reach_m" in truth:
+        text += f" ({wording.metres(truth['reach_m'], 0)})"
+    return f"{text}{f'; {wording.number(away)} out of reach do not count' if away else ''}."
+
+
+def _mean(values: Sequence[float]) -> str:
+    return wording.metres(float(np.mean(values)), 2) if values else wording.MISSING
+
+
+def _deviation(values: Sequence[float]) -> str:
+    return wording.metres(float(np.std(values, ddof=1)), 2) if len(values) > 1 else wording.MISSING
+
+
+def _quartile(values: Sequence[float]) -> str:
+    return wording.metres(float(np.quantile(values, 0.75)), 2) if values else wording.MISSING
+
+
+def _paper_f1(threshold_m: float) -> float | None:
+    whole = float(threshold_m).is_integer()
+    return published.F1.get(int(threshold_m)) if whole else None
+
+
+def _scenarios(errors: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Number of poles and errors by scenario, the paper's scenarios first."""
+    groups: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for error in errors:
+        for name in error.get("scenarios") or []:
+            groups[str(name).replace("_", " ").lower()].append(error)
+    first = [name for name in published.SCENARIOS if name in groups]
+    rows = []
+    for name in first + sorted(set(groups) - set(first)):
+        geodesic = [e["geodesic_m"] for e in groups[name] if e.get("geodesic_m") is not None]
+        across = [abs(e["across_m"]) for e in groups[name] if e.get("across_m") is not None]
+        rows.append(
+            {
+                "name": name[:1].upper() + name[1:],
+                "poles": len(groups[name]),
+                "mean_m": _mean(geodesic),
+                "most_m": wording.metres(max(geodesic, default=None), 2),
+                "across_m": _mean(across),
+                "paper": published.scenario_mean_m(name),
+            }
+        )
+    return rows
+
+
+def _ablation(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What each component of the paper is worth here, beside what the paper says of it."""
+    keys = ("images_accepted", "poles", "mean_error_m", "f1_3m", "f1_6m")
+    rows = []
+    for record in records:
+        name = str(record["component"])
+        title, about = published.COMPONENTS.get(name, (wording.label(name), ""))
+        rows.append({"title": title, "about": about, **{key: record.get(key) for key in keys}})
+    return rows
+
+
+def _hazard(table: dict[str, Any], poles: list[dict[str, Any]]) -> dict[str, Any] | None:
+    """Hazard table: names of the columns, and rows with the number of their pole on the map."""
+    if not table["rows"]:
+        return None
+    keys = [key for key in table["columns"] if key not in _HAZARD_HIDDEN]
+    keys.sort(key=lambda key: key not in _HAZARD_FIRST)
+    numbers = {pole["id"]: number for number, pole in enumerate(poles)}
+    records = [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
+    return {
+        "ratings": _ratings(records),
+        "titles": [_HAZARD_TITLES.get(key) or wording.label(key) for key in keys],
+        "rows": [
+            {
+                "pole": numbers.get(str(record.get("id", record.get("pole")))),
+                "cells": [_cell(key, record[key]) for key in keys],
+            }
+            for record in records
+        ],
+    }
+
+
+def _cell(key: str, value: Any) -> dict[str, Any]:
+    """Text of a cell, what to sort it by, and whether it is a number."""
+    if key == "rating" and value in _RATINGS:
+        return {"text": value, "sort": _RATINGS.index(value), "number": False}
+    if key == "side" and isinstance(value, int | float):
+        return {"text": {-1: "left", 1: "right"}.get(int(value), "unknown"), "sort": value,
+                "number": False}  # fmt: skip
+    numeric = isinstance(value, int | float) and not isinstance(value, bool)
+    text = wording.quantity("" if key == "objects_per_km" else key, _rounded(value))
+    return {"text": text, "sort": "" if value is None else value, "number": numeric}
+
+
+def _rounded(value: Any) -> Any:
+    return round(value, 2) if isinstance(value, float) else value
+
+
+def _ratings(records: Sequence[dict[str, Any]]) -> str:
+    """How many poles have which rating."""
+    counts = Counter(record.get("rating") for record in records)
+    named = [f"{wording.number(counts[rating])} {rating}" for rating in _RATINGS if counts[rating]]
+    return ", ".join(named)
+
+
+def _files(names: Sequence[str]) -> list[dict[str, str]]:
+    kinds = {suffix: kind for kind, suffix in _NAMES.items()}
+    return [
+        {
+            "name": name,
+            "kind": kinds.get(f".{name.rpartition('.')[2]}", ""),
+            "coordinates": _COORDINATES.get(f".{name.rpartition('.')[2]}", ""),
+        }
+        for name in names
+    ]

@@ -1,0 +1,137 @@
+"""What limits the worth of a result: proofs that lack, targets left out, thin data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from roadsight.report.site.options_view import goal_text
+from roadsight.report.wording import counted, number, percent
+
+# Below these, one target or position more or less can change the number of sensors.
+_FEW_TARGETS, _FEW_POSITIONS = 100, 10
+_PAVEMENT_WITH_TARGETS = 0.9
+
+
+@dataclass(frozen=True)
+class Caution:
+    """One sentence for the reader.
+
+    Parameters
+    ----------
+    level : warning (limits what the result is worth) or note (an assumption to check).
+    text : the sentence.
+    """
+
+    level: Literal["warning", "note"]
+    text: str
+
+
+def is_proven(status: str, objective: float, bound: float, whole_costs: bool) -> bool:
+    """Whether a solution is called optimal and its bound bears that out.
+
+    Parameters
+    ----------
+    whole_costs : every cost is a whole number, so that the bound may be rounded up.
+    """
+    if status != "optimal":
+        return False
+    tolerance = 1e-6 * max(1.0, abs(objective))
+    least = math.ceil(bound - tolerance) if whole_costs else bound
+    return objective <= least + tolerance
+
+
+def plan_cautions(plans: Sequence[dict[str, Any]]) -> list[Caution]:
+    """Cautions of the plans; what holds for several of them is said once.
+
+    Parameters
+    ----------
+    plans : each with title, proven, objective, bound, targets, at_least and gaps.
+    """
+    titles: dict[str, list[str]] = {}
+    for plan in plans:
+        for text in _limits(plan):
+            titles.setdefault(text, []).append(plan["title"])
+    return [
+        Caution("warning", f"{_together(named, len(plans))}: {text}")
+        for text, named in titles.items()
+    ]
+
+
+def _limits(plan: dict[str, Any]) -> Iterator[str]:
+    """What limits the worth of one plan's result."""
+    if not plan["proven"] and "options" in plan:
+        yield f"not proven optimal. {goal_text(plan['options'])}"
+    elif not plan["proven"]:
+        yield (
+            f"not proven optimal. The solution costs {number(plan['objective'])}; the best"
+            f" possible lies between {number(plan['bound'])} and that."
+        )
+    if plan["gaps"]:
+        share = percent(len(plan["gaps"]) / plan["targets"])
+        asked = "no sensor" if plan["at_least"] == 1 else f"fewer than {plan['at_least']} sensors"
+        yield f"{asked} sees {counted(len(plan['gaps']), 'target')} ({share} of all)."
+
+
+def _together(titles: list[str], plans: int) -> str:
+    return "All plans" if len(titles) == plans > 1 else ", ".join(titles)
+
+
+def data_cautions(
+    targets: int | None,
+    positions: int | None,
+    pavement_area_m2: float,
+    settings: dict[str, Any],
+) -> list[Caution]:
+    """Cautions where a result rests on too little data.
+
+    Parameters
+    ----------
+    targets, positions : counts; None where a site has no placement.
+    settings : all settings of the site.
+    """
+    found = []
+    if targets is not None and targets < _FEW_TARGETS:
+        text = f"Only {counted(targets, 'target')}: the number of sensors rests on little data."
+        found.append(Caution("warning", text))
+    if positions is not None and positions < _FEW_POSITIONS:
+        text = f"Only {counted(positions, 'candidate position')}: there is little to choose from."
+        found.append(Caution("warning", text))
+    cell_m2 = settings["targets"]["cell_size_m"] ** 2
+    share = 1.0 if targets is None else targets * cell_m2 / max(pavement_area_m2, cell_m2)
+    if share < _PAVEMENT_WITH_TARGETS:
+        least = counted(settings["targets"]["min_points"], "point")
+        text = (
+            f"{percent(1 - share)} of the pavement carries no target, because its cells hold fewer "
+            f"than {least} or lie on its outline: whether sensors see it is not known."
+        )
+        found.append(Caution("warning", text))
+    return found
+
+
+def scene_cautions(
+    frame: dict[str, Any],
+    scored: bool,
+    traffic: dict[str, Any] | None,
+    edge_sources: set[str],
+    sensors: dict[str, dict[str, Any]],
+) -> list[Caution]:
+    """Assumptions behind the scene: its CRS, its edges, unscored pavement, traffic, unit costs."""
+    notes = [str(note) for note in frame.get("notes", [])]
+    if frame["crs_wkt"] is None:
+        notes.append("the site has no CRS: positions are local, without longitude and latitude")
+    if "automatic" in edge_sources:
+        notes.append("road edges were traced on the pavement, not digitised: check them on the map")
+    if not scored:
+        notes.append("no reference data for this site: the pavement's accuracy is not known here")
+    if traffic:
+        notes.append(
+            f"{percent(traffic['cleared_points'] / max(traffic['points'], 1))} of the points were"
+            f" taken for passing vehicles and left out: what stands on the pavement lower than"
+            f" {number(traffic['clear_below_m'])} m, with nothing above it"
+        )
+    if len(sensors) > 1 and len({sensor["cost"] for sensor in sensors.values()}) == 1:
+        notes.append("every sensor has the same cost, so plans compare by number, not by price")
+    return [Caution("note", f"{note[:1].upper()}{note[1:].rstrip('.')}.") for note in notes]

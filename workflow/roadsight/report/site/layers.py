@@ -1,0 +1,136 @@
+"""The layers that map and 3D view share, packed for the page; all in local metres."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from roadsight.report.packing import pack, pack_points, to_byte
+from roadsight.report.site.shading import block_mean, hillshade
+
+UNKNOWN_HEIGHT = 255
+_HEIGHT_STEP_M = 0.1
+_DRAWN_WITHIN_M = 0.05
+_MOST_RELIEF_CELLS = 900
+
+
+@dataclass(frozen=True)
+class CloudSample:
+    """Points of a cloud that stand for all of it.
+
+    Parameters
+    ----------
+    total : number of points of the whole cloud.
+    xyz_m : (n, 3) local metres.
+    above_ground_m : (n,) height above the terrain model, NaN where it has none.
+    intensity : (n,) uint16.
+    colour : (n, 3) uint8, or None.
+    """
+
+    total: int
+    xyz_m: NDArray
+    above_ground_m: NDArray
+    intensity: NDArray
+    colour: NDArray | None
+
+
+def cloud_layer(sample: CloudSample) -> dict[str, Any]:
+    """Points with height above ground (steps of 0.1 m, 255 = unknown), intensity and colour."""
+    steps = np.rint(np.clip(sample.above_ground_m / _HEIGHT_STEP_M, 0, UNKNOWN_HEIGHT - 1))
+    heights = np.where(np.isfinite(steps), steps, UNKNOWN_HEIGHT)
+    intensity = to_byte(sample.intensity)
+    return {
+        "total": sample.total,
+        **pack_points(sample.xyz_m),
+        "height_step_m": _HEIGHT_STEP_M,
+        "height": pack(heights, "u1"),
+        "intensity": None if intensity is None else pack(intensity, "u1"),
+        "colour": None if sample.colour is None else pack(sample.colour, "u1"),
+    }
+
+
+def relief_layer(
+    heights_m: NDArray, west_m: float, north_m: float, cell_size_m: float
+) -> dict[str, Any]:
+    """Shaded relief of a terrain model.
+
+    Parameters
+    ----------
+    heights_m : (rows, columns), first row north, NaN = no data.
+    west_m, north_m : outer corner of the first cell, local metres.
+    """
+    coarse, cell = block_mean(heights_m, cell_size_m, _MOST_RELIEF_CELLS)
+    return {
+        "west_m": west_m,
+        "north_m": north_m,
+        "cell_size_m": cell,
+        "rows": coarse.shape[0],
+        "columns": coarse.shape[1],
+        "shade": pack(hillshade(coarse, cell), "u1"),
+    }
+
+
+def polygon_layer(polygons: gpd.GeoDataFrame) -> list[list[dict[str, Any]]]:
+    """Polygons as lists of rings (outer first), simplified by less than a line's width."""
+    drawn = shapely.simplify(polygons.geometry.to_numpy(), _DRAWN_WITHIN_M)
+    return [
+        [_vertices(ring) for ring in (part.exterior, *part.interiors)]
+        for part in shapely.get_parts(drawn)
+        if isinstance(part, shapely.Polygon) and not part.is_empty
+    ]
+
+
+def edge_layer(edges: gpd.GeoDataFrame) -> list[dict[str, Any]]:
+    """Lines with name, kind and source."""
+    named = zip(edges["edge"], edges["kind"], edges["source"], edges.geometry, strict=True)
+    return [
+        {
+            "edge": str(edge),
+            "kind": str(kind),
+            "source": str(source),
+            "length_m": float(line.length),
+            "xy": _vertices(shapely.simplify(line, _DRAWN_WITHIN_M)),
+        }
+        for edge, kind, source, line in named
+    ]
+
+
+def _vertices(line: shapely.Geometry) -> dict[str, Any]:
+    return pack(shapely.get_coordinates(line), "f4")
+
+
+def candidate_layer(rounds: Sequence[pd.DataFrame]) -> dict[str, Any]:
+    """Positions of candidates in plan: how many heights each has, and its first round.
+
+    Parameters
+    ----------
+    rounds : candidates of each round, in order; a later round may repeat a position.
+    """
+    numbered = [table.assign(round=number) for number, table in enumerate(rounds)]
+    columns = ["x", "y", "height_m", "key", "round"]
+    table = pd.concat([part[columns] for part in numbered], ignore_index=True)
+    grouped = table.groupby("key", sort=False)
+    first = grouped.first()
+    return {
+        "total": len(table),
+        "xy": pack(first[["x", "y"]].to_numpy(), "f4"),
+        "heights": pack(grouped.size().to_numpy(), "u2"),
+        "lowest_m": pack(grouped["height_m"].min().to_numpy(), "f4"),
+        "highest_m": pack(grouped["height_m"].max().to_numpy(), "f4"),
+        "round": pack(grouped["round"].min().to_numpy(), "u1"),
+    }
+
+
+def target_layer(targets: pd.DataFrame) -> dict[str, Any]:
+    """Targets: names and positions on the pavement."""
+    return {
+        "names": [str(name) for name in targets["target"]],
+        "xyz": pack(targets[["x", "y", "z"]].to_numpy(), "f4"),
+    }

@@ -1,0 +1,1 @@
+"""Road edges: splines, the overhead view, curbs beside a track."""

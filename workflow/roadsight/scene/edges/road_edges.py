@@ -1,0 +1,291 @@
+"""Edges of the road in the overhead view of a classified cloud (paper 2, section 3.2.1).
+
+The paper takes the edge pixels of the dilated and eroded road image. Ours follows the outline of
+the same image, but finds the edge between the pixels: a pixel that a road covers in part holds
+road points in part, so that the edge runs where half of the points are of the road.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.geometry.rings import resampled, runs_of, smoothed, trimmed
+from roadsight.scene.edges.pixels import between_pixels, blocks, windows_around
+
+_FLOATS = NDArray[np.float64]
+_MASK = NDArray[np.bool_]
+_MISSED_HOLES = 1e-4
+_LARGEST_CLOSING = 6
+_ROWS = 16
+_BLOCK = 256
+_LABELS_BLOCK = 4096
+_BATCH = 1_000
+
+
+@dataclass(frozen=True)
+class EdgeSettings:
+    """Settings of the road edges.
+
+    Parameters
+    ----------
+    closing_cells : least radius of closing and opening; sparse clouds take a larger one.
+    smallest_hole_m2, smallest_road_m2 : smaller holes are filled, smaller roads dropped.
+    spacing_m : distance between edge points. shortest_m : shorter pieces are dropped.
+    smoothing_m : standard deviation of the window that smooths an outline; wider where a sparse
+        cloud needs a wider closing.
+    border_cells : edge points this near to what was not surveyed are ends of the data.
+    """
+
+    closing_cells: int = 1
+    smallest_hole_m2: float = 20.0
+    smallest_road_m2: float = 50.0
+    spacing_m: float = 0.25
+    shortest_m: float = 3.0
+    smoothing_m: float = 0.6
+    border_cells: float = 1.5
+
+    def window_cells(self, image: RoadImage, cell_size_m: float) -> float:
+        """Smoothing window of an image's outlines, cells."""
+        return self.smoothing_m * image.closing / cell_size_m
+
+
+@dataclass(frozen=True)
+class RoadImage:
+    """Cleaned overhead image of a road.
+
+    Parameters
+    ----------
+    road : (rows, columns) whether road. closing : radius that cleaned it, cells.
+    surveyed : whether surveyed, with 2 closing + 1 cells more on each side.
+    """
+
+    road: _MASK
+    surveyed: _MASK
+    closing: int
+
+    @property
+    def margin(self) -> int:
+        """Cells around the image that were looked at."""
+        return 2 * self.closing + 1
+
+
+def clean_road(
+    is_road: _MASK, occupied: _MASK, cell_size_m: float, settings: EdgeSettings
+) -> RoadImage:
+    """Close and open the road image, fill small holes and drop small islands.
+
+    Parameters
+    ----------
+    is_road : (rows, columns) pixels with road points. occupied : those with any points.
+    """
+    radius = closing_radius(occupied, is_road, settings.closing_cells)
+    margin = 2 * radius + 1
+    disc = _disc(radius)
+    least_cells = np.array([settings.smallest_road_m2, settings.smallest_hole_m2]) / cell_size_m**2
+    road = np.pad(is_road.view(np.uint8), margin)
+    for step in (cv2.MORPH_CLOSE, cv2.MORPH_OPEN):
+        road = np.asarray(cv2.morphologyEx(road, step, disc), np.uint8)
+    road = without_small(road, least_cells[0])
+    road = 1 - without_small(1 - road, least_cells[1])
+    wide = _disc(radius + 1)
+    seen = cv2.morphologyEx(np.pad(occupied.view(np.uint8), margin), cv2.MORPH_CLOSE, wide)
+    surveyed = 1 - without_small(1 - np.maximum(seen, road), least_cells[1])
+    inner = (slice(margin, -margin), slice(margin, -margin))
+    return RoadImage(road[inner].view(bool), surveyed.view(bool), radius)
+
+
+def closing_radius(occupied: _MASK, is_road: _MASK, least: int) -> int:
+    """Radius in cells at which next to no disc on the road is empty by chance.
+
+    Points that fall at random with a mean of d a cell leave a disc of radius r empty with
+    probability exp(-pi d r^2); d follows from the share of occupied cells around the road.
+    """
+    around = cv2.dilate(is_road.view(np.uint8), _disc(2)).view(bool)
+    cells = np.count_nonzero(around)
+    share = np.count_nonzero(occupied & around) / cells if cells else 1.0
+    density = -np.log(max(1.0 - share, 1e-3))
+    radius = np.sqrt(-np.log(_MISSED_HOLES) / (np.pi * max(density, 1e-3)))
+    return int(np.clip(np.ceil(radius - 0.25), max(least, 1), max(least, _LARGEST_CLOSING)))
+
+
+def edge_pixels(image: RoadImage, border_cells: float) -> _MASK:
+    """Edge pixels of the road (rows, columns), without the ends of the data (the paper's way)."""
+    road = image.road.astype(np.uint8)
+    inner = cv2.erode(np.pad(road, 1), np.ones((3, 3), np.uint8))[1:-1, 1:-1]
+    edge = road > inner
+    place = np.argwhere(edge)
+    edge[tuple(place[~in_survey(image, place.astype(np.float64), border_cells)].T)] = False
+    return edge
+
+
+def in_survey(image: RoadImage, place: _FLOATS, border_cells: float) -> _MASK:
+    """Whether places (n, 2) are farther than ``border_cells`` from what was not surveyed.
+
+    Windows are so wide that what lies beyond them is farther.
+    """
+    inside = np.empty(len(place), bool)
+    held = np.clip(place, 0.0, np.array(image.road.shape) - 1.0) + image.margin
+    reach = int(np.ceil(border_cells)) + 2
+    for own, window in windows_around(held, image.surveyed.shape, _BLOCK, reach):
+        surveyed = image.surveyed[window].view(np.uint8)
+        distance = cv2.distanceTransform(surveyed, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+        row, column = (held[own] - [part.start for part in window]).T
+        inside[own] = between_pixels(distance - 0.5, row, column) > border_cells
+    return inside
+
+
+def edge_level(
+    road_share: NDArray[np.floating], occupied: _MASK, image: RoadImage
+) -> NDArray[np.float32]:
+    """Smoothed share of road points (rows, columns): the edge runs at a half.
+
+    Pixels without points say nothing. Well inside and well outside the cleaned road, the level is
+    1 and 0, so that what was filled or dropped has no edge.
+    """
+    halo = 2 * image.closing + 4
+    level = np.zeros(image.road.shape, np.float32)
+    for inner, outer, core in blocks(image.road.shape, _BLOCK, halo):
+        if image.road[outer].any():
+            near = _level(road_share[outer], occupied[outer], image.road[outer], image.closing)
+            level[inner] = near[core]
+    return level
+
+
+def _level(
+    road_share: NDArray[np.floating], occupied: _MASK, road: _MASK, closing: int
+) -> NDArray[np.float32]:
+    """Level of a block (rows, columns), right where its surroundings are in it."""
+    sigma = max(0.7, 0.5 * closing)
+    weight = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), sigma)
+    paved = np.where(occupied, road_share, 0.0).astype(np.float32, copy=False)
+    share = np.asarray(cv2.GaussianBlur(paved, (0, 0), sigma), np.float32)
+    pixels, reach = road.astype(np.uint8), _disc(closing + 2)
+    share = np.where(weight > 1e-3, share / np.maximum(weight, 1e-3), pixels)
+    share[cv2.dilate(pixels, reach, borderValue=0) == 0] = 0.0
+    share[cv2.erode(pixels, reach, borderValue=1) > 0] = 1.0
+    return share
+
+
+def outlines(image: RoadImage, level: NDArray[np.floating], window_cells: float) -> list[_FLOATS]:
+    """Closed outlines of the road as fractional (row, column) pairs, each (n, 2).
+
+    The chain of edge pixels is smoothed and every place moved across it to where the level is a
+    half, at most a few cells.
+    """
+    padded = np.pad(image.road, 1).astype(np.uint8)
+    chains, _ = cv2.findContours(padded, cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    lines = []
+    for chain in chains:
+        pixels = chain[:, 0, ::-1].astype(np.float64) - 1.0
+        if len(pixels) < 8:
+            continue
+        rough = resampled(smoothed(pixels, window_cells), 1.0)
+        moved = _to_level(rough, level, image.closing + 1.5)
+        lines.append(smoothed(moved, window_cells))
+    return lines
+
+
+def _to_level(line: _FLOATS, level: NDArray[np.floating], reach: float) -> _FLOATS:
+    """Move places of a closed line (n, 2) across it to the nearest crossing of level one half."""
+    tangent = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    steps = np.arange(-reach, reach + 0.125, 0.25)
+    parts = [slice(start, start + _BATCH) for start in range(0, len(line), _BATCH)]
+    offset = np.concatenate([_crossing(line[own], normal[own], level, steps) for own in parts])
+    found = np.isfinite(offset)
+    if not found.any():
+        return line
+    # Where nothing crosses, the line keeps the offset of its neighbours.
+    index = np.arange(len(line))
+    offset = np.interp(index, index[found], offset[found], period=len(line))
+    return line + offset[:, None] * normal
+
+
+def _crossing(
+    place: _FLOATS, normal: _FLOATS, level: NDArray[np.floating], steps: _FLOATS
+) -> _FLOATS:
+    """Steps (n,) from places (n, 2) along normals to the nearest level of a half, or infinite."""
+    row, column = (place[:, None] + steps[:, None] * normal[:, None]).transpose(2, 0, 1)
+    values = between_pixels(level, row, column) - 0.5
+    crossing = (values[:, :-1] <= 0) != (values[:, 1:] <= 0)
+    share = values[:, :-1] / np.where(crossing, values[:, :-1] - values[:, 1:], 1.0)
+    offset = np.where(crossing, steps[:-1] + 0.25 * share, np.inf)
+    return offset[np.arange(len(place)), np.abs(offset).argmin(axis=1)]
+
+
+@dataclass(frozen=True)
+class EdgeLines:
+    """Edge points along polylines.
+
+    Parameters
+    ----------
+    place : (n, 2) fractional row and column. tangent : (n, 2) unit vector in rows and columns,
+        over a metre to either side.
+    polyline : (n,) number of the line, from 0; the points of a line follow each other.
+    """
+
+    place: _FLOATS
+    tangent: _FLOATS
+    polyline: NDArray[np.int32]
+
+
+def edge_lines(
+    rings: list[_FLOATS], image: RoadImage, cell_size_m: float, settings: EdgeSettings
+) -> EdgeLines:
+    """Cut closed outlines where the data end and sample what is left at equal steps.
+
+    What the window smoothed together with the cut goes too.
+    """
+    step = settings.spacing_m / cell_size_m
+    trim = int(np.ceil(2.0 * settings.window_cells(image, cell_size_m) / step))
+    reach = max(1, round(1.0 / settings.spacing_m))
+    places, tangents = [np.empty((0, 2))], [np.empty((0, 2))]
+    lengths = []
+    sampled = [resampled(outline, step) for outline in rings]
+    inside = in_survey(image, np.concatenate([*places, *sampled]), settings.border_cells)
+    for ring, kept in zip(
+        sampled, np.split(inside, np.cumsum([len(r) for r in sampled])), strict=False
+    ):
+        tangent = np.roll(ring, -reach, axis=0) - np.roll(ring, reach, axis=0)
+        tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+        for run in runs_of(trimmed(kept, trim)):
+            if len(run) * settings.spacing_m >= settings.shortest_m:
+                places.append(ring[run])
+                tangents.append(tangent[run])
+                lengths.append(len(run))
+    number = np.repeat(np.arange(len(lengths), dtype=np.int32), lengths)
+    return EdgeLines(np.concatenate(places), np.concatenate(tangents), number)
+
+
+def without_small(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
+    """Mask without components (of pixels that share a side) of fewer cells.
+
+    A component that reaches from a block to the end of its surroundings has at least as many cells
+    as the surroundings are wide.
+    """
+    halo = int(min(np.ceil(least_cells), max(mask.shape)))
+    kept = np.empty_like(mask)
+    for inner, outer, core in blocks(mask.shape, max(_LABELS_BLOCK, 4 * halo), halo):
+        kept[inner] = _large(mask[outer], least_cells)[core]
+    return kept
+
+
+def _large(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
+    """Pixels of a mask in components of no fewer cells."""
+    count, labels = cv2.connectedComponents(mask, connectivity=4)
+    cells = np.zeros(count, np.int64)
+    for start in range(0, len(labels), _ROWS):
+        cells += np.bincount(labels[start : start + _ROWS].ravel(), minlength=count)
+    keep = (cells >= least_cells).astype(np.uint8)
+    keep[0] = 0
+    return keep[labels]
+
+
+def _disc(radius: int) -> NDArray[np.uint8]:
+    step = np.arange(-radius, radius + 1)
+    return (np.hypot(step[:, None], step) <= radius + 0.25).astype(np.uint8)

@@ -1,0 +1,189 @@
+"""Road edges: splines through digitised points, or the pavement outline (paper 1, section 2.3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from shapely import LinearRing, LineString, MultiPolygon
+
+from roadsight.base.errors import InputError
+
+_FLOATS = NDArray[np.float64]
+FURTHEST_M = 50.0
+"""How far from the pavement the edge of a user may lie."""
+
+
+def natural_spline(points_m: _FLOATS, spacing_m: float) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+    """Resample a natural cubic spline through points at equal steps of its arc length.
+
+    The spline's parameter is the chord length; the steps are measured on the curve itself. Repeated
+    points are dropped; two points give a straight line. The last sample is at most one step from
+    the end, and the first is the first point.
+
+    Parameters
+    ----------
+    points_m : (n, 2) local metres, n >= 2. spacing_m : step along the curve.
+
+    Returns
+    -------
+    station_m (k,), xy_m (k, 2), direction (k, 2) unit tangent.
+
+    Raises
+    ------
+    InputError : fewer than two distinct points.
+    """
+    points = np.asarray(points_m, np.float64)[:, :2]
+    points = points[np.append(True, np.hypot(*np.diff(points, axis=0).T) > 1e-6)[: len(points)]]
+    if len(points) < 2:
+        raise InputError("an edge needs at least 2 distinct points", found=len(points))
+    chord = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
+    curve = CubicSpline(chord, points, bc_type="natural")
+    fine = np.linspace(0.0, chord[-1], max(2, int(np.ceil(chord[-1] / min(0.1, spacing_m))) + 1))
+    arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(curve(fine), axis=0).T)))
+    station = np.arange(0.0, arc[-1] + 1e-9, spacing_m)
+    parameter = np.interp(station, arc, fine)
+    tangent = curve(parameter, 1)
+    return station, curve(parameter), tangent / np.linalg.norm(tangent, axis=1, keepdims=True)
+
+
+def spline_line(line: LineString) -> LineString:
+    """A line's natural cubic spline as a polyline of 1 m steps that keeps both ends.
+
+    On a curve of 25 m radius the polyline stays within 5 mm of the spline.
+    """
+    points = shapely.get_coordinates(line)
+    _, curve, _ = natural_spline(points, 1.0)
+    gap_m = float(np.linalg.norm(curve[-1] - points[-1]))
+    return LineString(np.vstack([curve, points[-1:]]) if gap_m > 1e-6 else curve)
+
+
+@dataclass(frozen=True)
+class OutlineSettings:
+    """Settings of automatic edges.
+
+    Parameters
+    ----------
+    knot_spacing_m : distance between the spline's knots on the outline.
+    corner_deg : the outline is split where it turns by more than this between knots.
+    shortest_m : shorter pieces are dropped.
+    open_strip_m : width of the strips beside the outline in which ground points are compared.
+    step_m : a real edge shows at least this step in height (a kerb, a ditch) at the end of a road.
+    """
+
+    knot_spacing_m: float = 6.0
+    corner_deg: float = 60.0
+    shortest_m: float = 12.0
+    open_strip_m: float = 3.0
+    step_m: float = 0.08
+
+
+def outline_edges(
+    outline: MultiPolygon, ground_xyz_m: _FLOATS, settings: OutlineSettings
+) -> list[tuple[str, LineString]]:
+    """Edges traced on the pavement's outline, without the cuts where road or data end.
+
+    Parameters
+    ----------
+    outline : the pavement, local metres. ground_xyz_m : (n, 3) thinned ground points.
+
+    Returns
+    -------
+    (kind, line) pairs: "edge" on outer rings, "median" on holes; lines run with the pavement on
+    their left (outer rings) so that all face the road alike.
+    """
+    ground = _Ground(shapely.STRtree(shapely.points(ground_xyz_m[:, :2])), ground_xyz_m[:, 2])
+    edges = []
+    for polygon in outline.geoms:
+        rings = [("edge", polygon.exterior), *(("median", hole) for hole in polygon.interiors)]
+        for kind, ring in rings:
+            if ring.length < settings.shortest_m:
+                continue
+            knots = _knots(ring, settings.knot_spacing_m)
+            keep = ~_open_ends(knots, outline, ground, settings)
+            edges += [(kind, line) for line in _pieces(knots, keep, settings)]
+    return edges
+
+
+def _knots(ring: LinearRing, spacing_m: float) -> _FLOATS:
+    """Points at equal steps on a ring, counter-clockwise, the first one not repeated."""
+    ring = ring if ring.is_ccw else shapely.reverse(ring)
+    count = max(4, round(ring.length / spacing_m))
+    steps = np.arange(count) / count
+    return shapely.get_coordinates(shapely.line_interpolate_point(ring, steps, normalized=True))
+
+
+class _Ground(NamedTuple):
+    """Thinned ground points in a search tree, and their heights."""
+
+    tree: shapely.STRtree
+    z_m: _FLOATS
+
+
+def _open_ends(
+    knots: _FLOATS, outline: MultiPolygon, ground: _Ground, settings: OutlineSettings
+) -> NDArray[np.bool_]:
+    """Knots where the road runs on but the found pavement stops, so that there is no real edge.
+
+    There, the way across the pavement is far longer than elsewhere (it runs along the road), and
+    outside the data thin out to less than a quarter, or the ground goes on without a step.
+    """
+    tangent = np.roll(knots, -1, axis=0) - np.roll(knots, 1, axis=0)
+    tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    inward = shapely.contains_xy(outline, *(knots + 0.5 * normal).T)
+    normal = np.where(inward[:, None], normal, -normal)
+    across = np.array([_chord_m(outline, p, n) for p, n in zip(knots, normal, strict=True)])
+    width = settings.open_strip_m
+    (outside, z_out), (inside, z_in), (_, z_far) = (
+        _strip(ground, knots + start * width * normal, normal, tangent, settings)
+        for start in (-1, 0, 1)
+    )
+    step = np.abs(z_out - (2 * z_in - z_far))
+    long = across > max(2.5 * float(np.median(across)), 10.0)
+    return long & ((outside < 0.25 * inside) | (step < settings.step_m))
+
+
+def _chord_m(outline: MultiPolygon, start: _FLOATS, direction: _FLOATS) -> float:
+    """Length of pavement met first when going from an outline point along a direction."""
+    ray = LineString([start + 0.05 * direction, start + 200.0 * direction])
+    parts = shapely.get_parts(shapely.intersection(ray, outline))
+    return next((p.length for p in parts if p.distance(shapely.Point(start)) < 1.0), 0.0)
+
+
+def _strip(
+    ground: _Ground, start: _FLOATS, normal: _FLOATS, tangent: _FLOATS, settings: OutlineSettings
+) -> tuple[NDArray[np.int64], _FLOATS]:
+    """Number and median height (NaN if none) of ground points in the box beyond each start."""
+    half = 0.5 * settings.knot_spacing_m * tangent
+    far = settings.open_strip_m * normal
+    corners = np.stack([start - half, start + half, start + half + far, start - half + far], axis=1)
+    box, point = ground.tree.query(shapely.polygons(corners), predicate="intersects")
+    heights = pd.Series(ground.z_m[point]).groupby(box).median()
+    return np.bincount(box, minlength=len(start)), heights.reindex(range(len(start))).to_numpy()
+
+
+def _pieces(knots: _FLOATS, keep: NDArray[np.bool_], settings: OutlineSettings) -> list[LineString]:
+    """Runs of kept knots, split at sharp corners, as lines; a ring without a split stays closed."""
+    step = np.roll(knots, -1, axis=0) - knots
+    heading = np.arctan2(step[:, 1], step[:, 0])
+    turn = np.abs((heading - np.roll(heading, 1) + np.pi) % (2 * np.pi) - np.pi)
+    split = ~keep | (turn > np.radians(settings.corner_deg))
+    if not split.any():
+        return [LineString(np.vstack([knots, knots[:1]]))]
+    first = -int(np.flatnonzero(split)[0])
+    knots, keep, split = np.roll(knots, first, axis=0), np.roll(keep, first), np.roll(split, first)
+    runs, run = [], []
+    for knot, kept, cut in zip([*knots, knots[0]], [*keep, keep[0]], [*split, True], strict=True):
+        if kept:
+            run.append(knot)
+        if cut:
+            runs.append(run)
+            run = [knot] if kept else []
+    lines = [LineString(run) for run in runs if len(run) >= 2]
+    return [line for line in lines if line.length >= settings.shortest_m]

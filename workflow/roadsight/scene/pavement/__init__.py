@@ -1,0 +1,1 @@
+"""Pavement: features of ground points, classes, outline, reflectivity."""

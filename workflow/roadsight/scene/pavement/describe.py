@@ -1,0 +1,46 @@
+"""Thinned ground points with everything that tells pavement from rough ground."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.scene.pavement.fpfh import fpfh
+from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
+from roadsight.scene.pavement.smoothness import local_intensity
+from roadsight.scene.surfels.thinning import column_means
+
+
+@dataclass(frozen=True)
+class GroundDescription:
+    """Thinned ground points.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) column centroids, local metres.
+    intensity : (n,) median around each. variation : (n,) surface variation, NaN where unknown.
+    histograms : (n, 33) FPFH.
+    """
+
+    xyz_m: NDArray[np.float64]
+    intensity: NDArray[np.float64]
+    variation: NDArray[np.float64]
+    histograms: NDArray[np.float32]
+
+
+def describe_ground(
+    xyz_m: NDArray[np.float64], intensity: NDArray[np.float64], column_m: float, neighbours: int
+) -> GroundDescription:
+    """Thin ground points to columns and describe each.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) ground points; intensity : (n,). neighbours : K1.
+    """
+    centroid, mean, _ = column_means(xyz_m, intensity[:, None], column_m)
+    distance, near = nearest_neighbours(centroid, neighbours)
+    normals, variation = upward_normals(centroid, near)
+    histograms = fpfh(centroid, normals, distance, near)
+    return GroundDescription(centroid, local_intensity(mean[:, 0], near), variation, histograms)

@@ -1,0 +1,179 @@
+"""Pavement outline from smooth ground points: vote, connected road, polygons (section 2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from rasterio import features
+from rasterio.transform import Affine
+from scipy import ndimage
+from shapely import MultiPolygon, Polygon
+from shapely.geometry import shape
+
+from roadsight.base.errors import InputError
+from roadsight.scene.grids import Grid
+from roadsight.scene.pavement.clusters import euclidean_clusters
+from roadsight.scene.pavement.normals import nearest_neighbours, plane_residuals_m
+
+_FLOATS = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PavementSettings:
+    """Settings of the pavement outline.
+
+    Parameters
+    ----------
+    cluster_distance_m : points closer than this belong to one surface.
+    vote_radius_m : radius within which neighbours vote on a point's class.
+    outline_cell_m : cell of the raster whose outline is traced.
+    closing_m : gaps in the pavement narrower than this are closed (shadows, markings).
+    smallest_hole_m2 : holes below this area are filled, crumbs below it dropped.
+    smallest_part_share : a separate surface is kept if it has this share of the largest one's area.
+    smallest_area_m2 : less pavement than this is no road.
+    roughest_m : three quarters of a pavement's points depart less than this from a local plane.
+    """
+
+    cluster_distance_m: float = 0.2
+    vote_radius_m: float = 0.5
+    outline_cell_m: float = 0.25
+    closing_m: float = 1.0
+    smallest_hole_m2: float = 20.0
+    smallest_part_share: float = 0.2
+    smallest_area_m2: float = 200.0
+    roughest_m: float = 0.05
+
+
+def pavement_settings_for(column_m: float, settings: PavementSettings) -> PavementSettings:
+    """Distances of the outline at least a few thinned columns wide."""
+    return replace(
+        settings,
+        cluster_distance_m=max(settings.cluster_distance_m, 2.5 * column_m),
+        vote_radius_m=max(settings.vote_radius_m, 3 * column_m),
+        outline_cell_m=max(settings.outline_cell_m, column_m),
+        closing_m=max(settings.closing_m, 4 * column_m),
+    )
+
+
+def outline_pavement(
+    xyz_m: _FLOATS, smooth: NDArray[np.bool_], settings: PavementSettings
+) -> MultiPolygon:
+    """Polygons of the connected smooth surfaces.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) thinned ground points, local metres. smooth : (n,) their class.
+
+    Raises
+    ------
+    InputError : nothing smooth, too little of it, or nothing but fragments.
+    """
+    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], settings.outline_cell_m)
+    voted = vote(grid, xyz_m[:, 0], xyz_m[:, 1], smooth, settings.vote_radius_m)
+    if not voted.any():
+        raise InputError("no pavement found: no smooth ground", hint=_HINT)
+    surface = xyz_m[voted]
+    cluster = euclidean_clusters(surface, settings.cluster_distance_m)
+    size = np.bincount(cluster)
+    kept = np.flatnonzero(size >= settings.smallest_part_share * size[0])
+    share = size[kept].sum() / size.sum()
+    if share < 0.25:
+        raise InputError(
+            f"no pavement found: the smooth ground is in {len(size)} pieces",
+            found=f"{share:.0%} of it in the largest {len(kept)}",
+            allowed="at least 25 %",
+            hint=_HINT,
+        )
+    polygons = [_trace(grid, surface[cluster == part], settings) for part in kept]
+    parts = _multi(shapely.union_all(polygons)).geoms
+    outline = MultiPolygon([part for part in parts if part.area >= settings.smallest_hole_m2])
+    if outline.area < settings.smallest_area_m2:
+        raise InputError(
+            "no pavement found: too little connected smooth ground",
+            found=f"{outline.area:.0f} m2",
+            allowed=f"at least {settings.smallest_area_m2:.0f} m2",
+            hint=_HINT,
+        )
+    _check_roughness(outline, xyz_m, settings.roughest_m)
+    return outline
+
+
+def _check_roughness(outline: MultiPolygon, xyz_m: _FLOATS, roughest_m: float) -> None:
+    """k-means always finds a smoother half of the ground; a road is smooth on an absolute scale."""
+    surface = xyz_m[inside(outline, xyz_m[:, 0], xyz_m[:, 1])]
+    _, neighbours = nearest_neighbours(surface, _PLANE_NEIGHBOURS)
+    roughness_m = float(np.percentile(plane_residuals_m(surface, neighbours), 75))
+    if roughness_m > roughest_m:
+        raise InputError(
+            "no pavement found: even the smoothest connected ground is too rough for a road",
+            found=f"{100 * roughness_m:.1f} cm from a local plane (75th percentile)",
+            allowed=f"up to {100 * roughest_m:.0f} cm",
+            hint=_HINT,
+        )
+
+
+_PLANE_NEIGHBOURS = 8
+_HINT = "give the monitored area as a polygon (placement.tma) or raise pavement.voxel_size_m"
+
+
+def vote(
+    grid: Grid, x: _FLOATS, y: _FLOATS, smooth: NDArray[np.bool_], radius_m: float
+) -> NDArray[np.bool_]:
+    """Class of each point after its neighbours' vote, which falls off as a Gaussian.
+
+    Parameters
+    ----------
+    x, y : (n,) local metres; smooth : (n,) class before the vote.
+    """
+    sigma = radius_m / 2 / grid.cell_size_m
+    cell, size = grid.flat(x, y), grid.rows * grid.columns
+    total = np.bincount(cell, minlength=size).astype(float)
+    yes = np.bincount(cell, weights=smooth, minlength=size)
+    total, yes = (
+        ndimage.gaussian_filter(part.reshape(grid.shape), sigma).ravel() for part in (total, yes)
+    )
+    return (yes > 0.5 * total)[cell]
+
+
+def _trace(grid: Grid, xyz_m: _FLOATS, settings: PavementSettings) -> Polygon | MultiPolygon:
+    """Outline of one surface: raster, closing, small holes filled, staircase smoothed."""
+    cell = settings.outline_cell_m
+    reach = max(1, round(settings.closing_m / 2 / cell))
+    filled = np.zeros((grid.rows + 4 * reach, grid.columns + 4 * reach), dtype=bool)
+    column, row = grid.indices(xyz_m[:, 0], xyz_m[:, 1])
+    filled[row + 2 * reach, column + 2 * reach] = True
+    disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach
+    filled = ndimage.binary_closing(filled, disc)
+    x0, y0 = ((edge - 2 * reach) * cell for edge in (grid.west, grid.south))
+    shapes = features.shapes(
+        filled.astype(np.uint8), mask=filled, transform=Affine(cell, 0, x0, 0, cell, y0)
+    )
+    parts = shapely.union_all([shape(geometry) for geometry, _ in shapes])
+    parts = _without_small_holes(parts, settings.smallest_hole_m2)
+    # Opening by half a road marking's gap drops whiskers; simplifying removes the raster's steps.
+    opened = parts.buffer(-settings.closing_m / 2).buffer(settings.closing_m / 2)
+    return opened.simplify(0.6 * cell)
+
+
+def _without_small_holes(parts: shapely.Geometry, smallest_m2: float) -> MultiPolygon:
+    filled = [
+        Polygon(part.exterior, [h for h in part.interiors if Polygon(h).area >= smallest_m2])
+        for part in _multi(parts).geoms
+    ]
+    # An islet in a filled hole would overlap the filling.
+    return _multi(shapely.union_all(filled))
+
+
+def _multi(geometry: shapely.Geometry) -> MultiPolygon:
+    """Polygons of a geometry, largest first."""
+    parts = [part for part in shapely.get_parts(geometry) if isinstance(part, Polygon)]
+    return MultiPolygon(sorted(parts, key=lambda part: -part.area))
+
+
+def inside(outline: MultiPolygon, x: _FLOATS, y: _FLOATS) -> NDArray[np.bool_]:
+    """Points (n,) inside the outline."""
+    shapely.prepare(outline)
+    return shapely.contains_xy(outline, x, y)

@@ -1,0 +1,110 @@
+"""Two classes of ground, smooth and rough, by k-means on FPFH (paper 1, section 2.2)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.cluster import KMeans
+from threadpoolctl import threadpool_limits
+
+from roadsight.base.errors import InputError
+
+_FLOATS = NDArray[np.float64]
+_ALIKE = 1e-3  # percent; histograms that differ by less differ by rounding
+
+
+@dataclass(frozen=True)
+class SmoothnessModel:
+    """Fitted classes; `is_smooth` applies them.
+
+    Parameters
+    ----------
+    mean, scale : normalisation of the 33 histogram bins: (33,) mean, one common scale.
+    intensity_mean, intensity_scale : normalisation of intensity; scale infinite if unused.
+    centres : (2, 34) class centres in normalised space. smooth : number of the smooth class.
+    """
+
+    mean: _FLOATS
+    scale: float
+    intensity_mean: float
+    intensity_scale: float
+    centres: _FLOATS
+    smooth: int
+
+
+def local_intensity(intensity: _FLOATS, neighbours: NDArray[np.int64]) -> _FLOATS:
+    """Median intensity of each point and its neighbours (n, k), -1 where missing."""
+    group = np.concatenate([np.arange(len(intensity))[:, None], neighbours], axis=1)
+    return np.nanmedian(np.where(group >= 0, intensity[group], np.nan), axis=1)
+
+
+def fit_smoothness(
+    histograms: NDArray[np.float32],
+    variation: _FLOATS,
+    intensity: _FLOATS | None,
+    intensity_weight: float,
+    seed: int,
+) -> SmoothnessModel:
+    """k-means with k = 2; the smooth class has the smaller surface variation (and is darker).
+
+    Bins share one scale, so that empty bins add no noise; intensity, where used, is clipped to its
+    1st to 99th percentile and weighs ``intensity_weight`` against the whole histogram. Points
+    without a normal carry NaN variation and are left out. Where all points are alike there is one
+    class, and it is smooth.
+
+    Parameters
+    ----------
+    histograms : (n, 33) FPFH; variation : (n,); intensity : (n,) or None to do without.
+
+    Raises
+    ------
+    InputError : fewer than two points with a normal.
+    """
+    known = np.isfinite(variation)
+    if known.sum() < 2:
+        raise InputError(
+            "no ground with a surface", found=f"{known.sum()} points", allowed="at least 2"
+        )
+    shapes, roughness = histograms[known].astype(np.float64), variation[known]
+    tones = np.zeros(len(shapes)) if intensity is None else intensity[known]
+    scale = max(float(np.sqrt(shapes.var(axis=0).sum())), _ALIKE)
+    tone_mean, tone_scale = _tone_range(tones, intensity_weight)
+    model = SmoothnessModel(
+        shapes.mean(axis=0), scale, tone_mean, tone_scale, np.zeros((2, 34)), smooth=0
+    )
+    if scale == _ALIKE and np.isinf(tone_scale):
+        return model
+    space = _normalise(model, shapes, tones)
+    with threadpool_limits(1):  # sums over several threads depend on their number
+        means = KMeans(n_clusters=2, n_init=4, random_state=seed).fit(space)
+    level = max(float(roughness.mean()), 1e-12)
+    rough = [roughness[means.labels_ == label].mean() / level for label in (0, 1)]
+    rank = np.array(rough) + means.cluster_centers_[:, -1]
+    return replace(model, centres=means.cluster_centers_, smooth=int(rank.argmin()))
+
+
+def _tone_range(tones: _FLOATS, weight: float) -> tuple[float, float]:
+    """Mean and scale of intensity between its 1st and 99th percentile; infinite if constant."""
+    clipped = np.clip(tones, *np.percentile(tones, [1, 99]))
+    scale = float(clipped.std()) / weight if np.ptp(clipped) > 0 else np.inf
+    return float(clipped.mean()), scale
+
+
+def is_smooth(
+    model: SmoothnessModel,
+    histograms: NDArray[np.float32],
+    variation: _FLOATS,
+    intensity: _FLOATS,
+) -> NDArray[np.bool_]:
+    """Smooth points (n,); a point without a normal is never smooth."""
+    space = _normalise(model, histograms.astype(np.float64), intensity)
+    distance = ((space[:, None, :] - model.centres[None]) ** 2).sum(axis=2)
+    return (distance.argmin(axis=1) == model.smooth) & np.isfinite(variation)
+
+
+def _normalise(model: SmoothnessModel, histograms: _FLOATS, intensity: _FLOATS) -> _FLOATS:
+    limit = 3.0 * model.intensity_scale
+    tone = np.clip(intensity - model.intensity_mean, -limit, limit) / model.intensity_scale
+    return np.column_stack([(histograms - model.mean) / model.scale, np.nan_to_num(tone)])

@@ -1,0 +1,1 @@
+"""The cloud as oriented surfels: moments, planes, patches."""

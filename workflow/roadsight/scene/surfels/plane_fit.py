@@ -1,0 +1,241 @@
+"""Planes through the points of voxel neighbourhoods, from moments alone."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.scene.surfels.voxel_moments import X_STEP, Y_STEP, Z_STEP, VoxelMoments, add_shifted
+
+_FLOATS = NDArray[np.float32]
+_DOUBLES = NDArray[np.float64]
+_INTS = NDArray[np.int64]
+_BLOCK_POINTS = 5
+
+
+class Planes(NamedTuple):
+    """Planes through neighbourhoods of voxels; lengths in voxel edges, from the voxel's centre.
+
+    Parameters
+    ----------
+    normal : (n, 3) unit normal, sign arbitrary.
+    offset : (n,) distance of the plane along its normal.
+    spread : (n,) variance of the plane's points across it.
+    variance : (n, 3) of all points of the neighbourhood, increasing.
+    centroid : (n, 3) of all points of the neighbourhood.
+    axis : (n, 3) unit vector of the greatest variance.
+    points : (n,) points of the neighbourhood.
+    own : (n,) points of the voxel itself.
+    """
+
+    normal: _FLOATS
+    offset: _FLOATS
+    spread: _FLOATS
+    variance: _FLOATS
+    centroid: _FLOATS
+    axis: _FLOATS
+    points: _FLOATS
+    own: _FLOATS
+
+
+def fit_planes(keys: _INTS, voxels: VoxelMoments, min_points: int, flat_variance: float) -> Planes:
+    """Least-squares planes through the 3 x 3 x 3 voxels around each key.
+
+    Where the neighbourhood is not flat (an edge, a corner, a thin object) the plane is that of the
+    flattest of its eight 2 x 2 x 2 corners that holds the voxel, so that surfaces are not rounded
+    off where they meet. Neighbourhoods of fewer than ``min_points`` points have a zero normal.
+
+    Parameters
+    ----------
+    keys : (m,) increasing; they need not be occupied.
+    flat_variance : greatest variance across a plane that counts as flat, squared voxel edges.
+    """
+    planes = _empty(len(keys))
+    _fit(keys, voxels.keys, voxels.moments, min_points, flat_variance, planes)
+    return planes
+
+
+def open_neighbours(keys: _INTS, planes: Planes, voxels: VoxelMoments) -> _INTS:
+    """Empty voxels beside the given ones in which their planes continue; increasing keys."""
+    found = _continue_planes(keys, planes.normal, planes.offset, voxels.keys)
+    return np.unique(found)
+
+
+def _empty(n: int) -> Planes:
+    vectors = (np.zeros((n, 3), np.float32) for _ in range(4))
+    normal, variance, centroid, axis = vectors
+    offset, spread, points, own = (np.zeros(n, np.float32) for _ in range(4))
+    return Planes(normal, offset, spread, variance, centroid, axis, points, own)
+
+
+@njit(cache=True)
+def _find_block(key: int, occupied: _INTS, pointers: _INTS, block: _INTS) -> None:
+    """Rows of the 27 voxels around a key, -1 where empty.
+
+    Keys come in increasing order, so each of the nine columns only ever moves its pointer on.
+    """
+    block[:] = -1
+    for column in range(9):
+        lowest = key + (column // 3 - 1) * X_STEP + (column % 3 - 1) * Y_STEP - Z_STEP
+        row = pointers[column]
+        while row < len(occupied) and occupied[row] < lowest:
+            row += 1
+        pointers[column] = row
+        while row < len(occupied) and occupied[row] <= lowest + 2:
+            block[column, occupied[row] - lowest] = row
+            row += 1
+
+
+@njit(cache=True)
+def _sum_block(
+    block: _INTS,
+    moments: _FLOATS,
+    x_from: int,
+    y_from: int,
+    z_from: int,
+    width: int,
+    total: _DOUBLES,
+) -> None:
+    """Moments of a cube of ``width`` voxels of the block about the block's centre."""
+    total[:] = 0
+    for i in range(x_from, x_from + width):
+        for j in range(y_from, y_from + width):
+            for k in range(z_from, z_from + width):
+                row = block[3 * i + j, k]
+                if row >= 0:
+                    add_shifted(total, moments[row], i - 1, j - 1, k - 1)
+
+
+@njit(cache=True)
+def _covariance(total: _DOUBLES, covariance: _DOUBLES) -> tuple[float, float, float]:
+    """Centroid; fills the covariance matrix."""
+    count = total[0]
+    x, y, z = total[1] / count, total[2] / count, total[3] / count
+    covariance[0, 0] = total[4] / count - x * x
+    covariance[0, 1] = covariance[1, 0] = total[5] / count - x * y
+    covariance[0, 2] = covariance[2, 0] = total[6] / count - x * z
+    covariance[1, 1] = total[7] / count - y * y
+    covariance[1, 2] = covariance[2, 1] = total[8] / count - y * z
+    covariance[2, 2] = total[9] / count - z * z
+    return x, y, z
+
+
+@njit(cache=True)
+def _eigenvalues(a: _DOUBLES) -> tuple[float, float, float]:
+    """Eigenvalues of a covariance matrix, increasing (trigonometric solution)."""
+    mean = (a[0, 0] + a[1, 1] + a[2, 2]) / 3
+    off = a[0, 1] ** 2 + a[0, 2] ** 2 + a[1, 2] ** 2
+    p, q, r = a[0, 0] - mean, a[1, 1] - mean, a[2, 2] - mean
+    scale = np.sqrt((p * p + q * q + r * r + 2 * off) / 6)
+    if scale < 1e-12:
+        return max(mean, 0.0), max(mean, 0.0), max(mean, 0.0)
+    determinant = (
+        p * (q * r - a[1, 2] ** 2)
+        - a[0, 1] * (a[0, 1] * r - a[1, 2] * a[0, 2])
+        + a[0, 2] * (a[0, 1] * a[1, 2] - q * a[0, 2])
+    )
+    angle = np.arccos(min(1.0, max(-1.0, determinant / (2 * scale**3)))) / 3
+    high = mean + 2 * scale * np.cos(angle)
+    low = mean + 2 * scale * np.cos(angle + 2 * np.pi / 3)
+    return max(low, 0.0), max(3 * mean - low - high, 0.0), high
+
+
+@njit(cache=True)
+def _eigenvector(a: _DOUBLES, value: float, vector: _DOUBLES) -> None:
+    """Unit eigenvector: the longest cross product of two rows of a - value * identity.
+
+    A matrix with a repeated eigenvalue has no single answer: z is taken where nothing is left.
+    """
+    longest = 0.0
+    vector[0], vector[1], vector[2] = 0.0, 0.0, 1.0
+    for first in range(2):
+        for second in range(first + 1, 3):
+            u0 = a[first, 0] - (value if first == 0 else 0.0)
+            u1 = a[first, 1] - (value if first == 1 else 0.0)
+            u2 = a[first, 2]
+            v0 = a[second, 0]
+            v1 = a[second, 1] - (value if second == 1 else 0.0)
+            v2 = a[second, 2] - (value if second == 2 else 0.0)
+            x, y, z = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
+            length = np.sqrt(x * x + y * y + z * z)
+            if length > longest and length > 1e-18:
+                longest = length
+                vector[0], vector[1], vector[2] = x / length, y / length, z / length
+
+
+@njit(cache=True)
+def _flattest_corner(
+    block: _INTS, moments: _FLOATS, total: _DOUBLES, covariance: _DOUBLES, low: float
+) -> None:
+    """Moments of the 2 x 2 x 2 corner with the least variance across its plane into ``total``."""
+    best = -1
+    for corner in range(8):
+        _sum_block(block, moments, corner >> 2, (corner >> 1) & 1, corner & 1, 2, total)
+        if total[0] >= _BLOCK_POINTS:
+            _covariance(total, covariance)
+            variance = _eigenvalues(covariance)[0]
+            if variance < low:
+                best, low = corner, variance
+    if best >= 0:
+        _sum_block(block, moments, best >> 2, (best >> 1) & 1, best & 1, 2, total)
+    else:
+        _sum_block(block, moments, 0, 0, 0, 3, total)
+
+
+@njit(cache=True)
+def _fit(
+    keys: _INTS,
+    occupied: _INTS,
+    moments: _FLOATS,
+    min_points: int,
+    flat_variance: float,
+    planes: Planes,
+) -> None:
+    block, pointers = np.empty((9, 3), np.int64), np.zeros(9, np.int64)
+    total, covariance, vector = np.empty(10), np.empty((3, 3)), np.empty(3)
+    for i in range(len(keys)):
+        _find_block(keys[i], occupied, pointers, block)
+        planes.own[i] = moments[block[4, 1], 0] if block[4, 1] >= 0 else 0
+        _sum_block(block, moments, 0, 0, 0, 3, total)
+        planes.points[i] = total[0]
+        if total[0] < min_points:
+            continue
+        x, y, z = _covariance(total, covariance)
+        low, middle, high = _eigenvalues(covariance)
+        planes.variance[i, 0], planes.variance[i, 1], planes.variance[i, 2] = low, middle, high
+        planes.centroid[i, 0], planes.centroid[i, 1], planes.centroid[i, 2] = x, y, z
+        _eigenvector(covariance, high, vector)
+        planes.axis[i] = vector
+        if low > flat_variance and planes.own[i] > 0:
+            _flattest_corner(block, moments, total, covariance, low)
+            x, y, z = _covariance(total, covariance)
+            low = _eigenvalues(covariance)[0]
+        _eigenvector(covariance, low, vector)
+        planes.normal[i] = vector
+        planes.spread[i] = low
+        planes.offset[i] = x * vector[0] + y * vector[1] + z * vector[2]
+
+
+@njit(cache=True)
+def _continue_planes(keys: _INTS, normal: _FLOATS, offset: _FLOATS, occupied: _INTS) -> _INTS:
+    block, pointers = np.empty((9, 3), np.int64), np.zeros(9, np.int64)
+    found = np.empty(8 * len(keys), np.int64)
+    step = np.empty(3, np.int64)
+    n = 0
+    for i in range(len(keys)):
+        _find_block(keys[i], occupied, pointers, block)
+        k = np.argmax(np.abs(normal[i]))
+        u, v = (k + 1) % 3, (k + 2) % 3
+        for neighbour in range(9):
+            if neighbour == 4:
+                continue
+            step[u], step[v] = neighbour // 3 - 1, neighbour % 3 - 1
+            height = (offset[i] - normal[i, u] * step[u] - normal[i, v] * step[v]) / normal[i, k]
+            step[k] = int(np.floor(height + 0.5))
+            if abs(step[k]) <= 1 and block[3 * (step[0] + 1) + step[1] + 1, step[2] + 1] < 0:
+                found[n] = keys[i] + step[0] * X_STEP + step[1] * Y_STEP + step[2] * Z_STEP
+                n += 1
+    return found[:n]

@@ -1,0 +1,1 @@
+"""Ground, terrain model, and what the terrain hides."""

@@ -1,0 +1,1 @@
+"""Voxels by class, and the overhead view of them."""

@@ -1,0 +1,242 @@
+"""Class of each voxel of a classified cloud, and what an overhead view of it shows.
+
+A voxel is road or bridge as soon as one of its points is, and else of its most frequent class
+(paper 2, section 3.2.1). Points are counted by column, or as sorted 64 bit keys where that would
+take too much memory or time, in whole numbers throughout, so that the result depends neither on
+their order nor on how the cloud is cut into tiles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.scene.voxels.column_runs import by_column, chained
+from roadsight.scene.voxels.voxel_kernels import indices_of, point_keys, runs_of, tops, winners
+
+_INTS = NDArray[np.int64]
+_MASK = NDArray[np.bool_]
+CLASS_BITS = _HEIGHT_BITS = 8
+_KEY_BITS = 63 - CLASS_BITS - _HEIGHT_BITS
+_NUDGE_M = 2.5e-4
+_SLACK_M = 1e-6
+_COLUMNS_A_POINT, _STEPS_A_POINT = 8, 32
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """Cubes whose corners are multiples of their edge from native coordinates 0, 0, 0.
+
+    Clouds come in whole millimetres or hundredths of a foot, so that many points lie on a face.
+    They are moved up by a quarter of a millimetre, which is more than what single precision rounds
+    off within 4 km, so that such a point always falls into the voxel above the face.
+
+    Parameters
+    ----------
+    cell_size_m : edge. anchor_m : lower corner of voxel (0, 0, 0), local metres.
+    low : least indices ix, iy, iz of the window that the cloud fills.
+    shape : columns, rows, layers of the window.
+    """
+
+    cell_size_m: float
+    anchor_m: tuple[float, float, float]
+    low: tuple[int, int, int]
+    shape: tuple[int, int, int]
+
+    @classmethod
+    def over(cls, frame: Frame, cell_size_m: float, bounds_m: ArrayLike) -> VoxelGrid:
+        """Grid of a cloud with bounds least x, y, z and greatest x, y, z, local metres.
+
+        Raises
+        ------
+        InputError : the bounds are not finite, or the window has too many voxels.
+        """
+        corners = np.asarray(bounds_m, np.float64).reshape(2, 3)
+        anchor = -np.asarray(frame.origin, np.float64) * frame.scale
+        index = np.floor((corners - anchor + _NUDGE_M) / cell_size_m)
+        shape = index[1] - index[0] + 1
+        if not (np.isfinite(index).all() and np.prod(shape) < 2.0**_KEY_BITS):
+            raise InputError(
+                "the cloud spans too many voxels",
+                where="voxel edge",
+                found=f"{cell_size_m:g} m",
+                allowed=f"fewer than 2^{_KEY_BITS} voxels in the cloud's box",
+                hint="choose larger voxels, or remove stray points",
+            )
+        x, y, z = anchor.tolist()
+        ix, iy, iz = index[0].astype(int).tolist()
+        columns, rows, layers = shape.astype(int).tolist()
+        return cls(cell_size_m, (x, y, z), (ix, iy, iz), (columns, rows, layers))
+
+    @property
+    def corner_m(self) -> NDArray[np.float64]:
+        """Lower corner of the window (3,), local metres."""
+        return np.asarray(self.anchor_m) + np.asarray(self.low) * self.cell_size_m
+
+    def indices(self, voxel: _INTS) -> NDArray[np.int32]:
+        """Indices ix, iy, iz (n, 3) of voxel numbers (n,)."""
+        return indices_of(voxel, np.array(self.shape), np.array(self.low)).T
+
+    def first_open_row(self, north_m: float) -> int:
+        """First row of the window that points north of ``north_m`` may still fall into."""
+        return int(np.clip(self._reached(1, north_m - _SLACK_M), 0, self.shape[1]))
+
+    def _reached(self, axis: int, at_m: float) -> int:
+        return int(np.floor((at_m - self.corner_m[axis] + _NUDGE_M) / self.cell_size_m))
+
+    def within(self, voxel: _INTS, west_m: float, south_m: float, size_m: float) -> _MASK:
+        """Which voxels (n,) no point outside a half open square of the plan can fall into."""
+        row, column = np.divmod(voxel // self.shape[2], self.shape[0])
+        inside = np.ones(len(voxel), bool)
+        for axis, low_m, index in ((0, west_m, column), (1, south_m, row)):
+            inside &= index > self._reached(axis, low_m + _SLACK_M)
+            inside &= index < self._reached(axis, low_m + size_m - _SLACK_M)
+        return inside
+
+    def row_start(self, row: int) -> int:
+        """Number of the first voxel of a row of the window."""
+        return row * self.shape[0] * self.shape[2]
+
+
+@dataclass(frozen=True)
+class ClassRuns:
+    """Points of one class in one voxel, by rising voxel and class.
+
+    Parameters
+    ----------
+    voxel : (n,) number in the window, by row, then column, then layer. cls : (n,).
+    points : (n,) how many. heights : (n,) sum of their heights above the voxel's floor in 256ths.
+    """
+
+    voxel: _INTS
+    cls: NDArray[np.uint8]
+    points: _INTS
+    heights: _INTS
+
+    def split(self, voxel: int) -> tuple[ClassRuns, ClassRuns]:
+        """Runs below a voxel number, and the rest."""
+        cut = int(np.searchsorted(self.voxel, voxel))
+        south, north = slice(None, cut), slice(cut, None)
+        return self.part(south), self.part(north)
+
+    def part(self, rows: slice | _MASK) -> ClassRuns:
+        """Some of the runs."""
+        return ClassRuns(self.voxel[rows], self.cls[rows], self.points[rows], self.heights[rows])
+
+
+@dataclass(frozen=True)
+class Voxels:
+    """Occupied voxels by rising number.
+
+    Parameters
+    ----------
+    voxel : (n,) number in the window. cls : (n,) class.
+    own : (n,) points that count for the height: those of road and bridge, or all where none is.
+    points : (n,) all points. heights : (n,) sum of the own points' heights as in `ClassRuns`.
+    """
+
+    voxel: _INTS
+    cls: NDArray[np.uint8]
+    own: _INTS
+    points: _INTS
+    heights: _INTS
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What is seen from above, by row from the south, then column from the west.
+
+    Parameters
+    ----------
+    row, column : (n,) in the grid's window, 32 bits.
+    cls : (n,) of the highest voxel; road or bridge where the column has any.
+    height_m : (n,) mean of that voxel's points, or of the uppermost road surface's; local metres.
+    road_share : (n,) share of road and bridge among the points at that surface, 0 without road.
+    """
+
+    row: NDArray[np.int32]
+    column: NDArray[np.int32]
+    cls: NDArray[np.uint8]
+    height_m: NDArray[np.float64]
+    road_share: NDArray[np.float64]
+
+
+def count_classes(
+    grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]], cls: NDArray[np.uint8]
+) -> ClassRuns:
+    """Runs of points given as x, y, z, each (n,), local metres, and classes (n,)."""
+    shape, box = np.array(grid.shape, np.int64), _columns_around(grid, xyz_m)
+    columns = int(box[2] * box[3])
+    if columns <= _COLUMNS_A_POINT * len(cls):
+        place, keys = _keys(grid, xyz_m, cls, box)
+        first, runs, used = chained(place, keys, columns, _STEPS_A_POINT * len(cls))
+        if used >= 0:
+            return ClassRuns(*by_column(first, runs, used, shape, box))
+    keys, rest = _keys(grid, xyz_m, cls, np.array([0, 0, *grid.shape[:2]]))
+    keys *= grid.shape[2] << (CLASS_BITS + _HEIGHT_BITS)
+    keys += rest
+    keys.sort()
+    return ClassRuns(*runs_of(keys))
+
+
+def _keys(
+    grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]], cls: NDArray[np.uint8], box: _INTS
+) -> tuple[_INTS, _INTS]:
+    """Columns in a box and keys in these of points, each (n,), see `point_keys`."""
+    x, y, z = xyz_m
+    start, shape = grid.corner_m - _NUDGE_M, np.array(grid.shape, np.int64)
+    return point_keys(x, y, z, cls, start, grid.cell_size_m, shape, box)
+
+
+def _columns_around(grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]]) -> _INTS:
+    """First column and row, columns and rows around points; of the window where they have no ends.
+
+    The ends round as the points do, so that none of them lies outside.
+    """
+    cells = np.array(grid.shape[:2])
+    ends = [[axis.min(initial=np.inf), axis.max(initial=-np.inf)] for axis in xyz_m[:2]]
+    start = (grid.corner_m - _NUDGE_M)[:2, None]
+    index = np.floor((np.array(ends, np.float64) - start) / grid.cell_size_m)
+    if not np.isfinite(index).all():
+        return np.array([0, 0, *cells])
+    low, high = np.clip(index.T, 0, cells - 1).astype(np.int64)
+    return np.concatenate([low, high - low + 1])
+
+
+def add_runs(parts: Sequence[ClassRuns]) -> ClassRuns:
+    """Sum of runs, in any order of the parts."""
+    voxel, cls, points, heights = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("voxel", "cls", "points", "heights")
+    )
+    voxel <<= CLASS_BITS
+    voxel |= cls
+    order = np.argsort(voxel, kind="stable")
+    keys = voxel[order]
+    if not len(keys):
+        return ClassRuns(voxel, cls, points, heights)
+    first = np.flatnonzero(np.diff(keys, prepend=-1))
+    sums = (np.add.reduceat(column[order], first) for column in (points, heights))
+    keys = keys[first]
+    return ClassRuns(keys >> CLASS_BITS, (keys & 255).astype(np.uint8), *sums)
+
+
+def settle(runs: ClassRuns) -> Voxels:
+    """Class of each voxel: road or bridge wins, then the most frequent, then the lowest class."""
+    return Voxels(*winners(runs.voxel, runs.cls, runs.points, runs.heights))
+
+
+def seen_from_above(grid: VoxelGrid, voxels: Voxels) -> Columns:
+    """Highest voxel of each column, or its uppermost road where there is any (Fig. 4c and d)."""
+    columns, _, layers = grid.shape
+    number, cls, layer, share = tops(
+        voxels.voxel, voxels.cls, voxels.own, voxels.points, voxels.heights, layers
+    )
+    row, column = (index.astype(np.int32) for index in np.divmod(number, columns))
+    height = grid.corner_m[2] + layer * grid.cell_size_m - _NUDGE_M
+    return Columns(row, column, cls, height, share)

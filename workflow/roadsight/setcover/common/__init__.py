@@ -1,0 +1,1 @@
+"""What all ways to solve share: problem, reductions, relaxation, cuts, deadline, result."""

@@ -1,0 +1,134 @@
+"""Inequalities of Balas and Ng: targets that no single choice covers need two.
+
+For targets S that are asked for once each, the choices that cover some of S and once more those
+that cover all of S add up to 2 at least: one choice covers all, or two are needed. All facets with
+the right side 2 are of this form (Balas and Ng 1989). Where the shares meet each target exactly,
+one and two targets add up to 2; sets are found by descent from pairs that share half a choice.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.setcover.common.constraints import Row, common_shares, distinct, stacked
+
+_FLOATS = NDArray[np.float64]
+_INTS = NDArray[np.int64]
+_PARTNERS, _CUTS, _LONGEST = 5, 60, 20
+_BROKEN, _EVEN, _APART = 0.02, 1e-4, 0.05
+_MOST_MOVES, _STEPS = 3e9, 6  # entries of the shares' matrix that all descents may look at
+_MOVE_S, _READ_S = 3e-10, 1.5e-7  # work, measured: by such an entry, and by entry of the rows
+
+
+def balas_ng_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
+    """Cuts that a solution breaks, the most broken first, and the work in seconds.
+
+    Parameters
+    ----------
+    sources : rows that hold for all covers and that x meets exactly; only those of targets that
+        are asked for once are used. x : (m,) shares.
+    """
+    sources = [row for row in sources if row.low == 1 and row.value.max() == 1]
+    support = np.flatnonzero(x > 1e-9)
+    if not sources or not len(support):
+        return [], 0.0
+    rows = stacked(sources, len(x)).astype(bool)
+    pattern = rows[:, support].toarray()
+    kept = distinct(pattern)
+    pattern, share = pattern[kept], x[support]
+    pairs = _pairs(common_shares(pattern, share), pattern.size)
+    sets, left, moves = _descend(np.ascontiguousarray(pattern.T, np.float64), share, pairs)
+    found: dict[bytes, _INTS] = {}
+    for k in np.argsort(left, kind="stable"):
+        if left[k] > 2 - _BROKEN or len(found) == _CUTS:
+            break
+        found.setdefault(sets[k].tobytes(), kept[sets[k]])
+    cuts = [_cut(rows[chosen].sum(axis=0), len(chosen)) for chosen in found.values()]
+    return cuts, _MOVE_S * moves + _READ_S * rows.nnz
+
+
+def _pairs(common: _FLOATS, entries: int) -> _INTS:
+    """Pairs of rows to start from, (p, 2): those that share about half a choice."""
+    uneven = np.round(np.abs(common - 0.5), 9)
+    np.fill_diagonal(uneven, np.inf)
+    near = np.argsort(uneven, axis=1, kind="stable")[:, :_PARTNERS]
+    pairs = np.column_stack([np.repeat(np.arange(len(common)), near.shape[1]), near.ravel()])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    pairs = pairs[uneven[pairs[:, 0], pairs[:, 1]] < 0.5 - _APART]
+    most = max(int(_MOST_MOVES / _STEPS / entries), 1)
+    if len(pairs) > most:
+        pairs = pairs[np.linspace(0, len(pairs) - 1, most).astype(np.int64)]
+    return pairs
+
+
+def _cut(count: NDArray[np.integer], size: int) -> Row:
+    """Cut of a set of rows, given how many of them each choice is in."""
+    count = np.asarray(count).ravel()
+    index = np.flatnonzero(count)
+    return Row(index.astype(np.int32), np.where(count[index] == size, 2.0, 1.0), 2.0)
+
+
+@njit(cache=True)
+def _descend(
+    pattern: _FLOATS, x: _FLOATS, pairs: _INTS
+) -> tuple[NDArray[np.bool_], _FLOATS, float]:
+    """From each pair of rows down to where no row that joins or leaves lessens the left side.
+
+    ``pattern`` has columns first, (columns, rows), and is 1 where a row has a column. Returns the
+    sets (pairs, rows), their left sides, and how many entries were looked at.
+    """
+    rows = pattern.shape[1]
+    sets = np.zeros((len(pairs), rows), np.bool_)
+    left = np.full(len(pairs), 2.0)
+    joins, leaves = np.zeros(rows), np.zeros(rows)
+    moves = 0.0
+    for s in range(len(pairs)):
+        member, count = sets[s], pattern[:, pairs[s, 0]] + pattern[:, pairs[s, 1]]
+        member[pairs[s]] = True
+        size = 2
+        while size < _LONGEST:
+            moves += _try(pattern, x, count, size, joins, leaves)
+            best, least = -1, left[s] + (_EVEN if size == 2 else -_EVEN)
+            for r in range(rows):
+                total = leaves[r] if member[r] else joins[r]
+                if total < least:
+                    best, least = r, total
+            if best < 0:
+                break
+            step = -1 if member[best] else 1
+            member[best] = not member[best]
+            count += step * pattern[:, best]
+            size += step
+            left[s] = least
+    return sets, left, moves
+
+
+@njit(cache=True)
+def _try(
+    pattern: _FLOATS, x: _FLOATS, count: _FLOATS, size: int, joins: _FLOATS, leaves: _FLOATS
+) -> float:
+    """Left sides once each row joins or leaves a set; how many entries were looked at.
+
+    ``count`` tells how many rows of the set each column is in. Rows leave sets of more than three.
+    """
+    joins[:], leaves[:] = 0.0, 0.0
+    some = nearly_all = moves = 0.0
+    for i in range(len(x)):
+        if count[i] > 0:
+            some += x[i]
+        if count[i] >= size - 1:
+            nearly_all += x[i]
+        if count[i] == 0 or count[i] == size:
+            moves += len(joins)
+            for r in range(len(joins)):
+                joins[r] += x[i] * pattern[i, r]
+        if size > 3 and (count[i] == 1 or count[i] == size - 1):
+            moves += len(joins)
+            for r in range(len(joins)):
+                leaves[r] -= x[i] * pattern[i, r]
+    for r in range(len(joins)):
+        joins[r] += some
+        leaves[r] += some + nearly_all if size > 3 else np.inf
+    return moves

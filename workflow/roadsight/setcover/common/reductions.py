@@ -1,0 +1,165 @@
+"""Smaller instances with the same optimum: forced rows, dominance, components."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from roadsight.setcover.common.kernels import (
+    drop_dominated_choices,
+    drop_implied_targets,
+    pack_bits,
+    propagate,
+    residual_needs,
+)
+from roadsight.setcover.common.problem import (
+    CoverProblem,
+    Instance,
+    alone_to_none,
+    objective_step,
+)
+
+MAX_BITS = 2**33
+"""Largest rows x columns for which dominance is searched (1 GiB of bits)."""
+
+
+@dataclass
+class Reduced:
+    """What is left of a problem.
+
+    Parameters
+    ----------
+    parts : instances that can be solved one by one.
+    taken : rows of the problem that every remaining solution takes.
+    step : cost of one objective step; the objective is whole in it where ``parts`` are integral.
+    uncoverable : targets that too few rows can cover, sorted.
+    counts : numbers of rows and columns before and after each step.
+    feasible : False where the mandatory and forced rows already contradict the groups.
+    """
+
+    parts: list[Instance]
+    taken: NDArray[np.int64]
+    step: float
+    uncoverable: NDArray[np.int64]
+    counts: dict[str, int] = field(default_factory=dict)
+    feasible: bool = True
+
+
+def reduce_problem(problem: CoverProblem) -> Reduced:
+    """Reduce a problem without changing its optimum."""
+    step = objective_step(problem.costs)
+    counts = {"rows": problem.matrix.shape[0], "columns": problem.matrix.shape[1]}
+    uncoverable = uncoverable_targets(problem)
+    taken = np.flatnonzero(problem.mandatory)
+    if len(uncoverable):
+        return Reduced([], taken, step or 1.0, uncoverable, counts)
+    instance = _first_instance(problem, step)
+    instance, forced, feasible = shrink(instance, problem.mandatory[instance.choice])
+    counts |= {"rows_reduced": instance.shape[0], "columns_reduced": instance.shape[1]}
+    parts = split_components(instance) if feasible else []
+    counts |= {"rows_taken": len(forced), "parts": len(parts)}
+    return Reduced(parts, np.sort(forced), step or 1.0, uncoverable, counts, feasible)
+
+
+def uncoverable_targets(problem: CoverProblem) -> NDArray[np.int64]:
+    """Targets that too few rows can cover, a group counting once; sorted."""
+    number = alone_to_none(problem.groups)
+    alone = number < 0
+    number[alone] = number.max(initial=-1) + 1 + np.arange(alone.sum())
+    entries = problem.matrix.tocoo()
+    open_rows = ~problem.forbidden[entries.row]
+    seen = sparse.csr_matrix(
+        (np.ones(open_rows.sum()), (entries.col[open_rows], number[entries.row[open_rows]])),
+        shape=(problem.matrix.shape[1], number.max(initial=0) + 1),
+    )
+    return np.flatnonzero(np.diff(seen.indptr) < problem.at_least).astype(np.int64)
+
+
+def _first_instance(problem: CoverProblem, step: float) -> Instance:
+    """Rows that may be taken and columns that ask for something."""
+    columns = np.flatnonzero(problem.at_least > 0)
+    rows = np.flatnonzero(~problem.forbidden)
+    matrix = problem.matrix[rows][:, columns].tocsr()
+    matrix.sort_indices()
+    cost = problem.costs[rows] / (step or 1.0)
+    return Instance(
+        matrix,
+        np.round(cost) if step else cost,
+        problem.at_least[columns].astype(np.int32),
+        alone_to_none(problem.groups[rows]),
+        rows.astype(np.int64),
+        step > 0,
+    )
+
+
+def shrink(
+    instance: Instance, mandatory: NDArray[np.bool_]
+) -> tuple[Instance, NDArray[np.int64], bool]:
+    """Repeat all reductions until nothing changes; instance, choices taken, feasible."""
+    taken: list[int] = []
+    while True:
+        before = instance.shape
+        none = np.zeros((0, before[0]), bool)
+        alive, fixed = np.ones(before[0], bool), mandatory.copy()
+        feasible, left, _ = propagate(*arrays(instance), instance.need, instance.group,
+                                      alive, fixed, none)  # fmt: skip
+        taken += instance.choice[fixed].tolist()
+        if not feasible:
+            return instance, np.array(taken, np.int64), False
+        instance = replace(instance, need=left).select(alive & ~fixed, left > 0)
+        instance = _drop_dominated(instance)
+        mandatory = np.zeros(instance.shape[0], bool)
+        if instance.shape == before:
+            return instance, np.array(taken, np.int64), True
+
+
+def _drop_dominated(instance: Instance) -> Instance:
+    """Without implied targets, then without replaceable rows."""
+    choices, targets = instance.shape
+    if choices * targets > MAX_BITS or 0 in instance.shape:
+        useful = np.diff(instance.by_choice.indptr) > 0
+        return instance.select(useful, np.ones(targets, bool))
+    start, index, target_start, target_index = arrays(instance)
+    bits = pack_bits(target_start, target_index, choices)
+    keep = drop_implied_targets(target_start, target_index, start, index, bits, instance.need)
+    instance = instance.select(np.ones(choices, bool), keep)
+    alive, fixed = np.ones(choices, bool), np.zeros(choices, bool)
+    start, index, *_ = arrays(instance)
+    left, free = residual_needs(start, index, instance.need, alive, fixed)
+    bits = pack_bits(start, index, instance.shape[1])
+    drop_dominated_choices(*arrays(instance), bits, instance.cost, instance.group, left, free,
+                           alive, fixed, np.zeros((0, choices), bool))  # fmt: skip
+    return instance.select(alive, np.ones(instance.shape[1], bool))
+
+
+def split_components(instance: Instance) -> list[Instance]:
+    """Instances that share no target and no group, in the order of their first row."""
+    choices, targets = instance.shape
+    if not targets:
+        return []
+    entries = instance.by_choice.tocoo()
+    grouped = np.flatnonzero(instance.group >= 0)
+    first = choices + targets
+    row = np.concatenate([entries.row, grouped])
+    column = np.concatenate([entries.col + choices, instance.group[grouped] + first])
+    size = first + int(instance.group.max(initial=-1)) + 1
+    links = sparse.coo_matrix((np.ones(len(row)), (row, column)), shape=(size, size))
+    _, label = connected_components(links, directed=False)
+    numbers = np.unique(label[choices:first])
+    order = np.argsort([np.argmax(label[:choices] == number) for number in numbers])
+    return [
+        instance.select(label[:choices] == number, label[choices:first] == number)
+        for number in numbers[order]
+    ]
+
+
+def arrays(
+    instance: Instance,
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Starts and indices by choice, then by target, as the kernels take them."""
+    rows, columns = instance.by_choice, instance.by_target
+    return rows.indptr, rows.indices, columns.indptr, columns.indices

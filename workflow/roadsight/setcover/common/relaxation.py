@@ -1,0 +1,291 @@
+"""Linear relaxation of a cover instance, kept between nodes of the search tree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import highspy
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.setcover.common.balas_ng_cuts import balas_ng_cuts
+from roadsight.setcover.common.constraints import Row
+from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.kernels import coverage, reduced_costs
+from roadsight.setcover.common.parity_cuts import parity_cuts
+from roadsight.setcover.common.problem import Instance
+
+FIRST_TARGETS = 300
+ADDED_TARGETS, COMPARED_TARGETS = 60, 400
+MOST_ROWS = 400
+_TOLERANCE, _LOOSE = 1e-6, 0.02
+# Work in seconds, measured: an iteration by the root of the entries of the linear program, setting
+# one up and reading the instance by entry.
+_ITERATION_S, _RUN_S, _READ_S = 4e-7, 2.5e-8, 3e-9
+_TARGET, _BRANCH, _GROUP, _CUT = 0, 1, 2, 3
+
+
+@dataclass(frozen=True)
+class Node:
+    """Subproblem of the search.
+
+    Parameters
+    ----------
+    alive, fixed : (m,) rows that may be taken, that are taken (fixed rows are alive).
+    path : numbers of the branch constraints (`Relaxation.add_branch`) that hold.
+    """
+
+    alive: NDArray[np.bool_]
+    fixed: NDArray[np.bool_]
+    path: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Answer of the relaxation.
+
+    Parameters
+    ----------
+    bound : Lagrangian bound of the duals, in steps: valid whatever the solver's tolerances.
+    x : (m,) share of each row.
+    reduced_cost : (m,) of the same duals.
+    target_dual : (n,) dual of each target, 0 where it is not in the relaxation.
+    complete : False where the goal or the time limit stopped it: only ``bound`` is meant then.
+    priced : other constraints with a dual above 0, and it.
+    """
+
+    bound: float
+    x: NDArray[np.float64]
+    reduced_cost: NDArray[np.float64]
+    target_dual: NDArray[np.float64]
+    complete: bool
+    priced: tuple[tuple[Row, float], ...] = ()
+
+    def exceeds(self, goal: float) -> bool:
+        """Whether nothing cheap enough is left: the bound is too high, or nothing is feasible."""
+        return self.bound > goal or np.isinf(self.bound)
+
+
+def quiet_highs(**options: bool | int | float | str) -> highspy.Highs:
+    """Solver with one thread, a fixed seed and no output."""
+    highs = highspy.Highs()
+    settings: dict[str, bool | int | float | str] = {
+        "output_flag": False,
+        "threads": 1,
+        "random_seed": 1,
+    }
+    for name, value in (settings | options).items():
+        highs.setOptionValue(name, value)
+    return highs
+
+
+class Relaxation:
+    """Relaxation by row generation: targets and groups enter when violated.
+
+    Costs never change, so the last basis is dual feasible at every node and the dual simplex goes
+    on from it. ``work_s`` is what all of it took so far, in seconds.
+    """
+
+    def __init__(self, instance: Instance) -> None:
+        self.instance = instance
+        self.choices, self.targets = instance.shape
+        self.branches: list[NDArray[np.int32]] = []
+        self.cuts: dict[int, Row] = {}
+        self._cuts_made, self.work_s = 0, 0.0
+        self._kind = np.empty(0, np.int8)
+        self._number = np.empty(0, np.int64)
+        self._columns = np.arange(self.choices, dtype=np.int32)
+        self._highs = quiet_highs(presolve="off", simplex_strategy=1)
+        self._highs.addVars(self.choices, np.zeros(self.choices), np.ones(self.choices))
+        self._highs.changeColsCost(self.choices, self._columns, instance.cost)
+        rare = np.argsort(np.diff(instance.by_target.indptr), kind="stable")
+        self._add_rows(_TARGET, np.sort(rare[:FIRST_TARGETS]))
+
+    def add_branch(self, rows: NDArray[np.int32]) -> int:
+        """Number of the new constraint that one of ``rows`` is taken."""
+        self.branches.append(rows.astype(np.int32))
+        return len(self.branches) - 1
+
+    def members(self, path: tuple[int, ...]) -> NDArray[np.bool_]:
+        """Branch constraints as masks, (len(path), m)."""
+        mask = np.zeros((len(path), self.choices), bool)
+        for k, branch in enumerate(path):
+            mask[k, self.branches[branch]] = True
+        return mask
+
+    def solve(self, node: Node, goal: float, deadline: Deadline) -> Solution:
+        """Solve the relaxation at a node, or stop once its bound exceeds ``goal``."""
+        self._enter(node)
+        self._highs.setOptionValue("objective_bound", float(goal) + _TOLERANCE)
+        risen = -np.inf
+        while True:
+            self._run(deadline)
+            if self._highs.getModelStatus() == highspy.HighsModelStatus.kInfeasible:
+                return self._stopped(np.inf)
+            solution = self._read(node)
+            if solution.bound > goal or not solution.complete or deadline.passed():
+                return replace(solution, complete=False)
+            if solution.bound > risen + _TOLERANCE and len(self._kind) > FIRST_TARGETS:
+                risen = solution.bound
+                self._delete(self._slack(np.array(self._highs.getSolution().row_value)) > _LOOSE)
+            if not self._separate(solution.x):
+                return solution
+
+    def _run(self, deadline: Deadline) -> None:
+        """Solve with the rows of the moment, within the limit."""
+        entries = self._highs.getNumNz()
+        iteration_s = _ITERATION_S * entries**0.5
+        self._highs.setOptionValue(
+            "time_limit", self._highs.getRunTime() + max(deadline.clock_left_s(), 1e-3)
+        )
+        self._highs.setOptionValue("simplex_iteration_limit", deadline.count_left(iteration_s))
+        self._highs.run()
+        iterations = max(self._highs.getInfo().simplex_iteration_count, 0)
+        work_s = iteration_s * iterations + _RUN_S * entries
+        work_s += _READ_S * self.instance.by_choice.nnz
+        self.work_s += work_s
+        deadline.spend(work_s)
+
+    def strengthen(
+        self, node: Node, solution: Solution, goal: float, deadline: Deadline, parity: bool
+    ) -> Solution:
+        """Add cuts that a solution breaks, by parity too where asked for, and solve again.
+
+        Itself where there are none. Cuts without a dual leave, and targets that are seen by more
+        than they need.
+        """
+        raw = self._highs.getSolution()
+        value, dual = np.array(raw.row_value), np.array(raw.row_dual)
+        sources = np.flatnonzero((self._kind == _TARGET) | (self._kind == _CUT))
+        rows = [self._row(self._kind[k], self._number[k]) for k in sources]
+        excess = value[sources] - np.array([row.low for row in rows])
+        tight = [row for row, e in zip(rows, excess, strict=True) if e <= _TOLERANCE]
+        cuts, work_s = balas_ng_cuts(tight, solution.x)
+        deadline.spend(work_s)
+        if parity or not cuts:
+            more, work_s = parity_cuts(tight, solution.x)
+            deadline.spend(work_s)
+            cuts += more
+        if not cuts:
+            return solution
+        idle = (self._kind == _CUT) & (dual <= 0)
+        for number in self._number[idle]:
+            del self.cuts[number]
+        self._delete(idle | (self._slack(value) > _LOOSE))
+        numbers = np.arange(self._cuts_made, self._cuts_made + len(cuts))
+        self.cuts |= dict(zip(numbers.tolist(), cuts, strict=True))
+        self._cuts_made += len(cuts)
+        self._add_rows(_CUT, numbers)
+        return self.solve(node, goal, deadline)
+
+    def targets_inside(self) -> NDArray[np.int64]:
+        """Numbers of the targets that the relaxation holds at present."""
+        return self._number[self._kind == _TARGET]
+
+    def purge(self, solution: Solution) -> None:
+        """Leave out slack targets once there are too many rows."""
+        if len(self._kind) <= MOST_ROWS:
+            return
+        slack = self._slack(np.array(self._highs.getSolution().row_value)) > _TOLERANCE
+        target = self._kind == _TARGET
+        slack[target] &= solution.target_dual[self._number[target]] <= 0
+        self._delete(slack)
+
+    def _slack(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+        """By how much targets are seen more than they need, given each row's value; else 0."""
+        target = self._kind == _TARGET
+        slack = np.zeros(len(target))
+        slack[target] = value[target] - self.instance.need[self._number[target]]
+        return slack
+
+    def _stopped(self, bound: float) -> Solution:
+        nothing = np.zeros(self.choices)
+        return Solution(bound, nothing, nothing, np.zeros(self.targets), False)
+
+    def _read(self, node: Node) -> Solution:
+        raw = self._highs.getSolution()
+        x, dual = np.array(raw.col_value), np.array(raw.row_dual)
+        if len(dual) != len(self._kind) or not np.isfinite(dual).all():
+            return self._stopped(0.0)
+        dual = np.where(self._kind == _GROUP, np.minimum(dual, 0.0), np.maximum(dual, 0.0))
+        target_dual = np.zeros(self.targets)
+        target = self._kind == _TARGET
+        target_dual[self._number[target]] = dual[target]
+        by_choice = self.instance.by_choice
+        cost = reduced_costs(by_choice.indptr, by_choice.indices, self.instance.cost, target_dual)
+        bound = float((target_dual * self.instance.need).sum())
+        others = np.flatnonzero(~target & (dual != 0))
+        rows = [self._row(self._kind[k], self._number[k]) for k in others]
+        for row, price in zip(rows, dual[others], strict=True):
+            cost[row.index] -= price * row.value
+            bound += price * row.low
+        bound += cost[node.fixed].sum()
+        bound += np.minimum(cost[node.alive & ~node.fixed], 0.0).sum()
+        optimal = self._highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
+        priced = tuple(
+            (row, price) for row, price in zip(rows, dual[others], strict=True) if price > 0
+        )
+        return Solution(float(bound), x, cost, target_dual, optimal, priced)
+
+    def _separate(self, x: NDArray[np.float64]) -> bool:
+        """Add violated targets and groups; False where there are none."""
+        by_choice, group = self.instance.by_choice, self.instance.group
+        missing = self.instance.need - coverage(
+            by_choice.indptr, by_choice.indices, x, self.targets
+        )
+        missing[self._number[self._kind == _TARGET]] = 0.0
+        bad = np.flatnonzero(missing > _TOLERANCE)
+        # Neighbours miss about as much and say the same: not all of them join.
+        bad = bad[:: 1 + len(bad) // COMPARED_TARGETS]
+        bad = bad[np.argsort(-missing[bad], kind="stable")[:ADDED_TARGETS]]
+        grouped = group >= 0
+        load = np.bincount(group[grouped], x[grouped], minlength=1)
+        load[self._number[self._kind == _GROUP]] = 0.0
+        crowded = np.flatnonzero(load > 1 + _TOLERANCE)
+        self._add_rows(_TARGET, bad)
+        self._add_rows(_GROUP, crowded)
+        return bool(len(bad) or len(crowded))
+
+    def _enter(self, node: Node) -> None:
+        """Bounds and branch constraints of a node."""
+        low = node.fixed.astype(np.float64)
+        self._highs.changeColsBounds(self.choices, self._columns, low, node.alive.astype(float))
+        branch = self._kind == _BRANCH
+        self._delete(branch & ~np.isin(self._number, node.path))
+        present = self._number[self._kind == _BRANCH]
+        self._add_rows(_BRANCH, np.setdiff1d(np.array(node.path, np.int64), present))
+
+    def _row(self, kind: int, number: int) -> Row:
+        if kind == _CUT:
+            return self.cuts[number]
+        if kind == _BRANCH:
+            return _counted(self.branches[number], 1.0)
+        if kind == _GROUP:
+            return _counted(np.flatnonzero(self.instance.group == number), 1.0)
+        by_target = self.instance.by_target
+        index = by_target.indices[by_target.indptr[number] : by_target.indptr[number + 1]]
+        return _counted(index, float(self.instance.need[number]))
+
+    def _add_rows(self, kind: int, numbers: NDArray[np.int64]) -> None:
+        if not len(numbers):
+            return
+        rows = [self._row(kind, number) for number in numbers]
+        start = np.cumsum([0] + [len(row.index) for row in rows])
+        bound = np.array([row.low for row in rows])
+        low = np.full(len(rows), -np.inf) if kind == _GROUP else bound
+        high = bound if kind == _GROUP else np.full(len(rows), np.inf)
+        self._highs.addRows(len(rows), low, high, start[-1], start[:-1].astype(np.int32),
+                            np.concatenate([row.index for row in rows]),
+                            np.concatenate([row.value for row in rows]))  # fmt: skip
+        self._kind = np.append(self._kind, np.full(len(rows), kind, np.int8))
+        self._number = np.append(self._number, numbers)
+
+    def _delete(self, gone: NDArray[np.bool_]) -> None:
+        if gone.any():
+            self._highs.deleteRows(int(gone.sum()), np.flatnonzero(gone).astype(np.int32))
+            self._kind, self._number = self._kind[~gone], self._number[~gone]
+
+
+def _counted(index: NDArray[np.integer], low: float) -> Row:
+    """So many of some rows."""
+    return Row(index.astype(np.int32), np.ones(len(index)), low)

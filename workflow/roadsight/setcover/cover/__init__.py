@@ -1,0 +1,1 @@
+"""Cheapest covers: local search, enumeration, proof."""

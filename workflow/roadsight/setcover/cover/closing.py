@@ -1,0 +1,135 @@
+"""Nodes are closed: cuts raise their bound, and what is left near it is enumerated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
+from roadsight.setcover.common.result import is_within
+from roadsight.setcover.cover.enumeration import enumerate_covers
+from roadsight.setcover.cover.local_search import (
+    MOST_SPARE,
+    LocalSearch,
+    search_while_it_pays,
+)
+
+_ROOT_CUTS, _NODE_CUTS = 40, 2
+_LONG_SEARCH = 4  # once the first three rounds tell how many rows may be spared
+_PATIENCE, _LEAST_RISE = 3, 0.05
+_NEAR, _LEAST_SLACK, _NODE_SLACK, _ROOT_SLACK = 0.1, 1e-3, 0.15, 0.5  # by a row's mean cost
+_ENUMERATED, _LESS_SLACK = 0.25, 0.85
+
+
+class Closing:
+    """Strengthens relaxations until no cover that counts is left, or it does not pay any more.
+
+    Parameters
+    ----------
+    local : keeps the best cover. gap : share of its cost that is close enough to the bound.
+    ceiling : covers have to cost less to count, too, and the first that does is enough.
+    """
+
+    def __init__(
+        self, relaxation: Relaxation, local: LocalSearch, gap: float, ceiling: float
+    ) -> None:
+        self.relaxation, self.local = relaxation, local
+        self.gap, self.ceiling = gap, ceiling
+        self._row_cost = float(relaxation.instance.cost.mean())
+        self._tried, self._enumerated_s = np.inf, 0.0
+
+    @property
+    def goal(self) -> float:
+        """What a cover may cost to count, in steps."""
+        return self.relaxation.instance.goal(min(self.local.cost, self.ceiling))
+
+    def strengthen(self, node: Node, solution: Solution, deadline: Deadline) -> Solution:
+        """A few rounds of cuts at a node of the tree."""
+        return self._strengthen(node, solution, _NODE_CUTS, deadline)
+
+    def strengthen_root(self, root: Node, solution: Solution, deadline: Deadline) -> Solution:
+        """Cuts at the root, with local search between them while cover and bound are apart."""
+        return self._strengthen(root, solution, _ROOT_CUTS, deadline)
+
+    def _strengthen(
+        self, node: Node, solution: Solution, rounds: int, deadline: Deadline
+    ) -> Solution:
+        """Rounds of cuts, as long as they raise the bound by a part of what is missing.
+
+        Cuts by parity join once the others no longer halve what is missing.
+        """
+        bounds, self._tried = [solution.bound], np.inf
+        at_root = rounds == _ROOT_CUTS
+        while True:
+            solution = self._enumerate(node, solution, deadline)
+            if len(bounds) > rounds or self._is_enough(solution):
+                return solution
+            fast = len(bounds) == 1 or bounds[-1] - bounds[-2] > self.goal - bounds[-1]
+            stronger = self._cut(node, solution, not fast, deadline, at_root)
+            if stronger is solution or not (stronger.complete or stronger.exceeds(self.goal)):
+                return solution
+            solution = stronger
+            bounds.append(solution.bound)
+            if at_root:
+                self._search(solution.bound, deadline, len(bounds) == _LONG_SEARCH)
+            rise = bounds[-1] - bounds[max(len(bounds) - 1 - _PATIENCE, 0)]
+            if len(bounds) > _PATIENCE and rise < _LEAST_RISE * (self.goal - bounds[-1]):
+                return solution
+
+    def _search(self, bound: float, deadline: Deadline, is_long: bool) -> None:
+        """Local search while cover and bound are farther apart than enumeration reaches."""
+        most_spare = MOST_SPARE if is_long else 1
+        search_while_it_pays(self.local, bound, deadline, _ROOT_SLACK, most_spare)
+
+    def _is_enough(self, solution: Solution) -> bool:
+        """Whether no cover that counts is left, or what is known of them is enough."""
+        cost = min(self.local.cost, self.ceiling)
+        bound = self.relaxation.instance.round_up(solution.bound)
+        found = self.local.cost < self.ceiling < np.inf
+        return found or solution.exceeds(self.goal) or is_within(self.gap, cost, bound)
+
+    def _cut(
+        self, node: Node, solution: Solution, parity: bool, deadline: Deadline, at_root: bool
+    ) -> Solution:
+        """Solution with more cuts, itself where there are none.
+
+        Near the goal, where the simplex method takes its longest ways and often stands still, it
+        makes way for the enumeration first.
+        """
+        near = self.goal - _NEAR * self._row_cost
+        stop = near if solution.bound < near else self.goal
+        stronger = self.relaxation.strengthen(node, solution, stop, deadline, parity)
+        if stronger.complete or stronger.exceeds(self.goal) or not stronger.exceeds(stop):
+            return stronger
+        stronger = self._enumerate(node, stronger, deadline)
+        if at_root:
+            search_while_it_pays(self.local, stronger.bound, deadline)
+        if stronger.exceeds(self.goal):
+            return stronger
+        return self.relaxation.solve(node, self.goal, deadline)
+
+    def _enumerate(self, node: Node, solution: Solution, deadline: Deadline) -> Solution:
+        """Solution, its bound lifted to the goal's cost where no cover that counts is left.
+
+        It takes a part of the relaxation's work at most, and is tried again only where the slack is
+        a good deal smaller.
+        """
+        instance = self.relaxation.instance
+        share = _NODE_SLACK if node.path or node.fixed.any() else _ROOT_SLACK
+        least, most = _LEAST_SLACK * self._row_cost, share * self._row_cost
+        while least <= (slack := self.goal - solution.bound) <= most:
+            left_s = _ENUMERATED * self.relaxation.work_s - self._enumerated_s
+            if slack > _LESS_SLACK * self._tried or left_s <= 0:
+                break
+            self._tried = slack
+            answer = enumerate_covers(instance, node, solution, self.goal, left_s)
+            self._enumerated_s += answer.work_s
+            deadline.spend(answer.work_s)
+            if answer.excluded:
+                return replace(solution, bound=min(self.local.cost, self.ceiling))
+            if answer.cover is None:
+                break
+            self.local.best = answer.cover
+        return solution

@@ -1,0 +1,245 @@
+"""Moves of rows into and out of a cover, compiled: greedy, and with weights on hard targets."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.setcover.common.kernels import Ints, Mask
+
+Floats = NDArray[np.float64]
+
+_State = namedtuple(
+    "_State", "inside member place score ready stamp count weight open spot occupant sizes"
+)
+"""Search state: ``score`` is the weight gained by adding a row, or lost by removing it; ``sizes``
+holds the numbers of members and of open targets."""
+
+
+@njit(cache=True)
+def _new_state(start, index, need, group):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    rows, targets = len(start) - 1, len(need)
+    return _State(
+        np.zeros(rows, np.bool_),
+        np.empty(rows, np.int32),
+        np.empty(rows, np.int32),
+        (start[1:] - start[:-1]).astype(np.int64),
+        np.ones(rows, np.bool_),
+        np.zeros(rows, np.int64),
+        np.zeros(targets, np.int32),
+        np.ones(targets, np.int64),
+        np.arange(targets).astype(np.int32),
+        np.arange(targets).astype(np.int32),
+        np.full(group.max() + 1 if len(group) else 0, -1, np.int32),
+        np.array([0, targets], np.int64),
+    )
+
+
+@njit(cache=True)
+def _add(row, start, index, tstart, tindex, need, group, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    state.inside[row] = True
+    state.member[state.sizes[0]] = row
+    state.place[row] = state.sizes[0]
+    state.sizes[0] += 1
+    if group[row] >= 0:
+        state.occupant[group[row]] = row
+    state.score[row] = 0
+    for p in range(start[row], start[row + 1]):
+        t = index[p]
+        state.count[t] += 1
+        if state.count[t] <= need[t]:
+            state.score[row] += state.weight[t]
+        if state.count[t] == need[t]:
+            state.sizes[1] -= 1
+            last = state.open[state.sizes[1]]
+            state.open[state.spot[t]] = last
+            state.spot[last] = state.spot[t]
+        if need[t] <= state.count[t] <= need[t] + 1:
+            for q in range(tstart[t], tstart[t + 1]):
+                other = tindex[q]
+                if other == row or state.inside[other] == (state.count[t] == need[t]):
+                    continue
+                state.score[other] -= state.weight[t]
+                state.ready[other] = True
+
+
+@njit(cache=True)
+def _remove(row, start, index, tstart, tindex, need, group, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    state.inside[row] = False
+    state.sizes[0] -= 1
+    last = state.member[state.sizes[0]]
+    state.member[state.place[row]] = last
+    state.place[last] = state.place[row]
+    if group[row] >= 0:
+        state.occupant[group[row]] = -1
+    state.score[row] = 0
+    for p in range(start[row], start[row + 1]):
+        t = index[p]
+        state.count[t] -= 1
+        if state.count[t] < need[t]:
+            state.score[row] += state.weight[t]
+        if state.count[t] == need[t] - 1:
+            state.open[state.sizes[1]] = t
+            state.spot[t] = state.sizes[1]
+            state.sizes[1] += 1
+        if need[t] - 1 <= state.count[t] <= need[t]:
+            for q in range(tstart[t], tstart[t + 1]):
+                other = tindex[q]
+                if other == row or state.inside[other] == (state.count[t] == need[t] - 1):
+                    continue
+                state.score[other] += state.weight[t]
+                state.ready[other] = True
+    state.ready[row] = False
+
+
+@njit(cache=True)
+def _better(a, b, cost, state, sign):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Row a before b: more (sign 1) or less (-1) weight per cost, then the longest at rest."""
+    if b < 0:
+        return True
+    first, second = sign * state.score[a] * cost[b], sign * state.score[b] * cost[a]
+    if first != second:
+        return first > second
+    return (state.stamp[a], a) < (state.stamp[b], b)
+
+
+@njit(cache=True)
+def _cheapest_loss(tabu, cost, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    best = -1
+    for k in range(state.sizes[0]):
+        row = state.member[k]
+        if row != tabu and _better(row, best, cost, state, -1):
+            best = row
+    return best
+
+
+@njit(cache=True)
+def fill(
+    start: Ints,
+    index: Ints,
+    tstart: Ints,
+    tindex: Ints,
+    cost: Floats,
+    need: Ints,
+    group: NDArray[np.int64],
+    inside: Mask,
+) -> bool:
+    """Take rows by weight gained per cost, then drop superfluous ones; False where it got stuck.
+
+    ``start, index`` is the matrix by row, ``t...`` by target; ``inside`` (m,) takes the result.
+    """
+    state = _new_state(start, index, need, group)
+    while state.sizes[1] > 0:
+        best = -1
+        for row in range(len(cost)):
+            if state.inside[row] or state.score[row] == 0:
+                continue
+            if group[row] >= 0 and state.occupant[group[row]] >= 0:
+                continue
+            if _better(row, best, cost, state, 1):
+                best = row
+        if best < 0:
+            return False
+        _add(best, start, index, tstart, tindex, need, group, state)
+    while state.sizes[0] > 0:
+        row = _cheapest_loss(-1, cost, state)
+        if state.score[row] > 0:
+            break
+        _remove(row, start, index, tstart, tindex, need, group, state)
+    inside[:] = state.inside
+    return True
+
+
+@njit(cache=True)
+def exchange(
+    start: Ints,
+    index: Ints,
+    tstart: Ints,
+    tindex: Ints,
+    cost: Floats,
+    need: Ints,
+    group: NDArray[np.int64],
+    first: Mask,
+    goal: float,
+    steps: int,
+    weight: NDArray[np.int64],
+    rng: np.random.Generator,
+) -> tuple[Mask, bool, int]:
+    """Members, whether they cover all at a cost of at most ``goal``, steps used.
+
+    A step takes out the rows that lose least until the rest is cheap enough, and covers open
+    targets, drawn at random, as long as the goal allows; what stays open weighs one more.
+
+    Parameters
+    ----------
+    start, index : the matrix by row. tstart, tindex : by target. first : (m,) rows to begin with.
+    weight : (n,) of the targets, changed. steps : at most so many.
+    """
+    state = _new_state(start, index, need, group)
+    state.weight[:] = weight
+    for row in range(len(cost)):
+        state.score[row] = 0
+        for p in range(start[row], start[row + 1]):
+            state.score[row] += weight[index[p]]
+    total = 0.0
+    for row in range(len(cost)):
+        if first[row]:
+            _add(row, start, index, tstart, tindex, need, group, state)
+            total += cost[row]
+    tabu = -1
+    for step in range(1, steps + 1):
+        if state.sizes[1] == 0 and total <= goal:
+            return state.inside.copy(), True, step
+        row = _cheapest_loss(tabu, cost, state)
+        while row >= 0:
+            _remove(row, start, index, tstart, tindex, need, group, state)
+            state.stamp[row] = step
+            total -= cost[row]
+            if total <= goal and state.sizes[1] > 0:
+                break
+            row = _cheapest_loss(tabu, cost, state)
+        while state.sizes[1] > 0:
+            t = state.open[rng.integers(0, state.sizes[1])]
+            best = _best_ready(t, tstart, tindex, cost, total, goal, state)
+            if best < 0:
+                break
+            mate = state.occupant[group[best]] if group[best] >= 0 else -1
+            if mate >= 0:
+                _remove(mate, start, index, tstart, tindex, need, group, state)
+                state.stamp[mate] = step
+                total -= cost[mate]
+            _add(best, start, index, tstart, tindex, need, group, state)
+            state.stamp[best] = step
+            total += cost[best]
+            tabu = best
+            if mate >= 0:
+                break  # two rows of one group could replace each other for ever
+        _weigh_open(tstart, tindex, state)
+    weight[:] = state.weight
+    return state.inside.copy(), state.sizes[1] == 0 and total <= goal, steps
+
+
+@njit(cache=True)
+def _best_ready(t, tstart, tindex, cost, total, goal, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Affordable row over target t that gains most; -1: none."""
+    best = -1
+    for q in range(tstart[t], tstart[t + 1]):
+        row = tindex[q]
+        if not state.ready[row] or state.inside[row] or total + cost[row] > goal:
+            continue
+        if _better(row, best, cost, state, 1):
+            best = row
+    return best
+
+
+@njit(cache=True)
+def _weigh_open(tstart, tindex, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Open targets weigh one more, for members too: a target may need several rows."""
+    for k in range(state.sizes[1]):
+        t = state.open[k]
+        state.weight[t] += 1
+        for q in range(tstart[t], tstart[t + 1]):
+            state.score[tindex[q]] += 1

@@ -1,0 +1,179 @@
+"""Search tree that proves a cover optimal or finds a cheaper one."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.setcover.common.branching import divide
+from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.kernels import drop_dominated_choices, pack_bits, propagate
+from roadsight.setcover.common.problem import Instance
+from roadsight.setcover.common.reductions import MAX_BITS, arrays
+from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
+from roadsight.setcover.common.result import is_within
+from roadsight.setcover.cover.closing import Closing
+from roadsight.setcover.cover.local_search import LocalSearch
+
+_WHOLE = 1e-6
+_FIRST_RETRY = 32
+_STEPS_PER_NODE = 400
+_ENTRY_S = 4e-9  # work of a propagation by entry of the matrix, measured
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Best cover of an instance (None: none found) and its proven bound, in steps."""
+
+    best: NDArray[np.bool_] | None
+    bound: float
+    nodes: int
+
+
+class Search:
+    """Best bound first, the deepest of equals first.
+
+    With whole costs all nodes of one rounded-up bound are equal, so that the search goes deep until
+    that cost is refuted or reached, and its bound rises step by step: it is proven at any time.
+
+    With a ``ceiling``, only covers that cost less count, and the first of them ends the search.
+    """
+
+    def __init__(
+        self,
+        relaxation: Relaxation,
+        local: LocalSearch,
+        gap: float = 0.0,
+        ceiling: float = np.inf,
+    ) -> None:
+        self.relaxation, self.local = relaxation, local
+        self.gap, self.ceiling = gap, ceiling
+        self.instance: Instance = relaxation.instance
+        self.nodes = 0
+        self._closing = Closing(relaxation, local, gap, ceiling)
+        choices, targets = self.instance.shape
+        rows = self.instance.by_choice
+        small = choices * targets <= MAX_BITS
+        self._bits = pack_bits(rows.indptr, rows.indices, targets) if small else None
+
+    @property
+    def cost(self) -> float:
+        """Cost that a cover must go below to count, in steps."""
+        return min(self.local.cost, self.ceiling)
+
+    @property
+    def best(self) -> NDArray[np.bool_] | None:
+        """Best cover so far."""
+        return self.local.best
+
+    def strengthen(self, root: Solution, deadline: Deadline) -> Solution:
+        """Cuts at the root, as long as they pay, and local search between them."""
+        return self._closing.strengthen_root(self._everything(), root, deadline)
+
+    def run(self, root: Solution, deadline: Deadline) -> Outcome:
+        """Search below the root, whose relaxation is solved."""
+        start = self._tighten(self._everything(), root)
+        queue = [(self.instance.round_up(root.bound), 0, 0, start)]
+        pushed = 0
+        while queue:
+            key, depth, _, node = queue[0]
+            if key > self.instance.goal(self.cost):
+                break
+            below = self.cost < self.ceiling < np.inf
+            if below or deadline.passed() or is_within(self.gap, self.cost, key):
+                return Outcome(self.best, key, self.nodes)
+            heapq.heappop(queue)
+            bound, children = self._expand(node, deadline)
+            if children is None:
+                return Outcome(self.best, key, self.nodes)
+            key = max(key, self.instance.round_up(bound))
+            self._search_again(queue[0][0] if queue else key, deadline)
+            for child in children:
+                pushed += 1
+                heapq.heappush(queue, (key, depth - 1, -pushed, child))
+        return Outcome(self.best, self.cost, self.nodes)
+
+    def _search_again(self, bound: float, deadline: Deadline) -> None:
+        """Look for a better cover again each time the tree has doubled."""
+        if self.nodes < _FIRST_RETRY or self.nodes & (self.nodes - 1):
+            return
+        enough = bound if np.isinf(self.ceiling) else self.instance.goal(self.ceiling)
+        self.local.run(self.nodes * _STEPS_PER_NODE, enough, deadline)
+
+    def _everything(self) -> Node:
+        alive = np.ones(self.instance.shape[0], bool)
+        return Node(alive, ~alive)
+
+    def _expand(self, node: Node, deadline: Deadline) -> tuple[float, tuple[Node, ...] | None]:
+        """Bound and children of a node; None for children where time ran out."""
+        self.nodes += 1
+        node = Node(node.alive.copy(), node.fixed.copy(), node.path)
+        while True:
+            goal = self.instance.goal(self.cost)
+            deadline.spend(_ENTRY_S * self.instance.by_choice.nnz)
+            left = self._propagate(node)
+            if left is None or self.instance.cost[node.fixed].sum() > goal:
+                return np.inf, ()
+            if (left <= 0).all() and self._keeps(node.fixed, node.path):
+                self.local.best = node.fixed.copy()
+                return np.inf, ()
+            solution = self.relaxation.solve(node, goal, deadline)
+            if solution.exceeds(goal):
+                return solution.bound, ()
+            if not solution.complete:
+                return solution.bound, None
+            if self._takes(solution):
+                return solution.bound, ()
+            tighter = self._tighten(node, solution)
+            changed = (tighter.alive != node.alive).sum() + (tighter.fixed != node.fixed).sum()
+            node = tighter
+            if changed <= 0.05 * node.alive.sum():
+                break
+        return self._divide(node, solution, deadline)
+
+    def _divide(
+        self, node: Node, solution: Solution, deadline: Deadline
+    ) -> tuple[float, tuple[Node, ...]]:
+        """Bound and children of a node that only cuts can refute."""
+        solution = self._closing.strengthen(node, solution, deadline)
+        if solution.exceeds(self.instance.goal(self.cost)) or self._takes(solution):
+            return solution.bound, ()
+        self.relaxation.purge(solution)
+        return solution.bound, divide(self.relaxation, node, solution)
+
+    def _propagate(self, node: Node) -> NDArray[np.int32] | None:
+        """Needs left after forced rows; None where the node is infeasible. Changes the node."""
+        instance = self.instance
+        extra = self.relaxation.members(node.path)
+        feasible, left, free = propagate(*arrays(instance), instance.need, instance.group,
+                                         node.alive, node.fixed, extra)  # fmt: skip
+        if not feasible:
+            return None
+        if self._bits is not None:
+            unmet = extra[~(extra & node.fixed).any(axis=1)]
+            drop_dominated_choices(*arrays(instance), self._bits, instance.cost, instance.group,
+                                   left, free, node.alive, node.fixed, unmet)  # fmt: skip
+        return left
+
+    def _keeps(self, chosen: NDArray[np.bool_], path: tuple[int, ...]) -> bool:
+        return all(chosen[self.relaxation.branches[k]].any() for k in path)
+
+    def _takes(self, solution: Solution) -> bool:
+        """Whether a solution is a cover; it becomes the best where it costs less."""
+        whole = np.abs(solution.x - np.round(solution.x)).max() < _WHOLE
+        chosen = solution.x > 0.5
+        if whole and float(self.instance.cost[chosen].sum()) < self.cost:
+            self.local.best = chosen
+        return bool(whole)
+
+    def _tighten(self, node: Node, solution: Solution) -> Node:
+        """Fix rows whose other value costs more than the goal by the reduced costs alone."""
+        goal = self.instance.goal(self.cost)
+        free = node.alive & ~node.fixed
+        dear = free & (solution.bound + np.maximum(solution.reduced_cost, 0) > goal)
+        needed = free & (solution.bound - np.minimum(solution.reduced_cost, 0) > goal)
+        both = dear & needed
+        return Node(node.alive & ~dear | both, node.fixed | (needed & ~both), node.path)

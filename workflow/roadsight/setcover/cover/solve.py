@@ -1,0 +1,227 @@
+"""Minimum-cost covers with proof."""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.problem import CoverProblem, Instance
+from roadsight.setcover.common.reductions import Reduced, reduce_problem
+from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
+from roadsight.setcover.common.result import (
+    INFEASIBLE,
+    OPTIMAL,
+    TIME_LIMIT,
+    WITHIN_GAP,
+    Cover,
+    is_within,
+    relative_gap,
+)
+from roadsight.setcover.cover.core import is_small, prove_on_core
+from roadsight.setcover.cover.interior import interior_bound, is_large
+from roadsight.setcover.cover.local_search import (
+    FIRST_STEPS,
+    LocalSearch,
+    greedy_cover,
+    search_while_it_pays,
+)
+from roadsight.setcover.cover.search import Outcome, Search
+
+
+def solve_cover_problem(
+    problem: CoverProblem,
+    limit: Deadline | float | None = None,
+    seed: int = 1,
+    gap: float = 0.0,
+) -> Cover:
+    """Cheapest cover, proven, or the best one found within the limit.
+
+    Reductions, linear relaxation by row generation, greedy and local search, then a search tree
+    over the relaxation. The answer depends on the seed alone, also where a `WorkLimit` is reached,
+    but not where a limit by the clock (a number of seconds) is. Costs that are no multiples of a
+    common step (up to six decimals) are proven to 1e-7 of the objective. With ``gap``, each part of
+    the problem is left as soon as its cover is proven to cost at most that share too much.
+    """
+    start = time.process_time()
+    deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
+    reduced = reduce_problem(problem)
+    if len(reduced.uncoverable) or not reduced.feasible:
+        return _infeasible(reduced, start)
+    rng = np.random.default_rng(seed)
+    outcomes, relaxed = [], []
+    for number, part in enumerate(reduced.parts):
+        share = deadline.part(len(reduced.parts) - number)
+        outcome, bound = _solve_part(part, rng, share, gap)
+        if outcome.best is None and not np.isfinite(outcome.bound):
+            return _infeasible(reduced, start)
+        outcomes.append(outcome)
+        relaxed.append(bound)
+    return _assemble(problem, reduced, outcomes, relaxed, start, gap)
+
+
+def _solve_part(
+    instance: Instance, rng: np.random.Generator, deadline: Deadline, gap: float
+) -> tuple[Outcome, float | None]:
+    """Outcome of one instance and the bound of its relaxation, in steps."""
+    best = greedy_cover(instance)
+    bound = instance.round_up(_simple_bound(instance))
+    if _enough(instance, best, bound, gap) or deadline.passed():
+        return Outcome(best, bound, 0), None
+    if is_large(instance) and best is not None:
+        return _solve_large(instance, best, rng, deadline, gap)
+    relaxation, root = _root(instance, np.inf, deadline)
+    if np.isinf(root.bound):
+        return Outcome(None, np.inf, 0), None
+    bound = max(bound, instance.round_up(root.bound))
+    local = LocalSearch(instance, best, root.target_dual > 0, rng)
+    local.run(FIRST_STEPS, bound, deadline)
+    if _enough(instance, local.best, bound, gap) or not root.complete:
+        return Outcome(local.best, bound, 0), root.bound
+    search = Search(relaxation, local, gap)
+    return _cut_and_branch(search, root, bound, rng, deadline), root.bound
+
+
+def _cut_and_branch(
+    search: Search, root: Solution, bound: float, rng: np.random.Generator, deadline: Deadline
+) -> Outcome:
+    """Outcome of an instance whose root is solved: by cuts alone, else on a core or by a tree."""
+    instance, local, gap = search.instance, search.local, search.gap
+    cut = search.strengthen(root, deadline)
+    bound = min(max(bound, instance.round_up(cut.bound)), local.cost)
+    if _enough(instance, local.best, bound, gap) or deadline.passed():
+        return Outcome(local.best, bound, 0)
+    if is_small(local):
+        local.active[search.relaxation.targets_inside()] = True
+        return _prove(local, bound, rng, deadline, gap)
+    outcome = search.run(cut, deadline)
+    return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes)
+
+
+def _solve_large(
+    instance: Instance,
+    best: NDArray[np.bool_],
+    rng: np.random.Generator,
+    deadline: Deadline,
+    gap: float,
+) -> tuple[Outcome, float]:
+    """Outcome of a large instance from a cover: at most a third of the time goes to a bound."""
+    inner = interior_bound(instance, rng, deadline.part(3))
+    bound = instance.round_up(max(inner.bound, _simple_bound(instance)))
+    local = LocalSearch(instance, best, inner.target_dual > 0, rng)
+    search_while_it_pays(local, bound, deadline)
+    if _enough(instance, local.best, bound, gap) or deadline.passed():
+        return Outcome(local.best, bound, 0), inner.bound
+    return _prove(local, bound, rng, deadline, gap), inner.bound
+
+
+def _prove(
+    local: LocalSearch, bound: float, rng: np.random.Generator, deadline: Deadline, gap: float
+) -> Outcome:
+    """Proof on the targets that a local search looks at, or a cheaper cover."""
+    solve = partial(_solve_core, rng=rng, gap=gap)
+    return prove_on_core(local, bound, solve, deadline, gap)
+
+
+def _solve_core(
+    core: Instance, deadline: Deadline, ceiling: float, rng: np.random.Generator, gap: float
+) -> Outcome:
+    """A cover of a core that costs less than a ceiling, or the proof that there is none.
+
+    Without a ceiling, the cheapest cover.
+    """
+    goal = core.goal(ceiling)
+    relaxation, root = _root(core, goal, deadline)
+    bound = core.round_up(root.bound)
+    if root.exceeds(goal):
+        return Outcome(None, bound, 0)
+    local = LocalSearch(core, greedy_cover(core), root.target_dual > 0, rng)
+    enough = core.round_up(bound if np.isinf(ceiling) else goal)
+    local.run(FIRST_STEPS, enough, deadline)
+    if local.cost <= enough or not root.complete:
+        return Outcome(local.best, bound, 0)
+    search = Search(relaxation, local, gap, ceiling)
+    outcome = search.run(search.strengthen(root, deadline), deadline)
+    return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes)
+
+
+def _root(instance: Instance, goal: float, deadline: Deadline) -> tuple[Relaxation, Solution]:
+    """Relaxation of an instance, solved, or stopped once its bound exceeds the goal."""
+    relaxation = Relaxation(instance)
+    everything = np.ones(instance.shape[0], bool)
+    return relaxation, relaxation.solve(Node(everything, ~everything), goal, deadline)
+
+
+def _proven(instance: Instance, best: NDArray[np.bool_] | None, bound: float) -> bool:
+    return best is not None and bound > instance.goal(float(instance.cost[best].sum()))
+
+
+def _enough(instance: Instance, best: NDArray[np.bool_] | None, bound: float, gap: float) -> bool:
+    if best is None:
+        return False
+    within = is_within(gap, float(instance.cost[best].sum()), bound)
+    return within or _proven(instance, best, bound)
+
+
+def _simple_bound(instance: Instance) -> float:
+    """Each target pays the least share of cost that one of its rows asks of its targets."""
+    rows = instance.by_choice
+    share = instance.cost / np.maximum(np.diff(rows.indptr), 1)
+    columns = instance.by_target
+    if not columns.nnz:
+        return 0.0
+    least = np.minimum.reduceat(share[columns.indices], columns.indptr[:-1])
+    return float((least * instance.need).sum())
+
+
+def _infeasible(reduced: Reduced, start: float) -> Cover:
+    return Cover(
+        INFEASIBLE,
+        np.empty(0, np.int64),
+        math.inf,
+        math.inf,
+        0.0,
+        time.process_time() - start,
+        reduced.uncoverable,
+        reduced.counts,
+    )
+
+
+def _assemble(
+    problem: CoverProblem,
+    reduced: Reduced,
+    outcomes: list[Outcome],
+    relaxed: list[float | None],
+    start: float,
+    gap: float,
+) -> Cover:
+    """Answer of the whole problem from those of its parts."""
+    found = all(outcome.best is not None for outcome in outcomes)
+    chosen, bound = reduced.taken, math.fsum(problem.costs[reduced.taken])
+    proven, base = found, bound
+    for part, outcome in zip(reduced.parts, outcomes, strict=True):
+        bound += outcome.bound * reduced.step
+        if outcome.best is not None:
+            chosen = np.concatenate([chosen, part.choice[outcome.best]])
+            proven &= _proven(part, outcome.best, outcome.bound)
+    chosen = np.sort(chosen) if found else np.empty(0, np.int64)
+    objective = math.fsum(problem.costs[chosen]) if found else math.inf
+    bound = objective if proven else min(bound, objective)
+    unproven = WITHIN_GAP if is_within(gap, objective, bound) else TIME_LIMIT
+    lp = None if None in relaxed else base + reduced.step * math.fsum(b for b in relaxed if b)
+    return Cover(
+        OPTIMAL if proven else unproven,
+        chosen.astype(np.int64),
+        objective,
+        bound,
+        relative_gap(objective, bound),
+        time.process_time() - start,
+        reduced.uncoverable,
+        reduced.counts,
+        lp,
+        sum(outcome.nodes for outcome in outcomes),
+    )

@@ -1,0 +1,1 @@
+"""Covers in which several choices together see a target often enough."""

@@ -1,0 +1,240 @@
+"""Covers in which several rows together must give each target enough.
+
+Minimise ``sum c_i x_i`` subject to ``sum_i min(g_ij, d_j) x_i >= d_j`` for each target j, at most
+one row of a group, x binary. With g = -log(1 - p) and d = -log(1 - level) independent rows see a
+target with probability ``level``. What is not a sum, such as rows that are not independent, enters
+as cuts, found by an oracle at each answer: one row of a set must be taken.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+
+import highspy
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.setcover.common.relaxation import quiet_highs
+from roadsight.setcover.common.result import (
+    INFEASIBLE,
+    OPTIMAL,
+    TIME_LIMIT,
+    WITHIN_GAP,
+    Cover,
+    is_within,
+    relative_gap,
+)
+from roadsight.setcover.joint.joint_problem import (
+    TOLERANCE,
+    JointProblem,
+    least_number,
+)
+
+_ROWS = NDArray[np.int64]
+Oracle = Callable[[_ROWS], list[_ROWS]]
+"""Sets of rows of which an answer needs one more; none where the sorted rows will do."""
+
+_FIRST, _ADDED = 250, 80
+# Sums that the solver lets pass must pass here as well, or it would be asked the same again.
+_SOLVED_TO = TOLERANCE / 100
+# Nodes of a solver's tree in a second of the limit, about, and nodes that a round costs at least.
+_NODES_PER_S, _NODES_OF_ROUND = 40, 10
+# The clock stops only what has gone wrong: answers must not depend on how busy a machine is.
+_CLOCK_FACTOR = 20
+
+
+def solve_joint(
+    problem: JointProblem, limit_s: float = 300.0, gap: float = 0.0, oracle: Oracle | None = None
+) -> Cover:
+    """Cheapest rows, proven, or the best ones found within the limit.
+
+    Row generation around HiGHS: only violated targets and cuts are constraints, so that its dual
+    bound is one of the whole problem at any time. Answers are mended greedily into ones that are
+    allowed. The limit counts nodes of the solver's trees, about as many as it does in so much time;
+    the clock stops a solve only at twenty times the limit.
+
+    Parameters
+    ----------
+    oracle : finds what sums do not say; without it the sums are all.
+    """
+    return _Joint(problem, limit_s, gap, oracle or (lambda chosen: [])).run()
+
+
+class _Joint:
+    """State of `solve_joint`."""
+
+    def __init__(self, problem: JointProblem, limit_s: float, gap: float, oracle: Oracle) -> None:
+        self.problem, self.gap, self.oracle = problem, gap, oracle
+        self.by_target = problem.gain.tocsc()
+        self.start = time.process_time()
+        self.end = time.perf_counter() + _CLOCK_FACTOR * limit_s
+        self.nodes_left = max(int(limit_s * _NODES_PER_S), 1)
+        self.nodes = 0
+        self.whole = bool((problem.costs == np.round(problem.costs)).all())
+        slack = np.asarray(problem.gain.sum(axis=0)).ravel() / problem.need
+        self.active = np.zeros(len(problem.need), bool)
+        self.active[np.argsort(slack, kind="stable")[:_FIRST]] = True
+        self.cuts: list[_ROWS] = []
+        self.best: _ROWS | None = None
+        self.bound = 0.0
+
+    def run(self) -> Cover:
+        """Rounds of solving and separating."""
+        if not self.problem.reachable().all():
+            return self._result(INFEASIBLE)
+        self._offer(np.empty(0, np.int64))
+        while True:
+            chosen, bound, status = self._solve()
+            if status == highspy.HighsModelStatus.kInfeasible:
+                return self._result(INFEASIBLE if self.best is None else OPTIMAL)
+            self.bound = max(self.bound, min(self._up(bound), self._cost(self.best)))
+            if chosen is not None:
+                violated = self._violated(chosen)
+                self._offer(chosen)
+            if self._proven():
+                return self._result(OPTIMAL)
+            if is_within(self.gap, self._cost(self.best), self.bound):
+                return self._result(WITHIN_GAP)
+            late = self.nodes_left <= 0 or time.perf_counter() > self.end
+            if late or chosen is None or not violated:
+                return self._result(TIME_LIMIT)
+
+    def _violated(self, chosen: _ROWS) -> bool:
+        """Add what an answer breaks; False where it breaks nothing."""
+        short = self.problem.need * (1 - TOLERANCE) - self.problem.given(chosen)
+        worst = np.argsort(-short / self.problem.need, kind="stable")
+        worst = worst[(short[worst] > 0) & ~self.active[worst]][:_ADDED]
+        self.active[worst] = True
+        found = [] if len(worst) else self.oracle(chosen)
+        self.cuts += found
+        return bool(len(worst) or found)
+
+    def _solve(self) -> tuple[_ROWS | None, float, highspy.HighsModelStatus]:
+        """Answer, bound and status of the constraints of the moment."""
+        highs = self._model()
+        left_s = max(self.end - time.perf_counter(), 1.0)
+        highs.setOptionValue("time_limit", left_s)
+        highs.setOptionValue("mip_max_nodes", int(self.nodes_left))
+        # A proof to less than one step of whole costs is one to the end.
+        highs.setOptionValue("mip_abs_gap", 1 - 1e-6 if self.whole else 1e-6)
+        highs.setOptionValue("mip_rel_gap", self.gap / 2)
+        highs.run()
+        info = highs.getInfo()
+        spent = max(int(info.mip_node_count), 1)
+        self.nodes_left -= max(spent, _NODES_OF_ROUND)
+        self.nodes += spent
+        status = highs.getModelStatus()
+        solution = np.array(highs.getSolution().col_value)
+        found = len(solution) > 0 and info.primal_solution_status == 2
+        chosen = np.flatnonzero(solution > 0.5).astype(np.int64) if found else None
+        return chosen, float(info.mip_dual_bound), status
+
+    def _model(self) -> highspy.Highs:
+        problem, choices = self.problem, len(self.problem.costs)
+        highs = quiet_highs(
+            mip_feasibility_tolerance=_SOLVED_TO, primal_feasibility_tolerance=_SOLVED_TO
+        )
+        highs.addVars(choices, np.zeros(choices), np.ones(choices))
+        number = np.arange(choices, dtype=np.int32)
+        highs.changeColsCost(choices, number, problem.costs)
+        kinds = np.full(choices, highspy.HighsVarType.kInteger)
+        highs.changeColsIntegrality(choices, number, kinds)
+        for target in np.flatnonzero(self.active):
+            part = slice(self.by_target.indptr[target], self.by_target.indptr[target + 1])
+            index, value = self.by_target.indices[part], self.by_target.data[part]
+            share = value / problem.need[target]
+            highs.addRow(1.0, highspy.kHighsInf, len(index), index.astype(np.int32), share)
+            least = least_number(share, problem.groups[index])
+            if least > 1:
+                times = np.where(share >= 1 - TOLERANCE, float(least), 1.0)
+                highs.addRow(float(least), highspy.kHighsInf, len(index),
+                             index.astype(np.int32), times)  # fmt: skip
+        for cut in self.cuts:
+            highs.addRow(1.0, highspy.kHighsInf, len(cut), cut.astype(np.int32), np.ones(len(cut)))
+        order = np.argsort(problem.groups, kind="stable")
+        starts = np.flatnonzero(np.diff(problem.groups[order], prepend=-1))
+        for members in np.split(order, starts[1:]):
+            if len(members) > 1:
+                one = np.ones(len(members))
+                highs.addRow(-highspy.kHighsInf, 1.0, len(one), members.astype(np.int32), one)
+        if self.best is not None:
+            start = highspy.HighsSolution()
+            start.col_value = np.isin(np.arange(choices), self.best).astype(np.float64)
+            highs.setSolution(start)
+        return highs
+
+    def _offer(self, chosen: _ROWS) -> None:
+        """Mend rows into an answer that is allowed, and keep it if it is the best."""
+        mended = self._mended(chosen)
+        if mended is not None and self._cost(mended) < self._cost(self.best):
+            self.best = mended
+
+    def _mended(self, chosen: _ROWS) -> _ROWS | None:
+        """Rows with the most for their cost added until nothing lacks, then needless ones out."""
+        problem = self.problem
+        rows = [int(row) for row in chosen]
+        given = problem.given(chosen)
+        while True:
+            lack = np.maximum(problem.need * (1 - TOLERANCE) - given, 0.0)
+            helps = self._help(np.array(rows, np.int64), lack)
+            if helps is None:
+                break
+            helps = helps / problem.costs
+            helps[np.isin(problem.groups, problem.groups[rows])] = 0.0
+            row = int(np.argmax(helps))
+            if helps[row] <= 0:
+                return None
+            rows.append(row)
+            given = problem.given(np.array(rows, np.int64))
+        for row in sorted(rows, key=lambda r: (-problem.costs[r], r)):
+            fewer = np.array(sorted(set(rows) - {row}), np.int64)
+            short = problem.need * (1 - TOLERANCE) - problem.given(fewer)
+            if short.max(initial=-1.0) <= 0 and not self.oracle(fewer):
+                rows = fewer.tolist()
+        return np.array(sorted(rows), np.int64)
+
+    def _help(self, rows: _ROWS, lack: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """What each row adds (choices,); None where nothing lacks."""
+        short = np.flatnonzero(lack > 0)
+        if len(short):
+            part = self.problem.gain[:, short].copy()
+            part.data = np.minimum(part.data, lack[short][part.indices])
+            return np.asarray(part @ (1 / self.problem.need[short])).ravel()
+        found = self.oracle(np.sort(rows))
+        if not found:
+            return None
+        self.cuts += found
+        return np.bincount(np.concatenate(found), minlength=len(self.problem.costs)).astype(float)
+
+    def _cost(self, rows: _ROWS | None) -> float:
+        return math.inf if rows is None else math.fsum(self.problem.costs[rows])
+
+    def _up(self, bound: float) -> float:
+        return math.ceil(bound - 1e-6) if self.whole and math.isfinite(bound) else bound
+
+    def _proven(self) -> bool:
+        best = self._cost(self.best)
+        return math.isfinite(best) and self.bound >= best - 1e-6 * max(1.0, best)
+
+    def _result(self, status: str) -> Cover:
+        best = self._cost(self.best)
+        if status == INFEASIBLE:
+            self.best, best, self.bound = None, math.inf, math.inf
+        bound = best if status == OPTIMAL else min(self.bound, best)
+        return Cover(
+            status,
+            np.empty(0, np.int64) if self.best is None else self.best,
+            best,
+            bound,
+            relative_gap(best, bound),
+            time.process_time() - self.start,
+            reductions={
+                "rows": self.problem.gain.shape[0],
+                "columns": self.problem.gain.shape[1],
+                "columns_used": int(self.active.sum()),
+                "cuts": len(self.cuts),
+            },
+            nodes=self.nodes,
+        )

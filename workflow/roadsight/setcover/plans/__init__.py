@@ -1,0 +1,1 @@
+"""Budgets, curves, failures, spacing: deployments beyond the cheapest cover."""

@@ -1,0 +1,131 @@
+"""How unique an answer is: what can replace a row, and how different another answer can be."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.problem import objective_step
+from roadsight.setcover.cover.solve import solve_cover_problem
+from roadsight.setcover.plans.deploy import solve_deployment
+from roadsight.setcover.plans.deployment import Deployment
+
+
+@dataclass(frozen=True)
+class Different:
+    """Another answer, no dearer and seeing no less, that shares as few places as can be.
+
+    Parameters
+    ----------
+    chosen : its sorted rows. shared : how many of them stand at a place of the first answer.
+    least_shared : proven: in every such answer at least so many do.
+    """
+
+    chosen: NDArray[np.int64]
+    shared: int
+    least_shared: int
+
+
+def replacements(deployment: Deployment, chosen: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """For each chosen row the sorted others that could replace it alone, as cheap and as good.
+
+    Mandatory rows have none. ``chosen`` must be an allowed answer.
+    """
+    return [_replacing(deployment, chosen, int(row)) for row in chosen]
+
+
+def _replacing(deployment: Deployment, chosen: NDArray[np.int64], row: int) -> NDArray[np.int64]:
+    problem = deployment.problem
+    if problem.mandatory[row]:
+        return np.empty(0, np.int64)
+    rest = chosen[chosen != row]
+    mask = np.zeros(len(problem.costs), np.int32)
+    mask[rest] = 1
+    count = np.asarray(problem.matrix[rest].sum(axis=0, dtype=np.int64)).ravel()
+    lost = (count == problem.at_least - 1) & (problem.at_least > 0)
+    lost_by_row = lost & (np.asarray(problem.matrix[[row]].todense()).ravel() > 0)
+    crowded = deployment.exclusive.T @ (deployment.exclusive @ mask > 0) > 0
+    cost, charge = np.asarray(deployment.cost), np.asarray(deployment.charge)
+    left = deployment.spendable - charge[rest].sum()
+    fits = (mask == 0) & ~problem.forbidden & ~crowded & (charge <= left)
+    fits &= np.abs(cost - cost[row]) <= 1e-9 * max(1.0, cost[row])
+    weight = np.asarray(deployment.weights)
+    needed = lost_by_row.astype(np.float64) if deployment.complete else np.where(lost, weight, 0.0)
+    gain = problem.matrix @ needed
+    if deployment.complete or not deployment.keep:
+        fits &= gain >= gain[row] - 1e-9 * max(1.0, gain[row])
+    fits[row] = False
+    found = np.flatnonzero(fits)
+    if deployment.keep:
+        goal = deployment.objective(chosen) + 1e-9
+        as_good = [deployment.objective(np.sort(np.append(rest, r))) <= goal for r in found]
+        found = found[np.array(as_good, bool)] if len(found) else found
+    return found.astype(np.int64)
+
+
+def most_different(
+    deployment: Deployment,
+    chosen: NDArray[np.int64],
+    place: NDArray[np.int64],
+    limit: Deadline | float | None = None,
+    seed: int = 1,
+) -> Different:
+    """Answer, no dearer and seeing no less, that shares the fewest places with ``chosen``.
+
+    With a price, answers that see more for as much more money are as good too, but other choices.
+
+    Parameters
+    ----------
+    place : (choices,) number of the place of each row, such as one for all heights of a pole.
+    """
+    shared = np.isin(place, place[chosen])
+    plain = deployment.complete and not deployment.keep and not len(deployment.cliques)
+    step = objective_step(np.asarray(deployment.cost)) if plain else 0.0
+    solve = _by_cover if step and not math.isfinite(deployment.budget) else _by_deployment
+    found, bound = solve(deployment, chosen, shared, limit, seed)
+    overlap = int(shared[found].sum())
+    return Different(found, overlap, min(math.ceil(bound - 1e-6), overlap))
+
+
+def _by_cover(
+    deployment: Deployment,
+    chosen: NDArray[np.int64],
+    shared: NDArray[np.bool_],
+    limit: Deadline | float | None,
+    seed: int,
+) -> tuple[NDArray[np.int64], float]:
+    """As a cover whose costs count the overlap last."""
+    problem, cost = deployment.problem, np.asarray(deployment.cost)
+    most = len(chosen) + 1
+    both = np.round(cost / objective_step(cost)) * most + shared
+    old = both[chosen].sum() - shared[chosen].sum()
+    cover = solve_cover_problem(problem.changed(costs=both), limit, seed)
+    found = cover.chosen if cover.objective <= both[chosen].sum() else chosen
+    return found, max(cover.bound - old, 0.0)
+
+
+def _by_deployment(
+    deployment: Deployment,
+    chosen: NDArray[np.int64],
+    shared: NDArray[np.bool_],
+    limit: Deadline | float | None,
+    seed: int,
+) -> tuple[NDArray[np.int64], float]:
+    """As a deployment that minimises the overlap within the cost and coverage that there are."""
+    cost = np.asarray(deployment.cost)
+    costs_count = bool(cost.any())
+    value = 0.0 if deployment.complete else deployment.guaranteed(chosen)
+    asked = replace(
+        deployment,
+        cost=shared.astype(np.float64),
+        worth=0.0,
+        charge=cost if costs_count else deployment.charge,
+        budget=math.fsum(cost[chosen]) if costs_count else deployment.budget,
+        floor=value * (1 - 1e-12),
+    )
+    cover = solve_deployment(asked, limit, seed, starts=[chosen]).cover
+    return cover.chosen, cover.bound

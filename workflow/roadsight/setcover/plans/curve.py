@@ -1,0 +1,117 @@
+"""Coverage against cost: the best deployment for each of several budgets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.result import INFEASIBLE, OPTIMAL, TIME_LIMIT, WITHIN_GAP, is_within
+from roadsight.setcover.plans.cuts import Cut
+from roadsight.setcover.plans.deploy import solve_deployment
+from roadsight.setcover.plans.deployment import Deployment
+
+
+@dataclass(frozen=True)
+class CurvePoint:
+    """Best deployment within one budget.
+
+    Parameters
+    ----------
+    budget : what the charges may add up to. spent : what they do. chosen : sorted rows.
+    value : weight that is covered (guaranteed, where a share must be kept), 0 for no rows.
+    bound : no deployment within the budget covers more. status : as of a cover.
+    """
+
+    budget: float
+    spent: float
+    chosen: NDArray[np.int64]
+    value: float
+    bound: float
+    status: str
+
+
+def coverage_curve(
+    deployment: Deployment,
+    budgets: Sequence[float],
+    limit: Deadline | float | None = None,
+    seed: int = 1,
+    gap: float = 0.0,
+    known: Sequence[NDArray[np.int64]] = (),
+    full: float = 0.0,
+) -> list[CurvePoint]:
+    """Points for increasing budgets; values and bounds never fall.
+
+    Each budget starts from the rows and the cuts of the one before, which is less work than to
+    solve each by itself: cuts on coverage hold for any budget. Budgets that cannot pay for the
+    mandatory rows have no point.
+
+    Parameters
+    ----------
+    deployment : its budget, worth, cost and floor are replaced. known : rows to begin with.
+    full : no smaller budget than this sees everything, as is known from elsewhere.
+
+    Raises
+    ------
+    InputError : no budget pays for the mandatory rows.
+    """
+    deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
+    choices = len(deployment.problem.costs)
+    base = replace(deployment, complete=False, worth=1.0, cost=np.zeros(choices), floor=0.0)
+    points: list[CurvePoint] = []
+    pool: list[Cut] = []
+    ordered = sorted(set(budgets))
+    for number, budget in enumerate(ordered):
+        asked = base.with_budget(budget)
+        starts = [*(p.chosen for p in points[-1:]), *known]
+        part = deadline.part(len(ordered) - number)
+        found = solve_deployment(asked, part, seed, gap, starts, pool)
+        pool = found.pool or pool
+        if found.cover.status != INFEASIBLE and math.isfinite(found.cover.objective):
+            bound = min(-found.cover.bound, _most(asked, full))
+            points.append(_point(asked, budget, found.cover.chosen, bound))
+    if not points:
+        raise InputError("no budget pays for the mandatory rows", where="curve", found=ordered)
+    return _monotone(points, base, gap)
+
+
+def _most(deployment: Deployment, full: float) -> float:
+    """Most that a budget can see which does not see everything."""
+    asked = np.asarray(deployment.weights)[deployment.problem.at_least > 0]
+    if deployment.keep or deployment.budget >= full * (1 - 1e-9) or not (asked > 0).all():
+        return math.inf
+    return deployment.total - float(asked.min(initial=0.0))
+
+
+def _point(
+    deployment: Deployment, budget: float, chosen: NDArray[np.int64], bound: float
+) -> CurvePoint:
+    spent = math.fsum(np.asarray(deployment.charge)[chosen])
+    value = deployment.guaranteed(chosen)
+    return CurvePoint(budget, spent, chosen, value, max(bound, value), "")
+
+
+def _monotone(points: list[CurvePoint], base: Deployment, gap: float) -> list[CurvePoint]:
+    """What a larger budget cannot reach, a smaller one cannot either."""
+    least = math.inf
+    result = []
+    for point in reversed(points):
+        least = max(min(least, point.bound), point.value)
+        proven = -least > base.goal(-point.value)
+        bound = point.value if proven else least
+        within = WITHIN_GAP if is_within(gap, point.value, bound) else TIME_LIMIT
+        result.append(replace(point, bound=bound, status=OPTIMAL if proven else within))
+    return result[::-1]
+
+
+def spread_budgets(least: float, most: float, points: int, step: float) -> list[float]:
+    """About so many budgets from least to most, multiples of ``step`` where that is above 0."""
+    values = np.linspace(least, most, points)
+    if step > 0:
+        values = np.unique(np.ceil(values / step - 1e-9)) * step
+    return [float(v) for v in np.minimum(values, most)]

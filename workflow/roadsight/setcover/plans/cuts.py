@@ -1,0 +1,219 @@
+"""Inequalities that hold for every deployment, found where a relaxation breaks them.
+
+Targets have no variables. The weight V that a block of targets contributes is bounded by cuts: for
+any set T of its targets, ``V <= w(not T) + sum_i x_i sum_{j in T} a_ij w_j / k_j`` (Benders cuts of
+maximal covering; k_j is how often target j must be seen). The set T of targets that x sees less
+than k_j times gives the most violated one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from roadsight.setcover.plans.deployment import Deployment
+
+BLOCK_TARGETS = 100
+TARGETS_AT_ONCE = 60
+FAILURES_AT_ONCE = 30
+_VIOLATION = 1e-6
+
+
+@dataclass(frozen=True)
+class Cut:
+    """``sum value_k variable_k >= low``; variables are rows, then blocks."""
+
+    index: NDArray[np.int32]
+    value: NDArray[np.float64]
+    low: float
+
+
+class Cuts:
+    """Separation for one deployment.
+
+    ``blocks`` is how many V variables there are (none where all targets must be seen), ``block``
+    the number of each target's block: neighbours in the order of targets, which is that of a grid.
+    """
+
+    def __init__(self, deployment: Deployment) -> None:
+        self.deployment = deployment
+        problem = deployment.problem
+        self.rows = problem.matrix
+        self.columns = problem.matrix.tocsc()
+        self.choices, self.targets = problem.matrix.shape
+        self.need = problem.at_least
+        self.weight = np.where(self.need > 0, deployment.weights, 0.0)
+        self.share = self.weight / np.maximum(self.need, 1)
+        self.blocks = 0 if deployment.complete else max(1, -(-self.targets // BLOCK_TARGETS))
+        self.block = np.arange(self.targets) * max(self.blocks, 1) // max(self.targets, 1)
+        self.block_weight = np.bincount(self.block, self.weight, minlength=self.blocks)
+        self.exclusive = deployment.exclusive
+        self.loss = (1 - deployment.keep) * deployment.total
+
+    def count(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How often each target is seen."""
+        return _count(self.rows.indptr, self.rows.indices, x, self.targets)
+
+    def violated(self, x: NDArray[np.float64], value: NDArray[np.float64]) -> list[Cut]:
+        """Cuts that shares of rows (m,) and values of blocks break."""
+        count = self.count(x)
+        found = self._exclusive(x)
+        if self.deployment.complete:
+            found += self._unseen(count)
+        else:
+            found += self._coverage(count, value)
+        if self.deployment.keep:
+            found += self._failures(x, count, value)
+        return found
+
+    def first(self) -> list[Cut]:
+        """Cuts to begin with: the budget, the floor, and the targets that few rows see."""
+        found = []
+        if np.isfinite(self.deployment.spendable):
+            charge = np.asarray(self.deployment.charge)
+            used = np.flatnonzero(charge > 0).astype(np.int32)
+            found.append(Cut(used, -charge[used], -self.deployment.spendable))
+        if self.blocks and self.deployment.floor > 0:
+            every = np.arange(self.choices, self.choices + self.blocks, dtype=np.int32)
+            found.append(Cut(every, np.ones(self.blocks), self.deployment.floor))
+        if self.deployment.complete:
+            asked = np.flatnonzero(self.need > 0)
+            seen = np.diff(self.columns.indptr)[asked]
+            rare = asked[np.argsort(seen, kind="stable")[: 5 * TARGETS_AT_ONCE]]
+            found += [self._target(int(t)) for t in np.sort(rare)]
+        return found
+
+    def _exclusive(self, x: NDArray[np.float64]) -> list[Cut]:
+        crowded = np.flatnonzero(self.exclusive @ x > 1 + _VIOLATION)
+        start, index = self.exclusive.indptr, self.exclusive.indices
+        members = [np.sort(index[start[k] : start[k + 1]]).astype(np.int32) for k in crowded]
+        return [Cut(rows, -np.ones(len(rows)), -1.0) for rows in members]
+
+    def _target(self, target: int) -> Cut:
+        start = self.columns.indptr
+        rows = self.columns.indices[start[target] : start[target + 1]].astype(np.int32)
+        return Cut(rows, np.ones(len(rows)), float(self.need[target]))
+
+    def _unseen(self, count: NDArray[np.float64]) -> list[Cut]:
+        missing = self.need - count
+        bad = np.flatnonzero(missing > _VIOLATION)
+        bad = bad[np.argsort(-missing[bad], kind="stable")[:TARGETS_AT_ONCE]]
+        return [self._target(int(t)) for t in bad]
+
+    def _coverage(self, count: NDArray[np.float64], value: NDArray[np.float64]) -> list[Cut]:
+        part = np.minimum(count, self.need) * self.share
+        seen = np.bincount(self.block, part, minlength=self.blocks)
+        open_ = (count < self.need) & (self.weight > 0)
+        found = []
+        for b in np.flatnonzero(value > seen + _VIOLATION * np.maximum(1.0, self.block_weight)):
+            these = np.flatnonzero(open_ & (self.block == b))
+            gain = self._gain(these)
+            rows = np.flatnonzero(gain).astype(np.int32)
+            index = np.append(rows, np.int32(self.choices + b))
+            low = self.weight[these].sum() - self.block_weight[b]
+            found.append(Cut(index, np.append(gain[rows], -1.0), low))
+        return found
+
+    def _gain(self, targets: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Weight over need of some targets that each row sees."""
+        return _gain(self.columns.indptr, self.columns.indices, targets, self.share, self.choices)
+
+    def _failures(
+        self, x: NDArray[np.float64], count: NDArray[np.float64], value: NDArray[np.float64]
+    ) -> list[Cut]:
+        """What is left when a row fails: ``keep V <= f(x without it)``; most violated first."""
+        deployment = self.deployment
+        goal = deployment.keep * (deployment.total if deployment.complete else value.sum())
+        found = []
+        for row in np.flatnonzero(x > _VIOLATION):
+            seen = self.rows.indices[self.rows.indptr[row] : self.rows.indptr[row + 1]]
+            left = count.copy()
+            left[seen] -= x[row]
+            part = float((np.minimum(left, self.need) * self.share).sum())
+            short = goal - part
+            if short > _VIOLATION * max(1.0, deployment.total):
+                found.append((-short, int(row), np.flatnonzero(left < self.need - 1e-9)))
+        found.sort(key=lambda entry: entry[:2])
+        cuts = [self._failure(row, these) for _, row, these in found[:FAILURES_AT_ONCE]]
+        return cuts + (self._critical(x, count) if deployment.complete else [])
+
+    def _failure(self, row: int, targets: NDArray[np.int64]) -> Cut:
+        gain = self._gain(targets[self.weight[targets] > 0])
+        gain[row] = 0.0
+        outside = self.deployment.total - self.weight[targets].sum()
+        keep = self.deployment.keep
+        if self.deployment.complete:
+            low = keep * self.deployment.total - outside
+            rows = np.flatnonzero(gain).astype(np.int32)
+            return Cut(rows, np.minimum(gain[rows], low), low)
+        rows = np.flatnonzero(gain).astype(np.int32)
+        every = np.arange(self.choices, self.choices + self.blocks, dtype=np.int32)
+        value = np.concatenate([gain[rows], np.full(self.blocks, -keep)])
+        return Cut(np.concatenate([rows, every]), value, -outside)
+
+    def _critical(self, x: NDArray[np.float64], count: NDArray[np.float64]) -> list[Cut]:
+        """Targets that are seen just often enough belong to rows that may lose so much each.
+
+        ``u_j >= k_j + 1 - count_j`` marks such targets; each is lost with any of its k_j rows, and
+        no row may lose more than (1 - keep) of all weight.
+        """
+        asked = (self.need > 0) & (self.weight > 0)
+        these = np.flatnonzero(asked & (count < self.need + 1 - 1e-9))
+        columns, need = self.columns, self.need.astype(np.float64)
+        lost = _gain(columns.indptr, columns.indices, these, self.weight, self.choices)
+        times = self.weight * need
+        seen = _gain(columns.indptr, columns.indices, these, times, self.choices)
+        low = float((times[these] * (need[these] + 1)).sum())
+        value = seen + np.minimum(lost, self.loss)
+        if value @ x > low - _VIOLATION * max(1.0, low):
+            return []
+        rows = np.flatnonzero(value).astype(np.int32)
+        return [Cut(rows, value[rows], low)]
+
+    def forbids(self, chosen: NDArray[np.int64]) -> list[Cut]:
+        """Cuts of whole rows that see every target but lose too much when one fails.
+
+        What row i alone keeps seen often enough must be seen by others of the rows not chosen.
+        """
+        deployment = self.deployment
+        if not (deployment.complete and deployment.keep):
+            return []
+        count = np.asarray(self.rows[chosen].sum(axis=0, dtype=np.int64)).ravel()
+        critical = (count == self.need) & (self.weight > 0)
+        cuts = []
+        for row in chosen:
+            seen = self.rows.indices[self.rows.indptr[row] : self.rows.indptr[row + 1]]
+            these = seen[critical[seen]]
+            short = self.weight[these].sum() - self.loss
+            if short <= 1e-9 * max(1.0, deployment.total):
+                continue
+            gain = _gain(self.columns.indptr, self.columns.indices, these.astype(np.int64),
+                         self.weight, self.choices)  # fmt: skip
+            gain[chosen] = 0.0
+            value = np.minimum(gain, short)
+            value[row] = -short
+            rows = np.flatnonzero(value).astype(np.int32)
+            cuts.append(Cut(rows, value[rows], 0.0))
+        return cuts
+
+
+@njit(cache=True)
+def _count(start, index, x, targets):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    total = np.zeros(targets)
+    for i in range(len(x)):
+        if x[i] > 1e-12:
+            for p in range(start[i], start[i + 1]):
+                total[index[p]] += x[i]
+    return total
+
+
+@njit(cache=True)
+def _gain(start, index, targets, amount, choices):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    gain = np.zeros(choices)
+    for t in targets:
+        for p in range(start[t], start[t + 1]):
+            gain[index[p]] += amount[t]
+    return gain

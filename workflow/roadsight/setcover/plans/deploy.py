@@ -1,0 +1,165 @@
+"""Deployments with proof: the best rows for everything that a plan asks for."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.problem import CoverProblem
+from roadsight.setcover.common.result import (
+    INFEASIBLE,
+    OPTIMAL,
+    TIME_LIMIT,
+    WITHIN_GAP,
+    Cover,
+    is_within,
+    relative_gap,
+)
+from roadsight.setcover.cover.solve import solve_cover_problem
+from roadsight.setcover.plans.construct import Builder
+from roadsight.setcover.plans.cuts import Cut, Cuts
+from roadsight.setcover.plans.deployment import Deployment
+from roadsight.setcover.plans.master import Master
+from roadsight.setcover.plans.tree import Tree
+
+_STEPS = 2_000
+_COVER_SHARES = 3  # of the work goes into the cover without the rest, which bounds it
+
+
+@dataclass(frozen=True)
+class Deployed:
+    """A deployment found, and what other ones may start from.
+
+    ``objective`` and ``bound`` of the cover are those of the deployment (a minimum).
+    """
+
+    cover: Cover
+    pool: list[Cut]
+
+
+def solve_deployment(
+    deployment: Deployment,
+    limit: Deadline | float | None = None,
+    seed: int = 1,
+    gap: float = 0.0,
+    starts: Iterable[NDArray[np.int64]] = (),
+    pool: list[Cut] | None = None,
+) -> Deployed:
+    """Best rows, proven, or the best ones found within the limit.
+
+    Where every target must be seen, the cover without the further conditions is solved first: it
+    bounds the answer and is one where it meets them. The rest is branch and cut: cuts in the space
+    of rows, a greedy search that takes out and fills again, and a tree that divides by whether two
+    targets share a row. The answer depends on the seed alone, as that of `solve_cover_problem`.
+
+    Parameters
+    ----------
+    starts : sorted rows to begin with; those that are not allowed are mended.
+    pool : cuts of a deployment that differs in budget, worth or floor alone.
+    """
+    start = time.process_time()
+    if deployment.out_of_reach:
+        return Deployed(_infeasible(start), [])
+    deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
+    builder = Builder(Cuts(deployment), np.random.default_rng(seed))
+    floor = -deployment.worth * deployment.total
+    if deployment.complete:
+        floor = _by_cover(deployment, builder, deadline, seed, gap)
+        if math.isinf(floor):
+            return Deployed(_infeasible(start), [])
+    for rows in starts:
+        builder.offer(rows)
+        builder.build(rows)
+    builder.build(np.empty(0, np.int64))
+    proof, nodes, pool = floor, 0, pool or []
+    if floor <= deployment.goal(builder.value):
+        master = Master(builder.cuts, pool)
+        tree = Tree(master, builder, gap).run(floor, deadline)
+        proof, nodes, pool = tree.bound, tree.nodes, master.pool()
+    return Deployed(_assemble(deployment, builder, proof, nodes, start, gap), pool)
+
+
+def solve_costly_cover(
+    problem: CoverProblem, limit: Deadline, seed: int = 1, gap: float = 0.0
+) -> Cover:
+    """Cheapest cover where many rows differ in cost, as `solve_cover_problem` finds it.
+
+    Where half of the work does not prove it, the cover of the fewest rows and what a greedy search
+    makes of both are tried as well: costs that differ a little from place to place lead astray.
+    """
+    start = time.process_time()
+    cover = solve_cover_problem(problem, limit.part(2), seed, gap)
+    if cover.status != TIME_LIMIT or (problem.costs == problem.costs[0]).all():
+        return cover
+    ones = problem.changed(costs=None)
+    builder = Builder(Cuts(Deployment(problem)), np.random.default_rng(seed))
+    for rows in (cover.chosen, solve_cover_problem(ones, limit.part(2), seed).chosen):
+        builder.offer(rows)
+    builder.improve(_STEPS, cover.bound, limit)
+    if builder.best is None or builder.value >= cover.objective:
+        return cover
+    value, bound = builder.value, min(cover.bound, builder.value)
+    proven = bound > builder.deployment.goal(value)
+    return replace(
+        cover,
+        status=OPTIMAL if proven else WITHIN_GAP if is_within(gap, value, bound) else TIME_LIMIT,
+        chosen=builder.best,
+        objective=value,
+        bound=value if proven else bound,
+        gap=0.0 if proven else relative_gap(value, bound),
+        seconds_cpu=time.process_time() - start,
+    )
+
+
+def _by_cover(
+    deployment: Deployment, builder: Builder, deadline: Deadline, seed: int, gap: float
+) -> float:
+    """Bound by the cheapest cover, whose rows are a start; infinite where there is none."""
+    problem, cost = deployment.problem, np.asarray(deployment.cost)
+    least = -deployment.worth * deployment.total
+    if not (cost > 0).all():
+        return least
+    costly = problem.changed(costs=cost)
+    cover = solve_cover_problem(costly, deadline.part(_COVER_SHARES), seed, gap)
+    if cover.status == INFEASIBLE:
+        return math.inf
+    if len(cover.chosen):
+        builder.offer(cover.chosen)
+        builder.build(cover.chosen)
+    return cover.bound + least
+
+
+def _infeasible(start: float) -> Cover:
+    nothing = np.empty(0, np.int64)
+    seconds = time.process_time() - start
+    return Cover(INFEASIBLE, nothing, math.inf, math.inf, 0.0, seconds)
+
+
+def _assemble(
+    deployment: Deployment, builder: Builder, bound: float, nodes: int, start: float, gap: float
+) -> Cover:
+    if builder.best is None and math.isinf(bound) and bound > 0:
+        return replace(_infeasible(start), nodes=nodes)
+    value = builder.value
+    proven = bound > deployment.goal(value)
+    bound = value if proven else min(deployment.round_up(bound), value)
+    # Of a price, objectives count from the full coverage down, so that gaps are those of costs.
+    shift = deployment.worth * deployment.total if np.asarray(deployment.cost).any() else 0.0
+    near = is_within(gap, value + shift, bound + shift)
+    rows, columns = deployment.problem.matrix.shape
+    return Cover(
+        OPTIMAL if proven else WITHIN_GAP if near else TIME_LIMIT,
+        np.empty(0, np.int64) if builder.best is None else builder.best,
+        value,
+        bound,
+        relative_gap(value + shift, bound + shift),
+        time.process_time() - start,
+        reductions={"rows": rows, "columns": columns},
+        nodes=nodes,
+    )

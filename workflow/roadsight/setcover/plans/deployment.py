@@ -1,0 +1,181 @@
+"""Covers with more to them: budgets, prices, weights, distances, failures of a sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+
+from roadsight.base.errors import InputError
+from roadsight.setcover.common.problem import CoverProblem, alone_to_none, objective_step
+
+_ROUNDING = 1e-12
+_LEAST_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Deployment:
+    """Choose rows X with ``minimise cost(X) - worth * V(X)``.
+
+    V(X) is the coverage that is guaranteed: the weight of the targets that at least ``at_least_j``
+    rows of X see and, with ``keep`` = r, at most 1/r of what is left when any one row of X fails:
+    ``V = min(f(X), min_i f(X - i) / r)``. Subject to the groups, mandatory and forbidden rows of
+    the problem, ``sum charge_i x_i <= budget``, at most one row of each clique, V >= ``floor`` and,
+    where ``complete``, V = the weight of all targets, each target seen often enough.
+
+    Parameters
+    ----------
+    problem : matrix, costs, groups, at_least, mandatory and forbidden rows.
+    weights : (targets,) 0 or more; None = 1 each.
+    complete : every target must be seen, as in a cover.
+    worth : what a unit of weight is worth, in cost.
+    cost : (choices,) 0 or more, what is minimised; None = the problem's costs.
+    charge, budget : (choices,) 0 or more, and what they may add up to.
+    cliques : sets of rows of which at most one is taken.
+    keep : share of V that is left when any one row fails, in [0, 1].
+    floor : least V.
+
+    Raises
+    ------
+    InputError : a weight, charge, budget or share is not usable.
+    """
+
+    problem: CoverProblem
+    weights: NDArray[np.float64] = None  # type: ignore[assignment]
+    complete: bool = True
+    worth: float = 0.0
+    cost: NDArray[np.float64] = None  # type: ignore[assignment]
+    charge: NDArray[np.float64] = None  # type: ignore[assignment]
+    budget: float = math.inf
+    cliques: tuple[NDArray[np.int64], ...] = field(default=(), repr=False)
+    keep: float = 0.0
+    floor: float = 0.0
+
+    def __post_init__(self) -> None:
+        choices, targets = self.problem.matrix.shape
+        set_ = object.__setattr__
+        set_(self, "weights", _numbers("weights", self.weights, targets, np.ones(targets)))
+        set_(self, "cost", _numbers("cost", self.cost, choices, self.problem.costs))
+        set_(self, "charge", _numbers("charge", self.charge, choices, self.problem.costs))
+        if not self.budget >= 0:
+            raise InputError(
+                "is not usable", where="budget", found=self.budget, allowed="0 or more"
+            )
+        if not 0 <= self.keep <= 1:
+            raise InputError("is no share", where="keep", found=self.keep, allowed="0 to 1")
+        if not (math.isfinite(self.worth) and self.worth >= 0):
+            raise InputError("is not usable", where="price", found=self.worth, allowed="0 or more")
+
+    def with_budget(self, budget: float) -> Deployment:
+        """The same with another budget."""
+        return replace(self, budget=budget)
+
+    @cached_property
+    def total(self) -> float:
+        """Weight of all targets that ask for something."""
+        return math.fsum(self.weights[self.problem.at_least > 0])
+
+    @property
+    def out_of_reach(self) -> bool:
+        """Whether V is asked to be more than the weight of all targets."""
+        return self.floor > self.total + 1e-9 * max(1.0, self.floor)
+
+    @cached_property
+    def spendable(self) -> float:
+        """Budget as far as charges can use it, with room for rounding."""
+        if not math.isfinite(self.budget):
+            return math.inf
+        positive = self.charge[self.charge > 0]
+        step = objective_step(positive) if len(positive) else 0.0
+        used = math.floor(self.budget / step + 1e-9) * step if step else self.budget
+        return used * (1 + _ROUNDING)
+
+    @cached_property
+    def exclusive(self) -> sparse.csr_matrix:
+        """Cliques and groups, (sets, choices): at most one row of each set."""
+        group = alone_to_none(self.problem.groups)
+        member = np.flatnonzero(group >= 0)
+        sets = int(group.max(initial=-1)) + 1
+        row = [group[member], *(np.full(len(c), sets + k) for k, c in enumerate(self.cliques))]
+        column = [member, *self.cliques]
+        rows, columns = np.concatenate(row), np.concatenate(column)
+        shape = (sets + len(self.cliques), len(group))
+        return sparse.csr_matrix((np.ones(len(rows), np.int32), (rows, columns)), shape=shape)
+
+    @cached_property
+    def step(self) -> float:
+        """Number of which all objectives are whole multiples; 0 where there is none."""
+        if self.worth and 0 < self.keep < 1:
+            return 0.0
+        parts = [self.cost, self.worth * self.weights]
+        values: NDArray[np.float64] = np.concatenate(parts)
+        step = objective_step(values[values > 0]) if (values > 0).any() else 1.0
+        return step if step >= _LEAST_STEP * values.max(initial=1.0) else 0.0
+
+    def goal(self, best: float) -> float:
+        """Largest bound that still allows a better objective than ``best``."""
+        if not math.isfinite(best):
+            return math.inf
+        return best - self.step * (1 - 1e-6) if self.step else best - 1e-7 * max(1.0, abs(best))
+
+    def round_up(self, bound: float) -> float:
+        """Bound lifted to the next possible objective."""
+        if not self.step or not math.isfinite(bound):
+            return bound
+        return math.ceil(bound / self.step - 1e-6) * self.step
+
+    def guaranteed(self, chosen: NDArray[np.int64]) -> float:
+        """V of sorted rows."""
+        need, weights = self.problem.at_least, self.weights
+        rows = self.problem.matrix[chosen]
+        count = np.asarray(rows.sum(axis=0, dtype=np.int64)).ravel()
+        asked = need > 0
+        covered = math.fsum(weights[(count >= need) & asked])
+        if not self.keep or not len(chosen):
+            return covered
+        critical = np.where((count == need) & asked, weights, 0.0)
+        lost = (rows @ critical).max(initial=0.0)
+        return min(covered, max(covered - lost, 0.0) / self.keep)
+
+    def objective(self, chosen: NDArray[np.int64]) -> float:
+        """Objective of sorted rows; infinite where they are not allowed."""
+        if self.broken(chosen):
+            return math.inf
+        value = self.guaranteed(chosen)
+        least = max(self.total, self.floor) if self.complete else self.floor
+        if value < least - 1e-9 * max(1.0, least) or (self.complete and self._unseen(chosen)):
+            return math.inf
+        return math.fsum(self.cost[chosen]) - self.worth * value
+
+    def broken(self, chosen: NDArray[np.int64]) -> bool:
+        """Whether rows break the budget, a clique, a group, or what must or must not be taken."""
+        mask = np.zeros(len(self.problem.costs), np.int32)
+        mask[chosen] = 1
+        problem = self.problem
+        if (problem.mandatory & (mask == 0)).any() or (problem.forbidden & (mask > 0)).any():
+            return True
+        if math.fsum(self.charge[chosen]) > self.spendable:
+            return True
+        return bool((self.exclusive @ mask > 1).any())
+
+    def _unseen(self, chosen: NDArray[np.int64]) -> bool:
+        count = np.asarray(self.problem.matrix[chosen].sum(axis=0, dtype=np.int64)).ravel()
+        return bool((count < self.problem.at_least).any())
+
+
+def _numbers(
+    name: str, values: ArrayLike | None, length: int, default: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    array = default if values is None else np.asarray(values, np.float64)
+    if array.shape != (length,) or not np.isfinite(array).all() or (array < 0).any():
+        raise InputError(
+            "is no array of numbers of 0 or more",
+            where=name,
+            found=f"shape {array.shape}",
+            allowed=f"finite, shape ({length},)",
+        )
+    return array.astype(np.float64)

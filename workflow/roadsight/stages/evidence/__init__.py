@@ -1,0 +1,1 @@
+"""Stages that measure, audit, sum up and report."""

@@ -1,0 +1,91 @@
+"""Audit of a site's pole effects: its answer with and without each of them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import shutil
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import pandas as pd
+
+from roadsight.effects.catalogue import load_catalogue
+from roadsight.evidence.effects_audit import row_of
+from roadsight.evidence.pole_audit import PoleAnswer, answer_change
+from roadsight.evidence.variants import Variant
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.tables import read_table
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("audit_pole_effects")
+_TARGETS = ("poles/hazard.parquet",)
+
+
+def audit_pole_effects(arguments: argparse.Namespace) -> None:
+    """Run the other decision on each effect and write what it changes."""
+    site = arguments.site
+    catalogue, config = load_catalogue(arguments.catalogue), json.loads(arguments.config)
+    planned, _ = _answered(config, arguments, {})
+    rows = []
+    for decision in read_json(arguments.effects):
+        effect = decision["effect"]
+        if decision["job"] != "poles" or effect in arguments.leave_out:
+            continue
+        simulated = decision["decision"] == "simulate"
+        changes = {"effects": {effect: "skip" if simulated else "simulate"}}
+        other, ran = _answered(config, arguments, changes)
+        pair = (planned, other) if simulated else (other, planned)
+        rows.append(_row(site, decision, catalogue[effect].tolerance, *pair))
+        log.info("%s changes %.4f, ran %s", effect, rows[-1]["change"], sorted(ran))
+    write_json(arguments.out, rows)
+
+
+def _answered(
+    config: dict[str, Any], arguments: argparse.Namespace, changes: dict[str, Any]
+) -> tuple[PoleAnswer, dict[str, int]]:
+    """The answer under changed settings, and the jobs that ran for it."""
+    variant = Variant.prepare(".", arguments.work, config, arguments.site, changes)
+    ran = variant.run(_TARGETS)
+    shards = sorted(variant.result("poles/sightings").glob("*.parquet"))
+    answer = PoleAnswer(
+        read_table(variant.result("poles/poles.parquet")),
+        pd.concat([read_table(path) for path in shards], ignore_index=True),
+        read_table(variant.result(_TARGETS[0])),
+        sum(record.cpu_s for record in variant.records(_TARGETS)),
+    )
+    shutil.rmtree(variant.folder)
+    return answer, ran
+
+
+def _row(
+    site: str,
+    decision: dict[str, Any],
+    tolerance: float,
+    simulated: PoleAnswer,
+    skipped: PoleAnswer,
+) -> dict[str, Any]:
+    numbers = {
+        "found_with": simulated.found,
+        "found_without": skipped.found,
+        "seen_with": simulated.seen,
+        "seen_without": skipped.seen,
+        "change": answer_change(simulated, skipped),
+        "cpu_seconds": max(simulated.cpu_s - skipped.cpu_s, 0.0),
+    }
+    return row_of(site, decision, tolerance, numbers)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("site", "effects", "catalogue", "config", "work", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--leave-out", nargs="*", default=[], help="effects that have one way only")
+    return run_stage(parser, audit_pole_effects, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,74 @@
+"""Error and cost of coordinates in single precision, of the world and near a local origin."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.evidence.precision import (
+    largest_error_m,
+    normal_error_deg,
+    normals_of,
+    stored,
+)
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.clouds import read_laz
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.usage import own_usage
+from roadsight.stages.command import run_stage
+
+LEVELS = {"float32, world": (False, True), "float32, local": (True, True),
+          "float64, local": (True, False)}  # fmt: skip
+"""Ways to store coordinates: whether a local origin is subtracted, whether as float32."""
+
+DEFAULT = "float32, local"
+_POINTS = 100_000
+_NEIGHBOURS = 10
+_REPEATS = 3
+
+
+def measure_precision(arguments: argparse.Namespace) -> None:
+    """Write the errors of each way to store coordinates and the time that normals take."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    native = read_laz(arguments.cloud).xyz[:_POINTS]
+    exact = normals_of(native - native.mean(axis=0), _NEIGHBOURS)
+    levels = {name: _level(native, frame, exact, *way) for name, way in LEVELS.items()}
+    write_json(arguments.out, {"default": DEFAULT, "repeats": _REPEATS, "levels": levels})
+
+
+def _level(
+    native: NDArray[np.float64], frame: Frame, exact: NDArray[np.float64], local: bool, single: bool
+) -> dict[str, Any]:
+    """Errors and cost of one way."""
+    origin = np.asarray(frame.origin) if local else np.zeros(3)
+    points = stored(native, origin, single)
+    timings = []
+    for _ in range(_REPEATS):
+        cpu, wall = time.process_time(), time.perf_counter()
+        found = normals_of(points, _NEIGHBOURS)
+        timings.append((time.process_time() - cpu, time.perf_counter() - wall))
+    return {
+        "coordinate_error_m": largest_error_m(native, origin, single),
+        "normal_error_deg": normal_error_deg(found, exact),
+        "cpu_s": min(timings)[0],
+        "wall_s": min(timings)[1],
+        "peak_mib": own_usage().peak_mib,
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cloud", required=True, help="LAZ file, whose coordinates are exact")
+    for name in ("frame", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    return run_stage(parser, measure_precision, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,68 @@
+"""The catalogue of hard cases: both ways run, errors against bounds, a table and a page."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+
+import pandas as pd
+
+from roadsight import __version__
+from roadsight.evidence.hardcases.case import CaseResult, measure
+from roadsight.evidence.hardcases.catalogue import all_cases
+from roadsight.io.records.atomic import atomic_path
+from roadsight.io.records.sighting_tables import write_csv
+from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases
+from roadsight.report.files import read_assets
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("run_hardcases")
+
+
+def run_hardcases(arguments: argparse.Namespace) -> None:
+    """Measure every case; write the table and the page."""
+    cases = all_cases()
+    results = [measure(case, arguments.seed) for case in logged(cases, len(cases), log, "cases")]
+    for result in results:
+        if not result.passed:
+            log.warning(
+                "%s: naive %g, ours %g, bound %g %s", result.case.name, result.naive_error,
+                result.our_error, result.case.bound, result.case.unit,
+            )  # fmt: skip
+    write_csv(arguments.table, case_table(results))
+    assets = read_assets(ASSETS)
+    with atomic_path(arguments.page) as temporary:
+        temporary.write_text(render_hardcases(results, assets, __version__), encoding="utf-8")
+    log.info("%d of %d cases hold", sum(result.passed for result in results), len(results))
+
+
+def case_table(results: Sequence[CaseResult]) -> pd.DataFrame:
+    """Rows as written: one a case, errors to four digits."""
+    return pd.DataFrame(
+        {
+            "case": [result.case.name for result in results],
+            "stage": [result.case.stage for result in results],
+            "hazard": [result.case.hazard for result in results],
+            "naive_error": [f"{result.naive_error:.4g}" for result in results],
+            "our_error": [f"{result.our_error:.4g}" for result in results],
+            "bound": [f"{result.case.bound:.4g}" for result in results],
+            "unit": [result.case.unit for result in results],
+            "passed": ["true" if result.passed else "false" for result in results],
+        }
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--table", required=True, help="CSV file to write")
+    parser.add_argument("--page", required=True, help="HTML file to write")
+    return run_stage(parser, run_hardcases, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,204 @@
+"""Everything that the report shows of one site, in one compact file."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.clouds import read_laz
+from roadsight.io.cloud.tiles import COLOUR, CloudTiles, stack_xyz
+from roadsight.io.raster.rasters import Raster, read_raster
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.detections import read_detections
+from roadsight.io.records.tables import read_table
+from roadsight.io.vector.vectors import read_layer
+from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, load_sensors
+from roadsight.report.site.layers import CloudSample
+from roadsight.report.site.page import Placement, PlanResult, Relief, Scene, build_page
+from roadsight.report.site.thinning import sample_mask, thin
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("write_site_page")
+
+_CLOUD_POINTS = 150_000
+_RETURNS = 20_000
+# Points in memory before they are thinned evenly in space.
+_SAMPLED_POINTS = 2_000_000
+
+
+def write_site_page(arguments: argparse.Namespace) -> None:
+    """Read a site's artifacts and write its page."""
+    about, summary = read_json(arguments.frame), read_json(arguments.summary)
+    frame = Frame.from_dict(about)
+    dem = read_raster(arguments.dem, frame)
+    scene = Scene(
+        about,
+        sample_cloud(arguments.cloud, dem),
+        Relief(dem.values, dem.west_m, dem.north_m, dem.cell_size_m),
+        read_layer(arguments.pavement, "pavement", frame),
+        read_layer(arguments.edges, "edges", frame),
+    )
+    placement = _placement(arguments, frame) if arguments.solutions else None
+    title = arguments.title or arguments.site
+    page = build_page(title, summary, scene, placement)
+    log.info("%d points, %d plans", len(scene.cloud.xyz_m), len(page["plans"]))
+    write_json(arguments.out, page)
+
+
+def sample_cloud(path: str, dem: Raster) -> CloudSample:
+    """About 150,000 points of a tiled cloud, even in space, with their height above ground."""
+    cloud = CloudTiles(path)
+    share = _SAMPLED_POINTS / max(cloud.points, 1)
+    colours = [name for name in COLOUR if name in cloud.columns]
+    names = ["x", "y", "z", "intensity", *colours]
+    parts, start = [], 0
+    for number, tile in enumerate(cloud.tiles):
+        points = cloud.read(names, [number])
+        mask = sample_mask(start, tile.rows, share)
+        parts.append({name: points[name][mask] for name in names})
+        start += tile.rows
+    sample = {name: np.concatenate([part[name] for part in parts]) for name in names}
+    chosen = thin(stack_xyz(sample), _CLOUD_POINTS)
+    sample = {name: values[chosen] for name, values in sample.items()}
+    return CloudSample(
+        cloud.points,
+        stack_xyz(sample),
+        sample["z"] - dem.sample(sample["x"], sample["y"]),
+        sample["intensity"],
+        np.column_stack([sample[name] for name in colours]) if colours else None,
+    )
+
+
+def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
+    """Results of all plans."""
+    titles = dict(entry.partition("=")[::2] for entry in arguments.plans)
+    solutions = [read_json(path) for path in arguments.solutions]
+    chosen = {place["candidate"] for solution in solutions for place in solution["sensors"]}
+    detections = read_detections(arguments.detections)
+    definitions = load_sensors(arguments.sensors)
+    names = dict.fromkeys(Path(path).parent.name for path in arguments.detections)
+    coverage = read_json(arguments.coverage[0])["plans"]
+    targets = read_table(arguments.targets[0])
+    files = (arguments.obstacles, arguments.scans)
+    plans = [
+        _plan(
+            solution,
+            titles,
+            coverage[solution["plan"]]["uncovered"],
+            frame,
+            _in_sight(solution, layers, targets["target"], frame),
+            *of_plan,
+        )
+        for solution, layers, *of_plan in zip(solutions, arguments.layers, *files, strict=True)
+    ]
+    return Placement(
+        targets,
+        [read_table(path) for path in arguments.candidates],
+        detections[detections["candidate"].isin(chosen)],
+        {name: _shown(definitions[name]) for name in names},
+        plans,
+    )
+
+
+def _shown(sensor: AnySensor) -> dict[str, Any]:
+    """Definition of a sensor, with half its field of view where that is limited."""
+    if not isinstance(sensor, AimedSensor):
+        return sensor.to_dict()
+    return sensor.to_dict() | {"half_view_deg": sensor.half_view_deg}
+
+
+def _plan(
+    solution: dict[str, Any],
+    titles: dict[str, str],
+    uncovered: Sequence[str],
+    frame: Frame,
+    shares: NDArray[np.float64] | None,
+    obstacles: str,
+    scans: str,
+) -> PlanResult:
+    name = solution["plan"]
+    if name not in titles:
+        raise InputError(
+            "a solution of an unknown plan",
+            where="--solutions",
+            found=name,
+            allowed=", ".join(titles),
+        )
+    returns_xyz_m, returns_sensor = _returns(scans, frame) if solution["sensors"] else _NO_RETURNS
+    return PlanResult(
+        titles[name],
+        solution,
+        uncovered,
+        _explained(obstacles, frame),
+        read_layer(obstacles, "obstacles", frame),
+        returns_xyz_m,
+        returns_sensor,
+        shares,
+    )
+
+
+def _in_sight(
+    solution: dict[str, Any], layers: str, targets: pd.Series, frame: Frame
+) -> NDArray[np.float64] | None:
+    """Share of the time in which a plan has each target in sight; None without traffic.
+
+    Parameters
+    ----------
+    solution : content of solution.json. layers : its solution.gpkg. targets : names, in order.
+
+    Returns
+    -------
+    (n,), 0 for targets that the plan leaves out.
+    """
+    if "availability" not in solution:
+        return None
+    shares = read_layer(layers, "targets", frame).set_index("target")["availability"]
+    return shares.reindex(targets).fillna(0.0).to_numpy(np.float64)
+
+
+_NO_RETURNS = np.empty((0, 3)), np.empty(0, np.int64)
+
+
+def _returns(path: str, frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Sample of the simulated returns in local metres, and the number of their sensor, from 0."""
+    scan = read_laz(path)
+    xyz_m = frame.to_local(scan.xyz)
+    sampled = np.flatnonzero(sample_mask(0, len(xyz_m), _SAMPLED_POINTS / max(len(xyz_m), 1)))
+    chosen = sampled[thin(xyz_m[sampled], _RETURNS)]
+    return xyz_m[chosen], scan.dims["point_source_id"][chosen].astype(np.int64) - 1
+
+
+def _explained(obstacles: str, frame: Frame) -> pd.DataFrame:
+    """Uncovered targets and reasons; the layer holds their obstacles in native coordinates."""
+    gaps = read_layer(obstacles, "uncovered", frame)
+    place = ["obstacle_x", "obstacle_y"]
+    gaps[place] = frame.to_local(gaps[place].to_numpy(np.float64))
+    return gaps
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("site", "summary", "frame", "cloud", "dem", "pavement", "edges", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--title", default="", help="name of the site for people")
+    parser.add_argument("--sensors", help="definitions of the sensors; needed with --solutions")
+    parser.add_argument("--plans", nargs="*", default=[], metavar="NAME=TITLE")
+    per_site = ("targets", "candidates", "detections", "coverage")
+    for name in (*per_site, "solutions", "layers", "obstacles", "scans"):
+        parser.add_argument(f"--{name}", nargs="*", default=[])
+    return run_stage(parser, write_site_page, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

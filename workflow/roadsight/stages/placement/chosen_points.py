@@ -1,0 +1,113 @@
+"""What the chosen sensors of a plan measure of each target by height, from their depth maps."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.io.records.depth_maps import DepthMaps
+from roadsight.io.records.poses import read_poses, read_tilts
+from roadsight.placement.sensors.aimed import Camera, Radar
+from roadsight.placement.sensors.poses import Turn, local_from_sensor, split_pose
+from roadsight.placement.sensors.sensors import AnySensor, load_sensor, load_sensors
+from roadsight.placement.sight.detectors import BandedDetector, Criteria, detector_of
+from roadsight.placement.sight.heights import BANDS
+from roadsight.placement.sight.posed import Panorama
+from roadsight.placement.sight.shapes import Shape
+from roadsight.placement.sight.sight import beams_by_height
+from roadsight.stages.placement.detection_inputs import sight_of
+
+_FLOATS = NDArray[np.float64]
+
+
+class _Place(NamedTuple):
+    """A chosen sensor: its name, its candidate, how it is turned, and whether it has a pose."""
+
+    sensor: str
+    candidate: str
+    turn: Turn
+    posed: bool
+
+
+def points_by_height(
+    arguments: argparse.Namespace, chosen: pd.DataFrame, feet_m: _FLOATS, shape: Shape
+) -> dict[str, _FLOATS]:
+    """Points of LiDARs and pixels of cameras on each target, (targets, bands), by unit.
+
+    Parameters
+    ----------
+    chosen : columns sensor and candidate, whose name says its pose where it has one.
+
+    Raises
+    ------
+    InputError : a chosen sensor has no depth map.
+    """
+    sensors = load_sensors(arguments.sensors)
+    pairs = zip(chosen["sensor"], chosen["candidate"].astype(str), strict=True)
+    places = [_Place(name, *split_pose(told), "@" in told) for name, told in pairs]
+    places = [place for place in places if not isinstance(sensors[place.sensor], Radar)]
+    totals: dict[str, _FLOATS] = {}
+    found = 0
+    for place, panorama, tilt in _views(arguments, places, sensors):
+        sensor = sensors[place.sensor]
+        part = _measured(arguments, place, sensor, panorama, tilt, feet_m, shape)
+        unit = "pixels" if isinstance(sensor, Camera) else "points"
+        totals[unit] = totals.get(unit, np.zeros(part.shape)) + part
+        found += 1
+    if found < len(places):
+        raise InputError(
+            "depth maps of chosen sensors are missing",
+            where=str(arguments.out),
+            found=f"{found} of {len(places)}",
+            hint="run the workflow again",
+        )
+    return dict(sorted(totals.items()))
+
+
+def _views(
+    arguments: argparse.Namespace, places: list[_Place], sensors: dict[str, AnySensor]
+) -> Iterator[tuple[_Place, Panorama, _FLOATS | None]]:
+    """Each place with its depth map, or its candidate's panorama, and the tilt of its mount."""
+    poses = {name: pose for path in arguments.candidates for name, pose in read_poses(path).items()}
+    tilts = read_tilts(arguments.tilts)
+    for path in arguments.depth:
+        maps = DepthMaps(path)
+        beams = load_sensor(arguments.sensors, maps.info.sensor)
+        if maps.info.sensor in sensors:
+            beams = beams.thinned(arguments.azimuth_stride)
+            here = [p for p in places if not p.posed and p.sensor == maps.info.sensor]
+        else:
+            here = [p for p in places if p.posed]
+        for candidate, depth in maps.only({place.candidate for place in here}):
+            *position_m, yaw_deg = poses[candidate]
+            panorama = Panorama(depth, beams, np.array(position_m), float(yaw_deg))
+            for place in here:
+                if place.candidate == candidate:
+                    yield place, panorama, tilts.get(candidate)
+
+
+def _measured(
+    arguments: argparse.Namespace,
+    place: _Place,
+    sensor: AnySensor,
+    view: Panorama,
+    tilt: _FLOATS | None,
+    feet_m: _FLOATS,
+    shape: Shape,
+) -> _FLOATS:
+    """What one sensor measures of each target by height, as detection counts it."""
+    sight = sight_of(arguments, place.sensor, sensor)
+    if not place.posed:
+        pose = (view.position_m, view.yaw_deg)
+        hits = beams_by_height(view.range_m, view.sensor, *pose, feet_m, shape, sight, BANDS, tilt)
+        return arguments.azimuth_stride * hits
+    detector = detector_of(sensor, Criteria(0, 1.0))
+    assert isinstance(detector, BandedDetector)
+    rotation = local_from_sensor(view.yaw_deg, place.turn, tilt)
+    return detector.by_height(view, rotation, feet_m, shape, sight, BANDS)

@@ -1,0 +1,58 @@
+"""What a plan with options reads beside the detections."""
+
+from __future__ import annotations
+
+import argparse
+import json
+
+import geopandas as gpd
+import numpy as np
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.vector.point_tables import attribute_numbers, read_points
+from roadsight.io.vector.vectors import read_polygons
+from roadsight.placement.plans.plan_problem import Asked
+
+FILES = ("areas", "forbidden", "mandatory", "poles")
+
+
+def read_asked(arguments: argparse.Namespace, frame: Frame) -> Asked | None:
+    """Options of the plan with their maps; None where it has none.
+
+    Raises
+    ------
+    InputError : a file is not usable.
+    """
+    if not arguments.options:
+        return None
+    options = json.loads(arguments.options)
+    crs = {name: options.get(name, {}).get("crs") for name in FILES}
+    zones, fixed, poles = arguments.forbidden, arguments.mandatory, arguments.poles
+    return Asked(
+        options,
+        options.get("at_least", arguments.at_least),
+        f"site {arguments.site}, plan {arguments.plan}",
+        _areas(arguments.areas[0], frame, crs["areas"]) if arguments.areas else None,
+        read_polygons(zones[0], frame, crs["forbidden"]) if zones else None,
+        read_points(fixed[0], frame, crs["mandatory"], ["height_m"]) if fixed else None,
+        read_points(poles[0], frame, crs["poles"], ["cost", "height_min_m", "height_max_m"])
+        if poles
+        else None,
+        arguments.uncoverable == "exclude",
+    )
+
+
+def _areas(path: str, frame: Frame, crs: str | None) -> gpd.GeoDataFrame:
+    areas = read_polygons(path, frame, crs)
+    stated = [name for name in ("weight", "at_least") if name in areas]
+    if not stated:
+        raise InputError("states neither weight nor at_least of its polygons", where=path,
+                         found=", ".join(map(str, areas.columns)))  # fmt: skip
+    for name in ("weight", "at_least"):
+        areas[name] = attribute_numbers(areas, name, path)
+    whole = areas["at_least"].dropna().to_numpy(np.float64)
+    if (whole % 1 != 0).any():
+        wrong = float(whole[whole % 1 != 0][0])
+        raise InputError("at_least is no whole number", where=path, found=wrong)
+    return areas

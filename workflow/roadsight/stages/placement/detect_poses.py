@@ -1,0 +1,142 @@
+"""Which targets a sensor sees from the candidates of one shard in each pose worth keeping."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.io.records.depth_maps import DepthMaps
+from roadsight.io.records.detections import write_detections
+from roadsight.io.records.lanes import SiteTraffic, read_traffic
+from roadsight.io.records.poses import read_poses, read_tilts
+from roadsight.placement.sensors.poses import local_from_sensor, not_dominated, pose_name, turns_of
+from roadsight.placement.sensors.sensors import load_sensor, load_sensors
+from roadsight.placement.sight.detectors import Criteria, detector_of
+from roadsight.placement.sight.lanes import free_shares
+from roadsight.placement.sight.posed import Panorama
+from roadsight.placement.sight.shapes import Shape
+from roadsight.stages.command import run_stage
+from roadsight.stages.placement.detection_inputs import (
+    add_detection_arguments,
+    read_shaped_targets,
+    said_of_shape,
+    sight_of,
+)
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("detect_poses")
+
+_MOST_HITS = np.iinfo(np.uint16).max
+_FLOATS = NDArray[np.float64]
+
+
+def detect_poses(arguments: argparse.Namespace) -> None:
+    """Write a row for each target seen, by candidate, pose and target; ``hits`` as measured."""
+    targets, feet_m, shape = read_shaped_targets(arguments)
+    traffic = read_traffic(arguments.lanes[0]) if arguments.lanes else None
+    sensor = load_sensors(arguments.sensors)[arguments.sensor]
+    turns = turns_of(arguments.yaw_deg, arguments.pitch_deg, arguments.roll_deg)
+    detector = detector_of(sensor, _criteria(arguments))
+    sight = sight_of(arguments, arguments.sensor, sensor)
+    tilts, parts, tried = read_tilts(arguments.tilts), [], 0
+    for name, panorama in _panoramas(arguments):
+        rotations = [local_from_sensor(panorama.yaw_deg, t, tilts.get(name)) for t in turns]
+        measured = np.stack(
+            [detector.measure(panorama, turned, feet_m, shape, sight) for turned in rotations]
+        )
+        seen, shares = _often(detector.sees(measured), panorama, feet_m, shape, traffic)
+        tried += len(turns)
+        for row in not_dominated(seen):
+            found = np.flatnonzero(seen[row])
+            part = {"target": found, "hits": np.ceil(measured[row, found])}
+            if traffic is not None:
+                part["availability"] = shares[found]
+            parts.append((pose_name(name, turns[row]), pd.DataFrame(part)))
+    log.info("%d of %d poses kept", len(parts), tried)
+    about: dict[str, Any] = {**said_of_shape(arguments, shape)}
+    about |= {"sensor": arguments.sensor, "unit": detector.unit}
+    about |= {"poses_tried": tried, "poses_kept": len(parts)}
+    names = targets["target"].astype(str)
+    write_detections(arguments.out, _table(parts, names, traffic is not None), about)
+
+
+def _criteria(arguments: argparse.Namespace) -> Criteria:
+    return Criteria(arguments.min_beams, arguments.rcs_m2, arguments.min_pixels)
+
+
+def _often(
+    seen: NDArray[np.bool_],
+    panorama: Panorama,
+    feet_m: _FLOATS,
+    shape: Shape,
+    traffic: SiteTraffic | None,
+) -> tuple[NDArray[np.bool_], _FLOATS]:
+    """What the poses (m, n) see often enough past traffic, and how often (n,)."""
+    shares = np.ones(len(feet_m))
+    if traffic is None:
+        return seen, shares
+    any_pose = np.flatnonzero(seen.any(axis=0))
+    middles = feet_m[any_pose, :3] + np.array([0.0, 0.0, shape.height_m / 2])
+    shares[any_pose] = free_shares(traffic.lanes, panorama.position_m, middles)
+    return seen & (shares >= traffic.availability), shares
+
+
+def _panoramas(arguments: argparse.Namespace) -> Iterator[tuple[str, Panorama]]:
+    """Candidates in the order of their panoramas."""
+    maps, poses = DepthMaps(arguments.depth), read_poses(arguments.candidates)
+    beams = load_sensor(arguments.sensors, maps.info.sensor)
+    for name, depth in logged(maps, len(maps), log, "candidates"):
+        if name not in poses:
+            raise InputError(
+                f"has depth maps of the unknown candidate {name!r}",
+                where=arguments.depth,
+                hint=f"render it again for {arguments.candidates}",
+            )
+        *position_m, yaw_deg = poses[name]
+        yield name, Panorama(depth, beams, np.array(position_m), float(yaw_deg))
+
+
+def _table(
+    parts: list[tuple[str, pd.DataFrame]], targets: pd.Series, available: bool
+) -> pd.DataFrame:
+    """Rows by candidate in a pose and by target."""
+    numbers = ["hits", "availability"] if available else ["hits"]
+    empty = pd.DataFrame(dtype=np.float64, columns=["target", *numbers])
+    rows = pd.concat([empty, *(part for _, part in parts)], ignore_index=True)
+    pose = np.repeat(np.arange(len(parts)), [len(part) for _, part in parts])
+    names = pd.Index([name for name, _ in parts], dtype=str)
+    table = pd.DataFrame(
+        {
+            "candidate": pd.Categorical.from_codes(pose, names),
+            "target": pd.Categorical.from_codes(
+                rows["target"].to_numpy(np.int64), pd.Index(targets, dtype=str)
+            ),
+            "hits": rows["hits"].clip(upper=_MOST_HITS).to_numpy(np.uint16),
+        }
+    )
+    if available:
+        table["availability"] = rows["availability"].to_numpy(np.float32)
+    return table
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_detection_arguments(parser)
+    for name in ("yaw-deg", "pitch-deg", "roll-deg"):
+        parser.add_argument(f"--{name}", type=float, nargs="+", default=[0.0])
+    parser.add_argument("--rcs-m2", type=float, default=0.16, help="radar cross-section of targets")
+    parser.add_argument("--min-pixels", type=int, help="what cameras need, not their definitions'")
+    return run_stage(parser, detect_poses, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

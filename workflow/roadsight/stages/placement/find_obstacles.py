@@ -1,0 +1,178 @@
+"""What hides targets from the chosen sensors, and why some targets are seen by none."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.detections import read_detections
+from roadsight.io.records.lanes import read_traffic
+from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.tables import read_table
+from roadsight.io.vector.vectors import write_layers
+from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m
+from roadsight.placement.sensors.poses import Turn, local_from_sensor
+from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, Camera, Radar, load_sensors
+from roadsight.placement.sight.gap_reasons import hidden_too_often, refine_reasons
+from roadsight.placement.sight.obstacles import (
+    Cast,
+    blocked_sight_lines,
+    explain_gaps,
+    group_obstacles,
+    pairs_in_range,
+)
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("find_obstacles")
+
+
+def find_obstacles(arguments: argparse.Namespace) -> None:
+    """Write layers ``obstacles`` (by cubic metre) and ``uncovered`` (targets and reasons)."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    solution = read_json(arguments.solution)
+    targets = read_table(arguments.targets)
+    sensors = load_sensors(arguments.sensors)
+    lidar = SurfelLidar(read_surfels(arguments.surfels))
+
+    def cast(origin_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        reach_m = lidar.cast(origin_m, directions)
+        return np.where(np.isinf(reach_m), 0.0, reach_m)
+
+    obstacles = _obstacles(arguments, solution, targets, sensors, cast)
+    dem = read_raster(arguments.dem, frame)
+    ground = dem.sample(obstacles["x"].to_numpy(), obstacles["y"].to_numpy())
+    obstacles["height_m"] = obstacles["z"] - ground
+    obstacles["kind"] = np.where(obstacles["height_m"] < 0.3, "ground", "object")
+    gaps = _gaps(arguments, targets, sensors, cast)
+    log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
+    place = ["obstacle_x", "obstacle_y", "obstacle_z"]
+    gaps[place] = frame.to_native(gaps[place].to_numpy(np.float64))
+    layers = {"obstacles": _points(obstacles), "uncovered": _points(gaps)}
+    write_layers(arguments.out, layers, frame, dict.fromkeys(layers, "Point Z"))
+
+
+def _obstacles(
+    arguments: argparse.Namespace,
+    solution: dict,
+    targets: pd.DataFrame,
+    sensors: dict[str, AnySensor],
+    cast: Cast,
+) -> pd.DataFrame:
+    """Obstacles on the sight lines of chosen sensors to targets that they do not see."""
+    chosen = pd.DataFrame(solution["sensors"], columns=["candidate", "sensor", "x", "y", "z"])
+    ranges = np.array([sensors[name].range_m for name in chosen["sensor"]])
+    pairs = pairs_in_range(chosen, targets, ranges)
+    pairs = pairs[_in_view(pairs, solution["sensors"], sensors)].reset_index(drop=True)
+    seen = read_detections(arguments.detections)
+    seen = seen[seen["candidate"].isin(chosen["candidate"])]
+    keys = pd.MultiIndex.from_frame(pairs[["candidate", "target"]])
+    hidden = ~keys.isin(pd.MultiIndex.from_frame(seen[["candidate", "target"]]))
+    pairs = pairs[hidden].reset_index(drop=True)
+    return group_obstacles(pairs.join(blocked_sight_lines(pairs, arguments.target_height_m, cast)))
+
+
+def _in_view(
+    pairs: pd.DataFrame, places: list[dict[str, Any]], sensors: dict[str, AnySensor]
+) -> np.ndarray:
+    """Pairs whose target lies in the cone about the field of view of its sensor."""
+    inside = np.ones(len(pairs), bool)
+    for place in places:
+        sensor = sensors[place["sensor"]]
+        if not isinstance(sensor, AimedSensor):
+            continue
+        own = (pairs["candidate"] == place["candidate"]).to_numpy()
+        turn = Turn(0.0, place["pitch_deg"], place["roll_deg"])
+        axis = local_from_sensor(place["yaw_deg"], turn)[:, 0]
+        feet = pairs.loc[own, ["x", "y", "z"]].to_numpy(np.float64)
+        way = feet - np.array([place[name] for name in "xyz"])
+        along = way @ axis / np.maximum(np.linalg.norm(way, axis=1), 1e-9)
+        widest_deg = np.hypot(*sensor.half_view_deg)
+        inside[own] = along >= np.cos(np.radians(min(widest_deg, 180.0)))
+    return inside
+
+
+def _gaps(
+    arguments: argparse.Namespace,
+    targets: pd.DataFrame,
+    sensors: dict[str, AnySensor],
+    cast: Cast,
+) -> pd.DataFrame:
+    """Targets that no candidate of the plan sees."""
+    uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
+    names = read_json(arguments.solution)["sensor_types"]
+    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    range_m = max(sensors[name].range_m for name in names)
+    gaps = targets[targets["target"].isin(uncovered)].reset_index(drop=True)
+    gaps = explain_gaps(gaps, candidates, range_m, arguments.target_height_m, cast)
+    gaps["reason"] = _with_effects(arguments, gaps, candidates, {n: sensors[n] for n in names})
+    if any(isinstance(sensors[name], AimedSensor) for name in names):
+        other = "out of view, or too few beams, pixels or echo"
+        gaps["reason"] = gaps["reason"].replace("too few beams", other)
+    return gaps
+
+
+def _with_effects(
+    arguments: argparse.Namespace,
+    gaps: pd.DataFrame,
+    candidates: pd.DataFrame,
+    sensors: dict[str, AnySensor],
+) -> pd.Series:
+    """Reasons with those of weather, dark targets and traffic, where these are simulated."""
+    air = [read_json(path)["extinction_per_m"] for path in arguments.air]
+    dark = [read_json(path)["target_range_m"] for path in arguments.reflectivity]
+    bright_m = max(_reach_m(n, s, s.range_m, air) for n, s in sensors.items())
+    dark_m = max(
+        _reach_m(n, s, min([s.range_m, *(table.get(n, np.inf) for table in dark)]), air)
+        for n, s in sensors.items()
+    )
+    often = None
+    if arguments.lanes and len(gaps):
+        traffic = read_traffic(arguments.lanes[0])
+        place = (gaps, candidates, traffic.lanes, traffic.availability)
+        often = hidden_too_often(*place, arguments.target_height_m)
+    return refine_reasons(gaps, bright_m, dark_m, often)
+
+
+def _reach_m(name: str, sensor: AnySensor, clear_m: float, air: list[dict[str, float]]) -> float:
+    """Range of a sensor in the air of the site, given that in clear air."""
+    if isinstance(sensor, Radar):
+        return sensor.range_m
+    extinction = sum(table[name] for table in air)
+    if isinstance(sensor, Camera):
+        return min(sensor.range_m, contrast_range_m(extinction))
+    return float(range_in_air_m(clear_m, extinction))
+
+
+def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
+    columns = table.drop(columns=["x", "y", "z"])
+    geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
+    return gpd.GeoDataFrame(columns, geometry=geometry)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    names = ("solution", "coverage", "plan", "targets", "surfels", "dem", "frame", "sensors", "out")
+    for name in names:
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--candidates", nargs="+", required=True)
+    parser.add_argument("--detections", nargs="+", required=True)
+    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
+    parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
+    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    parser.add_argument("--target-height-m", type=float, default=0.6)
+    return run_stage(parser, find_obstacles, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,77 @@
+"""How far each sensor sees targets and the road's own surfaces, by their reflectivity."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+
+import numpy as np
+import pandas as pd
+import shapely
+from shapely import MultiPolygon
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.tables import write_table
+from roadsight.io.vector.vectors import read_layer
+from roadsight.placement.sensors.light import reflectivity_range_m
+from roadsight.placement.sensors.sensors import Rosette, Sensor, load_sensors
+from roadsight.scene.pavement.reflectivity import reflectivity_of, voxel_means
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("measure_reflectivity")
+
+
+def measure_reflectivity(arguments: argparse.Namespace) -> None:
+    """Write ranges by sensor, and the reflectivity of surfaces from the cloud's intensities."""
+    definitions = load_sensors(arguments.sensors)
+    rho = arguments.target_reflectivity
+    lidars = {
+        name: sensor
+        for name in arguments.names
+        if isinstance(sensor := definitions[name], Sensor | Rosette)
+    }
+    ranges = {name: _target_range_m(sensor, rho) for name, sensor in lidars.items()}
+    write_table(arguments.surfaces, _surfaces(arguments))
+    for name, range_m in ranges.items():
+        log.info("%s sees targets of reflectivity %g up to %.1f m", name, rho, range_m)
+    write_json(arguments.out, {"target_reflectivity": rho, "target_range_m": ranges})
+
+
+def _target_range_m(sensor: Sensor | Rosette, reflectivity: float) -> float:
+    """Range to targets; 0 stands for the reflectivity at which the sensor's range is stated."""
+    return float(reflectivity_range_m(sensor, reflectivity)) if reflectivity else sensor.range_m
+
+
+def _surfaces(arguments: argparse.Namespace) -> pd.DataFrame:
+    """Places of half a metre and the reflectivity of what is there."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    pavement = MultiPolygon(list(read_layer(arguments.pavement, "pavement", frame).geometry))
+    shapely.prepare(pavement)
+    cloud = CloudTiles(arguments.cloud)
+    parts, paved = [], []
+    for number in range(len(cloud.tiles)):
+        points = cloud.read(("x", "y", "z", "intensity"), [number])
+        means = voxel_means(stack_xyz(points), points["intensity"])
+        inside = shapely.contains_xy(pavement, means["x"], means["y"])
+        paved.append(means.loc[inside, "intensity"].to_numpy())
+        parts.append(means)
+    table = pd.concat(parts, ignore_index=True)
+    table["reflectivity"] = reflectivity_of(table["intensity"].to_numpy(), np.concatenate(paved))
+    return table.drop(columns="intensity")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("cloud", "frame", "pavement", "sensors", "surfaces", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--names", nargs="+", required=True, help="names of the sensors")
+    parser.add_argument("--target-reflectivity", type=float, required=True)
+    return run_stage(parser, measure_reflectivity, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

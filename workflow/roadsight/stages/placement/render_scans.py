@@ -1,0 +1,124 @@
+"""What the chosen sensors would see: one LAZ scan of all of them."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial import cKDTree
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.clouds import write_laz
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.poses import read_tilts
+from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.tables import read_table
+from roadsight.placement.depth.scanning import scan_directions
+from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m, reflectivity_range_m
+from roadsight.placement.sensors.poses import AS_MOUNTED, Turn, local_from_sensor
+from roadsight.placement.sensors.rays import returns_xyz_m
+from roadsight.placement.sensors.sensors import (
+    AimedSensor,
+    AnySensor,
+    Camera,
+    Radar,
+    Rosette,
+    Sensor,
+    load_sensors,
+)
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("render_scans")
+
+Hearing = Callable[[str, AnySensor, NDArray[np.float64], ArrayLike], NDArray[np.bool_]]
+
+_ROUNDING_M = 1e-3
+
+
+def render_scans(arguments: argparse.Namespace) -> None:
+    """Write the returns of all chosen sensors; point_source_id numbers the sensor from 1."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    chosen = read_json(arguments.solution)["sensors"]
+    sensors = load_sensors(arguments.sensors)
+    lidar = SurfelLidar(read_surfels(arguments.surfels))
+    tilts, heard = read_tilts(arguments.tilts), _hearing(arguments)
+    parts = [np.empty((0, 3))]
+    for place in chosen:
+        sensor, position = sensors[place["sensor"]], np.array([place[axis] for axis in "xyz"])
+        tilt = tilts.get(place.get("position", place["candidate"]))
+        returns = _scan(lidar, sensor, position, place, tilt)
+        parts.append(returns[heard(place["sensor"], sensor, returns, position)])
+        log.info("%s at %s: %d returns", place["sensor"], place["candidate"], len(parts[-1]))
+    source = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    dims = {"point_source_id": source.astype(np.uint16)}
+    write_laz(arguments.out, np.concatenate(parts), frame, dims)
+
+
+def _scan(
+    lidar: SurfelLidar,
+    sensor: AnySensor,
+    position_m: NDArray[np.float64],
+    place: dict[str, Any],
+    tilt: NDArray[np.float64] | None,
+) -> NDArray[np.float64]:
+    """Points (n, 3) that a chosen sensor meets in its pose, local metres."""
+    yaw_deg = float(place["yaw_deg"])
+    turn = Turn(0.0, float(place.get("pitch_deg", 0.0)), float(place.get("roll_deg", 0.0)))
+    if isinstance(sensor, AimedSensor):
+        rays = scan_directions(sensor) @ local_from_sensor(yaw_deg, turn, tilt).T
+        range_m = lidar.cast(position_m, rays, sensor.range_m).astype(np.float64)
+        found = np.isfinite(range_m)
+        return np.asarray(position_m + range_m[found, None] * rays[found])
+    if turn != AS_MOUNTED:
+        tilt = local_from_sensor(yaw_deg, turn, tilt) @ local_from_sensor(yaw_deg, AS_MOUNTED).T
+    depth_m = lidar.depth_map(sensor, position_m, yaw_deg, tilt)
+    return returns_xyz_m(depth_m, sensor, position_m, yaw_deg, tilt)
+
+
+def _hearing(arguments: argparse.Namespace) -> Hearing:
+    """Which returns are strong enough, by the air and by the reflectivity of surfaces."""
+    air = [read_json(path)["extinction_per_m"] for path in arguments.air]
+    surfaces = [read_table(path) for path in arguments.surfaces]
+    trees = [cKDTree(table[["x", "y", "z"]].to_numpy()) for table in surfaces]
+
+    def heard(
+        name: str, sensor: AnySensor, returns: NDArray[np.float64], position_m: ArrayLike
+    ) -> NDArray[np.bool_]:
+        reach_m = np.full(len(returns), sensor.range_m)
+        if isinstance(sensor, Radar) or not len(returns):
+            return np.ones(len(returns), bool)
+        if isinstance(sensor, Camera):
+            far_m = contrast_range_m(sum(entry[name] for entry in air))
+            return np.asarray(np.linalg.norm(returns - np.asarray(position_m), axis=1) <= far_m)
+        for tree, table in zip(trees, surfaces, strict=True):
+            nearest = tree.query(returns)[1]
+            reflectivity = table["reflectivity"].to_numpy()[nearest]
+            if isinstance(sensor, Sensor | Rosette):
+                reach_m = reflectivity_range_m(sensor, reflectivity)
+        reach_m = range_in_air_m(reach_m, sum(entry[name] for entry in air))
+        return np.asarray(
+            np.linalg.norm(returns - np.asarray(position_m), axis=1) <= reach_m + _ROUNDING_M
+        )
+
+    return heard
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("solution", "surfels", "frame", "sensors", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean, all rounds")
+    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
+    parser.add_argument("--surfaces", nargs="*", default=[], help="reflectivity of surfaces")
+    return run_stage(parser, render_scans, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

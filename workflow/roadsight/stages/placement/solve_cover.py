@@ -1,0 +1,275 @@
+"""The proven optimal set of sensors of a plan."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from scipy import sparse
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.detections import read_detections
+from roadsight.io.records.tables import read_table
+from roadsight.io.vector.vectors import write_layers
+from roadsight.placement.candidates.siting import needs_by_area
+from roadsight.placement.plans.choices import choices_of, posed_candidates
+from roadsight.placement.plans.plan_answer import Answer, answer
+from roadsight.placement.plans.plan_problem import Asked, pose
+from roadsight.placement.sight.coverage import availability, detection_matrix, times_seen
+from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
+from roadsight.setcover.common.deadline import WorkLimit
+from roadsight.setcover.common.result import WITHIN_GAP
+from roadsight.stages.command import run_stage
+from roadsight.stages.placement.cover_inputs import FILES, read_asked
+from roadsight.stages.placement.level_cover import cover_at_level, described
+
+log = logging.getLogger("solve_cover")
+
+
+def solve_cover(arguments: argparse.Namespace) -> None:
+    """Write the solution, its layers for GIS, and the solver's timing."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    costs = {name: float(cost) for name, _, cost in (s.partition("=") for s in arguments.sensors)}
+    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    targets = read_table(arguments.targets)
+    uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
+    wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
+    asked = read_asked(arguments, frame)
+    _check_uncovered(arguments, targets, uncovered, asked)
+    detections = read_detections(arguments.detections)
+    choices = choices_of(costs, candidates, detections)
+    pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
+    matrix = detection_matrix(detections, pairs, pd.Index(wanted["target"]))
+    answered = levelled = None
+    if arguments.availability is not None:
+        levelled = cover_at_level(arguments, detections, choices, candidates, wanted)
+        cover = levelled.cover
+        _check_solved(arguments, cover)
+    elif asked is None:
+        cover = _cheapest(arguments, matrix, choices)
+    else:
+        posed = pose(asked, matrix, choices, candidates, wanted)
+        answered = answer(asked, posed, choices, candidates, *_limits(arguments))
+        cover, wanted = answered.cover, posed.targets
+        uncovered = [*uncovered, *posed.unseen]
+    sensors = _sensor_table(candidates, choices, cover, matrix, frame)
+    wanted["sensors"] = times_seen(matrix, cover.chosen)
+    content = _content(arguments, cover, sensors, targets, uncovered)
+    if levelled is not None:
+        wanted["availability"], content["availability"] = levelled.shares, levelled.record
+        content["at_least"] = 1  # the level says how often, not how many sensors
+    elif "availability" in detections:
+        chosen = sensors[["sensor", "candidate"]].apply(tuple, axis=1)
+        wanted["availability"] = availability(detections, set(chosen), wanted["target"])
+        content["availability"] = described(wanted["availability"].to_numpy())
+    layers = {"sensors": _points(sensors), "targets": _points(wanted)}
+    if answered is not None:
+        content |= _option_content(answered, sensors)
+        layers |= _option_layers(answered, candidates, choices)
+        layers["sensors"] = _points(sensors)
+    write_layers(arguments.layers, layers, frame, dict.fromkeys(layers, "Point Z"))
+    write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
+    write_json(arguments.solution, content)
+    found = (arguments.plan, len(sensors), cover.objective, cover.bound, cover.status)
+    log.info("%s: %d sensors, cost %g, bound %g, %s", *found)
+
+
+def _cheapest(
+    arguments: argparse.Namespace, matrix: sparse.csr_matrix, choices: pd.DataFrame
+) -> Cover:
+    """Cheapest cover, as a plan without options asks for."""
+    limit_s, seed, gap = _limits(arguments)
+    problem = CoverProblem(
+        matrix,
+        choices["cost"].to_numpy(),
+        groups=choices["position"].to_numpy(),
+        at_least=arguments.at_least,
+    )
+    cover = solve_cover_problem(problem, WorkLimit(limit_s), seed=seed, gap=gap)
+    _check_solved(arguments, cover)
+    return cover
+
+
+def _limits(arguments: argparse.Namespace) -> tuple[float, int, float]:
+    return arguments.time_limit_s, arguments.seed, arguments.gap
+
+
+def _option_content(answered: Answer, sensors: pd.DataFrame) -> dict[str, Any]:
+    """What solution.json says more, or differently, of a plan with options."""
+    for name in answered.sensors:
+        sensors[name] = answered.sensors[name].to_numpy()
+    goal = answered.record["goal"]
+    asked_for = answered.record["asked"]
+    changes: dict[str, Any] = {"at_least": asked_for["at_least"]} if "at_least" in asked_for else {}
+    return changes | {
+        "bound": goal["bound"] if goal["kind"] == "cost" else None,
+        "sensors": sensors.to_dict("records"),
+        "covered_targets": answered.record["seen_targets"],
+        "options": answered.record,
+    }
+
+
+def _option_layers(
+    answered: Answer, candidates: pd.DataFrame, choices: pd.DataFrame
+) -> dict[str, gpd.GeoDataFrame]:
+    """Layers of what could replace each sensor and of a different answer."""
+    if "alternatives" not in answered.record:
+        return {}
+
+    def table(rows: list[int]) -> pd.DataFrame:
+        chosen = choices.iloc[rows]
+        places = posed_candidates(chosen, candidates)
+        places.insert(1, "sensor", chosen["sensor"].tolist())
+        return places
+
+    swaps = table([row for _, row in answered.alternatives])
+    replaced = [int(answered.cover.chosen[k]) for k, _ in answered.alternatives]
+    swaps["replaces"] = choices["candidate"].iloc[replaced].tolist()
+    return {
+        "alternatives": _points(swaps),
+        "different": _points(table(answered.different.tolist())),
+    }
+
+
+def _check_uncovered(
+    arguments: argparse.Namespace,
+    targets: pd.DataFrame,
+    unseen: list[str],
+    asked: Asked | None,
+) -> None:
+    uncovered = len(unseen)
+    if asked is not None and asked.soft and uncovered < len(targets):
+        return
+    missing = uncovered
+    if asked is not None and asked.areas is not None:
+        beyond = targets[targets["target"].isin(unseen)]
+        missing = int((needs_by_area(asked.areas, beyond, asked.at_least)[1] > 0).sum())
+    if missing and arguments.uncoverable == "error":
+        raise InputError(
+            f"{missing} of {len(targets)} targets are seen by no candidate",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            hint=f"they are listed in {arguments.coverage}; densify the candidates"
+            " (candidates.spacing_m, coverage.rounds), remove what hides them,"
+            " or leave them out with coverage.uncoverable: exclude",
+        )
+    if uncovered == len(targets):
+        raise InputError(
+            "no target is seen by any candidate",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            hint="check the edges' position, the heights and targets.min_beams",
+        )
+    if uncovered:
+        total = len(targets)
+        log.warning("%d of %d targets are seen by no candidate: left out", uncovered, total)
+
+
+def _check_solved(arguments: argparse.Namespace, cover: Cover) -> None:
+    if cover.status == "infeasible":
+        if arguments.availability is not None:
+            raise InputError(
+                f"no set of sensors sees every target {arguments.availability:g} of the time",
+                where=f"site {arguments.site}, plan {arguments.plan}",
+                hint="lower the plan's availability, or densify the candidates",
+            )
+        raise InputError(
+            f"no set of sensors covers every target {arguments.at_least} times",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            found=f"{len(cover.uncoverable)} targets seen by too few candidates",
+            hint="lower cover.at_least or densify the candidates",
+        )
+    if not len(cover.chosen):
+        raise InputError(
+            "no set of sensors was found within the time limit",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            found=f"{arguments.time_limit_s:g} s",
+            hint="raise cover.time_limit_s",
+        )
+    if cover.status == WITHIN_GAP:
+        log.info("proven as far as was asked for, gap %.1f %%", 100 * cover.gap)
+    elif cover.status != "optimal":
+        log.warning("time limit: not proven, gap %.1f %%", 100 * cover.gap)
+
+
+def _sensor_table(
+    candidates: pd.DataFrame,
+    choices: pd.DataFrame,
+    cover: Cover,
+    matrix: sparse.csr_matrix,
+    frame: Frame,
+) -> pd.DataFrame:
+    """The chosen candidates, with what each sees and what only it sees."""
+    rows = np.asarray(cover.chosen, np.int64)
+    chosen = choices.iloc[rows]
+    table = posed_candidates(chosen, candidates)
+    table.insert(1, "sensor", chosen["sensor"].tolist())
+    seen = matrix[rows].astype(np.int64)
+    once = np.asarray(seen.sum(axis=0)).ravel() == 1
+    table["targets"] = np.asarray(seen.sum(axis=1)).ravel()
+    table["only"] = np.asarray(seen[:, once].sum(axis=1)).ravel()
+    table["native"] = frame.to_native(table[["x", "y", "z"]].to_numpy()).round(4).tolist()
+    return table
+
+
+def _content(
+    arguments: argparse.Namespace,
+    cover: Cover,
+    sensors: pd.DataFrame,
+    targets: pd.DataFrame,
+    uncovered: list[str],
+) -> dict[str, Any]:
+    return {
+        "site": arguments.site,
+        "plan": arguments.plan,
+        "sensor_types": [entry.partition("=")[0] for entry in arguments.sensors],
+        "status": cover.status,
+        "objective": cover.objective,
+        "bound": cover.bound,
+        "gap": cover.gap,
+        "at_least": arguments.at_least,
+        "sensors": sensors.to_dict("records"),
+        "targets": len(targets),
+        "covered_targets": len(targets) - len(uncovered),
+        "uncoverable_targets": len(uncovered),
+        "excluded": uncovered,
+        "reductions": cover.reductions,
+    }
+
+
+def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
+    columns = table.drop(columns=[c for c in ("x", "y", "z", "native") if c in table])
+    return gpd.GeoDataFrame(
+        columns, geometry=gpd.points_from_xy(table["x"], table["y"], table["z"])
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("site", "plan", "coverage", "targets", "frame", "solution", "layers", "timing"):
+        parser.add_argument(f"--{name}", required=True)
+    for name in ("candidates", "detections"):
+        parser.add_argument(f"--{name}", nargs="+", required=True)
+    parser.add_argument("--sensors", nargs="+", required=True, help="name=cost")
+    parser.add_argument("--at-least", type=int, default=1)
+    parser.add_argument("--options", default="", help="options of the plan as JSON")
+    for name in FILES:
+        parser.add_argument(f"--{name}", nargs="*", default=[], help="file of the option")
+    parser.add_argument("--availability", type=float, help="how often targets must be in sight")
+    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    parser.add_argument("--target-height-m", type=float, default=0.6)
+    parser.add_argument("--time-limit-s", type=float, default=300.0)
+    parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")
+    parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")
+    parser.add_argument("--seed", type=int, default=1)
+    return run_stage(parser, solve_cover, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,179 @@
+"""Pose of every camera of a shard, by road alignment, with its uncertainty or why it has none."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections import Counter
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.errors import InputError
+from roadsight.base.shards import shard_of
+from roadsight.geometry.frames import Frame
+from roadsight.io.images.camera_tables import read_cameras
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import write_table
+from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
+from roadsight.poles.alignment.landmarks import LandmarkNoise
+from roadsight.poles.alignment.locate import locate
+from roadsight.poles.alignment.pose import pose_of
+from roadsight.poles.alignment.published import nelder_mead
+from roadsight.poles.alignment.solve import Fit, Task
+from roadsight.poles.alignment.verdict import (
+    Limits,
+    agreeing_landmarks,
+    condition,
+    doubt,
+    is_one_sided,
+    residual_px,
+    sigmas,
+    too_little,
+)
+from roadsight.poles.calibration.calibration import implausible
+from roadsight.poles.calibration.calibration_table import DriveCalibration, from_content
+from roadsight.stages.command import run_stage
+from roadsight.stages.poles.alignment_inputs import AlignmentScene, add_arguments, read_scene
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("align_cameras")
+METHODS = ("ours", "published", "none")
+TEXTS = ("image", "reason")
+BY_HAND = GivenSigma(heading_deg=0.1, pitch_deg=0.1, lateral_m=0.2, along_m=0.5)
+CAMERA_COLUMNS = (
+    "image", "x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px", "cx_px", "cy_px",
+    "width_px", "height_px", "sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m",
+    "sigma_along_m", "condition", "residual_px", "edge_points", "landmarks", "one_sided",
+    "accepted", "reason",
+)  # fmt: skip
+
+
+def align_cameras(arguments: argparse.Namespace) -> None:
+    """Write one row for each usable image of the shard, in the order of the frames."""
+    scene = read_scene(arguments)
+    drives = {c.key: c for c in map(from_content, read_json(arguments.calibration)["drives"])}
+    limits = Limits(
+        residual_px=arguments.max_residual_px,
+        sigma_heading_deg=arguments.max_sigma_heading_deg,
+        sigma_lateral_m=arguments.max_sigma_lateral_m,
+    )
+    own = [p for p in scene.places if shard_of(p.image, arguments.shards) == arguments.shard]
+    by_hand = read_corrections(arguments)
+    rows = []
+    for place in logged(own, len(own), log, "images"):
+        if place.image in by_hand:
+            rows.append({"image": place.image, **corrected(scene, place, by_hand[place.image])})
+            continue
+        drive = _drive(drives, place)
+        task = scene.load(place)(*drive.expected(place))
+        row = aligned(task, arguments.method, limits, scene.landmarks)
+        if reason := implausible(drive.mount, place.start.width_px):
+            row |= {"accepted": False, "reason": reason}
+        rows.append({"image": place.image, **row})
+    table = pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(dict.fromkeys(TEXTS, str))
+    for reason, count in sorted(Counter(table["reason"]).items()):
+        log.info("%d of %d images: %s", count, len(table), reason or "accepted")
+    write_table(arguments.out, table, {"method": arguments.method})
+
+
+def read_corrections(arguments: argparse.Namespace) -> dict[str, pd.Series]:
+    """Poses that a person set, by image."""
+    if not arguments.corrections:
+        return {}
+    frame = Frame.from_dict(read_json(arguments.frame))
+    table = read_cameras(arguments.corrections, frame)
+    return {str(row["image"]): row for _, row in table.iterrows()}
+
+
+def corrected(scene: AlignmentScene, place: Place, pose: pd.Series) -> dict[str, Any]:
+    """Row of an image whose pose a person set: taken as it is, and compared with the road."""
+    size = place.start.width_px, place.start.height_px
+    seen, there = scene.edges_of(place)
+    return camera_row(pose, size, BY_HAND, agreement(pose, size, seen, there), len(seen.uv_px))
+
+
+def _drive(drives: dict[Any, DriveCalibration], place: Place) -> DriveCalibration:
+    key = place.route, place.start.width_px, place.start.height_px
+    if key not in drives:
+        raise InputError(
+            "an image's route and size have no calibration",
+            where="calibration",
+            found=f"{place.image}: {key}",
+            hint="calibrate the drives again",
+        )
+    return drives[key]
+
+
+def aligned(
+    task: Task,
+    method: str,
+    limits: Limits,
+    noise: LandmarkNoise | None = None,
+) -> dict[str, Any]:
+    """Pose, uncertainty and verdict of one image, by one of `METHODS`.
+
+    An image without an alignment keeps the expected pose.
+    """
+    expected = np.asarray(np.linalg.inv(task.information), np.float64)
+    nothing = np.full((len(task.seen.uv_px), 2), np.nan)
+    zero = np.zeros_like(expected), np.zeros(len(expected))
+    fit = Fit(task.mean, expected, 0.0, nothing, *zero)
+    reason = "" if method == "none" else too_little(task, limits)
+    if method == "ours" and not reason:
+        fits = locate(task, noise)
+        reason = doubt(task, fits, limits)
+        fit = fits[0]
+    elif method == "published" and not reason:
+        unknowns, rms_px = nelder_mead(task.start, task.seen, task.there, task.mean)
+        fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
+    return _row(task, fit, reason)
+
+
+def _row(task: Task, fit: Fit, reason: str) -> dict[str, Any]:
+    start, pose = task.start, pose_of(task.start, fit.unknowns)
+    names = "sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m"
+    return {
+        "x": pose.x_m,
+        "y": pose.y_m,
+        "z": pose.z_m,
+        "heading_deg": pose.heading_deg,
+        "pitch_deg": pose.pitch_deg,
+        "roll_deg": pose.roll_deg,
+        "focal_px": pose.focal_px,
+        "cx_px": start.cx_px,
+        "cy_px": start.cy_px,
+        "width_px": start.width_px,
+        "height_px": start.height_px,
+        **dict(zip(names, sigmas(fit, task), strict=True)),
+        "condition": condition(fit, task),
+        "residual_px": residual_px(fit),
+        "edge_points": len(task.seen.uv_px),
+        "landmarks": agreeing_landmarks(task, fit),
+        "one_sided": is_one_sided(task),
+        "accepted": not reason,
+        "reason": reason,
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_arguments(parser)
+    limits = Limits()
+    parser.add_argument("--calibration", required=True)
+    parser.add_argument("--corrections", nargs="?", help="poses of images set by a person, CSV")
+    parser.add_argument("--method", choices=METHODS, default="ours")
+    parser.add_argument("--shard", type=int, default=0)
+    parser.add_argument("--shards", type=int, default=1)
+    parser.add_argument("--max-residual-px", type=float, default=limits.residual_px)
+    parser.add_argument("--max-sigma-heading-deg", type=float, default=limits.sigma_heading_deg)
+    parser.add_argument("--max-sigma-lateral-m", type=float, default=limits.sigma_lateral_m)
+    return run_stage(parser, align_cameras, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,184 @@
+"""What calibration and alignment read: frames, image edges, road edges, terrain."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_table
+from roadsight.io.records.terrains import read_terrain
+from roadsight.placement.sensors.earth import rise_m
+from roadsight.poles.alignment.drive import (
+    Place,
+    Reach,
+    Visible,
+    image_edges_of,
+    loader,
+    near_edges,
+    places_of,
+    sight_of,
+)
+from roadsight.poles.alignment.landmarks import LandmarkNoise
+from roadsight.poles.alignment.roadside import NearEdges, RoadEdges
+from roadsight.poles.alignment.solve import ImageEdges, Noise
+from roadsight.poles.calibration.calibration import Loader
+from roadsight.poles.sightings.lidar_poles import PoleColumns
+from roadsight.scene.terrain.occlusion import TerrainSight
+
+_FRAME = ["image", "route", "sequence", "x", "y", "z_road", "heading_deg", "width_px", "height_px"]
+_AXIS = ["image", "view", "u", "v", "slope", "v_foot", "v_top", "width_px", "width_view_px",
+         "height_view_px", "foot_visible", "top_cut"]  # fmt: skip
+_FEWEST_POINTS = 4
+_MOST_SIGMA_M = 0.15
+_MOST_SIGMA_OF_STEM_M = 0.3
+_EDGE = ["image", "u", "v", "side", "kind"]
+
+
+@dataclass(frozen=True)
+class AlignmentScene:
+    """Images of all routes with what is needed to align them."""
+
+    places: list[Place]
+    edges: RoadEdges
+    pixels: dict[str, pd.DataFrame]
+    reach: Reach
+    noise: Noise
+    visible: Visible | None
+    axes: dict[str, pd.DataFrame]
+    columns: PoleColumns
+    landmarks: LandmarkNoise
+    curved: bool = False
+
+    def edges_of(self, place: Place) -> tuple[ImageEdges, NearEdges]:
+        """Road edges in one image, and those of the cloud that it may show."""
+        empty = pd.DataFrame({name: [] for name in _EDGE})
+        seen = image_edges_of(self.pixels.get(place.image, empty), self.reach)
+        there = near_edges(place, self.edges, self.reach, self.visible)
+        return seen, lowered(there, place) if self.curved else there
+
+    def load(self, place: Place) -> Loader:
+        """Maker of the task of one image."""
+        seen, there = self.edges_of(place)
+        rows = self.axes.get(place.image)
+        sight = None if rows is None else sight_of(place, rows, self.columns, self.landmarks)
+        return loader(place, seen, there, self.noise, sight)
+
+    def loaders(self) -> Iterator[tuple[Place, Loader]]:
+        """Each place with the maker of its task."""
+        for place in self.places:
+            yield place, self.load(place)
+
+
+def lowered(there: NearEdges, place: Place) -> NearEdges:
+    """Road edges as low as a place sees them over the curved Earth through refracting air."""
+    away_m = np.hypot(*(there.xyz_m[:, :2] - [place.start.x_m, place.start.y_m]).T)
+    drop_m = np.column_stack([np.zeros((len(away_m), 2)), rise_m(away_m)])
+    return replace(there, xyz_m=there.xyz_m - drop_m)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Arguments of both stages."""
+    for name in ("frames", "road-edges", "frame", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--image-edges", nargs="+", required=True, help="tables of edge pixels")
+    parser.add_argument("--terrain", nargs="?", help="triangles that may hide road")
+    parser.add_argument("--dem", nargs="?", help="ground heights, better than the edges' own")
+    parser.add_argument("--curvature", choices=("simulate", "skip"), default="skip")
+    reach, noise = Reach(), Noise()
+    parser.add_argument("--nearest-m", type=float, default=reach.nearest_m)
+    parser.add_argument("--farthest-m", type=float, default=reach.farthest_m)
+    parser.add_argument("--edge-points", type=int, default=reach.edge_points, help="of the LiDAR")
+    parser.add_argument("--pixels", type=int, default=reach.pixels, help="of the image's edges")
+    parser.add_argument("--pixel-px", type=float, default=noise.pixel_px, help="sigma of a pixel")
+    parser.add_argument("--across-m", type=float, default=noise.across_m, help="sigma of an edge")
+    landmarks = LandmarkNoise()
+    parser.add_argument("--pole-axes", nargs="*", default=[], help="tables of pole axes")
+    parser.add_argument("--columns", nargs="?", help="pole-like columns of the cloud")
+    parser.add_argument("--axis-px", type=float, default=landmarks.axis_px, help="sigma of an axis")
+    parser.add_argument("--landmark-farthest-m", type=float, default=landmarks.farthest_m)
+    parser.add_argument("--independent", type=float, default=noise.independent)
+
+
+def read_scene(arguments: argparse.Namespace) -> AlignmentScene:
+    """Read the inputs that both stages share.
+
+    Raises
+    ------
+    InputError : a file cannot be read, or no image may be used.
+    """
+    frames = read_table(arguments.frames, [*_FRAME, "status"])
+    frames = frames[(frames["status"] == "ok") & np.isfinite(frames["z_road"])]
+    if frames.empty:
+        raise InputError(
+            "has no image that may be used",
+            where=str(arguments.frames),
+            hint="see its column `status` for the reasons",
+        )
+    reach = Reach(
+        arguments.nearest_m, arguments.farthest_m, arguments.edge_points, arguments.pixels
+    )
+    noise = replace(
+        Noise(),
+        pixel_px=arguments.pixel_px,
+        across_m=arguments.across_m,
+        independent=arguments.independent,
+    )
+    edges = _road_edges(arguments)
+    table = pd.concat([read_table(path, _EDGE) for path in arguments.image_edges])
+    pixels = {str(image): part for image, part in table.groupby("image", sort=True)}
+    places = places_of(frames.reset_index(drop=True), edges, reach)
+    landmarks = replace(
+        LandmarkNoise(), axis_px=arguments.axis_px, farthest_m=arguments.landmark_farthest_m
+    )
+    return AlignmentScene(
+        places, edges, pixels, reach, noise, _terrain(arguments.terrain),
+        _pole_axes(arguments.pole_axes), _landmark_columns(arguments.columns), landmarks,
+        arguments.curvature == "simulate",
+    )  # fmt: skip
+
+
+def _pole_axes(paths: list[str]) -> dict[str, pd.DataFrame]:
+    """Pole axes by image."""
+    if not paths:
+        return {}
+    table = pd.concat([read_table(path, _AXIS) for path in paths])
+    return {str(image): part for image, part in table.groupby("image", sort=True)}
+
+
+def _landmark_columns(path: str | None) -> PoleColumns:
+    """Columns that are good enough to steer by."""
+    columns = read_columns(path)
+    most_m = np.where(columns.open_top > 0, _MOST_SIGMA_OF_STEM_M, _MOST_SIGMA_M)
+    good = (columns.points >= _FEWEST_POINTS) & (columns.sigma_m <= most_m)
+    return PoleColumns(*(getattr(columns, f.name)[good] for f in fields(columns)))
+
+
+def read_columns(path: str | None) -> PoleColumns:
+    """Pole-like columns of a table; none without a path."""
+    names = ["x", "y", "top_m", "sigma_m", "z_ground", "points", "open_top"]
+    table = read_table(path, names) if path else pd.DataFrame(columns=names, dtype=np.float64)
+    x, y, *rest = (np.ascontiguousarray(table[name].to_numpy(np.float64)) for name in names)
+    return PoleColumns(np.column_stack([x, y]), *rest)
+
+
+def _road_edges(arguments: argparse.Namespace) -> RoadEdges:
+    xyz = read_table(arguments.road_edges, ["x", "y", "z"]).to_numpy(np.float64, copy=True)
+    if arguments.dem:
+        frame = Frame.from_dict(read_json(arguments.frame))
+        height = read_raster(arguments.dem, frame).sample(xyz[:, 0], xyz[:, 1])
+        # A bridge stands above the ground: its own heights are the better ones.
+        near = np.isfinite(height) & (np.abs(height - xyz[:, 2]) < 1.0)
+        xyz[near, 2] = height[near]
+    return RoadEdges.from_points(xyz)
+
+
+def _terrain(path: str | None) -> Visible | None:
+    return TerrainSight(read_terrain(path)).visible if path else None

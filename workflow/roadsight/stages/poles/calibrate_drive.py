@@ -1,0 +1,138 @@
+"""What the images of each drive share: lens, mount, and the slow error of the track."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.errors import InputError
+from roadsight.io.images.baselines import read_baselines
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.tables import read_table
+from roadsight.poles.alignment.drift import DriftModel
+from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.landmarks import LandmarkNoise
+from roadsight.poles.alignment.pose import Spread
+from roadsight.poles.calibration.calibration import Loader, Mount, calibrate, find_focal, weak_mount
+from roadsight.poles.calibration.calibration_landmarks import with_landmarks
+from roadsight.poles.calibration.calibration_table import (
+    DriveCalibration,
+    Key,
+    baseline_mount,
+    measure_drift,
+    to_content,
+)
+from roadsight.poles.calibration.calibration_ties import Shared, with_ties
+from roadsight.poles.calibration.calibration_upright import aimed
+from roadsight.poles.images.stitching import ViewOffsets
+from roadsight.stages.command import run_stage
+from roadsight.stages.poles.alignment_inputs import add_arguments, read_scene
+
+log = logging.getLogger("calibrate_drive")
+_FEW = 12
+
+
+def calibrate_drives(arguments: argparse.Namespace) -> None:
+    """Calibrate each drive (route and image size) and measure the error of its track."""
+    scene = read_scene(arguments)
+    baselines = read_baselines(arguments.baseline) if arguments.baseline else {}
+    shared = _shared_points(arguments.matches)
+    drives: dict[Key, list[tuple[Place, Loader]]] = {}
+    for place, load in scene.loaders():
+        key = place.route, place.start.width_px, place.start.height_px
+        drives.setdefault(key, []).append((place, load))
+    content = []
+    for key, images in sorted(drives.items(), key=lambda item: item[0]):
+        calibration = _calibrated(key, images, arguments, baselines, scene.landmarks, shared)
+        log.info("%s %d x %d: %s", *key, _summary(calibration))
+        content.append(to_content(calibration))
+    write_json(arguments.out, {"drives": content})
+
+
+def _calibrated(
+    key: Key,
+    images: list[tuple[Place, Loader]],
+    arguments: argparse.Namespace,
+    baselines: dict[str, Any],
+    noise: LandmarkNoise,
+    shared: Shared,
+) -> DriveCalibration:
+    places, loaders = [p for p, _ in images], [load for _, load in images]
+    spread = Spread()
+    chosen = _evenly(loaders, arguments.images)
+    prior, problem = weak_mount(arguments.hfov_deg or None, key[1]), ""
+    baseline = baselines.get(f"{key[1]}x{key[2]}", baselines.get("all"))
+    try:
+        if baseline is not None:
+            prior = baseline_mount(baseline, prior, key[1])
+        elif not arguments.hfov_deg:
+            prior = find_focal(_evenly(loaders, _FEW), prior, spread, key[1])
+        if arguments.start == "landmarks":
+            prior = aimed(prior, loaders, noise, spread)
+        mount, _ = calibrate(chosen, prior, spread)
+    except InputError as error:
+        log.warning("%s: %s", key[0], error)
+        mount, problem = prior, str(error)
+    model = DriftModel(arguments.gps_sigma_m, arguments.gps_length_m, arguments.gps_own_m)
+    drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
+    calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
+    sides = arguments.left_yaw_deg, arguments.right_yaw_deg
+    calibration, found = with_landmarks(calibration, places, loaders, prior, noise, sides, starts)
+    return with_ties(calibration, places, loaders, noise, found, shared)
+
+
+def _shared_points(paths: list[str]) -> Shared:
+    """Pixels that pairs of images share, by the names of both."""
+    if not paths:
+        return {}
+    names = ["u", "v", "u_other", "v_other"]
+    table = pd.concat([read_table(path, ["image", "other", *names]) for path in paths])
+    groups = table.groupby(["image", "other"], sort=True)
+    return {
+        (str(one), str(other)): part[names].to_numpy(np.float64) for (one, other), part in groups
+    }
+
+
+def _evenly(loaders: list[Loader], count: int) -> list[Loader]:
+    index = np.unique(np.linspace(0, len(loaders) - 1, min(count, len(loaders))).round())
+    return [loaders[int(number)] for number in index]
+
+
+def _summary(calibration: DriveCalibration) -> str:
+    mount: Mount = calibration.mount
+    table = pd.Series(to_content(calibration))[["hfov_deg", "yaw_deg", "pitch_deg", "height_m"]]
+    numbers = ", ".join(f"{name} {value:.3f}" for name, value in table.items())
+    return f"{mount.images} images, {len(calibration.measured)} track errors, {numbers}"
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_arguments(parser)
+    help_ = 'JSON by image size, {"2000x1200": {...}}, or "all"'
+    parser.add_argument("--baseline", nargs="?", help=help_)
+    parser.add_argument("--matches", nargs="*", default=[], help="tables of shared points")
+    parser.add_argument(
+        "--hfov-deg", type=float, default=0.0, help="field of view, if known to 10 %%; 0: unknown"
+    )
+    parser.add_argument("--images", type=int, default=60, help="of a drive, for its calibration")
+    parser.add_argument(
+        "--start", choices=("edges", "landmarks"), default="edges",
+        help="whether the road edges or the poles say first where the camera looks",
+    )  # fmt: skip
+    model, sides = DriftModel(), ViewOffsets()
+    parser.add_argument("--gps-sigma-m", type=float, default=model.sigma_m, help="slow error")
+    parser.add_argument("--gps-length-m", type=float, default=model.length_m, help="of its path")
+    parser.add_argument("--gps-own-m", type=float, default=model.own_m, help="of each position")
+    parser.add_argument("--left-yaw-deg", type=float, default=sides.left_deg, help="first guess")
+    parser.add_argument("--right-yaw-deg", type=float, default=sides.right_deg, help="first guess")
+    return run_stage(parser, calibrate_drives, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,136 @@
+"""Relative inverse depth of a shard's images, by a network or by depth images made elsewhere."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.io.images.image_shards import ImageShardWriter
+from roadsight.io.images.label_images import LabelImages
+from roadsight.io.images.models import open_model
+from roadsight.io.images.videologs import ImageSource
+from roadsight.io.records.tables import read_table
+from roadsight.poles.images.networks import (
+    METRIC_NEAREST_M,
+    downward_trend,
+    inverse_depth,
+    packed_depth,
+    tensor_of,
+)
+from roadsight.poles.images.views import VIEWS, View, usable, views_of
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("estimate_depth")
+
+_INVERTED = -0.3
+_ENOUGH = 5
+Depth = Callable[[View], NDArray[np.uint16]]
+
+
+def estimate_depth(arguments: argparse.Namespace) -> None:
+    """Write the depth of every view of every usable frame of the shard."""
+    frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
+    views = list(views_of(frames, tuple(arguments.views)))
+    metric, key, depth_of = _open(arguments)
+    about = {"source": arguments.source, "metric_nearest_m": METRIC_NEAREST_M if metric else None}
+    trends: list[float] = []
+    flat = 0
+    with ImageShardWriter(arguments.out, about) as shard:
+        for view in logged(views, len(views), log, "images"):
+            depth = depth_of(view)
+            if not depth.any():
+                flat += 1
+                log.warning("%s: the depth map is constant, so it has no depth", view.name)
+            elif view.view == "front":
+                trends.append(downward_trend(depth))
+                if len(trends) == _ENOUGH:
+                    _check_direction(trends, key)
+            shard.write(view.name, depth)
+        _check_direction(trends, key)
+    log.info("%d images, %d of them without depth", len(views), flat)
+
+
+def _check_direction(trends: list[float], key: str) -> None:
+    """Refuse depth that grows towards the camera; the middle image decides."""
+    known = [trend for trend in trends if np.isfinite(trend)]
+    if known and np.median(known) < _INVERTED:
+        raise InputError(
+            "depth is inverted: the ground seems to come nearer towards the horizon",
+            where=key,
+            found=f"correlation of nearness with the row {np.median(known):.2f}",
+            allowed="above 0",
+            hint="change it from inverse_depth to depth, or the other way round",
+        )
+
+
+def _open(arguments: argparse.Namespace) -> tuple[bool, str, Depth]:
+    """Whether the scale is metric, what to change if depth is inverted, depth of a view."""
+    if not arguments.source.endswith((".yaml", ".yml")):
+        return False, "--folder-kind", _from_folder(arguments)
+    model = open_model(arguments.source, arguments.threads)
+    spec = model.manifest
+    if spec.task == "classes":
+        raise InputError(
+            "must be relative_depth or metric_depth",
+            where=f"{arguments.source}: task",
+            found=spec.task,
+        )
+    images, metric = ImageSource(arguments.images), spec.task == "metric_depth"
+
+    def depth_of(view: View) -> NDArray[np.uint16]:
+        image = images.read(view.path)
+        tensor = tensor_of(image, spec.input, arguments.image_height_px)
+        outputs = model.session.run(list(model.output_names), {model.input_name: tensor})
+        inverse = inverse_depth(outputs, spec)
+        if inverse.shape[0] > image.shape[0]:
+            resized = cv2.resize(inverse, image.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+            inverse = np.asarray(resized, np.float32)
+        return packed_depth(inverse, metric)
+
+    return metric, f"{arguments.source}: output.kind", depth_of
+
+
+def _from_folder(arguments: argparse.Namespace) -> Depth:
+    folder, kind = LabelImages(arguments.source), arguments.folder_kind
+
+    def depth_of(view: View) -> NDArray[np.uint16]:
+        pixels = folder.read(view.path).astype(np.float32)
+        known = np.where(pixels > 0, pixels, np.float32(np.nan))
+        inverse = known if kind == "inverse_depth" else 1.0 / known
+        return packed_depth(inverse.astype(np.float32), metric=False)
+
+    return depth_of
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("frames", "images", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument(
+        "--source", required=True, help="manifest (.yaml), or folder of 16-bit PNGs, 0 = unknown"
+    )
+    parser.add_argument(
+        "--folder-kind", choices=("inverse_depth", "depth"), default="inverse_depth"
+    )
+    parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
+    parser.add_argument("--shard", type=int, default=0)
+    parser.add_argument("--shards", type=int, default=1)
+    parser.add_argument("--threads", type=int, default=1, help="threads of a network")
+    parser.add_argument(
+        "--image-height-px", type=int, default=0,
+        help="height that networks of any size see, px; 0 leaves it to the manifest",
+    )  # fmt: skip
+    return run_stage(parser, estimate_depth, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,65 @@
+"""Pole-like columns of the cloud: axes good to a few centimetres, landmarks for the cameras."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+
+import numpy as np
+import pandas as pd
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.tiles import CloudTiles
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import write_table
+from roadsight.poles.sightings.lidar_poles import PoleColumns, find_pole_columns
+from roadsight.poles.sightings.stems import find_stems, with_stems
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("find_pole_columns")
+COLUMNS = ("x", "y", "z_ground", "top_m", "sigma_m", "points", "open_top")
+_HALO_M = 6.0
+
+
+def find_columns(arguments: argparse.Namespace) -> None:
+    """Write the columns of each tile, those of its margin left to its neighbours."""
+    ground = read_raster(arguments.dem, Frame.from_dict(read_json(arguments.frame)))
+    cloud = CloudTiles(arguments.cloud)
+    tiles = cloud.iter_tiles(_HALO_M, ["x", "y", "z", "classification"])
+    tables = [pd.DataFrame(columns=list(COLUMNS), dtype=np.float64)]
+    for (west, south, east, north), points in logged(tiles, len(cloud.tiles), log, "tiles"):
+        xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
+        above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
+        cls = points["classification"]
+        tall = find_pole_columns(xyz, above, cls, arguments.min_top_m)
+        found = with_stems(tall, find_stems(xyz, above, cls))
+        x, y = found.xy_m.T
+        inside = (x >= west) & (x < east) & (y >= south) & (y < north)
+        tables.append(_table(found)[inside])
+    table = pd.concat([part for part in tables if len(part)] or tables[:1], ignore_index=True)
+    table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
+    median_m = table["sigma_m"].median() if len(table) else float("nan")
+    log.info("%d pole-like columns, places good to %.3f m (median)", len(table), median_m)
+    write_table(arguments.out, table, {"min_top_m": arguments.min_top_m})
+
+
+def _table(found: PoleColumns) -> pd.DataFrame:
+    values = *found.xy_m.T, found.z_ground_m, found.top_m, found.sigma_m
+    values += (found.points, found.open_top)
+    return pd.DataFrame(dict(zip(COLUMNS, values, strict=True)))
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("cloud", "frame", "dem", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--min-top-m", type=float, default=3.0, help="lower columns are none")
+    return run_stage(parser, find_columns, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

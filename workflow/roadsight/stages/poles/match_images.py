@@ -1,0 +1,100 @@
+"""Points that each image of a shard's runs of images shares with the next one of its drive."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Hashable, Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.base.shards import shard_of
+from roadsight.io.images.videologs import ImageSource
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_table, write_table
+from roadsight.poles.drive.drive_lenses import lens_of, with_given
+from roadsight.poles.images.image_matches import Features, consecutive, features, matched
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("match_images")
+_FRAME = ["image", "path", "route", "sequence", "status", "x", "y", "width_px", "height_px"]
+_TOGETHER = 16
+COLUMNS = ("image", "other", "u", "v", "u_other", "v_other")
+
+
+def match_images(arguments: argparse.Namespace) -> None:
+    """Write the pixels that show the same, of each image of the shard and the next one."""
+    pairs = [
+        (one, other)
+        for one, other in consecutive(read_table(arguments.frames, _FRAME))
+        if shard_of(_run(one), arguments.shards) == arguments.shard
+    ]
+    images = ImageSource(arguments.images)
+    lenses = None
+    if arguments.drive:
+        lenses = with_given(read_json(arguments.drive)["lenses"], json.loads(arguments.lenses))
+
+    @lru_cache(maxsize=2)
+    def found(path: str) -> Features:
+        return features(images.read(path))
+
+    tables = [pd.DataFrame({name: [] for name in COLUMNS})]
+    for one, other in logged(pairs, len(pairs), log, "pairs"):
+        first, second = found(one["path"]), found(other["path"])
+        numbers = matched(first, second)
+        here, there = first.uv_px[numbers[:, 0]], second.uv_px[numbers[:, 1]]
+        if lenses is not None:
+            here, there = _straight(here, one, lenses), _straight(there, other, lenses)
+        tables.append(_rows(one["image"], other["image"], here, there))
+    kinds = dict.fromkeys(COLUMNS[:2], str) | dict.fromkeys(COLUMNS[2:], np.float64)
+    table = pd.concat(tables, ignore_index=True).astype(kinds)
+    log.info("%d points shared by %d pairs", len(table), len(pairs))
+    write_table(arguments.out, table)
+
+
+def _run(row: Mapping[Hashable, Any]) -> str:
+    """Key of a few images in a row: an image between two of them is looked at once."""
+    return f"{row['route']}/{int(row['sequence']) // _TOGETHER}"
+
+
+def _straight(
+    uv_px: NDArray[np.float64], row: Mapping[Hashable, Any], lenses: list[dict[str, Any]]
+) -> NDArray[np.float64]:
+    """Pixels as a pinhole camera would have shown them."""
+    size = int(row["width_px"]), int(row["height_px"])
+    return lens_of(lenses, (str(row["route"]), *size), size[::-1]).undistort(uv_px)
+
+
+def _rows(
+    image: str, other: str, here: NDArray[np.float64], there: NDArray[np.float64]
+) -> pd.DataFrame:
+    known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+    table = pd.DataFrame(np.column_stack([here, there])[known], columns=list(COLUMNS[2:]))
+    table.insert(0, "image", image)
+    table.insert(1, "other", other)
+    return table
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("frames", "images", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--drive", nargs="?", help="profile whose lenses distort; none: pinholes")
+    parser.add_argument(
+        "--lenses", default="[]", help="given lenses as JSON: route, k1, k2, focal_px"
+    )
+    parser.add_argument("--shard", type=int, default=0)
+    parser.add_argument("--shards", type=int, default=1)
+    return run_stage(parser, match_images, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,227 @@
+"""Poles in a shard's images: pixels, bearings and distances from the camera."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, fields
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.cameras import Intrinsics, compass_deg
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.north import SiteNorth
+from roadsight.io.images.image_shards import ImageShard
+from roadsight.io.raster.rasters import Raster, read_raster
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.poles.alignment.landmarks import Turns
+from roadsight.poles.calibration.calibration_table import Key, from_content
+from roadsight.poles.images.pole_masks import KINDS, MaskSettings
+from roadsight.poles.images.stitching import ViewOffsets, merge_views, side_intrinsics
+from roadsight.poles.images.views import VIEWS, View, usable, views_of
+from roadsight.poles.sightings.sighting_bearing import ViewCamera
+from roadsight.poles.sightings.sightings import Evidence, SightingSettings, measure_view
+from roadsight.stages.command import run_stage
+from roadsight.stages.poles.alignment_inputs import read_columns
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("measure_poles")
+
+_FLOATS = NDArray[np.float64]
+_COLUMNS = (
+    "image", "route", "sequence", "view", "kind", "u_foot", "v_foot", "u_min", "v_min", "u_max",
+    "v_max", "x", "y", "z", "latitude", "longitude", "bearing_grid_deg", "bearing_deg", "depth_m",
+    "sigma_bearing_deg", "sigma_depth_m", "kept", "reason", "method", "depth_from",
+    "depth_network_m", "sigma_depth_network_m", "depth_ground_m", "sigma_depth_ground_m",
+    "depth_lidar_m", "sigma_depth_lidar_m", "height_m", "width_px", "foot_visible",
+)  # fmt: skip
+_TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
+
+
+def measure_poles(arguments: argparse.Namespace) -> None:
+    """Write the sightings of every image of the shard whose camera was accepted."""
+    settings = _settings(arguments)
+    given = ViewOffsets(arguments.left_yaw_deg, arguments.right_yaw_deg)
+    found = _side_views(arguments.calibration)
+    frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
+    cameras = read_table(arguments.cameras)
+    accepted = cameras[cameras["accepted"]].set_index("image")
+    poses = {str(image): pose for image, pose in accepted.iterrows()}
+    known = frames[frames["image"].isin(accepted.index)]
+    log.info("%d of %d images have an accepted camera", len(known), len(frames))
+    frame = Frame.from_dict(read_json(arguments.frame))
+    ground = read_raster(arguments.dem, frame)
+    evidence = _Evidence(arguments, ground, accepted.loc[known["image"]], settings)
+    masks, depths = ImageShard(arguments.masks), ImageShard(arguments.depth)
+    views = list(views_of(known, tuple(arguments.views)))
+    routes = dict(zip(known["image"], known["route"].astype(str), strict=True))
+    tables = []
+    for view in logged(views, len(views), log, "images"):
+        mask = masks.read(view.name)
+        pose = poses[view.image]
+        key = routes[view.image], int(pose["width_px"]), int(pose["height_px"])
+        camera = _camera(view, pose, _offsets(found.get(key, Turns()), given), mask.shape)
+        table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
+        if len(table):
+            tables.append(table.assign(image=view.image, view=view.view))
+    sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
+    turned = arguments.grid_convergence == "simulate"
+    table = _finished(sightings, known, accepted, frame, turned)
+    for reason, count in table["reason"].value_counts().sort_index().items():
+        log.info("%5d %s", count, reason or "kept")
+    write_table(arguments.out, table, {"settings": asdict(settings), "offsets": asdict(given)})
+
+
+def _side_views(path: str | None) -> dict[Key, Turns]:
+    """Yaw of the side views of each drive, where its calibration found them."""
+    drives = read_json(path)["drives"] if path else []
+    return {calibration.key: calibration.turns for calibration in map(from_content, drives)}
+
+
+def _offsets(turns: Turns, given: ViewOffsets) -> ViewOffsets:
+    known = np.isfinite(turns.sigma_deg)
+    left = turns.deg[1] if known[1] else given.left_deg
+    right = turns.deg[2] if known[2] else given.right_deg
+    return ViewOffsets(left, right)
+
+
+class _Evidence:
+    """Terrain and LiDAR around the shard's cameras."""
+
+    def __init__(
+        self,
+        arguments: argparse.Namespace,
+        ground: Raster,
+        cameras: pd.DataFrame,
+        settings: SightingSettings,
+    ) -> None:
+        self._ground, self._reach_m = ground, settings.farthest_m
+        self._columns = read_columns(arguments.columns)
+        self._points = np.empty((0, 3))
+        if settings.bearing == "lidar":
+            self._points = _voxels(arguments.voxels, cameras, self._reach_m + 10.0)
+        log.info("%d pole-like columns, %d voxels", len(self._columns), len(self._points))
+
+    def near(self, camera: ViewCamera) -> Evidence:
+        """What lies within reach of a camera."""
+        offset = self._points - np.asarray(camera.position_m)
+        close = np.hypot(offset[:, 0], offset[:, 1]) <= self._reach_m
+        return Evidence(self._ground.sample, self._columns, self._points[close])
+
+
+def _voxels(path: str | None, cameras: pd.DataFrame, reach_m: float) -> _FLOATS:
+    """Centres (n, 3) of the voxels around the cameras."""
+    if not path:
+        raise InputError("the bearing `lidar` needs voxels", where="--voxels")
+    about = read_about(path)
+    cell_m, anchor = float(about["cell_size_m"]), np.array(about["anchor"], np.float64)
+    index = read_table(path, ["ix", "iy", "iz"]).to_numpy(np.float64)
+    xyz = anchor + (index + 0.5) * cell_m
+    return xyz[_near(xyz[:, :2], cameras[["x", "y"]].to_numpy(np.float64), reach_m)]
+
+
+def _near(xy_m: _FLOATS, places_m: _FLOATS, reach_m: float) -> NDArray[np.bool_]:
+    """Whether points (n, 2) lie in a cell of the size of the reach beside some camera's cell."""
+    if not len(places_m):
+        return np.zeros(len(xy_m), bool)
+    cells = np.floor(places_m / reach_m).astype(np.int64)
+    around = {(i + a, j + b) for i, j in cells.tolist() for a in (-1, 0, 1) for b in (-1, 0, 1)}
+    low = np.array(sorted(around)).min(axis=0)
+    shape = np.array(sorted(around)).max(axis=0) - low + 3
+    table = np.zeros(tuple(shape), bool)
+    table[tuple((np.array(sorted(around)) - low + 1).T)] = True
+    own = np.clip(np.floor(xy_m / reach_m).astype(np.int64) - low + 1, 0, shape - 1)
+    return table[own[:, 0], own[:, 1]]
+
+
+def _camera(
+    view: View, pose: pd.Series, offsets: ViewOffsets, shape: tuple[int, ...]
+) -> ViewCamera:
+    front = Intrinsics(
+        int(pose["width_px"]), int(pose["height_px"]), float(pose["focal_px"]),
+        float(pose["cx_px"]), float(pose["cy_px"]),
+    )  # fmt: skip
+    own = front if view.view == "front" else side_intrinsics(front, shape[1], shape[0])
+    angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
+    names = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")
+    sigmas = [float(np.nan_to_num(pose[name])) for name in names]
+    position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
+    heading, pitch, roll = angles
+    return ViewCamera(own, position, heading, pitch, roll, offsets.of(view.view), *sigmas)
+
+
+def _finished(
+    sightings: pd.DataFrame,
+    frames: pd.DataFrame,
+    cameras: pd.DataFrame,
+    frame: Frame,
+    turned: bool,
+) -> pd.DataFrame:
+    """Columns of the artifact, with the camera's place and bearings from true north.
+
+    Parameters
+    ----------
+    turned : whether grid north differs from true north by what matters.
+    """
+    if sightings.empty:
+        empty = pd.DataFrame({name: pd.Series(dtype=np.float64) for name in _COLUMNS})
+        return empty.astype(
+            dict.fromkeys(_TEXTS, str) | {"sequence": np.int64, "kept": bool, "foot_visible": bool}
+        )
+    table = sightings.join(frames.set_index("image")[["route", "sequence"]], on="image")
+    table = table.join(cameras[["x", "y", "z"]], on="image")
+    xy = table[["x", "y"]].to_numpy(np.float64)
+    nothing = np.full(len(table), np.nan)
+    latitude, longitude, turn = nothing, nothing, nothing
+    if frame.crs_wkt is not None:
+        north = SiteNorth(frame)
+        latitude, longitude = north.to_geographic(xy)
+        turn = north.convergence_deg(xy) if turned else np.zeros(len(table))
+    table["latitude"], table["longitude"] = latitude, longitude
+    table["bearing_deg"] = compass_deg(table["bearing_grid_deg"].to_numpy() + turn)
+    return table[list(_COLUMNS)].reset_index(drop=True)
+
+
+def _settings(arguments: argparse.Namespace) -> SightingSettings:
+    mask = MaskSettings(**{f.name: getattr(arguments, f.name) for f in fields(MaskSettings)})
+    own = {f.name: getattr(arguments, f.name) for f in fields(SightingSettings) if f.name != "mask"}
+    return SightingSettings(**own | {"kinds": tuple(arguments.kinds), "mask": mask})
+
+
+def _numbers() -> Iterator[tuple[str, float]]:
+    for part in (SightingSettings, MaskSettings):
+        for field in fields(part):
+            if isinstance(field.default, float):
+                yield field.name, field.default
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("frames", "cameras", "masks", "depth", "dem", "frame", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--columns", nargs="?", help="pole-like columns of the cloud")
+    parser.add_argument("--calibration", nargs="?", help="has the yaw of side views, if found")
+    parser.add_argument("--voxels", nargs="?", help="only for the bearing `lidar`")
+    parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
+    parser.add_argument("--shard", type=int, default=0)
+    parser.add_argument("--shards", type=int, default=1)
+    parser.add_argument("--left-yaw-deg", type=float, default=ViewOffsets.left_deg)
+    parser.add_argument("--right-yaw-deg", type=float, default=ViewOffsets.right_deg)
+    parser.add_argument("--grid-convergence", choices=("simulate", "skip"), default="simulate")
+    parser.add_argument("--kinds", nargs="+", choices=sorted(KINDS), default=["pole"])
+    parser.add_argument("--bearing", choices=("fused", "image", "lidar"), default="fused")
+    parser.add_argument("--height-rule", choices=("metric", "published", "none"), default="metric")
+    for name, default in _numbers():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=default)
+    return run_stage(parser, measure_poles, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,60 @@
+"""Measure what a drive is like: what decides which effects of the pole job matter."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.images.videologs import ImageSource
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.tables import read_table
+from roadsight.poles.drive.drive_profile import (
+    FIELDS_DEG,
+    frames_of,
+    front_view_gap,
+    has_sides,
+    hidden_share,
+    keys_of,
+    measured_lens,
+)
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("profile_drive")
+
+
+def profile_drive(arguments: argparse.Namespace) -> None:
+    """Write the profile of a site's drives."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    frames = read_table(arguments.frames)
+    usable = frames[(frames["status"] == "ok") & np.isfinite(frames["z_road"])]
+    picture = ImageSource(arguments.images).read
+    content = {
+        "images": len(usable),
+        "hidden_road_share": hidden_share(usable, read_raster(arguments.dem, frame).sample),
+        "side_share": float(has_sides(usable).mean()) if len(usable) else 0.0,
+        "front_view_gaps": [[fov, front_view_gap(usable, fov)] for fov in FIELDS_DEG],
+        "lenses": [
+            measured_lens(key, frames_of(usable, key)["path"], picture) for key in keys_of(usable)
+        ],
+    }
+    log.info("%s", json.dumps(content))
+    write_json(arguments.out, content)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("frames", "dem", "frame", "images", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    return run_stage(parser, profile_drive, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

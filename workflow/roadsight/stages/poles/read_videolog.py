@@ -1,0 +1,190 @@
+"""Frames of a videolog: images, places, headings, and what is wrong with which."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Callable
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.north import SiteNorth
+from roadsight.io.cloud.tiles import CloudTiles
+from roadsight.io.images.videologs import ImageSource, read_videolog_table
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.raster.top_rasters import TopRaster, read_top
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import write_table
+from roadsight.poles.drive.videolog import OK, Site, TrackSettings, build_frames
+from roadsight.scene.classes import is_road
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("read_videolog")
+
+COLUMNS = [
+    *("image", "route", "sequence", "path", "left_path", "right_path", "width_px", "height_px"),
+    *("latitude", "longitude", "x", "y", "z_road", "heading_deg", "heading_raw_deg", "step_m"),
+    "status",
+]
+_ROAD_REACH_M = 2.5
+_GROUND_REACHES_M = (2.0, 5.0, 10.0)
+_RING = np.array([[0.0, 0.0], *([np.sin(a), np.cos(a)] for a in np.radians(range(0, 360, 45)))])
+
+
+def read_videolog(arguments: argparse.Namespace) -> None:
+    """Write the frames of all routes."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    source = ImageSource(arguments.images)
+    table = read_videolog_table(arguments.videolog, source)
+    table = find_images(every_nth(table, arguments.every), source)
+    settings = TrackSettings(
+        arguments.heading_images, arguments.standing_m, arguments.jump_m, arguments.jump_factor
+    )
+    frames = build_frames(table, _site(arguments, frame), settings)
+    _tell(table, frames, source)
+    write_table(arguments.out, frames[COLUMNS], {"settings": vars(settings)})
+
+
+def every_nth(table: pd.DataFrame, every: int) -> pd.DataFrame:
+    """The first row of each route in its sequence, and every ``every``-th after it."""
+    order = table.sort_values(["route", "sequence"], kind="stable")
+    kept = order[order.groupby("route").cumcount() % every == 0].index
+    return table.loc[kept.sort_values()].reset_index(drop=True)
+
+
+def find_images(table: pd.DataFrame, source: ImageSource) -> pd.DataFrame:
+    """Table with path, left_path, right_path, width_px, height_px and status of each image."""
+    rows = []
+    for row in logged(table.to_dict("records"), len(table), log, "images"):
+        path, status, size = _image(source, row["image"])
+        left, right = (_side(source, row[f"{side}_image"]) for side in ("left", "right"))
+        rows.append((path, left, right, *size, status))
+    names = ["path", "left_path", "right_path", "width_px", "height_px", "status"]
+    found = pd.DataFrame(rows, columns=names)
+    return pd.concat([table.drop(columns=["left_image", "right_image"]), found], axis=1)
+
+
+def _image(source: ImageSource, name: str) -> tuple[str, str, tuple[int, int]]:
+    """Path, status and size of an image that a table names."""
+    try:
+        path = source.find(name)
+        if not path:
+            return "", "image missing", (0, 0)
+        facts = source.facts(path)
+    except InputError as error:
+        log.warning("%s", error)
+        return "", "image unreadable", (0, 0)
+    status = OK if facts.complete else "image truncated"
+    return path, status, (facts.width_px, facts.height_px)
+
+
+def _side(source: ImageSource, name: str) -> str:
+    """Path of a side view, "" if there is none to be used."""
+    if not name:
+        return ""
+    path, status, _ = _image(source, name)
+    if status != OK:
+        log.warning("side view %s: %s", name, status)
+        return ""
+    return path
+
+
+def _site(arguments: argparse.Namespace, frame: Frame) -> Site:
+    north, cloud = SiteNorth(frame), CloudTiles(arguments.cloud)
+    bounds = np.array([tile.bounds_m for tile in cloud.tiles])
+    tree = shapely.STRtree(shapely.box(bounds[:, 0], bounds[:, 1], bounds[:, 3], bounds[:, 4]))
+
+    def covers(xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+        near, _ = tree.query(shapely.points(xy), predicate="dwithin", distance=arguments.outside_m)
+        return np.isin(np.arange(len(xy)), near)
+
+    corners = np.array([bounds[:, :2].min(axis=0), bounds[:, 3:5].max(axis=0)])
+    (south, top), (west, east) = north.to_geographic(corners)
+    extent = f"latitude {south:.5f} to {top:.5f}, longitude {west:.5f} to {east:.5f}"
+    dem = read_raster(arguments.dem, frame)
+    view = read_top(arguments.top, frame) if arguments.top else None
+    return Site(north.to_local, covers, road_heights(dem.sample, view), extent)
+
+
+def road_heights(
+    ground_at: Callable[[ArrayLike, ArrayLike], NDArray[np.float64]], view: TopRaster | None
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Function of places (n, 2) that gives the road's height, or the ground's where there is none.
+
+    On a bridge the terrain model may be that of the ground below, which the road is not.
+    """
+
+    def heights(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+        found = np.full(len(xy), np.nan) if view is None else _paved_heights(view, xy)
+        for reach in _GROUND_REACHES_M:
+            bare = np.flatnonzero(np.isnan(found))
+            places = xy[bare, None] + reach * _RING
+            ground = ground_at(*places.reshape(-1, 2).T).reshape(len(bare), len(_RING))
+            some = np.isfinite(ground).any(axis=1)
+            found[bare[some]] = np.nanmedian(ground[some], axis=1)
+        return found
+
+    return heights
+
+
+def _paved_heights(view: TopRaster, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Median height of the road cells around each place, NaN without any."""
+    reach = int(np.ceil(_ROAD_REACH_M / view.cell_size_m))
+    heights = np.full(len(xy), np.nan)
+    rows, columns = (np.round(p).astype(int) for p in view.pixels(xy))
+    for number, (row, column) in enumerate(zip(rows, columns, strict=True)):
+        window = (
+            slice(max(row - reach, 0), max(row + reach + 1, 0)),
+            slice(max(column - reach, 0), max(column + reach + 1, 0)),
+        )
+        road = is_road(view.cls[window])
+        if road.any():
+            heights[number] = np.median(view.height_m[window][road])
+    return heights
+
+
+def _tell(table: pd.DataFrame, frames: pd.DataFrame, source: ImageSource) -> None:
+    """Say in the log what is used, what is not, and why."""
+    log.info("%d of %d images usable", (frames["status"] == OK).sum(), len(frames))
+    for reason, rows in frames[frames["status"] != OK].groupby("status", sort=False):
+        log.warning("%d not used: %s (%s)", len(rows), reason, _some(rows["image"].tolist()))
+    if len(table) > len(frames):
+        log.warning("%d rows repeat an image or name none", len(table) - len(frames))
+    turned = sum((rows["sequence"].diff() < 0).sum() for _, rows in table.groupby("route"))
+    if turned:
+        log.warning("%d images come before their predecessor; sorted by sequence", turned)
+    used = {*table["path"], *table["left_path"], *table["right_path"]}
+    if extra := [name for name in source.names() if name not in used]:
+        log.warning("%d images are not in the table (%s)", len(extra), _some(extra))
+
+
+def _some(names: list[str]) -> str:
+    return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--videolog", required=True, help="CSV table, or folder of tagged JPEGs")
+    parser.add_argument("--images", required=True, help="folder or ZIP file of images")
+    for name in ("cloud", "frame", "dem", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--top", nargs="?", help="overhead view, for the height of the road")
+    parser.add_argument("--outside-m", type=float, default=30.0)
+    parser.add_argument("--every", type=int, default=1, help="use every n-th image of a route")
+    parser.add_argument("--heading-images", type=int, default=3)
+    parser.add_argument("--standing-m", type=float, default=0.5)
+    parser.add_argument("--jump-m", type=float, default=50.0)
+    parser.add_argument("--jump-factor", type=float, default=5.0)
+    return run_stage(parser, read_videolog, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

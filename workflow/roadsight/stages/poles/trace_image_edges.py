@@ -1,0 +1,74 @@
+"""Road edges in the masks of a shard's front images: lane markings and road borders."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections import Counter
+from dataclasses import asdict, fields
+
+import numpy as np
+import pandas as pd
+
+from roadsight.io.images.image_shards import ImageShard
+from roadsight.io.records.tables import read_table, write_table
+from roadsight.poles.images.image_edges import BORDER, LANE, ImageEdges, trace_edges
+from roadsight.poles.images.lanes import EdgeSettings
+from roadsight.poles.images.views import usable, views_of
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("trace_image_edges")
+
+
+def trace_image_edges(arguments: argparse.Namespace) -> None:
+    """Write a row for each edge point, by image."""
+    settings = EdgeSettings(**{f.name: getattr(arguments, f.name) for f in fields(EdgeSettings)})
+    frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
+    masks = ImageShard(arguments.masks)
+    views = list(views_of(frames, ("front",)))
+    tables, reasons = [], {}
+    for view in logged(views, len(views), log, "images"):
+        edges = trace_edges(masks.read(view.name), settings)
+        tables.append(_table(view.image, edges))
+        if edges.reason:
+            reasons[view.image] = edges.reason
+    for reason, count in sorted(Counter(reasons.values()).items()):
+        log.warning("%d of %d images: %s", count, len(views), reason)
+    empty = ImageEdges(np.empty((0, 2), np.float32), np.empty(0, np.int8), np.empty(0, bool))
+    table = pd.concat([_table("", empty), *tables], ignore_index=True)
+    log.info("%d images, %d edge points", len(views), len(table))
+    write_table(arguments.out, table, {"settings": asdict(settings), "without_edges": reasons})
+
+
+def _table(image: str, edges: ImageEdges) -> pd.DataFrame:
+    count = len(edges.uv_px)
+    return pd.DataFrame(
+        {
+            "image": pd.Series([image] * count, dtype=str),
+            "u": edges.uv_px[:, 0],
+            "v": edges.uv_px[:, 1],
+            "side": edges.side,
+            "kind": pd.Series(np.where(edges.is_lane, LANE, BORDER), dtype=str),
+        }
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("frames", "masks", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--shard", type=int, default=0)
+    parser.add_argument("--shards", type=int, default=1)
+    parser.add_argument("--borders", choices=("all", "nearest"), default=EdgeSettings.borders)
+    for field in fields(EdgeSettings):
+        if field.name == "borders":
+            continue
+        parser.add_argument(f"--{field.name.replace('_', '-')}", type=float, default=field.default)
+    return run_stage(parser, trace_image_edges, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

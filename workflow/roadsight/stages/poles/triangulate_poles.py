@@ -1,0 +1,163 @@
+"""Sightings of all images become poles with errors."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.north import SiteNorth
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.pole_decisions import read_decisions
+from roadsight.io.records.sighting_tables import in_native, write_csv
+from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.io.vector.vectors import write_geojson, write_layers
+from roadsight.poles.triangulate.decided import apply_decisions
+from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
+from roadsight.poles.triangulate.rays import TriangulationSettings
+from roadsight.poles.triangulate.site import POLE_COLUMNS, SIGHTING_COLUMNS, site_poles
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("triangulate_poles")
+
+_STRUCTURES = (6, 11, 17)
+_CORNERS = 32
+_KINDS = {"poles": "Point", "ellipses": "Polygon", "rays": "LineString"}
+
+
+def triangulate_poles(arguments: argparse.Namespace) -> None:
+    """Write poles, their ellipses and the rays that show them."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    columns = [*SIGHTING_COLUMNS, "depth_lidar_m"]
+    parts = [read_table(path, columns) for path in arguments.sightings]
+    sightings = pd.concat(parts, ignore_index=True)
+    settings = _settings(arguments)
+    poles, pole_of, scales = site_poles(sightings, settings, arguments.method)
+    in_cloud = sightings["depth_lidar_m"].notna().to_numpy()
+    poles = withhold_thin(poles, pole_of, in_cloud, arguments.min_views)
+    if arguments.voxels:
+        near = _structures(arguments.voxels)
+        poles = drop_near_structures(poles, near, arguments.clearance_m)
+    poles = _with_place(_decided(poles, frame, arguments.decisions), frame, arguments.dem)
+    if len(sightings) < 2:
+        log.warning("fewer than two sightings: no pole can be triangulated")
+    kept = poles["kept"].to_numpy(bool)
+    log.info("%d sightings, %d poles, %d kept", len(sightings), len(poles), kept.sum())
+    about: dict[str, Any] = {"method": arguments.method, "settings": vars(settings)}
+    about |= {"depth_scale": scales, "sightings": len(sightings)}
+    write_table(arguments.poles, poles, about)
+    layers = {"poles": _points(poles), "ellipses": _ellipses(poles),
+              "rays": _rays(sightings, poles, pole_of)}  # fmt: skip
+    write_layers(arguments.layers, layers, frame, _KINDS)
+    write_csv(arguments.csv, in_native(poles[kept].drop(columns=["kept", "reason"]), frame))
+    write_geojson(arguments.geojson, _points(poles[kept].reset_index(drop=True)), frame)
+
+
+def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFrame:
+    """Poles with what a person decided on them, if there is such a table."""
+    if path is None:
+        return poles.assign(decided="")
+    decisions = read_decisions(path, frame)
+    decided, rows = apply_decisions(poles, decisions)
+    log.info("%d decisions of a person on poles", int((rows >= 0).sum()))
+    for name in decisions.loc[rows < 0, "pole"]:
+        log.warning("no pole is left that the decision on %s is about", name or "one of them")
+    return decided
+
+
+def _settings(arguments: argparse.Namespace) -> TriangulationSettings:
+    names = TriangulationSettings.__dataclass_fields__
+    given = {name: getattr(arguments, name) for name in names if hasattr(arguments, name)}
+    return TriangulationSettings(**given)
+
+
+def _structures(path: str) -> cKDTree:
+    """Tree of the road, bridge and building voxels in plan."""
+    about = read_about(path)
+    voxels = read_table(path, ["ix", "iy", "cls"])
+    index = voxels.loc[voxels["cls"].isin(_STRUCTURES), ["ix", "iy"]].drop_duplicates()
+    cell_m, anchor = float(about["cell_size_m"]), np.asarray(about["anchor"], np.float64)[:2]
+    return cKDTree(anchor + (index.to_numpy(np.float64) + 0.5) * cell_m)
+
+
+def _with_place(poles: pd.DataFrame, frame: Frame, dem: str | None) -> pd.DataFrame:
+    """Poles with ground height, latitude and longitude; NaN where not known."""
+    x, y = poles["x"].to_numpy(np.float64), poles["y"].to_numpy(np.float64)
+    z = read_raster(dem, frame).sample(x, y) if dem else np.full(len(poles), np.nan)
+    latitude = longitude = np.full(len(poles), np.nan)
+    if frame.crs_wkt is not None and len(poles):
+        latitude, longitude = SiteNorth(frame).to_geographic(np.column_stack([x, y]))
+    placed = poles.assign(z=z, latitude=latitude, longitude=longitude)
+    return placed[[*POLE_COLUMNS, "decided"]]
+
+
+def _points(poles: pd.DataFrame) -> gpd.GeoDataFrame:
+    """Pole features; with heights only where all are known."""
+    coordinates = poles[["x", "y", "z"]].to_numpy(np.float64)
+    if len(poles) == 0 or np.isnan(coordinates[:, 2]).any():
+        coordinates = coordinates[:, :2]
+    return gpd.GeoDataFrame(
+        poles.drop(columns=["x", "y", "z"]), geometry=shapely.points(coordinates)
+    )
+
+
+def _ellipses(poles: pd.DataFrame) -> gpd.GeoDataFrame:
+    """1-sigma ellipses as polygons."""
+    turn = np.linspace(0.0, 2 * np.pi, _CORNERS, endpoint=False)
+    azimuth = np.radians(poles["sigma_azimuth_deg"].to_numpy(np.float64))[:, None]
+    major = poles["sigma_major_m"].to_numpy(np.float64)[:, None] * np.cos(turn)
+    minor = poles["sigma_minor_m"].to_numpy(np.float64)[:, None] * np.sin(turn)
+    x = poles["x"].to_numpy()[:, None] + major * np.sin(azimuth) + minor * np.cos(azimuth)
+    y = poles["y"].to_numpy()[:, None] + major * np.cos(azimuth) - minor * np.sin(azimuth)
+    rings = [shapely.Polygon(ring) for ring in np.stack([x, y], axis=-1)]
+    return gpd.GeoDataFrame(poles[["id", "kept"]].reset_index(drop=True), geometry=rings)
+
+
+def _rays(
+    sightings: pd.DataFrame, poles: pd.DataFrame, pole_of: NDArray[np.int64]
+) -> gpd.GeoDataFrame:
+    """Lines from the cameras to the poles that they support."""
+    used = np.flatnonzero(pole_of >= 0)
+    start = sightings[["x", "y"]].to_numpy(np.float64)[used]
+    end = poles[["x", "y"]].to_numpy(np.float64)[pole_of[used]]
+    lines = [shapely.LineString(line) for line in np.stack([start, end], axis=1)]
+    columns = {
+        "pole": poles["id"].to_numpy()[pole_of[used]],
+        "image": sightings["image"].to_numpy()[used],
+    }
+    return gpd.GeoDataFrame(columns, geometry=lines)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sightings", required=True, nargs="+")
+    for name in ("frame", "poles", "layers", "csv", "geojson"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--dem", help="ground heights, for z")
+    parser.add_argument("--decisions", nargs="?", help="accepted, rejected, moved poles, CSV")
+    parser.add_argument("--voxels", nargs="?", help="withhold poles near road, bridge, building")
+    parser.add_argument("--min-views", type=int, default=2, help="of a pole not in the cloud")
+    parser.add_argument("--clearance-m", type=float, default=1.524, help="how near; 5 ft")
+    parser.add_argument("--method", choices=("packing", "sweep"), default="packing")
+    for name, default in vars(TriangulationSettings()).items():
+        flag = f"--{name.replace('_', '-')}"
+        if isinstance(default, bool):
+            parser.add_argument(flag, action=argparse.BooleanOptionalAction, default=False)
+        else:
+            parser.add_argument(flag, type=type(default), default=default)
+    return run_stage(parser, triangulate_poles, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

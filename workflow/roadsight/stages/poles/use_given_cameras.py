@@ -1,0 +1,104 @@
+"""Cameras that come with the videolog, taken as they are and checked against the road."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.shards import shard_of
+from roadsight.geometry.frames import Frame
+from roadsight.io.images.camera_tables import read_cameras
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import write_table
+from roadsight.poles.alignment.drive import Place
+from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
+from roadsight.stages.command import run_stage
+from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS, TEXTS
+from roadsight.stages.poles.alignment_inputs import AlignmentScene, add_arguments, read_scene
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("use_given_cameras")
+NOT_GIVEN = "no camera is given"
+
+
+def use_given_cameras(arguments: argparse.Namespace) -> None:
+    """Write one row for each usable image of the shard, and say how the road agrees."""
+    scene = read_scene(arguments)
+    frame = Frame.from_dict(read_json(arguments.frame))
+    given = read_cameras(arguments.cameras, frame, arguments.intrinsics)
+    poses = {str(row["image"]): row for _, row in given.iterrows()}
+    sigma = GivenSigma(
+        arguments.sigma_heading_deg, arguments.sigma_pitch_deg,
+        arguments.sigma_place_m, arguments.sigma_place_m,
+    )  # fmt: skip
+    own = [p for p in scene.places if shard_of(p.image, arguments.shards) == arguments.shard]
+    rows, shares = [], []
+    for place in logged(own, len(own), log, "images"):
+        pose = poses.get(place.image)
+        agrees = (np.nan, np.nan) if pose is None else _agreement(scene, place, pose)
+        shares.append(agrees[1])
+        rows.append({"image": place.image, **_row(scene, place, pose, sigma, agrees)})
+    table = pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(dict.fromkeys(TEXTS, str))
+    about = {"method": "given", **_judged(np.array(shares, np.float64), table)}
+    write_table(arguments.out, table, about)
+
+
+def _agreement(scene: AlignmentScene, place: Place, pose: pd.Series) -> tuple[float, float]:
+    size = place.start.width_px, place.start.height_px
+    return agreement(pose, size, *scene.edges_of(place))
+
+
+def _row(
+    scene: AlignmentScene,
+    place: Place,
+    pose: pd.Series | None,
+    sigma: GivenSigma,
+    agrees: tuple[float, float],
+) -> dict[str, Any]:
+    size = place.start.width_px, place.start.height_px
+    if pose is not None:
+        return camera_row(pose, size, sigma, agrees, len(scene.edges_of(place)[0].uv_px))
+    numbers = dict.fromkeys(set(CAMERA_COLUMNS) - {"image", "reason"}, np.nan)
+    return numbers | {
+        "width_px": size[0], "height_px": size[1], "edge_points": 0, "landmarks": 0,
+        "one_sided": False, "accepted": False, "reason": NOT_GIVEN,
+    }  # fmt: skip
+
+
+def _judged(shares: np.ndarray, table: pd.DataFrame) -> dict[str, Any]:
+    """How far given cameras and the road agree, over the images that show enough of it."""
+    known = np.isfinite(shares)
+    missing = int((table["reason"] == NOT_GIVEN).sum())
+    if missing:
+        log.warning("%d of %d images: %s", missing, len(table), NOT_GIVEN)
+    if not known.any():
+        log.warning("no image shows enough road to check the given cameras")
+        return {"checked_images": 0, "agreeing_share": None}
+    share = float(np.median(shares[known]))
+    told = log.info if share >= 0.5 else log.warning
+    told("%d images: %.0f %% of their road edges agree (median)", known.sum(), 100 * share)
+    return {"checked_images": int(known.sum()), "agreeing_share": share}
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    add_arguments(parser)
+    default = GivenSigma()
+    parser.add_argument("--cameras", required=True, help="given cameras, CSV")
+    parser.add_argument("--intrinsics", nargs="?", help="their lens, CSV, if not with them")
+    parser.add_argument("--sigma-heading-deg", type=float, default=default.heading_deg)
+    parser.add_argument("--sigma-pitch-deg", type=float, default=default.pitch_deg)
+    parser.add_argument("--sigma-place-m", type=float, default=default.lateral_m)
+    parser.add_argument("--shard", type=int, default=0)
+    parser.add_argument("--shards", type=int, default=1)
+    return run_stage(parser, use_given_cameras, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,159 @@
+"""Found poles against known ones."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import math
+import sys
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.north import SiteNorth
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.tables import read_table
+from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.vectors import read_layer
+from roadsight.poles.risk.scenarios import RouteTracks, ScenarioSettings, classify_places
+from roadsight.poles.risk.validation import (
+    THRESHOLDS_M,
+    RoadEdges,
+    cautions,
+    describe,
+    describe_scenarios,
+    geodesic_m,
+    match_points,
+    score_thresholds,
+    split_errors,
+    within_reach,
+)
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("validate_poles")
+
+_NAMES = {"straight": "straight road", "curved": "curved road", "intersection": "intersection",
+          "extraneous": "extraneous features"}  # fmt: skip
+
+
+def validate_poles(arguments: argparse.Namespace) -> None:
+    """Write errors, scores by threshold and errors by scenario."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    poles = read_table(arguments.poles)
+    poles = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
+    frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
+    truth = read_points(arguments.truth, frame, arguments.truth_crs)
+    if arguments.truth_kind:
+        truth = truth[truth["kind"] == arguments.truth_kind].reset_index(drop=True)
+    cameras_m = frames[["x", "y"]].dropna().to_numpy(np.float64)
+    near = within_reach(_xy(truth), cameras_m, arguments.reach_m)
+    known = truth[near].reset_index(drop=True)
+    matches = match_points(_xy(poles), _xy(known), arguments.match_m)
+    errors = _errors(arguments, frame, frames, poles.iloc[matches[:, 0]], known.iloc[matches[:, 1]])
+    warnings = cautions(len(known), int((~near).sum()))
+    for warning in warnings:
+        log.warning("%s", warning)
+    content = _content(errors, warnings)
+    content["truth"] = {"within_reach": len(known), "out_of_reach": int((~near).sum()),
+                        "reach_m": arguments.reach_m}  # fmt: skip
+    content["poles"], content["match_m"] = len(poles), arguments.match_m
+    content["thresholds"] = score_thresholds(_xy(poles), _xy(known), THRESHOLDS_M)
+    write_json(arguments.out, _plain(content))
+
+
+def _errors(
+    arguments: argparse.Namespace,
+    frame: Frame,
+    frames: pd.DataFrame,
+    found: pd.DataFrame,
+    known: pd.DataFrame,
+) -> pd.DataFrame:
+    """One row for each match: distances, their parts and the scenario."""
+    found_m, known_m = _xy(found), _xy(known)
+    table = pd.DataFrame({"pole": found["id"].to_numpy(), "truth": known["id"].to_numpy()})
+    table["geodesic_m"] = _geodesic(frame, found_m, known_m)
+    for name in ("across_m", "along_m", "offset_m", "known_offset_m"):
+        table[name] = np.nan
+    edges_m = read_table(arguments.edges, ["x", "y"]).to_numpy(np.float64)
+    if len(edges_m) and len(table):
+        edges = RoadEdges(edges_m)
+        across, along = split_errors(found_m - known_m, edges.normals(known_m))
+        table["across_m"], table["along_m"] = across, along
+        table["offset_m"] = edges.offset_m(found_m)[0]
+        table["known_offset_m"] = edges.offset_m(known_m)[0]
+    settings = ScenarioSettings(curve_radius_m=arguments.curve_radius_m)
+    scenarios = classify_places(known_m, RouteTracks(frames), _pavement(arguments, frame), settings)
+    return pd.concat([table, scenarios], axis=1)
+
+
+def _pavement(arguments: argparse.Namespace, frame: Frame) -> shapely.Geometry | None:
+    if not arguments.pavement:
+        return None
+    layer = read_layer(arguments.pavement, arguments.pavement_layer, frame)
+    return shapely.union_all(layer.geometry.to_numpy())
+
+
+def _geodesic(
+    frame: Frame, found_m: NDArray[np.float64], known_m: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances on the ellipsoid, or in plan where the site has no place on Earth."""
+    if frame.crs_wkt is None or len(found_m) == 0:
+        return np.hypot(*(found_m - known_m).T)
+    north = SiteNorth(frame)
+    return geodesic_m(*north.to_geographic(found_m), *north.to_geographic(known_m))
+
+
+def _content(errors: pd.DataFrame, warnings: list[str]) -> dict[str, Any]:
+    geodesic = errors["geodesic_m"].to_numpy(np.float64)
+    summary = describe(geodesic)
+    rows = errors.drop(columns=list(_NAMES)).to_dict("records")
+    for row, (_, error) in zip(rows, errors.iterrows(), strict=True):
+        row["scenarios"] = [text for name, text in _NAMES.items() if error[name] is True
+                            or error[name] is np.True_]  # fmt: skip
+    return {
+        "warnings": warnings,
+        "mean_m": summary["mean"],
+        "geodesic_m": summary,
+        "across_m": describe(errors["across_m"].to_numpy(np.float64)),
+        "along_m": describe(errors["along_m"].to_numpy(np.float64)),
+        "scenarios": describe_scenarios(geodesic, errors),
+        "errors": sorted(rows, key=lambda row: (row["geodesic_m"], row["pole"])),
+    }
+
+
+def _xy(table: pd.DataFrame) -> NDArray[np.float64]:
+    return table[["x", "y"]].to_numpy(np.float64)
+
+
+def _plain(content: Any) -> Any:
+    """JSON content with None for what is no finite number."""
+    if isinstance(content, dict):
+        return {key: _plain(value) for key, value in content.items()}
+    if isinstance(content, list):
+        return [_plain(value) for value in content]
+    if isinstance(content, float | np.floating):
+        return float(content) if math.isfinite(content) else None
+    return content.item() if isinstance(content, np.generic) else content
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("poles", "truth", "frame", "frames", "edges", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--truth-kind", nargs="?", help="only those whose `kind` is this")
+    parser.add_argument("--truth-crs", nargs="?", help="CRS of a vector file that names none")
+    parser.add_argument("--pavement", nargs="?", help="GeoPackage, to find extraneous features")
+    parser.add_argument("--pavement-layer", default="pavement")
+    parser.add_argument("--reach-m", type=float, default=25.0, help="of cameras, for known poles")
+    parser.add_argument("--match-m", type=float, default=25.0, help="largest error of a match")
+    parser.add_argument("--curve-radius-m", type=float, default=300.0)
+    return run_stage(parser, validate_poles, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Stages from a cloud to its road."""

@@ -1,0 +1,93 @@
+"""Ground labels and terrain model: ``python -m roadsight.stages.scene.build_dem --help``."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
+from roadsight.io.raster.rasters import write_raster
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import write_table
+from roadsight.scene.spacing import plan_spacing_m
+from roadsight.scene.terrain.ground import GroundSettings, ground_settings_for
+from roadsight.scene.terrain.terrain import TerrainModel, label_ground
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("build_dem")
+
+
+def build_dem(arguments: argparse.Namespace) -> None:
+    """Label the ground and write the terrain model."""
+    cloud = CloudTiles(arguments.cloud)
+    frame = Frame.from_dict(read_json(arguments.frame))
+    spacing_m = plan_spacing_m(read_json(arguments.profile)["density_per_m2"]["median"])
+    corners = np.array([tile.bounds_m for tile in cloud.tiles])
+    west, south = corners[:, :2].min(axis=0).tolist()
+    east, north = corners[:, 3:5].max(axis=0).tolist()
+    bounds = (west, south, east, north)
+    names = ("pillar_width_m", "height_threshold_m", "coarse_cell_m", "max_object_width_m", "slope")
+    settings = GroundSettings(**{name: getattr(arguments, name) for name in names})
+    settings = ground_settings_for(spacing_m, settings)
+    terrain = TerrainModel(bounds, max(arguments.dem_cell_m, spacing_m))
+    labels = []
+    for points, mask in label_ground(
+        lambda halo: (
+            (core, stack_xyz(part).astype(np.float64))
+            for core, part in cloud.iter_tiles(halo, ("x", "y", "z"))
+        ),
+        bounds,
+        settings,
+    ):
+        terrain.add(points[mask])
+        labels.append(mask)
+        log.info("tile %d of %d: %d points", len(labels), len(cloud.tiles), len(points))
+    ground = np.concatenate(labels)
+    _check(ground, arguments.site)
+    write_table(arguments.ground, pd.DataFrame({"ground": ground}), {"settings": vars(settings)})
+    write_raster(
+        arguments.dem,
+        terrain.heights_m(arguments.dem_fill_m)[::-1],
+        frame,
+        west_m=terrain.grid.west_m,
+        north_m=terrain.grid.north_m,
+        cell_size_m=terrain.grid.cell_size_m,
+    )
+
+
+def _check(ground: np.ndarray, site: str) -> None:
+    share = float(ground.mean())
+    log.info("%.1f %% of %d points are ground", 100 * share, len(ground))
+    if share < 0.01:
+        raise InputError(
+            "no ground found",
+            where=f"site {site}",
+            found=f"{share:.2%} of the points near a plausible ground surface",
+            allowed="at least 1 %",
+            hint="check the units of z (vertical_units), or raise ground.max_object_width_m",
+        )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("site", "cloud", "frame", "profile", "dem", "ground"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--pillar-width-m", type=float, default=0.2)
+    parser.add_argument("--height-threshold-m", type=float, default=0.1)
+    parser.add_argument("--coarse-cell-m", type=float, default=1.0)
+    parser.add_argument("--max-object-width-m", type=float, default=30.0)
+    parser.add_argument("--slope", type=float, default=0.2)
+    parser.add_argument("--dem-cell-m", type=float, default=0.5)
+    parser.add_argument("--dem-fill-m", type=float, default=20.0)
+    return run_stage(parser, build_dem, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,108 @@
+"""Road edges that carry candidates: digitised by the user, or traced on the pavement."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+
+import geopandas as gpd
+import numpy as np
+import shapely
+from shapely import LineString, MultiPolygon
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_table
+from roadsight.io.vector.vectors import read_layer, read_lines, write_layers
+from roadsight.scene.edges.splines import FURTHEST_M, OutlineSettings, outline_edges, spline_line
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("build_edges")
+
+# Digitised edges further than this from the pavement belong to another road or another CRS.
+
+
+def build_edges(arguments: argparse.Namespace) -> None:
+    """Write the edges as splines, marked digitised or automatic."""
+    about = read_json(arguments.frame)
+    frame = Frame.from_dict(about)
+    layer = read_layer(arguments.pavement, "pavement", frame)
+    pavement = MultiPolygon(list(layer.geometry))
+    if arguments.digitised:
+        lines = read_lines(arguments.digitised, frame, arguments.digitised_crs or None)
+        _check_nearby(lines, pavement, arguments.digitised)
+        named = zip(lines["edge"], lines["kind"], lines.geometry, strict=True)
+        edges = [(str(name), str(kind), line) for name, kind, line in named]
+    else:
+        edges = _automatic(arguments, pavement)
+    if not edges:
+        raise InputError(
+            "no edge long enough to carry candidates was found on the pavement outline",
+            where=f"site {arguments.site}",
+            hint="digitise edges and name them in placement.edges",
+        )
+    splines = [spline_line(line) for _, _, line in edges]
+    if not arguments.digitised:
+        splines = [_moved_off(line, pavement, arguments.offset_m) for line in splines]
+    table = gpd.GeoDataFrame(
+        {
+            "edge": [name for name, _, _ in edges],
+            "kind": [kind for _, kind, _ in edges],
+            "source": "digitised" if arguments.digitised else "automatic",
+            "length_m": [line.length for line in splines],
+        },
+        geometry=splines,
+    )
+    log.info("%d %s edges, %.0f m", len(table), table["source"][0], table["length_m"].sum())
+    write_layers(arguments.out, {"edges": table}, frame)
+
+
+def _automatic(
+    arguments: argparse.Namespace, pavement: MultiPolygon
+) -> list[tuple[str, str, LineString]]:
+    ground = read_table(arguments.clusters, ["x", "y", "z"]).to_numpy(np.float64)
+    settings = OutlineSettings(arguments.knot_spacing_m, shortest_m=arguments.shortest_m)
+    found = outline_edges(pavement, ground, settings)
+    return [(f"{kind[0]}{n:02d}", kind, line) for n, (kind, line) in enumerate(found)]
+
+
+def _moved_off(line: LineString, pavement: MultiPolygon, offset_m: float) -> LineString:
+    """Parallel of an automatic edge off the pavement; the edge itself where there is no room."""
+    if offset_m == 0:
+        return line
+    moved = [shapely.offset_curve(line, sign * offset_m) for sign in (1, -1)]
+    off = min(moved, key=lambda curve: curve.intersection(pavement).length / max(curve.length, 1))
+    longest = max(shapely.get_parts(off), key=lambda part: part.length, default=line)
+    return longest if longest.length > 0.5 * line.length else line
+
+
+def _check_nearby(lines: gpd.GeoDataFrame, pavement: MultiPolygon, path: str) -> None:
+    for name, line in zip(lines["edge"], lines.geometry, strict=True):
+        distance = line.distance(pavement)
+        if distance > FURTHEST_M:
+            raise InputError(
+                f"edge {name!r} lies outside the cloud's road",
+                where=path,
+                found=f"{distance:.0f} m from the pavement",
+                allowed=f"at most {FURTHEST_M:.0f} m",
+                hint="check the file's CRS (placement.edges_crs)",
+            )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("site", "frame", "pavement", "clusters", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--digitised", nargs="?", help="digitised edges, any vector format")
+    parser.add_argument("--digitised-crs", nargs="?", help="their CRS if the file names none")
+    parser.add_argument("--offset-m", type=float, default=0.5)
+    parser.add_argument("--knot-spacing-m", type=float, default=6.0)
+    parser.add_argument("--shortest-m", type=float, default=12.0)
+    return run_stage(parser, build_edges, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

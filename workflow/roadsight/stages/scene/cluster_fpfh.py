@@ -1,0 +1,163 @@
+"""Smooth and rough ground by FPFH and k-means."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.errors import InputError
+from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_table, write_table
+from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.pavement.smoothness import SmoothnessModel, fit_smoothness, is_smooth
+from roadsight.scene.spacing import plan_spacing_m, uses_intensity
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("cluster_fpfh")
+
+# Neighbourhoods reach two columns beyond K1 columns; the halo holds both rings of an FPFH.
+_HALO_COLUMNS = 20
+
+
+def cluster_fpfh(arguments: argparse.Namespace) -> None:
+    """Describe the ground tile by tile, fit two classes on a sample, then classify each tile."""
+    spacing_m = plan_spacing_m(read_json(arguments.profile)["density_per_m2"]["median"])
+    size_m = max(arguments.voxel_size_m, spacing_m)
+    with tempfile.TemporaryDirectory(dir=Path(arguments.out).parent, prefix=".fpfh") as folder:
+        parts: list[tuple[pd.DataFrame, Path]] = []
+        for columns, histograms in _described_tiles(arguments, size_m):
+            parts.append((columns, Path(folder, f"{len(parts)}.npy")))
+            np.save(parts[-1][1], histograms.astype(np.float16))
+        columns = pd.concat([part for part, _ in parts], ignore_index=True)
+        if len(columns) < 100:
+            raise InputError(
+                "too little ground for pavement",
+                where=arguments.ground,
+                found=f"{len(columns)} thinned ground points",
+                allowed="at least 100",
+            )
+        use = uses_intensity(arguments.intensity, spacing_m)
+        if use and columns["intensity"].nunique() < 2:
+            log.warning("the cloud has no intensity: pavement rests on FPFH alone")
+            use = False
+        model = _fit(columns, [file for _, file in parts], use, arguments)
+        columns["smooth"] = np.concatenate(
+            [_classify(model, part, np.load(file)) for part, file in parts]
+        )
+    about = {"voxel_size_m": size_m, "intensity_used": use}
+    log.info("%.1f %% of %d columns are smooth", 100 * columns["smooth"].mean(), len(columns))
+    write_table(arguments.out, columns, about)
+
+
+def _described_tiles(
+    arguments: argparse.Namespace, size_m: float
+) -> Iterator[tuple[pd.DataFrame, np.ndarray]]:
+    """Thinned ground of each tile (float32 columns x, y, z, intensity, variation) and its FPFH."""
+    cloud = CloudTiles(arguments.cloud)
+    mask = read_table(arguments.ground)["ground"].to_numpy()
+    tiles = _ground_tiles(cloud, mask, _HALO_COLUMNS * size_m)
+    for number, (core, xyz, intensity) in enumerate(tiles, start=1):
+        ground = describe_ground(xyz, intensity, size_m, arguments.neighbours)
+        west, south, east, north = core
+        # A column belongs to the tile that holds its grid cell's centre.
+        x, y = ((np.floor(ground.xyz_m[:, axis] / size_m) + 0.5) * size_m for axis in (0, 1))
+        own = (x >= west) & (x < east) & (y >= south) & (y < north)
+        table = pd.DataFrame(ground.xyz_m[own], columns=["x", "y", "z"])
+        table["intensity"] = ground.intensity[own]
+        table["variation"] = ground.variation[own]
+        log.info("tile %d of %d: %d columns", number, len(cloud.tiles), len(table))
+        yield table.astype(np.float32), ground.histograms[own]
+
+
+def _ground_tiles(
+    cloud: CloudTiles, ground: np.ndarray, halo_m: float
+) -> Iterator[tuple[tuple[float, float, float, float], np.ndarray, np.ndarray]]:
+    """Core bounds, ground points and their intensity, with halo, of each tile."""
+    starts = np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
+    kept: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+    for number, tile in enumerate(cloud.tiles):
+        size = cloud.tile_size_m
+        core = (tile.ix * size, tile.iy * size, (tile.ix + 1) * size, (tile.iy + 1) * size)
+        near = [
+            other
+            for other, t in enumerate(cloud.tiles)
+            if abs(t.ix - tile.ix) <= 1 and abs(t.iy - tile.iy) <= 1
+        ]
+        for other in near:
+            if other not in kept:
+                points = cloud.read(("x", "y", "z", "intensity"), [other])
+                mask = ground[starts[other] : starts[other + 1]]
+                xyz = stack_xyz(points)[mask].astype(np.float64)
+                kept[other] = (xyz, points["intensity"][mask].astype(np.float64))
+        kept = {other: kept[other] for other in kept if other in near or other > number}
+        xyz = np.concatenate([kept[other][0] for other in near])
+        intensity = np.concatenate([kept[other][1] for other in near])
+        inside = (
+            (xyz[:, 0] >= core[0] - halo_m)
+            & (xyz[:, 0] < core[2] + halo_m)
+            & (xyz[:, 1] >= core[1] - halo_m)
+            & (xyz[:, 1] < core[3] + halo_m)
+        )
+        yield core, xyz[inside], intensity[inside]
+
+
+def _fit(
+    columns: pd.DataFrame, files: list[Path], use_intensity: bool, arguments: argparse.Namespace
+) -> SmoothnessModel:
+    """Fit the classes on a sample of rows, the same whatever the tiles."""
+    rng = np.random.default_rng(arguments.seed)
+    count = min(arguments.sample, len(columns))
+    rows = np.sort(rng.choice(len(columns), count, replace=False))
+    sizes = [len(np.load(file, mmap_mode="r")) for file in files]
+    starts = np.cumsum([0, *sizes])
+    histograms = np.concatenate(
+        [
+            np.load(file, mmap_mode="r")[rows[(rows >= start) & (rows < start + size)] - start]
+            for file, start, size in zip(files, starts, sizes, strict=False)
+        ]
+    )
+    sample = columns.iloc[rows].astype(np.float64)
+    intensity = sample["intensity"].to_numpy() if use_intensity else None
+    return fit_smoothness(
+        histograms.astype(np.float32),
+        sample["variation"].to_numpy(),
+        intensity,
+        arguments.intensity_weight,
+        arguments.seed,
+    )
+
+
+def _classify(model: SmoothnessModel, table: pd.DataFrame, histograms: np.ndarray) -> np.ndarray:
+    columns = table.astype(np.float64)
+    return is_smooth(
+        model,
+        histograms.astype(np.float32),
+        columns["variation"].to_numpy(),
+        columns["intensity"].to_numpy(),
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("cloud", "ground", "profile", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--voxel-size-m", type=float, default=0.1)
+    parser.add_argument("--neighbours", type=int, default=10)
+    parser.add_argument("--intensity", choices=["auto", "use", "ignore"], default="auto")
+    parser.add_argument("--intensity-weight", type=float, default=1.5)
+    parser.add_argument("--sample", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=1)
+    return run_stage(parser, cluster_fpfh, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,186 @@
+"""Road edges in the overhead view of the cloud (paper 2, section 3.2.1)."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.tiles import CloudTiles
+from roadsight.io.raster.top_rasters import TopRaster, read_top
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_table, write_table
+from roadsight.io.vector.vectors import write_layers
+from roadsight.scene.classes import ROAD, is_road
+from roadsight.scene.edges.road_edges import (
+    EdgeLines,
+    EdgeSettings,
+    RoadImage,
+    clean_road,
+    edge_level,
+    edge_lines,
+    edge_pixels,
+    outlines,
+)
+from roadsight.scene.edges.surface_heights import surface_heights
+from roadsight.stages.command import run_stage
+
+if TYPE_CHECKING:
+    from roadsight.scene.edges.curbs import Curbs
+
+log = logging.getLogger("extract_road_edges")
+
+_BESIDE_M = 45.0
+METHODS = ("contours", "pixels", "curbs")
+
+
+def extract_road_edges(arguments: argparse.Namespace) -> None:
+    """Write the edge points as a table and as lines."""
+    frame = Frame.from_dict(read_json(arguments.frame))
+    if arguments.method == "curbs":
+        edges, about = _curbs(arguments)
+    else:
+        edges, about = _outlined(arguments, frame)
+    write_table(arguments.edges, edges, about)
+    write_layers(arguments.lines, {"road_edges": _layer(edges)}, frame)
+
+
+def _curbs(arguments: argparse.Namespace) -> tuple[pd.DataFrame, dict[str, object]]:
+    """Curbs beside the track of each route, and how they were found."""
+    from roadsight.scene.edges.curbs import CurbSettings, find_curbs  # noqa: PLC0415  # slow to load
+
+    if not (arguments.cloud and arguments.frames):
+        raise InputError(
+            "curbs are looked for in the cloud, beside the track", found="no --cloud, --frames"
+        )
+    cloud = CloudTiles(arguments.cloud)
+    frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
+    frames = frames.dropna(subset=["x", "y"])
+    tables: list[pd.DataFrame] = []
+    first = 0
+    for route, rows in frames.groupby("route", sort=True):
+        track = rows.sort_values("sequence", kind="stable")[["x", "y"]].to_numpy(np.float64)
+        curbs = find_curbs(_beside(cloud, track), track)
+        tables.append(_curb_table(curbs, first))
+        first += int(curbs.polyline.max(initial=-1)) + 1
+        log.info("%s: %d curb points, steps of %.3f m (median)", route, len(tables[-1]),
+                 np.median(curbs.step_m) if len(curbs.step_m) else np.nan)  # fmt: skip
+    edges = pd.concat(tables, ignore_index=True)
+    if edges.empty:
+        raise InputError(
+            "no curb found beside the track",
+            where=arguments.cloud,
+            hint="use road_edges.method contours; curbs need some hundred points per m2",
+        )
+    return edges, {"method": "curbs", "settings": vars(CurbSettings())}
+
+
+def _beside(cloud: CloudTiles, track_xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Points (n, 3) of the tiles around a track."""
+    low, high = track_xy_m.min(axis=0) - _BESIDE_M, track_xy_m.max(axis=0) + _BESIDE_M
+    bounds = np.array([tile.bounds_m for tile in cloud.tiles])
+    near = ((bounds[:, :2] <= high) & (bounds[:, 3:5] >= low)).all(axis=1)
+    points = cloud.read(("x", "y", "z"), np.flatnonzero(near).tolist())
+    return np.column_stack([points[axis] for axis in "xyz"]).astype(np.float64)
+
+
+def _curb_table(curbs: Curbs, first: int) -> pd.DataFrame:
+    columns = dict(zip("xyz", curbs.xyz_m.T, strict=True))
+    columns |= {"polyline": (curbs.polyline + first).astype(np.int32)}
+    columns |= {"tangent_x": curbs.tangent[:, 0], "tangent_y": curbs.tangent[:, 1]}
+    return pd.DataFrame(columns)
+
+
+def _outlined(
+    arguments: argparse.Namespace, frame: Frame
+) -> tuple[pd.DataFrame, dict[str, object]]:
+    """Edges of the road class in the overhead view, and how they were made."""
+    top = read_top(arguments.top, frame, ["road_share"])
+    names = [field.name for field in fields(EdgeSettings)]
+    settings = EdgeSettings(**{name: getattr(arguments, name) for name in names})
+    image = clean_road(is_road(top.cls), top.cls > 0, top.cell_size_m, settings)
+    lines = (_pixels if arguments.method == "pixels" else _lines)(top, image, settings)
+    # Heights only now, in the memory that the lines took.
+    edges = _table(read_top(arguments.top, frame, ["height_m"]), lines)
+    road_m2 = np.count_nonzero(image.road) * top.cell_size_m**2
+    if len(edges) == 0:
+        raise InputError(
+            "no road edge found",
+            where=arguments.top,
+            found=f"{road_m2:.0f} m2 of road after cleaning",
+            hint="lower smallest_road_m2, or check the road class of the cloud",
+        )
+    log.info(
+        "%d edge points of %.0f m2 of road, closed by %d cells", len(edges), road_m2, image.closing
+    )
+    about = {"cell_size_m": top.cell_size_m, "method": arguments.method, "settings": vars(settings)}
+    return edges, about
+
+
+def _lines(top: TopRaster, image: RoadImage, settings: EdgeSettings) -> EdgeLines:
+    """Edge points between the pixels, along polylines with the direction of each."""
+    level = edge_level(top.road_share, top.cls > 0, image)
+    rings = outlines(image, level, settings.window_cells(image, top.cell_size_m))
+    return edge_lines(rings, image, top.cell_size_m, settings)
+
+
+def _pixels(_: TopRaster, image: RoadImage, settings: EdgeSettings) -> EdgeLines:
+    """Edge pixels' centres; they belong to no line and have no direction."""
+    place = np.argwhere(edge_pixels(image, settings.border_cells)).astype(np.float64)
+    no_line = np.full(len(place), -1, np.int32)
+    return EdgeLines(place, np.full(place.shape, np.nan), no_line)
+
+
+def _table(top: TopRaster, lines: EdgeLines) -> pd.DataFrame:
+    """Edge points in local metres, without those that have no road near."""
+    x, y = top.xy_m(*lines.place.T).T
+    z = surface_heights(lines.place, top.height_m, is_road(top.cls))
+    columns = {"x": x, "y": y, "z": z, "polyline": lines.polyline}
+    columns |= {"tangent_x": lines.tangent[:, 1], "tangent_y": -lines.tangent[:, 0]}
+    edges = pd.DataFrame(columns)
+    bare = edges["z"].isna()
+    if bare.any():
+        log.warning("%d edge points without road near are left out", bare.sum())
+    return edges[~bare].reset_index(drop=True)
+
+
+def _layer(edges: pd.DataFrame) -> gpd.GeoDataFrame:
+    """Lines, or points where there are none."""
+    xyz = edges[["x", "y", "z"]].to_numpy()
+    if (edges["polyline"] < 0).all():
+        return gpd.GeoDataFrame({"cls": ROAD}, geometry=shapely.points(xyz), index=range(len(xyz)))
+    numbers, first = np.unique(edges["polyline"], return_index=True)
+    parts = zip(numbers, np.split(xyz, first[1:]), strict=True)
+    lines = {number: shapely.LineString(part) for number, part in parts if len(part) > 1}
+    return gpd.GeoDataFrame(
+        {"polyline": list(lines), "length_m": [line.length for line in lines.values()]},
+        geometry=list(lines.values()),
+    )
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("top", "frame", "edges", "lines"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--method", choices=METHODS, default="contours")
+    parser.add_argument("--cloud", nargs="?", help="curbs: where they are looked for")
+    parser.add_argument("--frames", nargs="?", help="curbs: the track that they lie beside")
+    for field in fields(EdgeSettings):
+        kind = int if isinstance(field.default, int) else float
+        parser.add_argument(f"--{field.name.replace('_', '-')}", type=kind, default=field.default)
+    return run_stage(parser, extract_road_edges, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,196 @@
+"""Read a site's clouds into the local frame: tiled points and the frame they are in.
+
+The points are sorted into tiles while they are read for the first time, in the frame that the
+headers promise. Where the points prove a header wrong, or are left out at its corner, or are
+reprojected, the clouds are read again. Memory stays bounded by the largest tile.
+"""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.crs import METRES_PER_UNIT, unit_name
+from roadsight.geometry.frames import Frame
+from roadsight.geometry.reference import UnitChoice, resolve
+from roadsight.geometry.site import Reprojection, SiteFrame, centre_of, reprojection, site_frame
+from roadsight.io.cloud.cloud_scan import CloudScan, Take, kept_chunks, scan_cloud
+from roadsight.io.cloud.clouds import CHUNK_POINTS, read_extent, read_header
+from roadsight.io.cloud.tile_draft import TileDraft, colour_shift, is_coloured, tile_columns
+from roadsight.io.cloud.tile_writer import TileWriter
+from roadsight.io.cloud.tiles import Tile
+from roadsight.io.records.atomic import write_json
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger(__name__)
+
+UNITS = ("auto", *METRES_PER_UNIT)
+
+
+def ingest(
+    clouds: Sequence[Path],
+    choice: UnitChoice,
+    target_crs: str | None,
+    tile_size_m: float,
+    cloud_path: Path,
+    frame_path: Path,
+    chunk_points: int = CHUNK_POINTS,
+) -> None:
+    """Read ``clouds``, check them and write the tiled cloud and its frame.
+
+    Parameters
+    ----------
+    clouds : LAS or LAZ files of one site.
+    choice : configured CRS and units.
+    target_crs : CRS to reproject to on the way in, or None.
+    tile_size_m : edge of a tile, whole metres, so that tiles are made of whole cells.
+    chunk_points : points looked at together; the result does not depend on it.
+
+    Raises
+    ------
+    InputError : a cloud cannot be read, or CRS and units are missing, contradictory or impossible.
+    """
+    _check_arguments(clouds, tile_size_m)
+    promised, coloured = (None, False) if target_crs else _promised(clouds, choice)
+    with TileDraft(cloud_path, tile_size_m, promised, coloured) as draft:
+        site, scans, move = survey(clouds, choice, target_crs, chunk_points, draft.take)
+        for note in site.reference.notes:
+            log.warning("%s", note)
+        tiles = draft.finish(site.frame, scans)
+    if tiles is None:
+        log.info("reading again: the points differ from what the headers say, or are moved")
+        with TileWriter(cloud_path, tile_size_m, is_coloured(scans)) as writer:
+            for scan in scans:
+                shift = colour_shift(scan.brightest)
+                for chunk, _, _ in kept_chunks(scan.header.path, move, chunk_points):
+                    writer.append(tile_columns(chunk, site.frame, shift))
+            tiles = writer.finish()
+    write_json(frame_path, describe(site, scans, tiles, tile_size_m))
+    log.info("%d points in %d tiles", sum(tile.rows for tile in tiles), len(tiles))
+
+
+def survey(
+    clouds: Sequence[Path],
+    choice: UnitChoice,
+    target_crs: str | None = None,
+    chunk_points: int = CHUNK_POINTS,
+    take: Take | None = None,
+) -> tuple[SiteFrame, list[CloudScan], Reprojection | None]:
+    """First pass: what the clouds hold, the frame they share and the way into its CRS.
+
+    Parameters
+    ----------
+    take : called with each cloud's path and its points as they come, before reprojection.
+
+    Raises
+    ------
+    InputError : as `ingest`.
+    """
+    scans = [scan_cloud(cloud, None, chunk_points, take) for cloud in clouds]
+    stated = [(str(scan.header.path), scan.header.stated) for scan in scans]
+    centre, units_stated = centre_of(*_corners(scans)), choice.units != "auto"
+    reference, move = resolve(stated, centre, choice), None
+    if target_crs:
+        reference, move = reprojection(reference, target_crs, centre, units_stated)
+        scans = [scan_cloud(cloud, move, chunk_points) for cloud in clouds]
+        units_stated = True
+    where = ", ".join(str(cloud) for cloud in clouds)
+    return site_frame(reference, *_corners(scans), where, units_stated), scans, move
+
+
+def describe(
+    site: SiteFrame, scans: Sequence[CloudScan], tiles: Sequence[Tile], tile_size_m: float
+) -> dict[str, Any]:
+    """Content of ``scene/frame.json``."""
+    corners = np.array([tile.bounds_m for tile in tiles])
+    bounds_m = [*corners[:, :3].min(axis=0).tolist(), *corners[:, 3:].max(axis=0).tolist()]
+    return site.frame.to_dict() | {
+        "points": sum(tile.rows for tile in tiles),
+        "bounds_m": bounds_m,
+        "tile_size_m": tile_size_m,
+        "crs_name": site.reference.name,
+        "crs_source": site.reference.source,
+        "unit": unit_name(site.frame.unit_m),
+        "vertical_unit": unit_name(site.frame.vertical_unit_m),
+        "location": None if site.location is None else asdict(site.location),
+        "notes": list(site.reference.notes),
+        "inputs": {str(scan.header.path): scan.sha256 for scan in scans},
+        "dropped": {
+            "withheld": sum(scan.withheld for scan in scans),
+            "noise": sum(scan.noise for scan in scans),
+        },
+    }
+
+
+def _check_arguments(clouds: Sequence[Path], tile_size_m: float) -> None:
+    if repeated := sorted({str(cloud) for cloud in clouds if clouds.count(cloud) > 1}):
+        raise InputError("the same cloud is listed twice", where=repeated[0])
+    if not (tile_size_m >= 1 and float(tile_size_m).is_integer()):
+        raise InputError(
+            "tiles must be made of whole metres",
+            where="tile_size_m",
+            found=tile_size_m,
+            allowed="1, 2, ... m",
+        )
+
+
+def _corners(scans: Sequence[CloudScan]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Least and greatest native x, y, z of all clouds."""
+    lower = np.stack([scan.lower for scan in scans]).min(axis=0)
+    return lower, np.stack([scan.upper for scan in scans]).max(axis=0)
+
+
+def _promised(clouds: Sequence[Path], choice: UnitChoice) -> tuple[Frame | None, bool]:
+    """Frame and colour that the headers promise; no frame where they cannot be right."""
+    try:
+        headers = [read_header(cloud) for cloud in clouds]
+        corners = np.array([read_extent(cloud) for cloud in clouds])
+        lower, upper = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)
+        stated = [(str(header.path), header.stated) for header in headers]
+        reference = resolve(stated, centre_of(lower, upper), choice)
+        frame = site_frame(reference, lower, upper, "headers", choice.units != "auto").frame
+    except InputError:
+        return None, False
+    return frame, all(header.coloured for header in headers)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--site", required=True)
+    parser.add_argument("--crs", default="auto", help="auto, local, EPSG:nnnn or WKT")
+    parser.add_argument("--units", choices=UNITS, default="auto")
+    parser.add_argument("--vertical-units", choices=UNITS, default="auto")
+    parser.add_argument("--target-crs", nargs="?", help="reproject to this projected CRS")
+    parser.add_argument("--tile-size-m", type=float, default=50.0)
+    parser.add_argument("--cloud", type=Path, required=True, help="tiled cloud to write")
+    parser.add_argument("--frame", type=Path, required=True, help="frame to write")
+    parser.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD")
+    return run_stage(parser, _run, argv)
+
+
+def _run(arguments: argparse.Namespace) -> None:
+    try:
+        ingest(
+            arguments.clouds,
+            UnitChoice(arguments.crs, arguments.units, arguments.vertical_units),
+            arguments.target_crs,
+            arguments.tile_size_m,
+            arguments.cloud,
+            arguments.frame,
+        )
+    except InputError as error:
+        raise InputError(str(error), where=f"site {arguments.site}") from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,96 @@
+"""Measure what a scene is like, tile by tile."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.base.errors import InputError
+from roadsight.io.cloud.tiles import COLOUR, CloudTiles, stack_xyz
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.scene.profile import (
+    Cells,
+    count_cells,
+    density,
+    describe_scene,
+    join_cells,
+    sample_distances,
+)
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger(__name__)
+
+_INTENSITIES = 65_536
+
+
+def profile_scene(arguments: argparse.Namespace) -> None:
+    """Write the profile of a tiled cloud."""
+    cloud = CloudTiles(arguments.cloud)
+    about = read_json(arguments.frame)
+    if about["points"] != cloud.points:
+        raise InputError(
+            "is of another cloud",
+            where=str(arguments.frame),
+            found=f"{about['points']} points",
+            allowed=str(cloud.points),
+            hint="run the workflow again",
+        )
+    cells, intensity = _cells(cloud)
+    profile = describe_scene(
+        cells,
+        _distances(cloud, cells),
+        about["bounds_m"],
+        intensity,
+        has_colour=set(COLOUR) <= set(cloud.columns),
+    )
+    log.info(
+        "%.2f points per m2, %.3f m apart",
+        profile["density_per_m2"]["median"],
+        profile["spacing_m"],
+    )
+    write_json(arguments.out, profile)
+
+
+def _cells(cloud: CloudTiles) -> tuple[Cells, NDArray[np.int64]]:
+    """Occupied cells of the whole cloud, and how many points have each intensity."""
+    parts, intensity = [], np.zeros(_INTENSITIES, np.int64)
+    for number in range(len(cloud.tiles)):
+        points = cloud.read(("x", "y", "z", "intensity", "classification"), [number])
+        parts.append(count_cells(stack_xyz(points), points["classification"]))
+        intensity += np.bincount(points["intensity"], minlength=_INTENSITIES)
+    return join_cells(parts), intensity
+
+
+def _distances(cloud: CloudTiles, cells: Cells) -> NDArray[np.float64]:
+    """Distances of sampled points to their nearest neighbours."""
+    ends = np.cumsum([tile.rows for tile in cloud.tiles])
+
+    def place(rank: int) -> tuple[float, float]:
+        number = int(np.searchsorted(ends, rank, side="right"))
+        tile = cloud.read(("x", "y"), [number])
+        at = rank - ends[number] + cloud.tiles[number].rows
+        return float(tile["x"][at]), float(tile["y"][at])
+
+    return sample_distances(
+        cloud.points,
+        density(cells.column, cells.row, cells.count)["median"],
+        place,
+        lambda box: stack_xyz(cloud.read_within(box, ("x", "y", "z"))),
+    )
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("cloud", "frame", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    return run_stage(parser, profile_scene, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

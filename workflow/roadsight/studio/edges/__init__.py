@@ -1,0 +1,1 @@
+"""Edges, zones and mounts drawn on the cloud."""

@@ -1,0 +1,1 @@
+"""Cameras registered by hand."""

@@ -1,0 +1,268 @@
+"""A plan's sensors, and what others in their place would see: from the plan's own detections."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Annotated, Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+from scipy import sparse
+
+from roadsight.base.errors import InputError
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.detections import read_detections
+from roadsight.io.records.tables import read_table
+from roadsight.io.vector.vectors import read_layer
+from roadsight.placement.plans.choices import choices_of, posed_candidates
+from roadsight.placement.sensors.sensors import load_sensors
+from roadsight.placement.sight.coverage import detection_matrix, times_seen
+from roadsight.studio.project import Project, SiteFolder
+
+TARGETS = "placement/targets.parquet"
+_MOST_SENSORS = 5000
+_SUMMARY = (
+    "status", "objective", "bound", "gap", "at_least", "targets", "covered_targets",
+    "uncoverable_targets",
+)  # fmt: skip
+
+
+class WhatIf(BaseModel):
+    """Sensors that stand: rows of the choices of a plan, as it was when the page read it."""
+
+    model_config = ConfigDict(extra="forbid")
+    version: Annotated[str, Field(max_length=80)]
+    rows: Annotated[list[Annotated[int, Field(ge=0)]], Field(max_length=_MOST_SENSORS)]
+
+
+class Layout:
+    """One plan as it is now on disk.
+
+    Parameters
+    ----------
+    site : where it lies. plan : its name. sensors_file : definitions of sensors.
+
+    Raises
+    ------
+    InputError : no such plan, or a result is not there yet or damaged.
+    """
+
+    def __init__(self, site: SiteFolder, plan: str, sensors_file: str) -> None:
+        self.files = plan_files(site, plan)
+        self.version = state_of(self.files)
+        self.frame = site.frame()
+        self.solution = read_json(self.files["solution"])
+        kinds = load_sensors(sensors_file)
+        sensors = site.resolved.plans[plan].sensors
+        costs = {name: kinds[name].cost for name in sensors}
+        candidates = pd.concat(
+            [read_table(path) for name, path in self.files.items() if name.startswith("round")],
+            ignore_index=True,
+        )
+        self.targets = read_table(self.files["targets"])
+        shards = [path for name, path in self.files.items() if name.startswith("shard")]
+        detections = read_detections(shards)
+        self.choices = choices_of(costs, candidates, detections)
+        self.places = posed_candidates(self.choices, candidates)
+        pairs = pd.MultiIndex.from_frame(self.choices[["sensor", "candidate"]])
+        self.matrix: sparse.csr_matrix = detection_matrix(
+            detections, pairs, pd.Index(self.targets["target"])
+        )
+        self.chosen = self._chosen(pairs)
+        self.needed = self._needed()
+        self.costs = costs
+
+    def _chosen(self, pairs: pd.MultiIndex) -> NDArray[np.int64]:
+        named = [(one["sensor"], one["candidate"]) for one in self.solution["sensors"]]
+        rows = pairs.get_indexer(pd.MultiIndex.from_tuples(named)) if named else np.empty(0)
+        if (rows < 0).any():
+            raise InputError(
+                "names sensors that are no candidates any more", where=str(self.files["solution"]),
+                hint="run the workflow",
+            )  # fmt: skip
+        return rows.astype(np.int64)
+
+    def _needed(self) -> NDArray[np.int64]:
+        """How many sensors each target needs (n,): the plan's, or its areas' own number."""
+        needed = pd.Series(int(self.solution["at_least"]), index=self.targets["target"])
+        if self.solution.get("options") and self.files["layers"].exists():
+            layer = read_layer(self.files["layers"], "targets", self.frame)
+            own = layer.set_index("target")["needed"]
+            needed.update(own[own > 0])
+        return np.asarray(needed, np.int64)
+
+    def about(self) -> dict[str, Any]:
+        """Everything that the page draws."""
+        xyz = self.places[["x", "y", "z"]].to_numpy(np.float64)
+        kinds = list(self.costs)
+        return {
+            "version": self.version,
+            "sensors": [{"name": name, "cost": cost} for name, cost in self.costs.items()],
+            "choices": {
+                "xyz": _flat(xyz),
+                "yaw_deg": _flat(self.places["yaw_deg"].to_numpy(np.float64)),
+                "height_m": _flat(self.places["height_m"].to_numpy(np.float64)),
+                "key": pd.factorize(self.places["key"])[0].tolist(),
+                "sensor": [kinds.index(name) for name in self.choices["sensor"]],
+                "position": self.choices["position"].tolist(),
+                "name": self.choices["candidate"].tolist(),
+                "sees": np.diff(self.matrix.indptr).tolist(),
+            },
+            "targets": _flat(self.targets[["x", "y", "z"]].to_numpy(np.float64)),
+            "chosen": self.chosen.tolist(),
+            "solution": {name: self.solution.get(name) for name in _SUMMARY},
+            "coverage": self.coverage(self.chosen),
+            **self._obstacles(),
+        }
+
+    def coverage(self, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """What a set of choices sees.
+
+        Parameters
+        ----------
+        rows : of the choices, each once, no two at one position.
+
+        Returns
+        -------
+        times : sensors that see each target; needs : those still missing of each, 0 where it is
+        covered; covered, lost and gained against the plan; only : targets of each of ``rows`` that
+        would be lost without it; cost; next : the choice that would cover most of what is not
+        covered (None if none does), and how many.
+
+        Raises
+        ------
+        InputError : no such choices, or two at one position.
+        """
+        self._check(rows)
+        times = times_seen(self.matrix, rows)
+        covered = times >= self.needed
+        before = times_seen(self.matrix, self.chosen) >= self.needed
+        critical = covered & (times == self.needed)
+        only = np.asarray(self.matrix[rows][:, critical].sum(axis=1)).ravel()
+        best, gain = self._next(rows, covered)
+        return {
+            "times": times.tolist(),
+            "needs": np.maximum(self.needed - times, 0).tolist(),
+            "covered": int(covered.sum()),
+            "lost": int((before & ~covered).sum()),
+            "gained": int((covered & ~before).sum()),
+            "only": only.tolist(),
+            "cost": float(self.choices["cost"].to_numpy()[rows].sum()),
+            "next": best,
+            "next_covers": gain,
+        }
+
+    def _check(self, rows: NDArray[np.int64]) -> None:
+        if len(rows) and rows.max() >= len(self.choices):
+            raise InputError("no such candidate", where="studio", found=int(rows.max()))
+        position = self.choices["position"].to_numpy()[rows]
+        if len(np.unique(position)) < len(position):
+            raise InputError("two sensors at one position", where="studio")
+
+    def _next(self, rows: NDArray[np.int64], covered: NDArray[np.bool_]) -> tuple[int | None, int]:
+        """Free choice that sees most uncovered targets; the cheaper, then the first, of equals."""
+        gain = np.asarray(self.matrix[:, ~covered].sum(axis=1)).ravel().astype(np.int64)
+        position = self.choices["position"].to_numpy()
+        gain[np.isin(position, position[rows])] = 0
+        cost = self.choices["cost"].to_numpy(np.float64)
+        best = int(np.lexsort((np.arange(len(gain)), cost, -gain))[0]) if len(gain) else 0
+        return (best, int(gain[best])) if len(gain) and gain[best] > 0 else (None, 0)
+
+    def _obstacles(self) -> dict[str, Any]:
+        """What stands in the way of the plan's sensors, and why targets are not covered."""
+        path = self.files["obstacles"]
+        if not path.exists():
+            return {"obstacles": [], "uncovered": []}
+        obstacles = read_layer(path, "obstacles", self.frame)
+        uncovered = read_layer(path, "uncovered", self.frame)
+        rows = pd.Index(self.targets["target"]).get_indexer(_column(uncovered, "target"))
+        reasons = zip(rows.tolist(), _column(uncovered, "reason"), strict=True)
+        return {
+            "obstacles": [
+                {"x": place.x, "y": place.y, "z": place.z if place.has_z else 0.0, "kind": kind,
+                 "targets": int(count), "height_m": float(height)}
+                for place, kind, count, height in zip(
+                    obstacles.geometry, _column(obstacles, "kind"),
+                    _column(obstacles, "targets"), _column(obstacles, "height_m"), strict=True,
+                )
+            ],
+            "uncovered": [{"target": row, "reason": reason} for row, reason in reasons if row >= 0],
+        }  # fmt: skip
+
+
+def _column(layer: gpd.GeoDataFrame, name: str) -> list[Any]:
+    return layer[name].tolist() if name in layer else []
+
+
+def plan_files(site: SiteFolder, plan: str) -> dict[str, Path]:
+    """Files of a plan by a short name; all but the layers and obstacles are there.
+
+    Raises
+    ------
+    InputError : no such plan, or a file is not there yet.
+    """
+    if plan not in site.resolved.plans:
+        raise InputError("no such plan", where=f"site {site.stem}", found=plan)
+    settings, folder = site.resolved.settings, f"placement/{plan}"
+    names = {"solution": f"{folder}/solution.json", "targets": TARGETS}
+    for number in range(settings.coverage.rounds + 1):
+        names[f"round {number}"] = f"placement/round-{number}/candidates.parquet"
+        shards = settings.coverage.shards if number else settings.shards
+        for sensor in site.resolved.plans[plan].sensors:
+            for shard in range(shards):
+                name = f"placement/round-{number}/detection/{sensor}/{shard}.parquet"
+                names[f"shard {number} {sensor} {shard}"] = name
+    found = {short: site.file(name) for short, name in names.items()}
+    own = {"obstacles": "obstacles.gpkg", "layers": "solution.gpkg"}
+    return found | {short: site.results / folder / name for short, name in own.items()}
+
+
+def state_of(files: dict[str, Path]) -> str:
+    """A text that changes when a file does."""
+    states = [path.stat().st_mtime_ns if path.exists() else 0 for path in files.values()]
+    return f"{max(states)}-{sum(states) % 10**12}"
+
+
+class Layouts:
+    """Plans by site, read again when their files change; the one asked for last is kept."""
+
+    def __init__(self, project: Project) -> None:
+        self._project = project
+        self._known: tuple[tuple[str, str, str], Layout] | None = None
+        self._lock = threading.Lock()
+
+    def of(self, stem: str, plan: str) -> Layout:
+        """A plan of a site as it is now.
+
+        Raises
+        ------
+        InputError : as `Layout`.
+        """
+        site = self._project.site(stem)
+        key = (stem, plan, state_of(plan_files(site, plan)))
+        with self._lock:
+            if self._known is None or self._known[0] != key:
+                self._known = (key, Layout(site, plan, self._project.config().sensors_file))
+            return self._known[1]
+
+    def coverage(self, stem: str, plan: str, asked: WhatIf) -> dict[str, Any]:
+        """What other sensors would see.
+
+        Raises
+        ------
+        InputError : as `Layout`; or the plan was computed anew since the page read it.
+        """
+        layout = self.of(stem, plan)
+        if layout.version != asked.version:
+            raise InputError(
+                "was computed anew meanwhile", where=f"plan {plan}", hint="reload the page"
+            )
+        return layout.coverage(np.array(asked.rows, np.int64))
+
+
+def _flat(table: NDArray[np.float64]) -> list[float]:
+    return np.round(table, 3).ravel().tolist()

@@ -1,0 +1,262 @@
+"""The workflow as the studio starts, watches and stops it: one run at a time.
+
+Everything about a run is in files under ``.snakemake/roadsight/run``, written by the run itself
+(`roadsight.studio.run.runner`), so that a studio that was ended and started again finds it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from roadsight.base.errors import InputError
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.studio.project import Project
+from roadsight.studio.run.earlier import earlier_seconds
+from roadsight.studio.run.progress import Job, Progress, progress_of, remaining
+from roadsight.studio.run.run_events import plan, read_events
+from roadsight.studio.run.runner import BEGUN, BUSY, ENDED, EVENTS, ORDER, OUTPUT, is_held
+from roadsight.studio.run.snakemake_calls import (
+    Order,
+    command,
+    complaint,
+    dry_run,
+    environment,
+    unlock,
+)
+from roadsight.studio.run.workflows_outside import lock_is_there, processes_outside
+
+FOLDER = ".snakemake/roadsight/run"
+_START_S = 20.0
+_LAST_STEPS = 8
+_LOG_BYTES = 64 << 10
+_NO_RUN: dict[str, Any] = {"order": None}
+
+
+class Runs:
+    """Runs of one project's workflow."""
+
+    def __init__(self, project: Project) -> None:
+        self._project = project
+        self._starting, self._planning = threading.Lock(), threading.Lock()
+
+    @property
+    def _folder(self) -> Path:
+        return self._project.inside(FOLDER)
+
+    def _is_alive(self) -> bool:
+        """Whether a run of a studio holds the lock."""
+        return is_held(self._folder)
+
+    def plan(self, order: Order) -> dict[str, Any]:
+        """What a run would do and why.
+
+        Raises
+        ------
+        InputError : the workflow cannot be planned.
+        """
+        with self._planning:
+            events = dry_run(self._project, order)
+        found = plan(events, self._expected(order))
+        return found | {"order": order.model_dump(), "cores": order.cores}
+
+    def _expected(self, order: Order) -> dict[str, float]:
+        asked = self._project.config().sites if order.site is None else [order.site]
+        names = set()
+        for stem in asked:
+            # Snakemake itself tells what is wrong with a site.
+            with suppress(InputError):
+                names.add(self._project.site(stem).results.name)
+        return earlier_seconds(self._project.root / "results", names)
+
+    def start(self, order: Order) -> None:
+        """Start the workflow.
+
+        Raises
+        ------
+        InputError : it runs already, here or outside, or a lock was left behind.
+        """
+        with self._starting:
+            self._check_free()
+            folder = self._folder
+            line = command(self._project, order, folder / EVENTS)
+            expected = self._expected(order)
+            about = order.model_dump() | {"time": time.time(), "expected_s": expected}
+            self._launch(folder, json.dumps(about), line)
+
+    def _check_free(self) -> None:
+        if self._is_alive():
+            raise _busy()
+        outside = processes_outside(self._project.root)
+        if outside:
+            raise InputError(
+                f"the workflow runs already, in process {outside[0]['pid']} outside the studio",
+                where="studio", hint="wait for it, or stop it where it was started",
+            )  # fmt: skip
+        if lock_is_there(self._project.root):
+            raise InputError(
+                "a run that was killed has left its lock", where="studio",
+                hint="remove the lock first",
+            )  # fmt: skip
+
+    def _launch(self, folder: Path, about: str, line: list[str]) -> None:
+        # The files of the run belong to whoever holds its lock: until then it speaks into another.
+        with tempfile.NamedTemporaryFile() as early:
+            process = subprocess.Popen(
+                [sys.executable, "-m", "roadsight.studio.run.runner", str(folder), about, *line],
+                cwd=self._project.root, env=environment(), stdin=subprocess.DEVNULL,
+                stdout=early, stderr=subprocess.STDOUT, start_new_session=True,
+            )  # fmt: skip
+            # So that it does not stay a zombie when it ends.
+            threading.Thread(target=process.wait, daemon=True).start()
+            end = time.monotonic() + _START_S
+            while time.monotonic() < end and self._leader() != process.pid:
+                if process.poll() is not None and self._leader() != process.pid:
+                    raise self._unbegun(process.returncode, _tail(Path(early.name)))
+                time.sleep(0.05)
+
+    def _leader(self) -> int | None:
+        """Process of the last run, if it has begun."""
+        with suppress(InputError):
+            return int(read_json(self._folder / BEGUN)["pid"])
+        return None
+
+    def _unbegun(self, code: int, told: str) -> InputError:
+        if code == BUSY:
+            return _busy()
+        return InputError(complaint(told or _tail(self._folder / OUTPUT), []), where="the workflow")
+
+    def stop(self, firmly: bool) -> None:
+        """Ask the run to stop, as Ctrl-C does; firmly: with SIGTERM.
+
+        Raises
+        ------
+        InputError : no run of a studio.
+        """
+        with self._starting:
+            leader = self._leader()
+            if not self._is_alive() or leader is None:
+                raise _none()
+            about = read_json(self._folder / ORDER)
+            # What failed after the first stop failed because of it.
+            write_json(self._folder / ORDER, {"stop_s": time.time()} | about)
+            try:
+                os.killpg(leader, signal.SIGTERM if firmly else signal.SIGINT)
+            except ProcessLookupError:
+                raise _none() from None
+
+    def unlock(self) -> None:
+        """Remove the lock of a run that was killed.
+
+        Raises
+        ------
+        InputError : a run holds it, or there is none.
+        """
+        if self._is_alive() or processes_outside(self._project.root):
+            raise InputError("the workflow runs: its lock stays", where="studio")
+        if not lock_is_there(self._project.root):
+            raise InputError("there is no lock", where="studio")
+        unlock(self._project)
+
+    def state(self) -> dict[str, Any]:
+        """The last run, if any, and whatever keeps another one from starting."""
+        root, alive = self._project.root, self._is_alive()
+        outside = processes_outside(root)
+        about = {
+            "running": alive,
+            "outside": outside,
+            "locked": not alive and not outside and lock_is_there(root),
+            "most_cores": os.cpu_count() or 1,
+        }
+        folder = self._folder
+        if not (folder / ORDER).exists():
+            return _NO_RUN | about
+        order = read_json(folder / ORDER)
+        ended = None
+        with suppress(InputError):  # the next run removes it when it begins
+            ended = read_json(folder / ENDED)
+        return about | self._told(order, ended, alive)
+
+    def _told(
+        self, order: dict[str, Any], ended: dict[str, Any] | None, alive: bool
+    ) -> dict[str, Any]:
+        events = read_events(self._folder / EVENTS)
+        progress = progress_of(events)
+        now_s = time.time() if alive or ended is None else float(ended["time"])
+        left_s, basis = remaining(progress, order["expected_s"], order["cores"], now_s)
+        described = {
+            "order": {name: order[name] for name in ("site", "target", "cores")},
+            "status": _status(order, ended, alive),
+            "begun_s": order["time"],
+            "seconds": max(now_s - order["time"], 0.0),
+            "left_s": left_s if alive else None,
+            "basis": basis,
+        }
+        return described | self._steps(progress, alive, now_s, order.get("stop_s", now_s))
+
+    def _steps(
+        self, progress: Progress, alive: bool, now_s: float, stop_s: float
+    ) -> dict[str, Any]:
+        """Steps at work, finished and failed; one that a stop has ended did not fail."""
+
+        def shown(jobs: list[Job]) -> list[dict[str, Any]]:
+            return [job.described(now_s) for job in jobs]
+
+        return {
+            "done": progress.done,
+            "total": progress.total,
+            "steps": shown(progress.running) if alive else [],
+            "last": shown(progress.finished[:_LAST_STEPS]),
+            "failed": shown([job for job in progress.failed if (job.end_s or 0.0) <= stop_s]),
+            "complaint": complaint(_tail(self._folder / OUTPUT), progress.messages),
+        }
+
+    def log(self, number: int) -> dict[str, Any]:
+        """End of the log of a step that has begun.
+
+        Raises
+        ------
+        InputError : no such step, or it has no log.
+        """
+        job = progress_of(read_events(self._folder / EVENTS)).jobs.get(number)
+        if job is None or not job.logs:
+            raise InputError("no log of such a step", where="studio", found=number)
+        path = self._project.named(job.logs[0])
+        return {"path": job.logs[0], "text": _tail(path)}
+
+
+def _busy() -> InputError:
+    return InputError("the workflow runs already", where="studio")
+
+
+def _none() -> InputError:
+    return InputError("no run that the studio started", where="studio")
+
+
+def _status(order: dict[str, Any], ended: dict[str, Any] | None, alive: bool) -> str:
+    if alive:
+        return "stopping" if "stop_s" in order else "running"
+    if ended is None:
+        return "lost"
+    if ended["code"] == 0:
+        return "done"
+    return "stopped" if ended["stopped"] else "failed"
+
+
+def _tail(path: Path) -> str:
+    """Last part of a text file; empty if there is none."""
+    try:
+        with path.open("rb") as file:
+            file.seek(max(os.fstat(file.fileno()).st_size - _LOG_BYTES, 0))
+            return file.read().decode("utf-8", errors="replace")
+    except (FileNotFoundError, IsADirectoryError):
+        return ""

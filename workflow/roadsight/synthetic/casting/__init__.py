@@ -1,0 +1,1 @@
+"""Exact surfaces and rays."""

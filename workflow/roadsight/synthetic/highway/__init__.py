@@ -1,0 +1,1 @@
+"""The generated highway and its mobile scanner."""

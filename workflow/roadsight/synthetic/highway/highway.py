@@ -1,0 +1,130 @@
+"""The sample site: a divided highway on an arc, with a tunnel at its end, described exactly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.synthetic.casting.alignment import Alignment, to_road
+from roadsight.synthetic.casting.materials import MATERIAL_NAMES, TruthClass
+from roadsight.synthetic.casting.scene import Scene, SceneBuilder
+from roadsight.synthetic.casting.terrain import Terrain
+from roadsight.synthetic.highway.furniture import add_furniture
+from roadsight.synthetic.highway.highway_ground import (
+    CrossSection,
+    highway_terrain,
+    is_marking,
+    is_paved,
+)
+from roadsight.synthetic.highway.roadside import Pole, Roadside
+from roadsight.synthetic.highway.vegetation import add_vegetation
+
+EPSG = 32650
+ORIGIN_M = (668_000.0, 3_547_000.0, 0.0)
+_RADIUS_M = 600.0
+_HEADING_DEG = 25.0
+_HEIGHT_M = 25.0
+_GRADE = 0.018
+_TUNNEL_M = 30.0
+_FAR_M = 200.0
+_SHORTEST_M, _LONGEST_M = 40.0, 600.0
+
+
+@dataclass(frozen=True)
+class Highway:
+    """The sample site in its local frame (metres from `ORIGIN_M` in EPSG:32650).
+
+    Parameters
+    ----------
+    length_m : the site lies between stations 0 and ``length_m``.
+    tunnel_start_m : station of the portal; the tunnel reaches the end of the site.
+    section : cross-section; the left side has positive offsets.
+    scene : exact surfaces.
+    poles : every upright post of more than a rail's size.
+    """
+
+    length_m: float
+    tunnel_start_m: float
+    section: CrossSection
+    scene: Scene
+    poles: tuple[Pole, ...]
+
+    @property
+    def terrain(self) -> Terrain:
+        """Exact ground."""
+        return self.scene.terrain
+
+    @property
+    def alignment(self) -> Alignment:
+        """Reference line, the middle of the median."""
+        return self.scene.terrain.alignment
+
+    def frame(self) -> Frame:
+        """Native coordinates of the site."""
+        return Frame(ORIGIN_M, crs_wkt=CRS.from_epsg(EPSG).to_wkt())
+
+    def ground_classes(self, xy_m: ArrayLike) -> NDArray[np.uint8]:
+        """True class (n,) of the ground at local plan points (n, 2): ROAD or GROUND."""
+        offset = to_road(self.alignment, xy_m)[:, 1]
+        paved = is_paved(self.section, offset)
+        return np.where(paved, TruthClass.ROAD, TruthClass.GROUND).astype(np.uint8)
+
+    def ground_materials(self, xy_m: ArrayLike) -> NDArray[np.uint8]:
+        """Material (n,) of the ground at local plan points (n, 2), as row of `MATERIAL_NAMES`."""
+        station, offset = to_road(self.alignment, xy_m).T
+        paved = is_paved(self.section, offset)
+        median = np.abs(offset) < self.section.median_half_m
+        marking = paved & is_marking(self.section, station, offset)
+        codes = [MATERIAL_NAMES.index(name) for name in ("marking", "asphalt", "soil", "grass")]
+        return np.select([marking, paved, median], codes[:3], codes[3]).astype(np.uint8)
+
+
+def build_highway(
+    seed: int = 1,
+    length_m: float = 250.0,
+    radius_m: float = _RADIUS_M,
+    grade: float = _GRADE,
+    tunnel: bool = True,
+) -> Highway:
+    """Build the sample site; the same arguments give the same site.
+
+    Parameters
+    ----------
+    radius_m : of the curve to the left. grade : rise over run.
+    tunnel : whether the road ends in a tunnel.
+
+    Raises
+    ------
+    InputError : the seed is negative or the length is outside 40 m to 600 m.
+    """
+    if seed < 0:
+        raise InputError("a seed is negative", where="seed", found=seed, allowed="0 or more")
+    if not _SHORTEST_M <= length_m <= _LONGEST_M:
+        raise InputError(
+            "the site's length is out of range",
+            where="length_m",
+            found=length_m,
+            allowed=f"{_SHORTEST_M:g} to {_LONGEST_M:g}",
+        )
+    tunnel_start = length_m - min(_TUNNEL_M, 0.25 * length_m) if tunnel else length_m + _FAR_M
+    ground_rng, plant_rng = (
+        np.random.default_rng(s) for s in np.random.SeedSequence(seed).spawn(2)
+    )
+    section = CrossSection()
+    heading = math.radians(_HEADING_DEG)
+    alignment = Alignment(0.0, 0.0, math.cos(heading), math.sin(heading), 1.0 / radius_m)
+    terrain = highway_terrain(
+        alignment, section, length_m, tunnel_start, _HEIGHT_M, grade, ground_rng
+    )
+    builder = SceneBuilder()
+    builder.add_ground(terrain, "grass")
+    road = Roadside(builder.terrain, builder)
+    add_furniture(road, section, tunnel_start, length_m)
+    add_vegetation(road, tunnel_start, plant_rng)
+    return Highway(length_m, tunnel_start, section, builder.build(), tuple(road.poles))

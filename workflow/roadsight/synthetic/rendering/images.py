@@ -1,0 +1,237 @@
+"""Images of the rural site: colour, class and depth of every pixel by exact ray casting.
+
+Depth and class belong to the ray through the pixel's centre. Colours are smoothed: markings by
+their share of the pixel, thin things (poles, wires, signs) by four more rays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.geometry.cameras import Intrinsics
+from roadsight.geometry.lens import RadialLens
+from roadsight.synthetic.rendering.rendering_shade import Hits, Look, shade
+from roadsight.synthetic.rural.rural_materials import Material
+from roadsight.synthetic.rural.rural_road import RuralSite
+
+_FLOATS = NDArray[np.float64]
+_SHADOW_REACH_M = 120.0
+_LEAF_SHADOW_REACH_M, _FAR_LEAF_LIT = 60.0, 0.8
+_SHADOW_LIFT_M = 0.02
+_CHUNK_RAYS = 400_000
+_SUPER = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])
+_THIN = np.array(
+    [m.name.startswith(("SIGN_", "STEEL", "WIRE", "POLE", "FENCE", "RAIL", "DELIN", "FITTING"))
+     for m in Material] + [False]
+)  # fmt: skip
+_NOTHING = len(Material)
+
+
+@dataclass(frozen=True)
+class RenderedView:
+    """One image with its truth.
+
+    Parameters
+    ----------
+    colour : (h, w, 3) uint8 blue-green-red. classes : (h, w) uint8 `PixelClass`.
+    depth_m : (h, w) float32 along the optical axis, infinite for the sky.
+    """
+
+    colour: NDArray[np.uint8]
+    classes: NDArray[np.uint8]
+    depth_m: NDArray[np.float32]
+
+    def inverse_depth(self) -> NDArray[np.uint16]:
+        """Relative inverse depth (h, w): 65535 is 1 m or nearer, 0 sky; larger is nearer."""
+        return np.rint(65535.0 / np.maximum(self.depth_m, 1.0)).astype(np.uint16)
+
+
+class Camera(NamedTuple):
+    """Where an image is taken: intrinsics, rotation cam_from_world (3, 3), centre (3,)."""
+
+    intrinsics: Intrinsics
+    rotation: _FLOATS
+    position_m: _FLOATS
+
+
+class Cast(NamedTuple):
+    """First surfaces along rays.
+
+    Parameters
+    ----------
+    range_m : (n,) float64, infinity where nothing is met. triangle : (n,) int32, -1 for nothing.
+    place_m : (n, 3). road_m : (n, 2) station and offset, 0 beyond the corridor's ground.
+    """
+
+    range_m: _FLOATS
+    triangle: NDArray[np.int32]
+    place_m: _FLOATS
+    road_m: _FLOATS
+
+    def take(self, rows: NDArray[Any]) -> Cast:
+        """The given rows."""
+        return Cast(self.range_m[rows], self.triangle[rows], self.place_m[rows], self.road_m[rows])
+
+
+class RuralRenderer:
+    """A site that rays can be cast at; single-threaded, the same result every time."""
+
+    def __init__(self, site: RuralSite) -> None:
+        self.site = site
+        mesh = site.mesh
+        self._scene = EmbreeScene()
+        TriangleMesh(self._scene, mesh.vertices_m.astype(np.float32), mesh.triangles)
+        self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+
+    def cast(self, origins_m: ArrayLike, directions: ArrayLike) -> Cast:
+        """First surface along each ray.
+
+        Parameters
+        ----------
+        origins_m : (n, 3), or (3,) for rays from one point. directions : (n, 3) unit vectors.
+        """
+        ray = np.ascontiguousarray(directions, np.float32)
+        origin = np.ascontiguousarray(np.broadcast_to(np.asarray(origins_m, np.float32), ray.shape))
+        found = self._scene.run(origin, ray, output=1)
+        triangle = np.asarray(found["primID"], np.int32)
+        met = triangle >= 0
+        range_m = np.where(met, found["tfar"].astype(float), np.inf)
+        reach = np.where(met, range_m, 0.0)[:, None]
+        place = np.asarray(origins_m, float) + reach * np.asarray(directions, float)
+        return Cast(range_m, triangle, place, self._road(found, triangle))
+
+    def _road(self, found: dict[str, NDArray], triangle: NDArray[np.int32]) -> _FLOATS:
+        """Station and offset, linear over each triangle of the corridor."""
+        road = np.zeros((len(triangle), 2))
+        rows = np.flatnonzero((triangle >= 0) & (triangle < self.site.corridor_triangles))
+        u, v = found["u"][rows, None].astype(float), found["v"][rows, None].astype(float)
+        corners = self.site.road_m[self.site.mesh.triangles[triangle[rows]]]
+        road[rows] = (1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
+        return road
+
+    def sunlit(self, cast: Cast, sun: _FLOATS) -> NDArray[np.float32]:
+        """Share of the sun that reaches each hit; far hits and the sky count as lit."""
+        lit = np.ones(len(cast.range_m), np.float32)
+        near = np.flatnonzero(cast.range_m < _SHADOW_REACH_M)
+        facing = self.site.mesh.normal[cast.triangle[near]] @ sun.astype(np.float32)
+        leafy = np.isin(
+            self.site.mesh.material[cast.triangle[near]], (Material.LEAVES, Material.BUSH)
+        )
+        far_leaf = leafy & (cast.range_m[near] > _LEAF_SHADOW_REACH_M)
+        lit[near[far_leaf]] = _FAR_LEAF_LIT
+        rows = near[(np.abs(facing) > 0.01) & (~leafy | (facing > 0.0)) & ~far_leaf]
+        lift = np.where(leafy[np.searchsorted(near, rows)], 0.35, _SHADOW_LIFT_M)
+        start = (cast.place_m[rows] + lift[:, None] * sun).astype(np.float32)
+        way = np.ascontiguousarray(np.broadcast_to(sun.astype(np.float32), start.shape))
+        if len(rows):
+            lit[rows] = self._scene.run(start, way, query="OCCLUDED") != 0
+        return lit
+
+    def _hits(self, cast: Cast, directions: _FLOATS, lit: NDArray, pixel_rad: float) -> Hits:
+        mesh, triangle = self.site.mesh, cast.triangle
+        return Hits(
+            cast.place_m, directions, cast.range_m, mesh.material[triangle], mesh.tint[triangle],
+            mesh.normal[triangle], cast.road_m, lit, pixel_rad,
+        )  # fmt: skip
+
+    def _shaded(self, look: Look, hits: Hits) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        heading = self.site.line.heading(hits.road[:, 0])
+        return shade(look, self.site.surface, hits, np.cos(heading), np.sin(heading))
+
+    def render_view(
+        self,
+        camera: Camera,
+        look: Look,
+        finish: Finish,
+        seed: int,
+        lens: RadialLens | None = None,
+    ) -> RenderedView:
+        """Render one image; the same arguments give the same pixels.
+
+        Parameters
+        ----------
+        finish : exposure, blur and noise of the camera. seed : of the sensor noise.
+        lens : of the camera, if not that of a pinhole.
+        """
+        size = camera.intrinsics.height_px, camera.intrinsics.width_px
+        uv = np.indices(size, float)[::-1].reshape(2, -1).T
+        directions = _pixel_rays(camera, uv, lens)
+        cast = self.cast(camera.position_m, directions)
+        lit = self.sunlit(cast, look.sun)
+        pixel_rad = 1.0 / camera.intrinsics.focal_px
+        colour, classes = self._shaded(look, self._hits(cast, directions, lit, pixel_rad))
+        rows = self._thin_edges(cast.triangle, size)
+        for shift in _SUPER if len(rows) else []:
+            turned = _pixel_rays(camera, uv[rows] + shift, lens)
+            extra = self.cast(camera.position_m, turned)
+            hits = self._hits(extra, turned, lit[rows], pixel_rad)
+            colour[rows] += self._shaded(look, hits)[0]
+        colour[rows] /= 1.0 + len(_SUPER)
+        depth = np.where(
+            cast.triangle >= 0, cast.range_m * (directions @ camera.rotation[2]), np.inf
+        )
+        picture = finish.apply(colour.reshape(*size, 3), np.random.default_rng(seed))
+        return RenderedView(picture, classes.reshape(size), depth.astype(np.float32).reshape(size))
+
+    def _thin_edges(self, triangle: NDArray[np.int32], size: tuple[int, int]) -> NDArray[np.intp]:
+        """Pixels at and beside the outlines of thin things."""
+        material = np.where(triangle >= 0, self.site.mesh.material[triangle], _NOTHING)
+        thin = np.where(_THIN[material], 1 + self.site.mesh.object_id[triangle], 0)
+        image = thin.reshape(size).astype(np.float32)
+        box = np.ones((3, 3), np.uint8)
+        outline = cv2.dilate(image, box) != cv2.erode(image, box)
+        # A far wire hits the centres of few of the pixels that it crosses.
+        wire = (material == Material.WIRE).reshape(size).astype(np.uint8)
+        return np.flatnonzero(outline | (cv2.dilate(wire, np.ones((5, 19), np.uint8)) > 0))
+
+
+def _pixel_rays(camera: Camera, uv_px: _FLOATS, lens: RadialLens | None) -> _FLOATS:
+    """`roadsight.geometry.cameras.pixel_directions`, without its temporary arrays."""
+    own = camera.intrinsics
+    straight = uv_px if lens is None else lens.undistort(uv_px)
+    return _rays(straight, own.cx_px, own.cy_px, own.focal_px, camera.rotation)
+
+
+@njit(cache=True)
+def _rays(uv: _FLOATS, cx: float, cy: float, focal: float, rotation: _FLOATS) -> _FLOATS:
+    rays = np.empty((len(uv), 3))
+    for i in range(len(uv)):
+        x, y = (uv[i, 0] - cx) / focal, (uv[i, 1] - cy) / focal
+        length = np.sqrt(x * x + y * y + 1.0)
+        for k in range(3):
+            rays[i, k] = (x * rotation[0, k] + y * rotation[1, k] + rotation[2, k]) / length
+    return rays
+
+
+@dataclass(frozen=True)
+class Finish:
+    """What the camera does to light.
+
+    Parameters
+    ----------
+    exposure : gain. balance : (3,) gain of blue, green, red. blur_px : sigma of the lens.
+    noise : sigma of the sensor's noise, of 255. gamma : of the encoding.
+    """
+
+    exposure: float = 1.0
+    balance: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    blur_px: float = 0.55
+    noise: float = 2.0
+    gamma: float = 2.2
+
+    def apply(self, linear: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
+        """8-bit image (h, w, 3) of linear colours (h, w, 3)."""
+        light = linear * (self.exposure * np.asarray(self.balance, np.float32))
+        light = cv2.GaussianBlur(light, (0, 0), self.blur_px)
+        light = light * (1.0 + 0.12 * light) / (1.0 + 0.55 * light) * 1.38
+        encoded = 255.0 * np.power(np.clip(light, 0.0, 1.0), np.float32(1.0 / self.gamma))
+        grain = rng.standard_normal(linear.shape[:2], np.float32) * np.float32(self.noise)
+        return np.clip(encoded + grain[..., None] + 0.5, 0.0, 255.0).astype(np.uint8)

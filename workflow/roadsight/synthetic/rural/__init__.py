@@ -1,0 +1,1 @@
+"""The generated rural road, its airborne scanner and its videolog."""

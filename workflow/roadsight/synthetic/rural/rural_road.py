@@ -1,0 +1,190 @@
+"""A winding two-lane rural road with its surroundings, described exactly, from one seed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pyproj import CRS
+
+from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
+from roadsight.synthetic.rural.rural_buildings import add_house, add_mailbox, add_vehicle
+from roadsight.synthetic.rural.rural_furniture import (
+    Furnisher,
+    RuralPole,
+    add_delineators,
+    add_fence,
+    add_guardrail,
+    add_signs,
+    add_utility_line,
+)
+from roadsight.synthetic.rural.rural_ground import (
+    GRAVEL_DRIVE,
+    PAVED_DRIVE,
+    SIDE_ROAD,
+    Branch,
+    Hills,
+    RuralGround,
+    Section,
+    corridor_mesh,
+    far_mesh,
+    make_branch,
+    make_hills,
+)
+from roadsight.synthetic.rural.rural_line import RuralLine, random_line
+from roadsight.synthetic.rural.rural_materials import Material
+from roadsight.synthetic.rural.rural_mesh import Mesh, MeshBuilder
+from roadsight.synthetic.rural.rural_plants import add_plants
+from roadsight.synthetic.rural.rural_surface import Surface, make_surface
+
+EPSG, VERTICAL_EPSG = 6543, 6360
+US_FOOT_M = 1200.0 / 3937.0
+ORIGIN_FT = (760_000.0, 600_000.0, 2_150.0)
+_LEAD_M = 130.0
+_SHORTEST_M, _LONGEST_M = 60.0, 3000.0
+
+
+@dataclass(frozen=True)
+class RuralSite:
+    """The site in its local frame; the drive runs from station 0 to ``length_m``.
+
+    Parameters
+    ----------
+    seed : what it was built from.
+    ground, surface : shape of the ground and what it is.
+    mesh : every triangle; the first ``corridor_triangles`` are the corridor's ground, whose
+        vertices have stations and offsets in ``road_m`` (k, 2).
+    kinds : kind of each object of the mesh.
+    poles : every post, see `RuralPole`.
+    """
+
+    seed: int
+    length_m: float
+    ground: RuralGround
+    surface: Surface
+    mesh: Mesh
+    corridor_triangles: int
+    road_m: NDArray[np.float64]
+    kinds: tuple[str, ...]
+    poles: tuple[RuralPole, ...]
+
+    @property
+    def line(self) -> RuralLine:
+        """Middle of the road."""
+        return self.ground.line
+
+    def frame(self) -> Frame:
+        """Native coordinates: EPSG:6543 and NAVD88, both in US survey feet."""
+        crs = CRS.from_user_input(f"EPSG:{EPSG}+{VERTICAL_EPSG}")
+        return Frame(ORIGIN_FT, US_FOOT_M, US_FOOT_M, crs.to_wkt())
+
+    def height(self, xy_m: ArrayLike) -> NDArray[np.float64]:
+        """Height (n,) of the ground at plan points (n, 2) of the corridor, local metres."""
+        return self.ground.height(*self.line.road(xy_m).T)
+
+
+def build_rural(
+    seed: int = 1, length_m: float = 1000.0, detail: float = 1.0, relief: float = 1.0
+) -> RuralSite:
+    """Build the site; the same arguments give the same site.
+
+    Parameters
+    ----------
+    length_m : length of the drive; the road goes on for 130 m at both ends.
+    detail : number of leaves against the usual (their area stays).
+    relief : heights of road and hills against the usual; 0 is level.
+
+    Raises
+    ------
+    InputError : the seed is negative or the length is outside 60 m to 3,000 m.
+    """
+    if seed < 0:
+        raise InputError("a seed is negative", where="seed", found=seed, allowed="0 or more")
+    if not _SHORTEST_M <= length_m <= _LONGEST_M:
+        allowed = f"{_SHORTEST_M:g} to {_LONGEST_M:g}"
+        raise InputError("is out of range", where="length_m", found=length_m, allowed=allowed)
+    streams = np.random.SeedSequence([seed, 7]).spawn(4)
+    line_rng, hill_rng, thing_rng, plant_rng = (np.random.default_rng(s) for s in streams)
+    line = random_line(-_LEAD_M, length_m + _LEAD_M, line_rng)
+    hills = make_hills(line, hill_rng)
+    line = replace(line, wave_m=relief * line.wave_m)
+    hills = replace(hills, height_m=relief * hills.height_m)
+    ground = _ground(line, hills, length_m, thing_rng)
+    builder = MeshBuilder()
+    triangles, road = _add_land(builder, ground, hills, hill_rng)
+    add = Furnisher(ground, builder, thing_rng, [])
+    houses = _furnish(add, length_m)
+    add.rng = plant_rng
+    add_plants(add, houses, detail)
+    passing = [[0.42 * length_m, 0.62 * length_m]]
+    surface = make_surface(ground, passing)
+    return RuralSite(
+        seed, length_m, ground, surface, builder.build(), triangles, road,
+        tuple(builder.kinds), tuple(add.poles),
+    )  # fmt: skip
+
+
+def _ground(
+    line: RuralLine, hills: Hills, length_m: float, rng: np.random.Generator
+) -> RuralGround:
+    """Ground with one side road, four driveways and a stream."""
+    section = Section(lane_m=3.2, pavement_m=3.2 + rng.uniform(0.25, 0.5))
+    side = int(rng.choice([-1, 1]))
+    wanted = (
+        (SIDE_ROAD, 0.37, side, rng.uniform(-0.25, 0.25)),
+        (GRAVEL_DRIVE, 0.13, -side, rng.uniform(-0.2, 0.2)),
+        (PAVED_DRIVE, 0.27, side, 0.0),
+        (GRAVEL_DRIVE, 0.55, side, rng.uniform(-0.2, 0.2)),
+        (PAVED_DRIVE, 0.83, -side, 0.0),
+    )
+    branches: list[Branch] = [
+        make_branch(line, section, hills, kind, share * length_m + rng.uniform(-8.0, 8.0), at, skew)
+        for kind, share, at, skew in wanted
+    ]
+    gully = 0.7 * length_m + rng.uniform(-10.0, 10.0)
+    return RuralGround(line, section, tuple(branches), hills, gully)
+
+
+def _add_land(
+    builder: MeshBuilder, ground: RuralGround, hills: Hills, rng: np.random.Generator
+) -> tuple[int, NDArray[np.float64]]:
+    """Add corridor and far land; number of corridor triangles, their vertices' road places."""
+    builder.start("ground")
+    vertices, triangles, road = corridor_mesh(ground)
+    builder.add(vertices, triangles, Material.GROUND)
+    builder.start("far land")
+    builder.add(*far_mesh(hills, rng), Material.FAR_FOREST)
+    return len(triangles), road
+
+
+def _furnish(add: Furnisher, length_m: float) -> list[NDArray[np.float64]]:
+    """Add everything but plants; plan places of the houses."""
+    ground, rng = add.ground, add.rng
+    side = int(rng.choice([-1, 1]))
+    add_utility_line(add, side)
+    add_signs(add)
+    add_delineators(add)
+    drives = [b for b in ground.branches if b.kind != SIDE_ROAD]
+    houses = [add_house(add, branch) for branch in drives[:3]]
+    for branch in drives:
+        add_mailbox(add, branch)
+    add_fence(add, 0.6 * length_m, 0.6 * length_m + 64.0, -side * 11.5)
+    for sign in (-1.0, 1.0):
+        add_guardrail(add, ground.gully_m - 20.0, ground.gully_m + 20.0, sign * 4.55)
+    _park(add, drives[1], length_m)
+    return houses
+
+
+def _park(add: Furnisher, drive: Branch, length_m: float) -> None:
+    """Park one car on a driveway and two beside the road."""
+    ax, ay = drive.ahead
+    station, offset = add.ground.line.road(drive.start_m + 16.0 * drive.ahead)[0]
+    turn = np.arctan2(ay, ax) - add.heading(station)
+    add_vehicle(add, station, offset, float(turn))
+    for share in (0.2, 0.93):
+        side = float(add.rng.choice([-1.0, 1.0]))
+        place = share * length_m, side * 5.0
+        if add.free(*place, 2.0):
+            add_vehicle(add, *place, 0.0 if side < 0 else np.pi)

@@ -1,0 +1,236 @@
+"""Drives along the rural road: where every image is taken, truly and by GPS.
+
+A vehicle follows its lane with a slow wander, pitches and rolls with the road, and shakes. A camera
+is bolted to it with small angles that nobody wrote down. Side cameras share the front camera's
+mount and turn about its vertical axis by just under the field of view, so that views stitch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from roadsight.geometry.cameras import Intrinsics, attitude_deg, cam_from_world, compass_deg
+from roadsight.synthetic.rendering.images import Camera
+from roadsight.synthetic.rural.rural_road import RuralSite
+
+_FLOATS = NDArray[np.float64]
+_LANE_M = 1.6
+_STITCH_OVERLAP_DEG = 1.5
+_UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+
+
+@dataclass(frozen=True)
+class Mount:
+    """How a camera sits on its vehicle: what the pipeline has to find out.
+
+    Parameters
+    ----------
+    height_m : above the road. yaw_deg, pitch_deg, roll_deg : against the vehicle (right, up, right
+        side up). antenna_left_m, antenna_ahead_m : GPS antenna from the camera.
+    """
+
+    height_m: float
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+    antenna_left_m: float
+    antenna_ahead_m: float
+
+
+@dataclass(frozen=True)
+class Shake:
+    """Sigma of what changes from image to image: angles in degrees, height in metres."""
+
+    yaw_deg: float = 0.3
+    pitch_deg: float = 0.3
+    roll_deg: float = 0.1
+    height_m: float = 0.02
+
+
+@dataclass(frozen=True)
+class GpsNoise:
+    """Error of a GPS place, each axis: slow (Gauss-Markov over distance) and white."""
+
+    slow_sigma_m: float = 0.7
+    correlation_m: float = 100.0
+    white_sigma_m: float = 0.2
+
+    def draw(self, travelled_m: ArrayLike, rng: np.random.Generator) -> _FLOATS:
+        """Errors (n, 2) at distances travelled (n,), increasing, metres."""
+        step = np.diff(np.asarray(travelled_m, float), prepend=-np.inf)
+        keep = np.exp(-step / self.correlation_m)
+        kicks = rng.normal(size=(len(step), 2)) * np.sqrt(1.0 - keep**2)[:, None]
+        slow, error = np.empty_like(kicks), np.zeros(2)
+        for i in range(len(step)):
+            error = keep[i] * error + kicks[i]
+            slow[i] = error
+        white = rng.normal(0.0, self.white_sigma_m, slow.shape)
+        return self.slow_sigma_m * slow + white
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One pass along the road.
+
+    Parameters
+    ----------
+    route : its name. forward : towards rising stations. step_m : between images.
+    intrinsics, mount : of the front camera. views : names and turns to the right, degrees.
+    """
+
+    route: str
+    forward: bool
+    step_m: float
+    intrinsics: Intrinsics
+    mount: Mount
+    views: dict[str, float]
+    shake: Shake = field(default_factory=Shake)
+    gps: GpsNoise = field(default_factory=GpsNoise)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One place where images are taken.
+
+    Parameters
+    ----------
+    route, sequence : of the place, from 1. station_m : where on the road.
+    cameras : by view, true. gps_xy_m : (2,) what the GPS says, local metres.
+    ground_m : height of the road under the camera.
+    """
+
+    route: str
+    sequence: int
+    station_m: float
+    cameras: dict[str, Camera]
+    gps_xy_m: _FLOATS
+    ground_m: float
+
+    def name(self, view: str = "front") -> str:
+        """File name of the view's image."""
+        ending = "" if view == "front" else f"_{view}"
+        return f"{self.route}_{self.sequence:04d}{ending}.jpg"
+
+
+def random_drives(
+    seed: int,
+    narrow_px: tuple[int, int] = (640, 416),
+    wide_px: tuple[int, int] = (640, 448),
+    hfov_deg: float = 0.0,
+    side_views: bool = True,
+) -> tuple[Drive, Drive]:
+    """A narrow camera with side views ahead every 8 m, and a wide one back every 16 m.
+
+    Parameters
+    ----------
+    narrow_px, wide_px : width and height of the images. hfov_deg : field of view of the first
+    camera, about 20 degrees if 0. side_views : whether it has any.
+    """
+    rng = np.random.default_rng([seed, 21])
+    usual = rng.uniform(19.0, 22.5)
+    fov = hfov_deg or usual
+    turn = fov - _STITCH_OVERLAP_DEG
+    narrow = Intrinsics.from_field_of_view(*narrow_px, fov)
+    wide = Intrinsics.from_field_of_view(*wide_px, rng.uniform(55.0, 64.0))
+    views = {"front": 0.0}
+    if side_views:
+        views |= {"left": -turn, "right": turn}
+    return (
+        Drive("sr1427e", True, 8.0, narrow, _random_mount(2.2, rng), views),
+        Drive("sr1427w", False, 16.0, wide, _random_mount(1.6, rng), {"front": 0.0}),
+    )
+
+
+def _random_mount(height_m: float, rng: np.random.Generator) -> Mount:
+    """Angles of one to two degrees either way; the antenna within half a metre aside."""
+    yaw, roll = rng.choice([-1.0, 1.0], 2) * rng.uniform(0.8, 1.8, 2)
+    pitch = -rng.uniform(0.8, 2.0)
+    left = rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.5)
+    return Mount(
+        height_m + float(rng.uniform(-0.08, 0.08)), float(yaw), float(pitch), float(roll),
+        float(left), float(rng.uniform(-1.6, -0.6)),
+    )  # fmt: skip
+
+
+def shots(site: RuralSite, drive: Drive, seed: int) -> list[Shot]:
+    """Every place of a drive in order; the same arguments give the same places."""
+    rng = np.random.default_rng([seed, 22, int(drive.forward)])
+    count = int(site.length_m / drive.step_m + 1e-9) + 1
+    travelled = drive.step_m * np.arange(count, dtype=np.float64)
+    station = travelled if drive.forward else site.length_m - travelled
+    offset, drift = _lane_place(station, drive.forward, rng)
+    noise = drive.gps.draw(travelled, rng)
+    shakes = rng.normal(size=(count, 4))
+    return [
+        _shot(site, drive, i + 1, (station[i], offset[i], drift[i]), noise[i], shakes[i])
+        for i in range(count)
+    ]
+
+
+def _lane_place(
+    station: _FLOATS, forward: bool, rng: np.random.Generator
+) -> tuple[_FLOATS, _FLOATS]:
+    """Offset of the vehicle and its change per metre of station: two slow waves in the lane."""
+    lengths, phases = rng.uniform(90.0, 260.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
+    angle = 2.0 * np.pi * station[:, None] / lengths + phases
+    middle = -_LANE_M if forward else _LANE_M
+    rate = 2.0 * np.pi / lengths
+    return middle + 0.11 * np.sin(angle).sum(axis=1), 0.11 * (np.cos(angle) * rate).sum(axis=1)
+
+
+def _shot(
+    site: RuralSite,
+    drive: Drive,
+    sequence: int,
+    place: tuple[float, float, float],
+    noise: _FLOATS,
+    shake: _FLOATS,
+) -> Shot:
+    """Cameras and GPS place at a station, offset and drift."""
+    station, offset, _ = place
+    vehicle = vehicle_rotation(site, drive.forward, *place)
+    mount, sigma = drive.mount, drive.shake
+    front = mounted(
+        vehicle,
+        mount.yaw_deg + sigma.yaw_deg * shake[0],
+        mount.pitch_deg + sigma.pitch_deg * shake[1],
+        mount.roll_deg + sigma.roll_deg * shake[2],
+    )
+    xy, ground = site.line.plan(station, offset), float(site.ground.height(station, offset))
+    eye = ground + mount.height_m + sigma.height_m * shake[3]
+    position = np.array([*xy, eye])
+    cameras = {
+        view: Camera(drive.intrinsics, mounted(front, turn, 0.0, 0.0), position)
+        for view, turn in drive.views.items()
+    }
+    right, _, ahead = vehicle
+    antenna = position - mount.antenna_left_m * right + mount.antenna_ahead_m * ahead
+    return Shot(drive.route, sequence, float(station), cameras, antenna[:2] + noise, ground)
+
+
+def vehicle_rotation(
+    site: RuralSite, forward: bool, station: float, offset: float, drift: float
+) -> _FLOATS:
+    """Rotation (3, 3) whose rows are right, down and ahead of a vehicle on the road."""
+    turn = float(site.line.heading(station)) + np.arctan(drift)
+    heading = 90.0 - np.degrees(turn) + (0.0 if forward else 180.0)
+    way = 1.0 if forward else -1.0
+    ends = site.ground.height(np.array([station - 1.4, station + 1.4]), offset)
+    sides = site.ground.height(station, offset + np.array([-0.75, 0.75]))
+    pitch = np.degrees(np.arctan2(way * (ends[1] - ends[0]), 2.8))
+    roll = np.degrees(np.arctan2(way * (sides[0] - sides[1]), 1.5))
+    return cam_from_world(heading, pitch, roll)
+
+
+def mounted(base: _FLOATS, yaw_deg: float, pitch_deg: float, roll_deg: float) -> _FLOATS:
+    """Rotation of a camera turned against another: right about its vertical, up, right side up."""
+    return cam_from_world(yaw_deg, pitch_deg, roll_deg) @ _UP_FROM_CAMERA @ base
+
+
+def attitude_of(camera: Camera) -> tuple[float, float, float]:
+    """Heading from grid north, pitch, roll, degrees."""
+    heading, pitch, roll = attitude_deg(camera.rotation)
+    return float(compass_deg(heading)), float(pitch), float(roll)

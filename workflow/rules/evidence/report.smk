@@ -1,0 +1,159 @@
+"""What people and checks read: a summary of each site and one report page.
+
+REQUIRED INPUTS  everything a site's jobs produced
+OUTPUTS          results/{site}/summary.json, results/report.html
+"""
+
+
+rule summarise_site:
+    input:
+        frame=rules.ingest_cloud.output.frame,
+        profile=rules.profile_scene.output.profile,
+        effects=rules.plan_effects.output.effects,
+        given=given_files,
+        scores=pavement_scores,
+        traffic=placement_only(traffic_mask),
+        frames=poles_only(pole_frames),
+        cameras=poles_only(all_cameras),
+        sightings=poles_only(all_sightings),
+        poles=poles_only(found_poles),
+        validation=pole_validation,
+        camera_scores=camera_scores,
+        coverage=placement_only(last_coverage),
+        solutions=placement_only(plan_solutions),
+        timings=placement_only(plan_timings),
+        data=placement_only(plan_data),
+        code=sources("summarise_site"),
+    output:
+        summary="results/{site}/summary.json",
+    log:
+        log_of("summarise_site"),
+    benchmark:
+        benchmark_of("summarise_site")
+    conda:
+        ENVIRONMENT
+    params:
+        seed=setting("seed"),
+        settings=all_settings,
+        sensors=site_sensors_json,
+    shell:
+        "python -m roadsight.stages.evidence.summarise_site --site {wildcards.site} --seed {params.seed}"
+        " --settings {params.settings:q} --sensors {params.sensors:q} --given {input.given:q}"
+        " --frame {input.frame} --profile {input.profile}"
+        " --effects {input.effects}"
+        " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
+        " --timings {input.timings} --data {input.data} --frames {input.frames} --cameras {input.cameras}"
+        " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
+        " --camera-scores {input.camera_scores}"
+        " --out {output.summary} > {log} 2>&1"
+
+
+rule write_site_page:
+    input:
+        summary=rules.summarise_site.output.summary,
+        frame=rules.ingest_cloud.output.frame,
+        cloud=rules.ingest_cloud.output.cloud,
+        dem=rules.build_dem.output.dem,
+        pavement=rules.extract_pavement.output.pavement,
+        edges=rules.build_edges.output.edges,
+        targets=placement_only(site_targets),
+        candidates=placement_only(all_candidates),
+        detections=placement_only(all_detections),
+        coverage=placement_only(last_coverage),
+        solutions=placement_only(plan_solutions),
+        layers=placement_only(plan_layers),
+        obstacles=placement_only(plan_obstacles),
+        scans=placement_only(plan_scans),
+        code=sources("write_site_page"),
+    output:
+        page="results/{site}/page.json",
+    log:
+        log_of("write_site_page"),
+    benchmark:
+        benchmark_of("write_site_page")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(100),
+        runtime=minutes(),
+    params:
+        title=site_field("title"),
+        plans=plan_titles,
+        sensors=site_sensors,
+        sensors_file=CONFIG.sensors_file,
+    shell:
+        "python -m roadsight.stages.evidence.write_site_page --site {wildcards.site}"
+        " --title={params.title:q} --plans {params.plans:q} --sensors {params.sensors_file:q}"
+        " --summary {input.summary} --frame {input.frame} --cloud {input.cloud}"
+        " --dem {input.dem} --pavement {input.pavement} --edges {input.edges}"
+        " --targets {input.targets} --candidates {input.candidates}"
+        " --detections {input.detections} --coverage {input.coverage}"
+        " --solutions {input.solutions} --layers {input.layers}"
+        " --obstacles {input.obstacles} --scans {input.scans}"
+        " --out {output.page} > {log} 2>&1"
+
+
+rule write_report:
+    input:
+        pages=site_pages(),
+        poles_pages=pole_pages(),
+        assets=sorted(str(path) for path in REPORT_ASSETS.iterdir()),
+        code=sources("write_report"),
+    output:
+        report="results/report.html",
+    log:
+        "logs/write_report.log",
+    benchmark:
+        "results/benchmarks/write_report.tsv"
+    conda:
+        ENVIRONMENT
+    params:
+        evidence=evidence_pages(),
+    shell:
+        "python -m roadsight.stages.evidence.write_report --pages {input.pages}"
+        " --poles-pages {input.poles_pages} --evidence {params.evidence:q}"
+        " --out {output.report} > {log} 2>&1"
+
+
+rule write_poles_page:
+    input:
+        summary=rules.summarise_site.output.summary,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        top=rules.rasterise_lidar.output.top,
+        road_edges=rules.extract_road_edges.output.edges,
+        frames=rules.read_videolog.output.frames,
+        images=rendered_images,
+        cameras=all_cameras,
+        image_edges=all_image_edges,
+        sightings=all_sightings,
+        masks=all_masks,
+        depth=all_depths,
+        poles=rules.triangulate_poles.output,
+        hazard=rules.rate_hazard.output.hazard,
+        validation=pole_validation,
+        components=compared_components,
+        drive=only_if("lens_distortion", rules.profile_drive.output.drive),
+        code=sources("write_poles_page"),
+    output:
+        page="results/{site}/poles/page.json",
+    log:
+        log_of("write_poles_page"),
+    benchmark:
+        benchmark_of("write_poles_page")
+    conda:
+        ENVIRONMENT
+    params:
+        title=site_field("title"),
+        images=images_path,
+        lenses=given_lenses,
+    shell:
+        "python -m roadsight.stages.evidence.write_poles_page --site {wildcards.site}"
+        " --title={params.title:q} --summary {input.summary} --frame {input.frame}"
+        " --dem {input.dem} --top {input.top} --road-edges {input.road_edges}"
+        " --frames {input.frames} --images {params.images:q} --cameras {input.cameras}"
+        " --image-edges {input.image_edges} --sightings {input.sightings} --masks {input.masks}"
+        " --depth {input.depth} --poles {input.poles[0]} --hazard {input.hazard}"
+        " --validation {input.validation} --components {input.components}"
+        " --drive {input.drive} --lenses {params.lenses:q}"
+        " --files {input.poles} --out {output.page} > {log} 2>&1"

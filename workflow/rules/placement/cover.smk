@@ -1,0 +1,177 @@
+"""The optimal set of each plan, and what stands in its way.
+
+REQUIRED INPUTS  results/{site}/placement/: targets, candidates, detections and coverage of all rounds
+OUTPUTS          results/{site}/placement/{plan}/: solution, obstacles, scans of the chosen sensors
+"""
+
+
+rule solve_cover:
+    input:
+        coverage=last_coverage,
+        targets=rules.place_targets.output.targets,
+        candidates=all_candidates,
+        detections=plan_detections,
+        frame=rules.ingest_cloud.output.frame,
+        lanes=lanes_of_plan,
+        areas=plan_file("areas"),
+        forbidden=plan_file("forbidden"),
+        mandatory=plan_file("mandatory"),
+        poles=plan_file("poles"),
+        code=sources("solve_cover"),
+    output:
+        solution="results/{site}/placement/{plan}/solution.json",
+        layers="results/{site}/placement/{plan}/solution.gpkg",
+        timing="results/{site}/placement/{plan}/timing.json",
+    log:
+        log_of("solve_cover", "{plan}"),
+    benchmark:
+        benchmark_of("solve_cover", "{plan}")
+    conda:
+        ENVIRONMENT
+    params:
+        sensors=plan_costs,
+        options=plan_options,
+        at_least=setting("cover.at_least"),
+        availability=plan_availability,
+        height_m=target_height,
+        time_limit_s=setting("cover.time_limit_s"),
+        gap=setting("cover.gap"),
+        uncoverable=setting("coverage.uncoverable"),
+        seed=setting("seed"),
+    shell:
+        "python -m roadsight.stages.placement.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
+        " --coverage {input.coverage} --targets {input.targets} --candidates {input.candidates}"
+        " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
+        " --at-least {params.at_least} {params.availability} --lanes {input.lanes}"
+        " --target-height-m {params.height_m} --time-limit-s {params.time_limit_s} --gap {params.gap}"
+        " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"
+        " --areas {input.areas:q} --forbidden {input.forbidden:q}"
+        " --mandatory {input.mandatory:q} --poles {input.poles:q}"
+        " --solution {output.solution} --layers {output.layers}"
+        " --timing {output.timing} > {log} 2>&1"
+
+
+rule find_obstacles:
+    input:
+        solution=rules.solve_cover.output.solution,
+        coverage=last_coverage,
+        targets=rules.place_targets.output.targets,
+        candidates=all_candidates,
+        detections=plan_detections,
+        surfels=rules.build_surfels.output.surfels,
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        lanes=placement_effect("moving_vehicles", "lanes.parquet"),
+        code=sources("find_obstacles"),
+    output:
+        obstacles="results/{site}/placement/{plan}/obstacles.gpkg",
+    log:
+        log_of("find_obstacles", "{plan}"),
+    benchmark:
+        benchmark_of("find_obstacles", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
+        height_m=target_height,
+    shell:
+        "python -m roadsight.stages.placement.find_obstacles --solution {input.solution}"
+        " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
+        " --candidates {input.candidates} --detections {input.detections}"
+        " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
+        " --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
+        " --reflectivity {input.reflectivity} --lanes {input.lanes}"
+        " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
+
+
+rule render_scans:
+    input:
+        solution=rules.solve_cover.output.solution,
+        surfels=rules.build_surfels.output.surfels,
+        frame=rules.ingest_cloud.output.frame,
+        tilts=only_if("mount_tilt", tilts_of_all_rounds),
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        surfaces=placement_effect("reflectivity", "surfaces.parquet"),
+        code=sources("render_scans"),
+    output:
+        scans="results/{site}/placement/{plan}/scans.laz",
+    log:
+        log_of("render_scans", "{plan}"),
+    benchmark:
+        benchmark_of("render_scans", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
+    shell:
+        "python -m roadsight.stages.placement.render_scans --solution {input.solution}"
+        " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file:q}"
+        " --tilts {input.tilts} --air {input.rain} {input.fog} --surfaces {input.surfaces}"
+        " --out {output.scans} > {log} 2>&1"
+
+
+rule measure_data:
+    input:
+        solution=rules.solve_cover.output.solution,
+        targets=rules.place_targets.output.targets,
+        detections=plan_detections,
+        edges=rules.build_edges.output.edges,
+        pavement=rules.extract_pavement.output.pavement,
+        frame=rules.ingest_cloud.output.frame,
+        scans=rules.render_scans.output.scans,
+        depth=plan_depth_maps,
+        candidates=all_candidates,
+        tilts=only_if("mount_tilt", tilts_of_all_rounds),
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        decided=after_profile("partial_hits", "curvature_refraction"),
+        code=sources("measure_data"),
+    output:
+        data="results/{site}/placement/{plan}/data.json",
+        layers="results/{site}/placement/{plan}/data.gpkg",
+    log:
+        log_of("measure_data", "{plan}"),
+    benchmark:
+        benchmark_of("measure_data", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
+        frames_hz=setting("lidar.frames_hz"),
+        lidar_curve=setting("targets.lidar_curve"),
+        camera_curve=setting("targets.camera_curve"),
+        radius_m=setting("targets.radius_m"),
+        height_m=target_height,
+        box=target_box,
+        azimuth_stride=setting("lidar.azimuth_stride"),
+        partial_hits=decision_on("partial_hits"),
+        curvature=decision_on("curvature_refraction"),
+    shell:
+        "python -m roadsight.stages.placement.measure_data --solution {input.solution}"
+        " --targets {input.targets} --detections {input.detections} --edges {input.edges}"
+        " --pavement {input.pavement} --frame {input.frame} --sensors {params.sensors_file:q}"
+        " --scans {input.scans} --frames-hz {params.frames_hz}"
+        " --lidar-curve {params.lidar_curve} --camera-curve {params.camera_curve}"
+        " --depth {input.depth} --candidates {input.candidates} --tilts {input.tilts}"
+        " --air {input.rain} {input.fog} --reflectivity {input.reflectivity}"
+        " --radius-m {params.radius_m} --height-m {params.height_m} {params.box}"
+        " --azimuth-stride {params.azimuth_stride}"
+        " --partial-hits {params.partial_hits} --curvature {params.curvature}"
+        " --out {output.data} --layers {output.layers} > {log} 2>&1"

@@ -1,0 +1,30 @@
+"""Depth maps in pairs, to train a network on a site's own cloud; only where they are asked for.
+
+REQUIRED INPUTS  results/{site}/scene/cloud.parquet and candidates
+OUTPUTS          results/{site}/placement/pairs/
+"""
+
+
+rule render_depth_pairs:
+    input:
+        candidates="results/{site}/placement/round-0/candidates.parquet",
+        cloud=rules.ingest_cloud.output.cloud,
+        traffic=traffic_mask,
+        code=sources("render_depth_pairs"),
+    output:
+        pairs=ensure("results/{site}/placement/pairs/{site}.hybrid.npz", non_empty=True),
+    log:
+        log_of("render_depth_pairs"),
+    benchmark:
+        benchmark_of("render_depth_pairs")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        seed=setting("seed"),
+    shell:
+        "python -m roadsight.stages.placement.render_depth_pairs --candidates {input.candidates}"
+        " --cloud {input.cloud} --traffic {input.traffic} --seed {params.seed}"
+        " --out {output.pairs} > {log} 2>&1"

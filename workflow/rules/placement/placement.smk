@@ -1,0 +1,233 @@
+"""From a road to which sensor position sees which target.
+
+REQUIRED INPUTS  results/{site}/scene/* and placement/edges.gpkg
+OUTPUTS          results/{site}/placement/round-*/: candidates, depth maps, detections, coverage
+USUAL STEPS      candidates and targets, depth maps and detections by shard, coverage check, rounds
+                 of denser candidates near gaps
+"""
+
+
+rule place_candidates:
+    input:
+        edges=rules.build_edges.output.edges,
+        pavement=rules.extract_pavement.output.pavement,
+        dem=rules.build_dem.output.dem,
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        zones=beside_site("placement.zones"),
+        mounts=beside_site("placement.mounts"),
+        decided=after_profile("overhead_cover"),
+        code=sources("place_candidates"),
+    output:
+        candidates="results/{site}/placement/round-0/candidates.parquet",
+    log:
+        log_of("place_candidates"),
+    benchmark:
+        benchmark_of("place_candidates")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(60),
+        runtime=minutes(),
+    params:
+        spacing_m=setting("candidates.spacing_m"),
+        height_min_m=setting("candidates.height_min_m"),
+        height_max_m=setting("candidates.height_max_m"),
+        height_step_m=setting("candidates.height_step_m"),
+        search_radius_m=setting("candidates.search_radius_m"),
+        gap_factor=setting("candidates.gap_factor"),
+        arm_m=setting("candidates.arm_m"),
+        overhead_cover=decision_on("overhead_cover"),
+    shell:
+        "python -m roadsight.stages.placement.place_candidates --site {wildcards.site}"
+        " --edges {input.edges} --pavement {input.pavement} --dem {input.dem}"
+        " --cloud {input.cloud} --frame {input.frame} --spacing-m {params.spacing_m}"
+        " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
+        " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
+        " --zones {input.zones:q} --mounts {input.mounts:q} --arm-m {params.arm_m}"
+        " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
+        " --out {output.candidates} > {log} 2>&1"
+
+
+rule place_targets:
+    input:
+        pavement=rules.extract_pavement.output.points,
+        outline=rules.extract_pavement.output.pavement,
+        frame=rules.ingest_cloud.output.frame,
+        edges=edges_of_boxes,
+        code=sources("place_targets"),
+    output:
+        targets="results/{site}/placement/targets.parquet",
+    log:
+        log_of("place_targets"),
+    benchmark:
+        benchmark_of("place_targets")
+    conda:
+        ENVIRONMENT
+    params:
+        cell_size_m=setting("targets.cell_size_m"),
+        min_points=setting("targets.min_points"),
+        inset_m=setting("targets.inset_m"),
+    shell:
+        "python -m roadsight.stages.placement.place_targets --pavement {input.pavement}"
+        " --outline {input.outline} --frame {input.frame} --edges {input.edges} --inset-m {params.inset_m}"
+        " --cell-size-m {params.cell_size_m} --min-points {params.min_points}"
+        " --out {output.targets} > {log} 2>&1"
+
+
+rule render_depth_maps:
+    input:
+        candidates="results/{site}/placement/round-{round}/candidates.parquet",
+        surfels=rules.build_surfels.output.surfels,
+        cloud=rules.ingest_cloud.output.cloud,
+        traffic=traffic_mask,
+        network=depth_network,
+        tilts=only_if("mount_tilt", tilts_of_map),
+        decided=after_profile("hole_filling", "curvature_refraction"),
+        code=sources("render_depth_maps"),
+    output:
+        depth=ensure(
+            "results/{site}/placement/round-{round}/depth/{sensor}/{shard}.parquet",
+            non_empty=True,
+        ),
+    log:
+        log_of("render_depth_maps", "round-{round}", "{sensor}", "{shard}"),
+    benchmark:
+        benchmark_of("render_depth_maps", "round-{round}", "{sensor}", "{shard}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        sensor=sensor_of_map,
+        sensors_file=CONFIG.sensors_file,
+        shards=shard_count,
+        model=lidar_model,
+        azimuth_stride=stride_of_map,
+        curvature=decision_on("curvature_refraction"),
+        min_cell_points=setting("lidar.min_cell_points"),
+        neighbours=setting("lidar.neighbours"),
+    shell:
+        "python -m roadsight.stages.placement.render_depth_maps --candidates {input.candidates}"
+        " --shard {wildcards.shard} --shards {params.shards}"
+        " --sensor {wildcards.sensor} --sensors {params.sensors_file:q} --model {params.model}"
+        " --azimuth-stride {params.azimuth_stride}"
+        " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
+        " --network {input.network:q}"
+        " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
+        " --tilts {input.tilts} --curvature {params.curvature} --out {output.depth} > {log} 2>&1"
+
+
+rule build_detection_shard:
+    input:
+        depth=rules.render_depth_maps.output.depth,
+        candidates="results/{site}/placement/round-{round}/candidates.parquet",
+        targets=rules.place_targets.output.targets,
+        tilts=only_if("mount_tilt", tilts_of_round),
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        lanes=placement_effect("moving_vehicles", "lanes.parquet"),
+        decided=after_profile("partial_hits", "curvature_refraction"),
+        code=sources("build_detection_shard"),
+    output:
+        detection=ensure(
+            "results/{site}/placement/round-{round}/detection/{sensor}/{shard}.parquet",
+            non_empty=True,
+        ),
+    log:
+        log_of("build_detection_shard", "round-{round}", "{sensor}", "{shard}"),
+    benchmark:
+        benchmark_of("build_detection_shard", "round-{round}", "{sensor}", "{shard}")
+    conda:
+        ENVIRONMENT
+    params:
+        sensor=sensor_definition,
+        sensors_file=CONFIG.sensors_file,
+        radius_m=setting("targets.radius_m"),
+        height_m=target_height,
+        box=target_box,
+        min_beams=least_beams,
+        azimuth_stride=setting("lidar.azimuth_stride"),
+        partial_hits=decision_on("partial_hits"),
+        curvature=decision_on("curvature_refraction"),
+    shell:
+        "python -m roadsight.stages.placement.build_detection_shard --depth {input.depth}"
+        " --candidates {input.candidates} --targets {input.targets}"
+        " --sensor {wildcards.sensor} --sensors {params.sensors_file:q}"
+        " --radius-m {params.radius_m} --height-m {params.height_m} {params.box}"
+        " --min-beams {params.min_beams} --azimuth-stride {params.azimuth_stride}"
+        " --tilts {input.tilts} --air {input.rain} {input.fog}"
+        " --reflectivity {input.reflectivity} --lanes {input.lanes}"
+        " --partial-hits {params.partial_hits} --curvature {params.curvature}"
+        " --out {output.detection} > {log} 2>&1"
+
+
+rule check_coverage:
+    input:
+        targets=rules.place_targets.output.targets,
+        candidates=candidates_up_to_round,
+        detections=detections_up_to_round,
+        code=sources("check_coverage"),
+    output:
+        coverage="results/{site}/placement/round-{round}/coverage.json",
+    log:
+        log_of("check_coverage", "round-{round}"),
+    benchmark:
+        benchmark_of("check_coverage", "round-{round}")
+    conda:
+        ENVIRONMENT
+    params:
+        plans=plan_sensors,
+    shell:
+        "python -m roadsight.stages.placement.check_coverage --targets {input.targets}"
+        " --candidates {input.candidates} --detections {input.detections}"
+        " --plans {params.plans:q} --out {output.coverage} > {log} 2>&1"
+
+
+rule densify_candidates:
+    input:
+        coverage=coverage_of_previous_round,
+        targets=rules.place_targets.output.targets,
+        candidates=candidates_of_previous_rounds,
+        edges=rules.build_edges.output.edges,
+        pavement=rules.extract_pavement.output.pavement,
+        dem=rules.build_dem.output.dem,
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        zones=beside_site("placement.zones"),
+        mounts=beside_site("placement.mounts"),
+        decided=after_profile("overhead_cover"),
+        code=sources("densify_candidates"),
+    output:
+        candidates="results/{site}/placement/round-{round}/candidates.parquet",
+    log:
+        log_of("densify_candidates", "round-{round}"),
+    benchmark:
+        benchmark_of("densify_candidates", "round-{round}")
+    wildcard_constraints:
+        round=r"[1-9]\d*",
+    conda:
+        ENVIRONMENT
+    params:
+        radius_m=setting("coverage.radius_m"),
+        spacing_m=setting("candidates.spacing_m"),
+        height_min_m=setting("candidates.height_min_m"),
+        height_max_m=setting("candidates.height_max_m"),
+        height_step_m=setting("candidates.height_step_m"),
+        search_radius_m=setting("candidates.search_radius_m"),
+        gap_factor=setting("candidates.gap_factor"),
+        arm_m=setting("candidates.arm_m"),
+        overhead_cover=decision_on("overhead_cover"),
+    shell:
+        "python -m roadsight.stages.placement.densify_candidates --site {wildcards.site}"
+        " --round {wildcards.round} --coverage {input.coverage} --targets {input.targets}"
+        " --candidates {input.candidates} --edges {input.edges} --pavement {input.pavement}"
+        " --dem {input.dem} --cloud {input.cloud} --frame {input.frame}"
+        " --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
+        " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
+        " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
+        " --zones {input.zones:q} --mounts {input.mounts:q} --arm-m {params.arm_m}"
+        " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
+        " --out {output.candidates} > {log} 2>&1"

@@ -1,0 +1,254 @@
+"""Helpers of the placement rules: plans, sensors, rounds and shards."""
+
+from roadsight.base.validation import check_path
+from roadsight.placement.sensors.light import wavelength_nm
+
+
+def plans_of(site):
+    return SITES[site].plans
+
+
+def sensors_of(site):
+    """Sensors of all the site's plans, without repeats, in order of first use."""
+    return list(
+        dict.fromkeys(s for plan in plans_of(site).values() for s in plan.sensors)
+    )
+
+
+def placement_results():
+    return [
+        f"results/{site}/placement/{plan}/{file}"
+        for site in ASKED_SITES
+        if wants(site, "placement")
+        for plan in plans_of(site)
+        for file in ("solution.json", "obstacles.gpkg", "scans.laz")
+    ]
+
+
+def sensor_definition(wildcards):
+    """Everything that the sensors file says of the rule's sensor."""
+    return SENSORS[wildcards.sensor].to_dict()
+
+
+def rounds_of(site):
+    """Numbers of the rounds: 0 is the regular spacing, each later one is denser near gaps."""
+    return range(SITES[site].setting("coverage.rounds") + 1)
+
+
+def shards_in(site, round_number):
+    settings = SITES[site].settings
+    return settings.shards if round_number == 0 else settings.coverage.shards
+
+
+def shard_count(wildcards):
+    return shards_in(wildcards.site, int(wildcards.round))
+
+
+def candidates_in(site, rounds):
+    return [
+        f"results/{site}/placement/round-{number}/candidates.parquet"
+        for number in rounds
+    ]
+
+
+def detections_in(site, rounds, sensors):
+    return [
+        f"results/{site}/placement/round-{number}/{detections_folder(site, sensor)}/{shard}.parquet"
+        for number in rounds
+        for sensor in sensors
+        for shard in range(shards_in(site, number))
+    ]
+
+
+def detections_folder(site, sensor):
+    return f"poses/{sensor}" if is_posed(site, sensor) else f"detection/{sensor}"
+
+
+def candidates_up_to_round(wildcards):
+    return candidates_in(wildcards.site, range(int(wildcards.round) + 1))
+
+
+def candidates_of_previous_rounds(wildcards):
+    return candidates_in(wildcards.site, range(int(wildcards.round)))
+
+
+def coverage_of_previous_round(wildcards):
+    return f"results/{wildcards.site}/placement/round-{int(wildcards.round) - 1}/coverage.json"
+
+
+def detections_up_to_round(wildcards):
+    rounds = range(int(wildcards.round) + 1)
+    return detections_in(wildcards.site, rounds, sensors_of(wildcards.site))
+
+
+def all_candidates(wildcards):
+    return candidates_in(wildcards.site, rounds_of(wildcards.site))
+
+
+def last_coverage(wildcards):
+    last = rounds_of(wildcards.site)[-1]
+    return f"results/{wildcards.site}/placement/round-{last}/coverage.json"
+
+
+def plan_detections(wildcards):
+    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
+    return detections_in(wildcards.site, rounds_of(wildcards.site), sensors)
+
+
+def plan_depth_maps(wildcards):
+    """Depth maps of all rounds by which the plan's sensors are judged."""
+    site = wildcards.site
+    maps = [
+        panorama_of(site) if is_posed(site, name) else name
+        for name in plans_of(site)[wildcards.plan].sensors
+    ]
+    return [
+        f"results/{site}/placement/round-{number}/depth/{name}/{shard}.parquet"
+        for number in rounds_of(site)
+        for name in dict.fromkeys(maps)
+        for shard in range(shards_in(site, number))
+    ]
+
+
+def plan_costs(wildcards):
+    """``name=cost`` of each sensor of the plan."""
+    sensors = plans_of(wildcards.site)[wildcards.plan].sensors
+    return [f"{name}={SENSORS[name].cost!r}" for name in sensors]
+
+
+def plan_options(wildcards):
+    """Options of the plan as JSON, empty where it has none."""
+    return NamedValue("options", plans_of(wildcards.site)[wildcards.plan].options())
+
+
+def plan_file(option):
+    """File that an option of the plan names, as a list of inputs."""
+
+    def files(wildcards):
+        found = plans_of(wildcards.site)[wildcards.plan].file_of(option)
+        return [] if found is None else [found]
+
+    return files
+
+
+def plan_sensors(wildcards):
+    """``plan=sensor,sensor`` for each plan of the site."""
+    return [
+        f"{name}={','.join(p.sensors)}" for name, p in plans_of(wildcards.site).items()
+    ]
+
+
+def per_plan(file):
+    return lambda wildcards: [
+        f"results/{wildcards.site}/placement/{plan}/{file}"
+        for plan in plans_of(wildcards.site)
+    ]
+
+
+plan_solutions = per_plan("solution.json")
+plan_layers = per_plan("solution.gpkg")
+plan_timings = per_plan("timing.json")
+plan_data = per_plan("data.json")
+plan_obstacles = per_plan("obstacles.gpkg")
+plan_scans = per_plan("scans.laz")
+
+
+def plan_titles(wildcards):
+    return [f"{name}={plan.title}" for name, plan in plans_of(wildcards.site).items()]
+
+
+def site_targets(wildcards):
+    return f"results/{wildcards.site}/placement/targets.parquet"
+
+
+def all_detections(wildcards):
+    site = wildcards.site
+    return detections_in(site, rounds_of(site), sensors_of(site))
+
+
+def traffic_mask(wildcards):
+    """Points of passing vehicles, where the site asks to clear them."""
+    clear = SITES[wildcards.site].setting("lidar.clear_below_m") > 0
+    return [f"results/{wildcards.site}/scene/traffic.parquet"] if clear else []
+
+
+def site_sensors(wildcards):
+    """Definitions of all sensors that the site's plans may place."""
+    return {name: SENSORS[name].to_dict() for name in sensors_of(wildcards.site)}
+
+
+def site_sensors_json(wildcards):
+    """The same as JSON, for the record."""
+    return json.dumps(site_sensors(wildcards), sort_keys=True)
+
+
+def optical_names(wildcards):
+    """The site's LiDARs and cameras, which weather blinds."""
+    return [name for name in sensors_of(wildcards.site) if kind_of(name) != "radar"]
+
+
+def sensor_names(wildcards):
+    return sensors_of(wildcards.site)
+
+
+def sensor_wavelengths(wildcards):
+    """``sensor=wavelength`` of each LiDAR and camera that the site's plans may place."""
+    return [f"{n}={wavelength_nm(SENSORS[n]):g}" for n in optical_names(wildcards)]
+
+
+def lidar_model(wildcards):
+    """Model of the depth maps: without its filling, the hybrid model is the preliminary one."""
+    model = SITES[wildcards.site].setting("lidar.model")
+    fills = model == "hybrid" and decision_on("hole_filling")(wildcards)
+    return "preliminary" if fills == "skip" else model
+
+
+def depth_network(wildcards):
+    """Network of the depth maps, where they need one."""
+    lidar = SITES[wildcards.site].settings.lidar
+    if not lidar.model.startswith("unet"):
+        return []
+    clearly(check_network, lidar.network)
+    return [lidar.network]
+
+
+def check_network(path):
+    check_path(Path(path), "lidar.network")
+    if not Path(path).is_file():
+        raise InputError(
+            "no such file",
+            where="lidar.network",
+            found=path,
+            hint="see docs/placement/depth-maps.md",
+        )
+
+
+def tilts_of_round(wildcards):
+    return f"results/{wildcards.site}/placement/round-{wildcards.round}/tilts.parquet"
+
+
+def tilts_of_all_rounds(wildcards):
+    return [
+        f"results/{wildcards.site}/placement/round-{number}/tilts.parquet"
+        for number in rounds_of(wildcards.site)
+    ]
+
+
+def placement_effect(effect, file):
+    """A file of ``placement/effects``, where its effect is simulated."""
+    return only_if(
+        effect, lambda wildcards: [f"results/{wildcards.site}/placement/effects/{file}"]
+    )
+
+
+def plan_availability(wildcards):
+    """Option of a plan whose sensors together must see targets so often."""
+    level = plans_of(wildcards.site)[wildcards.plan].availability
+    return "" if level is None else f"--availability {level!r}"
+
+
+def lanes_of_plan(wildcards):
+    """Lanes and their traffic, where the plan asks for a probability past it."""
+    if plans_of(wildcards.site)[wildcards.plan].availability is None:
+        return []
+    return placement_effect("moving_vehicles", "lanes.parquet")(wildcards)

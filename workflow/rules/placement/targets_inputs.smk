@@ -1,0 +1,51 @@
+"""Helpers of rules that look at targets: what they are, and what it takes to see them."""
+
+from roadsight.placement.sight.probability import Curve
+from roadsight.placement.sight.shapes import Box, shape_of
+
+
+def box_of(site):
+    """The box that targets of a site are; None for cylinders."""
+    shape = shape_of(SITES[site].settings.targets.model_dump())
+    return shape if isinstance(shape, Box) else None
+
+
+def target_box(wildcards):
+    """Size of boxes as arguments; nothing for cylinders."""
+    box = box_of(wildcards.site)
+    return "" if box is None else f"--box {box.length_m} {box.width_m} {box.height_m}"
+
+
+def target_height(wildcards):
+    box = box_of(wildcards.site)
+    return (
+        setting("targets.height_m")(wildcards)
+        if box is None
+        else NamedValue("targets.height_m", box.height_m)
+    )
+
+
+def min_beams_of(site):
+    """More beams than this must return from a target of a site."""
+    targets = SITES[site].settings.targets
+    if targets.min_probability == 0:
+        return targets.min_beams
+    return Curve(*targets.lidar_curve).needed(targets.min_probability) - 1
+
+
+def min_pixels_of(site):
+    """Pixels that cameras of a site need of a target; None: what their definitions say."""
+    targets = SITES[site].settings.targets
+    if targets.min_probability == 0:
+        return None
+    return Curve(*targets.camera_curve).needed(targets.min_probability)
+
+
+def least_beams(wildcards):
+    return NamedValue("targets.min_beams", min_beams_of(wildcards.site))
+
+
+def edges_of_boxes(wildcards):
+    """Edges along which targets stand, where they are boxes."""
+    boxed = box_of(wildcards.site) is not None
+    return [f"results/{wildcards.site}/placement/edges.gpkg"] if boxed else []

@@ -1,0 +1,101 @@
+"""Helpers of the rules on cameras: aligned or given ones, and what the alignment rests on."""
+
+from roadsight.io.images.camera_tables import corrections_of_shard
+
+
+def aligns(wildcards):
+    """Whether cameras are found by aligning them with the road."""
+    after_profile("road_alignment")(wildcards)
+    aligned = decided("road_alignment", wildcards) == "simulate"
+    resolved = SITES[wildcards.site]
+    if not aligned and not resolved.site.poles.cameras:
+        clearly(refuse_without_cameras, resolved)
+    return aligned
+
+
+def refuse_without_cameras(resolved):
+    raise InputError(
+        "road_alignment is skipped, but no cameras are given",
+        where=f"{resolved.file}: settings.effects",
+        hint="give poles.cameras, or leave the decision to the share of given cameras",
+    )
+
+
+def camera_folder(wildcards):
+    return "cameras" if aligns(wildcards) else "given_cameras"
+
+
+def all_cameras(wildcards):
+    return pole_shards(camera_folder(wildcards), "parquet")(wildcards)
+
+
+def cameras_of_shard(wildcards):
+    folder = camera_folder(wildcards)
+    return f"results/{wildcards.site}/poles/{folder}/{wildcards.shard}.parquet"
+
+
+def calibration_if_aligned(wildcards):
+    """The drives' calibration, which given cameras do not need."""
+    found = f"results/{wildcards.site}/poles/calibration.json"
+    return [found] if aligns(wildcards) else []
+
+
+def cameras_of_videolog(wildcards):
+    """Cameras that come with the videolog: the site's file, or those of the generated site."""
+    if SITES[wildcards.site].site.poles.cameras == "sample":
+        return [f"results/{wildcards.site}/sample/truth_cameras.csv"]
+    return beside_site("poles.cameras")(wildcards)
+
+
+def stage_options(*parts):
+    """Options of a stage that another stage runs, as one text."""
+    return lambda wildcards: " ".join(part(wildcards) for part in parts)
+
+
+def uses_landmarks(wildcards):
+    return SITES[wildcards.site].setting("alignment.landmarks") == "use"
+
+
+def landmark_axes(wildcards):
+    """Pole axes in the images, where poles help to align the cameras."""
+    return all_pole_axes(wildcards) if uses_landmarks(wildcards) else []
+
+
+def landmark_columns(wildcards):
+    """Pole-like columns of the cloud, where they help to align the cameras."""
+    found = f"results/{wildcards.site}/poles/columns.parquet"
+    return [found] if uses_landmarks(wildcards) else []
+
+
+def shard_corrections(wildcards):
+    """What a person set for images of this shard, so that only their shard becomes stale."""
+    resolved = SITES[wildcards.site]
+    path = resolved.beside(resolved.site.poles.corrections)
+    if path is None:
+        return []
+    shards = resolved.settings.shards
+    return clearly(corrections_of_shard, path, int(wildcards.shard), shards)
+
+
+def corrections_file(wildcards):
+    """The table of corrections, for shards that it is about."""
+    resolved = SITES[wildcards.site]
+    about = shard_corrections(wildcards)
+    return [resolved.beside(resolved.site.poles.corrections)] if about else []
+
+
+def tied_points(wildcards):
+    """Points that neighbouring images share, where these tie their cameras."""
+    if SITES[wildcards.site].setting("alignment.ties") != "use":
+        return []
+    return all_matches(wildcards)
+
+
+# Settings of the alignment that the calibration of the drive does not know.
+ALIGNMENT_ONLY = (
+    "landmarks",
+    "ties",
+    "method",
+    "max_residual_px",
+    "max_sigma_heading_deg",
+)

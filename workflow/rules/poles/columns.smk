@@ -1,0 +1,27 @@
+"""Pole-like columns of the cloud.
+
+REQUIRED INPUTS  results/{site}/scene/: cloud, frame, DEM
+OUTPUTS          results/{site}/poles/columns.parquet
+"""
+
+
+rule find_pole_columns:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        code=sources("find_pole_columns"),
+    output:
+        columns="results/{site}/poles/columns.parquet",
+    log:
+        log_of("find_pole_columns"),
+    benchmark:
+        benchmark_of("find_pole_columns")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(60),
+        runtime=minutes(),
+    shell:
+        "python -m roadsight.stages.poles.find_pole_columns --cloud {input.cloud} --frame {input.frame}"
+        " --dem {input.dem} --out {output.columns} > {log} 2>&1"

@@ -1,0 +1,125 @@
+"""From cameras and what their images show to poles on the map.
+
+REQUIRED INPUTS  results/{site}/poles/: frames, cameras, masks, depth, columns, voxels
+OUTPUTS          results/{site}/poles/: sightings, poles, hazard, validation, page
+USUAL STEPS      sightings, triangulation, hazard
+"""
+
+
+rule measure_poles:
+    input:
+        frames=rules.read_videolog.output.frames,
+        calibration=calibration_if_aligned,
+        cameras=cameras_of_shard,
+        masks=without_distortion("masks"),
+        depth=without_distortion("depth"),
+        dem=rules.build_dem.output.dem,
+        columns=rules.find_pole_columns.output.columns,
+        voxels=voxels_for_bearings,
+        frame=rules.ingest_cloud.output.frame,
+        decided=after_profile("side_views", "grid_convergence"),
+        code=sources("measure_poles"),
+    output:
+        sightings=ensure(
+            "results/{site}/poles/sightings/{shard}.parquet", non_empty=True
+        ),
+    log:
+        log_of("measure_poles", "{shard}"),
+    benchmark:
+        benchmark_of("measure_poles", "{shard}")
+    conda:
+        ENVIRONMENT
+    params:
+        shards=setting("shards"),
+        options=flags("sightings"),
+        views=used_views,
+        grid_convergence=decision_on("grid_convergence"),
+    shell:
+        "python -m roadsight.stages.poles.measure_poles --frames {input.frames}"
+        " --calibration {input.calibration} --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
+        " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --frame {input.frame} {params.options}"
+        " --views {params.views} --grid-convergence {params.grid_convergence}"
+        " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings} > {log} 2>&1"
+
+
+rule triangulate_poles:
+    input:
+        sightings=all_sightings,
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        voxels=rules.rasterise_lidar.output.voxels,
+        decisions=beside_site("poles.decisions"),
+        code=sources("triangulate_poles"),
+    output:
+        poles="results/{site}/poles/poles.parquet",
+        layers="results/{site}/poles/poles.gpkg",
+        csv="results/{site}/poles/poles.csv",
+        geojson="results/{site}/poles/poles.geojson",
+    log:
+        log_of("triangulate_poles"),
+    benchmark:
+        benchmark_of("triangulate_poles")
+    conda:
+        ENVIRONMENT
+    params:
+        options=flags("triangulation"),
+    shell:
+        "python -m roadsight.stages.poles.triangulate_poles --sightings {input.sightings}"
+        " --frame {input.frame} --dem {input.dem} --voxels {input.voxels} {params.options}"
+        " --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
+        " --geojson {output.geojson} > {log} 2>&1"
+
+
+rule rate_hazard:
+    input:
+        poles=rules.triangulate_poles.output.poles,
+        frame=rules.ingest_cloud.output.frame,
+        frames=rules.read_videolog.output.frames,
+        edges=rules.extract_road_edges.output.edges,
+        dem=rules.build_dem.output.dem,
+        decided=after_profile("scale_factor"),
+        code=sources("rate_hazard"),
+    output:
+        hazard="results/{site}/poles/hazard.parquet",
+        csv="results/{site}/poles/hazard.csv",
+    log:
+        log_of("rate_hazard"),
+    benchmark:
+        benchmark_of("rate_hazard")
+    conda:
+        ENVIRONMENT
+    params:
+        options=flags("hazard"),
+        scale_factor=decision_on("scale_factor"),
+    shell:
+        "python -m roadsight.stages.poles.rate_hazard --poles {input.poles} --frame {input.frame}"
+        " --frames {input.frames} --edges {input.edges} --dem {input.dem}"
+        " --scale-factor {params.scale_factor} {params.options}"
+        " --out {output.hazard} --csv {output.csv} > {log} 2>&1"
+
+
+rule validate_poles:
+    input:
+        poles=rules.triangulate_poles.output.poles,
+        truth=known_poles,
+        frame=rules.ingest_cloud.output.frame,
+        frames=rules.read_videolog.output.frames,
+        edges=rules.extract_road_edges.output.edges,
+        code=sources("validate_poles"),
+    output:
+        validation="results/{site}/poles/validation.json",
+    log:
+        log_of("validate_poles"),
+    benchmark:
+        benchmark_of("validate_poles")
+    conda:
+        ENVIRONMENT
+    params:
+        truth_crs=site_field("truth.poles_crs"),
+        truth_kind=known_pole_kind,
+        options=flags("validation", "components"),
+    shell:
+        "python -m roadsight.stages.poles.validate_poles --poles {input.poles}"
+        " --truth {input.truth:q} --truth-crs={params.truth_crs:q} --truth-kind={params.truth_kind:q} --frame {input.frame}"
+        " --frames {input.frames} --edges {input.edges} {params.options}"
+        " --out {output.validation} > {log} 2>&1"

@@ -1,0 +1,186 @@
+"""Helpers of the rules on images: where they are, what reads them, which views are looked at."""
+
+import shlex
+
+from roadsight.base.texts import read_yaml
+from roadsight.io.images.videolog_files import files_by_shard
+
+
+def is_rendered(wildcards):
+    return SITES[wildcards.site].site.sample is not None
+
+
+def videolog_file(wildcards):
+    """The table of the videolog: the site's, the generated one, or none where images are tagged."""
+    if is_rendered(wildcards):
+        return [f"results/{wildcards.site}/sample/videolog.csv"]
+    return beside_site("poles.videolog")(wildcards)
+
+
+def images_path(wildcards):
+    """Folder or archive of the images."""
+    if is_rendered(wildcards):
+        return f"results/{wildcards.site}/sample/images"
+    resolved = SITES[wildcards.site]
+    return resolved.beside(resolved.site.poles.images)
+
+
+def videolog_path(wildcards):
+    """The table, or the images themselves where they are tagged."""
+    return (videolog_file(wildcards) or [images_path(wildcards)])[0]
+
+
+def rendered_images(wildcards):
+    """Archives of rendered images, where the site has them."""
+    if not is_rendered(wildcards):
+        return []
+    return [
+        f"{images_path(wildcards)}/{shard}.zip" for shard in image_shards(wildcards)
+    ]
+
+
+def rendered_shard(wildcards):
+    files = rendered_images(wildcards)
+    return files[int(wildcards.shard)] if files else []
+
+
+def shard_images_path(wildcards):
+    return rendered_shard(wildcards) or images_path(wildcards)
+
+
+@lru_cache(maxsize=None)
+def videolog_shards(site, folders):
+    resolved = SITES[site]
+    table = resolved.beside(resolved.site.poles.videolog) or folders[0]
+    return clearly(files_by_shard, table, list(folders), resolved.settings.shards)
+
+
+def image_digest(*fields):
+    """Checksum of the images of a shard (of all, without one) and of what comes with them."""
+
+    def digest(wildcards):
+        resolved = SITES[wildcards.site]
+        if resolved.site.sample:
+            return ""
+        named = [images_path(wildcards)]
+        named += [path for field in fields for path in named_folders(resolved, field)]
+        shards = videolog_shards(wildcards.site, tuple(named))
+        if "shard" in wildcards.keys():
+            return CHECKSUMS.of_all(shards[int(wildcards.shard)])
+        return CHECKSUMS.of_all({file for files in shards for file in files})
+
+    return digest
+
+
+def named_folders(resolved, field):
+    """Folders of label or depth images that the site names."""
+    poles = resolved.site.poles
+    if field == "depth":
+        named = [poles.depth.images] if poles.depth else []
+    else:
+        named = [source.labels for source in poles.masks]
+    return [resolved.beside(path) for path in named if path]
+
+
+OWN_CLASSES = "resources/manifests/road_classes.yaml"
+OWN_DEPTH = "resources/manifests/road_depth.yaml"
+
+
+def mask_sources(wildcards):
+    """Sources of pixel classes as lists of files: the site's, or the project's own network."""
+    resolved = SITES[wildcards.site]
+    sources = [
+        [resolved.beside(path) for path in source.files]
+        for source in resolved.site.poles.masks
+    ]
+    return sources or [[OWN_CLASSES]]
+
+
+def mask_options(wildcards):
+    return " ".join(
+        "--source " + " ".join(map(shlex.quote, source))
+        for source in mask_sources(wildcards)
+    )
+
+
+def depth_source(wildcards):
+    resolved = SITES[wildcards.site]
+    depth = resolved.site.poles.depth
+    return OWN_DEPTH if depth is None else resolved.beside(depth.model or depth.images)
+
+
+def depth_kind(wildcards):
+    depth = SITES[wildcards.site].site.poles.depth
+    return "inverse_depth" if depth is None else depth.kind
+
+
+def model_files(manifests):
+    """Manifests and label maps with the networks that lie beside them."""
+    files = [file for file in manifests if file.endswith((".yaml", ".yml"))]
+    return [path for file in files for path in (file, *clearly(networks_of, file))]
+
+
+def networks_of(manifest):
+    """The network that a manifest names; label maps name none."""
+    name = os.path.expandvars(str((read_yaml(manifest) or {}).get("file", "")))
+    network = Path(manifest).parent / name
+    return [str(network)] if network.is_file() else []
+
+
+def mask_models(wildcards):
+    return model_files([file for source in mask_sources(wildcards) for file in source])
+
+
+def depth_models(wildcards):
+    return model_files([depth_source(wildcards)])
+
+
+def drive_profile(wildcards):
+    return f"results/{wildcards.site}/poles/drive.json"
+
+
+def used_views(wildcards):
+    """Views that are looked at; its rule takes `after_profile` among its inputs."""
+    skipped = decision_on("side_views")(wildcards) == "skip"
+    return "front" if skipped else "front left right"
+
+
+def without_distortion(kind):
+    """Masks or depth of a shard: straightened ones where the lenses distort."""
+
+    def path(wildcards):
+        after_profile("lens_distortion")(wildcards)
+        distorted = decided("lens_distortion", wildcards) == "simulate"
+        folder = f"straight/{kind}" if distorted else kind
+        return f"results/{wildcards.site}/poles/{folder}/{wildcards.shard}.zip"
+
+    return path
+
+
+def distorting_drive(wildcards):
+    """Profile with the lenses, where they distort."""
+    after_profile("lens_distortion")(wildcards)
+    distorted = decided("lens_distortion", wildcards) == "simulate"
+    return drive_profile(wildcards) if distorted else []
+
+
+def all_without_distortion(kind):
+    """The same of all shards."""
+
+    def paths(wildcards):
+        after_profile("lens_distortion")(wildcards)
+        distorted = decided("lens_distortion", wildcards) == "simulate"
+        folder = f"straight/{kind}" if distorted else kind
+        return pole_shards(folder, "zip")(wildcards)
+
+    return paths
+
+
+all_masks = all_without_distortion("masks")
+all_depths = all_without_distortion("depth")
+
+
+def given_lenses(wildcards):
+    """Lenses of the site file as JSON."""
+    lenses = SITES[wildcards.site].site.poles.lenses
+    return json.dumps([lens.model_dump() for lens in lenses])

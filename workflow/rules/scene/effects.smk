@@ -1,0 +1,32 @@
+"""Which physical effects each site simulates.
+
+Decisions hang on what was measured: `profile_scene` is the one checkpoint of the placement job,
+`profile_drive` that of the pole job. Before it has run, `snakemake -n` shows inputs that hang on a
+decision as <TBD>; after it, the whole DAG.
+
+REQUIRED INPUTS  results/{site}/scene/profile.json, frame.json, poles/drive.json; config/effects.yaml
+OUTPUTS          results/{site}/effects.json
+"""
+
+
+rule plan_effects:
+    input:
+        profile="results/{site}/scene/profile.json",
+        frame="results/{site}/scene/frame.json",
+        drive=poles_only(drive_profile),
+        catalogue=CONFIG.effects_file,
+        code=sources("plan_effects"),
+    output:
+        effects="results/{site}/effects.json",
+    log:
+        log_of("plan_effects"),
+    benchmark:
+        benchmark_of("plan_effects")
+    conda:
+        ENVIRONMENT
+    params:
+        circumstances=circumstances_json,
+    shell:
+        "python -m roadsight.stages.scene.plan_effects --profile {input.profile}"
+        " --frame {input.frame} --drive {input.drive} --catalogue {input.catalogue:q}"
+        " --circumstances {params.circumstances:q} --out {output.effects} > {log} 2>&1"

@@ -1,0 +1,148 @@
+"""Decisions on effects: what they rest on, and what inputs and parameters they give to rules."""
+
+from roadsight.effects.catalogue import load_catalogue
+from roadsight.effects.circumstances import SETTINGS, Circumstances
+from roadsight.effects.planner import plan
+from roadsight.io.records.atomic import read_json
+from roadsight.io.images.baselines import read_baselines
+from roadsight.io.images.videolog_files import posed_share
+from roadsight.placement.sensors.sensors import define_sensor
+
+EFFECTS = clearly(load_catalogue, CONFIG.effects_file)
+
+
+def circumstances(site):
+    """What decisions at a site rest on, beside the measured scene."""
+    resolved = SITES[site]
+    settings = resolved.settings.model_dump(mode="json", include=SETTINGS)
+    sensors = sensors_of(site) if wants(site, "placement") else []
+    settings["targets"]["min_beams"] = min_beams_of(site)
+    return {
+        "jobs": resolved.site.jobs,
+        "modes": resolved.settings.effect_modes,
+        "settings": settings,
+        "sensors": {name: sensor_as_used(site, name) for name in sensors},
+        "given": given_to_poles(site) if wants(site, "poles") else {},
+    }
+
+
+def sensor_as_used(site, name):
+    """Definition of a sensor with the pixels that a site asks of cameras."""
+    pixels = min_pixels_of(site) if kind_of(name) == "camera" else None
+    asked = {} if pixels is None else {"min_pixels": pixels}
+    return SENSORS[name].to_dict() | asked
+
+
+@lru_cache(maxsize=None)
+def given_to_poles(site):
+    """What a site gives the pole job beside the cloud."""
+    resolved = SITES[site]
+    poles = resolved.site.poles
+    baseline = resolved.beside(poles.baseline)
+    return {
+        "posed_share": posed_share_of(resolved),
+        "lenses": [lens.model_dump() for lens in poles.lenses],
+        "baseline": clearly(read_baselines, baseline) if baseline else {},
+    }
+
+
+def posed_share_of(resolved):
+    """Share of the images whose camera the site gives."""
+    poles = resolved.site.poles
+    if not poles.cameras:
+        return 0.0
+    if poles.cameras == "sample":
+        return 1.0
+    images = resolved.beside(poles.images)
+    table = resolved.beside(poles.videolog) or images
+    return clearly(posed_share, table, images, resolved.beside(poles.cameras))
+
+
+def circumstances_json(wildcards):
+    return json.dumps(circumstances(wildcards.site), sort_keys=True)
+
+
+@lru_cache(maxsize=None)
+def decisions(site, job, files, changed):
+    """Decision on each effect of a job at a site, from the content of what was measured."""
+    about = circumstances(site)
+    sensors = {
+        name: define_sensor(asked, name) for name, asked in about["sensors"].items()
+    }
+    profile, frame, *drive = map(read_json, files)
+    measured = Circumstances(
+        profile, frame, about["settings"], sensors, about["given"], *drive
+    )
+    made = plan(EFFECTS, about["modes"], [job], measured)
+    return {decision.effect: decision.decision for decision in made}
+
+
+def measured_files(job, site):
+    """What decisions on a job's effects rest on."""
+    files = ["scene/profile.json", "scene/frame.json"]
+    files += ["poles/drive.json"] if job == "poles" else []
+    return tuple(f"results/{site}/{file}" for file in files)
+
+
+def mode_of(effect, wildcards):
+    """Mode of an effect at a site: auto where the measured scene decides."""
+    if not wants(wildcards.site, EFFECTS[effect].job):
+        return "skip"
+    modes = SITES[wildcards.site].settings.effect_modes
+    return modes.get(effect, EFFECTS[effect].mode)
+
+
+def decided(effect, wildcards):
+    """Decision on an effect by the profile that there is."""
+    mode = mode_of(effect, wildcards)
+    if mode != "auto":
+        return mode
+    job = EFFECTS[effect].job
+    files = measured_files(job, wildcards.site)
+    changed = tuple(os.stat(file).st_mtime_ns for file in files)
+    return decisions(wildcards.site, job, files, changed)[effect]
+
+
+def only_if(effect, inputs):
+    """An input function that gives nothing where a site skips an effect.
+
+    Parameters
+    ----------
+    inputs : an input function, or a path with wildcards.
+    """
+
+    def needed(wildcards):
+        after_profile(effect)(wildcards)
+        if decided(effect, wildcards) == "skip":
+            return []
+        return inputs(wildcards) if callable(inputs) else inputs.format(**wildcards)
+
+    return needed
+
+
+def after_profile(*effects):
+    """No input, but what makes a rule wait for the profile where that decides on an effect."""
+
+    def waited(wildcards):
+        for effect in effects:
+            if mode_of(effect, wildcards) == "auto":
+                poles = EFFECTS[effect].job == "poles"
+                measured = (
+                    checkpoints.profile_drive if poles else checkpoints.profile_scene
+                )
+                measured.get(site=wildcards.site)
+        return []
+
+    return waited
+
+
+def decision_on(effect):
+    """The decision as a parameter; its rule takes `after_profile` among its inputs."""
+
+    def decision(wildcards):
+        # Before the profile is there this is never used: the rule waits for it and is asked again.
+        files = measured_files(EFFECTS[effect].job, wildcards.site)
+        known = mode_of(effect, wildcards) != "auto" or all(map(os.path.exists, files))
+        return decided(effect, wildcards) if known else "open"
+
+    return decision

@@ -1,0 +1,224 @@
+"""From a cloud to its road: ingest, ground and DEM, pavement, edges.
+
+REQUIRED INPUTS  the site's LAS/LAZ files, or nothing where the site generates its sample
+OUTPUTS          results/{site}/scene/: cloud, frame, profile, DEM, ground, pavement
+                 results/{site}/placement/edges.gpkg
+"""
+
+
+rule ingest_cloud:
+    input:
+        clouds=cloud_files,
+        code=sources("ingest_cloud"),
+    output:
+        cloud="results/{site}/scene/cloud.parquet",
+        frame="results/{site}/scene/frame.json",
+    log:
+        log_of("ingest_cloud"),
+    benchmark:
+        benchmark_of("ingest_cloud")
+    conda:
+        ENVIRONMENT
+    threads: 2
+    resources:
+        mem_mb=each_attempt(1000),
+    params:
+        sha256=cloud_checksums,
+        crs=lambda wildcards: SITES[wildcards.site].site.crs or "auto",
+        units=site_field("units"),
+        vertical_units=site_field("vertical_units"),
+        target_crs=site_field("target_crs"),
+        tile_size_m=setting("scene.tile_size_m"),
+    shell:
+        "RAYON_NUM_THREADS={threads} python -m roadsight.stages.scene.ingest_cloud --site {wildcards.site}"
+        " --crs={params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
+        " --target-crs={params.target_crs:q} --tile-size-m {params.tile_size_m}"
+        " --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
+
+
+checkpoint profile_scene:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        code=sources("profile_scene"),
+    output:
+        profile="results/{site}/scene/profile.json",
+    log:
+        log_of("profile_scene"),
+    benchmark:
+        benchmark_of("profile_scene")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(100),
+        runtime=minutes(),
+    shell:
+        "python -m roadsight.stages.scene.profile_scene --cloud {input.cloud} --frame {input.frame}"
+        " --out {output.profile} > {log} 2>&1"
+
+
+rule build_dem:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        profile=rules.profile_scene.output.profile,
+        code=sources("build_dem"),
+    output:
+        dem="results/{site}/scene/dem.tif",
+        ground="results/{site}/scene/ground.parquet",
+    log:
+        log_of("build_dem"),
+    benchmark:
+        benchmark_of("build_dem")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(60),
+        runtime=minutes(),
+    params:
+        pillar_width_m=setting("ground.pillar_width_m"),
+        height_threshold_m=setting("ground.height_threshold_m"),
+        coarse_cell_m=setting("ground.coarse_cell_m"),
+        max_object_width_m=setting("ground.max_object_width_m"),
+        slope=setting("ground.slope"),
+        dem_cell_m=setting("ground.dem_cell_m"),
+        dem_fill_m=setting("ground.dem_fill_m"),
+    shell:
+        "python -m roadsight.stages.scene.build_dem --site {wildcards.site}"
+        " --cloud {input.cloud} --frame {input.frame} --profile {input.profile}"
+        " --pillar-width-m {params.pillar_width_m}"
+        " --height-threshold-m {params.height_threshold_m}"
+        " --coarse-cell-m {params.coarse_cell_m}"
+        " --max-object-width-m {params.max_object_width_m} --slope {params.slope}"
+        " --dem-cell-m {params.dem_cell_m} --dem-fill-m {params.dem_fill_m}"
+        " --dem {output.dem} --ground {output.ground} > {log} 2>&1"
+
+
+rule cluster_fpfh:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        ground=rules.build_dem.output.ground,
+        profile=rules.profile_scene.output.profile,
+        code=sources("cluster_fpfh"),
+    output:
+        clusters="results/{site}/scene/fpfh_clusters.parquet",
+    log:
+        log_of("cluster_fpfh"),
+    benchmark:
+        benchmark_of("cluster_fpfh")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(150),
+        runtime=minutes(),
+    params:
+        voxel_size_m=setting("pavement.voxel_size_m"),
+        neighbours=setting("pavement.neighbours"),
+        intensity=setting("pavement.intensity"),
+        intensity_weight=setting("pavement.intensity_weight"),
+        sample=setting("pavement.sample"),
+        seed=setting("seed"),
+    shell:
+        "python -m roadsight.stages.scene.cluster_fpfh"
+        " --cloud {input.cloud} --ground {input.ground} --profile {input.profile}"
+        " --voxel-size-m {params.voxel_size_m} --neighbours {params.neighbours}"
+        " --intensity {params.intensity} --intensity-weight {params.intensity_weight}"
+        " --sample {params.sample} --seed {params.seed}"
+        " --out {output.clusters} > {log} 2>&1"
+
+
+rule extract_pavement:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        ground=rules.build_dem.output.ground,
+        clusters=rules.cluster_fpfh.output.clusters,
+        tma=beside_site("placement.tma"),
+        code=sources("extract_pavement"),
+    output:
+        pavement="results/{site}/scene/pavement.gpkg",
+        points="results/{site}/scene/pavement.parquet",
+    log:
+        log_of("extract_pavement"),
+    benchmark:
+        benchmark_of("extract_pavement")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(100),
+        runtime=minutes(),
+    params:
+        cluster_distance_m=setting("pavement.cluster_distance_m"),
+        vote_radius_m=setting("pavement.vote_radius_m"),
+        outline_cell_m=setting("pavement.outline_cell_m"),
+        closing_m=setting("pavement.closing_m"),
+        smallest_hole_m2=setting("pavement.smallest_hole_m2"),
+        smallest_part_share=setting("pavement.smallest_part_share"),
+    shell:
+        "python -m roadsight.stages.scene.extract_pavement --site {wildcards.site}"
+        " --cloud {input.cloud} --frame {input.frame} --ground {input.ground}"
+        " --clusters {input.clusters} --tma {input.tma:q}"
+        " --cluster-distance-m {params.cluster_distance_m}"
+        " --vote-radius-m {params.vote_radius_m} --outline-cell-m {params.outline_cell_m}"
+        " --closing-m {params.closing_m} --smallest-hole-m2 {params.smallest_hole_m2}"
+        " --smallest-part-share {params.smallest_part_share}"
+        " --pavement {output.pavement} --points {output.points} > {log} 2>&1"
+
+
+rule build_edges:
+    input:
+        frame=rules.ingest_cloud.output.frame,
+        pavement=rules.extract_pavement.output.pavement,
+        clusters=rules.cluster_fpfh.output.clusters,
+        edges=edges_file,
+        code=sources("build_edges"),
+    output:
+        edges="results/{site}/placement/edges.gpkg",
+    log:
+        log_of("build_edges"),
+    benchmark:
+        benchmark_of("build_edges")
+    conda:
+        ENVIRONMENT
+    params:
+        edges_crs=site_field("placement.edges_crs"),
+        offset_m=setting("edges.offset_m"),
+        knot_spacing_m=setting("edges.knot_spacing_m"),
+        shortest_m=setting("edges.shortest_m"),
+    shell:
+        "python -m roadsight.stages.scene.build_edges --site {wildcards.site} --frame {input.frame}"
+        " --pavement {input.pavement} --clusters {input.clusters}"
+        " --digitised {input.edges:q} --digitised-crs={params.edges_crs:q}"
+        " --offset-m {params.offset_m}"
+        " --knot-spacing-m {params.knot_spacing_m} --shortest-m {params.shortest_m}"
+        " --out {output.edges} > {log} 2>&1"
+
+
+rule score_pavement:
+    input:
+        cloud=rules.ingest_cloud.output.cloud,
+        frame=rules.ingest_cloud.output.frame,
+        ground=rules.build_dem.output.ground,
+        pavement=rules.extract_pavement.output.pavement,
+        truth=pavement_truth,
+        code=sources("score_pavement"),
+    output:
+        scores="results/{site}/scene/pavement_scores.json",
+    log:
+        log_of("score_pavement"),
+    benchmark:
+        benchmark_of("score_pavement")
+    conda:
+        ENVIRONMENT
+    params:
+        truth_crs=site_field("truth.pavement_crs"),
+        reach_m=site_field("truth.reach_m"),
+        truth_layer=lambda wildcards: (
+            "pavement" if SITES[wildcards.site].site.sample else ""
+        ),
+    shell:
+        "python -m roadsight.stages.scene.score_pavement --cloud {input.cloud} --frame {input.frame}"
+        " --ground {input.ground} --pavement {input.pavement}"
+        " --truth {input.truth:q} --truth-crs={params.truth_crs:q}"
+        " --truth-layer {params.truth_layer} --reach-m {params.reach_m}"
+        " --out {output.scores} > {log} 2>&1"
