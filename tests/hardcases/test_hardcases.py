@@ -11,6 +11,7 @@ import pytest
 from roadsight.evidence.hardcases.case import CaseResult, hard_case, measure
 from roadsight.evidence.hardcases.catalogue import all_cases
 from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases, share_of_bound
+from roadsight.report.files import read_assets
 from roadsight.stages.evidence.run_hardcases import case_table, main
 
 CASES = all_cases()
@@ -116,8 +117,7 @@ def test_table_and_page(tmp_path, project, monkeypatch):
 
 
 def test_a_failed_case_is_shown_as_such(project):
-    folder = project / "workflow/roadsight/report/assets"
-    assets = {name: (folder / name).read_text() for name in ASSETS}
+    assets = read_assets(ASSETS)
     failed = CaseResult(CASES[0], 1.0, 7.5)
     html = render_hardcases([failed], assets, "1")
     assert "chip warn" in html and "chip good" not in html and "0 of 1 cases" in html

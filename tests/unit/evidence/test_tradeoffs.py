@@ -44,6 +44,7 @@ from roadsight.report.evidence.tradeoffs_page import (
     render_page,
     stage_rows,
 )
+from roadsight.report.files import read_assets
 
 STUDY = {
     "job": "placement",
@@ -331,8 +332,7 @@ class TestPage:
         }  # fmt: skip
         coordinates = precision_rows({"default": "local", "repeats": 3, "levels": ways})
         rows += [{"study": "coordinates", **row} for row in coordinates]
-        folder = project / "workflow/roadsight/report/assets"
-        assets = {name: (folder / name).read_text() for name in (TEMPLATE, *STYLES)}
+        assets = read_assets((TEMPLATE, *STYLES))
         return rows, render_page(study.studies, rows, [], assets, "1.0")
 
     def test_it_needs_nothing_else_and_hides_nothing(self, project, tmp_path):

@@ -17,8 +17,9 @@ def package(tmp_path, monkeypatch):
     content = {
         "roadsight/__init__.py": "",
         "roadsight/stages/__init__.py": "",
-        "roadsight/stages/one.py": "import numpy\nfrom roadsight.core import near, CONSTANT\n",
-        "roadsight/stages/two.py": "import roadsight.other\n",
+        "roadsight/stages/scene/__init__.py": "",
+        "roadsight/stages/scene/one.py": "import numpy\nfrom roadsight.core import near, CONSTANT\n",
+        "roadsight/stages/scene/two.py": "import roadsight.other\n",
         "roadsight/core/__init__.py": "from roadsight.core.constants import CONSTANT\n",
         "roadsight/core/constants.py": "CONSTANT = 1\n",
         "roadsight/core/near.py": "def f():\n    from roadsight.core.deep import g\n    return g\n",
@@ -42,7 +43,8 @@ def test_transitive_lazy_and_package_imports_are_found_and_others_are_not(packag
         "roadsight/core/deep.py",
         "roadsight/core/near.py",
         "roadsight/stages/__init__.py",
-        "roadsight/stages/one.py",
+        "roadsight/stages/scene/__init__.py",
+        "roadsight/stages/scene/one.py",
     ]
 
 
@@ -53,21 +55,21 @@ def test_another_stage_has_its_own_sources(package):
 
 
 def test_nothing_is_imported_to_find_out(package, tmp_path):
-    (tmp_path / "roadsight/stages/three.py").write_text("raise SystemExit('imported')\n")
-    assert "roadsight/stages/three.py" in stage_sources("three")
+    (tmp_path / "roadsight/stages/scene/three.py").write_text("raise SystemExit('imported')\n")
+    assert "roadsight/stages/scene/three.py" in stage_sources("three")
 
 
 def test_paths_are_relative_to_the_work_folder(package, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path / "elsewhere")
-    assert "../roadsight/stages/one.py" in stage_sources("one")
+    assert "../roadsight/stages/scene/one.py" in stage_sources("one")
 
 
 def test_ground_stage_depends_on_the_ground_filter_and_not_on_fpfh(project, monkeypatch):
     monkeypatch.chdir(project)
     found = stage_sources("build_dem")
-    for name in ("stages/build_dem", "scene/ground", "scene/grids", "io/atomic", "errors"):
+    for name in ("stages/scene/build_dem", "scene/terrain/ground", "scene/grids", "base/errors"):
         assert f"workflow/roadsight/{name}.py" in found
-    for name in ("scene/fpfh", "placement/candidates"):
+    for name in ("scene/pavement/fpfh", "placement/candidates/candidates"):
         assert f"workflow/roadsight/{name}.py" not in found
 
 
@@ -102,7 +104,7 @@ PLACES = [
 
 @pytest.mark.parametrize("place", PLACES)
 def test_imports_count_wherever_statements_stand(package, tmp_path, place):
-    (tmp_path / "roadsight/stages/four.py").write_text(place.format("import roadsight.other"))
+    (tmp_path / "roadsight/stages/scene/four.py").write_text(place.format("import roadsight.other"))
     assert "roadsight/other.py" in stage_sources("four")
 
 

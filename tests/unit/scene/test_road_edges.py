@@ -16,6 +16,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.raster.top_rasters import TopRasterWriter, read_top
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_about, read_table
+from roadsight.scene.edges import road_edges
 from roadsight.scene.edges.pixels import between_pixels
 from roadsight.scene.edges.road_edges import (
     EdgeSettings,
@@ -28,7 +29,6 @@ from roadsight.scene.edges.road_edges import (
     outlines,
     without_small,
 )
-from roadsight.scene.edges.splines import road_edges
 from roadsight.scene.edges.surface_heights import medians, surface_heights
 from roadsight.scene.voxels.voxel_classes import VoxelGrid, count_classes, seen_from_above, settle
 from roadsight.stages.scene import extract_road_edges

@@ -23,7 +23,7 @@ from roadsight.io.records.tables import read_about, read_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.scene.classes import class_table, is_road
 from roadsight.scene.pavement.paved import PavedArea
-from roadsight.scene.surfels.thinning import voxel_classes
+from roadsight.scene.voxels import voxel_classes
 from roadsight.scene.voxels.voxel_classes import (
     Columns,
     VoxelGrid,

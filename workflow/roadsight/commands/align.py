@@ -17,9 +17,22 @@ from roadsight.io.records.tables import read_table
 
 _COLUMNS = {"heading_deg": "heading_grid_deg", "focal_px": "fx_px"}
 _WRITTEN = (
-    "image", "x", "y", "z", "heading_grid_deg", "pitch_deg", "roll_deg", "fx_px", "cx_px", "cy_px",
-    "sigma_heading_deg", "sigma_lateral_m", "residual_px", "accepted", "reason",
-)  # fmt: skip
+    "image",
+    "x",
+    "y",
+    "z",
+    "heading_grid_deg",
+    "pitch_deg",
+    "roll_deg",
+    "fx_px",
+    "cx_px",
+    "cy_px",
+    "sigma_heading_deg",
+    "sigma_lateral_m",
+    "residual_px",
+    "accepted",
+    "reason",
+)
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -29,16 +42,19 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     add_cloud_arguments(parser)
     parser.add_argument("--masks", help="folder of label images; a small network if absent")
     parser.add_argument(
-        "--map", default=str(MANIFESTS / "labels_project.yaml"),
+        "--map",
+        default=str(MANIFESTS / "labels_project.yaml"),
         help="what the labels show; the project's own classes if absent",
-    )  # fmt: skip
+    )
     parser.add_argument("--hfov-deg", type=float, default=0.0, help="field of view, if known")
     parser.add_argument("--baseline", help="registered cameras, JSON")
     parser.add_argument("--method", choices=("ours", "published", "none"), default="ours")
     parser.add_argument(
-        "--max-sigma-heading-deg", type=float, default=0.12,
+        "--max-sigma-heading-deg",
+        type=float,
+        default=0.12,
         help="cameras with a less certain heading are rejected; more for a rough map",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "-o", "--out", required=True, help="CSV to write; places in the cloud's CRS and units"
     )

@@ -23,10 +23,11 @@ def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--units", choices=UNITS, default="auto", help="unit of x and y")
     parser.add_argument("--vertical-units", choices=UNITS, default="auto", help="unit of z")
     parser.add_argument(
-        "--street", action="store_true",
+        "--street",
+        action="store_true",
         help="a street mapped from a vehicle: edges are curbs, masks count to the first border, "
         "poles say first where the camera looks; needs --hfov-deg",
-    )  # fmt: skip
+    )
 
 
 class Chain:
@@ -54,37 +55,82 @@ class Chain:
         """Cloud, terrain and, where the cloud has no road class, pavement."""
         options = ("--site", arguments.cloud.stem, "--crs", arguments.crs)
         units = ("--units", arguments.units, "--vertical-units", arguments.vertical_units)
-        self._run("ingest_cloud", *options, *units, str(arguments.cloud),
-                  cloud="cloud.parquet", frame="frame.json")  # fmt: skip
+        self._run(
+            "ingest_cloud",
+            *options,
+            *units,
+            str(arguments.cloud),
+            cloud="cloud.parquet",
+            frame="frame.json",
+        )
         files = {"cloud": "cloud.parquet", "frame": "frame.json"}
         self._run("profile_scene", **files, out="profile.json")
-        self._run("build_dem", *options[:2], **files, profile="profile.json",
-                  dem="dem.tif", ground="ground.parquet")  # fmt: skip
+        self._run(
+            "build_dem",
+            *options[:2],
+            **files,
+            profile="profile.json",
+            dem="dem.tif",
+            ground="ground.parquet",
+        )
         shares = read_json(self.path("profile.json"))["class_shares"]
         self._classified = shares.get(_ROAD_CLASS, 0.0) >= _LEAST_ROAD
         if not self._classified:
-            self._run("cluster_fpfh", cloud="cloud.parquet", ground="ground.parquet",
-                      profile="profile.json", out="clusters.parquet")  # fmt: skip
-            self._run("extract_pavement", *options[:2], **files, ground="ground.parquet",
-                      clusters="clusters.parquet", pavement="pavement.gpkg",
-                      points="pavement.parquet")  # fmt: skip
+            self._run(
+                "cluster_fpfh",
+                cloud="cloud.parquet",
+                ground="ground.parquet",
+                profile="profile.json",
+                out="clusters.parquet",
+            )
+            self._run(
+                "extract_pavement",
+                *options[:2],
+                **files,
+                ground="ground.parquet",
+                clusters="clusters.parquet",
+                pavement="pavement.gpkg",
+                points="pavement.parquet",
+            )
 
     def track(self, arguments: argparse.Namespace) -> None:
         """Top view, and the frames of the videolog on it."""
         files = {"cloud": "cloud.parquet", "frame": "frame.json", "dem": "dem.tif"}
         found = {} if self._classified else {"pavement": "pavement.gpkg"}
         source = "class" if self._classified else "pavement"
-        self._run("rasterise_lidar", "--road-source", source, **files, **found,
-                  voxels="voxels.parquet", top="top.tif")  # fmt: skip
-        self._run("read_videolog", "--videolog", arguments.videolog, "--images", arguments.images,
-                  **files, top="top.tif", out="frames.parquet")  # fmt: skip
+        self._run(
+            "rasterise_lidar",
+            "--road-source",
+            source,
+            **files,
+            **found,
+            voxels="voxels.parquet",
+            top="top.tif",
+        )
+        self._run(
+            "read_videolog",
+            "--videolog",
+            arguments.videolog,
+            "--images",
+            arguments.images,
+            **files,
+            top="top.tif",
+            out="frames.parquet",
+        )
 
     def road(self) -> None:
         """Road edges, pole-like columns, terrain."""
         files = {"cloud": "cloud.parquet", "frame": "frame.json"}
         curbs = ["--method", "curbs"] if self._street else []
-        self._run("extract_road_edges", *curbs, **files, top="top.tif", frames="frames.parquet",
-                  edges="road_edges.parquet", lines="road_edges.gpkg")  # fmt: skip
+        self._run(
+            "extract_road_edges",
+            *curbs,
+            **files,
+            top="top.tif",
+            frames="frames.parquet",
+            edges="road_edges.parquet",
+            lines="road_edges.gpkg",
+        )
         self._run("find_pole_columns", **files, dem="dem.tif", out="columns.parquet")
         ground = {} if self._classified else {"ground": "ground.parquet"}
         self._run("build_terrain", cloud="cloud.parquet", **ground, out="terrain.npz")
@@ -95,8 +141,9 @@ class Chain:
         if arguments.masks:
             source = [arguments.masks, arguments.map]
         images = ("--images", arguments.images)
-        self._run("segment_images", *images, "--source", *source, frames="frames.parquet",
-                  out="masks.zip")  # fmt: skip
+        self._run(
+            "segment_images", *images, "--source", *source, frames="frames.parquet", out="masks.zip"
+        )
         shown = {"frames": "frames.parquet", "masks": "masks.zip"}
         first = ["--borders", "nearest"] if self._street else []
         self._run("trace_image_edges", *first, **shown, out="image_edges.parquet")
@@ -118,8 +165,16 @@ class Chain:
         known = ["--hfov-deg", str(arguments.hfov_deg)]
         known += ["--baseline", arguments.baseline] if arguments.baseline else []
         known += ["--start", "landmarks"] if self._street else []
-        self._run("calibrate_drive", *known, **inputs, matches="matches.parquet",
-                  out="calibration.json")  # fmt: skip
+        self._run(
+            "calibrate_drive", *known, **inputs, matches="matches.parquet", out="calibration.json"
+        )
         limits = ["--max-sigma-heading-deg", str(arguments.max_sigma_heading_deg)]
-        self._run("align_cameras", "--method", arguments.method, *limits, **inputs,
-                  calibration="calibration.json", out="cameras.parquet")  # fmt: skip
+        self._run(
+            "align_cameras",
+            "--method",
+            arguments.method,
+            *limits,
+            **inputs,
+            calibration="calibration.json",
+            out="cameras.parquet",
+        )

@@ -23,8 +23,11 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     parser = verbs.add_parser("cover", help="choose sensors: least cost, or most for a budget")
     parser.add_argument("matrix", help="scipy sparse .npz; rows = choices, columns = targets")
     parser.add_argument("--costs", help=".npy, one positive cost for each row; default 1 each")
-    parser.add_argument("--groups", help=".npy, one whole number for each row; at most one row of"
-                        " a group is chosen, negative = no group")  # fmt: skip
+    parser.add_argument(
+        "--groups",
+        help=".npy, one whole number for each row; at most one row of"
+        " a group is chosen, negative = no group",
+    )
     task = parser.add_mutually_exclusive_group()
     task.add_argument("--budget", type=float, help="cover the most targets within this cost")
     task.add_argument("--price", type=float, help="cost of leaving a target of weight 1 uncovered")
@@ -35,12 +38,18 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument("--forbidden", help=".npy, numbers of rows that must not be chosen")
     parser.add_argument("--positions", help=".npy, x and y of each row, for --spacing")
     parser.add_argument("--spacing", type=float, help="least distance of any two chosen rows")
-    parser.add_argument("--keep-share", type=float, default=0.0, help="share of the coverage that"
-                        " is left when any one row fails")  # fmt: skip
+    parser.add_argument(
+        "--keep-share",
+        type=float,
+        default=0.0,
+        help="share of the coverage that is left when any one row fails",
+    )
     parser.add_argument("--curve", type=int, help="add the coverage of so many smaller budgets")
-    parser.add_argument("--alternatives", action="store_true",
-                        help="add the rows that could replace each one chosen, as cheap and as"
-                        " good")  # fmt: skip
+    parser.add_argument(
+        "--alternatives",
+        action="store_true",
+        help="add the rows that could replace each one chosen, as cheap and as good",
+    )
     parser.add_argument("--time-limit", type=float, help="seconds; default none")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-o", "--out", required=True, help="JSON file to write")
@@ -112,9 +121,10 @@ def _check_feasible(arguments: argparse.Namespace, cover: Cover, targets: int) -
         )
     if cover.status == "infeasible" and (arguments.spacing or arguments.keep_share):
         raise InputError(
-            "no choice of rows covers all targets under these conditions", where=arguments.matrix,
+            "no choice of rows covers all targets under these conditions",
+            where=arguments.matrix,
             hint="lower --spacing or --keep-share, or give a --budget or --price",
-        )  # fmt: skip
+        )
     if cover.status == "infeasible":
         raise InputError(
             "no choice of one row for each group covers all targets", where=arguments.matrix

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.io.records.matrices import read_vector
 from roadsight.setcover import Cover, CoverProblem
@@ -63,8 +63,9 @@ def asked_of(arguments: argparse.Namespace, problem: CoverProblem) -> Asked:
         return Asked(Deployment(problem, weights, **rest, **common), False, True)
     if arguments.price is not None:
         if not (math.isfinite(arguments.price) and arguments.price > 0):
-            raise InputError("is no price", where="--price", found=arguments.price,
-                             allowed="above 0")  # fmt: skip
+            raise InputError(
+                "is no price", where="--price", found=arguments.price, allowed="above 0"
+            )
         priced = Deployment(problem, weights, complete=False, worth=arguments.price, **common)
         return Asked(priced, False, False)
     deployment = Deployment(problem, weights, **common)
@@ -108,28 +109,34 @@ def swaps_of(asked: Asked, cover: Cover) -> list[list[int]]:
     return [rows.tolist() for rows in replacements(asked.deployment, cover.chosen)]
 
 
-def _floats(path: str, length: int) -> NDArray[np.float64]:
+def _floats(path: str, length: int) -> Floats:
     values = read_vector(path)
     if values.shape != (length,) or values.dtype.kind not in "biuf":
-        raise InputError("has no number for each target", where=path,
-                         found=f"type {values.dtype}, shape {values.shape}",
-                         allowed=f"shape ({length},)")  # fmt: skip
+        raise InputError(
+            "has no number for each target",
+            where=path,
+            found=f"type {values.dtype}, shape {values.shape}",
+            allowed=f"shape ({length},)",
+        )
     return values.astype(np.float64)
 
 
-def _cliques(arguments: argparse.Namespace, problem: CoverProblem) -> tuple[NDArray[np.int64], ...]:
+def _cliques(arguments: argparse.Namespace, problem: CoverProblem) -> tuple[Ints, ...]:
     if (arguments.spacing is None) != (arguments.positions is None):
         raise InputError("go together", where="--spacing and --positions", hint="give both")
     if arguments.spacing is None:
         return ()
     if not (math.isfinite(arguments.spacing) and arguments.spacing > 0):
-        raise InputError("is no distance", where="--spacing", found=arguments.spacing,
-                         allowed="above 0")  # fmt: skip
+        raise InputError(
+            "is no distance", where="--spacing", found=arguments.spacing, allowed="above 0"
+        )
     xy = read_vector(arguments.positions, 2).astype(np.float64)
     rows = len(problem.costs)
     if xy.shape != (rows, 2) or not np.isfinite(xy).all():
         raise InputError(
-            "has no x and y for each row", where=arguments.positions,
-            found=f"shape {xy.shape}", allowed=f"finite, shape ({rows}, 2)",
-        )  # fmt: skip
+            "has no x and y for each row",
+            where=arguments.positions,
+            found=f"shape {xy.shape}",
+            allowed=f"finite, shape ({rows}, 2)",
+        )
     return spacing_cliques(xy, arguments.spacing)

@@ -6,8 +6,8 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.commands.memory import MemoryCloud, add_cloud_arguments, check_output, load_cloud
 from roadsight.io.images.depth_networks import network_for
@@ -82,9 +82,9 @@ def run(arguments: argparse.Namespace) -> None:
 def _depth(
     cloud: MemoryCloud,
     sensor: Sensor,
-    position_m: NDArray[np.float64],
+    position_m: Floats,
     arguments: argparse.Namespace,
-) -> NDArray[np.float32]:
+) -> Floats32:
     yaw_deg = arguments.azimuth_deg
     if arguments.model != "surfel":
         model = model_of_points(arguments.model, network_for(arguments.model, arguments.network))

@@ -38,19 +38,31 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument("sites", nargs="*", help="sites of config/sites, by name or by file")
     parser.add_argument("--miles", type=float, help="length of road, instead of sites")
     parser.add_argument("--run-miles", type=float, default=10.0, help="road of one run, miles")
-    parser.add_argument("--job", action="append", choices=("placement", "poles"), dest="jobs",
-                        help="jobs to do; of a site those that it asks for")  # fmt: skip
+    parser.add_argument(
+        "--job",
+        action="append",
+        choices=("placement", "poles"),
+        dest="jobs",
+        help="jobs to do; of a site those that it asks for",
+    )
     for name, help_ in (
-        ("points-m", "points, millions"), ("candidates", "sensor positions"),
-        ("targets", "targets"), ("images", "images"),
-    ):  # fmt: skip
+        ("points-m", "points, millions"),
+        ("candidates", "sensor positions"),
+        ("targets", "targets"),
+        ("images", "images"),
+    ):
         parser.add_argument(f"--{name}", type=float, help=f"{help_}, of one run")
     for name, help_ in (("sensors", "kinds of sensor"), ("plans", "plans"), ("shards", "shards")):
         parser.add_argument(f"--{name}", type=int, help=help_)
     parser.add_argument("--cores", type=int, default=2, help="cores at one time")
     parser.add_argument("--costs", type=Path, default=SHIPPED, help="cost model, JSON")
-    parser.add_argument("--fit", nargs="+", type=Path, metavar="RESULTS",
-                        help="fit a cost model on finished results/<site> folders")  # fmt: skip
+    parser.add_argument(
+        "--fit",
+        nargs="+",
+        type=Path,
+        metavar="RESULTS",
+        help="fit a cost model on finished results/<site> folders",
+    )
     parser.add_argument("-o", "--out", type=Path, help="JSON file to write")
     parser.set_defaults(run=run)
 
@@ -90,13 +102,27 @@ def _refit(arguments: argparse.Namespace, table: CostTable) -> None:
 def _check(arguments: argparse.Namespace) -> None:
     if bool(arguments.sites) == (arguments.miles is not None):
         raise InputError("give either sites or --miles", where="roadsight estimate")
-    for name in ("miles", "run_miles", "points_m", "candidates", "targets", "images", "sensors",
-                 "plans", "shards", "cores"):  # fmt: skip
+    for name in (
+        "miles",
+        "run_miles",
+        "points_m",
+        "candidates",
+        "targets",
+        "images",
+        "sensors",
+        "plans",
+        "shards",
+        "cores",
+    ):
         value = getattr(arguments, name)
         least = 0.0 if name in ("points_m", "candidates", "targets", "images") else 1e-6
         if value is not None and not least <= value <= _MOST_MILES * 1e6:
-            raise InputError("is no usable number", where=f"--{name.replace('_', '-')}",
-                             found=value, allowed=f"{least:g} or more")  # fmt: skip
+            raise InputError(
+                "is no usable number",
+                where=f"--{name.replace('_', '-')}",
+                found=value,
+                allowed=f"{least:g} or more",
+            )
 
 
 def _given(arguments: argparse.Namespace, amounts: Amounts) -> Amounts:
@@ -179,14 +205,21 @@ def _estimate(
 def _content(name: str, amounts: Amounts, result: Estimate, factor: float) -> dict[str, Any]:
     totals = {key: getattr(result, key) for key in ("core_h", "jobs", "peak_mib")}
     known = factor if math.isfinite(factor) else None
-    return {"name": name, "amounts_a_run": asdict(amounts), "factor": known,
-            **asdict(result), **totals}  # fmt: skip
+    return {
+        "name": name,
+        "amounts_a_run": asdict(amounts),
+        "factor": known,
+        **asdict(result),
+        **totals,
+    }
 
 
 def _text(name: str, amounts: Amounts, result: Estimate, factor: float) -> str:
     """Table for people."""
-    rows = [f"{s.step:24}{s.jobs:>10,}{s.core_h:>13,.2f}{s.job_s:>11,.0f}{s.peak_mib:>11,.0f}"
-            for s in result.steps]  # fmt: skip
+    rows = [
+        f"{s.step:24}{s.jobs:>10,}{s.core_h:>13,.2f}{s.job_s:>11,.0f}{s.peak_mib:>11,.0f}"
+        for s in result.steps
+    ]
     given = ", ".join(f"{k} {v:,.6g}" for k, v in asdict(amounts).items())
     total = (
         f"{'together':24}{result.jobs:>10,}{result.core_h:>13,.2f}{'':11}{result.peak_mib:>11,.0f}"

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from shapely import MultiPolygon
 
+from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
@@ -45,7 +45,7 @@ class MemoryCloud:
 
     native: NativeCloud
     frame: Frame
-    xyz_m: NDArray[np.float64]
+    xyz_m: Floats
 
     @property
     def spacing_m(self) -> float:
@@ -95,7 +95,7 @@ def load_cloud(arguments: argparse.Namespace) -> MemoryCloud:
     return MemoryCloud(native, site.frame, site.frame.to_local(native.xyz))
 
 
-def ground_of(cloud: MemoryCloud) -> NDArray[np.bool_]:
+def ground_of(cloud: MemoryCloud) -> Bools:
     """Ground labels in the file's order."""
     west, south = cloud.xyz_m[:, :2].min(axis=0)
     east, north = cloud.xyz_m[:, :2].max(axis=0) + 1e-3
@@ -109,7 +109,7 @@ def ground_of(cloud: MemoryCloud) -> NDArray[np.bool_]:
 
 
 def pavement_of(
-    cloud: MemoryCloud, ground: NDArray[np.bool_], intensity_choice: str, seed: int
+    cloud: MemoryCloud, ground: Bools, intensity_choice: str, seed: int
 ) -> tuple[MultiPolygon, GroundDescription]:
     """Outline of the pavement and the thinned ground that it was found on."""
     spacing_m = cloud.spacing_m
@@ -135,9 +135,7 @@ def pavement_of(
         raise InputError(str(error), where=str(cloud.native.header.path)) from error
 
 
-def labels_of(
-    cloud: MemoryCloud, ground: NDArray[np.bool_], pavement: MultiPolygon | None
-) -> NDArray[np.uint8]:
+def labels_of(cloud: MemoryCloud, ground: Bools, pavement: MultiPolygon | None) -> Bytes:
     """Classification: the file's own where it is neither ground nor road, 2 ground, 11 road.
 
     The file's own ground and road labels give way to what was found; they become 1, unclassified.

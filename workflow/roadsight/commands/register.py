@@ -84,9 +84,11 @@ def _check_counts(path: str) -> None:
     if counts.min() < FEWEST_PAIRS:
         image = str(counts.sort_index().idxmin())
         raise InputError(
-            "too few clicked pairs", where=f"{path}: {image}", found=int(counts[image]),
+            "too few clicked pairs",
+            where=f"{path}: {image}",
+            found=int(counts[image]),
             allowed=f">= {FEWEST_PAIRS} in each image",
-        )  # fmt: skip
+        )
 
 
 def _on_ground(pairs: pd.DataFrame, dem: str, frame: Frame) -> pd.DataFrame:
@@ -98,9 +100,10 @@ def _on_ground(pairs: pd.DataFrame, dem: str, frame: Frame) -> pd.DataFrame:
     if not np.isfinite(height[open_]).all():
         row = int(np.flatnonzero(open_ & ~np.isfinite(height))[0])
         raise InputError(
-            "a place without z lies outside the terrain", where=f"pairs, line {row + 2}",
+            "a place without z lies outside the terrain",
+            where=f"pairs, line {row + 2}",
             hint="give its z, or check its coordinates",
-        )  # fmt: skip
+        )
     return pairs.assign(z=np.where(open_, height, pairs["z"]))
 
 
@@ -116,8 +119,10 @@ def _start(places: dict[str, Place], image: str, arguments: argparse.Namespace) 
     if image not in places:
         raise InputError(
             "an image of the pairs is not in the videolog, or not usable there",
-            where=arguments.pairs, found=image, allowed=f"{len(places)} images",
-        )  # fmt: skip
+            where=arguments.pairs,
+            found=image,
+            allowed=f"{len(places)} images",
+        )
     return places[image].start
 
 

@@ -25,17 +25,24 @@ _NUMBERS = {
 def add_parser(verbs: argparse._SubParsersAction) -> None:
     """Add the verb."""
     parser = verbs.add_parser("triangulate", help="locate poles from sightings in images")
-    parser.add_argument("sightings", help="CSV: lat, lon, bearing (true, degrees), depth (m);"
-                        " further image, sigma_bearing_deg, sigma_depth_m")  # fmt: skip
-    parser.add_argument("--published", action="store_true",
-                        help="behave as the published code, in a random order")  # fmt: skip
+    parser.add_argument(
+        "sightings",
+        help="CSV: lat, lon, bearing (true, degrees), depth (m);"
+        " further image, sigma_bearing_deg, sigma_depth_m",
+    )
+    parser.add_argument(
+        "--published", action="store_true", help="behave as the published code, in a random order"
+    )
     parser.add_argument("--seed", type=int, default=1, help="of the random order; default 1")
     for name, text in _NUMBERS.items():
         flag = f"--{name.replace('_', '-')}"
         default = getattr(_DEFAULTS, name)
         parser.add_argument(flag, type=float, default=default, help=f"{text}; default {default:g}")
-    parser.add_argument("--depths-as-given", action="store_true",
-                        help="do not calibrate the common scale of the depths")  # fmt: skip
+    parser.add_argument(
+        "--depths-as-given",
+        action="store_true",
+        help="do not calibrate the common scale of the depths",
+    )
     parser.add_argument("-o", "--out", required=True, help="CSV to write: lat, lon, score, sigma_m")
     parser.set_defaults(run=run)
 

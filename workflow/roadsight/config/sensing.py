@@ -66,7 +66,7 @@ class Lidar(Section):
     """Virtual LiDAR."""
 
     model: Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"] = Field(
-        default="surfel", description="way to depth maps (docs/placement/depth-maps.md)"
+        default="surfel", description="way to depth maps, see docs/placement"
     )
     network: str = Field(
         default="resources/models/depth_unet.onnx",

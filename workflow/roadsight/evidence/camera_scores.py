@@ -6,18 +6,17 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
 
-_FLOATS = NDArray[np.float64]
 YAW_DEG, PIXELS = 0.1, 2.0
 NEAREST_M, FARTHEST_M = 8.0, 80.0
 _ALONG_M = 0.1
 
 
 def camera_errors(
-    cameras: pd.DataFrame, truth: pd.DataFrame, edges_m: _FLOATS, tangents: _FLOATS
+    cameras: pd.DataFrame, truth: pd.DataFrame, edges_m: Floats, tangents: Floats
 ) -> pd.DataFrame:
     """Errors of each camera whose true pose is known.
 
@@ -42,7 +41,7 @@ def camera_errors(
     return pd.concat([both[["image", "accepted"]], found], axis=1)
 
 
-def _errors(row: pd.Series, edges_m: _FLOATS, tangents: _FLOATS) -> list[float]:
+def _errors(row: pd.Series, edges_m: Floats, tangents: Floats) -> list[float]:
     turn = [
         float(wrap_deg(row[f"{name}_deg"] - row[f"{name}_deg_true"]))
         for name in ("heading", "pitch", "roll")
@@ -55,7 +54,7 @@ def _errors(row: pd.Series, edges_m: _FLOATS, tangents: _FLOATS) -> list[float]:
     return [*turn, along, right, up, focal, *_pixel_errors(row, edges_m, tangents)]
 
 
-def _pixel_errors(row: pd.Series, edges_m: _FLOATS, tangents: _FLOATS) -> tuple[float, float]:
+def _pixel_errors(row: pd.Series, edges_m: Floats, tangents: Floats) -> tuple[float, float]:
     """Median distance of edge points under both poses, and its part across the edge."""
     apart = np.hypot(edges_m[:, 0] - row["x_true"], edges_m[:, 1] - row["y_true"])
     near = (apart >= NEAREST_M) & (apart <= FARTHEST_M)
@@ -75,7 +74,7 @@ def _pixel_errors(row: pd.Series, edges_m: _FLOATS, tangents: _FLOATS) -> tuple[
     return float(np.median(np.hypot(*gap.T))), float(np.nanmedian(across))
 
 
-def _pose(row: pd.Series, suffix: str) -> tuple[Intrinsics, tuple[_FLOATS, _FLOATS]]:
+def _pose(row: pd.Series, suffix: str) -> tuple[Intrinsics, tuple[Floats, Floats]]:
     def value(name: str) -> float:
         return float(row[f"{name}{suffix}"])
 

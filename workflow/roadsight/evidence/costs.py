@@ -74,14 +74,18 @@ class Step:
 
 _CLOUD, _RUN = ("points_m", "run"), ("runs", "run")
 STEPS: dict[str, Step] = {
-    **{
-        name: Step("both", *_CLOUD)
-        for name in ("ingest_cloud", "profile_scene", "build_dem")
-    },
+    **{name: Step("both", *_CLOUD) for name in ("ingest_cloud", "profile_scene", "build_dem")},
     **{
         name: Step("placement", *_CLOUD)
-        for name in ("cluster_fpfh", "extract_pavement", "build_edges", "mark_traffic",
-                     "build_surfels", "place_targets", "write_site_page")
+        for name in (
+            "cluster_fpfh",
+            "extract_pavement",
+            "build_edges",
+            "mark_traffic",
+            "build_surfels",
+            "place_targets",
+            "write_site_page",
+        )
     },
     "place_candidates": Step("placement", "candidates"),
     "densify_candidates": Step("placement", "points_m"),
@@ -93,22 +97,33 @@ STEPS: dict[str, Step] = {
     "render_scans": Step("placement", "plan_targets", "plan"),
     **{
         name: Step("poles", *_CLOUD)
-        for name in ("rasterise_lidar", "extract_road_edges", "find_pole_columns",
-                     "build_terrain")
+        for name in ("rasterise_lidar", "extract_road_edges", "find_pole_columns", "build_terrain")
     },
     **{
         name: Step("poles", "images", "shard")
-        for name in ("segment_images", "estimate_depth", "trace_image_edges", "trace_pole_axes",
-                     "match_images", "align_cameras", "measure_poles")
+        for name in (
+            "segment_images",
+            "estimate_depth",
+            "trace_image_edges",
+            "trace_pole_axes",
+            "match_images",
+            "align_cameras",
+            "measure_poles",
+        )
     },
     **{
         name: Step("poles", "images")
-        for name in ("read_videolog", "calibrate_drive", "triangulate_poles", "rate_hazard",
-                     "write_poles_page")
+        for name in (
+            "read_videolog",
+            "calibrate_drive",
+            "triangulate_poles",
+            "rate_hazard",
+            "write_poles_page",
+        )
     },
     "plan_effects": Step("both", *_RUN),
     "summarise_site": Step("both", *_RUN),
-}  # fmt: skip
+}
 """Steps of a site, in their order. Generating samples and scoring against truth are left out."""
 
 STORED: dict[str, Step] = {

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.evidence.exact_ranges import exact_ranges
 from roadsight.geometry.frames import Frame
 from roadsight.placement.sensors.sensors import Sensor
@@ -12,8 +12,6 @@ from roadsight.placement.sight.detection import MIN_BEAMS, count_hits
 from roadsight.synthetic.casting.alignment import to_plan
 from roadsight.synthetic.casting.terrain import height_at
 from roadsight.synthetic.highway.highway import build_highway
-
-_FLOATS = NDArray[np.float64]
 
 
 class ExactHighway:
@@ -29,18 +27,16 @@ class ExactHighway:
         own = self._highway.frame()
         self._shift_m = own.to_local(frame.to_native(np.zeros((1, 3))))[0]
 
-    def depth_map(self, sensor: Sensor, position_m: _FLOATS, yaw_deg: float) -> NDArray[np.float32]:
+    def depth_map(self, sensor: Sensor, position_m: Floats, yaw_deg: float) -> Floats32:
         """Exact ranges (rows, columns) at the beams' centres, 0 where nothing is in range."""
         return exact_ranges(self._highway.scene, sensor, position_m + self._shift_m, yaw_deg)
 
-    def sees(
-        self, sensor: Sensor, position_m: _FLOATS, yaw_deg: float, feet_m: _FLOATS
-    ) -> NDArray[np.bool_]:
+    def sees(self, sensor: Sensor, position_m: Floats, yaw_deg: float, feet_m: Floats) -> Bools:
         """Which targets (n, 3) a sensor sees, by the threshold and size of the default targets."""
         exact_m = self.depth_map(sensor, position_m, yaw_deg)
         return np.asarray(count_hits(exact_m, sensor, position_m, yaw_deg, feet_m) > MIN_BEAMS)
 
-    def road_heights(self, step_m: float) -> tuple[_FLOATS, _FLOATS]:
+    def road_heights(self, step_m: float) -> tuple[Floats, Floats]:
         """Places (n, 2) on both carriageways, ``step_m`` apart, and their exact heights (n,)."""
         inner, outer = self._highway.section.pavement_m
         across = np.arange(inner + step_m / 2, outer, step_m)

@@ -3,21 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.synthetic.casting.scene import Scene
-
-_FLOATS = NDArray[np.float64]
 
 WRONG_M = 0.5
 """A beam is wrong when its range is off by more than this."""
 
 
-def exact_ranges(
-    scene: Scene, sensor: Sensor, position_m: _FLOATS, yaw_deg: float
-) -> NDArray[np.float32]:
+def exact_ranges(scene: Scene, sensor: Sensor, position_m: Floats, yaw_deg: float) -> Floats32:
     """Exact ranges (rows, columns) at the beams' centres, 0 where nothing is in range, m.
 
     Parameters
@@ -32,7 +28,7 @@ def exact_ranges(
     return found.astype(np.float32).reshape(sensor.shape)
 
 
-def share_wrong(range_m: NDArray[np.float32], exact_m: NDArray[np.float32]) -> float:
+def share_wrong(range_m: Floats32, exact_m: Floats32) -> float:
     """Share of a depth map's beams whose range is off by more than `WRONG_M`.
 
     A beam that returns where nothing is, or does not where something is, is wrong as well.

@@ -6,8 +6,8 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 
 
@@ -22,7 +22,7 @@ class BinaryScores:
     points: int
 
 
-def binary_scores(found: NDArray[np.bool_], true: NDArray[np.bool_]) -> BinaryScores:
+def binary_scores(found: Bools, true: Bools) -> BinaryScores:
     """Accuracy, precision, recall and F1 of ``found`` against ``true``, both (n,)."""
     hits = int((found & true).sum())
     precision = hits / max(int(found.sum()), 1)
@@ -32,7 +32,7 @@ def binary_scores(found: NDArray[np.bool_], true: NDArray[np.bool_]) -> BinarySc
     return BinaryScores(accuracy, precision, recall, f1, len(true))
 
 
-def outline_distances_m(outline: shapely.Geometry, other: shapely.Geometry) -> NDArray[np.float64]:
+def outline_distances_m(outline: shapely.Geometry, other: shapely.Geometry) -> Floats:
     """Distance from points every half metre on an outline to another polygon's outline.
 
     No points on an empty outline; NaN if the other one is empty.
@@ -47,7 +47,7 @@ def outline_distances_m(outline: shapely.Geometry, other: shapely.Geometry) -> N
 
 
 def pavement_scores(
-    xy_m: NDArray[np.float64], found: shapely.Geometry, true: shapely.Geometry, reach_m: float
+    xy_m: Floats, found: shapely.Geometry, true: shapely.Geometry, reach_m: float
 ) -> dict[str, float | int | None]:
     """Scores of a found pavement.
 

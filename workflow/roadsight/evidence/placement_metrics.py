@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats32
 from roadsight.evidence.exact_ranges import share_wrong
 from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.evidence.results import Results
@@ -50,7 +50,7 @@ def range_rmse_m(results: Results) -> float:
     return float(np.sqrt(np.mean(np.concatenate(errors_m) ** 2)))
 
 
-def maps(results: Results) -> Iterator[tuple[NDArray[np.float32], NDArray[np.float32]]]:
+def maps(results: Results) -> Iterator[tuple[Floats32, Floats32]]:
     """A few depth maps of the first spinning sensor, and the exact ones."""
     name, sensor = _spinning(results)
     folder = results.folder / "placement/round-0"

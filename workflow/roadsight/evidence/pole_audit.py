@@ -6,12 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.cameras import wrap_deg
 
-_FLOATS = NDArray[np.float64]
 MOVED_M = 0.5
 
 
@@ -51,12 +50,12 @@ def answer_change(one: PoleAnswer, other: PoleAnswer) -> float:
     )
 
 
-def kept_places(poles: pd.DataFrame) -> _FLOATS:
+def kept_places(poles: pd.DataFrame) -> Floats:
     """Places (n, 2) of the kept poles."""
     return poles.loc[poles["kept"].astype(bool), ["x", "y"]].to_numpy(np.float64)
 
 
-def matches(one_m: _FLOATS, other_m: _FLOATS, within_m: float = MOVED_M) -> NDArray[np.int64]:
+def matches(one_m: Floats, other_m: Floats, within_m: float = MOVED_M) -> Ints:
     """Pairs (k, 2) of places that are one pole: as many as there can be, then the nearest."""
     away_m = np.hypot(*np.moveaxis(one_m[:, None] - other_m[None], -1, 0))
     near = away_m <= within_m
@@ -64,7 +63,7 @@ def matches(one_m: _FLOATS, other_m: _FLOATS, within_m: float = MOVED_M) -> NDAr
     return pairs[near[pairs[:, 0], pairs[:, 1]]]
 
 
-def pole_change(one_m: _FLOATS, other_m: _FLOATS) -> float:
+def pole_change(one_m: Floats, other_m: Floats) -> float:
     """Share of poles that appear, vanish or move by more than half a metre; 0 without any."""
     most = max(len(one_m), len(other_m))
     return 1.0 - len(matches(one_m, other_m)) / most if most else 0.0

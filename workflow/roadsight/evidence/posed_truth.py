@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.evidence.exact_highway import ExactHighway
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.sensors import AnySensor, load_sensor, panorama_name
@@ -22,8 +22,8 @@ RCS_M2 = 0.16
 
 
 def sees_in_pose(
-    scene: ExactHighway, sensor: AnySensor, place: dict[str, Any], feet_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+    scene: ExactHighway, sensor: AnySensor, place: dict[str, Any], feet_m: Floats
+) -> Bools:
     """Which targets (n, 3) a chosen sensor sees, by the default targets, from exact ranges.
 
     The detector is the one that made the plan: exact ranges judge the depth, not the detectors.

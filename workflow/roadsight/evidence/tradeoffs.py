@@ -12,9 +12,15 @@ from roadsight.evidence.studies import WHOLE_JOB, Measure, Study
 from roadsight.evidence.variants import JobRecord
 
 NOT_OF_THE_JOB = frozenset(
-    ("generate_sample", "generate_rural", "render_videolog", "score_pavement", "score_cameras",
-     "validate_poles")
-)  # fmt: skip
+    (
+        "generate_sample",
+        "generate_rural",
+        "render_videolog",
+        "score_pavement",
+        "score_cameras",
+        "validate_poles",
+    )
+)
 """Rules that make the generated sites or score results: no user's job has them."""
 
 TIMING_NOISE = 0.1
@@ -24,9 +30,22 @@ TIMING_NOISE_S = 0.3
 """... and more than so many seconds less: that is what starting a process varies by."""
 
 COLUMNS = (
-    "job", "stage", "knob", "level", "cpu_seconds", "wall_seconds", "peak_mib", "metric", "value",
-    "unit", "reference", "error_vs_reference", "repeats", "is_default", "on_frontier",
-)  # fmt: skip
+    "job",
+    "stage",
+    "knob",
+    "level",
+    "cpu_seconds",
+    "wall_seconds",
+    "peak_mib",
+    "metric",
+    "value",
+    "unit",
+    "reference",
+    "error_vs_reference",
+    "repeats",
+    "is_default",
+    "on_frontier",
+)
 
 
 @dataclass(frozen=True)
@@ -160,9 +179,10 @@ def next_step(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any] | None:
     """
     default = next(row for row in rows if row["is_default"])
     better = [
-        row for row in rows
+        row
+        for row in rows
         if row["on_frontier"] and row["error_vs_reference"] < default["error_vs_reference"]
-    ]  # fmt: skip
+    ]
     if not better:
         return None
     step = min(better, key=lambda row: row["cpu_seconds"])

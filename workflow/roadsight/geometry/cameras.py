@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Floats
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Intrinsics:
         """Horizontal field of view of a centred camera with this focal length."""
         return float(np.degrees(2 * np.arctan2(0.5 * self.width_px, self.focal_px)))
 
-    def contains(self, uv_px: ArrayLike, margin_px: float = 0.0) -> NDArray[np.bool_]:
+    def contains(self, uv_px: ArrayLike, margin_px: float = 0.0) -> Bools:
         """Whether pixels (n, 2) lie in the image, or up to a margin outside it; NaN does not."""
         u, v = np.asarray(uv_px, np.float64).T
         low = -0.5 - margin_px
@@ -58,25 +58,25 @@ class Intrinsics:
         )
 
 
-def wrap_deg(angle_deg: ArrayLike) -> _FLOATS:
+def wrap_deg(angle_deg: ArrayLike) -> Floats:
     """Angle in [-180, 180), for example of a difference of headings."""
     return (np.asarray(angle_deg, np.float64) + 180.0) % 360.0 - 180.0
 
 
-def compass_deg(angle_deg: ArrayLike) -> _FLOATS:
+def compass_deg(angle_deg: ArrayLike) -> Floats:
     """Angle in [0, 360)."""
     turned = np.asarray(angle_deg, np.float64) % 360.0
     return np.where(turned >= 360.0, 0.0, turned)
 
 
-def azimuth_deg(from_xy_m: ArrayLike, to_xy_m: ArrayLike) -> _FLOATS:
+def azimuth_deg(from_xy_m: ArrayLike, to_xy_m: ArrayLike) -> Floats:
     """Direction (...) between places (..., 2), clockwise from grid north; NaN if equal."""
     east, north = np.moveaxis(np.asarray(to_xy_m, float) - np.asarray(from_xy_m, float), -1, 0)
     angle = compass_deg(np.degrees(np.arctan2(east, north)))
     return np.where((east == 0) & (north == 0), np.nan, angle)
 
 
-def cam_from_world(heading_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: ArrayLike) -> _FLOATS:
+def cam_from_world(heading_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: ArrayLike) -> Floats:
     """Rotations (..., 3, 3) whose rows are the camera's right, down and forward axes.
 
     Parameters
@@ -95,7 +95,7 @@ def cam_from_world(heading_deg: ArrayLike, pitch_deg: ArrayLike, roll_deg: Array
     return np.stack([right, down, forward], axis=-2)
 
 
-def attitude_deg(rotation: ArrayLike) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+def attitude_deg(rotation: ArrayLike) -> tuple[Floats, Floats, Floats]:
     """Heading in [0, 360), pitch and roll of rotations (..., 3, 3); inverse of `cam_from_world`."""
     axes = np.asarray(rotation, np.float64)
     right, forward = axes[..., 0, :], axes[..., 2, :]
@@ -108,7 +108,7 @@ def attitude_deg(rotation: ArrayLike) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
 
 def project(
     intrinsics: Intrinsics, rotation: ArrayLike, position_m: ArrayLike, points_m: ArrayLike
-) -> tuple[_FLOATS, _FLOATS]:
+) -> tuple[Floats, Floats]:
     """Pixels of points.
 
     Parameters
@@ -130,7 +130,7 @@ def project(
     return np.stack([u, v], axis=1), z
 
 
-def pixel_directions(intrinsics: Intrinsics, rotation: ArrayLike, uv_px: ArrayLike) -> _FLOATS:
+def pixel_directions(intrinsics: Intrinsics, rotation: ArrayLike, uv_px: ArrayLike) -> Floats:
     """Unit vectors (n, 3) in the local frame through pixels (n, 2)."""
     u, v = np.asarray(uv_px, np.float64).T
     x = (u - intrinsics.cx_px) / intrinsics.focal_px

@@ -10,7 +10,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from roadsight.base.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -33,11 +35,11 @@ class Frame:
     crs_wkt: str | None = None
 
     @property
-    def scale(self) -> NDArray[np.float64]:
+    def scale(self) -> Floats:
         """Metres in one native unit along x, y, z; shape (3,)."""
         return np.array([self.unit_m, self.unit_m, self.vertical_unit_m])
 
-    def to_local(self, native: ArrayLike) -> NDArray[np.float64]:
+    def to_local(self, native: ArrayLike) -> Floats:
         """Native coordinates (..., 2 or 3) to local metres, float64."""
         xyz = np.asarray(native, dtype=np.float64)
         n = xyz.shape[-1]
@@ -45,7 +47,7 @@ class Frame:
         local *= self.scale[:n]
         return local
 
-    def to_native(self, local_m: ArrayLike) -> NDArray[np.float64]:
+    def to_native(self, local_m: ArrayLike) -> Floats:
         """Local metres (..., 2 or 3) to native coordinates, float64."""
         xyz = np.asarray(local_m, dtype=np.float64)
         n = xyz.shape[-1]

@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
-_FLOATS = NDArray[np.float64]
 _STEPS = 60
 _WIDEST = 2.5
 
@@ -55,7 +55,7 @@ class RadialLens:
         """Pinhole distance where the image turns back on itself, in units; infinite if nowhere."""
         return _turning_radius(self.k1, self.k2)
 
-    def distort(self, uv_px: ArrayLike) -> _FLOATS:
+    def distort(self, uv_px: ArrayLike) -> Floats:
         """Pixels (n, 2) in the lens's image of pixels (n, 2) in the pinhole's image.
 
         NaN beyond the distance where the image turns back on itself: no real lens shows that.
@@ -65,7 +65,7 @@ class RadialLens:
         factor = np.where(r2 <= self.turning_radius**2, factor, np.nan)
         return self._pixels(xy * factor[:, None])
 
-    def undistort(self, uv_px: ArrayLike) -> _FLOATS:
+    def undistort(self, uv_px: ArrayLike) -> Floats:
         """Pixels (n, 2) in the pinhole's image of pixels (n, 2) in the lens's image.
 
         The inverse of `distort` to rounding, by Newton's method kept within a shrinking bracket;
@@ -77,7 +77,7 @@ class RadialLens:
         factor = np.where(shown > 0.0, _undone(self.k1, self.k2, shown) / safe, 1.0)
         return self._pixels(xy * factor[:, None])
 
-    def displacement_px(self, uv_px: ArrayLike) -> _FLOATS:
+    def displacement_px(self, uv_px: ArrayLike) -> Floats:
         """How far (n,) the lens moves what is shown at pixels (n, 2); positive is outwards."""
         uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
         centre = np.array([self.cx_px, self.cy_px])
@@ -107,12 +107,12 @@ class RadialLens:
                 hint="give k1 and k2 with the focal length in pixels that they belong to",
             )
 
-    def _normalised(self, uv_px: ArrayLike) -> tuple[_FLOATS, _FLOATS]:
+    def _normalised(self, uv_px: ArrayLike) -> tuple[Floats, Floats]:
         uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
         xy = (uv - [self.cx_px, self.cy_px]) / self.scale_px
         return xy, np.einsum("ij,ij->i", xy, xy)
 
-    def _pixels(self, xy: _FLOATS) -> _FLOATS:
+    def _pixels(self, xy: Floats) -> Floats:
         return xy * self.scale_px + [self.cx_px, self.cy_px]
 
 
@@ -126,7 +126,7 @@ def _turning_radius(k1: float, k2: float) -> float:
     return float(np.sqrt(2.0 / denominator)) if denominator > 0.0 else np.inf
 
 
-def _undone(k1: float, k2: float, shown: _FLOATS) -> _FLOATS:
+def _undone(k1: float, k2: float, shown: Floats) -> Floats:
     """Pinhole distance (n,) of a distance shown (n,), in units; NaN beyond the last one shown."""
     turn = _turning_radius(k1, k2)
     # Where the image never turns back, 9 k1^2 < 20 k2, so that the factor is above 1 - 5/9.

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS, Proj, Transformer
 from pyproj.proj import Factors
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
-
-_FLOATS = NDArray[np.float64]
 
 
 class SiteNorth:
@@ -40,27 +39,27 @@ class SiteNorth:
         self._projection = Proj(crs)
         self._geodetic = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
 
-    def to_local(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> _FLOATS:
+    def to_local(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> Floats:
         """Local x, y (n, 2) in metres; infinite where the CRS cannot hold the place."""
         x, y = self._from_geographic.transform(
             np.asarray(longitude_deg, float), np.asarray(latitude_deg, float)
         )
         return self._frame.to_local(np.stack([x, y], axis=-1))
 
-    def to_geographic(self, xy_m: ArrayLike) -> tuple[_FLOATS, _FLOATS]:
+    def to_geographic(self, xy_m: ArrayLike) -> tuple[Floats, Floats]:
         """Latitude and longitude in degrees of local places (n, 2)."""
         native = self._frame.to_native(np.asarray(xy_m, float)[..., :2])
         longitude, latitude = self._to_geographic.transform(native[..., 0], native[..., 1])
         return np.asarray(latitude), np.asarray(longitude)
 
-    def convergence_deg(self, xy_m: ArrayLike) -> _FLOATS:
+    def convergence_deg(self, xy_m: ArrayLike) -> Floats:
         """Grid north clockwise from true north at local places (n, 2).
 
         A direction's true bearing is its grid bearing plus this.
         """
         return np.asarray(self._factors(xy_m).meridian_convergence, float)
 
-    def scale(self, xy_m: ArrayLike) -> _FLOATS:
+    def scale(self, xy_m: ArrayLike) -> Floats:
         """Metres of the grid for each metre on the ellipsoid at local places (n, 2).
 
         The root of the factor of areas: the factor itself where the projection is conformal, the

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
-_MASK = NDArray[np.bool_]
+from roadsight.base.arrays import Bools, Floats, Ints
+
 _DEVIATIONS = 4.0
 
 
-def smoothed(ring: _FLOATS, sigma: float) -> _FLOATS:
+def smoothed(ring: Floats, sigma: float) -> Floats:
     """Ring (n, 2) smoothed by a Gaussian window that does not shrink arcs.
 
     Parameters
@@ -28,7 +28,7 @@ def smoothed(ring: _FLOATS, sigma: float) -> _FLOATS:
     return 2 * once - _convolved(once, weight / weight.sum())
 
 
-def resampled(ring: _FLOATS, spacing: float) -> _FLOATS:
+def resampled(ring: Floats, spacing: float) -> Floats:
     """Ring (n, 2) at equal steps of about ``spacing``, eight of them at least."""
     closed = np.vstack([ring, ring[:1]])
     station = np.append(0.0, np.cumsum(np.hypot(*np.diff(closed, axis=0).T)))
@@ -37,13 +37,13 @@ def resampled(ring: _FLOATS, spacing: float) -> _FLOATS:
     return np.column_stack([np.interp(at, station, closed[:, axis]) for axis in (0, 1)])
 
 
-def trimmed(keep: _MASK, places: int) -> _MASK:
+def trimmed(keep: Bools, places: int) -> Bools:
     """Mask (n,) of the places on a ring that have none to drop within so many places."""
     lost = np.convolve(_wrapped((~keep).astype(int), places), np.ones(2 * places + 1, int), "valid")
     return lost == 0
 
 
-def runs_of(keep: _MASK) -> list[NDArray[np.int64]]:
+def runs_of(keep: Bools) -> list[Ints]:
     """Indices of the runs of kept places on a ring; a ring that is kept whole is one run."""
     if keep.all():
         return [np.arange(len(keep))]
@@ -57,7 +57,7 @@ def runs_of(keep: _MASK) -> list[NDArray[np.int64]]:
     return [index[a:b] for a, b in zip(starts, ends, strict=True)]
 
 
-def _convolved(ring: _FLOATS, weight: _FLOATS) -> _FLOATS:
+def _convolved(ring: Floats, weight: Floats) -> Floats:
     reach = len(weight) // 2
     return np.column_stack([np.convolve(_wrapped(at, reach), weight, "valid") for at in ring.T])
 

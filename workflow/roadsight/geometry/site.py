@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pyproj import Transformer
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, linear_units, parse_crs
 from roadsight.geometry.frames import Frame
@@ -21,7 +22,7 @@ from roadsight.geometry.location import (
 )
 from roadsight.geometry.reference import Reference
 
-Reprojection = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Reprojection = Callable[[Floats], Floats]
 """Native x, y, z of one CRS to those of another, shape (n, 3)."""
 
 
@@ -118,7 +119,7 @@ def reprojection(
     note = f"reprojected from {reference.name} to {target.name} by {how}"
     moved = replace(reference, crs=target, unit_m=unit_m, notes=(*reference.notes, note))
 
-    def reproject(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    def reproject(xyz: Floats) -> Floats:
         x, y = transformer.transform(xyz[:, 0], xyz[:, 1])
         return np.stack([x, y, xyz[:, 2]], axis=1)
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Bytes
+
 _LEVELS = 65535
 
 
@@ -61,7 +63,7 @@ def pack_points(xyz_m: NDArray) -> dict[str, Any]:
 
 def to_byte(
     values: NDArray, low_percentile: float = 2.0, high_percentile: float = 98.0
-) -> NDArray[np.uint8] | None:
+) -> Bytes | None:
     """Values (n,) stretched to 0..255 between two percentiles; None where they do not vary."""
     if len(values) == 0:
         return None

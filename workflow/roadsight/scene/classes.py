@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from roadsight.base.arrays import Bools, Bytes
 
 GROUND, ROAD, BRIDGE = 2, 11, 17
 
 
-def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> NDArray[np.uint8]:
+def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> Bytes:
     """Class (256,) that each class of a cloud stands for, road and bridge being 11 and 17."""
     table = np.arange(256, dtype=np.uint8)
     table[list(bridge_classes)] = BRIDGE
@@ -18,6 +19,6 @@ def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> N
     return table
 
 
-def is_road(cls: NDArray[np.uint8]) -> NDArray[np.bool_]:
+def is_road(cls: Bytes) -> Bools:
     """Whether classes, of any shape, are road or bridge."""
     return (cls == ROAD) | (cls == BRIDGE)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -50,20 +50,18 @@ class Grid:
         """Rows, columns."""
         return self.rows, self.columns
 
-    def indices(self, x: ArrayLike, y: ArrayLike) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def indices(self, x: ArrayLike, y: ArrayLike) -> tuple[Ints, Ints]:
         """Column and row of points (n,); points outside the grid get the nearest border cell."""
         column = np.floor(np.asarray(x, np.float64) / self.cell_size_m).astype(np.int64) - self.west
         row = np.floor(np.asarray(y, np.float64) / self.cell_size_m).astype(np.int64) - self.south
         return np.clip(column, 0, self.columns - 1), np.clip(row, 0, self.rows - 1)
 
-    def flat(self, x: ArrayLike, y: ArrayLike) -> NDArray[np.int64]:
+    def flat(self, x: ArrayLike, y: ArrayLike) -> Ints:
         """Row-major cell number of points (n,)."""
         column, row = self.indices(x, y)
         return row * self.columns + column
 
-    def centres(
-        self, columns: ArrayLike, rows: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def centres(self, columns: ArrayLike, rows: ArrayLike) -> tuple[Floats, Floats]:
         """Centre x and y of cells, local metres."""
         x = (np.asarray(columns) + self.west + 0.5) * self.cell_size_m
         y = (np.asarray(rows) + self.south + 0.5) * self.cell_size_m
@@ -80,7 +78,7 @@ class Grid:
         return (self.south + self.rows) * self.cell_size_m
 
 
-def lowest_per_cell(grid: Grid, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> _FLOATS:
+def lowest_per_cell(grid: Grid, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> Floats:
     """Lowest value per cell (rows, columns); NaN where the cell is empty."""
     lowest = np.full(grid.rows * grid.columns, np.inf)
     if np.size(x):
@@ -88,7 +86,7 @@ def lowest_per_cell(grid: Grid, x: ArrayLike, y: ArrayLike, z: ArrayLike) -> _FL
     return np.where(np.isfinite(lowest), lowest, np.nan).reshape(grid.shape)
 
 
-def fill_gaps(values: _FLOATS) -> _FLOATS:
+def fill_gaps(values: Floats) -> Floats:
     """Replace NaN by the nearest known value; an array without any known value stays NaN.
 
     Ties between equally near cells are broken by the distance transform's fixed scan order.
@@ -100,7 +98,7 @@ def fill_gaps(values: _FLOATS) -> _FLOATS:
     return values[tuple(nearest)]
 
 
-def sample_bilinear(grid: Grid, values: _FLOATS, x: ArrayLike, y: ArrayLike) -> _FLOATS:
+def sample_bilinear(grid: Grid, values: Floats, x: ArrayLike, y: ArrayLike) -> Floats:
     """Values (rows, columns) at points (n,), bilinear between cell centres, constant outside."""
     column = np.asarray(x, np.float64) / grid.cell_size_m - grid.west - 0.5
     row = np.asarray(y, np.float64) / grid.cell_size_m - grid.south - 0.5

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.scene.terrain.relief import cover_core, slopes_deg
 
@@ -41,15 +42,15 @@ class Cells:
     class_cells : number of cells that hold a point of each class.
     """
 
-    column: NDArray[np.int64]
-    row: NDArray[np.int64]
-    count: NDArray[np.int64]
-    lowest_m: NDArray[np.float64]
-    covered: NDArray[np.bool_]
+    column: Ints
+    row: Ints
+    count: Ints
+    lowest_m: Floats
+    covered: Bools
     class_cells: Counter[int]
 
 
-def count_cells(xyz: NDArray[np.floating], classification: NDArray[np.uint8]) -> Cells:
+def count_cells(xyz: NDArray[np.floating], classification: Bytes) -> Cells:
     """Sort points into cells of 1 m.
 
     A cell counts as covered when points lie more than 3 m above its lowest one and none between
@@ -99,9 +100,7 @@ def join_cells(parts: Sequence[Cells]) -> Cells:
     )
 
 
-def density(
-    column: NDArray[np.int64], row: NDArray[np.int64], count: NDArray[np.int64]
-) -> dict[str, float]:
+def density(column: Ints, row: Ints, count: Ints) -> dict[str, float]:
     """Points per square metre over occupied ground.
 
     The cells are coarsened by twos until they hold four points on average: in cells that hold one
@@ -129,9 +128,7 @@ def density(
     }
 
 
-def merge_counts(
-    places: NDArray[np.int64], count: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def merge_counts(places: Ints, count: Ints) -> tuple[Ints, Ints]:
     """Distinct places, columns of ``places`` of shape (2, n), and the sum of their counts."""
     order = np.lexsort(places[::-1])
     places, count = places[:, order], count[order]
@@ -141,7 +138,7 @@ def merge_counts(
     return places[:, starts], np.add.reduceat(count, starts) if len(count) else count
 
 
-def neighbour_distances(xyz: NDArray[np.floating], core: NDArray[np.bool_]) -> NDArray[np.float64]:
+def neighbour_distances(xyz: NDArray[np.floating], core: Bools) -> Floats:
     """Distance in space from each core place to the nearest other place.
 
     Duplicates count as one place, so that they do not make a cloud look denser than it is.
@@ -167,7 +164,7 @@ def sample_distances(
     points_per_m2: float,
     place: Callable[[int], tuple[float, float]],
     within: Callable[[Bounds], NDArray[np.floating]],
-) -> NDArray[np.float64]:
+) -> Floats:
     """Neighbour distances in windows around points at even steps through a cloud.
 
     Every window gives as many distances, if it can, so that every point of the cloud has the same
@@ -223,7 +220,7 @@ def mean_spacing_m(xyz: NDArray[np.floating]) -> float:
     return _median_spacing_m(distances)
 
 
-def _median_spacing_m(distances_m: NDArray[np.float64]) -> float:
+def _median_spacing_m(distances_m: Floats) -> float:
     if len(distances_m) == 0:
         raise InputError("no two points of the cloud lie at different places")
     return float(np.median(distances_m))
@@ -231,9 +228,9 @@ def _median_spacing_m(distances_m: NDArray[np.float64]) -> float:
 
 def describe_scene(
     cells: Cells,
-    distances_m: NDArray[np.float64],
+    distances_m: Floats,
     bounds_m: Sequence[float],
-    intensity: NDArray[np.int64],
+    intensity: Ints,
     has_colour: bool,
 ) -> dict[str, Any]:
     """Profile of a scene.
@@ -286,7 +283,7 @@ def _slopes(cells: Cells) -> dict[str, float]:
     return {"median": float(median), "p95": float(p95)}
 
 
-def _intensities(counts: NDArray[np.int64]) -> dict[str, int]:
+def _intensities(counts: Ints) -> dict[str, int]:
     """Percentiles of the intensities from how many points have each."""
     below = np.cumsum(counts)
     p05, median, p95 = np.searchsorted(below, np.array([0.05, 0.5, 0.95]) * below[-1])

@@ -7,11 +7,9 @@ lanes such smears would hide most of the road from a roadside sensor.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.scene.grids import Grid
-
-_FLOATS = NDArray[np.float64]
 
 
 class Columns:
@@ -26,24 +24,24 @@ class Columns:
         self._grid = grid
         self._top_m = np.full(grid.rows * grid.columns, -np.inf)
 
-    def add(self, xy_m: _FLOATS, height_m: _FLOATS) -> None:
+    def add(self, xy_m: Floats, height_m: Floats) -> None:
         """Take points (n, 2) with their heights above the ground (n,) into account."""
         known = ~np.isnan(height_m)
         cells = self._grid.flat(xy_m[known, 0], xy_m[known, 1])
         np.maximum.at(self._top_m, cells, height_m[known])
 
-    def top_m(self, xy_m: _FLOATS) -> _FLOATS:
+    def top_m(self, xy_m: Floats) -> Floats:
         """Greatest height in the columns of the points (n, 2)."""
         return self._top_m[self._grid.flat(xy_m[:, 0], xy_m[:, 1])]
 
 
 def is_traffic(
-    height_m: _FLOATS,
-    top_m: _FLOATS,
-    on_pavement: NDArray[np.bool_],
+    height_m: Floats,
+    top_m: Floats,
+    on_pavement: Bools,
     lowest_m: float,
     highest_m: float,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Points on the pavement that stand clear of it in columns that end below vehicle height.
 
     Masts, trees, gantries and bridges reach higher and stay, down to their feet.

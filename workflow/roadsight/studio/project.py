@@ -36,9 +36,11 @@ def find_project(folder: Path) -> Path:
         if (place / CONFIG).is_file() and (place / "Snakefile").is_file():
             return place
     raise InputError(
-        "is not inside a roadsight project", where=str(start), allowed="a folder with Snakefile",
+        "is not inside a roadsight project",
+        where=str(start),
+        allowed="a folder with Snakefile",
         hint="go to the project's folder, or name it with --folder",
-    )  # fmt: skip
+    )
 
 
 def _state(path: Path) -> tuple[object, ...]:
@@ -70,9 +72,10 @@ class SiteFolder:
         path = self.results / name
         if not path.exists():
             raise InputError(
-                f"{path} is not there yet", where=f"site {self.stem}",
+                f"{path} is not there yet",
+                where=f"site {self.stem}",
                 hint=f"run the workflow first: {self.command}",
-            )  # fmt: skip
+            )
         return path
 
     @property

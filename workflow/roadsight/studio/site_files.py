@@ -78,9 +78,10 @@ def saving(
         site = project.site(stem)
         if version is not None and version != site_version(site, part):
             raise OutdatedError(
-                "its files have changed meanwhile, so nothing was saved", where=f"site {stem}",
+                "its files have changed meanwhile, so nothing was saved",
+                where=f"site {stem}",
                 hint="reload the page; what you have not saved stays",
-            )  # fmt: skip
+            )
         yield site
 
 
@@ -168,9 +169,10 @@ def _check_own(foreign: set[Path]) -> None:
     for path in sorted(foreign):
         if path.exists():
             raise InputError(
-                "is there already, and the site file does not name it", where=str(path),
+                "is there already, and the site file does not name it",
+                where=str(path),
                 hint="move it away, or name it in the site file",
-            )  # fmt: skip
+            )
 
 
 def _content(name: str, write: Writer) -> bytes:

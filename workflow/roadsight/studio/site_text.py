@@ -32,9 +32,10 @@ def with_value(text: str, section: str, key: str, value: str | None) -> str:
         got = None
     if got not in (wanted, wanted | {section: {}} if value is None else wanted):
         raise InputError(
-            "is written in a way that the studio cannot change", where=f"site file: {section}",
+            "is written in a way that the studio cannot change",
+            where=f"site file: {section}",
             hint=f"set {section}.{key} to {value!r} by hand" if value else f"remove {key} by hand",
-        )  # fmt: skip
+        )
     return changed
 
 

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats32, Ints
 from roadsight.poles.images.classes import PixelClass
 from roadsight.training.samples import DEPTH_SCALE, Sample
 
-_FLOATS = NDArray[np.float32]
 _WANTED = (PixelClass.POLE, PixelClass.SIGN, PixelClass.MARKING)
 _GREY_BGR = np.array([0.114, 0.587, 0.299], np.float32)
 
@@ -41,9 +41,9 @@ class Batch:
     images : (n, 3, h, w) RGB in 0 to 1. classes : (n, h, w). inverse_depth : (n, h, w), 1 / m.
     """
 
-    images: _FLOATS
-    classes: NDArray[np.int64]
-    inverse_depth: _FLOATS
+    images: Floats32
+    classes: Ints
+    inverse_depth: Floats32
 
 
 def random_batch(
@@ -90,7 +90,7 @@ def _random_crop(sample: Sample, crops: Crops, rng: np.random.Generator) -> Samp
 
 
 def _random_corner(
-    classes: NDArray[np.uint8], size: tuple[int, int], wanted_share: float, rng: np.random.Generator
+    classes: Bytes, size: tuple[int, int], wanted_share: float, rng: np.random.Generator
 ) -> tuple[int, int]:
     """Top row and left column of a part of ``size`` rows and columns."""
     last = np.array(classes.shape, np.int64) - np.array(size, np.int64)
@@ -105,7 +105,7 @@ def _random_corner(
     return int(corner[0]), int(corner[1])
 
 
-def with_camera_faults(colour: NDArray[np.uint8], rng: np.random.Generator) -> NDArray[np.uint8]:
+def with_camera_faults(colour: Bytes, rng: np.random.Generator) -> Bytes:
     """Another exposure, cast, contrast, saturation, sharpness, noise and JPEG quality."""
     gain = np.exp(rng.normal(0.0, 0.2) + rng.normal(0.0, 0.06, 3)).astype(np.float32)
     pixels: NDArray = colour.astype(np.float32) * gain

@@ -6,16 +6,14 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats32
 from roadsight.io.records.depth_pairs import STEP_M, DepthPairs
 from roadsight.placement.depth.normalising import normalised
 
 PATCH_CELLS = 56
 _TRIES = 8
 _LEAST_RETURNS = 0.02
-
-_FLOATS = NDArray[np.float32]
 
 
 class Patches(NamedTuple):
@@ -27,9 +25,9 @@ class Patches(NamedTuple):
         greatest range. scale_m : (n, 1, 1, 1) metres of the normalised 1.
     """
 
-    preliminary: _FLOATS
-    refined: _FLOATS
-    scale_m: _FLOATS
+    preliminary: Floats32
+    refined: Floats32
+    scale_m: Floats32
 
 
 def random_patches(
@@ -45,7 +43,7 @@ def random_patches(
 
 def _patch(
     dataset: Sequence[DepthPairs], side: int, rng: np.random.Generator
-) -> tuple[_FLOATS, ...]:
+) -> tuple[Floats32, ...]:
     for _ in range(_TRIES):
         pairs = dataset[int(rng.integers(len(dataset)))]
         number = int(rng.integers(len(pairs)))

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.evidence.exact_ranges import exact_ranges
 from roadsight.placement.depth.depth_sensor import HEIGHTS_M
 from roadsight.placement.sensors.sensors import Sensor
@@ -24,8 +24,6 @@ from roadsight.synthetic.casting.terrain import height_at
 from roadsight.synthetic.highway.highway import Highway, build_highway
 from roadsight.synthetic.highway.mobile_scanner import scan
 
-_FLOATS = NDArray[np.float64]
-
 _LENGTH_M = 80.0
 _BESIDE_M = 0.5
 _NOISE_M = 0.01
@@ -42,12 +40,12 @@ class ScannedScene:
     positions_m : (k, 3) of sensors. yaws_deg : (k,) where they face.
     """
 
-    cloud_m: NDArray[np.float32]
+    cloud_m: Floats32
     scene: Scene
-    positions_m: _FLOATS
-    yaws_deg: _FLOATS
+    positions_m: Floats
+    yaws_deg: Floats
 
-    def exact(self, sensor: Sensor, number: int) -> NDArray[np.float32]:
+    def exact(self, sensor: Sensor, number: int) -> Floats32:
         """True range (rows, columns) of a sensor's beams at a position, 0 for none."""
         yaw_deg = float(self.yaws_deg[number])
         return exact_ranges(self.scene, sensor, self.positions_m[number], yaw_deg)
@@ -64,7 +62,7 @@ def highway_site(seed: int, poses: int) -> ScannedScene:
     return ScannedScene(cloud.astype(np.float32), highway.scene, positions, yaws)
 
 
-def _beside(highway: Highway, poses: int, rng: np.random.Generator) -> tuple[_FLOATS, _FLOATS]:
+def _beside(highway: Highway, poses: int, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Places beside either edge of the pavement, facing it."""
     side = rng.choice([-1.0, 1.0], poses)
     station = rng.uniform(2.0, _LENGTH_M - 2.0, poses)
@@ -102,7 +100,7 @@ def _simple_scene(rng: np.random.Generator) -> Scene:
     return hill_scene(rng.uniform(1, 4), rng.uniform(10, 30))
 
 
-def _scanned(scene: Scene, points: int, rng: np.random.Generator) -> NDArray[np.float32]:
+def _scanned(scene: Scene, points: int, rng: np.random.Generator) -> Floats32:
     """Points with 1 cm noise, seen from stops along x, 2.5 m up: the rest is in shadow."""
     stops_m = np.column_stack(
         [rng.uniform(-40, 40, _STOPS), rng.uniform(-1, 1, _STOPS), np.full(_STOPS, 2.5)]

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats32
 from roadsight.evidence.exact_ranges import WRONG_M
 from roadsight.io.images.depth_networks import DepthNetwork
 from roadsight.io.records.depth_pairs import STEP_M, DepthPairs, digest, read_dataset
@@ -22,10 +22,8 @@ from roadsight.training.record import update_record
 
 log = logging.getLogger("evaluate_depth_network")
 
-_FLOATS = NDArray[np.float32]
 
-
-def map_errors(found_m: _FLOATS, exact_m: _FLOATS) -> dict[str, float]:
+def map_errors(found_m: Floats32, exact_m: Floats32) -> dict[str, float]:
     """How far maps (..., rows, columns) are from the truth, 0 for no return.
 
     Returns
@@ -62,7 +60,7 @@ def judged(
     return {way: map_errors(found, truth) for way, found in maps.items()}
 
 
-def _metres(parts: Any) -> _FLOATS:
+def _metres(parts: Any) -> Floats32:
     return np.concatenate(list(parts)).astype(np.float32) * np.float32(STEP_M)
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Floats32
 from roadsight.io.images.models import Model, open_model
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.networks import class_mask, inverse_depth, tensor_of
@@ -34,8 +35,6 @@ from roadsight.training.samples import DEPTH_SCALE, Sample, read_samples
 
 log = logging.getLogger("evaluate_networks")
 
-_FLOATS = NDArray[np.float64]
-_PIXELS = NDArray[np.bool_]
 _BANDS_M = (0.0, 20.0, 40.0, 60.0, 100.0, np.inf)
 _NEAR_M = 40.0
 _CLOSE = 1.25
@@ -89,23 +88,23 @@ def measure_classes(model: Model, views: list[Sample]) -> dict[str, Any]:
     }
 
 
-def _mask(model: Model, view: Sample) -> NDArray[np.uint8]:
+def _mask(model: Model, view: Sample) -> Bytes:
     outputs = _run(model, view.colour)
     return class_mask(outputs, model.manifest, view.classes.shape, model.where)
 
 
-def _run(model: Model, colour: NDArray[np.uint8]) -> list[NDArray]:
+def _run(model: Model, colour: Bytes) -> list[NDArray]:
     tensor = tensor_of(colour, model.manifest.input)
     return model.session.run(list(model.output_names), {model.input_name: tensor})
 
 
-def _depth_m(view: Sample) -> _FLOATS:
+def _depth_m(view: Sample) -> Floats:
     """True depth, metres, infinite at the sky."""
     with np.errstate(divide="ignore"):
         return DEPTH_SCALE / view.depth.astype(np.float64)
 
 
-def _spread(errors: _FLOATS) -> dict[str, float]:
+def _spread(errors: Floats) -> dict[str, float]:
     if not len(errors):
         return {"count": 0}
     return {
@@ -115,11 +114,11 @@ def _spread(errors: _FLOATS) -> dict[str, float]:
     }
 
 
-def _feet(errors_px: _FLOATS) -> dict[str, Any]:
+def _feet(errors_px: Floats) -> dict[str, Any]:
     return {"sideways": _spread(np.abs(errors_px[:, 0])), "down": _spread(np.abs(errors_px[:, 1]))}
 
 
-def _by_band(true_m: _FLOATS, hit: NDArray[np.bool_], false_m: _FLOATS) -> dict[str, Any]:
+def _by_band(true_m: Floats, hit: Bools, false_m: Floats) -> dict[str, Any]:
     """Recall and precision of poles by true distance; a false one counts where it is seen."""
     bands = {}
     for low, high in pairwise(_BANDS_M):
@@ -161,13 +160,13 @@ def measure_depth(model: Model, views: list[Sample]) -> dict[str, Any]:
     return result | {"pole_foot_depth_after_fit_to_road": _pole_errors(true_m, found_m)}
 
 
-def _share_close(found: _FLOATS, truth: _FLOATS) -> float:
+def _share_close(found: Floats, truth: Floats) -> float:
     scale, offset = affine_fit(found, truth)
     ratio = np.maximum(scale * found + offset, 1e-6) / truth
     return float(np.mean(np.maximum(ratio, 1.0 / ratio) < _CLOSE))
 
 
-def _pole_depths(view: Sample, found: _FLOATS, truth: _FLOATS, road: _PIXELS) -> _FLOATS:
+def _pole_depths(view: Sample, found: Floats, truth: Floats, road: Bools) -> Floats:
     """True and found depth (2, n) of the lowest sixth of poles, metres; NaN where none is told."""
     road_m = 1.0 / truth[road][::_THINNING]
     fit = fit_metric_depth(found[road][::_THINNING], road_m, balancing_weights(road_m))
@@ -180,15 +179,17 @@ def _pole_depths(view: Sample, found: _FLOATS, truth: _FLOATS, road: _PIXELS) ->
         return np.stack([1.0 / true, fit.depth_m(seen)[0]])
 
 
-def _resized(found: NDArray[np.float32], shape: tuple[int, int]) -> _FLOATS:
-    rows = np.minimum(((np.arange(shape[0]) + 0.5) * found.shape[0] / shape[0]).astype(int),
-                      found.shape[0] - 1)  # fmt: skip
-    columns = np.minimum(((np.arange(shape[1]) + 0.5) * found.shape[1] / shape[1]).astype(int),
-                         found.shape[1] - 1)  # fmt: skip
+def _resized(found: Floats32, shape: tuple[int, int]) -> Floats:
+    rows = np.minimum(
+        ((np.arange(shape[0]) + 0.5) * found.shape[0] / shape[0]).astype(int), found.shape[0] - 1
+    )
+    columns = np.minimum(
+        ((np.arange(shape[1]) + 0.5) * found.shape[1] / shape[1]).astype(int), found.shape[1] - 1
+    )
     return found[np.ix_(rows, columns)].astype(np.float64)
 
 
-def _parts(view: Sample, truth: _FLOATS) -> dict[str, _PIXELS]:
+def _parts(view: Sample, truth: Floats) -> dict[str, Bools]:
     near = truth > 1.0 / 60.0
     return {
         "all": np.ones(truth.shape, bool),
@@ -196,8 +197,9 @@ def _parts(view: Sample, truth: _FLOATS) -> dict[str, _PIXELS]:
         "pole": (view.classes == PixelClass.POLE) & near,
         "road_and_pole": np.isin(
             view.classes, (PixelClass.ROAD, PixelClass.MARKING, PixelClass.POLE)
-        ) & near,
-    }  # fmt: skip
+        )
+        & near,
+    }
 
 
 def _middle(values: list[float]) -> dict[str, float]:
@@ -209,7 +211,7 @@ def _middle(values: list[float]) -> dict[str, float]:
     }
 
 
-def _pole_errors(true_m: _FLOATS, found_m: _FLOATS) -> dict[str, Any]:
+def _pole_errors(true_m: Floats, found_m: Floats) -> dict[str, Any]:
     """Relative error of the depth of the lowest sixth of poles, by true distance."""
     error = np.abs(found_m - true_m) / true_m
     result = {}

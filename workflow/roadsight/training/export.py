@@ -41,10 +41,15 @@ def export_network(
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         torch.onnx.export(
-            network, (torch.rand(1, channels, 64, 96),), str(unfinished), dynamo=False,
-            opset_version=_OPSET, input_names=[given], output_names=[output],
+            network,
+            (torch.rand(1, channels, 64, 96),),
+            str(unfinished),
+            dynamo=False,
+            opset_version=_OPSET,
+            input_names=[given],
+            output_names=[output],
             dynamic_axes={given: free, output: free},
-        )  # fmt: skip
+        )
     onnx.save(_bare(onnx.load(str(unfinished)), facts or {}), str(unfinished))
     difference = _largest_difference(network, unfinished, given, channels)
     unfinished.replace(path)

@@ -18,8 +18,13 @@ CLASS_WEIGHTS = {
     PixelClass.VEGETATION: 0.8,
 }
 """Others have 1. Kept small: larger weights widen thin objects, and their borders matter."""
-OVERLAP_CLASSES = (PixelClass.ROAD, PixelClass.MARKING, PixelClass.POLE, PixelClass.SIGN,
-                   PixelClass.WIRE)  # fmt: skip
+OVERLAP_CLASSES = (
+    PixelClass.ROAD,
+    PixelClass.MARKING,
+    PixelClass.POLE,
+    PixelClass.SIGN,
+    PixelClass.WIRE,
+)
 _LEAST_SPREAD = 1e-3
 _NEARNESS_FLOOR = 0.3
 _DEPTH_WEIGHTS = {PixelClass.POLE: 12.0, PixelClass.ROAD: 1.5, PixelClass.MARKING: 1.5}

@@ -6,25 +6,23 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.pole_masks import Instance, find_instances
 
-_MASK = NDArray[np.uint8]
-_FLOATS = NDArray[np.float64]
 _BORDER_OF = (PixelClass.OTHER, PixelClass.VEGETATION)
 _FAR_PX = 10.0
 _SHARED_HEIGHT = 0.4
 
 
-def confusion(found: _MASK, truth: _MASK, classes: int = len(PixelClass)) -> NDArray[np.int64]:
+def confusion(found: Bytes, truth: Bytes, classes: int = len(PixelClass)) -> Ints:
     """Pixels (classes, classes) by true class (rows) and found class (columns)."""
     pairs = truth.astype(np.int64).ravel() * classes + found.ravel()
     return np.bincount(pairs, minlength=classes * classes).reshape(classes, classes)
 
 
-def scores_by_class(pixels: NDArray[np.int64]) -> dict[str, dict[str, float]]:
+def scores_by_class(pixels: Ints) -> dict[str, dict[str, float]]:
     """Intersection over union, precision and recall of each class that the truth has."""
     scores = {}
     for kind in PixelClass:
@@ -40,7 +38,7 @@ def scores_by_class(pixels: NDArray[np.int64]) -> dict[str, dict[str, float]]:
     return scores
 
 
-def road_border_errors(found: _MASK, truth: _MASK, near: NDArray[np.bool_]) -> _FLOATS:
+def road_border_errors(found: Bytes, truth: Bytes, near: Bools) -> Floats:
     """Distance of each true border pixel of the road to the found border, px, at most 10.
 
     The border parts road with its markings from verge and plants; ``near`` limits where it is
@@ -56,14 +54,14 @@ def road_border_errors(found: _MASK, truth: _MASK, near: NDArray[np.bool_]) -> _
     return np.minimum(away[true_border].astype(np.float64), _FAR_PX)
 
 
-def _road_border(mask: _MASK) -> NDArray[np.bool_]:
+def _road_border(mask: Bytes) -> Bools:
     """Pixels of the road beside verge or plants."""
     road = np.isin(mask, (PixelClass.ROAD, PixelClass.MARKING))
     verge = np.isin(mask, _BORDER_OF).astype(np.uint8)
     return road & (cv2.dilate(verge, np.ones((3, 3), np.uint8)) > 0)
 
 
-def marking_errors(found: _MASK, truth: _MASK, near: NDArray[np.bool_]) -> tuple[_FLOATS, int, int]:
+def marking_errors(found: Bytes, truth: Bytes, near: Bools) -> tuple[Floats, int, int]:
     """Sideways errors of the middles of markings, row by row.
 
     Returns
@@ -86,7 +84,7 @@ def marking_errors(found: _MASK, truth: _MASK, near: NDArray[np.bool_]) -> tuple
     return np.array(errors, np.float64), missed, invented
 
 
-def _middles(row: _MASK, near: NDArray[np.bool_]) -> _FLOATS:
+def _middles(row: Bytes, near: Bools) -> Floats:
     """Middles of the runs of marking pixels that lie on the road near by."""
     inside = np.concatenate([[0], (row == PixelClass.MARKING) & near, [0]]).astype(np.int8)
     change = np.diff(inside)
@@ -105,13 +103,13 @@ class PoleMatches:
         each found pole that is none.
     """
 
-    true_m: _FLOATS
-    hit: NDArray[np.bool_]
-    foot_px: _FLOATS
-    false_m: _FLOATS
+    true_m: Floats
+    hit: Bools
+    foot_px: Floats
+    false_m: Floats
 
 
-def match_poles(found: _MASK, truth: _MASK, depth_m: _FLOATS) -> PoleMatches:
+def match_poles(found: Bytes, truth: Bytes, depth_m: Floats) -> PoleMatches:
     """Match the poles that the pipeline finds in a mask to those it finds in the truth.
 
     A pole is found if another one's axis runs along it: less than its own width (or 3 px) away
@@ -129,9 +127,11 @@ def match_poles(found: _MASK, truth: _MASK, depth_m: _FLOATS) -> PoleMatches:
                 break
     false = [one for j, one in enumerate(seen) if j not in taken]
     return PoleMatches(
-        np.array([_distance(one, truth, depth_m) for one in true]), np.isfinite(feet[:, 0]), feet,
+        np.array([_distance(one, truth, depth_m) for one in true]),
+        np.isfinite(feet[:, 0]),
+        feet,
         np.array([_distance(one, found, depth_m) for one in false]),
-    )  # fmt: skip
+    )
 
 
 def _kept(instances: list[Instance]) -> list[Instance]:
@@ -147,15 +147,13 @@ def _same(one: Instance, other: Instance) -> bool:
     return bool(abs(one.axis_u(middle) - other.axis_u(middle)) <= max(one.width_px, 3.0))
 
 
-def _distance(one: Instance, mask: _MASK, depth_m: _FLOATS) -> float:
+def _distance(one: Instance, mask: Bytes, depth_m: Floats) -> float:
     """Median true depth of the object's pixels near its axis; infinite against the sky."""
     rows, columns = axis_pixels(one, mask)
     return float(np.median(depth_m[rows, columns])) if len(rows) else np.inf
 
 
-def axis_pixels(
-    one: Instance, mask: _MASK, share: float = 1.0
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def axis_pixels(one: Instance, mask: Bytes, share: float = 1.0) -> tuple[Ints, Ints]:
     """Rows and columns of the pole pixels on the axis, in the lowest ``share`` of the pole."""
     top = one.v_max - share * (one.v_max - one.v_min)
     rows = np.arange(int(np.ceil(top)), int(one.v_max) + 1)
@@ -166,19 +164,19 @@ def axis_pixels(
     return rows[on_pole], columns[on_pole]
 
 
-def true_poles(mask: _MASK) -> list[Instance]:
+def true_poles(mask: Bytes) -> list[Instance]:
     """Poles that the pipeline finds and keeps in a true mask."""
     return _kept(find_instances(mask))
 
 
-def affine_fit(found: _FLOATS, truth: _FLOATS) -> tuple[float, float]:
+def affine_fit(found: Floats, truth: Floats) -> tuple[float, float]:
     """Scale and offset that bring found inverse depths (n,) to the true ones, least squares."""
     basis = np.column_stack([found, np.ones(len(found))])
     scale, offset = np.linalg.lstsq(basis, truth, rcond=None)[0]
     return float(scale), float(offset)
 
 
-def correlation(found: _FLOATS, truth: _FLOATS) -> float:
+def correlation(found: Floats, truth: Floats) -> float:
     """Correlation of two sets of values (n,), NaN where one of them does not vary."""
     if len(found) < 3 or np.ptp(found) == 0 or np.ptp(truth) == 0:
         return float("nan")

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 
 DEPTH_SCALE = 65535.0
@@ -29,8 +30,8 @@ class Sample:
     depth : (rows, columns) inverse depth, `DEPTH_SCALE` over metres along the optical axis.
     """
 
-    colour: NDArray[np.uint8]
-    classes: NDArray[np.uint8]
+    colour: Bytes
+    classes: Bytes
     depth: NDArray[np.uint16]
 
 
@@ -58,9 +59,10 @@ def read_samples(
         names = sorted(path.name for path in Path(folder).glob(f"{seed}_*.depth.png"))
         if not names:
             raise InputError(
-                f"has no views of the site of seed {seed}", where=str(folder),
+                f"has no views of the site of seed {seed}",
+                where=str(folder),
                 hint="run python -m roadsight.training.render_dataset first",
-            )  # fmt: skip
+            )
         for name in names:
             stem = Path(folder) / name.removesuffix(".depth.png")
             yield seed, Sample(*(_read(f"{stem}.{part}.png") for part in _PARTS))

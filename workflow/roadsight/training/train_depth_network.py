@@ -106,11 +106,9 @@ def _entry(
         "patch_cells": PATCH_CELLS,
         "highest_learning_rate": arguments.rate,
         "threads": arguments.threads,
-        "versions": {
-            "torch": torch.__version__, "onnx": onnx.__version__, "numpy": np.__version__
-        },
+        "versions": {"torch": torch.__version__, "onnx": onnx.__version__, "numpy": np.__version__},
         "loss_by_tenth": [round(value, 4) for value in means],
-    }  # fmt: skip
+    }
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -177,7 +177,9 @@ def _entry(
     return first | {
         "seed": schedule.seed,
         "data": {
-            "first_seed": arguments.first_seed, "sites": arguments.sites, "views": len(samples),
+            "first_seed": arguments.first_seed,
+            "sites": arguments.sites,
+            "views": len(samples),
             "sha256": digest(samples),
         },
         "steps": schedule.steps,
@@ -187,11 +189,13 @@ def _entry(
         "highest_learning_rate": schedule.rate,
         "threads": arguments.threads,
         "versions": {
-            "torch": torch.__version__, "onnx": onnx.__version__, "numpy": np.__version__,
+            "torch": torch.__version__,
+            "onnx": onnx.__version__,
+            "numpy": np.__version__,
             "opencv": cv2.__version__,
         },
         "loss_by_tenth": [round(value, 4) for value in means],
-    }  # fmt: skip
+    }
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -20,7 +20,7 @@ from roadsight.placement.sensors.sensors import load_sensors
 from roadsight.placement.sight.shapes import Cylinder
 from roadsight.placement.sight.sight import Sight, beams_by_height, count_beams
 from roadsight.stages.placement import measure_data
-from tests.unit.setcover.test_solve_cover_stage import FRAME
+from tests.unit.placement.stages.test_solve_cover_stage import FRAME
 
 SENSOR = load_sensors("config/sensors.yaml")["OS-64"]
 INFO = DepthMapInfo("OS-64", "surfel", *SENSOR.shape, 0.002)

@@ -11,7 +11,7 @@ import shapely
 
 from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.placement import solve_cover
-from tests.unit.setcover.test_solve_cover_stage import FRAME, Site, write_sight
+from tests.unit.placement.stages.test_solve_cover_stage import FRAME, Site, write_sight
 
 # Candidates stand 4 m apart (local x 0, 4, 0, 4, 8, ...), two in the first table, the rest after.
 SIGHT = {"a": "012", "b": "12", "c": "23", "d": "345"}

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Numbers
 from roadsight.evidence.camera_scores import camera_errors
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.cameras import Intrinsics, attitude_deg, cam_from_world, project
@@ -20,7 +18,6 @@ from roadsight.poles.calibration.calibration import Mount, shared_mean
 from roadsight.poles.calibration.registration import register_camera
 from roadsight.poles.sightings.lidar_poles import stem_axis
 
-_FLOATS = NDArray[Any]
 _LENS = Intrinsics.centred(1920, 1200, 1600.0)
 
 
@@ -146,7 +143,7 @@ def clicks_on_the_road_alone(rng: np.random.Generator) -> Errors:
     return min(float(np.linalg.norm(centre - at)), 1e9), np.linalg.norm(found.position_m - at - far)
 
 
-def _direct_linear_centre(uv: _FLOATS, xyz: _FLOATS) -> _FLOATS:
+def _direct_linear_centre(uv: Numbers, xyz: Numbers) -> Numbers:
     """Camera centre by the direct linear transform, as textbooks write it."""
     rows, ones = [], np.column_stack([xyz, np.ones(len(xyz))])
     for (u, v), place in zip(uv, ones, strict=True):

@@ -20,9 +20,20 @@ from roadsight.evidence.hardcases import (
 from roadsight.evidence.hardcases.case import HardCase, cases_of
 
 _MODULES = (
-    geodesy, ground, normals, edges, lidar, effects, cover, raster, track, images, cameras, rays,
+    geodesy,
+    ground,
+    normals,
+    edges,
+    lidar,
+    effects,
+    cover,
+    raster,
+    track,
+    images,
+    cameras,
+    rays,
     scores,
-)  # fmt: skip
+)
 
 
 def all_cases() -> list[HardCase]:

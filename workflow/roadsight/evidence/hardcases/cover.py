@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.optimize import Bounds, LinearConstraint, linprog, milp
 
+from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.placement.sight.coverage import times_seen
 from roadsight.setcover.common.problem import CoverProblem
 from roadsight.setcover.common.result import INFEASIBLE
 from roadsight.setcover.cover.solve import solve_cover_problem
 
-_FLOATS = NDArray[Any]
 
-
-def _greedy(matrix: _FLOATS, costs: _FLOATS, rounds: int) -> list[int]:
+def _greedy(matrix: Numbers, costs: Numbers, rounds: int) -> list[int]:
     """Rows by targets gained per cost until all are covered, or so many rounds."""
     chosen: list[int] = []
     left = np.ones(matrix.shape[1], bool)
@@ -30,7 +27,7 @@ def _greedy(matrix: _FLOATS, costs: _FLOATS, rounds: int) -> list[int]:
     return chosen
 
 
-def _corridor(rng: np.random.Generator, choices: int, targets: int) -> _FLOATS:
+def _corridor(rng: np.random.Generator, choices: int, targets: int) -> Numbers:
     """Sensors along a road that see the targets near them, with holes."""
     gap = np.abs(np.linspace(0, 1, choices)[:, None] - np.linspace(0, 1, targets))
     return (gap < 0.09) & (rng.random((choices, targets)) < 0.8)
@@ -62,7 +59,7 @@ def target_that_nobody_sees(rng: np.random.Generator) -> Errors:
     return naive, 0.0 if named else naive
 
 
-def _cheapest(matrix: _FLOATS, costs: _FLOATS, gap: float) -> float:
+def _cheapest(matrix: Numbers, costs: Numbers, gap: float) -> float:
     """Cost of the cover that SciPy's solver calls optimal within a relative gap."""
     answer = milp(
         costs,

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from shapely import LineString, MultiPolygon, box
 
+from roadsight.base.arrays import Numbers
 from roadsight.base.errors import InputError
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.placement.candidates.candidates import HeightSettings, facing_deg, free_heights_m
@@ -18,14 +16,12 @@ from roadsight.placement.candidates.positions import positions_along
 from roadsight.placement.candidates.targets import place_targets
 from roadsight.scene.edges.splines import natural_spline
 
-_FLOATS = NDArray[Any]
 
-
-def _arc(angle_rad: _FLOATS, radius_m: float = 50.0) -> _FLOATS:
+def _arc(angle_rad: Numbers, radius_m: float = 50.0) -> Numbers:
     return radius_m * np.column_stack([np.cos(angle_rad), np.sin(angle_rad)])
 
 
-def _off_arc(xy: _FLOATS, radius_m: float = 50.0) -> float:
+def _off_arc(xy: Numbers, radius_m: float = 50.0) -> float:
     return float(np.abs(np.hypot(*xy.T) - radius_m).max())
 
 

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.special import lambertw
 from shapely import LineString, MultiPolygon, Polygon
 
+from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.lens import RadialLens
 from roadsight.placement.candidates.tilt import road_normals, tilt_rotation
@@ -22,8 +20,6 @@ from roadsight.placement.sight.lanes import trace_lanes
 from roadsight.poles.drive.drive_profile import beside_track
 from roadsight.scene.pavement.reflectivity import ASPHALT, reflectivity_of
 
-_FLOATS = NDArray[Any]
-
 
 @hard_case("model_fog", bound=1e-6, unit="m")
 def range_in_dense_fog(rng: np.random.Generator) -> Errors:
@@ -35,7 +31,7 @@ def range_in_dense_fog(rng: np.random.Generator) -> Errors:
         naive = clear_m * np.exp(-extinction * naive)
     ours = np.array([float(range_in_air_m(clear_m, a)) for a in extinction])
 
-    def off_m(range_m: _FLOATS) -> float:
+    def off_m(range_m: Numbers) -> float:
         """Distance to the root, by Newton's step at the found range."""
         excess = np.log(range_m) + extinction * range_m - np.log(clear_m)
         return float(np.abs(excess / (1 / range_m + extinction)).max())
@@ -74,7 +70,7 @@ def mounts_at_the_end_of_the_terrain(rng: np.random.Generator) -> Errors:
     places = np.column_stack([np.full(10, 5.0), np.linspace(5, 45, 10)])
     before = places - np.array([4.0, 0.0])
 
-    def height(x: _FLOATS, y: _FLOATS) -> _FLOATS:
+    def height(x: Numbers, y: Numbers) -> Numbers:
         return np.where(np.asarray(x) < 0, np.nan, 0.05 * np.asarray(x))
 
     east, west = (height(before[:, 0] + step, before[:, 1]) for step in (3.0, -3.0))

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import tempfile
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster, write_raster
@@ -19,10 +18,8 @@ from roadsight.scene.profile import mean_spacing_m
 from roadsight.scene.terrain.ground import GroundSettings, coarse_at, coarse_ground, ground_mask
 from roadsight.scene.traffic import Columns, is_traffic
 
-_FLOATS = NDArray[Any]
 
-
-def _lowest_in_pillar(xyz: _FLOATS, width_m: float = 0.2, above_m: float = 0.1) -> _FLOATS:
+def _lowest_in_pillar(xyz: Numbers, width_m: float = 0.2, above_m: float = 0.1) -> Numbers:
     """Ground as what is at most so far above the lowest point of its pillar (the paper's way)."""
     cell = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / width_m).astype(int)
     number = cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]
@@ -31,7 +28,7 @@ def _lowest_in_pillar(xyz: _FLOATS, width_m: float = 0.2, above_m: float = 0.1) 
     return xyz[:, 2] - lowest[number] <= above_m
 
 
-def _ground(xyz: _FLOATS) -> _FLOATS:
+def _ground(xyz: Numbers) -> Numbers:
     """Ground by the stage's own filter."""
     settings = GroundSettings()
     x, y, z = xyz.T
@@ -40,7 +37,7 @@ def _ground(xyz: _FLOATS) -> _FLOATS:
     return ground_mask(x, y, z, *coarse_at(grid, surface, slope, x, y), settings)
 
 
-def _street(rng: np.random.Generator, side_m: float = 30.0) -> _FLOATS:
+def _street(rng: np.random.Generator, side_m: float = 30.0) -> Numbers:
     x, y = rng.uniform(0, side_m, (2, int(60 * side_m**2)))
     return np.column_stack([x, y, 0.02 * x + rng.normal(0, 0.01, len(x))])
 

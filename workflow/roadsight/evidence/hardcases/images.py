@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.cameras import Intrinsics
@@ -19,8 +16,6 @@ from roadsight.poles.images.networks import folder_mask, packed_depth
 from roadsight.poles.images.pole_masks import find_instances
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.poles.sightings.sighting_depth import ground_distances, sample_depth
-
-_FLOATS = NDArray[Any]
 
 
 @hard_case("segment_images", bound=0.5, unit="pixels of a class that is not there")

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz, write_laz
@@ -31,7 +31,6 @@ from roadsight.placement.sight.sight import Sight
 from roadsight.scene.surfels.surfels import build_surfels
 from roadsight.scene.surfels.voxel_moments import sum_moments
 
-_FLOATS = NDArray[Any]
 _AT = (0.0, 0.0, 0.0)
 
 
@@ -41,7 +40,7 @@ def _sensor(**more: float) -> Sensor:
     return Sensor(**about | {"range_m": 100, "azimuth_step_deg": 0.5} | more)
 
 
-def _textbook_map(xyz: _FLOATS, sensor: Sensor) -> _FLOATS:
+def _textbook_map(xyz: Numbers, sensor: Sensor) -> Numbers:
     """Least range per cell by arctangent, arcsine and division; what falls outside is left out."""
     distance = np.linalg.norm(xyz, axis=1)
     column = ((np.degrees(np.arctan2(xyz[:, 1], xyz[:, 0])) + 180) / 0.5).astype(int)
@@ -53,7 +52,7 @@ def _textbook_map(xyz: _FLOATS, sensor: Sensor) -> _FLOATS:
     return np.where(np.isfinite(least), least, 0.0)
 
 
-def _wall(distance_m: float, points: int, rng: np.random.Generator) -> _FLOATS:
+def _wall(distance_m: float, points: int, rng: np.random.Generator) -> Numbers:
     """Wall square to x at -distance, behind the sensor, where azimuths jump from 180 to -180."""
     y, z = rng.uniform(-6, 6, points), rng.uniform(-3, 3, points)
     return np.column_stack([np.full(points, -distance_m), y, z])
@@ -68,7 +67,7 @@ def azimuth_of_plus_180(rng: np.random.Generator) -> Errors:
     return 16 - np.count_nonzero(naive), 16 - np.count_nonzero(ours)
 
 
-def _up(sensor: Sensor) -> _FLOATS:
+def _up(sensor: Sensor) -> Numbers:
     return np.radians(sensor.elevation_deg)
 
 

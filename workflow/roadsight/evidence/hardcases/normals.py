@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from sklearn.cluster import KMeans
 
+from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.describe import describe_ground
@@ -16,27 +14,26 @@ from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 
-_FLOATS = NDArray[Any]
 _FAR = np.array([500_000.0, 6_543_000.0, 200.0])
 
 
 def _road(
     rng: np.random.Generator, points: int = 3000, rough_m: float = 0.004, side_m: float = 12.0
-) -> _FLOATS:
+) -> Numbers:
     """A square of road with grade and crossfall."""
     x, y = rng.uniform(0, side_m, (2, points))
     z = 0.03 * x - 0.02 * y + rng.normal(0, rough_m, points)
     return np.column_stack([x, y, z])
 
 
-def _tilt_deg(normals: _FLOATS) -> float:
+def _tilt_deg(normals: Numbers) -> float:
     """95th percentile of the angle to the road's normal, whatever the sign."""
     true = np.array([-0.03, 0.02, 1.0]) / np.linalg.norm([-0.03, 0.02, 1.0])
     cosine = np.clip(np.abs(np.nan_to_num(normals) @ true), 0, 1)
     return float(np.percentile(np.degrees(np.arccos(cosine)), 95))
 
 
-def _textbook_normals(xyz: _FLOATS, neighbours: _FLOATS) -> _FLOATS:
+def _textbook_normals(xyz: Numbers, neighbours: Numbers) -> Numbers:
     """Covariance as mean of squares less square of mean, in the numbers' own precision."""
     group = xyz[np.column_stack([np.arange(len(xyz)), neighbours])]
     mean = group.mean(axis=1, dtype=xyz.dtype)
@@ -76,7 +73,7 @@ def fpfh_with_flipped_normals(rng: np.random.Generator) -> Errors:
     turned = xyz @ turn.T
     again = nearest_neighbours(turned, 10)
 
-    def change(first: _FLOATS, second: _FLOATS) -> float:
+    def change(first: Numbers, second: Numbers) -> float:
         here, there = fpfh(xyz, first, distance, near), fpfh(turned, second, *again)
         return float(np.abs(here - there).sum(axis=1).mean() / 600)
 
@@ -136,7 +133,7 @@ def clouds_of_no_and_one_point(rng: np.random.Generator) -> Errors:
     return naive, ours
 
 
-def _with_ten_neighbours(xyz: _FLOATS) -> _FLOATS:
+def _with_ten_neighbours(xyz: Numbers) -> Numbers:
     return _textbook_normals(xyz, cKDTree(xyz).query(xyz, 11)[1][:, 1:])
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from typing import Any
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
+from roadsight.base.arrays import Numbers
 from roadsight.base.errors import InputError
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.frames import Frame
@@ -25,7 +24,6 @@ from roadsight.scene.terrain.occlusion import TerrainSight
 from roadsight.scene.terrain.tin import Terrain, add_cells, cell_means, sum_cells, triangulate
 from roadsight.scene.voxels.voxel_classes import VoxelGrid, add_runs, count_classes, settle
 
-_FLOATS = NDArray[Any]
 _FAR = np.array([632_000.0, 6_543_000.0, 0.0])
 
 
@@ -64,7 +62,7 @@ def votes_that_tie(rng: np.random.Generator) -> Errors:
     cls = rng.choice(np.array([2, 3, 5], np.uint8), 3000)
     grid = VoxelGrid.over(Frame((0.0, 0.0, 0.0)), 1.0, [0, 0, 0, 8, 8, 8])
 
-    def counted(order: _FLOATS) -> tuple[list[int], _FLOATS]:
+    def counted(order: Numbers) -> tuple[list[int], Numbers]:
         voxels: dict[tuple[int, ...], Counter[int]] = {}
         for place, kind in zip(np.floor(xyz[order]).tolist(), cls[order].tolist(), strict=True):
             voxels.setdefault(tuple(place), Counter())[kind] += 1
@@ -124,7 +122,7 @@ def sums_in_another_order(rng: np.random.Generator) -> Errors:
     xyz = rng.uniform(0, 50, (40_000, 3))
     road = np.zeros(len(xyz), bool)
 
-    def means(order: _FLOATS, parts: int) -> tuple[_FLOATS, _FLOATS]:
+    def means(order: Numbers, parts: int) -> tuple[Numbers, Numbers]:
         rows = np.array_split(order, parts)
         sums = add_cells([sum_cells(xyz[part], road[part], 5.0) for part in rows])
         cell = (np.floor(xyz[:, 1] / 5) * 10 + np.floor(xyz[:, 0] / 5)).astype(int)

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from pyproj import Geod
 from scipy.optimize import curve_fit
 
+from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.poles.sightings.metric_depth import fit_metric_depth, fuse_depths, ground_distance_m
 from roadsight.poles.triangulate.geographic import triangulate_geographic
 from roadsight.poles.triangulate.locate import error_ellipse, triangulate
 from roadsight.poles.triangulate.rays import TriangulationSettings, cross_rays, make_rays, pair_rays
 
-_FLOATS = NDArray[Any]
 _GEOD = Geod(ellps="WGS84")
 _FINE = TriangulationSettings(
     sigma_position_m=0.1, sigma_bearing_deg=0.3, sigma_depth_ratio=0.15, calibrate_depth=False
@@ -43,7 +40,7 @@ def depth_fitted_as_depth(rng: np.random.Generator) -> Errors:
     true_m = rng.uniform(5, 60, 400)
     relative = 6.0 / true_m + 0.1 + rng.normal(0, 0.012, 400)
 
-    def depth(d: _FLOATS, c1: float, c2: float) -> _FLOATS:
+    def depth(d: Numbers, c1: float, c2: float) -> Numbers:
         return c1 / (d - c2)
 
     (c1, _), _ = curve_fit(depth, relative, true_m, p0=(5.0, 0.0), maxfev=20_000)
@@ -126,7 +123,7 @@ def sightings_listed_twice(rng: np.random.Generator) -> Errors:
     gap = pole - camera
     bearing, depth = np.degrees(np.arctan2(gap[:, 0], gap[:, 1])), np.hypot(*gap.T)
 
-    def sigma(rows: _FLOATS, image: _FLOATS) -> float:
+    def sigma(rows: Numbers, image: Numbers) -> float:
         rays = make_rays(camera[rows], bearing[rows], depth[rows], image=image)
         return float(triangulate(rays, _FINE)[0]["sigma_major_m"].iloc[0])
 

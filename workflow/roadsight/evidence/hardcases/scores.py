@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.evidence.pavement_scores import binary_scores
 from roadsight.poles.risk.hazard import side_slopes
 from roadsight.poles.risk.scenarios import RouteTracks, track_radius_m
 from roadsight.poles.risk.validation import describe, match_points
 
-_FLOATS = NDArray[Any]
 _FAR = np.array([632_000.0, 4_123_000.0])
 
 
@@ -24,7 +21,7 @@ def pole_on_the_road_edge(rng: np.random.Generator) -> Errors:
     foot = np.array([[3.5, 10.0], [3.5, 20.0], [3.5, 30.0]])
     poles = np.add(foot, [[0.0, 0.0], [0.002, 0.0], [4.0, 0.0]])
 
-    def height(x: _FLOATS, y: _FLOATS) -> _FLOATS:
+    def height(x: Numbers, y: Numbers) -> Numbers:
         return -0.25 * (np.asarray(x) - 3.5) + 0.004 * np.sin(900 * np.asarray(x) + y)
 
     run = np.hypot(*(poles - foot).T)

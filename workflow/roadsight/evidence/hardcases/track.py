@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.cameras import Intrinsics, wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
@@ -15,16 +13,14 @@ from roadsight.poles.drive.videolog import TrackSettings, split_drives
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.sighting_bearing import ViewCamera, matching_columns
 
-_FLOATS = NDArray[Any]
 
-
-def _chords_deg(xy_m: _FLOATS) -> _FLOATS:
+def _chords_deg(xy_m: Numbers) -> Numbers:
     """Directions to the next place by the book; what is behind the last place is zero."""
     east, north = np.diff(xy_m, axis=0, append=xy_m[-1:]).T
     return np.degrees(np.arctan2(east, north)) % 360
 
 
-def _off_deg(heading_deg: _FLOATS, true_deg: float) -> float:
+def _off_deg(heading_deg: Numbers, true_deg: float) -> float:
     return float(np.abs(wrap_deg(heading_deg - true_deg)).max())
 
 
@@ -81,7 +77,7 @@ def bearings_around_north(rng: np.random.Generator) -> Errors:
     return naive, ours
 
 
-def _columns(place: _FLOATS) -> PoleColumns:
+def _columns(place: Numbers) -> PoleColumns:
     fields = dict.fromkeys(PoleColumns.__dataclass_fields__, np.zeros(1))
     return PoleColumns(**fields | {"xy_m": place[None], "sigma_m": np.array([0.02])})
 

@@ -8,6 +8,7 @@ import laspy
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.io.cloud.las_header import COLOURS, CloudHeader
 
 
@@ -24,18 +25,18 @@ class Chunk:
     colour : red, green, blue as stored, uint16, shape (n, 3), or None.
     """
 
-    xyz: NDArray[np.float64]
+    xyz: Floats
     intensity: NDArray[np.uint16]
-    classification: NDArray[np.uint8]
-    return_number: NDArray[np.uint8]
-    number_of_returns: NDArray[np.uint8]
-    withheld: NDArray[np.bool_]
+    classification: Bytes
+    return_number: Bytes
+    number_of_returns: Bytes
+    withheld: Bools
     colour: NDArray[np.uint16] | None
 
     def __len__(self) -> int:
         return len(self.xyz)
 
-    def select(self, mask: NDArray[np.bool_]) -> Chunk:
+    def select(self, mask: Bools) -> Chunk:
         """Points where ``mask``, of shape (n,), is true."""
         if mask.all():
             return self
@@ -63,7 +64,7 @@ def chunk_of(points: laspy.ScaleAwarePointRecord, header: CloudHeader) -> Chunk:
     )
 
 
-def native_xyz(points: laspy.ScaleAwarePointRecord, header: CloudHeader) -> NDArray[np.float64]:
+def native_xyz(points: laspy.ScaleAwarePointRecord, header: CloudHeader) -> Floats:
     """Native coordinates (n, 3) of decoded points."""
     xyz = np.empty((3, len(points)))  # each axis in one piece
     for axis, name in enumerate("XYZ"):

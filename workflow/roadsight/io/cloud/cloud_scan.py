@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.chunks import Chunk
 from roadsight.io.cloud.clouds import CHUNK_POINTS, iter_chunks, read_header
@@ -19,7 +19,7 @@ from roadsight.io.records.checksums import sha256
 NOISE_CLASSES = (7, 18)
 """ASPRS classes of low and high noise."""
 
-Move = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Move = Callable[[Floats], Floats]
 
 Take = Callable[[str | os.PathLike[str], Chunk], None]
 
@@ -40,8 +40,8 @@ class CloudScan:
 
     header: CloudHeader
     points: int
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    lower: Floats
+    upper: Floats
     withheld: int
     noise: int
     brightest: int
@@ -95,7 +95,7 @@ def kept_chunks(
         yield kept, int(np.count_nonzero(chunk.withheld)), int(np.count_nonzero(noisy))
 
 
-def _noisy(chunk: Chunk) -> NDArray[np.bool_]:
+def _noisy(chunk: Chunk) -> Bools:
     """Points of a chunk (n,) that are noise but not withheld."""
     noisy = np.zeros(len(chunk), bool)
     for cls in NOISE_CLASSES:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pyproj import CRS
 from pyproj.exceptions import CRSError
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.chunks import Chunk, chunk_of, native_xyz
@@ -58,7 +59,7 @@ class NativeCloud:
     header : what its header says.
     """
 
-    xyz: NDArray[np.float64]
+    xyz: Floats
     dims: dict[str, NDArray]
     header: CloudHeader
 
@@ -75,7 +76,7 @@ def read_header(path: str | os.PathLike[str]) -> CloudHeader:
         return cloud_header(Path(path), reader.header)
 
 
-def read_extent(path: str | os.PathLike[str]) -> NDArray[np.float64]:
+def read_extent(path: str | os.PathLike[str]) -> Floats:
     """Lower and upper corner (2, 3) of a cloud as its header states them, native coordinates.
 
     They are rounded to the file's own steps, so that they equal the coordinates of points.
@@ -208,9 +209,7 @@ def _decoded(
         )
 
 
-def _new_header(
-    frame: Frame, offset: NDArray[np.float64], dims: Mapping[str, ArrayLike]
-) -> laspy.LasHeader:
+def _new_header(frame: Frame, offset: Floats, dims: Mapping[str, ArrayLike]) -> laspy.LasHeader:
     """LAS 1.4 header with a fixed date, the CRS, and the extra dimensions that ``dims`` need."""
     header = laspy.LasHeader(version="1.4", point_format=7 if set(COLOURS) <= set(dims) else 6)
     header.creation_date = _LAZ_DATE

@@ -13,8 +13,8 @@ from typing import BinaryIO
 
 import laspy
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import StatedCrs, stated_crs
 
@@ -43,8 +43,8 @@ class CloudHeader:
 
     path: Path
     points: int
-    scale: NDArray[np.float64]
-    offset: NDArray[np.float64]
+    scale: Floats
+    offset: Floats
     stated: StatedCrs
     coloured: bool
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats32
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.tiles import POSITION, Bounds, CloudTiles, stack_xyz
 from roadsight.io.records.tables import read_table
@@ -45,14 +45,14 @@ class StandingCloud:
         self.tiles = self._cloud.tiles
         self.points = int(self._cloud.points - self._passed.sum())
 
-    def xyz(self, tile: int) -> NDArray[np.float32]:
+    def xyz(self, tile: int) -> Floats32:
         """Positions (n, 3) of a tile's standing points, local metres."""
         passed = self._passed[self._starts[tile] : self._starts[tile + 1]]
         return stack_xyz(self._cloud.read(POSITION, [tile]))[~passed]
 
-    def xyz_within(self, bounds_m: Bounds) -> NDArray[np.float32]:
+    def xyz_within(self, bounds_m: Bounds) -> Floats32:
         """Positions (n, 3) of the standing points in a box (west, south, east, north)."""
-        parts: list[NDArray[np.float32]] = [np.empty((0, 3), np.float32)]
+        parts: list[Floats32] = [np.empty((0, 3), np.float32)]
         for number, tile in enumerate(self.tiles):
             if _overlap(tile.bounds_m, bounds_m):
                 xyz = self.xyz(number)
@@ -64,6 +64,6 @@ def _overlap(tile: Sequence[float], box: Bounds) -> bool:
     return tile[0] < box[2] and tile[3] >= box[0] and tile[1] < box[3] and tile[4] >= box[1]
 
 
-def _inside(xyz: NDArray[np.float32], box: Bounds) -> NDArray[np.bool_]:
+def _inside(xyz: Floats32, box: Bounds) -> Bools:
     x, y = xyz[:, 0], xyz[:, 1]
     return (x >= box[0]) & (x < box[2]) & (y >= box[1]) & (y < box[3])

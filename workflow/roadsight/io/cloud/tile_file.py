@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats32
 from roadsight.io.cloud.tile_spill import TileKey
 from roadsight.io.cloud.tiles import METADATA_KEY, POSITION, Tile
 from roadsight.io.records.arrow import as_table, schema_of
@@ -27,8 +28,8 @@ class _Written:
 
     groups: list[int] = field(default_factory=list)
     rows: int = 0
-    lower: NDArray[np.float32] = field(default_factory=lambda: np.full(3, np.inf, np.float32))
-    upper: NDArray[np.float32] = field(default_factory=lambda: np.full(3, -np.inf, np.float32))
+    lower: Floats32 = field(default_factory=lambda: np.full(3, np.inf, np.float32))
+    upper: Floats32 = field(default_factory=lambda: np.full(3, -np.inf, np.float32))
 
     def add(self, group: int, points: Mapping[str, NDArray]) -> None:
         """Count a row group with the columns ``points``, each of shape (n,)."""

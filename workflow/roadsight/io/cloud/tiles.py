@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats32
 from roadsight.base.errors import InputError
 from roadsight.io.records.arrow import as_numpy
 
@@ -193,12 +194,12 @@ class CloudTiles:
         return np.flatnonzero(touched).tolist()
 
 
-def stack_xyz(points: Mapping[str, NDArray]) -> NDArray[np.float32]:
+def stack_xyz(points: Mapping[str, NDArray]) -> Floats32:
     """Positions of points as one array of shape (n, 3), local metres."""
     return np.stack([points[axis] for axis in POSITION], axis=1)
 
 
-def _inside(x: NDArray, y: NDArray, bounds_m: Bounds) -> NDArray[np.bool_]:
+def _inside(x: NDArray, y: NDArray, bounds_m: Bounds) -> Bools:
     west, south, east, north = bounds_m
     return (x >= west) & (x < east) & (y >= south) & (y < north)
 

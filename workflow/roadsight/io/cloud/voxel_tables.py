@@ -7,11 +7,10 @@ import os
 from types import TracebackType
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Ints32
 from roadsight.io.records.arrow import as_table, schema_of
 from roadsight.io.records.atomic import atomic_path, close_within, open_within
 
@@ -49,7 +48,7 @@ class VoxelTableWriter:
         )
         return self
 
-    def add(self, indices: NDArray[np.int32], cls: NDArray[np.uint8]) -> None:
+    def add(self, indices: Ints32, cls: Bytes) -> None:
         """Add voxels: indices ix, iy, iz (n, 3) and classes (n,)."""
         columns = dict(zip(_SCHEMA.names, (*indices.T, cls), strict=True))
         self._waiting.append(as_table(columns, self._schema))

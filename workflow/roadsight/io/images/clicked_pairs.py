@@ -33,9 +33,10 @@ def read_pairs(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:
     if missing or place is None:
         raise InputError(
             f"lacks the column {', '.join(missing) or 'x, y or lon, lat'}",
-            where=str(path), found=", ".join(table.columns),
+            where=str(path),
+            found=", ".join(table.columns),
             allowed="image, pixel_x, pixel_y; x, y or lon, lat; z if known",
-        )  # fmt: skip
+        )
     numbers = table[["pixel_x", "pixel_y", *place]].apply(pd.to_numeric, errors="coerce")
     given = numbers.to_numpy(np.float64)
     height = _heights(path, table)
@@ -52,8 +53,9 @@ def read_pairs(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:
         row = int(np.argmax(wrong))
         raise InputError(
             "a number is missing or not finite",
-            where=f"{path}, line {row + 2}", found=table.iloc[row].tolist(),
-        )  # fmt: skip
+            where=f"{path}, line {row + 2}",
+            found=table.iloc[row].tolist(),
+        )
     columns = {"u": given[:, 0], "v": given[:, 1], "x": xyz[:, 0], "y": xyz[:, 1], "z": xyz[:, 2]}
     return pd.DataFrame({"image": table["image"].str.strip(), **columns})
 

@@ -6,9 +6,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import NDArray
-
+from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
 from roadsight.io.images.sessions import open_session
 from roadsight.placement.depth.models import NETWORK_MODELS
@@ -54,14 +52,14 @@ class DepthNetwork:
                 hint=_HINT,
             )
 
-    def __call__(self, maps: NDArray[np.float32]) -> NDArray[np.float32]:
+    def __call__(self, maps: Floats32) -> Floats32:
         """Refined depth and score of a return (n, 2, h, w) of normalised maps (n, 1, h, w).
 
         Raises
         ------
         InputError : the network gives something of another shape.
         """
-        found: NDArray[np.float32] = self._session.run(["refined"], {"depth": maps})[0]
+        found: Floats32 = self._session.run(["refined"], {"depth": maps})[0]
         wanted = (maps.shape[0], 2, *maps.shape[2:])
         if found.shape != wanted:
             raise InputError(

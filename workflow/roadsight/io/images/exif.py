@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import struct
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+
+from roadsight.base.arrays import Numbers
 
 _MOST_PIXELS = 1 << 28
 _JPEG, _PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
@@ -55,7 +55,7 @@ def image_facts(content: bytes) -> ImageFacts:
     raise ValueError("it is neither JPEG nor PNG")
 
 
-def decoded_image(content: bytes, flags: int) -> NDArray[Any] | None:
+def decoded_image(content: bytes, flags: int) -> Numbers | None:
     """Pixels of an image as OpenCV reads it by ``flags``; None if it is none or beyond 268 Mpx."""
     try:
         facts = image_facts(content)

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Numbers
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, close_within, open_within
 
@@ -41,7 +42,7 @@ class ImageShardWriter:
         archive.writestr(zipfile.ZipInfo(_ABOUT, _DATE), about)
         return archive
 
-    def write(self, name: str, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    def write(self, name: str, image: Bytes | NDArray[np.uint16]) -> None:
         """Add an image (rows, columns) or (rows, columns, 3 BGR) under ``name`` (no extension)."""
         done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
         if not done:
@@ -72,7 +73,7 @@ class ImageShard:
             raise self._damaged(error) from error
         self.names = [n.removesuffix(".png") for n in self._zip.namelist() if n != _ABOUT]
 
-    def read(self, name: str) -> NDArray[Any]:
+    def read(self, name: str) -> Numbers:
         """Image of that name with its own depth and channels.
 
         Raises

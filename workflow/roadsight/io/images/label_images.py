@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 import cv2
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Numbers
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import decoded_image
 
@@ -26,7 +25,7 @@ class LabelImages:
         if not self.folder.is_dir():
             raise InputError("is no folder", where=str(folder))
 
-    def read(self, image_path: str) -> NDArray[Any]:
+    def read(self, image_path: str) -> Numbers:
         """Pixels (rows, columns) of the image that belongs to ``image_path``, as stored.
 
         Raises

@@ -99,10 +99,12 @@ def _checked_input(manifest: Manifest, session: onnxruntime.InferenceSession, wh
         name = next(iter(inputs))
     if name is None or name not in inputs or len(inputs) != 1:
         raise InputError(
-            "needs a network with one input", where=f"{where}: input.name",
-            found=", ".join(inputs), allowed=name,
+            "needs a network with one input",
+            where=f"{where}: input.name",
+            found=", ".join(inputs),
+            allowed=name,
             hint="export the network with its other inputs held constant",
-        )  # fmt: skip
+        )
     tensor, size = inputs[name], manifest.input.size
     dynamic = size.multiple_of is not None
     wanted = (1, _CHANNELS) + ((None, None) if dynamic else (size.height_px, size.width_px))

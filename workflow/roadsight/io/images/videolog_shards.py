@@ -7,10 +7,9 @@ import zipfile
 from typing import Any
 
 import cv2
-import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, close_within, open_within
 
@@ -38,7 +37,7 @@ class JpegShardWriter:
         )
         return self
 
-    def write(self, name: str, image: NDArray[np.uint8]) -> None:
+    def write(self, name: str, image: Bytes) -> None:
         """Add an image (rows, columns, 3 BGR) under ``name``, which ends in .jpg."""
         done, encoded = cv2.imencode(".jpg", image, self._options)
         if not done:

@@ -11,8 +11,8 @@ from pathlib import Path, PurePosixPath
 import cv2
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import ImageFacts, decoded_image, image_facts
 
@@ -129,7 +129,7 @@ class ImageSource:
         facts = self.facts(name)
         return facts.width_px, facts.height_px
 
-    def read(self, name: str) -> NDArray[np.uint8]:
+    def read(self, name: str) -> Bytes:
         """Image (rows, columns, 3 BGR).
 
         Raises

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import rasterio
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS
 from rasterio.errors import RasterioError
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
@@ -32,12 +33,12 @@ class Raster:
     cell_size_m : edge of a cell.
     """
 
-    values: NDArray[np.float32]
+    values: Floats32
     west_m: float
     north_m: float
     cell_size_m: float
 
-    def sample(self, x_m: ArrayLike, y_m: ArrayLike) -> NDArray[np.float64]:
+    def sample(self, x_m: ArrayLike, y_m: ArrayLike) -> Floats:
         """Values at places, bilinear between cell centres.
 
         Unknown cells are left out of the mean. A place within the raster whose four cells are all

@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import rasterio
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS
 from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader, DatasetWriter
 from rasterio.windows import Window
 
+from roadsight.base.arrays import Bytes, Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
@@ -60,11 +61,25 @@ class TopRasterWriter:
         west, north = self._frame.to_native([west_m, south_m + rows * self._grid.cell_size_m])
         crs = self._frame.crs_wkt and horizontal(CRS.from_wkt(self._frame.crs_wkt)).to_wkt()
         raster = rasterio.open(
-            path, "w", driver="GTiff", width=columns, height=rows, count=3,
-            dtype="float32", crs=crs, nodata=_NODATA, compress="deflate", zlevel=1, tiled=True,
-            blockxsize=_BLOCK_COLUMNS, blockysize=_BLOCK_ROWS, interleave="band", sparse_ok=True,
-            bigtiff="if_safer", transform=rasterio.Affine(cell, 0.0, west, 0.0, -cell, north),
-        )  # fmt: skip
+            path,
+            "w",
+            driver="GTiff",
+            width=columns,
+            height=rows,
+            count=3,
+            dtype="float32",
+            crs=crs,
+            nodata=_NODATA,
+            compress="deflate",
+            zlevel=1,
+            tiled=True,
+            blockxsize=_BLOCK_COLUMNS,
+            blockysize=_BLOCK_ROWS,
+            interleave="band",
+            sparse_ok=True,
+            bigtiff="if_safer",
+            transform=rasterio.Affine(cell, 0.0, west, 0.0, -cell, north),
+        )
         for number, name in enumerate(_BANDS, start=1):
             raster.set_band_description(number, name)
         return raster
@@ -126,20 +141,20 @@ class TopRaster:
     west_m, north_m : outer corner of cell (0, 0). cell_size_m : edge of a cell.
     """
 
-    cls: NDArray[np.uint8]
-    height_m: NDArray[np.float32]
-    road_share: NDArray[np.float32]
+    cls: Bytes
+    height_m: Floats32
+    road_share: Floats32
     west_m: float
     north_m: float
     cell_size_m: float
 
-    def xy_m(self, row: ArrayLike, column: ArrayLike) -> NDArray[np.float64]:
+    def xy_m(self, row: ArrayLike, column: ArrayLike) -> Floats:
         """Places (n, 2) of fractional pixel positions (n,), whole at pixel centres."""
         x = self.west_m + (np.asarray(column, np.float64) + 0.5) * self.cell_size_m
         y = self.north_m - (np.asarray(row, np.float64) + 0.5) * self.cell_size_m
         return np.stack([x, y], axis=-1)
 
-    def pixels(self, xy_m: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def pixels(self, xy_m: ArrayLike) -> tuple[Floats, Floats]:
         """Fractional rows and columns (n,) of places (n, 2); inverse of `xy_m`."""
         x, y = np.asarray(xy_m, np.float64)[..., :2].T
         column = (x - self.west_m) / self.cell_size_m - 0.5
@@ -180,7 +195,7 @@ def read_top(
 
 def _layers(
     raster: DatasetReader, frame: Frame, layers: Collection[str]
-) -> tuple[NDArray[np.uint8], NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Bytes, Floats32, Floats32]:
     """Class, height in local metres and road share, block by block: most are often empty."""
     heights, shares = "height_m" in layers, "road_share" in layers
     cls = np.zeros(raster.shape, np.uint8)

@@ -21,6 +21,7 @@ import zstandard
 from numba import njit
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, close_within, open_within
 
@@ -94,7 +95,7 @@ class DepthMapWriter:
 
         close_within(self._atomic, close, error)
 
-    def append(self, candidate: str, range_m: NDArray[np.float32]) -> None:
+    def append(self, candidate: str, range_m: Floats32) -> None:
         """Add the depth map (rows, columns), metres, 0 where nothing returns, of a candidate."""
         if range_m.shape != (self._info.rows, self._info.columns):
             raise ValueError(f"depth map of shape {range_m.shape} in a file of {self._info}")
@@ -136,7 +137,7 @@ class DepthMaps:
     def __len__(self) -> int:
         return int(self._file.metadata.num_rows)
 
-    def __iter__(self) -> Iterator[tuple[str, NDArray[np.float32]]]:
+    def __iter__(self) -> Iterator[tuple[str, Floats32]]:
         """Candidates and their depth maps (rows, columns), metres, 0 where nothing returns.
 
         Raises
@@ -150,7 +151,7 @@ class DepthMaps:
         except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
             raise self._damaged(error) from error
 
-    def only(self, candidates: Iterable[str]) -> Iterator[tuple[str, NDArray[np.float32]]]:
+    def only(self, candidates: Iterable[str]) -> Iterator[tuple[str, Floats32]]:
         """As iteration gives them, of these candidates only; what is not there is left out.
 
         Raises
@@ -170,7 +171,7 @@ class DepthMaps:
         except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
             raise self._damaged(error) from error
 
-    def _decode(self, content: pa.Buffer | bytes) -> NDArray[np.float32]:
+    def _decode(self, content: pa.Buffer | bytes) -> Floats32:
         shape = (self.info.rows, self.info.columns)
         size = 2 * shape[0] * shape[1]
         raw = zstandard.ZstdDecompressor().decompress(content, max_output_size=size)
@@ -187,7 +188,7 @@ class DepthMaps:
 
 
 @njit(cache=True)
-def _encode(range_m: NDArray[np.float32], step_m: float) -> NDArray[np.uint16]:
+def _encode(range_m: Floats32, step_m: float) -> NDArray[np.uint16]:
     """Whole steps, at least 1 for a return, as differences along each row modulo 2**16."""
     steps = np.empty(range_m.shape, np.uint16)
     for row in range(range_m.shape[0]):
@@ -201,7 +202,7 @@ def _encode(range_m: NDArray[np.float32], step_m: float) -> NDArray[np.uint16]:
 
 
 @njit(cache=True)
-def _decode(steps: NDArray[np.uint16], step_m: float) -> NDArray[np.float32]:
+def _decode(steps: NDArray[np.uint16], step_m: float) -> Floats32:
     range_m = np.empty(steps.shape, np.float32)
     for row in range(steps.shape[0]):
         here = 0

@@ -71,14 +71,17 @@ def read_pairs(path: str | os.PathLike[str]) -> DepthPairs:
             pairs = DepthPairs(*(content[part] for part in _PARTS))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(
-            "holds no pairs of depth maps", where=str(path), found=str(error),
+            "holds no pairs of depth maps",
+            where=str(path),
+            found=str(error),
             hint="make them with roadsight.training.render_depth_dataset",
-        ) from error  # fmt: skip
+        ) from error
     if pairs.preliminary.ndim != 3 or pairs.preliminary.shape != pairs.refined.shape:
         raise InputError(
-            "maps of a pair differ in size", where=str(path),
+            "maps of a pair differ in size",
+            where=str(path),
             found=f"{pairs.preliminary.shape} and {pairs.refined.shape}",
-        )  # fmt: skip
+        )
     return pairs
 
 
@@ -96,9 +99,10 @@ def read_dataset(folder: str | os.PathLike[str], truth: str) -> dict[str, DepthP
     paths = sorted(Path(folder).glob(f"*.{truth}.npz"))
     if not paths:
         raise InputError(
-            f"has no pairs with the truth {truth!r}", where=str(folder),
+            f"has no pairs with the truth {truth!r}",
+            where=str(folder),
             hint="run python -m roadsight.training.render_depth_dataset first",
-        )  # fmt: skip
+        )
     return {path.name.removesuffix(f".{truth}.npz"): read_pairs(path) for path in paths}
 
 

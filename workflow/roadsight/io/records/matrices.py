@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
+from roadsight.base.arrays import Floats, Ints, Numbers
 from roadsight.base.errors import InputError
 
 _NPZ = "a sparse matrix written by scipy.sparse.save_npz"
@@ -71,7 +71,7 @@ def read_vector(path: str | os.PathLike[str], dimensions: int = 1) -> NDArray[np
 
 def read_set_list(
     path: str | os.PathLike[str],
-) -> tuple[sparse.csr_matrix, NDArray[np.float64]]:
+) -> tuple[sparse.csr_matrix, Floats]:
     """Matrix (sets, elements) and costs of a text file with one line for each set.
 
     First line: numbers of elements and sets. Then per set: its cost, its elements (from 0).
@@ -85,8 +85,12 @@ def read_set_list(
         raise InputError("does not begin with two numbers", where=str(path))
     elements, sets = (int(value) for value in lines[0])
     if len(lines) - 1 != sets:
-        raise InputError("has missing or spare lines", where=str(path), found=len(lines) - 1,
-                         allowed=f"{sets} sets")  # fmt: skip
+        raise InputError(
+            "has missing or spare lines",
+            where=str(path),
+            found=len(lines) - 1,
+            allowed=f"{sets} sets",
+        )
     rows = [line[1:] for line in lines[1:]]
     costs = np.array([line[0] for line in lines[1:]], np.float64)
     return _pattern(path, rows, elements), costs
@@ -109,7 +113,7 @@ def read_element_list(path: str | os.PathLike[str]) -> sparse.csr_matrix:
     elements, sets = (int(value) for value in values[:2])
     if elements < 0 or 2 + 2 * elements > len(values):
         raise InputError("ends early", where=str(path), found=f"{elements} elements announced")
-    columns: list[NDArray[np.int64]] = [np.empty(0, np.int64)] * elements
+    columns: list[Ints] = [np.empty(0, np.int64)] * elements
     at = 2
     for _ in range(elements):
         head = values[at : at + 2]
@@ -133,7 +137,7 @@ def _check_exists(path: str | os.PathLike[str]) -> None:
         raise InputError("is no file", where=str(path), hint="check the path")
 
 
-def _numbers_by_line(path: str | os.PathLike[str]) -> list[NDArray[np.float64]]:
+def _numbers_by_line(path: str | os.PathLike[str]) -> list[Floats]:
     _check_exists(path)
     try:
         text = Path(path).read_text(encoding="ascii")
@@ -147,7 +151,7 @@ def _numbers_by_line(path: str | os.PathLike[str]) -> list[NDArray[np.float64]]:
 
 
 def _pattern(
-    path: str | os.PathLike[str], rows: Sequence[NDArray[Any]], columns: int
+    path: str | os.PathLike[str], rows: Sequence[Numbers], columns: int
 ) -> sparse.csr_matrix:
     try:
         _check_size(len(rows), columns)

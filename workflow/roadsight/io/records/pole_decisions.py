@@ -37,9 +37,11 @@ def read_decisions(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            "is no decision", where=f"{path}, line {row + 2}", found=table["decision"].iloc[row],
+            "is no decision",
+            where=f"{path}, line {row + 2}",
+            found=table["decision"].iloc[row],
             allowed=", ".join(_KINDS),
-        )  # fmt: skip
+        )
     found = table.reindex(columns=[*COLUMNS], fill_value="")
     moves = (table["decision"] == MOVE).to_numpy()
     found[_PLACE] = _local(table, _PLACE, np.ones(len(table), bool), frame, path)
@@ -56,9 +58,10 @@ def _local(
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            f"{names[0]} or {names[1]} is no finite number", where=f"{path}, line {row + 2}",
+            f"{names[0]} or {names[1]} is no finite number",
+            where=f"{path}, line {row + 2}",
             found=", ".join(table[names].iloc[row]),
-        )  # fmt: skip
+        )
     numbers[~used] = np.nan
     return np.asarray(frame.to_local(numbers))
 

@@ -6,8 +6,8 @@ import os
 from collections.abc import Iterable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.io.records.tables import read_table
 from roadsight.placement.candidates.tilt import tilt_rotation
@@ -16,7 +16,7 @@ _POSE = ["x", "y", "z", "yaw_deg"]
 _NORMAL = ["normal_x", "normal_y", "normal_z"]
 
 
-def read_poses(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float64]]:
+def read_poses(path: str | os.PathLike[str]) -> dict[str, Floats]:
     """Pose (4,) of each candidate in the table's order: x, y, z in local metres and yaw in degrees.
 
     Raises
@@ -33,7 +33,7 @@ def read_poses(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float64]]:
     return dict(zip(frame["candidate"].astype(str), poses, strict=True))
 
 
-def read_tilts(paths: Iterable[str | os.PathLike[str]]) -> dict[str, NDArray[np.float64]]:
+def read_tilts(paths: Iterable[str | os.PathLike[str]]) -> dict[str, Floats]:
     """Rotation (3, 3) from the levelled to the mounted sensor of each candidate that is tilted.
 
     Without any file every mount is levelled, and the result empty.
@@ -42,7 +42,7 @@ def read_tilts(paths: Iterable[str | os.PathLike[str]]) -> dict[str, NDArray[np.
     ------
     InputError : a table cannot be read.
     """
-    tilts: dict[str, NDArray[np.float64]] = {}
+    tilts: dict[str, Floats] = {}
     for path in paths:
         frame = read_table(path, ["candidate", *_NORMAL])
         normals = frame[_NORMAL].to_numpy(np.float64)

@@ -58,8 +58,11 @@ def check_geopackage(path: Path, layers: Mapping[str, int]) -> None:
             raise OSError(f"{path} is damaged")
         for layer, features in layers.items():
             table = layer.replace('"', '""')
-            column = _one(database, "SELECT column_name FROM gpkg_geometry_columns"
-                          " WHERE table_name = ?", layer)  # fmt: skip
+            column = _one(
+                database,
+                "SELECT column_name FROM gpkg_geometry_columns WHERE table_name = ?",
+                layer,
+            )
             indexed = f'SELECT count(*) FROM "rtree_{table}_{column}"'
             found = [_one(database, f'SELECT count(*) FROM "{table}"'), _one(database, indexed)]
             extent = _one(database, "SELECT min_x FROM gpkg_contents WHERE table_name = ?", layer)

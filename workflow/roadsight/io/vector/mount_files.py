@@ -42,7 +42,9 @@ def read_mounts(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:
     if wrong.any():
         row = int(np.argmax(wrong))
         raise InputError(
-            "has an impossible height", where=f"{path}: {names.iloc[row]}",
-            found=given.iloc[row], allowed=f"above 0 and at most {_HIGHEST_M:g} m, or empty",
-        )  # fmt: skip
+            "has an impossible height",
+            where=f"{path}: {names.iloc[row]}",
+            found=given.iloc[row],
+            allowed=f"above 0 and at most {_HIGHEST_M:g} m, or empty",
+        )
     return pd.DataFrame({"name": names, "x": points["x"], "y": points["y"], "top_m": top})

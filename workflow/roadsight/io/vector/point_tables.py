@@ -53,9 +53,11 @@ def read_points(
     axes = next((pair for pair in _AXES if set(pair) <= set(table.columns)), None)
     if axes is None:
         raise InputError(
-            "lacks columns", where=str(path), found=", ".join(table.columns),
+            "lacks columns",
+            where=str(path),
+            found=", ".join(table.columns),
             allowed="lat, lon (or latitude, longitude) or x, y in the site's CRS",
-        )  # fmt: skip
+        )
     if len(table) == 0:
         raise InputError("holds no points", where=str(path))
     numbers = table[list(axes)].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
@@ -65,8 +67,9 @@ def read_points(
         row = int(np.argmax(wrong))
         raise InputError(
             "holds a place that is no finite number or that the site's CRS cannot hold",
-            where=f"{path}, line {row + 2}", found=table[list(axes)].iloc[row].tolist(),
-        )  # fmt: skip
+            where=f"{path}, line {row + 2}",
+            found=table[list(axes)].iloc[row].tolist(),
+        )
     return _named(local, table, attributes, path)
 
 

@@ -13,6 +13,7 @@ import shapely
 from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, parse_crs
 from roadsight.geometry.frames import Frame
@@ -23,7 +24,7 @@ _OTHER = (".gpkg", ".shp", ".fgb", ".sqlite", ".gml", ".kml")
 _NATIVE = ("local", "native")
 _WGS84 = CRS.from_epsg(4326)
 
-Mapping = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+Mapping = Callable[[Floats], Floats]
 
 
 def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.GeoDataFrame:
@@ -157,7 +158,7 @@ def _to_native(path: Path, stated: CRS | None, frame: Frame) -> Mapping:
     transformer = Transformer.from_crs(horizontal(stated), horizontal(site_crs), always_xy=True)
     z_factor = _vertical_unit_m(stated, frame) / frame.vertical_unit_m
 
-    def native(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+    def native(xyz: Floats) -> Floats:
         x, y = transformer.transform(xyz[:, 0], xyz[:, 1])
         moved = np.column_stack([x, y, *(xyz[:, 2:].T * z_factor)])
         if not np.isfinite(moved).all():

@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 import pyogrio
 import shapely
-from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
@@ -64,7 +64,7 @@ def write_geojson(path: str | os.PathLike[str], features: gpd.GeoDataFrame, fram
     if native.crs is not None:
         transformer = Transformer.from_crs(native.crs, "EPSG:4326", always_xy=True)
 
-        def degrees(xyz: NDArray[np.float64]) -> NDArray[np.float64]:
+        def degrees(xyz: Floats) -> Floats:
             lon_lat = transformer.transform(xyz[:, 0], xyz[:, 1])
             return np.column_stack([*lon_lat, *(xyz[:, 2:].T * frame.vertical_unit_m)])
 

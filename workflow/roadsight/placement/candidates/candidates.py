@@ -8,11 +8,10 @@ from itertools import pairwise
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely import MultiPolygon
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Floats
 
 # Of the cells of a position's plan, this share must be covered before what hangs above is a roof.
 _ROOF_SHARE = 0.6
@@ -40,7 +39,7 @@ class HeightSettings:
     roofs: bool = True
 
 
-def free_heights_m(point_heights_m: _FLOATS, settings: HeightSettings) -> _FLOATS:
+def free_heights_m(point_heights_m: Floats, settings: HeightSettings) -> Floats:
     """Heights above ground at which a sensor fits between the points around a position.
 
     The paper's cases i to iv are one rule on the sorted heights of the points. Where no point lies
@@ -62,7 +61,7 @@ def free_heights_m(point_heights_m: _FLOATS, settings: HeightSettings) -> _FLOAT
     heights = np.sort(np.asarray(point_heights_m, np.float64))
     if len(heights) == 0:
         return _steps(low, high, step)
-    free: list[_FLOATS] = []
+    free: list[Floats] = []
     if heights[0] > low:
         heights = np.append(low, heights)
     for below, above in pairwise(heights):
@@ -74,12 +73,12 @@ def free_heights_m(point_heights_m: _FLOATS, settings: HeightSettings) -> _FLOAT
     return np.concatenate(free) if free else np.empty(0)
 
 
-def _steps(start: float, stop: float, step: float) -> _FLOATS:
+def _steps(start: float, stop: float, step: float) -> Floats:
     """Values from ``start`` to ``stop`` inclusive; empty if the range is."""
     return start + step * np.arange(max(0, np.floor((stop - start) / step + 1e-9) + 1))
 
 
-def roof_height_m(offsets_m: _FLOATS, point_heights_m: _FLOATS, settings: HeightSettings) -> float:
+def roof_height_m(offsets_m: Floats, point_heights_m: Floats, settings: HeightSettings) -> float:
     """Height of a roof above a position, infinite if there is none.
 
     A tunnel or bridge leaves free space above its ceiling, as far as the scanner can tell; a sensor
@@ -102,8 +101,8 @@ def roof_height_m(offsets_m: _FLOATS, point_heights_m: _FLOATS, settings: Height
 
 
 def facing_deg(
-    xy_m: _FLOATS, direction: _FLOATS, pavement: MultiPolygon, reach_m: float = 3.0
-) -> _FLOATS:
+    xy_m: Floats, direction: Floats, pavement: MultiPolygon, reach_m: float = 3.0
+) -> Floats:
     """Angle of the edge's normal that points to the pavement, counter-clockwise from local x.
 
     Where both sides or neither side are pavement (medians, digitised lines off the road), the left
@@ -124,8 +123,8 @@ def facing_deg(
 
 def stack_candidates(
     positions: pd.DataFrame,
-    obstacles_xyz_m: _FLOATS,
-    obstacle_heights_m: _FLOATS,
+    obstacles_xyz_m: Floats,
+    obstacle_heights_m: Floats,
     settings: HeightSettings,
 ) -> pd.DataFrame:
     """Candidates at every free height of every position.

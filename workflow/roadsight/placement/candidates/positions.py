@@ -6,13 +6,12 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely import MultiPolygon
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.placement.candidates.candidates import facing_deg
 
-_FLOATS = NDArray[np.float64]
 _TANGENT_M = 0.5
 _COLUMNS = {
     **dict.fromkeys(("x", "y", "station_m", "yaw_deg"), "float64"),
@@ -53,13 +52,13 @@ def positions_along(
     return pd.concat(parts, ignore_index=True)
 
 
-def _along(line: shapely.LineString, stations_m: _FLOATS) -> _FLOATS:
+def _along(line: shapely.LineString, stations_m: Floats) -> Floats:
     """Points (n, 2) at stations, clipped to the line's ends."""
     inside = np.clip(stations_m, 0.0, line.length)
     return shapely.get_coordinates(shapely.line_interpolate_point(line, inside))
 
 
-def near_gaps(positions: pd.DataFrame, gaps_xy_m: _FLOATS, radius_m: float) -> NDArray[np.bool_]:
+def near_gaps(positions: pd.DataFrame, gaps_xy_m: Floats, radius_m: float) -> Bools:
     """Positions within a plan distance of any uncovered target (n, 2)."""
     if len(gaps_xy_m) == 0:
         return np.zeros(len(positions), dtype=bool)

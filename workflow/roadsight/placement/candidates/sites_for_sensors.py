@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from shapely import MultiPolygon
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Floats
+
 POLE = "pole"
 
 
-def outside_zones(xy_m: _FLOATS, zones: list[shapely.Polygon]) -> NDArray[np.bool_]:
+def outside_zones(xy_m: Floats, zones: list[shapely.Polygon]) -> Bools:
     """Whether places (n, 2) lie outside all zones without sensors; the rim belongs to a zone."""
     if not zones or not len(xy_m):
         return np.ones(len(xy_m), bool)
@@ -52,7 +52,7 @@ def positions_on_poles(poles: pd.DataFrame, pavement: MultiPolygon, arm_m: float
     )
 
 
-def _towards(xy_m: _FLOATS, pavement: MultiPolygon) -> _FLOATS:
+def _towards(xy_m: Floats, pavement: MultiPolygon) -> Floats:
     """Unit vectors (n, 2) from places to the nearest pavement."""
     north = np.tile([0.0, 1.0], (len(xy_m), 1))
     if pavement.is_empty or not len(xy_m):

@@ -8,16 +8,16 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 
 
 def needs_by_area(
     areas: gpd.GeoDataFrame, targets: pd.DataFrame, at_least: int
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[Floats, Ints]:
     """Weight of each target and how many sensors must see it, (n,) each.
 
     Inside several areas, the greatest weight and the greatest number hold. Outside, and where an
@@ -34,14 +34,14 @@ def needs_by_area(
     return weight, need.astype(np.int64)
 
 
-def within_zones(zones: gpd.GeoDataFrame, candidates: pd.DataFrame) -> NDArray[np.bool_]:
+def within_zones(zones: gpd.GeoDataFrame, candidates: pd.DataFrame) -> Bools:
     """Candidates (m,) inside or on the rim of any polygon."""
     return np.asarray(_inside(zones, candidates).any(axis=0))
 
 
 def mounting_costs(
     poles: pd.DataFrame, candidates: pd.DataFrame, within_m: float, cost: float, new_cost: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+) -> tuple[Floats, Ints]:
     """Cost of mounting at each candidate (m,), and the number of its pole or -1.
 
     A candidate uses the cheapest pole near it whose heights allow for it, the nearest of equals.
@@ -73,7 +73,7 @@ def snapped(
     candidates: pd.DataFrame,
     choices: pd.DataFrame,
     matrix: sparse.csr_matrix,
-    forbidden: NDArray[np.bool_],
+    forbidden: Bools,
     within_m: float,
     where: str,
 ) -> list[int]:
@@ -104,9 +104,10 @@ def snapped(
         place = tuple(candidates.iloc[nearby[0]][["x", "y"]].to_numpy(np.float64))
         if place in taken:
             raise InputError(
-                f"stands at the same candidates as point {taken[place]}", where=at,
+                f"stands at the same candidates as point {taken[place]}",
+                where=at,
                 hint="leave one of them out, or place candidates closer (candidates.spacing_m)",
-            )  # fmt: skip
+            )
         taken[place] = str(point.id)
         fits = np.isin(position, nearby) & (choices["sensor"] == sensor).to_numpy()
         all_rows = np.flatnonzero(fits)
@@ -133,30 +134,31 @@ def _sensor(kind: str, sensors: Sequence[str], where: str) -> str:
 
 
 def _nearest_place(
-    point: tuple, candidates: pd.DataFrame, forbidden: NDArray[np.bool_], within_m: float, at: str
-) -> NDArray[np.int64]:
+    point: tuple, candidates: pd.DataFrame, forbidden: Bools, within_m: float, at: str
+) -> Ints:
     """All allowed candidates of the place nearest to a point."""
     xy_m = candidates[["x", "y"]].to_numpy(np.float64)
     distance_m = np.hypot(xy_m[:, 0] - point.x, xy_m[:, 1] - point.y)  # type: ignore[attr-defined]
     nearest_m = distance_m.min(initial=np.inf)
     if nearest_m > within_m:
         raise InputError(
-            "has no candidate near it", where=at, found=f"the nearest is {nearest_m:.1f} m away",
+            "has no candidate near it",
+            where=at,
+            found=f"the nearest is {nearest_m:.1f} m away",
             allowed=f"mandatory.within_m: {within_m:g} m",
             hint="raise it, move the point, or place candidates closer",
-        )  # fmt: skip
+        )
     if forbidden.any():
         distance_m = np.where(forbidden, np.inf, distance_m)
         if distance_m.min() > within_m:
-            raise InputError("lies in a zone without sensors", where=at,
-                             hint="move the point or the zone")  # fmt: skip
+            raise InputError(
+                "lies in a zone without sensors", where=at, hint="move the point or the zone"
+            )
     place = xy_m[np.argmax(distance_m <= distance_m.min() + 1e-6)]  # of two as near, the first
     return np.flatnonzero((xy_m == place).all(axis=1) & np.isfinite(distance_m))
 
 
-def reach(
-    matrix: sparse.csr_matrix, place: NDArray[np.int64], forbidden: NDArray[np.bool_]
-) -> NDArray[np.int64]:
+def reach(matrix: sparse.csr_matrix, place: Ints, forbidden: Bools) -> Ints:
     """How many places (n,) can see each target, each place counting once."""
     entries = matrix.tocoo()
     free = ~forbidden[entries.row]
@@ -166,7 +168,7 @@ def reach(
     return np.diff(seen.indptr).astype(np.int64)
 
 
-def _inside(areas: gpd.GeoDataFrame, points: pd.DataFrame) -> NDArray[np.bool_]:
+def _inside(areas: gpd.GeoDataFrame, points: pd.DataFrame) -> Bools:
     """(areas, points): whether an area holds a point, its rim included."""
     places = shapely.points(points["x"].to_numpy(np.float64), points["y"].to_numpy(np.float64))
     found = np.zeros((len(areas), len(points)), bool)
@@ -175,9 +177,7 @@ def _inside(areas: gpd.GeoDataFrame, points: pd.DataFrame) -> NDArray[np.bool_]:
     return found
 
 
-def _greatest(
-    inside: NDArray[np.bool_], value: NDArray[np.float64], otherwise: float
-) -> NDArray[np.float64]:
+def _greatest(inside: Bools, value: Floats, otherwise: float) -> Floats:
     stated = np.where(inside & np.isfinite(value)[:, None], value[:, None], -np.inf)
     found = stated.max(axis=0, initial=-np.inf)
     return np.where(np.isfinite(found), found, otherwise)

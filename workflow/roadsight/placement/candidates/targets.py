@@ -10,6 +10,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely import LineString, MultiPolygon
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.scene.grids import Grid
 
@@ -73,7 +74,7 @@ def standing_inside(targets: pd.DataFrame, outline: MultiPolygon, inset_m: float
     return targets[shapely.intersects_xy(area, targets["x"], targets["y"])].reset_index(drop=True)
 
 
-def headings_along(edges: Sequence[LineString], xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def headings_along(edges: Sequence[LineString], xy_m: Floats) -> Floats:
     """Heading (n,) of the nearest edge beside each target, rad from local x, in (-pi/2, pi/2]."""
     lines = np.array(list(edges), dtype=object)
     points = shapely.points(xy_m)
@@ -89,6 +90,6 @@ def headings_along(edges: Sequence[LineString], xy_m: NDArray[np.float64]) -> ND
     return np.asarray(half - (half - heading) % np.pi)
 
 
-def _names(columns: NDArray[np.int64], rows: NDArray[np.int64]) -> pd.Series:
+def _names(columns: Ints, rows: Ints) -> pd.Series:
     names = [f"t{column}_{row}" for column, row in zip(columns, rows, strict=True)]
     return pd.Series(names, dtype=str)

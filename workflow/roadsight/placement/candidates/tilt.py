@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Floats
 
 _RING_M = 3.0
 _AHEAD_M = 4.0
@@ -15,8 +15,8 @@ _RING_POINTS = 16
 
 
 def road_normals(
-    xy_m: _FLOATS, yaw_deg: _FLOATS, ground_m: Callable[[_FLOATS, _FLOATS], _FLOATS]
-) -> _FLOATS:
+    xy_m: Floats, yaw_deg: Floats, ground_m: Callable[[Floats, Floats], Floats]
+) -> Floats:
     """Unit normals (n, 3) of the road before mounts at places (n, 2), local frame.
 
     The gradient is that of the plane of best fit through a ring of 3 m about the place 4 m ahead,
@@ -41,7 +41,7 @@ def road_normals(
     return normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def tilt_rotation(normal: ArrayLike) -> _FLOATS:
+def tilt_rotation(normal: ArrayLike) -> Floats:
     """Smallest rotation (3, 3) that takes the vertical to a unit normal (3,) that points up.
 
     Rodrigues' formula for the axis z x n: I + [v] + [v]^2 / (1 + cos).

@@ -6,10 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
+from roadsight.base.arrays import Bools, Floats, Ints
 
 _BINS_IN_REACH = 6
 _ON_BEAM_M = 1e-9
@@ -18,9 +16,9 @@ _ON_BEAM_M = 1e-9
 class Spherical(NamedTuple):
     """Points around a sensor, in input order: angles in degrees and range in metres, each (n,)."""
 
-    azimuth_deg: _FLOATS
-    elevation_deg: _FLOATS
-    range_m: _FLOATS
+    azimuth_deg: Floats
+    elevation_deg: Floats
+    range_m: Floats
 
 
 class Bins(NamedTuple):
@@ -33,8 +31,8 @@ class Bins(NamedTuple):
     columns, rows : number of bins. width_deg, height_deg : of a bin. bottom_deg : lowest elevation.
     """
 
-    start: _INTS
-    order: _INTS
+    start: Ints
+    order: Ints
     columns: int
     rows: int
     width_deg: float
@@ -42,7 +40,7 @@ class Bins(NamedTuple):
     bottom_deg: float
 
 
-def bin_points(points: Spherical, reach_deg: float, edges_deg: _FLOATS) -> Bins:
+def bin_points(points: Spherical, reach_deg: float, edges_deg: Floats) -> Bins:
     """Sort points into bins; those farther than the reach from all beams are left out.
 
     Parameters
@@ -67,12 +65,12 @@ def bin_points(points: Spherical, reach_deg: float, edges_deg: _FLOATS) -> Bins:
 def fill_cells(
     points: Spherical,
     bins: Bins,
-    azimuth_deg: _FLOATS,
-    elevation_deg: _FLOATS,
+    azimuth_deg: Floats,
+    elevation_deg: Floats,
     reach_deg: float,
     neighbours: int,
-    sparse: NDArray[np.bool_],
-    depth_m: _FLOATS,
+    sparse: Bools,
+    depth_m: Floats,
 ) -> None:
     """Interpolate the range of sparse cells (Steps 5 to 7); without neighbours it stays as it is.
 
@@ -98,8 +96,8 @@ def _find_nearest(
     bins: Bins,
     beam_deg: tuple[float, float],
     reach_deg: float,
-    nearest: _INTS,
-    gap: _FLOATS,
+    nearest: Ints,
+    gap: Floats,
 ) -> int:
     """Nearest points, nearest first (``gap``: squared angles); returns how many there are.
 
@@ -141,8 +139,8 @@ def _scan_bin(
     column: int,
     beam_deg: tuple[float, float],
     reach_deg: float,
-    nearest: _INTS,
-    gap: _FLOATS,
+    nearest: Ints,
+    gap: Floats,
     found: int,
 ) -> int:
     """Insert the points of one bin into the sorted list of nearest ones; returns its new length."""
@@ -170,7 +168,7 @@ def _scan_bin(
 
 
 @njit(cache=True)
-def _weighted_range(points: Spherical, nearest: _INTS, beam_deg: tuple[float, float]) -> float:
+def _weighted_range(points: Spherical, nearest: Ints, beam_deg: tuple[float, float]) -> float:
     """Mean range weighted by the inverse distance to the beam (Eqs. 3 and 4)."""
     bx, by, bz = _direction(beam_deg[0], beam_deg[1])
     total, weights = 0.0, 0.0

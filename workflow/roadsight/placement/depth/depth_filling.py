@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float32]
+from roadsight.base.arrays import Bools, Floats32
 
 
-def fill_linearly(depth_m: _FLOATS, wanted: NDArray[np.bool_], *, wraps: bool = True) -> _FLOATS:
+def fill_linearly(depth_m: Floats32, wanted: Bools, *, wraps: bool = True) -> Floats32:
     """Ranges of the wanted cells, 0 elsewhere; shape (rows, columns).
 
     Known ranges stay. Others are interpolated between the nearest known cells of their row and of
@@ -29,7 +28,7 @@ def fill_linearly(depth_m: _FLOATS, wanted: NDArray[np.bool_], *, wraps: bool = 
     return np.where(wanted, np.where(depth_m > 0, depth_m, filled), 0.0).astype(np.float32)
 
 
-def _along_rows(depth_m: _FLOATS, wraps: bool) -> tuple[_FLOATS, _FLOATS]:
+def _along_rows(depth_m: Floats32, wraps: bool) -> tuple[Floats32, Floats32]:
     """Ranges interpolated along rows, and 1 / cells to the nearest known one, 0 if none."""
     before_m, before = _last_known(depth_m, wraps)
     mirrored = np.ascontiguousarray(depth_m[:, ::-1])
@@ -41,7 +40,7 @@ def _along_rows(depth_m: _FLOATS, wraps: bool) -> tuple[_FLOATS, _FLOATS]:
 
 
 @njit(cache=True)
-def _last_known(depth_m: _FLOATS, wraps: bool) -> tuple[_FLOATS, _FLOATS]:
+def _last_known(depth_m: Floats32, wraps: bool) -> tuple[Floats32, Floats32]:
     """Of each cell the last known range before it in its row, and how many cells back, 0: none."""
     rows, columns = depth_m.shape
     range_m, gap = np.zeros((rows, columns), np.float32), np.zeros((rows, columns), np.float32)

@@ -12,11 +12,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.placement.depth.angular_neighbours import Spherical, bin_points, fill_cells
 from roadsight.placement.sensors.sensors import Sensor
-
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
 
 REACH_CELLS = 1.5
 """Points farther from a beam than this many of the cells' longest side do not fill its cell.
@@ -27,7 +25,7 @@ The paper sets no limit; without one the whole sky would return the nearest tree
 
 def preliminary_depth(
     xyz_m: NDArray[np.floating], sensor: Sensor, position_m: ArrayLike, yaw_deg: float
-) -> NDArray[np.float32]:
+) -> Floats32:
     """Least range per cell, 0 where a cell is empty (Steps 1 to 4); shape (rows, columns).
 
     Parameters
@@ -48,7 +46,7 @@ def hybrid_depth(
     *,
     min_cell_points: int = 5,
     neighbours: int = 10,
-) -> NDArray[np.float32]:
+) -> Floats32:
     """Algorithm 1: range of every beam, 0 where nothing is near it; shape (rows, columns).
 
     Equally near neighbours are taken in input order. Fewer than ``neighbours`` points within reach
@@ -87,7 +85,7 @@ def points_in_range(
     return Spherical(*_spherical(xyz_m, position, np.radians(yaw_deg), sensor.range_m))
 
 
-def least_ranges(points: Spherical, sensor: Sensor) -> tuple[_FLOATS, _INTS]:
+def least_ranges(points: Spherical, sensor: Sensor) -> tuple[Floats, Ints]:
     """Least range (infinite if none) and number of points of each cell, both (rows, columns)."""
     least, counts = np.full(sensor.shape, np.inf), np.zeros(sensor.shape, np.int64)
     edges, start = sensor.elevation_edges_deg, sensor.azimuth_min_deg
@@ -98,8 +96,8 @@ def least_ranges(points: Spherical, sensor: Sensor) -> tuple[_FLOATS, _INTS]:
 
 @njit(cache=True)
 def _spherical(
-    xyz_m: NDArray[np.floating], position_m: _FLOATS, yaw: float, max_range_m: float
-) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+    xyz_m: NDArray[np.floating], position_m: Floats, yaw: float, max_range_m: float
+) -> tuple[Floats, Floats, Floats]:
     azimuth, elevation, distance = (
         np.empty(len(xyz_m)),
         np.empty(len(xyz_m)),
@@ -123,11 +121,11 @@ def _spherical(
 @njit(cache=True)
 def _least(
     points: Spherical,
-    edges_deg: _FLOATS,
+    edges_deg: Floats,
     start_deg: float,
     span_deg: float,
-    least: _FLOATS,
-    counts: _INTS,
+    least: Floats,
+    counts: Ints,
 ) -> None:
     rows, columns = least.shape
     per_column = span_deg / columns

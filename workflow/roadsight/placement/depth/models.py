@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
+from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.unet import unet_depth, unet_mask_depth
@@ -18,13 +16,13 @@ _UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
 NETWORK_MODELS = tuple(_UNETS)
 """Those that need a network."""
 
-Network = Callable[[NDArray[np.float32]], NDArray[np.float32]]
+Network = Callable[[Floats32], Floats32]
 """Refined depth and score of a return (n, 2, h, w) of normalised maps (n, 1, h, w)."""
 
 
 def model_of_points(
     name: str, network: Network | None = None, *, min_cell_points: int = 5, neighbours: int = 10
-) -> Callable[..., NDArray[np.float32]]:
+) -> Callable[..., Floats32]:
     """Function of points, sensor, position and yaw that gives a depth map.
 
     Parameters

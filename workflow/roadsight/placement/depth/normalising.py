@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float32]
+from roadsight.base.arrays import Floats32
 
 STEP_DEG = 0.1
 """Cells of the fine grid, both ways."""
@@ -13,7 +12,7 @@ MULTIPLE_CELLS = 8
 """Both sides of what a network sees are multiples of this."""
 
 
-def normalised(depth_m: _FLOATS) -> tuple[_FLOATS, float, float]:
+def normalised(depth_m: Floats32) -> tuple[Floats32, float, float]:
     """A map brought to 0 to 1, and its least and greatest range, m.
 
     Cells without return count as range 0, and so become 0. A map of one value everywhere has no

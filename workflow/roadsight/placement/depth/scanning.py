@@ -10,14 +10,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.placement.sensors.aimed import AimedSensor, Camera, Radar, Rosette
-
-_FLOATS = NDArray[np.float64]
 
 _MOST_PIXELS = 200_000
 
 
-def scan_directions(sensor: AimedSensor) -> _FLOATS:
+def scan_directions(sensor: AimedSensor) -> Floats:
     """Unit vectors (n, 3) in the sensor frame along which a scan looks."""
     if isinstance(sensor, Rosette):
         return rosette_directions(sensor)
@@ -30,7 +29,7 @@ def scan_directions(sensor: AimedSensor) -> _FLOATS:
 
 def rosette_directions(
     sensor: Rosette, phases_rad: tuple[float, float] | NDArray = (0.0, 0.0)
-) -> _FLOATS:
+) -> Floats:
     """The points of one frame in their order, lasers in turn.
 
     Parameters
@@ -51,7 +50,7 @@ def rosette_directions(
     return np.column_stack([np.cos(angle), share * u, share * v])
 
 
-def _pixel_directions(camera: Camera) -> _FLOATS:
+def _pixel_directions(camera: Camera) -> Floats:
     """Pixels, every n-th in both directions."""
     pixels = camera.columns_px * camera.rows_px
     step = max(int(np.ceil(np.sqrt(pixels / _MOST_PIXELS))), 1)
@@ -64,7 +63,7 @@ def _pixel_directions(camera: Camera) -> _FLOATS:
     return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
 
 
-def _cell_directions(radar: Radar) -> _FLOATS:
+def _cell_directions(radar: Radar) -> Floats:
     """Middles of cells: the resolution of the zone that each azimuth lies in, both ways."""
     parts, inner = [], 0.0
     low, high = radar.elevation_min_deg, radar.elevation_max_deg

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.placement.sensors.earth import rise_m
 from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.sensors import Sensor
@@ -38,7 +39,7 @@ class SurfelLidar:
 
     def cast(
         self, origins_m: ArrayLike, directions: ArrayLike, max_range_m: float = np.inf
-    ) -> NDArray[np.float32]:
+    ) -> Floats32:
         """Ranges (n,) of the first surfels along rays, infinite where there is none.
 
         Parameters
@@ -62,9 +63,9 @@ class SurfelLidar:
         sensor: Sensor,
         position_m: ArrayLike,
         yaw_deg: float,
-        tilt: NDArray[np.float64] | None = None,
+        tilt: Floats | None = None,
         curved: bool = False,
-    ) -> NDArray[np.float32]:
+    ) -> Floats32:
         """Range of every beam's first return, metres, 0 for none; shape (rows, columns).
 
         Parameters
@@ -80,7 +81,7 @@ class SurfelLidar:
         return range_m.reshape(sensor.shape)
 
 
-def risen(directions: NDArray[np.float32], range_m: NDArray[np.float32]) -> NDArray[np.float32]:
+def risen(directions: Floats32, range_m: Floats32) -> Floats32:
     """Straight lines (n, 3) to where curved beams are at a range.
 
     A beam climbs by `rise_m`, so little that the range to which it is straightened hardly matters.
@@ -97,7 +98,7 @@ def risen(directions: NDArray[np.float32], range_m: NDArray[np.float32]) -> NDAr
     return straight.astype(np.float32)
 
 
-def _corners(surfels: Surfels, origin_m: NDArray[np.float64]) -> NDArray[np.float32]:
+def _corners(surfels: Surfels, origin_m: Floats) -> Floats32:
     """Corners (n, 4, 3) of each surfel: its plane over the borders of its cell."""
     n = len(surfels)
     rows, axis = np.arange(n), np.abs(surfels.normal).argmax(axis=1)

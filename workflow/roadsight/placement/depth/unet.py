@@ -14,14 +14,13 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Bools, Floats, Floats32, Ints
 from roadsight.placement.depth.depth_filling import fill_linearly
 from roadsight.placement.depth.hybrid import preliminary_depth
 from roadsight.placement.depth.normalising import MULTIPLE_CELLS, STEP_DEG, normalised
 from roadsight.placement.sensors.sensors import Sensor
 
-_FLOATS = NDArray[np.float32]
-
-Run = Callable[[_FLOATS], _FLOATS]
+Run = Callable[[Floats32], Floats32]
 """A network: normalised maps (1, 1, h, w) to refined ones and scores of a return (1, 2, h, w)."""
 
 HALO_CELLS = 56
@@ -40,7 +39,7 @@ def unet_depth(
     yaw_deg: float,
     *,
     run: Run,
-) -> _FLOATS:
+) -> Floats32:
     """Range of every beam as the network tells it, 0 for none; shape (rows, columns).
 
     Parameters
@@ -62,7 +61,7 @@ def unet_mask_depth(
     yaw_deg: float,
     *,
     run: Run,
-) -> _FLOATS:
+) -> Floats32:
     """As `unet_depth`, but ranges are interpolated where the network sees a return."""
     fine = fine_sensor(sensor)
     preliminary = preliminary_depth(xyz_m, fine, position_m, yaw_deg)
@@ -102,7 +101,7 @@ def grid_sensor(azimuth_deg: tuple[float, float], rows: tuple[int, int], range_m
     )
 
 
-def refined(depth_m: _FLOATS, run: Run, *, wraps: bool = True) -> tuple[_FLOATS, NDArray[np.bool_]]:
+def refined(depth_m: Floats32, run: Run, *, wraps: bool = True) -> tuple[Floats32, Bools]:
     """Refined ranges (rows, columns) of a preliminary map, and where there is a return.
 
     A map without any return, or with the same range everywhere, has nothing to refine and stays.
@@ -120,7 +119,7 @@ def refined(depth_m: _FLOATS, run: Run, *, wraps: bool = True) -> tuple[_FLOATS,
     return range_m, (output[1] > 0) & (range_m > 0)
 
 
-def _tiled(values: _FLOATS, run: Run, wraps: bool) -> _FLOATS:
+def _tiled(values: Floats32, run: Run, wraps: bool) -> Floats32:
     """What the network gives, (2, rows, columns), tile by tile with enough around each."""
     rows, columns = values.shape
     padded = np.zeros((_rounded_up(rows), columns), np.float32)
@@ -141,7 +140,7 @@ def _rounded_up(cells: int) -> int:
     return -(-cells // MULTIPLE_CELLS) * MULTIPLE_CELLS
 
 
-def on_beams(depth_m: _FLOATS, fine: Sensor, sensor: Sensor) -> _FLOATS:
+def on_beams(depth_m: Floats32, fine: Sensor, sensor: Sensor) -> Floats32:
     """A map of the fine grid at a sensor's beams: cropped, down-sampled and resized.
 
     A beam between two cells takes the range between theirs (linear in the inverse range, as a plane
@@ -159,14 +158,14 @@ def on_beams(depth_m: _FLOATS, fine: Sensor, sensor: Sensor) -> _FLOATS:
     return _between(across[below], across[above], share[:, None])
 
 
-def _cells(angle_deg: NDArray[np.float64]) -> tuple[NDArray[np.int64], _FLOATS]:
+def _cells(angle_deg: Floats) -> tuple[Ints, Floats32]:
     """Cell at or before each angle from the first one, and how far it is to the next, 0 to 1."""
     steps = np.round(angle_deg / STEP_DEG, 6)
     cell = np.floor(steps)
     return cell.astype(np.int64), (steps - cell).astype(np.float32)
 
 
-def _between(one_m: _FLOATS, other_m: _FLOATS, share: _FLOATS) -> _FLOATS:
+def _between(one_m: Floats32, other_m: Floats32, share: Floats32) -> Floats32:
     """Range at a share of the way from one cell to the next."""
     nearer = np.where(share <= 0.5, one_m, other_m)
     least = np.minimum(one_m, other_m)

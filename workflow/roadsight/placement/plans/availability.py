@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy import sparse
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.placement.sight.common_traffic import (
     MOST_SENSORS,
     contains,
@@ -18,9 +18,6 @@ from roadsight.placement.sight.common_traffic import (
 )
 from roadsight.placement.sight.lanes import Traffic
 from roadsight.setcover.joint.joint_problem import JointProblem
-
-_FLOATS = NDArray[np.float64]
-_ROWS = NDArray[np.int64]
 
 # A share of the time that is stored as float32 is never certain.
 _MOST_SHARE = 1 - 1e-9
@@ -51,7 +48,7 @@ def share_matrix(
 
 
 def past_traffic(
-    seen: sparse.csr_matrix, traffic: Traffic, sensors_m: _FLOATS, points_m: _FLOATS
+    seen: sparse.csr_matrix, traffic: Traffic, sensors_m: Floats, points_m: Floats
 ) -> sparse.csr_matrix:
     """Shares of the entries of ``seen`` as `CommonTraffic` knows them: exactly, and never more."""
     shares = sparse.csr_matrix(seen, dtype=np.float64, copy=True)
@@ -70,7 +67,7 @@ def past_traffic(
     return shares
 
 
-def _places(sensors_m: _FLOATS) -> _ROWS:
+def _places(sensors_m: Floats) -> Ints:
     """Number of the place (choices,) at which each choice stands: poses share theirs."""
     return np.unique(sensors_m, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
@@ -84,10 +81,10 @@ class AtLevel:
     """
 
     problem: JointProblem
-    below: _ROWS
+    below: Ints
 
 
-def at_level(shares: sparse.csr_matrix, costs: _FLOATS, positions: _ROWS, level: float) -> AtLevel:
+def at_level(shares: sparse.csr_matrix, costs: Floats, positions: Ints, level: float) -> AtLevel:
     """Problem in which independent sensors see each target with probability ``level``.
 
     sum -log(1 - p_i) x_i >= -log(1 - level), one sensor at a position.
@@ -115,39 +112,41 @@ class CommonTraffic:
     """
 
     traffic: Traffic
-    sensors_m: _FLOATS
-    points_m: _FLOATS
+    sensors_m: Floats
+    points_m: Floats
     shares: sparse.csr_matrix
     level: float
-    below: _ROWS
+    below: Ints
     given_up: set[int] = field(default_factory=set)
 
     def __post_init__(self) -> None:
         self._by_target = self.shares.tocsc()
         self._place = _places(self.sensors_m).tolist()
-        self._spans: dict[tuple[int, int], _FLOATS] = {}
+        self._spans: dict[tuple[int, int], Floats] = {}
         self.given_up |= set(self.below.tolist())
 
-    def joint_shares(self, chosen: _ROWS) -> _FLOATS:
+    def joint_shares(self, chosen: Ints) -> Floats:
         """How often at least one of chosen rows sees each target (targets,)."""
         self._walk(chosen)
         rows = self.shares[chosen].tocsc()
-        return np.array([
-            joint_share([self._span(int(chosen[k]), t) for k in _column(rows, t)], self._per_m)
-            for t in range(len(self.points_m))
-        ])  # fmt: skip
+        return np.array(
+            [
+                joint_share([self._span(int(chosen[k]), t) for k in _column(rows, t)], self._per_m)
+                for t in range(len(self.points_m))
+            ]
+        )
 
-    def __call__(self, chosen: _ROWS) -> list[_ROWS]:
+    def __call__(self, chosen: Ints) -> list[Ints]:
         """Sets of rows of which one more is needed: for the targets that lack the most."""
         seen = self.joint_shares(chosen)
         lacking = np.flatnonzero(seen < self.level - _TOLERANCE)
         lacking = lacking[[int(t) not in self.given_up for t in lacking]]
         worst = lacking[np.argsort(seen[lacking], kind="stable")][:_CUTS]
-        cuts: dict[bytes, _ROWS] = {}
+        cuts: dict[bytes, Ints] = {}
         for target in worst.tolist():
             rows = _column(self._by_target, target)
             useless = self._of_no_help(target, rows, chosen)
-            cut: _ROWS = rows[~np.isin(rows, useless)]
+            cut: Ints = rows[~np.isin(rows, useless)]
             if not len(cut):
                 self.given_up.add(target)
                 continue
@@ -155,10 +154,10 @@ class CommonTraffic:
         return list(cuts.values())
 
     @property
-    def _per_m(self) -> _FLOATS:
+    def _per_m(self) -> Floats:
         return self.traffic.per_m
 
-    def _of_no_help(self, target: int, rows: _ROWS, chosen: _ROWS) -> _ROWS:
+    def _of_no_help(self, target: int, rows: Ints, chosen: Ints) -> Ints:
         """Rows that all together leave a target below the level, the chosen ones among them.
 
         The chosen rows are joined by others as long as the level is not reached, and by those that
@@ -181,7 +180,7 @@ class CommonTraffic:
         ]
         return np.array([*inside, *covered], np.int64)
 
-    def _walk(self, chosen: _ROWS) -> None:
+    def _walk(self, chosen: Ints) -> None:
         """Spans of all targets that chosen rows see."""
         for row in chosen.tolist():
             targets = self.shares.indices[self.shares.indptr[row] : self.shares.indptr[row + 1]]
@@ -191,7 +190,7 @@ class CommonTraffic:
                 found = spans_in_the_way(self.traffic, self.sensors_m[row], self.points_m[new])
                 self._spans |= {(place, t): s.copy() for t, s in zip(new, found, strict=True)}
 
-    def _span(self, row: int, target: int) -> _FLOATS:
+    def _span(self, row: int, target: int) -> Floats:
         key = (self._place[row], target)
         if key not in self._spans:
             point = self.points_m[target : target + 1]
@@ -199,12 +198,12 @@ class CommonTraffic:
         return self._spans[key]
 
 
-def _column(matrix: sparse.csc_matrix, column: int) -> _ROWS:
+def _column(matrix: sparse.csc_matrix, column: int) -> Ints:
     rows = matrix.indices[matrix.indptr[column] : matrix.indptr[column + 1]]
     return np.sort(rows).astype(np.int64)
 
 
-def counted_shares(shares: _FLOATS) -> dict[str, list[float]]:
+def counted_shares(shares: Floats) -> dict[str, list[float]]:
     """Targets by availability, in the classes of `EDGES`."""
     counts = np.histogram(shares, EDGES)[0]
     return {"edges": list(EDGES), "targets": counts.astype(int).tolist()}

@@ -7,23 +7,21 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from shapely import LineString, line_locate_point
 from shapely import points as shapely_points
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.placement.sensors.aimed import Camera, Rosette
 from roadsight.placement.sensors.sensors import AnySensor, Sensor
 
-_FLOATS = NDArray[np.float64]
 
-
-def stations_m(edges: Sequence[LineString], xy_m: _FLOATS) -> _FLOATS:
+def stations_m(edges: Sequence[LineString], xy_m: Floats) -> Floats:
     """Place (n,) of each point along the longest edge."""
     longest = max(edges, key=lambda edge: edge.length)
     return np.asarray(line_locate_point(longest, shapely_points(xy_m)))
 
 
-def handover(times_seen: NDArray[np.int64]) -> dict[str, Any]:
+def handover(times_seen: Ints) -> dict[str, Any]:
     """How many sensors see each target (n,): share of two and more, mean, and targets by number."""
     count = max(len(times_seen), 1)
     return {
@@ -34,7 +32,7 @@ def handover(times_seen: NDArray[np.int64]) -> dict[str, Any]:
 
 
 def overlaps(
-    seen: NDArray[np.bool_], target_station_m: _FLOATS, sensor_station_m: _FLOATS, cell_m: float
+    seen: Bools, target_station_m: Floats, sensor_station_m: Floats, cell_m: float
 ) -> list[dict[str, Any]]:
     """Length of road on which each sensor and the next one along it see the same targets.
 
@@ -53,8 +51,9 @@ def overlaps(
     for one, two in pairwise(order):
         both = seen[one] & seen[two]
         length = float(len(np.unique(stretch[both])) * cell_m)
-        found.append({"sensor": int(one), "next": int(two), "targets": int(both.sum()),
-                      "length_m": length})  # fmt: skip
+        found.append(
+            {"sensor": int(one), "next": int(two), "targets": int(both.sum()), "length_m": length}
+        )
     return found
 
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.placement.plans.plan_problem import Asked, Posed
 from roadsight.setcover.common.deadline import Deadline, WorkLimit
@@ -40,7 +40,7 @@ class Answer:
     record: dict[str, Any]
     sensors: pd.DataFrame
     alternatives: list[tuple[int, int]]
-    different: NDArray[np.int64]
+    different: Ints
 
 
 def answer(
@@ -85,12 +85,14 @@ def answer(
             "least_shared_places": found.least_shared,
             "different": [name(row) for row in found.chosen],
         }
-    sensors = pd.DataFrame({
-        "cost": deployment.problem.costs[cover.chosen],
-        "loses": failures,
-        "mandatory": deployment.problem.mandatory[cover.chosen],
-        "pole": [posed.pole[position[row]] for row in cover.chosen],
-    })  # fmt: skip
+    sensors = pd.DataFrame(
+        {
+            "cost": deployment.problem.costs[cover.chosen],
+            "loses": failures,
+            "mandatory": deployment.problem.mandatory[cover.chosen],
+            "pole": [posed.pole[position[row]] for row in cover.chosen],
+        }
+    )
     return Answer(_in_cost(deployment, cover), record, sensors, swaps, different)
 
 
@@ -115,10 +117,11 @@ def _check(asked: Asked, cover: Cover, limit_s: float) -> None:
         )
     if not math.isfinite(cover.objective):
         raise InputError(
-            "no set of sensors was found within the time limit", where=asked.where,
+            "no set of sensors was found within the time limit",
+            where=asked.where,
             found=f"{limit_s:g} s",
             hint="raise cover.time_limit_s, or ask for less (spacing_m, keep_share)",
-        )  # fmt: skip
+        )
 
 
 def _in_cost(deployment: Deployment, cover: Cover) -> Cover:
@@ -137,7 +140,7 @@ def _goal(asked: Asked, deployment: Deployment, cover: Cover) -> dict[str, Any]:
     return {"kind": "cost", "value": cover.objective, "bound": cover.bound}
 
 
-def _losses(posed: Posed, chosen: NDArray[np.int64]) -> NDArray[np.float64]:
+def _losses(posed: Posed, chosen: Ints) -> Floats:
     """Weight (chosen,) that is no longer seen often enough when each row fails.
 
     How often is what the targets need, not what a plan that survives failures makes of it.
@@ -226,7 +229,7 @@ def _curve(
     return {"of": counted, "total": deployment.total, "points": points}
 
 
-def _places(candidates: pd.DataFrame, position: NDArray[np.int64]) -> NDArray[np.int64]:
+def _places(candidates: pd.DataFrame, position: Ints) -> Ints:
     """Number of the place (choices,) of each row; heights of one place share it."""
     xy_m = candidates[["x", "y"]].to_numpy(np.float64)
     number = np.unique(xy_m, axis=0, return_inverse=True)[1].reshape(-1)

@@ -8,9 +8,9 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy import sparse
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.placement.candidates.siting import (
     mounting_costs,
@@ -71,7 +71,7 @@ class Posed:
     targets: pd.DataFrame
     unseen: list[str]
     short: dict[str, int]
-    forbidden: NDArray[np.bool_]
+    forbidden: Bools
     pole: list[str] = field(default_factory=list)
 
 
@@ -106,9 +106,11 @@ def pose(
     cost = choices["cost"].to_numpy(np.float64) + mount[position]
     if not (cost > 0).all():
         raise InputError(
-            "a sensor with its mounting must cost something", where=asked.where,
-            found=cost.min(), hint="raise the sensor's cost or poles.cost",
-        )  # fmt: skip
+            "a sensor with its mounting must cost something",
+            where=asked.where,
+            found=cost.min(),
+            hint="raise the sensor's cost or poles.cost",
+        )
     weight, need = _needs(asked, targets)
     reachable = reach(matrix, position, forbidden)
     short = np.flatnonzero(reachable < need)
@@ -132,7 +134,7 @@ def pose(
     )
 
 
-def _needs(asked: Asked, targets: pd.DataFrame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _needs(asked: Asked, targets: pd.DataFrame) -> tuple[Floats, Ints]:
     if asked.areas is None:
         return np.ones(len(targets)), np.full(len(targets), asked.at_least, np.int64)
     return needs_by_area(asked.areas, targets, asked.at_least)
@@ -143,7 +145,7 @@ def _mandatory(
     candidates: pd.DataFrame,
     choices: pd.DataFrame,
     matrix: sparse.csr_matrix,
-    zone: NDArray[np.bool_],
+    zone: Bools,
 ) -> list[int]:
     if asked.fixed is None:
         return []
@@ -152,7 +154,7 @@ def _mandatory(
     return snapped(asked.fixed, candidates, choices, matrix, zone, within_m, where)
 
 
-def _mounts(asked: Asked, candidates: pd.DataFrame) -> tuple[NDArray[np.float64], list[str]]:
+def _mounts(asked: Asked, candidates: pd.DataFrame) -> tuple[Floats, list[str]]:
     """Cost of mounting at each candidate, and the name of its pole."""
     if asked.poles is None:
         return np.zeros(len(candidates)), [""] * len(candidates)
@@ -164,9 +166,7 @@ def _mounts(asked: Asked, candidates: pd.DataFrame) -> tuple[NDArray[np.float64]
     return mount, [names[p] if p >= 0 else "" for p in pole]
 
 
-def _cliques(
-    asked: Asked, candidates: pd.DataFrame, position: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], ...]:
+def _cliques(asked: Asked, candidates: pd.DataFrame, position: Ints) -> tuple[Ints, ...]:
     spacing_m = asked.options.get("spacing_m")
     if spacing_m is None:
         return ()
@@ -174,8 +174,8 @@ def _cliques(
 
 
 def _failure_folds(
-    asked: Asked, targets: pd.DataFrame, weight: NDArray[np.float64], need: NDArray[np.int64]
-) -> tuple[float, NDArray[np.int64]]:
+    asked: Asked, targets: pd.DataFrame, weight: Floats, need: Ints
+) -> tuple[float, Ints]:
     """Share to keep, and how often to see: all of it is to see everything once more."""
     keep = float(asked.options.get("keep_share") or 0.0)
     if keep < 1 or asked.soft:
@@ -195,9 +195,9 @@ def _failure_folds(
 def _deployment(
     asked: Asked,
     problem: CoverProblem,
-    weight: NDArray[np.float64],
+    weight: Floats,
     keep: float,
-    cliques: tuple[NDArray[np.int64], ...],
+    cliques: tuple[Ints, ...],
 ) -> Deployment:
     budget, price = asked.options.get("budget"), asked.options.get("price")
     common: dict[str, Any] = {"weights": weight, "cliques": cliques, "keep": keep}
@@ -217,7 +217,7 @@ def _deployment(
     return Deployment(problem, **common)
 
 
-def _check_reach(asked: Asked, targets: pd.DataFrame, short: NDArray[np.int64]) -> None:
+def _check_reach(asked: Asked, targets: pd.DataFrame, short: Ints) -> None:
     """One message about all targets that cannot be seen as often as asked."""
     if not len(short) or asked.exclude or asked.soft:
         return

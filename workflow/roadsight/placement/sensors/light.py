@@ -9,9 +9,10 @@ due to adverse environmental conditions", Opto-Electronics Review 22, Eq. 1).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import lambertw
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.placement.sensors.sensors import AnySensor, Rosette, Sensor
 
@@ -71,7 +72,7 @@ def wavelength_nm(sensor: AnySensor) -> float:
     return sensor.wavelength_nm if isinstance(sensor, Sensor | Rosette) else _REFERENCE_NM
 
 
-def reflectivity_range_m(sensor: Sensor | Rosette, reflectivity: ArrayLike) -> NDArray[np.float64]:
+def reflectivity_range_m(sensor: Sensor | Rosette, reflectivity: ArrayLike) -> Floats:
     """Range at which a surface of a reflectivity returns as much as the sensor needs.
 
     Range grows with the square root of the reflectivity, through the datasheet's range at 10 %
@@ -87,7 +88,7 @@ def reflectivity_range_m(sensor: Sensor | Rosette, reflectivity: ArrayLike) -> N
     return np.minimum(known_m * np.sqrt(np.asarray(reflectivity) / at), sensor.range_m)
 
 
-def range_in_air_m(clear_range_m: ArrayLike, extinction_per_m: float) -> NDArray[np.float64]:
+def range_in_air_m(clear_range_m: ArrayLike, extinction_per_m: float) -> Floats:
     """Range at which the signal is as weak as at ``clear_range_m`` in clear air.
 
     Solves r exp(a r) = R for r: r = W(a R) / a with Lambert's W.

@@ -17,9 +17,8 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Floats, Ints
 
 _NUMBER = r"[+-](?:\d+(?:\.\d+)?)"
 _NAME = re.compile(rf"(.*)@y({_NUMBER})p({_NUMBER})r({_NUMBER})")
@@ -44,12 +43,14 @@ def turns_of(
 
     Angles are rounded to a thousandth of a degree, as names of poses state them.
     """
-    turns = {Turn(*(round(float(angle), 3) + 0.0 for angle in angles))
-             for angles in product(yaw_deg, pitch_deg, roll_deg)}  # fmt: skip
+    turns = {
+        Turn(*(round(float(angle), 3) + 0.0 for angle in angles))
+        for angles in product(yaw_deg, pitch_deg, roll_deg)
+    }
     return sorted(turns, key=lambda turn: (sum(map(abs, turn)), turn))
 
 
-def local_from_sensor(facing_deg: float, turn: Turn, tilt: _FLOATS | None = None) -> _FLOATS:
+def local_from_sensor(facing_deg: float, turn: Turn, tilt: Floats | None = None) -> Floats:
     """Rotation (3, 3) whose columns are the sensor's axes in the local frame.
 
     Parameters
@@ -83,7 +84,7 @@ def split_pose(name: str) -> tuple[str, Turn]:
     return matched[1], Turn(*(float(matched[number]) for number in (2, 3, 4)))
 
 
-def not_dominated(seen: NDArray[np.bool_]) -> NDArray[np.int64]:
+def not_dominated(seen: Bools) -> Ints:
     """Rows worth keeping of what the poses (m, n) at one position see of the targets.
 
     A pose is dropped when it sees nothing, the same as an earlier one, or part of what another

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
 from roadsight.placement.sensors.spinning import Sensor
-
-_FLOATS = NDArray[np.float64]
 
 SPHERICAL, PINHOLE, EQUIDISTANT = 0, 1, 2
 _ROSETTE_CELL_DEG = 0.1
@@ -35,9 +33,9 @@ class Raster:
     """
 
     projection: int
-    u: _FLOATS
-    v: _FLOATS
-    weight: _FLOATS
+    u: Floats
+    v: Floats
+    weight: Floats
     most: int
 
 
@@ -87,20 +85,20 @@ def rosette_raster(rosette: Rosette) -> Raster:
     return Raster(EQUIDISTANT, u, v, weight * (rosette.points / weight.sum()), 24)
 
 
-def _density(radius_deg: _FLOATS, arrow_deg: float, width_deg: float) -> _FLOATS:
+def _density(radius_deg: Floats, arrow_deg: float, width_deg: float) -> Floats:
     """Mean share of points per square degree of the ring of a width about each radius."""
     inner, outer = np.maximum(radius_deg - width_deg / 2, 0), radius_deg + width_deg / 2
     share = _within(outer, arrow_deg) - _within(inner, arrow_deg)
     return np.asarray(share / (np.pi * (outer**2 - inner**2)))
 
 
-def _within(radius_deg: _FLOATS, arrow_deg: float) -> _FLOATS:
+def _within(radius_deg: Floats, arrow_deg: float) -> Floats:
     """Probability that the sum of two arrows of a length in even directions is so short."""
     cosine = np.clip(radius_deg**2 / (2 * arrow_deg**2) - 1, -1, 1)
     return np.asarray(1 - np.arccos(cosine) / np.pi)
 
 
-def _cells(low: float, high: float, step: float) -> _FLOATS:
+def _cells(low: float, high: float, step: float) -> Floats:
     """Middles of cells of about a width that fill an interval."""
     count = max(round((high - low) / step), 1)
     return low + (np.arange(count) + 0.5) * (high - low) / count

@@ -8,31 +8,30 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.placement.sensors.earth import rise_m
 from roadsight.placement.sensors.sensors import Sensor
 
-_FLOATS = NDArray[np.float64]
 
-
-def sensor_from_local(xyz_m: ArrayLike, position_m: ArrayLike, yaw_deg: float) -> _FLOATS:
+def sensor_from_local(xyz_m: ArrayLike, position_m: ArrayLike, yaw_deg: float) -> Floats:
     """Eq. 1: local points (..., 3) in the frame of a sensor at ``position_m`` (3,), metres."""
     offset = np.asarray(xyz_m, np.float64) - np.asarray(position_m, np.float64)
     return offset @ _local_from_sensor(yaw_deg)
 
 
-def local_from_sensor(xyz_m: ArrayLike, position_m: ArrayLike, yaw_deg: float) -> _FLOATS:
+def local_from_sensor(xyz_m: ArrayLike, position_m: ArrayLike, yaw_deg: float) -> Floats:
     """Inverse of `sensor_from_local`."""
     turned = np.asarray(xyz_m, np.float64) @ _local_from_sensor(yaw_deg).T
     return turned + np.asarray(position_m, np.float64)
 
 
-def _local_from_sensor(yaw_deg: float) -> _FLOATS:
+def _local_from_sensor(yaw_deg: float) -> Floats:
     """Rotation whose columns are the sensor's axes in the local frame."""
     cosine, sine = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
     return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
-def spherical_from_sensor(xyz_m: ArrayLike) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+def spherical_from_sensor(xyz_m: ArrayLike) -> tuple[Floats, Floats, Floats]:
     """Eq. 2: azimuth in [-180, 180] and elevation in degrees, and range, of points (..., 3).
 
     Elevation is taken by the two-argument arctangent, which keeps its precision near the zenith;
@@ -46,7 +45,7 @@ def spherical_from_sensor(xyz_m: ArrayLike) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
 
 def sensor_from_spherical(
     azimuth_deg: ArrayLike, elevation_deg: ArrayLike, range_m: ArrayLike
-) -> _FLOATS:
+) -> Floats:
     """Eq. 3: points (..., 3) in the sensor frame from angles and range, broadcast together."""
     azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
     horizontal = range_m * np.cos(elevation)
@@ -58,9 +57,7 @@ def sensor_from_spherical(
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
-def beam_directions(
-    sensor: Sensor, yaw_deg: float, tilt: _FLOATS | None = None
-) -> NDArray[np.float32]:
+def beam_directions(sensor: Sensor, yaw_deg: float, tilt: Floats | None = None) -> Floats32:
     """Unit vectors of a sensor's beams in the local frame; shape (rows, columns, 3).
 
     Parameters
@@ -77,12 +74,12 @@ def beam_directions(
 
 
 def returns_xyz_m(
-    range_m: NDArray[np.float32],
+    range_m: Floats32,
     sensor: Sensor,
     position_m: ArrayLike,
     yaw_deg: float,
-    tilt: _FLOATS | None = None,
-) -> _FLOATS:
+    tilt: Floats | None = None,
+) -> Floats:
     """Points (n, 3) that a depth map stands for, local metres, row by row (paper 1, Fig. 9).
 
     Parameters
@@ -99,7 +96,7 @@ def returns_xyz_m(
 
 
 def as_seen_from(
-    xyz_m: NDArray[np.floating], position_m: ArrayLike, tilt: _FLOATS | None, curved: bool
+    xyz_m: NDArray[np.floating], position_m: ArrayLike, tilt: Floats | None, curved: bool
 ) -> NDArray[np.floating]:
     """Points (n, 3) moved so that a levelled sensor with straight beams sees them as this one does.
 

@@ -11,12 +11,11 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
-_FLOATS = NDArray[np.float64]
 _MAX_BEAMS = 20_000_000
 
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
@@ -93,7 +92,7 @@ class Sensor(BaseModel):
             )
 
     @property
-    def elevation_deg(self) -> _FLOATS:
+    def elevation_deg(self) -> Floats:
         """Elevation of each row's beams, increasing; shape (rows,)."""
         if self.elevations_deg is not None:
             return np.array(self.elevations_deg, np.float64)
@@ -105,7 +104,7 @@ class Sensor(BaseModel):
         return np.asarray(np.linspace(low, high, channels), np.float64)
 
     @property
-    def elevation_edges_deg(self) -> _FLOATS:
+    def elevation_edges_deg(self) -> Floats:
         """Borders of the rows' cells; shape (rows + 1,).
 
         Half-way between beams; the outer cells are symmetric about their beam. The cell of a single
@@ -124,7 +123,7 @@ class Sensor(BaseModel):
         return (self.azimuth_max_deg - self.azimuth_min_deg) / self.columns
 
     @property
-    def azimuth_deg(self) -> _FLOATS:
+    def azimuth_deg(self) -> Floats:
         """Azimuth of each column's beams, counter-clockwise from sensor x; shape (columns,)."""
         cells = np.arange(self.columns, dtype=np.float64) + 0.5
         return self.azimuth_min_deg + cells * self.azimuth_cell_deg

@@ -2,27 +2,25 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.mounted import beams_on
 from roadsight.placement.sight.shapes import Box
 
-_FLOATS = NDArray[np.float64]
-
 
 def count_box_hits(
-    range_m: NDArray[np.float32],
+    range_m: Floats32,
     sensor: Sensor,
     position_m: ArrayLike,
     yaw_deg: float,
-    tilt: _FLOATS | None,
-    feet_m: _FLOATS,
+    tilt: Floats | None,
+    feet_m: Floats,
     box: Box,
     max_range_m: float,
     footprints: bool,
-) -> _FLOATS:
+) -> Floats:
     """Beams, or shares of wide beams, that return from each box (n,); see `beams_on`.
 
     Parameters

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Ints
 
 # Carriageways of one road are no farther apart, and all of them lie within twice of it.
 _APART_M = 40.0
@@ -63,7 +62,7 @@ def lanes_abreast(lanes: pd.DataFrame) -> pd.Series:
     return pd.Series(counts, dtype=np.int64)
 
 
-def _abreast(points: pd.DataFrame, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+def _abreast(points: pd.DataFrame, chosen: Ints) -> Ints:
     """Lanes beside each chosen point of a road, its own among them."""
     xy = points[["x", "y"]].to_numpy(np.float64)
     along = points[["along_x", "along_y"]].to_numpy(np.float64)

@@ -11,11 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Floats32, Ints, Ints32
 from roadsight.placement.sight.lanes import Traffic
-
-_FLOATS = NDArray[np.float64]
 
 MOST_SENSORS = 12
 """Of more sensors that see a target, those with the greatest free shares count."""
@@ -24,7 +22,7 @@ _MOST_SPANS = 64
 _STEP_M = 0.25
 
 
-def spans_in_the_way(traffic: Traffic, sensor_m: _FLOATS, targets_m: _FLOATS) -> list[_FLOATS]:
+def spans_in_the_way(traffic: Traffic, sensor_m: Floats, targets_m: Floats) -> list[Floats]:
     """Where vehicles' middles hide each target from a sensor.
 
     The line is walked as `free_shares` walks it; per_m times the lengths of the spans is what that
@@ -42,7 +40,7 @@ def spans_in_the_way(traffic: Traffic, sensor_m: _FLOATS, targets_m: _FLOATS) ->
     return [found[n, : count[n]] for n in range(len(found))]
 
 
-def shares_alone(traffic: Traffic, sensor_m: _FLOATS, targets_m: _FLOATS) -> _FLOATS:
+def shares_alone(traffic: Traffic, sensor_m: Floats, targets_m: Floats) -> Floats:
     """Share of the time (n,) in which no vehicle hides each target, by the same spans."""
     found, count = _spans(traffic, sensor_m, targets_m)
     lane, kind = found[:, :, 0].astype(np.int64), found[:, :, 1].astype(np.int64)
@@ -50,9 +48,7 @@ def shares_alone(traffic: Traffic, sensor_m: _FLOATS, targets_m: _FLOATS) -> _FL
     return np.exp(-np.where(np.arange(_MOST_SPANS) < count[:, None], number, 0.0).sum(axis=1))
 
 
-def _spans(
-    traffic: Traffic, sensor_m: _FLOATS, targets_m: _FLOATS
-) -> tuple[_FLOATS, NDArray[np.int64]]:
+def _spans(traffic: Traffic, sensor_m: Floats, targets_m: Floats) -> tuple[Floats, Ints]:
     boxes = np.array([[v.length_m, v.width_m, v.height_m] for v in traffic.vehicles])
     grid = traffic.grid
     return _walk(
@@ -67,7 +63,7 @@ def _spans(
     )
 
 
-def joint_share(spans: Sequence[_FLOATS], per_m: _FLOATS) -> float:
+def joint_share(spans: Sequence[Floats], per_m: Floats) -> float:
     """Share of the time in which at least one sensor sees a target.
 
     With N(A) the vehicles in a set A of spans, the share in which all are hidden is
@@ -92,7 +88,7 @@ def joint_share(spans: Sequence[_FLOATS], per_m: _FLOATS) -> float:
     return float(_seen_by_any(table, owner, np.ascontiguousarray(per_m), len(used)))
 
 
-def contains(outer: _FLOATS, inner: _FLOATS) -> bool:
+def contains(outer: Floats, inner: Floats) -> bool:
     """Whether each span of ``inner`` lies within one of ``outer``."""
     if not len(inner):
         return True
@@ -101,13 +97,13 @@ def contains(outer: _FLOATS, inner: _FLOATS) -> bool:
     return bool((same & within).any(axis=1).all())
 
 
-def _mean_number(spans: _FLOATS, per_m: _FLOATS) -> float:
+def _mean_number(spans: Floats, per_m: Floats) -> float:
     lane, kind = spans[:, 0].astype(np.int64), spans[:, 1].astype(np.int64)
     return float((per_m[lane, kind] * (spans[:, 3] - spans[:, 2])).sum())
 
 
 @njit(cache=True)
-def _seen_by_any(spans: _FLOATS, owner: NDArray[np.int64], per_m: _FLOATS, sensors: int) -> float:
+def _seen_by_any(spans: Floats, owner: Ints, per_m: Floats, sensors: int) -> float:
     """One minus the share of the time in which all of the sensors are hidden."""
     sets = 1 << sensors
     mass = np.zeros(sets)  # mean number of vehicles that hide exactly the sensors of a set
@@ -142,7 +138,7 @@ def _seen_by_any(spans: _FLOATS, owner: NDArray[np.int64], per_m: _FLOATS, senso
 
 
 @njit(cache=True)
-def _joined(spans: _FLOATS, count: int, lane: int, kind: int, start: float, end: float) -> int:
+def _joined(spans: Floats, count: int, lane: int, kind: int, start: float, end: float) -> int:
     """Number of spans once one is added: it grows one of its lane and class that it meets."""
     for k in range(count):
         span = spans[k]
@@ -157,15 +153,15 @@ def _joined(spans: _FLOATS, count: int, lane: int, kind: int, start: float, end:
 
 @njit(cache=True)
 def _walk(
-    lane: NDArray[np.int32],
-    station_m: NDArray[np.float32],
-    offset_m: NDArray[np.float32],
-    ground_m: NDArray[np.float32],
+    lane: Ints32,
+    station_m: Floats32,
+    offset_m: Floats32,
+    ground_m: Floats32,
     corner: tuple[int, int, float],
-    boxes: _FLOATS,
-    sensor: _FLOATS,
-    targets: _FLOATS,
-) -> tuple[_FLOATS, NDArray[np.int64]]:
+    boxes: Floats,
+    sensor: Floats,
+    targets: Floats,
+) -> tuple[Floats, Ints]:
     """Spans (n, 64, 4) and their number (n,)."""
     found = np.zeros((len(targets), _MOST_SPANS, 4))
     count = np.zeros(len(targets), np.int64)

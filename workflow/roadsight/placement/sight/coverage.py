@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy import sparse
+
+from roadsight.base.arrays import Floats, Ints
 
 
 def detection_matrix(
@@ -31,14 +32,14 @@ def detection_matrix(
     return sparse.csr_matrix((ones, (rows[known], columns[known])), shape=shape, dtype=bool)
 
 
-def times_seen(matrix: sparse.csr_matrix, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+def times_seen(matrix: sparse.csr_matrix, chosen: Ints) -> Ints:
     """How many of the chosen rows see each target (n,)."""
     return np.asarray(matrix[chosen].sum(axis=0, dtype=np.int64)).ravel()
 
 
 def availability(
     detections: pd.DataFrame, chosen: set[tuple[str, str]], targets: pd.Series
-) -> NDArray[np.float64]:
+) -> Floats:
     """Share of the time (n,) in which at least one chosen sensor sees each target past traffic.
 
     Sensors at different places look past different vehicles, so that their shares are taken as

@@ -11,11 +11,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Floats, Floats32, Ints32
 from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
-
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int32]
 
 MIN_BEAMS = 8
 """A target is seen when more beams than this return from it (paper 1, Table 3)."""
@@ -25,7 +23,7 @@ _TOUCH_M = 1e-9
 
 
 def count_hits(
-    range_m: NDArray[np.float32],
+    range_m: Floats32,
     sensor: Sensor,
     position_m: ArrayLike,
     yaw_deg: float,
@@ -33,7 +31,7 @@ def count_hits(
     radius_m: float = 0.25,
     height_m: float = 0.6,
     max_range_m: float | None = None,
-) -> _INTS:
+) -> Ints32:
     """Number of beams that return from each target (n,).
 
     A beam returns from a target if it meets the cylinder within the sensor's range and nearer than
@@ -70,17 +68,17 @@ def count_hits(
 
 @njit(cache=True)
 def _count(
-    depth_m: NDArray[np.float32],
-    heading: _FLOATS,
-    slope: _FLOATS,
-    secant: _FLOATS,
+    depth_m: Floats32,
+    heading: Floats,
+    slope: Floats,
+    secant: Floats,
     start_deg: float,
     cell_deg: float,
     max_range_m: float,
-    feet: _FLOATS,
+    feet: Floats,
     radius_m: float,
     height_m: float,
-) -> _INTS:
+) -> Ints32:
     """Beams on each target: ``heading`` (columns, 2), ``slope`` and ``secant`` (rows,)."""
     hits = np.zeros(len(feet), np.int32)
     for target in range(len(feet)):
@@ -141,7 +139,7 @@ def chord(x: float, y: float, cosine: float, sine: float, radius_m: float) -> tu
 
 
 @njit(cache=True)
-def rows_across(rectangle: tuple[float, float, float, float], slope: _FLOATS) -> tuple[int, int]:
+def rows_across(rectangle: tuple[float, float, float, float], slope: Floats) -> tuple[int, int]:
     """Range of rows whose slopes lead from the origin into a rectangle (near, far, low, high)."""
     near, far, low, high = rectangle
     if far <= 0.0 or (near == 0.0 and low <= 0.0 <= high):

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
 from roadsight.placement.sensors.earth import rise_m
 from roadsight.placement.sensors.rasters import (
@@ -29,8 +29,6 @@ from roadsight.placement.sensors.spinning import Sensor
 from roadsight.placement.sight.posed import Panorama, weigh_by_height, weigh_targets
 from roadsight.placement.sight.shapes import Shape
 from roadsight.placement.sight.sight import Sight
-
-_FLOATS = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -58,11 +56,11 @@ class Detector(Protocol):
     def measure(
         self,
         panorama: Panorama,
-        rotation: _FLOATS,
-        feet_m: _FLOATS,
+        rotation: Floats,
+        feet_m: Floats,
         shape: Shape,
         sight: Sight,
-    ) -> _FLOATS:
+    ) -> Floats:
         """How well each target (n,) is seen, 0 for not at all.
 
         Parameters
@@ -71,7 +69,7 @@ class Detector(Protocol):
         feet_m : (n, 3) local metres. shape : of every target. sight : effects.
         """
 
-    def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
+    def sees(self, measured: Floats) -> Bools:
         """Which targets (n,) count as seen."""
 
 
@@ -101,23 +99,23 @@ class BandedDetector(ABC):
     def measure(
         self,
         panorama: Panorama,
-        rotation: _FLOATS,
-        feet_m: _FLOATS,
+        rotation: Floats,
+        feet_m: Floats,
         shape: Shape,
         sight: Sight,
-    ) -> _FLOATS:
+    ) -> Floats:
         """How well each target (n,) is seen, as `Detector.measure`."""
         return self.by_height(panorama, rotation, feet_m, shape, sight, 1)[:, 0]
 
     def by_height(
         self,
         panorama: Panorama,
-        rotation: _FLOATS,
-        feet_m: _FLOATS,
+        rotation: Floats,
+        feet_m: Floats,
         shape: Shape,
         sight: Sight,
         bands: int,
-    ) -> _FLOATS:
+    ) -> Floats:
         """What `measure` gives, by equal parts of the height, the lowest first, (n, bands)."""
         feet_m = seen_lower(feet_m, panorama, sight)
         found = (panorama, self.raster, rotation, feet_m, shape.packed, sight.max_range_m)
@@ -144,7 +142,7 @@ class BeamDetector(BandedDetector):
         across_mrad, upright_mrad = self.sensor.divergence_mrad
         return across_mrad / 1000, upright_mrad / 1000, self.sensor.aperture_mm / 1000
 
-    def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
+    def sees(self, measured: Floats) -> Bools:
         """Those with more than the least number of beams."""
         return np.asarray(measured > self.min_beams)
 
@@ -160,7 +158,7 @@ class CameraDetector(BandedDetector):
     def beam(self, sight: Sight) -> None:
         """Pixels have no width: their middles count."""
 
-    def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
+    def sees(self, measured: Floats) -> Bools:
         """Those on enough pixels."""
         return np.asarray(measured >= self.min_pixels)
 
@@ -182,11 +180,11 @@ class RadarDetector:
     def measure(
         self,
         panorama: Panorama,
-        rotation: _FLOATS,
-        feet_m: _FLOATS,
+        rotation: Floats,
+        feet_m: Floats,
         shape: Shape,
         sight: Sight,
-    ) -> _FLOATS:
+    ) -> Floats:
         """Power of the echo over the weakest that is found."""
         feet_m = seen_lower(feet_m, panorama, sight)
         strength = self.rcs_m2 / self.sensor.range_rcs_m2
@@ -205,12 +203,12 @@ class RadarDetector:
             best = np.where(inside, np.maximum(best, (zone.range_m / range_m) ** 4), best)
         return np.asarray(best * strength * share)
 
-    def sees(self, measured: _FLOATS) -> NDArray[np.bool_]:
+    def sees(self, measured: Floats) -> Bools:
         """Those whose echo is strong enough."""
         return np.asarray(measured >= 1.0)
 
 
-def seen_lower(feet_m: _FLOATS, panorama: Panorama, sight: Sight) -> _FLOATS:
+def seen_lower(feet_m: Floats, panorama: Panorama, sight: Sight) -> Floats:
     """Targets as straight beams meet them: where beams are curved, what is far lies deeper."""
     if not sight.curved:
         return feet_m

@@ -10,27 +10,26 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import chord, column_windows, entry, rows_across
-
-_FLOATS = NDArray[np.float64]
 
 CLEAN_SHARE = 0.5
 """Least share of a footprint that must lie on a target, so that the range is the target's."""
 
 
 def count_shared_hits(
-    range_m: NDArray[np.float32],
+    range_m: Floats32,
     sensor: Sensor,
     position_m: ArrayLike,
     yaw_deg: float,
-    tilt: _FLOATS | None,
+    tilt: Floats | None,
     targets_xyz_m: NDArray[np.floating],
     radius_m: float,
     height_m: float,
     max_range_m: float,
-) -> _FLOATS:
+) -> Floats:
     """Sum of the footprints' shares on each target (n,), of the beams that `count_hits` counts.
 
     A footprint is a rectangle of the sensor's divergence, widened by its aperture, across and
@@ -65,16 +64,16 @@ def count_shared_hits(
 
 @njit(cache=True)
 def _count(
-    depth_m: NDArray[np.float32],
-    heading: _FLOATS,
-    slope: _FLOATS,
+    depth_m: Floats32,
+    heading: Floats,
+    slope: Floats,
     start_deg: float,
     cell_deg: float,
     max_range_m: float,
-    feet: _FLOATS,
+    feet: Floats,
     size_m: tuple[float, float],
     beam: tuple[float, float, float],
-) -> _FLOATS:
+) -> Floats:
     """Shares on each target; ``beam`` is divergence across and upright, rad, and aperture, m."""
     shares = np.zeros(len(feet))
     radius_m, height_m = size_m

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools
 from roadsight.placement.sight.lanes import Traffic, free_shares
 from roadsight.placement.sight.obstacles import NEAREST
-
-_FLOATS = NDArray[np.float64]
 
 OUT_OF_RANGE, HIDDEN = "out of range", "hidden"
 WEATHER = "in range only without rain and fog"
@@ -19,7 +17,7 @@ VEHICLES = "hidden by vehicles too often"
 
 
 def refine_reasons(
-    gaps: pd.DataFrame, bright_m: float, dark_m: float, often: NDArray[np.bool_] | None
+    gaps: pd.DataFrame, bright_m: float, dark_m: float, often: Bools | None
 ) -> pd.Series:
     """Reasons of `explain_gaps` with what effects take away.
 
@@ -50,7 +48,7 @@ def hidden_too_often(
     traffic: Traffic,
     availability: float,
     target_height_m: float,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Whether vehicles hide each target (n,) from its nearest candidates more than is allowed.
 
     Parameters

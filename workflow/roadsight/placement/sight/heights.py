@@ -6,16 +6,15 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Floats
 
 BANDS = 4
 """Targets are cut into so many equal parts of their height."""
 
 
 def heights_of_plan(
-    on_targets: dict[str, _FLOATS], seen: NDArray[np.bool_], height_m: float
+    on_targets: dict[str, Floats], seen: Bools, height_m: float
 ) -> list[dict[str, Any]]:
     """Bands of height, the lowest first, for what each kind of sensor measures.
 
@@ -37,7 +36,7 @@ def heights_of_plan(
     ]
 
 
-def _band(number: int, part: _FLOATS, height_m: float) -> dict[str, float]:
+def _band(number: int, part: Floats, height_m: float) -> dict[str, float]:
     count, here = part.shape[1], part[:, number]
     return {
         "from_m": height_m * number / count,
@@ -48,7 +47,7 @@ def _band(number: int, part: _FLOATS, height_m: float) -> dict[str, float]:
     }
 
 
-def height_columns(on_targets: dict[str, _FLOATS]) -> pd.DataFrame:
+def height_columns(on_targets: dict[str, Floats]) -> pd.DataFrame:
     """Columns ``points_1`` (lowest) and so on of each target, rounded to a tenth."""
     return pd.DataFrame(
         {

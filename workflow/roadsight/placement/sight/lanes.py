@@ -11,11 +11,10 @@ from numba import njit
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Floats, Floats32, Ints32
 from roadsight.placement.sight.carriageways import road_alongside
 from roadsight.placement.sight.passing import VehicleClass
 from roadsight.scene.grids import Grid
-
-_FLOATS = NDArray[np.float64]
 
 _STATION_M = 2.0
 _ACROSS_M = 40.0
@@ -114,16 +113,16 @@ class Traffic:
     """
 
     grid: Grid
-    lane: NDArray[np.int32]
-    station_m: NDArray[np.float32]
-    offset_m: NDArray[np.float32]
-    ground_m: NDArray[np.float32]
-    per_m: _FLOATS
+    lane: Ints32
+    station_m: Floats32
+    offset_m: Floats32
+    ground_m: Floats32
+    per_m: Floats
     vehicles: tuple[VehicleClass, ...]
 
 
 def rasterise_lanes(
-    lanes: pd.DataFrame, per_m: _FLOATS, vehicles: tuple[VehicleClass, ...]
+    lanes: pd.DataFrame, per_m: Floats, vehicles: tuple[VehicleClass, ...]
 ) -> Traffic:
     """Lanes as a raster of half a metre: each cell belongs to the nearest point of a lane.
 
@@ -163,7 +162,7 @@ def rasterise_lanes(
     )
 
 
-def free_shares(traffic: Traffic, sensor_m: _FLOATS, targets_m: _FLOATS) -> _FLOATS:
+def free_shares(traffic: Traffic, sensor_m: Floats, targets_m: Floats) -> Floats:
     """Share of the time (n,) in which no vehicle stands between a sensor and each target.
 
     The line of sight is walked from the target in steps of a quarter of a metre. Wherever it is
@@ -194,16 +193,16 @@ def free_shares(traffic: Traffic, sensor_m: _FLOATS, targets_m: _FLOATS) -> _FLO
 
 @njit(cache=True)
 def _expected(
-    lane: NDArray[np.int32],
-    station_m: NDArray[np.float32],
-    offset_m: NDArray[np.float32],
-    ground_m: NDArray[np.float32],
+    lane: Ints32,
+    station_m: Floats32,
+    offset_m: Floats32,
+    ground_m: Floats32,
     corner: tuple[int, int, float],
-    per_m: _FLOATS,
-    boxes: _FLOATS,
-    sensor: _FLOATS,
-    targets: _FLOATS,
-) -> _FLOATS:
+    per_m: Floats,
+    boxes: Floats,
+    sensor: Floats,
+    targets: Floats,
+) -> Floats:
     """Mean number of vehicles in the way of each target."""
     expected = np.zeros(len(targets))
     west, south, size = corner

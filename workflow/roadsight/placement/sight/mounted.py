@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Floats, Floats32, Ints32
 from roadsight.placement.sensors.rays import beam_directions, sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import column_windows
@@ -22,23 +23,21 @@ from roadsight.placement.sight.shapes import (
     relative_to,
 )
 
-_FLOATS = NDArray[np.float64]
-
 # Of a box that spans more rows or columns, every n-th is looked at and stands for n.
 _MOST = 64
 
 
 def count_tilted_hits(
-    range_m: NDArray[np.float32],
+    range_m: Floats32,
     sensor: Sensor,
     position_m: ArrayLike,
     yaw_deg: float,
-    tilt: _FLOATS,
+    tilt: Floats,
     targets_xyz_m: NDArray[np.floating],
     radius_m: float,
     height_m: float,
     max_range_m: float,
-) -> NDArray[np.int32]:
+) -> Ints32:
     """Number of beams that return from each target (n,), as `count_hits` counts them.
 
     Every beam that may meet the sphere around a target is intersected with the upright cylinder.
@@ -55,17 +54,17 @@ def count_tilted_hits(
 
 
 def beams_on(
-    range_m: NDArray[np.float32],
+    range_m: Floats32,
     sensor: Sensor,
     position_m: ArrayLike,
     yaw_deg: float,
-    tilt: _FLOATS | None,
+    tilt: Floats | None,
     feet_m: NDArray[np.floating],
     shape: Shape,
     max_range_m: float,
     footprints: bool,
     bands: int = 1,
-) -> _FLOATS:
+) -> Floats:
     """Beams, or shares of wide beams, that return from each target by height, (n, bands).
 
     Every beam that may meet the sphere around a target is intersected with its shape; of boxes
@@ -104,20 +103,20 @@ def beams_on(
 
 @njit(cache=True)
 def count_met(
-    depth_m: NDArray[np.float32],
-    directions: NDArray[np.float32],
-    elevation: _FLOATS,
+    depth_m: Floats32,
+    directions: Floats32,
+    elevation: Floats,
     start_deg: float,
     cell_deg: float,
     max_range_m: float,
-    feet: _FLOATS,
-    mounted: _FLOATS,
+    feet: Floats,
+    mounted: Floats,
     shape: Packed,
     most: int,
     wide: bool,
     beam: tuple[float, float, float],
     bands: int,
-) -> _FLOATS:
+) -> Floats:
     """Beams, or shares of wide ones, on each target (n, bands), of all that may meet its ball.
 
     Parameters

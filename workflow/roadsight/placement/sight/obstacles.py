@@ -11,13 +11,12 @@ from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
-_FLOATS = NDArray[np.float64]
-Cast = Callable[[_FLOATS, _FLOATS], _FLOATS]
+Cast = Callable[[Floats, Floats], Floats]
 """Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 or infinity for none."""
 
 # Heights on a target, as shares of its own, to which sight lines are cast.
@@ -103,7 +102,7 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
     return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
 
 
-def pairs_in_range(sensors: pd.DataFrame, targets: pd.DataFrame, range_m: _FLOATS) -> pd.DataFrame:
+def pairs_in_range(sensors: pd.DataFrame, targets: pd.DataFrame, range_m: Floats) -> pd.DataFrame:
     """All sensor-target pairs no further apart than the sensor's range.
 
     Parameters

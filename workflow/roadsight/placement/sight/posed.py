@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.placement.sensors.rasters import PINHOLE, SPHERICAL, Raster
 from roadsight.placement.sensors.spinning import Sensor
 from roadsight.placement.sight.footprints import CLEAN_SHARE
@@ -25,7 +25,6 @@ from roadsight.placement.sight.shapes import (
     relative_to,
 )
 
-_FLOATS = NDArray[np.float64]
 _Ray = tuple[float, float, float]
 
 # Neighbouring ranges that differ by more than this ratio are of two surfaces.
@@ -44,21 +43,21 @@ class Panorama:
     position_m : (3,) local metres. yaw_deg : of its x axis from local x, counter-clockwise.
     """
 
-    range_m: NDArray[np.float32]
+    range_m: Floats32
     sensor: Sensor
-    position_m: _FLOATS
+    position_m: Floats
     yaw_deg: float
 
 
 def weigh_targets(
     panorama: Panorama,
     raster: Raster,
-    rotation: _FLOATS,
-    feet_m: _FLOATS,
+    rotation: Floats,
+    feet_m: Floats,
     shape: Packed,
     max_range_m: float,
     beam: tuple[float, float, float] | None = None,
-) -> tuple[_FLOATS, _FLOATS]:
+) -> tuple[Floats, Floats]:
     """Weight of the raster's cells that meet each target (n,): those that see it, and all."""
     found = weigh_by_height(panorama, raster, rotation, feet_m, shape, max_range_m, beam, 1)
     return found[:, 1], found[:, 0]
@@ -67,13 +66,13 @@ def weigh_targets(
 def weigh_by_height(
     panorama: Panorama,
     raster: Raster,
-    rotation: _FLOATS,
-    feet_m: _FLOATS,
+    rotation: Floats,
+    feet_m: Floats,
     shape: Packed,
     max_range_m: float,
     beam: tuple[float, float, float] | None,
     bands: int,
-) -> _FLOATS:
+) -> Floats:
     """Weight of the raster's cells that meet each target (n, 1 + bands).
 
     First comes that of all cells, then that of those which see it, by the equal part of the height
@@ -108,22 +107,22 @@ def weigh_by_height(
 
 @njit(cache=True)
 def _weigh(
-    scene_m: NDArray[np.float32],
-    slopes: _FLOATS,
+    scene_m: Floats32,
+    slopes: Floats,
     start: float,
     projection: int,
-    u: _FLOATS,
-    v: _FLOATS,
-    weight: _FLOATS,
+    u: Floats,
+    v: Floats,
+    weight: Floats,
     most: int,
-    rotation: _FLOATS,
-    feet: _FLOATS,
+    rotation: Floats,
+    feet: Floats,
     shape: Packed,
     max_range_m: float,
     wide: bool,
     beam: tuple[float, float, float],
     bands: int,
-) -> _FLOATS:
+) -> Floats:
     """Weights (n, 1 + bands): met, and seen by height."""
     found = np.zeros((len(feet), 1 + bands))
     middle_m, around_m = ball_around(shape)
@@ -238,7 +237,7 @@ def _direction(projection: int, u: float, v: float) -> _Ray:
 
 
 @njit(cache=True)
-def _turned(rotation: _FLOATS, ray: _Ray) -> _Ray:
+def _turned(rotation: Floats, ray: _Ray) -> _Ray:
     return (
         rotation[0, 0] * ray[0] + rotation[0, 1] * ray[1] + rotation[0, 2] * ray[2],
         rotation[1, 0] * ray[0] + rotation[1, 1] * ray[1] + rotation[1, 2] * ray[2],
@@ -247,7 +246,7 @@ def _turned(rotation: _FLOATS, ray: _Ray) -> _Ray:
 
 
 @njit(cache=True)
-def scene_range_m(scene_m: NDArray[np.float32], slopes: _FLOATS, start: float, ray: _Ray) -> float:
+def scene_range_m(scene_m: Floats32, slopes: Floats, start: float, ray: _Ray) -> float:
     """Range of the scene along a unit vector of the local frame; 0 where nothing is in range.
 
     Parameters

@@ -6,12 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Numbers
 from roadsight.placement.sensors.aimed import Camera, Rosette
 from roadsight.placement.sensors.sensors import AnySensor, Sensor
-
-_FLOATS = NDArray[np.float64]
 
 LIDAR_CURVE, CAMERA_CURVE = (0.152, 0.659), (0.055, 0.155)
 """a and b of Ma, Liu, Li for points of LiDARs and for pixels of cameras."""
@@ -35,7 +34,7 @@ class Curve:
     slope: float
     offset: float
 
-    def probability(self, number: ArrayLike) -> _FLOATS:
+    def probability(self, number: ArrayLike) -> Floats:
         """Probability by the number of points or pixels; of any shape."""
         number = np.asarray(number, np.float64)
         some = number > 0
@@ -72,7 +71,7 @@ class Curves:
         return self.lidar if isinstance(sensor, Sensor | Rosette) else None
 
 
-def found_by_plan(hits: NDArray[Any], curves: list[Curve | None]) -> dict[str, Any] | None:
+def found_by_plan(hits: Numbers, curves: list[Curve | None]) -> dict[str, Any] | None:
     """How likely the targets that a plan sees are found; None where no sensor has a curve.
 
     Parameters

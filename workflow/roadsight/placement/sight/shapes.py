@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.placement.sight.detection import chord
 from roadsight.placement.sight.footprints import overlap, slopes_into
 
-_FLOATS = NDArray[np.float64]
 Packed = tuple[int, float, float, float]
 
 CYLINDER, BOX = 0, 1
@@ -102,7 +101,7 @@ def shape_of(targets: Mapping[str, Any]) -> Shape:
     return KINDS[targets["kind"]]
 
 
-def relative_to(feet_m: _FLOATS, position_m: _FLOATS) -> _FLOATS:
+def relative_to(feet_m: Floats, position_m: Floats) -> Floats:
     """Feet (n, 3) or (n, 4) relative to a sensor; headings stay."""
     moved = np.array(feet_m, np.float64)
     moved[:, :3] -= position_m
@@ -120,7 +119,7 @@ def ball_around(shape: Packed) -> tuple[float, float]:
 @njit(cache=True)
 def entry_range_m(
     direction: tuple[float, float, float],
-    foot: _FLOATS,
+    foot: Floats,
     radius_m: float,
     height_m: float,
 ) -> float:
@@ -151,7 +150,7 @@ def entry_range_m(
 
 
 @njit(cache=True)
-def entered_at(shape: Packed, foot: _FLOATS, ray: tuple[float, float, float]) -> float:
+def entered_at(shape: Packed, foot: Floats, ray: tuple[float, float, float]) -> float:
     """Range at which a ray from the origin along a unit vector enters a shape; 0 if it does not."""
     kind, long_m, wide_m, height_m = shape
     if kind == CYLINDER:
@@ -174,7 +173,7 @@ def entered_at(shape: Packed, foot: _FLOATS, ray: tuple[float, float, float]) ->
 
 @njit(cache=True)
 def height_band(
-    shape: Packed, foot: _FLOATS, ray: tuple[float, float, float], range_m: float, bands: int
+    shape: Packed, foot: Floats, ray: tuple[float, float, float], range_m: float, bands: int
 ) -> int:
     """Which of so many equal parts of the height, from 0 at the foot, a ray enters at a range."""
     share = (range_m * ray[2] - foot[2]) / shape[3]
@@ -182,7 +181,7 @@ def height_band(
 
 
 @njit(cache=True)
-def _along_box(foot: _FLOATS, ray: tuple[float, float, float]) -> tuple[float, float, float, float]:
+def _along_box(foot: Floats, ray: tuple[float, float, float]) -> tuple[float, float, float, float]:
     """Ray and foot along the length and the width of a box."""
     cosine, sine = np.cos(foot[3]), np.sin(foot[3])
     return (
@@ -196,7 +195,7 @@ def _along_box(foot: _FLOATS, ray: tuple[float, float, float]) -> tuple[float, f
 @njit(cache=True)
 def footprint_share(
     shape: Packed,
-    foot: _FLOATS,
+    foot: Floats,
     ray: tuple[float, float, float],
     range_m: float,
     beam: tuple[float, float, float],

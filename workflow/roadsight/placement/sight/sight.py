@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Floats32, Ints32
 from roadsight.placement.sensors.earth import rise_m
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.boxes import count_box_hits
@@ -14,8 +15,6 @@ from roadsight.placement.sight.detection import count_hits
 from roadsight.placement.sight.footprints import count_shared_hits
 from roadsight.placement.sight.mounted import beams_on, count_tilted_hits
 from roadsight.placement.sight.shapes import Box, Shape
-
-_FLOATS = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -35,15 +34,15 @@ class Sight:
 
 
 def count_beams(
-    range_m: NDArray[np.float32],
+    range_m: Floats32,
     sensor: Sensor,
     position_m: ArrayLike,
     yaw_deg: float,
-    targets_xyz_m: _FLOATS,
+    targets_xyz_m: Floats,
     size_m: tuple[float, float] | Box,
     sight: Sight,
-    tilt: _FLOATS | None = None,
-) -> NDArray[np.int32] | _FLOATS:
+    tilt: Floats | None = None,
+) -> Ints32 | Floats:
     """Beams, or shares of beams, that return from each target (n,).
 
     Parameters
@@ -72,16 +71,16 @@ def count_beams(
 
 
 def beams_by_height(
-    range_m: NDArray[np.float32],
+    range_m: Floats32,
     sensor: Sensor,
     position_m: ArrayLike,
     yaw_deg: float,
-    feet_m: _FLOATS,
+    feet_m: Floats,
     shape: Shape,
     sight: Sight,
     bands: int,
-    tilt: _FLOATS | None = None,
-) -> _FLOATS:
+    tilt: Floats | None = None,
+) -> Floats:
     """The beams of `count_beams` by equal parts of the height, the lowest first, (n, bands).
 
     Of cylinders and levelled sensors those are counted in closed form, so that a beam that just
@@ -93,7 +92,7 @@ def beams_by_height(
     return beams_on(range_m, sensor, *pose, feet_m, shape, *limits, bands)
 
 
-def _as_met(feet_m: _FLOATS, position_m: ArrayLike, sight: Sight) -> _FLOATS:
+def _as_met(feet_m: Floats, position_m: ArrayLike, sight: Sight) -> Floats:
     """Targets as straight beams meet them: where beams are curved, what is far lies deeper."""
     if not sight.curved:
         return feet_m

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.alignment.landmarks import (
     LandmarkNoise,
     Marks,
@@ -24,7 +24,6 @@ from roadsight.poles.alignment.landmarks import (
     slopes,
 )
 
-_FLOATS = NDArray[np.float64]
 _GATE = 4.0
 _BEAM = 12
 _LOST_TOP = 0.4
@@ -41,9 +40,9 @@ class Hypothesis:
     cost : minus its log-likelihood.
     """
 
-    columns: NDArray[np.int64]
-    unknowns: _FLOATS
-    covariance: _FLOATS
+    columns: Ints
+    unknowns: Floats
+    covariance: Floats
     cost: float
 
 
@@ -51,19 +50,19 @@ class Hypothesis:
 class _Pairs:
     """Admissible pairs: numbers of axis and column, gap, slopes (n, k) and own variance."""
 
-    axis: NDArray[np.int64]
-    column: NDArray[np.int64]
-    gap: _FLOATS
-    slope: _FLOATS
-    variance: _FLOATS
-    extra: _FLOATS
+    axis: Ints
+    column: Ints
+    gap: Floats
+    slope: Floats
+    variance: Floats
+    extra: Floats
 
 
 def associate(
     sight: Sight,
     noise: LandmarkNoise,
-    scene: tuple[_FLOATS, _FLOATS],
-    pose: tuple[_FLOATS, _FLOATS],
+    scene: tuple[Floats, Floats],
+    pose: tuple[Floats, Floats],
     count: int = 2,
 ) -> list[Hypothesis]:
     """Likeliest hypotheses, the best first.
@@ -94,7 +93,7 @@ def _without(one: Hypothesis, clutter: float) -> Hypothesis:
     return Hypothesis(one.columns, one.unknowns, one.covariance, one.cost + clutter)
 
 
-def _with(one: Hypothesis, pairs: _Pairs, k: int, at: _FLOATS, sight: Sight) -> Hypothesis | None:
+def _with(one: Hypothesis, pairs: _Pairs, k: int, at: Floats, sight: Sight) -> Hypothesis | None:
     """Hypothesis with one more pair; None if the pair is too far off or the column is taken."""
     axis, column = pairs.axis[k], pairs.column[k]
     same_view = sight.axes.view == sight.axes.view[axis]
@@ -121,8 +120,8 @@ def _with(one: Hypothesis, pairs: _Pairs, k: int, at: _FLOATS, sight: Sight) -> 
 def admissible(
     sight: Sight,
     noise: LandmarkNoise,
-    scene: tuple[_FLOATS, _FLOATS],
-    pose: tuple[_FLOATS, _FLOATS],
+    scene: tuple[Floats, Floats],
+    pose: tuple[Floats, Floats],
 ) -> _Pairs:
     """Pairs whose bearings, feet and tops agree within what the pose leaves open.
 
@@ -162,16 +161,16 @@ def admissible(
     return _Pairs(*(part[good] for part in parts))
 
 
-def own_variance(sigma_px: _FLOATS, sigma_m: _FLOATS, rows: _FLOATS) -> _FLOATS:
+def own_variance(sigma_px: Floats, sigma_m: Floats, rows: Floats) -> Floats:
     """Variance (n,) of bearings but for the pose, from rows of `measure`."""
     return (sigma_px * rows[:, 4]) ** 2 + (sigma_m / rows[:, 3]) ** 2
 
 
 def marks_of(
-    columns: NDArray[np.int64],
+    columns: Ints,
     sight: Sight,
-    scene: tuple[_FLOATS, _FLOATS],
-    unknowns: _FLOATS,
+    scene: tuple[Floats, Floats],
+    unknowns: Floats,
 ) -> Marks:
     """Pairs of a hypothesis with their sigmas at a pose."""
     axis = np.flatnonzero(columns >= 0)

@@ -11,9 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Floats
 
 
 @dataclass(frozen=True)
@@ -25,8 +24,8 @@ class Normal:
     matrix : A (k, k). right : b (k,).
     """
 
-    matrix: _FLOATS
-    right: _FLOATS
+    matrix: Floats
+    right: Floats
 
     def __add__(self, other: Normal) -> Normal:
         return Normal(self.matrix + other.matrix, self.right + other.right)
@@ -35,7 +34,7 @@ class Normal:
         """The same, counted so many times."""
         return Normal(weight * self.matrix, weight * self.right)
 
-    def least(self) -> tuple[_FLOATS, _FLOATS]:
+    def least(self) -> tuple[Floats, Floats]:
         """Its minimum (k,) and the inverse (k, k) of its matrix."""
         covariance = np.linalg.inv(self.matrix)
         return covariance @ self.right, 0.5 * (covariance + covariance.T)

@@ -12,13 +12,12 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.alignment.pose import ALONG, LATERAL
 from roadsight.poles.alignment.solve import Fit
 
-_FLOATS = NDArray[np.float64]
-_State = tuple[_FLOATS, _FLOATS]
+_State = tuple[Floats, Floats]
 _UNKNOWN_M = 30.0
 OVERLAP = 0.05
 """Share of what an image sees of edges that others do not see again, with the same errors."""
@@ -51,9 +50,9 @@ class Drift:
     covariance_m2 : (n, 2, 2) of the offsets.
     """
 
-    station_m: _FLOATS
-    offset_m: _FLOATS
-    covariance_m2: _FLOATS
+    station_m: Floats
+    offset_m: Floats
+    covariance_m2: Floats
     model: DriftModel = field(default_factory=DriftModel)
 
     def at(self, station_m: float, leave_out: int | None = None) -> _State:
@@ -80,13 +79,13 @@ class Drift:
         return mean, covariance + np.eye(2) * self.model.own_m**2
 
     @cached_property
-    def _swept(self) -> tuple[NDArray[np.int64], list[_State], list[_State]]:
+    def _swept(self) -> tuple[Ints, list[_State], list[_State]]:
         """Order of the stations; what all up to each say there, and what all from each on say."""
         order = np.argsort(self.station_m, kind="stable")
         back = self._sweep(order[::-1])[::-1]
         return order, self._sweep(order), back
 
-    def _sweep(self, order: NDArray[np.int64]) -> list[_State]:
+    def _sweep(self, order: Ints) -> list[_State]:
         states: list[_State] = []
         for k, number in enumerate(order):
             state = np.zeros(2), np.eye(2) * self.model.sigma_m**2
@@ -100,7 +99,7 @@ class Drift:
             states.append((mean, 0.5 * (covariance + covariance.T)))
         return states
 
-    def without_outliers(self, limit: float = 4.0) -> tuple[Drift, NDArray[np.bool_]]:
+    def without_outliers(self, limit: float = 4.0) -> tuple[Drift, Bools]:
         """Drift without measurements that their neighbours contradict, and which ones stay."""
         kept = np.ones(len(self.station_m), bool)
         most = len(kept) // 4
@@ -115,7 +114,7 @@ class Drift:
             most -= len(worst)
         return self._part(kept), kept
 
-    def _part(self, kept: NDArray[np.bool_]) -> Drift:
+    def _part(self, kept: Bools) -> Drift:
         part = self.station_m[kept], self.offset_m[kept], self.covariance_m2[kept]
         return Drift(*part, self.model)
 
@@ -144,7 +143,7 @@ def _both(states: list[_State], model: DriftModel) -> _State:
     return covariance @ right, 0.5 * (covariance + covariance.T)
 
 
-def _peaks(station_m: _FLOATS, value: _FLOATS, least: float, apart_m: float) -> list[int]:
+def _peaks(station_m: Floats, value: Floats, least: float, apart_m: float) -> list[int]:
     """Numbers of values above a bound, greatest first, none within a distance of a greater one."""
     found: list[int] = []
     for number in np.argsort(-value, kind="stable"):
@@ -155,15 +154,15 @@ def _peaks(station_m: _FLOATS, value: _FLOATS, least: float, apart_m: float) -> 
     return found
 
 
-def axes(heading_deg: float) -> _FLOATS:
+def axes(heading_deg: float) -> Floats:
     """Rows: directions along and to the right of a heading, east and north."""
     heading = np.radians(heading_deg)
     return np.array([[np.sin(heading), np.cos(heading)], [np.cos(heading), -np.sin(heading)]])
 
 
 def measured_offset(
-    fit: Fit, mean: _FLOATS, covariance: _FLOATS, heading_deg: float
-) -> tuple[_FLOATS, _FLOATS]:
+    fit: Fit, mean: Floats, covariance: Floats, heading_deg: float
+) -> tuple[Floats, Floats]:
     """Error of the track that one image measures, were its place wholly unknown beforehand.
 
     Parameters
@@ -188,8 +187,8 @@ def measured_offset(
 
 
 def expect_place(
-    mean: _FLOATS, covariance: _FLOATS, drift: tuple[_FLOATS, _FLOATS], heading_deg: float
-) -> tuple[_FLOATS, _FLOATS]:
+    mean: Floats, covariance: Floats, drift: tuple[Floats, Floats], heading_deg: float
+) -> tuple[Floats, Floats]:
     """Expected unknowns and covariance once the error of the track is known that well.
 
     Parameters

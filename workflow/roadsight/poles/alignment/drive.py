@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.poles.alignment.landmarks import VIEWS, Columns, LandmarkNoise, PoleAxes, Sight
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges, edges_ahead
@@ -17,8 +17,7 @@ from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.alignment.track import extended_track, track_headings_deg
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 
-_FLOATS = NDArray[np.float64]
-Visible = Callable[[_FLOATS, _FLOATS], NDArray[np.bool_]]
+Visible = Callable[[Floats, Floats], Bools]
 """Function of a camera place (3,) and points (n, 3): which of them the terrain does not hide."""
 
 _BEYOND_M = 60.0
@@ -65,7 +64,7 @@ class Place:
     route: str
     station_m: float
     start: Start
-    track_m: _FLOATS
+    track_m: Floats
 
 
 def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None) -> list[Place]:
@@ -92,7 +91,7 @@ def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None
     return [found[number] for number in range(len(frames))]
 
 
-def _grade(path_m: _FLOATS, z_m: _FLOATS, k: int) -> float:
+def _grade(path_m: Floats, z_m: Floats, k: int) -> float:
     """Rise per metre of the road along the track, over at least 4 m where the route has it."""
     near = np.abs(path_m - path_m[k]) <= 12.0
     near[max(k - 1, 0) : k + 2] = True
@@ -189,10 +188,10 @@ def loader(
     there: NearEdges,
     noise: Noise,
     sight: Sight | None = None,
-) -> Callable[[_FLOATS, _FLOATS], Task]:
+) -> Callable[[Floats, Floats], Task]:
     """Maker of the image's task from expected unknowns and their inverse covariance."""
 
-    def load(mean: _FLOATS, information: _FLOATS) -> Task:
+    def load(mean: Floats, information: Floats) -> Task:
         return Task(place.start, seen, there, noise, mean, information, sight)
 
     return load

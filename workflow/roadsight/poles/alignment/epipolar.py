@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.kernel import camera
 
-_FLOATS = NDArray[np.float64]
 _DEGREE = np.pi / 180.0
 POSED = 6
 """How many of the unknowns place and turn a camera."""
@@ -22,8 +21,8 @@ POSED = 6
 
 @njit(cache=True, error_model="numpy")
 def _rays(
-    pixels: _FLOATS, start: _FLOATS, unknowns: _FLOATS, turn: _FLOATS, turns: _FLOATS
-) -> tuple[_FLOATS, _FLOATS]:
+    pixels: Floats, start: Floats, unknowns: Floats, turn: Floats, turns: Floats
+) -> tuple[Floats, Floats]:
     """Unit rays (n, 3) in the world and their derivatives (n, 3, 3) by yaw, pitch, roll."""
     focal = np.exp(unknowns[6])
     rays, moved = np.empty((len(pixels), 3)), np.empty((len(pixels), 3, 3))
@@ -39,14 +38,14 @@ def _rays(
 
 
 @njit(cache=True, error_model="numpy")
-def _cross(a: _FLOATS, b: _FLOATS) -> _FLOATS:
+def _cross(a: Floats, b: Floats) -> Floats:
     return np.array(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
 @njit(cache=True, error_model="numpy")
-def _along(row: _FLOATS, start: _FLOATS, moves: _FLOATS, by_centre: _FLOATS) -> None:
+def _along(row: Floats, start: Floats, moves: Floats, by_centre: Floats) -> None:
     """Fill the derivatives by the place, which also turns a camera with its road."""
     for a in range(3):
         row[a] = moves[a] @ by_centre
@@ -55,12 +54,12 @@ def _along(row: _FLOATS, start: _FLOATS, moves: _FLOATS, by_centre: _FLOATS) -> 
 
 @njit(cache=True, error_model="numpy")
 def shared_misfit(
-    unknowns: tuple[_FLOATS, _FLOATS],
-    starts: tuple[_FLOATS, _FLOATS],
-    pixels: _FLOATS,
+    unknowns: tuple[Floats, Floats],
+    starts: tuple[Floats, Floats],
+    pixels: Floats,
     sigma_px: float,
     scale: float,
-) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+) -> tuple[Floats, Floats, Floats]:
     """Linearised robust misfit (Geman and McClure) of points that two images share.
 
     The residual is Sampson's: t . (d1 x d2) / (sigma sqrt(|t x d1|^2 + |t x d2|^2)), with unit rays

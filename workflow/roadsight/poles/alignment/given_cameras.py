@@ -7,14 +7,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from roadsight.poles.alignment.pose import FOCAL, HEIGHT, INSETS, PITCH, ROLL, SIZE, Start
 from roadsight.poles.alignment.roadside import NearEdges
 from roadsight.poles.alignment.solve import FINEST, ImageEdges, Noise, Task, descend
 from roadsight.poles.calibration.calibration import weak_mount
 
-_FLOATS = NDArray[np.float64]
 FEWEST_PIXELS = 40
 FEWEST_POINTS = 30
 _COARSE = 12.0
@@ -48,8 +46,11 @@ def given_task(
     start = Start(x, y, z, heading, 0.0, 0.0, *size_px, cx, cy)
     unknowns = np.zeros(SIZE)
     unknowns[[HEIGHT, PITCH, ROLL, FOCAL]] = (
-        0.0, float(pose["pitch_deg"]), float(pose["roll_deg"]), np.log(float(pose["focal_px"])),
-    )  # fmt: skip
+        0.0,
+        float(pose["pitch_deg"]),
+        float(pose["roll_deg"]),
+        np.log(float(pose["focal_px"])),
+    )
     weak = weak_mount(None, size_px[0])
     unknowns[INSETS:] = weak.mean[INSETS:]
     # The pose is fixed; how far paint and borders lie inside the road's edge is not.

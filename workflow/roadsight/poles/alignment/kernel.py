@@ -9,16 +9,16 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Floats, Ints
+
 _DEGREE = np.pi / 180.0
 _NEAR_M = 1.0
 _BLOCK = 8
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
-def camera(start: _FLOATS, unknowns: _FLOATS) -> tuple[_FLOATS, _FLOATS, _FLOATS, _FLOATS]:
+def camera(start: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """cam_from_world, its derivatives by yaw, pitch, roll (degrees), centre, its derivatives."""
     heading = start[3] + start[10] * unknowns[0] + unknowns[3] * _DEGREE
     pitch = start[4] + start[11] * unknowns[0] + unknowns[4] * _DEGREE
@@ -49,16 +49,16 @@ def camera(start: _FLOATS, unknowns: _FLOATS) -> tuple[_FLOATS, _FLOATS, _FLOATS
 
 @njit(cache=True, error_model="numpy")
 def _project(
-    xyz: _FLOATS,
-    along: _FLOATS,
-    inward: _FLOATS,
-    half: _FLOATS,
+    xyz: Floats,
+    along: Floats,
+    inward: Floats,
+    half: Floats,
     inset: float,
-    turn: _FLOATS,
-    centre: _FLOATS,
+    turn: Floats,
+    centre: Floats,
     focal: float,
-    start: _FLOATS,
-) -> _FLOATS:
+    start: Floats,
+) -> Floats:
     """Rows of projected points by v: u, v, unit tangent (2), half length px, number, x, y, z."""
     rows = np.empty((len(xyz), 9))
     count = 0
@@ -87,7 +87,7 @@ def _project(
 
 
 @njit(cache=True, error_model="numpy")
-def _boxes(rows: _FLOATS) -> _FLOATS:
+def _boxes(rows: Floats) -> Floats:
     """Least and greatest u and v (b, 4) of every few rows, which are sorted by v."""
     boxes = np.empty(((len(rows) + _BLOCK - 1) // _BLOCK, 4))
     for b in range(len(boxes)):
@@ -105,7 +105,7 @@ def _boxes(rows: _FLOATS) -> _FLOATS:
 
 
 @njit(cache=True, error_model="numpy")
-def _nearest(rows: _FLOATS, boxes: _FLOATS, u: float, v: float) -> int:
+def _nearest(rows: Floats, boxes: Floats, u: float, v: float) -> int:
     """Row nearest to a pixel; rows are sorted by v, and there is at least one.
 
     Far down the road many points lie within few rows of pixels: boxes around a few of them each
@@ -138,16 +138,16 @@ def _nearest(rows: _FLOATS, boxes: _FLOATS, u: float, v: float) -> int:
 
 @njit(cache=True, error_model="numpy")
 def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a whole
-    unknowns: _FLOATS,
-    start: _FLOATS,
-    edges: tuple[_FLOATS, _FLOATS, _FLOATS, _FLOATS],
-    sides: NDArray[np.int64],
-    pixels: _FLOATS,
-    groups: NDArray[np.int64],
-    noise: _FLOATS,
+    unknowns: Floats,
+    start: Floats,
+    edges: tuple[Floats, Floats, Floats, Floats],
+    sides: Ints,
+    pixels: Floats,
+    groups: Ints,
+    noise: Floats,
     scale: float,
     slopes: bool,
-) -> tuple[float, _FLOATS, _FLOATS, _FLOATS]:
+) -> tuple[float, Floats, Floats, Floats]:
     """Robust misfit of all pixels.
 
     minimise over the pose: sum of c^2 e^2 / (c^2 + e^2) / 2 (Geman and McClure), where e is the
@@ -243,15 +243,15 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
 
 @njit(cache=True, error_model="numpy")
 def costs(
-    trials: _FLOATS,
-    start: _FLOATS,
-    edges: tuple[_FLOATS, _FLOATS, _FLOATS, _FLOATS],
-    sides: NDArray[np.int64],
-    pixels: _FLOATS,
-    groups: NDArray[np.int64],
-    noise: _FLOATS,
+    trials: Floats,
+    start: Floats,
+    edges: tuple[Floats, Floats, Floats, Floats],
+    sides: Ints,
+    pixels: Floats,
+    groups: Ints,
+    noise: Floats,
     scale: float,
-) -> _FLOATS:
+) -> Floats:
     """Misfit of many sets of unknowns (t, k)."""
     values = np.empty(len(trials))
     for t in range(len(trials)):

@@ -10,12 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import TURNS
 
-_FLOATS = NDArray[np.float64]
 VIEWS = ("front", "left", "right")
 POSE = 7
 """How many of the unknowns move what is seen: all before the insets."""
@@ -38,20 +37,20 @@ class PoleAxes:
     slope : (n,) columns to the right per row down.
     """
 
-    view: NDArray[np.int64]
-    middle_px: _FLOATS
-    foot_px: _FLOATS
-    top_px: _FLOATS
-    scale: _FLOATS
-    sigma_px: _FLOATS
-    foot_visible: NDArray[np.bool_]
-    top_cut: NDArray[np.bool_]
-    slope: _FLOATS
+    view: Ints
+    middle_px: Floats
+    foot_px: Floats
+    top_px: Floats
+    scale: Floats
+    sigma_px: Floats
+    foot_visible: Bools
+    top_cut: Bools
+    slope: Floats
 
     def __len__(self) -> int:
         return len(self.view)
 
-    def seen_by(self, view: str) -> NDArray[np.int64]:
+    def seen_by(self, view: str) -> Ints:
         """Numbers of the axes in a view."""
         return np.flatnonzero(self.view == VIEWS.index(view))
 
@@ -66,10 +65,10 @@ class Columns:
     sigma_m : (n,) of a place, each axis. open_top : (n,) whether they may be higher than that.
     """
 
-    foot_m: _FLOATS
-    top_m: _FLOATS
-    sigma_m: _FLOATS
-    open_top: NDArray[np.bool_]
+    foot_m: Floats
+    top_m: Floats
+    sigma_m: Floats
+    open_top: Bools
 
 
 @dataclass(frozen=True)
@@ -93,14 +92,14 @@ class Turns:
     sigma_deg: tuple[float, float, float] = (0.0, np.inf, np.inf)
 
     @classmethod
-    def of(cls, unknowns: _FLOATS, covariance: _FLOATS) -> Turns:
+    def of(cls, unknowns: Floats, covariance: Floats) -> Turns:
         """Turns of unknowns (k,) with their covariance (k, k)."""
         sigma = np.sqrt(np.diag(covariance)[TURNS:])
         left, right = (float(s) if s < _BLIND_DEG else np.inf for s in sigma)
         deg = 0.0, float(unknowns[TURNS]), float(unknowns[TURNS + 1])
         return cls(deg, (0.0, left, right))
 
-    def known(self, view: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def known(self, view: Ints) -> Bools:
         """Which of the axes (n,) are in a view whose yaw is known."""
         return np.isfinite(np.array(self.sigma_deg)[view])
 
@@ -138,30 +137,30 @@ class Marks:
     there : (k, 4) as `column_rows`. sigma_rad : (k,) of the bearings.
     """
 
-    pairs: NDArray[np.int64]
-    seen: _FLOATS
-    there: _FLOATS
-    sigma_rad: _FLOATS
+    pairs: Ints
+    seen: Floats
+    there: Floats
+    sigma_rad: Floats
 
-    def part(self, kept: NDArray[np.bool_]) -> Marks:
+    def part(self, kept: Bools) -> Marks:
         """Some of them."""
         return Marks(self.pairs[kept], self.seen[kept], self.there[kept], self.sigma_rad[kept])
 
 
-def seen_rows(axes: PoleAxes) -> _FLOATS:
+def seen_rows(axes: PoleAxes) -> Floats:
     """Rows (n, 7): middle u, v, foot row, top row (pixels), focal scale, view, further turn."""
     ends = axes.foot_px, axes.top_px, axes.scale, axes.view, np.zeros(len(axes))
     return np.column_stack([axes.middle_px, *ends])
 
 
-def column_rows(columns: Columns, origin_m: _FLOATS) -> _FLOATS:
+def column_rows(columns: Columns, origin_m: Floats) -> Floats:
     """Rows (m, 4): x, y, height of foot and of top, from an origin."""
     foot = columns.foot_m - origin_m
     return np.column_stack([foot, foot[:, 2] + columns.top_m])
 
 
 @njit(cache=True, error_model="numpy")
-def measure(unknowns: _FLOATS, start: _FLOATS, seen: _FLOATS, there: _FLOATS) -> _FLOATS:
+def measure(unknowns: Floats, start: Floats, seen: Floats, there: Floats) -> Floats:
     """Rows (k, 5) of axis against column, pair by pair.
 
     Bearing of the axis from the column's (radians, clockwise), row of the foot and of the top from
@@ -196,7 +195,7 @@ def measure(unknowns: _FLOATS, start: _FLOATS, seen: _FLOATS, there: _FLOATS) ->
 
 
 @njit(cache=True, error_model="numpy")
-def slopes(unknowns: _FLOATS, start: _FLOATS, seen: _FLOATS, there: _FLOATS) -> _FLOATS:
+def slopes(unknowns: Floats, start: Floats, seen: Floats, there: Floats) -> Floats:
     """Derivatives (k, 3, n) of bearing, foot and top of `measure` by the unknowns (n,)."""
     found = np.zeros((len(seen), 3, len(unknowns)))
     moved = unknowns.copy()
@@ -216,14 +215,14 @@ def slopes(unknowns: _FLOATS, start: _FLOATS, seen: _FLOATS, there: _FLOATS) -> 
 
 @njit(cache=True, error_model="numpy")
 def landmark_misfit(
-    unknowns: _FLOATS,
-    start: _FLOATS,
-    seen: _FLOATS,
-    there: _FLOATS,
-    sigma_rad: _FLOATS,
+    unknowns: Floats,
+    start: Floats,
+    seen: Floats,
+    there: Floats,
+    sigma_rad: Floats,
     scale: float,
     sloping: bool,
-) -> tuple[float, _FLOATS, _FLOATS, _FLOATS]:
+) -> tuple[float, Floats, Floats, Floats]:
     """Robust misfit of the bearings (Geman and McClure), as `kernel.misfit` for edges.
 
     Returns

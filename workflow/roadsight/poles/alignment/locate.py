@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.association import Hypothesis, associate, marks_of
 from roadsight.poles.alignment.landmarks import VIEWS, LandmarkNoise, Turns
 from roadsight.poles.alignment.search import search
 from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend
 
-_FLOATS = NDArray[np.float64]
 _ROUNDS = 3
 _STARTS = 2
 _FAR_WORSE = 15.0
@@ -22,7 +21,7 @@ _UNEXPLAINED = 0.5 * FINEST**2
 
 
 def locate(
-    task: Task, noise: LandmarkNoise | None = None, start: _FLOATS | None = None
+    task: Task, noise: LandmarkNoise | None = None, start: Floats | None = None
 ) -> list[Fit]:
     """Minima, the best first; with landmarks where the image has any.
 
@@ -71,7 +70,7 @@ def weighed(task: Task, fit: Fit) -> Task:
     return replace(task, noise=replace(task.noise, trust=(left, right)))
 
 
-def _trust(off: _FLOATS) -> float:
+def _trust(off: Floats) -> float:
     """How much pixels count that are this far off, in standard deviations."""
     if len(off) < _FEW:
         return 1.0

@@ -13,11 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.geometry.cameras import compass_deg
-
-_FLOATS = NDArray[np.float64]
 
 UNKNOWNS = (
     "along_m",
@@ -67,7 +65,7 @@ class Start:
     bend: float = 0.0
     hump: float = 0.0
 
-    def vector(self, origin_m: _FLOATS) -> _FLOATS:
+    def vector(self, origin_m: Floats) -> Floats:
         """What the kernel needs, relative to an origin, so that large coordinates lose nothing."""
         x, y, z = origin_m
         heading = np.radians(self.heading_deg)
@@ -102,12 +100,12 @@ class Pose:
     focal_px: float
 
     @property
-    def position_m(self) -> _FLOATS:
+    def position_m(self) -> Floats:
         """Camera centre (3,), local metres."""
         return np.array([self.x_m, self.y_m, self.z_m])
 
 
-def pose_of(start: Start, unknowns: _FLOATS) -> Pose:
+def pose_of(start: Start, unknowns: Floats) -> Pose:
     """Camera pose of the unknowns (SIZE,)."""
     along, lateral, height, yaw, pitch, roll, log_focal = unknowns[: FOCAL + 1]
     heading = np.radians(start.heading_deg)
@@ -141,7 +139,7 @@ class Spread:
     border_inset_m: float = 0.10
     side_yaw_deg: float = 0.002
 
-    def vector(self) -> _FLOATS:
+    def vector(self) -> Floats:
         """Standard deviations in the order of ``UNKNOWNS``."""
         values = [getattr(self, field.name) for field in fields(self)]
         return np.repeat(values, _TIMES)

@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
+from roadsight.base.arrays import Floats
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.poles.alignment.pose import FOCAL, SIZE, Start, pose_of
 from roadsight.poles.alignment.roadside import NearEdges
 from roadsight.poles.alignment.solve import ImageEdges
 
-_FLOATS = NDArray[np.float64]
 _UNITS = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01])
 
 
@@ -24,13 +23,13 @@ def nelder_mead(
     start: Start,
     seen: ImageEdges,
     there: NearEdges,
-    mean: _FLOATS,
+    mean: Floats,
     *,
     window_px: float = 300.0,
     bound_m: float = 0.335,
     bound_deg: float = 0.11,
     iterations: int = 1000,
-) -> tuple[_FLOATS, float]:
+) -> tuple[Floats, float]:
     """Unknowns (SIZE,) of one image, and the root of the mean squared distance in pixels.
 
     Parameters
@@ -43,7 +42,7 @@ def nelder_mead(
     bounds = np.array([bound_m] * 3 + [bound_deg] * 3 + [1.0])
     pixels = [np.concatenate([_part(seen, side), _part(seen, side + 2)]) for side in (0, 1)]
 
-    def cost(step: _FLOATS) -> float:
+    def cost(step: Floats) -> float:
         return _mean_square(start, there, pixels, _moved(mean, step), window_px)
 
     result = minimize(
@@ -60,18 +59,18 @@ def nelder_mead(
     return _moved(mean, result.x), float(np.sqrt(result.fun))
 
 
-def _part(seen: ImageEdges, group: int) -> _FLOATS:
+def _part(seen: ImageEdges, group: int) -> Floats:
     return seen.uv_px[seen.groups[group] : seen.groups[group + 1]]
 
 
-def _moved(mean: _FLOATS, step: _FLOATS) -> _FLOATS:
+def _moved(mean: Floats, step: Floats) -> Floats:
     unknowns = mean.copy()
     unknowns[: FOCAL + 1] += step * _UNITS
     return unknowns[:SIZE]
 
 
 def _mean_square(
-    start: Start, there: NearEdges, pixels: list[_FLOATS], unknowns: _FLOATS, window_px: float
+    start: Start, there: NearEdges, pixels: list[Floats], unknowns: Floats, window_px: float
 ) -> float:
     pose = pose_of(start, unknowns)
     camera = Intrinsics(start.width_px, start.height_px, pose.focal_px, start.cx_px, start.cy_px)
@@ -86,7 +85,7 @@ def _mean_square(
 
 
 @njit(cache=True, error_model="numpy")
-def squared_gaps(points: _FLOATS, pixels: _FLOATS, window_px: float) -> tuple[float, int]:
+def squared_gaps(points: Floats, pixels: Floats, window_px: float) -> tuple[float, int]:
     """Sum of squared distances to the nearest pixel in the window, and of how many points."""
     total, count = 0.0, 0
     for i in range(len(points)):

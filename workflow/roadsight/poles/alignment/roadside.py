@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
 
-_FLOATS = NDArray[np.float64]
 _BATCH = 20_000
 _FEWEST_ACROSS = 10
 
@@ -28,8 +28,8 @@ class RoadEdges:
     tree : of the points in plan.
     """
 
-    xyz_m: _FLOATS
-    along: _FLOATS
+    xyz_m: Floats
+    along: Floats
     tree: cKDTree | None
 
     @classmethod
@@ -66,14 +66,14 @@ class RoadEdges:
             along[part] = np.column_stack([direction, slope])
         return cls(moved, along, cKDTree(moved[:, :2]))
 
-    def near(self, xy_m: ArrayLike, radius_m: float) -> NDArray[np.int64]:
+    def near(self, xy_m: ArrayLike, radius_m: float) -> Ints:
         """Numbers of the points within a radius in plan, ascending."""
         if self.tree is None:
             return np.empty(0, np.int64)
         return np.array(sorted(self.tree.query_ball_point(np.asarray(xy_m)[:2], radius_m)), int)
 
 
-def _coarse(xyz: _FLOATS, cell_m: float = 1.0) -> _FLOATS:
+def _coarse(xyz: Floats, cell_m: float = 1.0) -> Floats:
     """Mean point of each cell in plan: enough for heights."""
     cell = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / cell_m).astype(np.int64)
     _, index, count = np.unique(
@@ -84,9 +84,7 @@ def _coarse(xyz: _FLOATS, cell_m: float = 1.0) -> _FLOATS:
     return np.column_stack(sums) / count[:, None] + low
 
 
-def _on_line(
-    tree: cKDTree, xyz: _FLOATS, centre: _FLOATS, radius_m: float
-) -> tuple[_FLOATS, _FLOATS]:
+def _on_line(tree: cKDTree, xyz: Floats, centre: Floats, radius_m: float) -> tuple[Floats, Floats]:
     """Places on the lines through the neighbours and directions of these, both (n, 2)."""
     offset, used = _neighbours(tree, xyz, centre[:, :2], 32, radius_m)
     offset = offset[..., :2]
@@ -101,12 +99,12 @@ def _on_line(
 
 def _heights(
     tree: cKDTree,
-    xyz: _FLOATS,
-    centre_xy: _FLOATS,
-    direction: _FLOATS,
-    z_m: _FLOATS,
+    xyz: Floats,
+    centre_xy: Floats,
+    direction: Floats,
+    z_m: Floats,
     radius_m: float,
-) -> tuple[_FLOATS, _FLOATS]:
+) -> tuple[Floats, Floats]:
     """Height and slope at places of parabolas along the edge, (n,) each."""
     offset, used = _neighbours(tree, xyz, centre_xy, 64, radius_m)
     station = np.einsum("nki,ni->nk", offset[..., :2], direction)
@@ -127,8 +125,8 @@ def _heights(
 
 
 def _neighbours(
-    tree: cKDTree, xyz: _FLOATS, centre_xy: _FLOATS, count: int, radius_m: float
-) -> tuple[_FLOATS, NDArray[np.bool_]]:
+    tree: cKDTree, xyz: Floats, centre_xy: Floats, count: int, radius_m: float
+) -> tuple[Floats, Bools]:
     """Offsets (n, k, 3) to neighbours in plan (heights as they are), and which of them count."""
     count = min(count, len(xyz))
     gap, index = tree.query(centre_xy, k=[*range(1, count + 1)], distance_upper_bound=radius_m)
@@ -149,10 +147,10 @@ class NearEdges:
     left : how many of them come first and lie left of the track.
     """
 
-    xyz_m: _FLOATS
-    along: _FLOATS
-    inward: _FLOATS
-    half_m: _FLOATS
+    xyz_m: Floats
+    along: Floats
+    inward: Floats
+    half_m: Floats
     left: int
 
     @property
@@ -181,7 +179,7 @@ def edges_ahead(
     nearest_m: float = 3.0,
     farthest_m: float = 240.0,
     points: int = 800,
-    visible: NDArray[np.bool_] | None = None,
+    visible: Bools | None = None,
 ) -> NearEdges:
     """Road edges in front of a place, thinned so that near and far both count.
 
@@ -221,7 +219,7 @@ def edges_ahead(
     )
 
 
-def _thinned(gap_m: _FLOATS, points: int) -> tuple[NDArray[np.int64], _FLOATS]:
+def _thinned(gap_m: Floats, points: int) -> tuple[Ints, Floats]:
     """Which of the points, sorted by range, to keep: evenly in the logarithm of the range."""
     if not len(gap_m):
         return np.empty(0, np.int64), np.empty(0)
@@ -236,7 +234,7 @@ def _thinned(gap_m: _FLOATS, points: int) -> tuple[NDArray[np.int64], _FLOATS]:
     return kept, 0.3 + 0.15 / share[kept]
 
 
-def _inward(xyz_m: _FLOATS, along: _FLOATS, sides: _FLOATS, track_m: _FLOATS) -> _FLOATS:
+def _inward(xyz_m: Floats, along: Floats, sides: Floats, track_m: Floats) -> Floats:
     """Level unit vectors across the edge, towards the track."""
     normal = np.column_stack([along[:, 1], -along[:, 0], np.zeros(len(along))])
     if len(xyz_m) == 0:

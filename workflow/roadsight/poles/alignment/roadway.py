@@ -9,12 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.roadside import RoadEdges
 
-_FLOATS = NDArray[np.float64]
 _TURN_DEG = 25.0
 _FEWEST = 12
 # As if grade, bank and bend of the grade were known beforehand this well.
@@ -71,12 +71,12 @@ def roadway_at(
     return Roadway(heading % 360.0, tilt[1], bank, bend, 2.0 * tilt[3], True)
 
 
-def _aside(offset: _FLOATS, heading_deg: float) -> _FLOATS:
+def _aside(offset: Floats, heading_deg: float) -> Floats:
     heading = np.radians(heading_deg)
     return offset[:, 0] * np.cos(heading) - offset[:, 1] * np.sin(heading)
 
 
-def _bend(offset: _FLOATS, turn_deg: _FLOATS, heading_deg: float) -> float:
+def _bend(offset: Floats, turn_deg: Floats, heading_deg: float) -> float:
     """Turn per metre ahead; as if radii below some 30 m were unlikely, and noise of 2 degrees."""
     heading = np.radians(heading_deg)
     ahead = offset[:, 0] * np.sin(heading) + offset[:, 1] * np.cos(heading)
@@ -84,7 +84,7 @@ def _bend(offset: _FLOATS, turn_deg: _FLOATS, heading_deg: float) -> float:
     return float(ahead @ turn / (ahead @ ahead + 10.0 * (0.035 / 0.03) ** 2))
 
 
-def _tilt(offset: _FLOATS, heading_deg: float, grade: float) -> _FLOATS:
+def _tilt(offset: Floats, heading_deg: float, grade: float) -> Floats:
     """Height, grade, bank and bend of the surface through the edges."""
     heading = np.radians(heading_deg)
     ahead = offset[:, 0] * np.sin(heading) + offset[:, 1] * np.cos(heading)

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.alignment.kernel import costs, misfit
 from roadsight.poles.alignment.landmarks import Marks, Sight, landmark_misfit
 from roadsight.poles.alignment.pose import INSETS, TURNS, Start
 from roadsight.poles.alignment.roadside import NearEdges
-
-_FLOATS = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -26,8 +25,8 @@ class ImageEdges:
     uv_px : (m, 2). groups : (5,) where each group begins and ends.
     """
 
-    uv_px: _FLOATS
-    groups: NDArray[np.int64]
+    uv_px: Floats
+    groups: Ints
 
     @classmethod
     def from_pixels(
@@ -82,7 +81,7 @@ class Noise:
     independent: float = 0.03
     trust: tuple[float, float] = (1.0, 1.0)
 
-    def table(self) -> _FLOATS:
+    def table(self) -> Floats:
         """What the kernel takes, (2, 4) of lanes and borders."""
         lanes, borders = (self.independent * trust for trust in self.trust)
         return np.array(
@@ -109,8 +108,8 @@ class Task:
     seen: ImageEdges
     there: NearEdges
     noise: Noise
-    mean: _FLOATS
-    information: _FLOATS
+    mean: Floats
+    information: Floats
     sight: Sight | None = None
     marks: Marks | None = None
     scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
@@ -118,7 +117,7 @@ class Task:
     coarse_scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
 
     @property
-    def origin_m(self) -> _FLOATS:
+    def origin_m(self) -> Floats:
         """Where the kernel's coordinates begin (3,)."""
         return np.array([self.start.x_m, self.start.y_m, self.start.z_road_m])
 
@@ -153,8 +152,8 @@ class Task:
         return self.start.vector(self.origin_m), edges, sides
 
     def evaluate(
-        self, unknowns: _FLOATS, scale: float, slopes: bool = True
-    ) -> tuple[float, _FLOATS, _FLOATS, _FLOATS]:
+        self, unknowns: Floats, scale: float, slopes: bool = True
+    ) -> tuple[float, Floats, Floats, Floats]:
         """Cost with the expectation's part, normal matrix and gradient of the data, residuals.
 
         Landmarks count in all but the residuals, which are those of the edge pixels.
@@ -180,8 +179,8 @@ class Task:
         return float(total), normal, gradient, residuals
 
     def mark_misfit(
-        self, unknowns: _FLOATS, scale: float, slopes: bool = True
-    ) -> tuple[float, _FLOATS, _FLOATS, _FLOATS]:
+        self, unknowns: Floats, scale: float, slopes: bool = True
+    ) -> tuple[float, Floats, Floats, Floats]:
         """Cost, normal matrix, gradient and residuals of the landmarks alone."""
         marks = self.marks
         if marks is None:
@@ -190,7 +189,7 @@ class Task:
         given = marks.seen, marks.there, marks.sigma_rad
         return landmark_misfit(unknowns, self.scene[0], *given, scale, slopes)
 
-    def scan(self, trials: _FLOATS, scale: float) -> _FLOATS:
+    def scan(self, trials: Floats, scale: float) -> Floats:
         """Cost of many sets of unknowns (t, k), on few of the pixels and of the edge points."""
         few = self.coarse
         share = len(self.seen.uv_px) / max(len(few.uv_px), 1)
@@ -221,17 +220,17 @@ class Fit:
     mark_normal, mark_gradient : their part of normal and gradient, None without any.
     """
 
-    unknowns: _FLOATS
-    covariance: _FLOATS
+    unknowns: Floats
+    covariance: Floats
     cost: float
-    residuals: _FLOATS
-    normal: _FLOATS
-    gradient: _FLOATS
+    residuals: Floats
+    normal: Floats
+    gradient: Floats
     marks: Marks | None = None
-    mark_normal: _FLOATS | None = None
-    mark_gradient: _FLOATS | None = None
+    mark_normal: Floats | None = None
+    mark_gradient: Floats | None = None
 
-    def taught(self, edges: float, landmarks: float) -> tuple[_FLOATS, _FLOATS]:
+    def taught(self, edges: float, landmarks: float) -> tuple[Floats, Floats]:
         """Normal matrix and gradient with a share of what edges and landmarks say."""
         normal, gradient = edges * self.normal, edges * self.gradient
         if self.mark_normal is not None and self.mark_gradient is not None:
@@ -241,14 +240,14 @@ class Fit:
 
 
 _SCANNED = 100
-_State = tuple[float, _FLOATS, _FLOATS, _FLOATS]
+_State = tuple[float, Floats, Floats, Floats]
 FINEST = 3.0
 _STEPS = 5
 _INSETS = np.arange(INSETS, TURNS)
 _HELD = 1e9
 
 
-def descend(task: Task, unknowns: _FLOATS, scale: float) -> Fit:
+def descend(task: Task, unknowns: Floats, scale: float) -> Fit:
     """Levenberg-Marquardt from a coarse scale, halved down to the finest.
 
     Unknowns are measured in their expected standard deviations. Where lines lie in the road moves
@@ -273,8 +272,8 @@ def descend(task: Task, unknowns: _FLOATS, scale: float) -> Fit:
 
 
 def _settle(
-    task: Task, unknowns: _FLOATS, unit: _FLOATS, scale: float, steps: int, all_free: bool
-) -> tuple[_FLOATS, _State]:
+    task: Task, unknowns: Floats, unit: Floats, scale: float, steps: int, all_free: bool
+) -> tuple[Floats, _State]:
     """Damped steps at one scale, until they no longer pay."""
     held = np.zeros((len(unknowns), len(unknowns)))
     if not all_free:

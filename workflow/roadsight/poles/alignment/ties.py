@@ -12,15 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.chain import Normal, others_say, surprise
 from roadsight.poles.alignment.drift import DriftModel, axes
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED, shared_misfit
 from roadsight.poles.alignment.pose import ALONG, LATERAL, Spread
 
-_FLOATS = NDArray[np.float64]
 _SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
 _STEP = np.array([0.5, 0.2, 0.05, 0.2, 0.2, 0.2])
 _FINEST = 3.0
@@ -48,17 +47,17 @@ class Member:
     """
 
     place: Place
-    unknowns: _FLOATS
+    unknowns: Floats
     measured: Normal | None
-    shared: _FLOATS
+    shared: Floats
 
 
 def told_by_others(
     members: Sequence[Member],
-    mean: tuple[_FLOATS, _FLOATS],
+    mean: tuple[Floats, Floats],
     spread: Spread,
     model: DriftModel,
-) -> dict[str, tuple[_FLOATS, _FLOATS]]:
+) -> dict[str, tuple[Floats, Floats]]:
     """Pose (6,) of each image and its covariance (6, 6) as all other images of the drive tell it.
 
     Gauss-Newton over the whole drive: what each image measured, how much a vehicle sways, how the
@@ -96,8 +95,8 @@ _Misfits = tuple[list[Normal], list[Normal], list[Normal]]
 
 def _misfits(
     members: Sequence[Member],
-    now: Sequence[_FLOATS],
-    mean: _FLOATS,
+    now: Sequence[Floats],
+    mean: Floats,
     spread: Spread,
     model: DriftModel,
     scale: float,
@@ -116,8 +115,8 @@ def _misfits(
 
 
 def _weighed(
-    priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal], weights: _FLOATS
-) -> tuple[list[Normal], _FLOATS]:
+    priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal], weights: Floats
+) -> tuple[list[Normal], Floats]:
     """What others say with the weights so far, and the weights that follow from it."""
     counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
     others = others_say(priors, counted, links)
@@ -127,11 +126,11 @@ def _weighed(
 
 def _rests_on_mean(
     members: Sequence[Member],
-    now: Sequence[_FLOATS],
+    now: Sequence[Floats],
     misfits: _Misfits,
     spread: Spread,
     model: DriftModel,
-) -> _FLOATS:
+) -> Floats:
     """How far each pose (n, 6, 6) moves with each number of the drive's mean."""
     priors, own, links = misfits
     still = [Normal(one.matrix, np.zeros(POSED)) for one in own]
@@ -155,19 +154,19 @@ def _rests_on_mean(
     return found
 
 
-def _moved(one: Normal, at: _FLOATS) -> Normal:
+def _moved(one: Normal, at: Floats) -> Normal:
     """Misfit of the step from a place instead of the place."""
     return Normal(one.matrix, one.right - one.matrix @ at[:POSED])
 
 
-def _sway(at: _FLOATS, mean: _FLOATS, spread: Spread) -> Normal:
+def _sway(at: Floats, mean: Floats, spread: Spread) -> Normal:
     """The vehicle about the drive's mean; where it is on the road is the track's matter."""
     weight = spread.vector()[:POSED] ** -2.0
     weight[_PLACE] = 0.0
     return Normal(np.diag(weight), weight * (mean - at)[:POSED])
 
 
-def _first(member: Member, at: _FLOATS, mean: _FLOATS, model: DriftModel) -> Normal:
+def _first(member: Member, at: Floats, mean: Floats, model: DriftModel) -> Normal:
     """Error of the track at the drive's first image."""
     turn = np.zeros((2, POSED))
     turn[:, _PLACE] = axes(member.place.start.heading_deg).T
@@ -177,7 +176,7 @@ def _first(member: Member, at: _FLOATS, mean: _FLOATS, model: DriftModel) -> Nor
 
 
 def _drift(
-    one: Member, other: Member, at: tuple[_FLOATS, _FLOATS], mean: _FLOATS, model: DriftModel
+    one: Member, other: Member, at: tuple[Floats, Floats], mean: Floats, model: DriftModel
 ) -> Normal:
     """How the error of the track changes between two images (first-order Gauss-Markov)."""
     keep = float(np.exp(-abs(other.place.station_m - one.place.station_m) / model.length_m))
@@ -189,7 +188,7 @@ def _drift(
     return Normal(turn.T @ turn / variance, turn.T @ (turn @ apart) / variance)
 
 
-def _shared(one: Member, other: Member, at: tuple[_FLOATS, _FLOATS], scale: float) -> Normal:
+def _shared(one: Member, other: Member, at: tuple[Floats, Floats], scale: float) -> Normal:
     """What the points that two images share tell; nothing where too few agree."""
     nothing = Normal(np.zeros((2 * POSED, 2 * POSED)), np.zeros(2 * POSED))
     if len(one.shared) < _FEWEST:
@@ -206,7 +205,7 @@ def _shared(one: Member, other: Member, at: tuple[_FLOATS, _FLOATS], scale: floa
     return Normal(_INDEPENDENT * normal, -_INDEPENDENT * gradient)
 
 
-def _scatter(residuals: _FLOATS, scale: float) -> float:
+def _scatter(residuals: Floats, scale: float) -> float:
     """How much coarser the points are than expected, from those that agree; never finer."""
     near = np.abs(residuals[np.abs(residuals) < scale])
     if len(near) < _FEWEST:
@@ -215,7 +214,7 @@ def _scatter(residuals: _FLOATS, scale: float) -> float:
 
 
 def pose_misfit(
-    normal: _FLOATS, gradient: _FLOATS, unknowns: _FLOATS, mean: _FLOATS, rest: _FLOATS
+    normal: Floats, gradient: Floats, unknowns: Floats, mean: Floats, rest: Floats
 ) -> Normal:
     """What an image measured of its pose, its other unknowns taken out.
 

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Floats
 
 
 def sides_of_track(points_xy_m: ArrayLike, track_xy_m: ArrayLike) -> NDArray[np.int8]:
@@ -28,7 +28,7 @@ def sides_of_track(points_xy_m: ArrayLike, track_xy_m: ArrayLike) -> NDArray[np.
     return _sides(points - origin, track - origin)
 
 
-def _distinct(track_m: _FLOATS) -> _FLOATS:
+def _distinct(track_m: Floats) -> Floats:
     """Track without standing still."""
     moved = np.ones(len(track_m), bool)
     moved[1:] = np.hypot(*np.diff(track_m, axis=0).T) > 1e-6
@@ -36,7 +36,7 @@ def _distinct(track_m: _FLOATS) -> _FLOATS:
 
 
 @njit(cache=True, error_model="numpy")
-def _sides(points: _FLOATS, track: _FLOATS) -> NDArray[np.int8]:
+def _sides(points: Floats, track: Floats) -> NDArray[np.int8]:
     sides = np.zeros(len(points), np.int8)
     last = len(track) - 2
     for i in range(len(points)):
@@ -58,7 +58,7 @@ def _sides(points: _FLOATS, track: _FLOATS) -> NDArray[np.int8]:
     return sides
 
 
-def extended_track(track_xy_m: ArrayLike, ahead_m: float) -> _FLOATS:
+def extended_track(track_xy_m: ArrayLike, ahead_m: float) -> Floats:
     """Track (n, 2) continued straight on at both ends; a track without length stays as it is."""
     track = _distinct(np.asarray(track_xy_m, np.float64)[:, :2])
     if len(track) < 2:
@@ -71,7 +71,7 @@ def extended_track(track_xy_m: ArrayLike, ahead_m: float) -> _FLOATS:
 
 def track_headings_deg(
     track_xy_m: ArrayLike, fallback_deg: ArrayLike, reach_m: float = 25.0
-) -> _FLOATS:
+) -> Floats:
     """Directions of travel of parabolas through the positions around each, clockwise from north.
 
     Parameters

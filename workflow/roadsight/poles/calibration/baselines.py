@@ -6,20 +6,19 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.pose import FOCAL, UNKNOWNS, Start
 from roadsight.poles.calibration.registration import Registration
 
-_FLOATS = NDArray[np.float64]
 # An image differs from the drive by the track's error and the vehicle's sway: a baseline of few
 # images is no better than that.
 _SWAY = np.array([1.0, 1.0, 0.07, 0.5, 0.5, 0.3, 0.0])
 _LEAST = np.array([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.002])
 
 
-def mounted(found: Registration, start: Start) -> tuple[_FLOATS, _FLOATS]:
+def mounted(found: Registration, start: Start) -> tuple[Floats, Floats]:
     """Unknowns (7,) of `pose.UNKNOWNS` before the insets, and their standard deviations.
 
     The inverse of `pose.pose_of` for a camera that was registered.
@@ -35,12 +34,14 @@ def mounted(found: Registration, start: Start) -> tuple[_FLOATS, _FLOATS]:
     road_heading = start.heading_deg + np.degrees(start.bend * along)
     road_pitch = np.degrees(np.arctan(start.grade) + start.hump * along)
     values = [
-        along, lateral, height,
+        along,
+        lateral,
+        height,
         float(wrap_deg(found.heading_deg - road_heading)),
         found.pitch_deg - road_pitch,
         found.roll_deg - np.degrees(np.arctan(start.bank)),
         np.log(found.focal_px),
-    ]  # fmt: skip
+    ]
     place = np.sqrt(np.diag(turn @ found.covariance[:2, :2] @ turn.T))
     # Turns about the camera's axes x, y, z are pitch, yaw and roll of a level camera.
     pitch, yaw, roll = np.degrees(found.sigma[3:6])

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP
 from roadsight.poles.alignment.pose import (
@@ -29,14 +29,13 @@ from roadsight.poles.alignment.pose import (
 from roadsight.poles.alignment.search import search
 from roadsight.poles.alignment.solve import FINEST, Fit, Task
 
-_FLOATS = NDArray[np.float64]
 _HFOV_DEG = (8.0, 130.0)
 _HEIGHT_M = (0.5, 5.0)
 _ANY_TURN_DEG = 60.0
 _FEWEST_PIXELS = 40
 _MIDDLE = 0.75
 """Share of half the road beyond which a line is no line at its edge."""
-Loader = Callable[[_FLOATS, _FLOATS], Task]
+Loader = Callable[[Floats, Floats], Task]
 """Makes the task of one image from the expected unknowns and the inverse of their covariance."""
 
 
@@ -50,11 +49,11 @@ class Mount:
     images : how many images it rests on.
     """
 
-    mean: _FLOATS
-    covariance: _FLOATS
+    mean: Floats
+    covariance: Floats
     images: int = 0
 
-    def expected(self, spread: Spread) -> _FLOATS:
+    def expected(self, spread: Spread) -> Floats:
         """Inverse covariance (k, k) of one image's unknowns."""
         total = self.covariance + np.diag(spread.vector() ** 2)
         return np.asarray(np.linalg.inv(total), np.float64)
@@ -173,7 +172,7 @@ def shared_mean(fits: Sequence[Fit], prior: Mount, spread: Spread) -> Mount:
     return Mount(mean, 0.5 * (covariance + covariance.T), len(fits))
 
 
-def _marginal(fit: Fit, pull: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
+def _marginal(fit: Fit, pull: Floats) -> tuple[Floats, Floats]:
     """Information on the mean, and that times the mean that the image alone would give.
 
     Images of a drive see the same stretch of road, and its errors, again and again; how they
@@ -186,7 +185,7 @@ def _marginal(fit: Fit, pull: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
     return 0.5 * (information + information.T), right
 
 
-def _distance(fit: Fit, mean: _FLOATS, pull: _FLOATS) -> float:
+def _distance(fit: Fit, mean: Floats, pull: Floats) -> float:
     """Squared distance of an image's unknowns from the mean, in standard deviations."""
     gap = fit.normal @ (fit.unknowns - mean) - fit.gradient
     own = np.linalg.solve(fit.normal + pull, gap)

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import VIEWS, LandmarkNoise
 from roadsight.poles.alignment.locate import locate
@@ -35,8 +35,8 @@ def with_landmarks(
     prior: Mount,
     noise: LandmarkNoise,
     side_yaw_deg: tuple[float, float],
-    starts: Mapping[str, NDArray[np.float64]],
-) -> tuple[DriveCalibration, Mapping[str, NDArray[np.float64]]]:
+    starts: Mapping[str, Floats],
+) -> tuple[DriveCalibration, Mapping[str, Floats]]:
     """Calibration with what landmarks add, and the images' unknowns; the same if none has any.
 
     Each round aligns every image under what the others say, then takes mount, side views and the

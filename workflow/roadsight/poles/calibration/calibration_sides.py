@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.association import own_variance
 from roadsight.poles.alignment.drift import MARK_OVERLAP
 from roadsight.poles.alignment.landmarks import (
@@ -26,7 +26,6 @@ from roadsight.poles.alignment.landmarks import (
 from roadsight.poles.alignment.locate import without_view
 from roadsight.poles.alignment.solve import Fit, Task
 
-_FLOATS = NDArray[np.float64]
 _STEP_DEG = 0.02
 _REACH_DEG = 10.0
 _FARTHEST_M = 80.0
@@ -62,7 +61,7 @@ def side_turns(
 
 
 def _turn(
-    images: Sequence[tuple[Task, Fit]], view: str, guesses_deg: _FLOATS, noise: LandmarkNoise
+    images: Sequence[tuple[Task, Fit]], view: str, guesses_deg: Floats, noise: LandmarkNoise
 ) -> tuple[float, float] | None:
     """Yaw and sigma in degrees, None if the votes do not agree."""
     guess = float(guesses_deg[0])
@@ -83,7 +82,7 @@ def _turn(
     return _refined(grid[best], table)
 
 
-def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoise) -> _FLOATS:
+def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoise) -> Floats:
     """Rows (k, 3): number of the axis, yaw that would put it on a column, its sigma (degrees)."""
     sight = task.sight
     own = sight.axes.seen_by(view) if sight is not None else np.empty(0, np.int64)
@@ -121,7 +120,7 @@ def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoi
     return np.column_stack([number, turn_deg, np.degrees(np.sqrt(variance))])[agrees]
 
 
-def _score(grid: _FLOATS, table: _FLOATS, range_deg: float) -> _FLOATS:
+def _score(grid: Floats, table: Floats, range_deg: float) -> Floats:
     """Log-likelihood of yaws, every axis one vote, about half of them astray."""
     number = table[:, 0].astype(np.int64)
     total = np.zeros(len(grid))
@@ -133,7 +132,7 @@ def _score(grid: _FLOATS, table: _FLOATS, range_deg: float) -> _FLOATS:
     return total
 
 
-def _refined(turn_deg: float, table: _FLOATS) -> tuple[float, float] | None:
+def _refined(turn_deg: float, table: Floats) -> tuple[float, float] | None:
     """Weighted robust mean of the votes around a yaw."""
     near = np.abs(table[:, 1] - turn_deg) < 4.0 * table[:, 2] + 2.0 * _STEP_DEG
     if np.count_nonzero(near) < _FEWEST:

@@ -10,13 +10,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from roadsight.poles.alignment.pose import HEIGHT, INSETS, PITCH, ROLL, YAW, Spread
 from roadsight.poles.alignment.solve import Fit
 from roadsight.poles.calibration.calibration import Mount
 
-_FLOATS = NDArray[np.float64]
 _NUMBERS = {
     "height_m": [HEIGHT],
     "yaw_deg": [YAW],
@@ -25,8 +23,14 @@ _NUMBERS = {
     "lane_inset_m": [INSETS, INSETS + 1],
     "border_inset_m": [INSETS + 2, INSETS + 3],
 }
-_LEAST = {"height_m": 0.01, "yaw_deg": 0.05, "pitch_deg": 0.05, "roll_deg": 0.05,
-          "lane_inset_m": 0.01, "border_inset_m": 0.01}  # fmt: skip
+_LEAST = {
+    "height_m": 0.01,
+    "yaw_deg": 0.05,
+    "pitch_deg": 0.05,
+    "roll_deg": 0.05,
+    "lane_inset_m": 0.01,
+    "border_inset_m": 0.01,
+}
 _STEPS = 30
 _KNOWN_IMAGES = 10.0
 _FAR = 4.0

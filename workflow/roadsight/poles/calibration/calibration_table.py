@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.poles.alignment.drift import Drift, DriftModel, expect_place, measured_offset
 from roadsight.poles.alignment.drive import Place
@@ -19,7 +19,6 @@ from roadsight.poles.alignment.search import search
 from roadsight.poles.alignment.solve import Fit
 from roadsight.poles.calibration.calibration import Loader, Mount, usable
 
-_FLOATS = NDArray[np.float64]
 Key = tuple[str, int, int]
 """Route, width and height of images that share a camera."""
 
@@ -41,14 +40,14 @@ class DriveCalibration:
     drift: Drift
     measured: Mapping[str, int]
     problem: str = ""
-    told: Mapping[str, tuple[_FLOATS, _FLOATS]] = field(default_factory=dict)
+    told: Mapping[str, tuple[Floats, Floats]] = field(default_factory=dict)
 
     @property
     def turns(self) -> Turns:
         """Yaw of the side views."""
         return Turns.of(self.mount.mean, self.mount.covariance)
 
-    def expected(self, place: Place) -> tuple[_FLOATS, _FLOATS]:
+    def expected(self, place: Place) -> tuple[Floats, Floats]:
         """Expected unknowns of an image and the inverse of their covariance.
 
         They rest on the drive and on what other images say about its track, not on the image.
@@ -75,7 +74,7 @@ def measure_drift(
     mount: Mount,
     spread: Spread,
     model: DriftModel,
-) -> tuple[Drift, dict[str, int], dict[str, _FLOATS]]:
+) -> tuple[Drift, dict[str, int], dict[str, Floats]]:
     """Errors of the track of one drive from all images that can be aligned.
 
     Returns

@@ -8,8 +8,8 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED
@@ -20,8 +20,7 @@ from roadsight.poles.calibration.calibration import Loader, usable
 from roadsight.poles.calibration.calibration_table import DriveCalibration
 
 log = logging.getLogger(__name__)
-_FLOATS = NDArray[np.float64]
-Shared = Mapping[tuple[str, str], _FLOATS]
+Shared = Mapping[tuple[str, str], Floats]
 """Pixels (n, 4) that two images share, by the names of both."""
 
 
@@ -30,7 +29,7 @@ def with_ties(
     places: Sequence[Place],
     loaders: Sequence[Loader],
     noise: LandmarkNoise,
-    starts: Mapping[str, _FLOATS],
+    starts: Mapping[str, Floats],
     shared: Shared,
 ) -> DriveCalibration:
     """Calibration in which each image expects the pose that the other images tell it.
@@ -60,8 +59,8 @@ def _member(
     place: Place,
     load: Loader,
     noise: LandmarkNoise,
-    start: _FLOATS | None,
-    shared: _FLOATS,
+    start: Floats | None,
+    shared: Floats,
 ) -> Member:
     """One image with what it measures by itself."""
     mean, information = calibration.expected(place)

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.alignment.association import own_variance
 from roadsight.poles.alignment.landmarks import (
     POSE,
@@ -25,7 +25,6 @@ from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, ROLL, YAW, Spr
 from roadsight.poles.alignment.solve import Task
 from roadsight.poles.calibration.calibration import Loader, Mount
 
-_FLOATS = NDArray[np.float64]
 _LEAN_DEG = 1.5
 _FEWEST_AXES = 20
 _LEAST_SIGMA_DEG = 0.3
@@ -42,7 +41,7 @@ _FRONT = 0
 # How far the coarse search goes, in steps.
 _YAW_DEG, _PLACE_M = np.arange(-4.0, 4.1, 0.5), np.arange(-2.0, 2.1, 1.0)
 _FOCAL = np.array([-0.10, -0.05, 0.0, 0.05, 0.10])
-_Pairs = tuple[Task, _FLOATS, _FLOATS, NDArray[np.int64], _FLOATS]
+_Pairs = tuple[Task, Floats, Floats, Ints, Floats]
 
 
 def aimed(prior: Mount, loaders: Sequence[Loader], noise: LandmarkNoise, spread: Spread) -> Mount:
@@ -141,7 +140,7 @@ def _pairs(task: Task, prior: Mount, noise: LandmarkNoise) -> _Pairs:
     )
 
 
-def _coarse(prior: Mount, pairs: Sequence[_Pairs]) -> _FLOATS:
+def _coarse(prior: Mount, pairs: Sequence[_Pairs]) -> Floats:
     """Best trial on the grid, on some of the images."""
     number = np.unique(np.linspace(0, len(pairs) - 1, min(_IMAGES, len(pairs))).round())
     few = [pairs[int(k)] for k in number]
@@ -156,15 +155,13 @@ def _coarse(prior: Mount, pairs: Sequence[_Pairs]) -> _FLOATS:
     return np.asarray(trials[int(np.argmax(score))], np.float64)
 
 
-def _likelihood(pairs: _Pairs, unknowns: _FLOATS, width: float) -> float:
+def _likelihood(pairs: _Pairs, unknowns: Floats, width: float) -> float:
     density, axis = _density(pairs, unknowns, pairs[4] + width**2)
     total = np.bincount(axis, density)[np.unique(axis)]
     return float(np.log(_CLUTTER / _RANGE_RAD + (1.0 - _CLUTTER) * total).sum())
 
 
-def _density(
-    pairs: _Pairs, unknowns: _FLOATS, variance: _FLOATS
-) -> tuple[_FLOATS, NDArray[np.int64]]:
+def _density(pairs: _Pairs, unknowns: Floats, variance: Floats) -> tuple[Floats, Ints]:
     task, seen, there, axis, _ = pairs
     gap = measure(unknowns, task.scene[0], seen, there)[:, 0]
     density = np.exp(-0.5 * gap**2 / variance) / np.sqrt(2 * np.pi * variance)
@@ -172,8 +169,8 @@ def _density(
 
 
 def _expected(
-    pairs: _Pairs, unknowns: _FLOATS, width: float, sway: _FLOATS
-) -> tuple[_FLOATS, _FLOATS, float]:
+    pairs: _Pairs, unknowns: Floats, width: float, sway: Floats
+) -> tuple[Floats, Floats, float]:
     """Normal matrix and gradient of one image, each pair as far as it is believed; their number."""
     task, seen, there, axis, own = pairs
     slope = slopes(unknowns, task.scene[0], seen, there)[:, 0, :POSE]

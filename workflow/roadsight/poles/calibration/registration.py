@@ -6,14 +6,14 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import OptimizeResult, least_squares
 from scipy.spatial.transform import Rotation
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import attitude_deg
 
-_FLOATS = NDArray[np.float64]
 FEWEST_PAIRS = 4
 _HFOVS_DEG = (8.0, 120.0)
 _LOG_FOCAL_SIGMA = 1.0
@@ -32,16 +32,16 @@ class Registration:
     covariance : (7, 7) of position (m), turn about camera x, y, z (radians), log focal length.
     """
 
-    position_m: _FLOATS
+    position_m: Floats
     heading_deg: float
     pitch_deg: float
     roll_deg: float
     focal_px: float
-    residuals_px: _FLOATS
-    covariance: _FLOATS
+    residuals_px: Floats
+    covariance: Floats
 
     @property
-    def sigma(self) -> _FLOATS:
+    def sigma(self) -> Floats:
         """One standard deviation of what ``covariance`` is of."""
         return np.sqrt(np.diag(self.covariance))
 
@@ -87,7 +87,7 @@ def register_camera(
     return _result(best, origin, len(uv))
 
 
-def _check(uv: _FLOATS, xyz: _FLOATS) -> None:
+def _check(uv: Floats, xyz: Floats) -> None:
     where = "registration"
     if len(uv) != len(xyz) or len(uv) < FEWEST_PAIRS:
         raise InputError("too few clicked pairs", where=where, found=len(uv), allowed=">= 4")
@@ -112,12 +112,12 @@ def is_flat(xyz_m: ArrayLike) -> bool:
     return bool(extent[-1] < 0.01 * extent[0])
 
 
-def _log_focals(width_px: int) -> _FLOATS:
+def _log_focals(width_px: int) -> Floats:
     far, near = np.log(0.5 * width_px / np.tan(np.radians(_HFOVS_DEG) / 2))
     return np.linspace(far, near, 14)
 
 
-def _poses(uv: _FLOATS, xyz: _FLOATS, focal: float) -> list[_FLOATS]:
+def _poses(uv: Floats, xyz: Floats, focal: float) -> list[Floats]:
     """Rotation vector and translation (6,) of each perspective-n-point solution."""
     matrix = np.diag([focal, focal, 1.0])
     ways = [cv2.SOLVEPNP_EPNP, cv2.SOLVEPNP_SQPNP]
@@ -134,7 +134,7 @@ def _poses(uv: _FLOATS, xyz: _FLOATS, focal: float) -> list[_FLOATS]:
     return [pose for pose in found if np.isfinite(pose).all()]
 
 
-def _misfit(uv: _FLOATS, xyz: _FLOATS, log_focal: float, start: _FLOATS) -> float:
+def _misfit(uv: Floats, xyz: Floats, log_focal: float, start: Floats) -> float:
     """Sum of squared distances of a start, in pixels; infinite if a place is behind."""
     camera = _seen_from(start, xyz)
     if (camera[:, 2] <= 0).any():
@@ -144,11 +144,11 @@ def _misfit(uv: _FLOATS, xyz: _FLOATS, log_focal: float, start: _FLOATS) -> floa
 
 
 def _refined(
-    uv: _FLOATS, xyz: _FLOATS, start: _FLOATS, log_focal: float, usual: float
+    uv: Floats, xyz: Floats, start: Floats, log_focal: float, usual: float
 ) -> OptimizeResult | None:
     """Least squares over turn, shift and log focal length; None if a place is behind."""
 
-    def misfit(unknowns: _FLOATS) -> _FLOATS:
+    def misfit(unknowns: Floats) -> Floats:
         camera = _seen_from(unknowns, xyz)
         depth = np.maximum(camera[:, 2], 1e-3)
         gap = np.exp(unknowns[6]) * camera[:, :2] / depth[:, None] - uv
@@ -164,11 +164,11 @@ def _refined(
     return fit if well else None
 
 
-def _seen_from(unknowns: _FLOATS, xyz: _FLOATS) -> _FLOATS:
+def _seen_from(unknowns: Floats, xyz: Floats) -> Floats:
     return Rotation.from_rotvec(unknowns[:3]).apply(xyz) + unknowns[3:6]
 
 
-def _result(fit: OptimizeResult, origin: _FLOATS, pairs: int) -> Registration:
+def _result(fit: OptimizeResult, origin: Floats, pairs: int) -> Registration:
     turn = Rotation.from_rotvec(fit.x[:3])
     position = -turn.inv().apply(fit.x[3:6])
     residuals = np.hypot(*fit.fun[: 2 * pairs].reshape(-1, 2).T)
@@ -198,7 +198,7 @@ def _result(fit: OptimizeResult, origin: _FLOATS, pairs: int) -> Registration:
     )
 
 
-def _turn_per_rotvec(rotvec: _FLOATS) -> _FLOATS:
+def _turn_per_rotvec(rotvec: Floats) -> Floats:
     """Turn about fixed axes for a small change of a rotation vector (left Jacobian)."""
     step = 1e-6
     base = Rotation.from_rotvec(rotvec).inv()

@@ -20,11 +20,16 @@ def lens_content(
     """JSON content of a lens; `lens_of` reads it back."""
     known = sigma_px if sigma_px is not None and np.isfinite(sigma_px) else None
     return {
-        "route": key[0], "width_px": key[1], "height_px": key[2],
-        "k1": float(lens.k1), "k2": float(lens.k2), "scale_px": float(lens.scale_px),
-        "corner_px": float(corner_px), "sigma_px": known,
+        "route": key[0],
+        "width_px": key[1],
+        "height_px": key[2],
+        "k1": float(lens.k1),
+        "k2": float(lens.k2),
+        "scale_px": float(lens.scale_px),
+        "corner_px": float(corner_px),
+        "sigma_px": known,
         "source": source,
-    }  # fmt: skip
+    }
 
 
 def lens_of(lenses: Sequence[Mapping[str, Any]], key: Key, shape: tuple[int, int]) -> RadialLens:

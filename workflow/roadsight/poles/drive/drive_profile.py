@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.geometry.lens import RadialLens
 from roadsight.poles.drive.drive_lenses import Key, lens_content
 from roadsight.poles.images.front_view import left_out_share
@@ -16,8 +16,7 @@ from roadsight.poles.images.plumb_line import doubt, fit_lens
 from roadsight.poles.images.upright_curves import upright_curves
 from roadsight.scene.terrain.sight_lines import Height, hidden_road_share
 
-_FLOATS = NDArray[np.float64]
-Picture = Callable[[str], NDArray[np.uint8]]
+Picture = Callable[[str], Bytes]
 
 EYE_M = 2.2
 REACH_M = 240.0
@@ -31,7 +30,7 @@ _NEAR_M = 40.0
 _VIEWS = 3
 
 
-def evenly(count: int, most: int) -> NDArray[np.int64]:
+def evenly(count: int, most: int) -> Ints:
     """Numbers of at most so many items, spread evenly over all of them."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).round()).astype(np.int64)
 
@@ -58,7 +57,7 @@ def hidden_share(frames: pd.DataFrame, height: Height) -> float | None:
     return share if np.isfinite(share) else None
 
 
-def beside_track(frames: pd.DataFrame, offsets_m: Sequence[float]) -> _FLOATS:
+def beside_track(frames: pd.DataFrame, offsets_m: Sequence[float]) -> Floats:
     """Places (n, 2) every 4 m along both sides of a track, at offsets from it."""
     drive = frames.sort_values("sequence", kind="stable")
     xy = drive[["x", "y"]].to_numpy(np.float64)
@@ -103,7 +102,7 @@ def front_view_gap(frames: pd.DataFrame, hfov_deg: float) -> float | None:
     return float(np.average(shares, weights=lengths)) if shares else None
 
 
-def has_sides(frames: pd.DataFrame) -> NDArray[np.bool_]:
+def has_sides(frames: pd.DataFrame) -> Bools:
     """Whether each frame has a left or a right image."""
     named = [frames[name].fillna("").astype(str) != "" for name in ("left_path", "right_path")]
     return np.asarray(named[0] | named[1], bool)
@@ -129,7 +128,7 @@ def measured_lens(key: Key, paths: Iterable[str], picture: Picture) -> dict[str,
     None where there are too few; one that is not certain is told, and withheld with the reason: its
     coefficients are those of a pinhole.
     """
-    curves: list[_FLOATS] = []
+    curves: list[Floats] = []
     owner: list[int] = []
     names = list(paths)
     for number in evenly(len(names), _PICTURES) if names else ():

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.cameras import azimuth_deg, compass_deg
 
-_FLOATS = NDArray[np.float64]
 STANDING_M = 0.5
 _ROUNDS = 5
 
 
-def steps_m(xy_m: ArrayLike) -> _FLOATS:
+def steps_m(xy_m: ArrayLike) -> Floats:
     """Distance (n,) from each place (n, 2) to the next, 0 for the last."""
     xy = np.asarray(xy_m, np.float64)
     return np.append(np.hypot(*np.diff(xy, axis=0).T), 0.0)[: len(xy)]
 
 
-def moving(xy_m: ArrayLike, standing_m: float = STANDING_M) -> NDArray[np.int64]:
+def moving(xy_m: ArrayLike, standing_m: float = STANDING_M) -> Ints:
     """Numbers of the places that are ``standing_m`` or more from the last such place."""
     xy = np.asarray(xy_m, np.float64)
     kept = [0] if len(xy) else []
@@ -30,7 +30,7 @@ def moving(xy_m: ArrayLike, standing_m: float = STANDING_M) -> NDArray[np.int64]
 
 def headings_deg(
     xy_m: ArrayLike, half_window: int = 3, standing_m: float = STANDING_M
-) -> tuple[_FLOATS, _FLOATS]:
+) -> tuple[Floats, Floats]:
     """Headings at places of one drive, clockwise from grid north.
 
     The raw heading is the direction to the next place (the last one takes the one before). The
@@ -62,7 +62,7 @@ def headings_deg(
     return smooth[node_of], raw[arrived]
 
 
-def _tangents_deg(xy: _FLOATS, half_window: int) -> _FLOATS:
+def _tangents_deg(xy: Floats, half_window: int) -> Floats:
     """Headings of robust local parabolas through places (n, 2) that all moved."""
     station = np.append(0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T)))
     tangent = np.empty_like(xy)
@@ -72,7 +72,7 @@ def _tangents_deg(xy: _FLOATS, half_window: int) -> _FLOATS:
     return compass_deg(np.degrees(np.arctan2(tangent[:, 0], tangent[:, 1])))
 
 
-def _slope(station: _FLOATS, xy: _FLOATS) -> _FLOATS:
+def _slope(station: Floats, xy: Floats) -> Floats:
     """Derivative (2,) at station 0 of a weighted parabola; two places give their chord."""
     scale = np.abs(station).max()
     share = station / scale

@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.poles.drive.track import headings_deg, moving, steps_m
 
-_FLOATS = NDArray[np.float64]
 OK = "ok"
 _FEW = 2
 _RARE_SIZE = 20
@@ -49,9 +49,9 @@ class Site:
         (n, 2): height of the road, NaN where unknown. extent : the cloud's place, in words.
     """
 
-    to_local: Callable[[ArrayLike, ArrayLike], _FLOATS]
-    covers: Callable[[_FLOATS], NDArray[np.bool_]]
-    road_height: Callable[[_FLOATS], _FLOATS]
+    to_local: Callable[[ArrayLike, ArrayLike], Floats]
+    covers: Callable[[Floats], Bools]
+    road_height: Callable[[Floats], Floats]
     extent: str = ""
 
 
@@ -123,7 +123,7 @@ def size_status(frames: pd.DataFrame) -> NDArray[np.object_]:
     return status
 
 
-def locate(frames: pd.DataFrame, site: Site) -> tuple[_FLOATS, NDArray[np.object_]]:
+def locate(frames: pd.DataFrame, site: Site) -> tuple[Floats, NDArray[np.object_]]:
     """Places x, y (n, 2) of frames, NaN where unknown, and status of each.
 
     Raises
@@ -144,7 +144,7 @@ def locate(frames: pd.DataFrame, site: Site) -> tuple[_FLOATS, NDArray[np.object
     return np.where(inside[:, None], xy, np.nan), status
 
 
-def _places(site: Site, latitude: _FLOATS, longitude: _FLOATS, given: NDArray[np.bool_]) -> _FLOATS:
+def _places(site: Site, latitude: Floats, longitude: Floats, given: Bools) -> Floats:
     """Places x, y (n, 2); NaN where the coordinates cannot be any."""
     possible = given & (np.abs(latitude) <= 90) & (np.abs(longitude) <= 360)
     xy = np.full((len(latitude), 2), np.nan)
@@ -153,7 +153,7 @@ def _places(site: Site, latitude: _FLOATS, longitude: _FLOATS, given: NDArray[np
     return xy
 
 
-def _covered(site: Site, xy: _FLOATS) -> NDArray[np.bool_]:
+def _covered(site: Site, xy: Floats) -> Bools:
     covered = np.asarray(np.isfinite(xy).all(axis=1))
     covered[covered] = site.covers(xy[covered])
     return covered
@@ -224,7 +224,7 @@ def _along(route: pd.DataFrame, settings: TrackSettings) -> pd.DataFrame:
     return route.assign(status=merged(route["status"], status))
 
 
-def split_drives(xy_m: _FLOATS, settings: TrackSettings) -> tuple[list[NDArray[np.int64]], _FLOATS]:
+def split_drives(xy_m: Floats, settings: TrackSettings) -> tuple[list[Ints], Floats]:
     """Runs of places of one route without jumps, and strays.
 
     One or two places that lie a jump away from those before and after are strays. Where the track
@@ -252,7 +252,7 @@ def split_drives(xy_m: _FLOATS, settings: TrackSettings) -> tuple[list[NDArray[n
     return np.split(kept, breaks), stray_m
 
 
-def jump_limit_m(xy_m: _FLOATS, settings: TrackSettings) -> float:
+def jump_limit_m(xy_m: Floats, settings: TrackSettings) -> float:
     """Longest step of a track that is no jump, by the median step between images that moved."""
     step = steps_m(xy_m[moving(xy_m, settings.standing_m)])[:-1]
     usual = float(np.median(step)) if len(step) else 0.0

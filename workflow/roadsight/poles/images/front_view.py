@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Ints
 from roadsight.geometry.cameras import wrap_deg
-
-_FLOATS = NDArray[np.float64]
 
 
 def views_of_places(
@@ -16,7 +15,7 @@ def views_of_places(
     heading_deg: ArrayLike,
     half_angle_deg: float,
     reach_m: float,
-) -> NDArray[np.int64]:
+) -> Ints:
     """How many cameras have each place (n, 2) within reach and within an angle of their heading.
 
     Parameters

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.lanes import (
     Curve,
@@ -21,14 +22,13 @@ from roadsight.poles.images.lanes import (
 )
 from roadsight.poles.images.nearest_borders import on_nearest_border
 
-_FLOATS = NDArray[np.float64]
 LANE, BORDER = "lane", "border"
 _BLUR_PX = 5
 _MARGIN = 0.15
 _ROWS_OF_A_LINE = 12
 
 
-def _table(*classes: PixelClass) -> NDArray[np.uint8]:
+def _table(*classes: PixelClass) -> Bytes:
     table = np.zeros(256, np.uint8)
     table[list(classes)] = 1
     return table
@@ -38,9 +38,15 @@ _ROAD = _table(PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
 # Against these the road's border is not traced: they stand in front of it, or it drops out of
 # sight; a kerb is an edge by its own centre-line.
 _OCCLUDERS = _table(
-    PixelClass.VEHICLE, PixelClass.POLE, PixelClass.SIGN, PixelClass.GUARDRAIL,
-    PixelClass.TREE, PixelClass.WIRE, PixelClass.SKY, PixelClass.KERB,
-)  # fmt: skip
+    PixelClass.VEHICLE,
+    PixelClass.POLE,
+    PixelClass.SIGN,
+    PixelClass.GUARDRAIL,
+    PixelClass.TREE,
+    PixelClass.WIRE,
+    PixelClass.SKY,
+    PixelClass.KERB,
+)
 
 
 @dataclass(frozen=True)
@@ -53,13 +59,13 @@ class ImageEdges:
     on a marking, else on the road's border. reason : why there is nothing, or "".
     """
 
-    uv_px: NDArray[np.float32]
+    uv_px: Floats32
     side: NDArray[np.int8]
-    is_lane: NDArray[np.bool_]
+    is_lane: Bools
     reason: str = ""
 
 
-def trace_edges(mask: NDArray[np.uint8], settings: EdgeSettings | None = None) -> ImageEdges:
+def trace_edges(mask: Bytes, settings: EdgeSettings | None = None) -> ImageEdges:
     """Edges of the road in a mask of project classes (rows, columns).
 
     Lane markings without the middle line, as centre-lines; and the border of the road outside the
@@ -91,13 +97,13 @@ def trace_edges(mask: NDArray[np.uint8], settings: EdgeSettings | None = None) -
     return ImageEdges(points.astype(np.float32), side, is_lane, reason)
 
 
-def _why_nothing(mask: NDArray[np.uint8], road: NDArray[np.uint8]) -> str:
+def _why_nothing(mask: Bytes, road: Bytes) -> str:
     if not cv2.LUT(mask, _ROAD).any():
         return "no road in the mask"
     return "road too small" if not road.any() else "no edge of the road in sight"
 
 
-def _cleaned_road(road: NDArray, settings: EdgeSettings) -> NDArray[np.uint8]:
+def _cleaned_road(road: NDArray, settings: EdgeSettings) -> Bytes:
     """The road without specks and without small holes (0 or 1)."""
     smallest = max((settings.min_border_px * settings.scale(len(road))) ** 2, 4.0)
     cleaned = without_specks(road, smallest)
@@ -105,7 +111,7 @@ def _cleaned_road(road: NDArray, settings: EdgeSettings) -> NDArray[np.uint8]:
 
 
 @njit(cache=True)
-def _road_span(road: NDArray[np.uint8]) -> NDArray[np.float64]:
+def _road_span(road: Bytes) -> Floats:
     """First and last road column of each row (rows, 2), NaN without road."""
     rows, columns = road.shape
     span = np.full((rows, 2), np.nan)
@@ -122,7 +128,7 @@ def _road_span(road: NDArray[np.uint8]) -> NDArray[np.float64]:
     return span
 
 
-def _borders(mask: NDArray[np.uint8], road: NDArray[np.uint8], settings: EdgeSettings) -> _FLOATS:
+def _borders(mask: Bytes, road: Bytes, settings: EdgeSettings) -> Floats:
     """Border points (n, 2), finer than a pixel, of parts that are long enough."""
     rows = np.flatnonzero(road.any(axis=1))
     if not len(rows):
@@ -141,7 +147,7 @@ def _borders(mask: NDArray[np.uint8], road: NDArray[np.uint8], settings: EdgeSet
     return np.add(points, (0.0, float(top)))
 
 
-def _crossings(soft: NDArray, level: float) -> _FLOATS:
+def _crossings(soft: NDArray, level: float) -> Floats:
     """Where the smoothed road (rows, columns) crosses ``level``, along rows or columns.
 
     Each crossing is taken along the axis that cuts the border more squarely.
@@ -167,7 +173,7 @@ def _crossings(soft: NDArray, level: float) -> _FLOATS:
     return points[np.lexsort((points[:, 0], points[:, 1]))]
 
 
-def _near_border(soft: NDArray[np.uint8], level: float) -> NDArray[np.int64]:
+def _near_border(soft: Bytes, level: float) -> Ints:
     """Pixels (n, 2) as row, column that differ from a neighbour below or to the right."""
     inside = soft > level
     change = np.zeros(soft.shape, bool)
@@ -176,7 +182,7 @@ def _near_border(soft: NDArray[np.uint8], level: float) -> NDArray[np.int64]:
     return np.argwhere(change)
 
 
-def _long_enough(points: _FLOATS, shape: tuple[int, int], settings: EdgeSettings) -> _FLOATS:
+def _long_enough(points: Floats, shape: tuple[int, int], settings: EdgeSettings) -> Floats:
     if not len(points):
         return points
     cell = max(round(3 * settings.scale(shape[0])), 2)
@@ -189,7 +195,7 @@ def _long_enough(points: _FLOATS, shape: tuple[int, int], settings: EdgeSettings
     return points[np.bincount(own)[own] >= needed]
 
 
-def _between(points: _FLOATS, lanes: _FLOATS, height_px: int) -> NDArray[np.bool_]:
+def _between(points: Floats, lanes: Floats, height_px: int) -> Bools:
     """Whether points (n, 2) lie in the region that the outermost markings enclose.
 
     Gaps of dashed lines are bridged by straight lines between the rows that have them.
@@ -206,9 +212,7 @@ def _between(points: _FLOATS, lanes: _FLOATS, height_px: int) -> NDArray[np.bool
     return inside_rows & (points[:, 0] >= low) & (points[:, 0] <= high)
 
 
-def _dividing_line(
-    axes: list[Curve], lanes: _FLOATS, road: NDArray[np.uint8], tolerance_px: float
-) -> _FLOATS:
+def _dividing_line(axes: list[Curve], lanes: Floats, road: Bytes, tolerance_px: float) -> Floats:
     """Column (rows,) of each row between the left and the right side of the road.
 
     The middle line if there is one, else half-way between the outermost markings; beyond their
@@ -222,7 +226,7 @@ def _dividing_line(
     return _road_ahead(road, hints)
 
 
-def _half_way(lanes: _FLOATS, tolerance_px: float) -> Curve | None:
+def _half_way(lanes: Floats, tolerance_px: float) -> Curve | None:
     row, u = clusters_by_row(lanes, 1.5)
     rows, start, count = np.unique(row, return_index=True, return_counts=True)
     two = count >= 2
@@ -233,7 +237,7 @@ def _half_way(lanes: _FLOATS, tolerance_px: float) -> Curve | None:
 
 
 @njit(cache=True)
-def _road_ahead(road: NDArray[np.uint8], hints: NDArray[np.float64]) -> NDArray[np.float64]:
+def _road_ahead(road: Bytes, hints: Floats) -> Floats:
     """Column (rows,) that goes straight up from the middle, and follows the road where it bends.
 
     The camera drives on the road, so that its own vertical plane divides the road's sides; the line
@@ -266,7 +270,7 @@ def _road_ahead(road: NDArray[np.uint8], hints: NDArray[np.float64]) -> NDArray[
 
 
 @njit(cache=True)
-def _nearest_road(line: NDArray[np.uint8], start: int, reach: int) -> int:
+def _nearest_road(line: Bytes, start: int, reach: int) -> int:
     """Nearest road column to ``start`` within ``reach``, the left one of two; -1 if none."""
     for step in range(reach + 1):
         if start - step >= 0 and line[start - step]:

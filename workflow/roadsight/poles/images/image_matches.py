@@ -10,7 +10,8 @@ from typing import Any
 import cv2
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+
+from roadsight.base.arrays import Bytes, Floats, Floats32, Ints
 
 _FEATURES = 1500
 _CONTRAST = 0.02
@@ -28,11 +29,11 @@ class Features:
     uv_px : (n, 2). descriptors : (n, 128) of unit length.
     """
 
-    uv_px: NDArray[np.float64]
-    descriptors: NDArray[np.float32]
+    uv_px: Floats
+    descriptors: Floats32
 
 
-def features(image: NDArray[np.uint8]) -> Features:
+def features(image: Bytes) -> Features:
     """Points of an image (rows, columns[, 3]) that another image can show again.
 
     SIFT (D. Lowe, Distinctive image features from scale-invariant keypoints, IJCV 60, 2004), whose
@@ -48,7 +49,7 @@ def features(image: NDArray[np.uint8]) -> Features:
     return Features(uv, np.sqrt(histograms / total, dtype=np.float32))
 
 
-def matched(one: Features, other: Features) -> NDArray[np.int64]:
+def matched(one: Features, other: Features) -> Ints:
     """Numbers (k, 2) of points that are each other's nearest, by far nearer than the second."""
     if min(len(one.uv_px), len(other.uv_px)) < 2:
         return np.empty((0, 2), np.int64)

@@ -13,7 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
+
 PUBLISHED_HEIGHT_PX = 1200
 _MAX_MIDDLE_LINES = 4
 _MIDDLE_THIRD = (0.35, 0.65)
@@ -47,7 +48,7 @@ class EdgeSettings:
         return height_px / PUBLISHED_HEIGHT_PX
 
 
-def without_specks(region: NDArray[np.uint8], smallest_px: float) -> NDArray[np.uint8]:
+def without_specks(region: Bytes, smallest_px: float) -> Bytes:
     """Region (rows, columns; 0 or 1) without parts of fewer pixels, holes counted in.
 
     By outlines, because they are far fewer than pixels.
@@ -65,7 +66,7 @@ def without_specks(region: NDArray[np.uint8], smallest_px: float) -> NDArray[np.
     return kept
 
 
-def centre_lines(marking: NDArray[np.bool_], settings: EdgeSettings) -> _FLOATS:
+def centre_lines(marking: Bools, settings: EdgeSettings) -> Floats:
     """Centre-line points (n, 2) as u, v of all markings that are large enough.
 
     Parameters
@@ -83,9 +84,7 @@ def centre_lines(marking: NDArray[np.bool_], settings: EdgeSettings) -> _FLOATS:
     return points[np.lexsort((points[:, 0], points[:, 1]))]
 
 
-def _run_centres(
-    u: NDArray[np.int64], v: NDArray[np.int64], shape: tuple[int, int], widest_px: float
-) -> _FLOATS:
+def _run_centres(u: Ints, v: Ints, shape: tuple[int, int], widest_px: float) -> Floats:
     """Centroids (n, 2) of the runs of pixels that are shorter than the runs across them.
 
     A run that touches the frame is cut: its centroid is not the marking's.
@@ -107,7 +106,7 @@ def _run_centres(
     return np.concatenate(found)
 
 
-def _runs(line: NDArray[np.int64], along: NDArray[np.int64]) -> NDArray[np.int64]:
+def _runs(line: Ints, along: Ints) -> Ints:
     """Number of the run that each pixel belongs to: neighbours on one row or column."""
     order = np.argsort(line * (along.max() + 2) + along, kind="stable")
     starts = np.ones(len(line), bool)
@@ -130,7 +129,7 @@ class Curve:
     v_px: tuple[float, ...]
     u_px: tuple[float, ...]
 
-    def at(self, v_px: NDArray) -> _FLOATS:
+    def at(self, v_px: NDArray) -> Floats:
         """Column u (n,) at rows v (n,)."""
         knots, u = np.array(self.v_px), np.array(self.u_px)
         v = np.asarray(v_px, np.float64)
@@ -138,13 +137,13 @@ class Curve:
         slope = np.diff(u) / np.diff(knots)
         return u[part] + slope[part] * (v - knots[part])
 
-    def distance_px(self, points: _FLOATS) -> _FLOATS:
+    def distance_px(self, points: Floats) -> Floats:
         """Distance across the line of points (n, 2), to first order."""
         step = 0.5 * (self.at(points[:, 1] + 1.0) - self.at(points[:, 1] - 1.0))
         return np.abs(points[:, 0] - self.at(points[:, 1])) / np.hypot(1.0, step)
 
 
-def fit_curve(points: _FLOATS, tolerance_px: float) -> Curve | None:
+def fit_curve(points: Floats, tolerance_px: float) -> Curve | None:
     """Robust curve through points (n, 2) as u, v; None if they span fewer than three rows.
 
     A straight line by least absolute errors in each of up to eight stretches of equally many
@@ -167,7 +166,7 @@ def fit_curve(points: _FLOATS, tolerance_px: float) -> Curve | None:
     return Curve(tuple(map(float, rows)), tuple(map(float, columns)))
 
 
-def _straight(points: _FLOATS, tolerance_px: float) -> tuple[float, float, float]:
+def _straight(points: Floats, tolerance_px: float) -> tuple[float, float, float]:
     """Column at the middle row, slope du / dv, and the middle row."""
     u, v = points.T
     middle = float(0.5 * (v[0] + v[-1]))
@@ -180,7 +179,7 @@ def _straight(points: _FLOATS, tolerance_px: float) -> tuple[float, float, float
     return float(solution[0]), float(solution[1]), middle
 
 
-def clusters_by_row(points: _FLOATS, gap_px: float) -> tuple[NDArray[np.int64], _FLOATS]:
+def clusters_by_row(points: Floats, gap_px: float) -> tuple[Ints, Floats]:
     """Rows with their clusters' centroids, left to right.
 
     Parameters
@@ -203,7 +202,7 @@ def clusters_by_row(points: _FLOATS, gap_px: float) -> tuple[NDArray[np.int64], 
 
 
 def middle_lines(
-    points: _FLOATS, road_span: _FLOATS, height_px: int, settings: EdgeSettings
+    points: Floats, road_span: Floats, height_px: int, settings: EdgeSettings
 ) -> list[Curve]:
     """Axes of the lines between the outermost markings, most of one road one.
 
@@ -234,7 +233,7 @@ def middle_lines(
     return axes
 
 
-def _inner_clusters(row: NDArray[np.int64], u: _FLOATS) -> _FLOATS:
+def _inner_clusters(row: Ints, u: Floats) -> Floats:
     """The middle one (n, 2) of those between the outermost of each row with three or more."""
     rows, start, count = np.unique(row, return_index=True, return_counts=True)
     dense = count >= 3
@@ -242,7 +241,7 @@ def _inner_clusters(row: NDArray[np.int64], u: _FLOATS) -> _FLOATS:
     return np.column_stack([u[middle], rows[dense].astype(float)])
 
 
-def _central_clusters(row: NDArray[np.int64], u: _FLOATS, road_span: _FLOATS) -> _FLOATS:
+def _central_clusters(row: Ints, u: Floats, road_span: Floats) -> Floats:
     if not len(row):
         return np.empty((0, 2))
     left, right = road_span[np.clip(row, 0, len(road_span) - 1)].T

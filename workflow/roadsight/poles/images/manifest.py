@@ -9,9 +9,9 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from roadsight.base.arrays import Bools, Bytes
 from roadsight.poles.images.classes import PixelClass
 
 Label = Annotated[int, Field(ge=0, le=65534)]
@@ -54,14 +54,14 @@ class Labels(_Section):
             raise ValueError(f"label {beyond[0]} is not below labels ({self.labels})")
         return self
 
-    def lookup(self) -> NDArray[np.uint8]:
+    def lookup(self) -> Bytes:
         """Project class of each label (labels,), `SILENT` where it says nothing."""
         table = np.full(self.labels or max(self.classes, default=0) + 1, SILENT, np.uint8)
         for label, name in self.classes.items():
             table[label] = _PROJECT_CLASSES[name]
         return table
 
-    def replaceable(self) -> NDArray[np.bool_]:
+    def replaceable(self) -> Bools:
         """Whether a project class of an earlier source may be replaced, by class number."""
         if self.over is None:
             return np.ones(256, bool)

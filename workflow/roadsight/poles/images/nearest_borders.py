@@ -9,23 +9,22 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.poles.images.classes import PixelClass
 
-_FLOATS = NDArray[np.float64]
 _OPEN = np.zeros(256, np.uint8)
 _OPEN[[PixelClass.ROAD, PixelClass.MARKING]] = 1
 _KERB = int(PixelClass.KERB)
 
 
 def on_nearest_border(
-    points: _FLOATS,
-    mask: NDArray[np.uint8],
-    road: NDArray[np.uint8],
-    dividing: _FLOATS,
+    points: Floats,
+    mask: Bytes,
+    road: Bytes,
+    dividing: Floats,
     reach_px: float,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Whether border points lie on the first border of their row and side.
 
     Parameters
@@ -44,9 +43,7 @@ def on_nearest_border(
 
 
 @njit(cache=True)
-def _first_ends(
-    road: NDArray[np.uint8], kerb: NDArray[np.uint8], dividing: _FLOATS
-) -> NDArray[np.float64]:
+def _first_ends(road: Bytes, kerb: Bytes, dividing: Floats) -> Floats:
     """Columns (rows, 4) between which the left and the right border lie; NaN without road."""
     rows, columns = road.shape
     ends = np.full((rows, 4), np.nan)

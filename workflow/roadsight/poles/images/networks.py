@@ -8,12 +8,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats32
 from roadsight.base.errors import InputError
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.manifest import SILENT, Input, Labels, Manifest
 
-_FLOATS = NDArray[np.float32]
-Run = Callable[[_FLOATS], list[NDArray]]
+Run = Callable[[Floats32], list[NDArray]]
 """The network: input tensor (1, 3, h, w) to its used outputs."""
 
 _RESIZE = {
@@ -28,7 +28,7 @@ METRIC_NEAREST_M = 0.5
 _LEAST_CONTRAST = 1e-3
 
 
-def tensor_of(image: NDArray[np.uint8], spec: Input, wanted_height_px: int = 0) -> _FLOATS:
+def tensor_of(image: Bytes, spec: Input, wanted_height_px: int = 0) -> Floats32:
     """Input tensor (1, 3, h, w) of a BGR image (rows, columns, 3)."""
     height, width = spec.size.of(image.shape[0], image.shape[1], wanted_height_px)
     pixels: NDArray = image
@@ -44,7 +44,7 @@ def tensor_of(image: NDArray[np.uint8], spec: Input, wanted_height_px: int = 0) 
 
 def class_mask(
     outputs: list[NDArray], manifest: Manifest, shape: tuple[int, int], where: str
-) -> NDArray[np.uint8]:
+) -> Bytes:
     """Project classes (rows, columns) of an image from a network's outputs, `SILENT` if none.
 
     Parameters
@@ -67,8 +67,10 @@ def class_mask(
     if len(scores) != manifest.labels:
         raise InputError(
             "does not state as many labels as the network gives",
-            where=f"{where}: labels", found=manifest.labels, allowed=len(scores),
-        )  # fmt: skip
+            where=f"{where}: labels",
+            found=manifest.labels,
+            allowed=len(scores),
+        )
     return manifest.lookup()[_largest(scores, shape)]
 
 
@@ -84,7 +86,7 @@ def _checked(found: NDArray, labels: Labels, where: str) -> NDArray[np.uint16]:
     return found.astype(np.uint16)
 
 
-def _query_scores(class_logits: _FLOATS, mask_logits: _FLOATS) -> _FLOATS:
+def _query_scores(class_logits: Floats32, mask_logits: Floats32) -> Floats32:
     """Scores (L, h, w) from (Q, L + 1) and (Q, h, w)."""
     shifted = np.exp(class_logits - class_logits.max(axis=1, keepdims=True))
     shares = (shifted / shifted.sum(axis=1, keepdims=True))[:, :-1]
@@ -92,7 +94,7 @@ def _query_scores(class_logits: _FLOATS, mask_logits: _FLOATS) -> _FLOATS:
     return np.tensordot(shares.T, inside, axes=1)
 
 
-def _largest(scores: _FLOATS, shape: tuple[int, int]) -> NDArray[np.uint16]:
+def _largest(scores: Floats32, shape: tuple[int, int]) -> NDArray[np.uint16]:
     """Label of the largest score at the image's own size; the first of equals.
 
     One label at a time, because all labels at full size may not fit into memory.
@@ -112,9 +114,7 @@ def _largest(scores: _FLOATS, shape: tuple[int, int]) -> NDArray[np.uint16]:
     return labels
 
 
-def folder_mask(
-    image: NDArray, labels: Labels, shape: tuple[int, int], where: str
-) -> NDArray[np.uint8]:
+def folder_mask(image: NDArray, labels: Labels, shape: tuple[int, int], where: str) -> Bytes:
     """Project classes (rows, columns) from a label image made elsewhere.
 
     Raises
@@ -127,7 +127,7 @@ def folder_mask(
     return labels.lookup()[found]
 
 
-def merge_masks(masks: list[NDArray[np.uint8]], sources: list[Labels]) -> NDArray[np.uint8]:
+def merge_masks(masks: list[Bytes], sources: list[Labels]) -> Bytes:
     """One mask of several (rows, columns): later ones replace only where they say something."""
     merged = np.full(masks[0].shape, int(PixelClass.OTHER), np.uint8)
     for mask, source in zip(masks, sources, strict=True):
@@ -138,7 +138,7 @@ def merge_masks(masks: list[NDArray[np.uint8]], sources: list[Labels]) -> NDArra
     return merged
 
 
-def inverse_depth(outputs: list[NDArray], manifest: Manifest) -> _FLOATS:
+def inverse_depth(outputs: list[NDArray], manifest: Manifest) -> Floats32:
     """Inverse depth (h, w), larger = nearer, NaN where unknown; any scale unless metric."""
     values = np.asarray(outputs[0], np.float32)
     values = values.reshape(values.shape[-2:])
@@ -149,7 +149,7 @@ def inverse_depth(outputs: list[NDArray], manifest: Manifest) -> _FLOATS:
     return values
 
 
-def packed_depth(inverse: _FLOATS, metric: bool) -> NDArray[np.uint16]:
+def packed_depth(inverse: Floats32, metric: bool) -> NDArray[np.uint16]:
     """Inverse depth as 16 bit, 0 = unknown; all zero where the map is constant.
 
     Parameters

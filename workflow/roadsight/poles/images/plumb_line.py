@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.lens import RadialLens
 
-_FLOATS = NDArray[np.float64]
 _PRIOR = np.array([0.5, 0.05])
 """One standard deviation of k1 and k2, in units of half the image's diagonal: wide angles of
 action cameras reach a third in k1."""
@@ -77,7 +77,7 @@ def bow(curve: ArrayLike) -> float:
 
 
 def fit_lens(
-    curves: Sequence[_FLOATS], width_px: int, height_px: int, groups: ArrayLike | None = None
+    curves: Sequence[Floats], width_px: int, height_px: int, groups: ArrayLike | None = None
 ) -> LensEstimate | None:
     """Lens under which the curves are straightest, robustly; None for fewer than eight curves.
 
@@ -105,7 +105,7 @@ def fit_lens(
     return LensEstimate(lens, corner, sigma, int(agree.sum()), float(before))
 
 
-def _solve(curves: Sequence[_FLOATS], size: tuple[int, int]) -> tuple[_FLOATS, float, _FLOATS]:
+def _solve(curves: Sequence[Floats], size: tuple[int, int]) -> tuple[Floats, float, Floats]:
     """k1 and k2, noise against the expected one, normal matrix; from the best k1 of a scan."""
     sigma = _sigmas(curves)
     first = _slopes(curves, np.zeros(2), size)[:, 0] / sigma
@@ -126,15 +126,13 @@ def _solve(curves: Sequence[_FLOATS], size: tuple[int, int]) -> tuple[_FLOATS, f
     return k, spread, normal
 
 
-def _sigmas(curves: Sequence[_FLOATS]) -> _FLOATS:
+def _sigmas(curves: Sequence[Floats]) -> Floats:
     """What the outline of a straight thing may bow (n,), pixels."""
     length = np.array([np.hypot(*(curve[-1] - curve[0])) for curve in curves])
     return np.hypot(_TRACED_PX, _CROOKED * length)
 
 
-def _jackknife_px(
-    curves: Sequence[_FLOATS], groups: NDArray[np.int64], size: tuple[int, int]
-) -> float:
+def _jackknife_px(curves: Sequence[Floats], groups: Ints, size: tuple[int, int]) -> float:
     """Standard deviation of the corner's displacement over stretches that are left out."""
     stretch = np.unique(groups, return_inverse=True)[1].ravel()
     stretch = stretch * _GROUPS // (int(stretch.max()) + 1)
@@ -150,17 +148,17 @@ def _jackknife_px(
     return float(np.sqrt((count - 1) * np.var(corners))) if enough else np.inf
 
 
-def _lens(k: _FLOATS, size: tuple[int, int]) -> RadialLens:
+def _lens(k: Floats, size: tuple[int, int]) -> RadialLens:
     return RadialLens.centred(float(k[0]), float(k[1]), *size)
 
 
-def _bows(curves: Sequence[_FLOATS], k: _FLOATS, size: tuple[int, int]) -> _FLOATS:
+def _bows(curves: Sequence[Floats], k: Floats, size: tuple[int, int]) -> Floats:
     lens = _lens(k, size)
     ends = np.cumsum([len(curve) for curve in curves])[:-1]
     return np.array([bow(part) for part in np.split(lens.undistort(np.concatenate(curves)), ends)])
 
 
-def _slopes(curves: Sequence[_FLOATS], k: _FLOATS, size: tuple[int, int]) -> _FLOATS:
+def _slopes(curves: Sequence[Floats], k: Floats, size: tuple[int, int]) -> Floats:
     columns = [
         (_bows(curves, k + d, size) - _bows(curves, k - d, size)) / (2 * _STEP)
         for d in np.eye(2) * _STEP
@@ -168,11 +166,11 @@ def _slopes(curves: Sequence[_FLOATS], k: _FLOATS, size: tuple[int, int]) -> _FL
     return np.column_stack(columns)
 
 
-def _corner(k: _FLOATS, size: tuple[int, int]) -> float:
+def _corner(k: Floats, size: tuple[int, int]) -> float:
     return _lens(k, size).corner_px(*size)
 
 
-def _within(k: _FLOATS, step: _FLOATS, size: tuple[int, int]) -> _FLOATS:
+def _within(k: Floats, step: Floats, size: tuple[int, int]) -> Floats:
     """As much of a step, halved, as leaves a lens that shows the whole image with some to spare."""
     for _ in range(_ROUNDS):
         trial = k + step

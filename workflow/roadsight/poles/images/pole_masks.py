@@ -13,9 +13,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats
 from roadsight.poles.images.classes import PixelClass
 
-_FLOATS = NDArray[np.float64]
 PUBLISHED_HEIGHT_PX = 1200
 KINDS = {
     "pole": (PixelClass.POLE,),
@@ -23,8 +23,13 @@ KINDS = {
     "tree": (PixelClass.TREE,),
     "guardrail": (PixelClass.GUARDRAIL,),
 }
-_HIDERS = (PixelClass.VEHICLE, PixelClass.TREE, PixelClass.GUARDRAIL, PixelClass.SIGN,
-           PixelClass.BUILDING)  # fmt: skip
+_HIDERS = (
+    PixelClass.VEHICLE,
+    PixelClass.TREE,
+    PixelClass.GUARDRAIL,
+    PixelClass.SIGN,
+    PixelClass.BUILDING,
+)
 _LINE_ROUNDS = 10
 
 
@@ -77,13 +82,13 @@ class Instance:
     touches_sign: bool
     reason: str
 
-    def axis_u(self, v_px: _FLOATS) -> _FLOATS:
+    def axis_u(self, v_px: Floats) -> Floats:
         """Column of the axis at rows v (n,)."""
         return self.u_foot + self.slope * (np.asarray(v_px, np.float64) - self.v_foot)
 
 
 def find_instances(
-    mask: NDArray[np.uint8], kind: str = "pole", settings: MaskSettings | None = None
+    mask: Bytes, kind: str = "pole", settings: MaskSettings | None = None
 ) -> list[Instance]:
     """Objects of one kind in a mask (rows, columns), left to right.
 
@@ -106,9 +111,9 @@ def find_instances(
 class _Piece:
     """Rows of one component: row v, mean column and width of each, ascending rows."""
 
-    v: _FLOATS
-    u: _FLOATS
-    width: _FLOATS
+    v: Floats
+    u: Floats
+    width: Floats
     u_min: int
     u_max: int
 
@@ -129,7 +134,7 @@ class _Piece:
         return float(self.v[-1] - self.v[0] + 1)
 
 
-def _pieces(own: NDArray[np.uint8], least_height_px: float) -> list[_Piece]:
+def _pieces(own: Bytes, least_height_px: float) -> list[_Piece]:
     """Components that are not too low, as rows."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
         own, connectivity=8, ltype=cv2.CV_32S
@@ -144,10 +149,13 @@ def _pieces(own: NDArray[np.uint8], least_height_px: float) -> list[_Piece]:
         sums = inside @ np.arange(left, left + width, dtype=np.float64)
         pieces.append(
             _Piece(
-                np.arange(top, top + height, dtype=np.float64), sums / widths,
-                widths.astype(np.float64), int(left), int(left + width - 1),
+                np.arange(top, top + height, dtype=np.float64),
+                sums / widths,
+                widths.astype(np.float64),
+                int(left),
+                int(left + width - 1),
             )
-        )  # fmt: skip
+        )
     return pieces
 
 
@@ -176,10 +184,12 @@ def _joined(pieces: list[_Piece], settings: MaskSettings) -> list[_Piece]:
             if j is not None:
                 lower = joined[j]
                 joined[i] = _Piece(
-                    np.concatenate([upper.v, lower.v]), np.concatenate([upper.u, lower.u]),
+                    np.concatenate([upper.v, lower.v]),
+                    np.concatenate([upper.u, lower.u]),
                     np.concatenate([upper.width, lower.width]),
-                    min(upper.u_min, lower.u_min), max(upper.u_max, lower.u_max),
-                )  # fmt: skip
+                    min(upper.u_min, lower.u_min),
+                    max(upper.u_max, lower.u_max),
+                )
                 del joined[j]
                 merged = True
                 break
@@ -207,7 +217,7 @@ def _continuation(upper: _Piece, pieces: list[_Piece], settings: MaskSettings) -
 
 
 def _measured(
-    piece: _Piece, mask: NDArray[np.uint8], kind: str, settings: MaskSettings, scale: float
+    piece: _Piece, mask: Bytes, kind: str, settings: MaskSettings, scale: float
 ) -> Instance:
     (u0, slope), width = piece.axis, piece.middle_width
     v_foot = _lowest_row(piece, u0, slope, width) + 0.5
@@ -223,10 +233,21 @@ def _measured(
     elif kind == "pole" and piece.height * np.hypot(1.0, slope) < settings.min_aspect * width:
         reason = "not slender"
     return Instance(
-        kind, u_foot, v_foot, piece.u_min - 0.5, piece.v[0] - 0.5, piece.u_max + 0.5,
-        piece.v[-1] + 0.5, slope, width, piece.pixels, foot, cut,
-        _touches(piece, mask, PixelClass.SIGN), reason,
-    )  # fmt: skip
+        kind,
+        u_foot,
+        v_foot,
+        piece.u_min - 0.5,
+        piece.v[0] - 0.5,
+        piece.u_max + 0.5,
+        piece.v[-1] + 0.5,
+        slope,
+        width,
+        piece.pixels,
+        foot,
+        cut,
+        _touches(piece, mask, PixelClass.SIGN),
+        reason,
+    )
 
 
 def _lowest_row(piece: _Piece, u0: float, slope: float, width: float) -> float:
@@ -247,7 +268,7 @@ def _cut(piece: _Piece, shape: tuple[int, ...]) -> frozenset[str]:
     return frozenset(name for name, touches in sides.items() if touches)
 
 
-def _below_foot(mask: NDArray[np.uint8], u: float, v: float, width: float, deep_px: int) -> str:
+def _below_foot(mask: Bytes, u: float, v: float, width: float, deep_px: int) -> str:
     """What the strip just below a foot says about it, by the majority of its pixels."""
     half = max(width / 2, 1.0)
     top = int(np.ceil(v))
@@ -258,7 +279,7 @@ def _below_foot(mask: NDArray[np.uint8], u: float, v: float, width: float, deep_
     return "plants" if np.mean(below == PixelClass.VEGETATION) >= 0.5 else "visible"
 
 
-def _touches(piece: _Piece, mask: NDArray[np.uint8], other: PixelClass) -> bool:
+def _touches(piece: _Piece, mask: Bytes, other: PixelClass) -> bool:
     """Whether a few rows have pixels of another class on the axis or directly beside the piece."""
     rows = np.arange(max(int(piece.v[0]) - 2, 0), int(piece.v[-1]) + 1)
     u0, slope = piece.axis

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats
 from roadsight.geometry.cameras import Intrinsics, wrap_deg
 
-_FLOATS = NDArray[np.float64]
 _SIGMAS = 3.0
 _SEAM_DEG = 0.5
 
@@ -38,7 +37,7 @@ class ViewOffsets:
         return {"front": 0.0, "left": self.left_deg, "right": self.right_deg}[view]
 
 
-def turned(cam_from_world: _FLOATS, yaw_deg: float) -> _FLOATS:
+def turned(cam_from_world: Floats, yaw_deg: float) -> Floats:
     """Rotation (3, 3) of a camera that is turned clockwise about the front camera's down axis."""
     c, s = np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg))
     side_from_front = np.array([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
@@ -116,11 +115,11 @@ def _join(merged: pd.DataFrame, front: int, side: int) -> None:
 
 
 def stitched_picture(
-    images: dict[str, NDArray[np.uint8]],
+    images: dict[str, Bytes],
     front: Intrinsics,
     offsets: ViewOffsets,
     width_px: int = 1600,
-) -> NDArray[np.uint8]:
+) -> Bytes:
     """Views of one place on one cylinder about the camera, for people to look at.
 
     Parameters
@@ -155,8 +154,11 @@ def stitched_picture(
         map_u = np.broadcast_to(u, v.shape).astype(np.float32)
         seen = camera.contains(np.column_stack([map_u.ravel(), v.ravel()]), 1.0).reshape(v.shape)
         drawn = cv2.remap(
-            images[view], map_u, v.astype(np.float32), cv2.INTER_LINEAR,
+            images[view],
+            map_u,
+            v.astype(np.float32),
+            cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REPLICATE,
-        )  # fmt: skip
+        )
         picture[seen] = drawn[seen]
     return picture

@@ -6,12 +6,11 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.geometry.lens import RadialLens
 
-_FLOATS = NDArray[np.float64]
 
-
-def source_places(lens: RadialLens, size_px: tuple[int, int], shape: tuple[int, int]) -> _FLOATS:
+def source_places(lens: RadialLens, size_px: tuple[int, int], shape: tuple[int, int]) -> Floats:
     """Where each pixel of a pinhole's map comes from in the lens's map: (rows, columns, 2) u, v.
 
     Parameters
@@ -25,7 +24,7 @@ def source_places(lens: RadialLens, size_px: tuple[int, int], shape: tuple[int, 
     return ((lens.distort(image_uv) + 0.5) / per_px - 0.5).reshape(*shape, 2)
 
 
-def straightened(image: NDArray, places: _FLOATS, smooth: bool = False) -> NDArray:
+def straightened(image: NDArray, places: Floats, smooth: bool = False) -> NDArray:
     """Map or image as a pinhole camera would have taken it; 0 where the lens showed nothing.
 
     Parameters

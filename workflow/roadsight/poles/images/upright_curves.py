@@ -8,14 +8,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Bytes, Floats, Floats32
+
 _BLUR_PX = 1.0
 _LEAST_STEP = 40.0
 _UPRIGHT = 3.0
 _SHARE_OF_ROWS = 0.95
 
 
-def upright_curves(image: NDArray[np.uint8], min_height: float = 0.3) -> list[_FLOATS]:
+def upright_curves(image: Bytes, min_height: float = 0.3) -> list[Floats]:
     """Edges that run from row to row within about 18 degrees of upright.
 
     Parameters
@@ -38,7 +39,7 @@ def upright_curves(image: NDArray[np.uint8], min_height: float = 0.3) -> list[_F
     return sorted(curves, key=lambda curve: (curve[0, 0], curve[0, 1], len(curve)))
 
 
-def _ridge(step: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _ridge(step: Floats32) -> Bools:
     """Where the step is greatest among its neighbours in the row."""
     ridge = np.zeros(step.shape, bool)
     middle = step[:, 1:-1]
@@ -46,7 +47,7 @@ def _ridge(step: NDArray[np.float32]) -> NDArray[np.bool_]:
     return ridge
 
 
-def _traced(ridge: NDArray[np.bool_], step: NDArray[np.float32], least_px: float) -> list[_FLOATS]:
+def _traced(ridge: Bools, step: Floats32, least_px: float) -> list[Floats]:
     """Connected ridges with one pixel in nearly every row, each at the parabola's vertex."""
     count, labels = cv2.connectedComponents(ridge.astype(np.uint8), connectivity=8)
     v, u = np.nonzero(labels)
@@ -63,9 +64,7 @@ def _traced(ridge: NDArray[np.bool_], step: NDArray[np.float32], least_px: float
     return curves
 
 
-def _vertex(
-    step: NDArray[np.float32], rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> _FLOATS:
+def _vertex(step: Floats32, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> Floats:
     """Columns where parabolas through three neighbours of a row are greatest."""
     left, here, right = (step[rows, columns + k].astype(np.float64) for k in (-1, 0, 1))
     bend = left - 2.0 * here + right

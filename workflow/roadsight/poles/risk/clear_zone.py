@@ -18,6 +18,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Floats
+
 SOURCE = (
     "AASHTO Roadside Design Guide, table 3.1 (metric), wider end of each range;"
     " compared with the Indiana Design Manual, figure 49-2A"
@@ -69,7 +71,7 @@ _WIDTHS_M = np.array(
 )
 
 
-def clear_zone_m(design_speed_kmh: float, aadt: float, slope: ArrayLike) -> NDArray[np.float64]:
+def clear_zone_m(design_speed_kmh: float, aadt: float, slope: ArrayLike) -> Floats:
     """Width that should be free of fixed objects beside the travelled way.
 
     Parameters

@@ -20,18 +20,25 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.risk.clear_zone import clear_zone_m, slope_class
 from roadsight.poles.risk.scenarios import RouteTracks
 
-_FLOATS = NDArray[np.float64]
-Height = Callable[[_FLOATS, _FLOATS], _FLOATS]
+Height = Callable[[Floats, Floats], Floats]
 
 RULE = __doc__.split("\n\n", 1)[1].strip() if __doc__ else ""
 
 HAZARD_COLUMNS = [
-    "offset_m", "side", "clear_zone_m", "inside_clear_zone", "slope_rise_over_run", "slope_class",
-    "station_m", "objects_per_km", "rating",
-]  # fmt: skip
+    "offset_m",
+    "side",
+    "clear_zone_m",
+    "inside_clear_zone",
+    "slope_rise_over_run",
+    "slope_class",
+    "station_m",
+    "objects_per_km",
+    "rating",
+]
 
 
 @dataclass(frozen=True)
@@ -57,7 +64,7 @@ class HazardSettings:
 
 def rate_poles(
     poles: pd.DataFrame,
-    edges_m: _FLOATS,
+    edges_m: Floats,
     tracks: RouteTracks,
     height: Height | None,
     settings: HazardSettings,
@@ -82,15 +89,22 @@ def rate_poles(
     density = objects_per_km(tracks, piece, station_m, inside, settings.window_m)
     rating = _rating(offset_m, needed_m, slope, density, poles["sigma_major_m"], settings)
     columns = [
-        offset_m, tracks.side(xy_m), needed_m, inside, slope, slope_class(slope), station_m,
-        density, rating,
-    ]  # fmt: skip
+        offset_m,
+        tracks.side(xy_m),
+        needed_m,
+        inside,
+        slope,
+        slope_class(slope),
+        station_m,
+        density,
+        rating,
+    ]
     return pd.DataFrame(dict(zip(HAZARD_COLUMNS, columns, strict=True)), index=poles.index)
 
 
 def edge_offsets(
-    xy_m: _FLOATS, edges_m: _FLOATS, tracks: RouteTracks, reach_m: float
-) -> tuple[_FLOATS, _FLOATS]:
+    xy_m: Floats, edges_m: Floats, tracks: RouteTracks, reach_m: float
+) -> tuple[Floats, Floats]:
     """Distance to the nearest road edge and that edge's place (n, 2); NaN beyond ``reach_m``.
 
     Negative where the edge lies beyond the pole as seen from the track, so the pole is on the road.
@@ -107,7 +121,7 @@ def edge_offsets(
     return np.where(on_road, -offset_m, offset_m), foot_m
 
 
-def side_slopes(foot_m: _FLOATS, xy_m: _FLOATS, height: Height | None, sample_m: float) -> _FLOATS:
+def side_slopes(foot_m: Floats, xy_m: Floats, height: Height | None, sample_m: float) -> Floats:
     """Rise over run from road edge to pole, by least squares over heights between them.
 
     Negative falls away from the road. NaN where fewer than three heights are known or the pole is
@@ -133,11 +147,11 @@ def side_slopes(foot_m: _FLOATS, xy_m: _FLOATS, height: Height | None, sample_m:
 
 def objects_per_km(
     tracks: RouteTracks,
-    piece: NDArray[np.int64],
-    station_m: _FLOATS,
-    counted: NDArray[np.bool_],
+    piece: Ints,
+    station_m: Floats,
+    counted: Bools,
     window_m: float,
-) -> _FLOATS:
+) -> Floats:
     """Counted objects for each kilometre of road in a window around each; NaN without a track.
 
     At the ends of a route the window is only as long as the route reaches.
@@ -157,10 +171,10 @@ def objects_per_km(
 
 
 def _rating(
-    offset_m: _FLOATS,
-    needed_m: _FLOATS,
-    slope: _FLOATS,
-    density: _FLOATS,
+    offset_m: Floats,
+    needed_m: Floats,
+    slope: Floats,
+    density: Floats,
     sigma_m: pd.Series,
     settings: HazardSettings,
 ) -> NDArray[np.object_]:

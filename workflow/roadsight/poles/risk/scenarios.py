@@ -12,11 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
+from roadsight.base.arrays import Bools, Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class RouteTracks:
     def __len__(self) -> int:
         return len(self.route)
 
-    def locate(self, xy_m: _FLOATS) -> tuple[_INTS, _FLOATS, _FLOATS]:
+    def locate(self, xy_m: Floats) -> tuple[Ints, Floats, Floats]:
         """Nearest piece of track, station along its route (m) and foot on it (n, 2) of places."""
         if self._tree is None or len(xy_m) == 0:
             none = np.full((len(xy_m), 2), np.nan)
@@ -84,11 +82,11 @@ class RouteTracks:
         along = np.clip(along, 0.0, self.length_m[piece])
         return piece, self.station_m[piece] + along, self.start_m[piece] + along[:, None] * way
 
-    def direction(self, piece: _INTS) -> _FLOATS:
+    def direction(self, piece: Ints) -> Floats:
         """Unit vectors of travel (n, 2)."""
         return (self.end_m - self.start_m)[piece] / self.length_m[piece, None]
 
-    def side(self, xy_m: _FLOATS) -> _INTS:
+    def side(self, xy_m: Floats) -> Ints:
         """-1 left, +1 right, 0 on the track or unknown, seen along the direction of travel."""
         piece, _, foot = self.locate(xy_m)
         if len(self) == 0:
@@ -97,7 +95,7 @@ class RouteTracks:
         cross = way[:, 1] * gap[:, 0] - way[:, 0] * gap[:, 1]
         return np.where(np.abs(cross) < 1e-6, 0, np.sign(cross)).astype(np.int64)
 
-    def place(self, route: int, station_m: _FLOATS) -> _FLOATS:
+    def place(self, route: int, station_m: Floats) -> Floats:
         """Places (n, 2) at stations of a route, held at its ends."""
         own = self.route == route
         stations = np.r_[self.station_m[own], self.station_m[own][-1:] + self.length_m[own][-1:]]
@@ -110,7 +108,7 @@ class RouteTracks:
 
 
 def classify_places(
-    xy_m: _FLOATS,
+    xy_m: Floats,
     tracks: RouteTracks,
     pavement: shapely.Geometry | None,
     settings: ScenarioSettings,
@@ -157,8 +155,8 @@ def track_radius_m(tracks: RouteTracks, route: int, station_m: float, chord_m: f
 
 
 def _crossings(
-    xy_m: _FLOATS, tracks: RouteTracks, piece: _INTS, station_m: _FLOATS, settings: ScenarioSettings
-) -> NDArray[np.bool_]:
+    xy_m: Floats, tracks: RouteTracks, piece: Ints, station_m: Floats, settings: ScenarioSettings
+) -> Bools:
     """Whether a track of another route, or far along the same, runs in another direction near."""
     middle = (tracks.start_m + tracks.end_m) / 2
     near = cKDTree(middle).query_ball_point(xy_m, settings.crossing_m)
@@ -201,7 +199,7 @@ def _widens(
     return bool(np.ptp(widths) > settings.widening * np.median(widths))
 
 
-def _own_part_m(cut: shapely.Geometry, place: _FLOATS) -> float:
+def _own_part_m(cut: shapely.Geometry, place: Floats) -> float:
     """Length of the part of a cut that holds a place (or comes within 1 m of it)."""
     here = shapely.Point(place)
     near = [part.length for part in shapely.get_parts(cut) if part.distance(here) < 1.0]

@@ -14,8 +14,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
+from roadsight.base.arrays import Bools, Floats, Ints
 
 THRESHOLDS_M = tuple(range(1, 17))
 FEWEST_TRUTHS = 5
@@ -24,7 +23,7 @@ _EDGE_REACH_M = 5.0
 _GEOD = Geod(ellps="WGS84")
 
 
-def match_points(found_m: _FLOATS, truth_m: _FLOATS, threshold_m: float) -> _INTS:
+def match_points(found_m: Floats, truth_m: Floats, threshold_m: float) -> Ints:
     """One-to-one matches within a distance: as many as can be, of least total distance.
 
     Parameters
@@ -53,7 +52,7 @@ def match_points(found_m: _FLOATS, truth_m: _FLOATS, threshold_m: float) -> _INT
     return matches[np.argsort(matches[:, 0])]
 
 
-def _assign(near: NDArray, threshold_m: float) -> _INTS:
+def _assign(near: NDArray, threshold_m: float) -> Ints:
     """Best assignment among the near pairs of one connected part."""
     rows, row = np.unique(near["i"], return_inverse=True)
     columns, column = np.unique(near["j"], return_inverse=True)
@@ -67,7 +66,7 @@ def _assign(near: NDArray, threshold_m: float) -> _INTS:
 
 
 def score_thresholds(
-    found_m: _FLOATS, truth_m: _FLOATS, thresholds_m: tuple[float, ...] = THRESHOLDS_M
+    found_m: Floats, truth_m: Floats, thresholds_m: tuple[float, ...] = THRESHOLDS_M
 ) -> list[dict[str, float | int | None]]:
     """True and false positives, false negatives, precision, recall and F1 at each threshold.
 
@@ -91,8 +90,8 @@ def score_thresholds(
 
 
 def geodesic_m(
-    latitude_deg: _FLOATS, longitude_deg: _FLOATS, to_latitude: _FLOATS, to_longitude: _FLOATS
-) -> _FLOATS:
+    latitude_deg: Floats, longitude_deg: Floats, to_latitude: Floats, to_longitude: Floats
+) -> Floats:
     """Distances on the WGS 84 ellipsoid."""
     _, _, distance = _GEOD.inv(longitude_deg, latitude_deg, to_longitude, to_latitude)
     return np.asarray(distance, np.float64)
@@ -102,14 +101,14 @@ def geodesic_m(
 class RoadEdges:
     """Edge points of the road (n, 2), local metres."""
 
-    xy_m: _FLOATS
+    xy_m: Floats
 
-    def offset_m(self, places_m: _FLOATS) -> tuple[_FLOATS, _INTS]:
+    def offset_m(self, places_m: Floats) -> tuple[Floats, Ints]:
         """Distance to the nearest edge point and its row."""
         distance, row = cKDTree(self.xy_m).query(places_m)
         return np.asarray(distance), np.asarray(row, np.int64)
 
-    def normals(self, places_m: _FLOATS) -> _FLOATS:
+    def normals(self, places_m: Floats) -> Floats:
         """Unit vectors (n, 2) across the edge nearest to each place.
 
         The edge's direction is the main axis of its points within 5 m; where they have none, the
@@ -131,14 +130,14 @@ class RoadEdges:
         return normals
 
 
-def split_errors(errors_m: _FLOATS, normals: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
+def split_errors(errors_m: Floats, normals: Floats) -> tuple[Floats, Floats]:
     """Sizes of error vectors (n, 2) across and along the road edge."""
     across = np.abs((errors_m * normals).sum(axis=1))
     along = np.abs(errors_m[:, 0] * normals[:, 1] - errors_m[:, 1] * normals[:, 0])
     return across, along
 
 
-def describe(values: _FLOATS) -> dict[str, float | int | None]:
+def describe(values: Floats) -> dict[str, float | int | None]:
     """Count, mean, standard deviation, least, quartiles and greatest; None where empty."""
     values = values[np.isfinite(values)]
     names = ("mean", "std", "min", "q25", "median", "q75", "max")
@@ -151,7 +150,7 @@ def describe(values: _FLOATS) -> dict[str, float | int | None]:
     }
 
 
-def within_reach(places_m: _FLOATS, cameras_m: _FLOATS, reach_m: float) -> NDArray[np.bool_]:
+def within_reach(places_m: Floats, cameras_m: Floats, reach_m: float) -> Bools:
     """Whether a camera stands within reach of each place."""
     if len(places_m) == 0 or len(cameras_m) == 0:
         return np.zeros(len(places_m), bool)
@@ -159,7 +158,7 @@ def within_reach(places_m: _FLOATS, cameras_m: _FLOATS, reach_m: float) -> NDArr
     return np.asarray(distance <= reach_m)
 
 
-def describe_scenarios(errors_m: _FLOATS, scenarios: pd.DataFrame) -> dict[str, Any]:
+def describe_scenarios(errors_m: Floats, scenarios: pd.DataFrame) -> dict[str, Any]:
     """Errors of the matches by scenario; None for a class that could not be measured.
 
     Parameters

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Floats, Ints
+
 _CLASSES = (1, 3, 4, 5)
 _LOWEST_M = 1.0
 _TRUNK_M = 4.5
@@ -31,7 +32,7 @@ _RADII_M = np.arange(0.03, 0.26, 0.02)
 _USUAL_RADIUS_M, _SPREAD_OF_RADII_M = 0.13, 0.05
 
 
-def _nothing() -> _FLOATS:
+def _nothing() -> Floats:
     return np.empty(0)
 
 
@@ -47,19 +48,19 @@ class PoleColumns:
     how high they are, else 0. The last three are empty where nobody asks.
     """
 
-    xy_m: _FLOATS
-    top_m: _FLOATS
-    sigma_m: _FLOATS
-    z_ground_m: _FLOATS = field(default_factory=_nothing)
-    points: _FLOATS = field(default_factory=_nothing)
-    open_top: _FLOATS = field(default_factory=_nothing)
+    xy_m: Floats
+    top_m: Floats
+    sigma_m: Floats
+    z_ground_m: Floats = field(default_factory=_nothing)
+    points: Floats = field(default_factory=_nothing)
+    open_top: Floats = field(default_factory=_nothing)
 
     def __len__(self) -> int:
         return len(self.xy_m)
 
 
 def find_pole_columns(
-    xyz_m: _FLOATS, above_ground_m: _FLOATS, cls: NDArray, min_top_m: float = 3.0
+    xyz_m: Floats, above_ground_m: Floats, cls: NDArray, min_top_m: float = 3.0
 ) -> PoleColumns:
     """Pole-like columns among returns, by falling number of layers and then by place.
 
@@ -84,7 +85,7 @@ def find_pole_columns(
     return _placed(centres, points, height_m)
 
 
-def _thinned(xy: _FLOATS, height: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
+def _thinned(xy: Floats, height: Floats) -> tuple[Floats, Floats]:
     """One point for each cell of the returns, so that density does not matter."""
     cell = np.floor(np.column_stack([xy, height]) / _THIN_M).astype(np.int64)
     _, number = np.unique(cell, axis=0, return_inverse=True)
@@ -94,7 +95,7 @@ def _thinned(xy: _FLOATS, height: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
     return np.column_stack(mean[:2]), mean[2]
 
 
-def _isolated(xy: _FLOATS, height: _FLOATS, min_top_m: float) -> _FLOATS:
+def _isolated(xy: Floats, height: Floats, min_top_m: float) -> Floats:
     """Rough places (n, 2) of what is tall and thin."""
     centre, layers, top = _tall_cells(xy, height)
     good = (layers >= 3) & (top >= min_top_m)
@@ -109,7 +110,7 @@ def _isolated(xy: _FLOATS, height: _FLOATS, min_top_m: float) -> _FLOATS:
     return centre[_apart(centre[order], order)]
 
 
-def _tall_cells(xy: _FLOATS, height: _FLOATS) -> tuple[_FLOATS, NDArray[np.int64], _FLOATS]:
+def _tall_cells(xy: Floats, height: Floats) -> tuple[Floats, Ints, Floats]:
     """Mean place (n, 2), number of occupied layers and greatest height of each plan cell."""
     cell = np.floor(xy / _CELL_M).astype(np.int64)
     layer = np.floor(height / _LAYER_M).astype(np.int64)
@@ -124,13 +125,13 @@ def _tall_cells(xy: _FLOATS, height: _FLOATS) -> tuple[_FLOATS, NDArray[np.int64
     return mean, np.bincount(both // 4096, minlength=cells), top
 
 
-def _count(tree: cKDTree, places: _FLOATS, radius_m: float) -> NDArray[np.int64]:
+def _count(tree: cKDTree, places: Floats, radius_m: float) -> Ints:
     if not len(places) or not tree.n:
         return np.zeros(len(places), np.int64)
     return np.asarray(tree.query_ball_point(places, radius_m, return_length=True), np.int64)
 
 
-def _apart(ordered: _FLOATS, order: NDArray[np.int64]) -> NDArray[np.int64]:
+def _apart(ordered: Floats, order: Ints) -> Ints:
     """Which to keep, best first, so that no two are nearer than `_APART_M`."""
     if not len(ordered):
         return order
@@ -144,7 +145,7 @@ def _apart(ordered: _FLOATS, order: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.array(kept, np.int64)
 
 
-def _placed(centres: _FLOATS, points: _FLOATS, height: _FLOATS) -> PoleColumns:
+def _placed(centres: Floats, points: Floats, height: Floats) -> PoleColumns:
     """Place each column on the axis of its own points below the arms and wires."""
     tree = cKDTree(points[:, :2])
     found = np.empty((len(centres), 6))
@@ -160,7 +161,7 @@ def _placed(centres: _FLOATS, points: _FLOATS, height: _FLOATS) -> PoleColumns:
     return PoleColumns(found[:, :2].copy(), *rest)
 
 
-def stem_axis(xy_m: _FLOATS) -> tuple[_FLOATS, float, int]:
+def stem_axis(xy_m: Floats) -> tuple[Floats, float, int]:
     """Axis of a round stem in plan from returns on its surface.
 
     Returns lie on the side that faces the scanner: their mean is up to a radius off. The posterior

@@ -10,9 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Floats, Ints
+
 _TUKEY = 4.685
 _TO_SIGMA = 1.4826
 _ROUNDS = 30
@@ -34,7 +35,7 @@ class DepthFit:
 
     c1: float
     c2: float
-    covariance: _FLOATS
+    covariance: Floats
     sigma_d: float
     near_m: float
     far_m: float
@@ -43,7 +44,7 @@ class DepthFit:
 
     def depth_m(
         self, relative: ArrayLike, sigma_relative: ArrayLike = 0.0
-    ) -> tuple[_FLOATS, _FLOATS]:
+    ) -> tuple[Floats, Floats]:
         """Depth along the optical axis and its sigma (n,); NaN where d is too near the pole.
 
         The relation has its pole at d = c2, where z is infinite: within two sigmas of it, and
@@ -106,11 +107,11 @@ def fit_metric_depth(
     )
 
 
-def _bisquare(basis: _FLOATS, d: _FLOATS, w: _FLOATS) -> tuple[_FLOATS, float, _FLOATS]:
+def _bisquare(basis: Floats, d: Floats, w: Floats) -> tuple[Floats, float, Floats]:
     """Coefficients (2,), scatter of d and final weights (n,)."""
     robust = w
     scatter = 0.0
-    solution: _FLOATS = np.zeros(2)
+    solution: Floats = np.zeros(2)
     floor = 1e-9 * max(float(np.abs(d).max()), 1e-300)
     for turn in range(2 * _ROUNDS):
         root = np.sqrt(robust)
@@ -126,7 +127,7 @@ def _bisquare(basis: _FLOATS, d: _FLOATS, w: _FLOATS) -> tuple[_FLOATS, float, _
     return solution, float(scatter), robust
 
 
-def _weighted_median(values: _FLOATS, weights: _FLOATS) -> float:
+def _weighted_median(values: Floats, weights: Floats) -> float:
     order = np.argsort(values, kind="stable")
     total = np.cumsum(weights[order])
     return float(values[order][np.searchsorted(total, 0.5 * total[-1])])
@@ -137,7 +138,7 @@ def _no_fit(reason: str) -> DepthFit:
     return DepthFit(nan, nan, np.full((2, 2), nan), nan, nan, nan, 0, reason)
 
 
-def balancing_weights(z_m: ArrayLike, bins: int = 12) -> _FLOATS:
+def balancing_weights(z_m: ArrayLike, bins: int = 12) -> Floats:
     """Weights (n,) that give each stretch of log depth the same say: near points are too many."""
     z = np.log(np.maximum(np.asarray(z_m, np.float64), 1e-3))
     if not len(z):
@@ -146,18 +147,18 @@ def balancing_weights(z_m: ArrayLike, bins: int = 12) -> _FLOATS:
     return 1.0 / np.bincount(number, minlength=bins)[number]
 
 
-HeightAt = Callable[[_FLOATS, _FLOATS], _FLOATS]
+HeightAt = Callable[[Floats, Floats], Floats]
 """Ground height (n,) at local x, y (n,), NaN where unknown."""
 
 
 def ground_distance_m(
     origin_m: ArrayLike,
-    rays: _FLOATS,
+    rays: Floats,
     height_at: HeightAt,
     nearest_m: float = 1.0,
     farthest_m: float = 120.0,
     step_m: float = 0.25,
-) -> _FLOATS:
+) -> Floats:
     """Horizontal distance (n,) at which rays first go below the ground; NaN if they do not.
 
     Parameters
@@ -187,7 +188,7 @@ def ground_distance_m(
 
 def fuse_depths(
     depths_m: ArrayLike, sigmas_m: ArrayLike, agree_sigmas: float = 3.0
-) -> tuple[float, float, NDArray[np.bool_]]:
+) -> tuple[float, float, Bools]:
     """One distance from several by inverse variance, without those that disagree.
 
     While two used ones differ by more than ``agree_sigmas`` of their common sigma, the one furthest
@@ -221,7 +222,7 @@ def fuse_depths(
     return mean, float(max(np.sqrt(1.0 / weights.sum()), widened)), used
 
 
-def _most_apart(depth: _FLOATS, sigma: _FLOATS, used: NDArray[np.int64]) -> tuple[int, float]:
+def _most_apart(depth: Floats, sigma: Floats, used: Ints) -> tuple[int, float]:
     """Which used one is furthest from the mean of the others, in their common sigmas."""
     worst, score = int(used[0]), -1.0
     for one in used:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.cameras import (
     Intrinsics,
     azimuth_deg,
@@ -19,7 +20,6 @@ from roadsight.geometry.cameras import (
 from roadsight.poles.images.stitching import turned
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 
-_FLOATS = NDArray[np.float64]
 _STEP_DEG = 0.01
 SNAP_SIGMAS = 2.0
 _DEPTH_SHARE = 0.3
@@ -47,34 +47,34 @@ class ViewCamera:
     sigma_lateral_m: float = 0.0
     sigma_along_m: float = 0.0
 
-    def rotation(self, pitch_more_deg: float = 0.0) -> _FLOATS:
+    def rotation(self, pitch_more_deg: float = 0.0) -> Floats:
         """cam_from_world (3, 3), pitched up by some more."""
         front = cam_from_world(self.heading_deg, self.pitch_deg + pitch_more_deg, self.roll_deg)
         return turned(front, self.yaw_deg)
 
-    def rays(self, uv_px: ArrayLike, pitch_more_deg: float = 0.0) -> _FLOATS:
+    def rays(self, uv_px: ArrayLike, pitch_more_deg: float = 0.0) -> Floats:
         """Unit directions (n, 3) in the local frame of pixels (n, 2)."""
         return pixel_directions(self.intrinsics, self.rotation(pitch_more_deg), uv_px)
 
-    def sigma_across_m(self, bearing_deg: ArrayLike) -> _FLOATS:
+    def sigma_across_m(self, bearing_deg: ArrayLike) -> Floats:
         """Uncertainty (n,) of the camera's place across directions of grid bearing."""
         apart = np.radians(np.asarray(bearing_deg, np.float64) - self.heading_deg)
         return np.hypot(np.cos(apart) * self.sigma_lateral_m, np.sin(apart) * self.sigma_along_m)
 
-    def sigma_towards_m(self, bearing_deg: ArrayLike) -> _FLOATS:
+    def sigma_towards_m(self, bearing_deg: ArrayLike) -> Floats:
         """Uncertainty (n,) of the camera's place along directions of grid bearing."""
         apart = np.radians(np.asarray(bearing_deg, np.float64) - self.heading_deg)
         return np.hypot(np.sin(apart) * self.sigma_lateral_m, np.cos(apart) * self.sigma_along_m)
 
 
-def ray_bearing_deg(rays: _FLOATS) -> _FLOATS:
+def ray_bearing_deg(rays: Floats) -> Floats:
     """Grid bearing (n,) in [0, 360) of directions (n, 3)."""
     return compass_deg(np.degrees(np.arctan2(rays[:, 0], rays[:, 1])))
 
 
 def image_bearings(
     camera: ViewCamera, uv_px: ArrayLike, sigma_u_px: ArrayLike
-) -> tuple[_FLOATS, _FLOATS]:
+) -> tuple[Floats, Floats]:
     """Grid bearings of pixels (n, 2) and their sigma (n,), degrees.
 
     Sigma has the pixel's own error, the heading's and what an error of pitch turns the ray by; the
@@ -97,15 +97,15 @@ def image_bearings(
 
 def with_place(
     camera: ViewCamera, bearing_deg: ArrayLike, sigma_deg: ArrayLike, depth_m: ArrayLike
-) -> _FLOATS:
+) -> Floats:
     """Sigma (n,) of bearings, with the camera's place as it shows at a distance."""
     across = camera.sigma_across_m(bearing_deg) / np.maximum(np.asarray(depth_m, float), 1.0)
     return np.hypot(sigma_deg, np.degrees(np.arctan(across)))
 
 
 def nearest_projected(
-    camera: ViewCamera, points_m: _FLOATS, uv_px: _FLOATS, boxes_px: _FLOATS, reach_px: float
-) -> tuple[_FLOATS, _FLOATS]:
+    camera: ViewCamera, points_m: Floats, uv_px: Floats, boxes_px: Floats, reach_px: float
+) -> tuple[Floats, Floats]:
     """Published way: bearing and horizontal distance of the LiDAR point nearest to each foot.
 
     Points that project into the object's box come first; else the nearest within ``reach_px``.
@@ -140,12 +140,12 @@ def nearest_projected(
 def matching_columns(
     camera: ViewCamera,
     columns: PoleColumns,
-    bearing_deg: _FLOATS,
-    sigma_deg: _FLOATS,
-    depth_m: _FLOATS,
-    sigma_depth_m: _FLOATS,
+    bearing_deg: Floats,
+    sigma_deg: Floats,
+    depth_m: Floats,
+    sigma_depth_m: Floats,
     farthest_m: float,
-) -> NDArray[np.int64]:
+) -> Ints:
     """Number of the only pole-like column that agrees with each sighting, -1 if none or several.
 
     It agrees in bearing within two sigmas, its own and the camera's place included, and in distance

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.geometry.cameras import project
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.pole_masks import Instance
@@ -19,7 +20,6 @@ from roadsight.poles.sightings.metric_depth import (
 )
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 
-_FLOATS = NDArray[np.float64]
 _ROAD = (PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
 _FAN_RAYS, _FAN_STEPS = 61, 80
 _FAN_NEAR_M, _FAN_FAR_M = 4.0, 80.0
@@ -28,7 +28,7 @@ _FOOT_PART = 6
 _PLANTS_NEARER = 0.75
 
 
-def sample_depth(depth: NDArray[np.uint16], uv_px: ArrayLike, shape: tuple[int, int]) -> _FLOATS:
+def sample_depth(depth: NDArray[np.uint16], uv_px: ArrayLike, shape: tuple[int, int]) -> Floats:
     """Relative depth (n,) in 0 to 1 at pixels (n, 2) of an image; NaN where unknown.
 
     Parameters
@@ -44,9 +44,7 @@ def sample_depth(depth: NDArray[np.uint16], uv_px: ArrayLike, shape: tuple[int, 
     return np.where(inside & (value > 0), value / 65535.0, np.nan)
 
 
-def road_points(
-    camera: ViewCamera, mask: NDArray[np.uint8], height_at: HeightAt
-) -> tuple[_FLOATS, _FLOATS]:
+def road_points(camera: ViewCamera, mask: Bytes, height_at: HeightAt) -> tuple[Floats, Floats]:
     """Pixels (n, 2) and depth along the axis (n,) of the terrain where the mask shows road.
 
     The terrain is sampled on a fan of rays in plan, at steps that grow with distance; what lies
@@ -72,7 +70,7 @@ def road_points(
 
 
 def fit_view_depth(
-    camera: ViewCamera, mask: NDArray[np.uint8], depth: NDArray[np.uint16], height_at: HeightAt
+    camera: ViewCamera, mask: Bytes, depth: NDArray[np.uint16], height_at: HeightAt
 ) -> DepthFit:
     """Fit of a view's relative depth to the road that it shows."""
     uv, z = road_points(camera, mask, height_at)
@@ -88,7 +86,7 @@ def network_distances(
     depth: NDArray[np.uint16],
     fit: DepthFit,
     shape: tuple[int, int],
-) -> tuple[_FLOATS, _FLOATS]:
+) -> tuple[Floats, Floats]:
     """Horizontal distance and sigma (n,) of objects by the network's depth, NaN if unknown.
 
     The depth of an object is that of its lowest sixth. Networks lose thin things against what is
@@ -118,7 +116,7 @@ def ground_distances(
     sigma_v_px: float,
     sigma_height_m: float,
     farthest_m: float,
-) -> tuple[_FLOATS, _FLOATS]:
+) -> tuple[Floats, Floats]:
     """Horizontal distance and sigma (n,) where the ray of a foot meets the terrain.
 
     NaN where the foot is hidden: what is seen of such an object stands above the ground, and its
@@ -128,7 +126,7 @@ def ground_distances(
     sigma_pitch_px = np.radians(camera.sigma_pitch_deg) * camera.intrinsics.focal_px
     reach_px = float(np.hypot(sigma_v_px, sigma_pitch_px))
 
-    def at(shift_px: float, lift_m: float = 0.0) -> _FLOATS:
+    def at(shift_px: float, lift_m: float = 0.0) -> Floats:
         rays = camera.rays(np.add(feet, (0.0, shift_px)))
         origin = np.add(camera.position_m, (0.0, 0.0, lift_m))
         return ground_distance_m(origin, rays, height_at, farthest_m=farthest_m)
@@ -150,7 +148,7 @@ def behind_plants(
     fit: DepthFit,
     height_at: HeightAt,
     shape: tuple[int, int],
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Whether plants below a foot (n,) rise above the ground, so that they hide it.
 
     Grass has the distance of the ground behind the same pixel; a bush is clearly nearer.
@@ -169,5 +167,5 @@ def behind_plants(
     return answer
 
 
-def _feet(instances: Sequence[Instance]) -> _FLOATS:
+def _feet(instances: Sequence[Instance]) -> Floats:
     return np.array([[one.u_foot, one.v_foot] for one in instances]).reshape(-1, 2)

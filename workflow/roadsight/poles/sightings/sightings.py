@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.poles.images.pole_masks import (
     PUBLISHED_HEIGHT_PX,
@@ -33,7 +34,6 @@ from roadsight.poles.sightings.sighting_depth import (
     network_distances,
 )
 
-_FLOATS = NDArray[np.float64]
 _MODEL_SHARE = 0.05
 
 
@@ -76,12 +76,12 @@ class Evidence:
 
     height_at: HeightAt
     columns: PoleColumns
-    points_m: _FLOATS
+    points_m: Floats
 
 
 def measure_view(
     camera: ViewCamera,
-    mask: NDArray[np.uint8],
+    mask: Bytes,
     depth: NDArray[np.uint16] | None,
     evidence: Evidence,
     settings: SightingSettings | None = None,
@@ -130,11 +130,11 @@ def measure_view(
 def _own_distances(
     camera: ViewCamera,
     found: Sequence[Instance],
-    mask: NDArray[np.uint8],
+    mask: Bytes,
     depth: NDArray[np.uint16] | None,
     evidence: Evidence,
     settings: SightingSettings,
-) -> tuple[_FLOATS, _FLOATS, NDArray[np.bool_]]:
+) -> tuple[Floats, Floats, Bools]:
     """Distance and sigma (2, n) by the network and by the ground, and whether feet are hidden."""
     network = np.full((2, len(found)), np.nan)
     hidden = np.array([one.foot == "hidden" for one in found])
@@ -147,30 +147,31 @@ def _own_distances(
     reach_px = max(settings.sigma_foot_px * mask.shape[0] / PUBLISHED_HEIGHT_PX, 1.0)
     ground = np.array(
         ground_distances(
-            camera, found, evidence.height_at, reach_px, settings.sigma_ground_m,
+            camera,
+            found,
+            evidence.height_at,
+            reach_px,
+            settings.sigma_ground_m,
             2.0 * settings.farthest_m,
         )
-    )  # fmt: skip
+    )
     ground[:, hidden] = np.nan
     return network, ground, hidden
 
 
 def _pixels(found: Sequence[Instance]) -> pd.DataFrame:
-    names = ("kind", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "width_px",
-             "reason")  # fmt: skip
+    names = ("kind", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "width_px", "reason")
     table = pd.DataFrame([{n: getattr(one, n) for n in names} for one in found], columns=names)
     table["cut_side"] = [bool(one.cut & {"left", "right"}) for one in found]
     return table
 
 
-def _stack(*pairs: NDArray) -> tuple[_FLOATS, _FLOATS]:
+def _stack(*pairs: NDArray) -> tuple[Floats, Floats]:
     """Distances (n, k) and sigmas (n, k) from pairs of them (2, n)."""
     return np.stack([p[0] for p in pairs], axis=1), np.stack([p[1] for p in pairs], axis=1)
 
 
-def _column_distances(
-    camera: ViewCamera, columns: PoleColumns, match: NDArray[np.int64]
-) -> _FLOATS:
+def _column_distances(camera: ViewCamera, columns: PoleColumns, match: Ints) -> Floats:
     """Horizontal distance and sigma (2, n) of the columns that sightings match."""
     found = np.full((2, len(match)), np.nan)
     known = match >= 0
@@ -195,13 +196,13 @@ def _with_depths(table: pd.DataFrame, pairs: dict[str, NDArray]) -> pd.DataFrame
 
 def _chosen_bearing(
     camera: ViewCamera,
-    image: tuple[_FLOATS, _FLOATS],
-    match: NDArray[np.int64],
+    image: tuple[Floats, Floats],
+    match: Ints,
     evidence: Evidence,
-    pixels: tuple[_FLOATS, _FLOATS],
+    pixels: tuple[Floats, Floats],
     settings: SightingSettings,
     reach_px: float,
-) -> tuple[_FLOATS, _FLOATS, NDArray]:
+) -> tuple[Floats, Floats, NDArray]:
     """Bearing, sigma and the way it was found (n,)."""
     bearing, sigma = image[0].copy(), image[1].copy()
     method = np.full(len(bearing), "image", dtype=object)

@@ -18,9 +18,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.poles.sightings.lidar_poles import PoleColumns, stem_axis
 
-_FLOATS = NDArray[np.float64]
 _CLASSES = (1, 3, 4, 5)
 _LAYER_M = 0.3
 _CELL_M = 0.1
@@ -43,12 +43,12 @@ _SAME_M = 0.8
 class _Discs:
     """Discs of stems: slice (n,), place (n, 2) and returns (n,)."""
 
-    layer: NDArray[np.int64]
-    xy_m: _FLOATS
-    count: _FLOATS
+    layer: Ints
+    xy_m: Floats
+    count: Floats
 
 
-def find_stems(xyz_m: _FLOATS, above_ground_m: _FLOATS, cls: NDArray) -> PoleColumns:
+def find_stems(xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> PoleColumns:
     """Stems of at least four slices of 0.3 m, by place; their tops are as far as they were seen.
 
     In each slice a disc of 0.2 m has at least eight returns, and around it, at 0.6 m, at most two
@@ -73,7 +73,7 @@ def find_stems(xyz_m: _FLOATS, above_ground_m: _FLOATS, cls: NDArray) -> PoleCol
     return _placed(_discs(points[:, :2], layer), points, height)
 
 
-def _discs(xy: _FLOATS, layer: NDArray[np.int64]) -> _Discs:
+def _discs(xy: Floats, layer: Ints) -> _Discs:
     """Places of each slice in which a disc holds most of what is around it."""
     west_south = np.floor(xy.min(axis=0) / _CELL_M).astype(np.int64)
     cell = np.floor(xy / _CELL_M).astype(np.int64) - west_south
@@ -97,7 +97,7 @@ def _discs(xy: _FLOATS, layer: NDArray[np.int64]) -> _Discs:
     return _Discs(np.concatenate(layers), np.concatenate(places), np.concatenate(counts))
 
 
-def _dense_around(image: NDArray[np.float32], inner: NDArray[np.float32]) -> NDArray[np.int64]:
+def _dense_around(image: Floats32, inner: Floats32) -> Ints:
     """In how many of eight directions a neighbouring disc has a quarter of the own returns.
 
     One that has nearly as many is a wall's: it counts as too many.
@@ -114,29 +114,29 @@ def _dense_around(image: NDArray[np.float32], inner: NDArray[np.float32]) -> NDA
     return dense
 
 
-def _summed(image: NDArray[np.float32], window: NDArray[np.float32]) -> NDArray[np.float32]:
+def _summed(image: Floats32, window: Floats32) -> Floats32:
     return np.asarray(cv2.filter2D(image, -1, window, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
-def _reaches(cells: int) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _reaches(cells: int) -> tuple[Floats32, Floats32]:
     """Columns and rows from the middle of a window."""
     y, x = np.mgrid[-cells : cells + 1, -cells : cells + 1].astype(np.float32)
     return x, y
 
 
-def _disc(cells: int) -> NDArray[np.float32]:
+def _disc(cells: int) -> Floats32:
     x, y = _reaches(cells)
     return (x * x + y * y <= cells * cells).astype(np.float32)
 
 
-def _groups(pairs: NDArray[np.int64], size: int) -> NDArray[np.int64]:
+def _groups(pairs: Ints, size: int) -> Ints:
     """Number of the connected part of each node."""
     ones = np.ones(len(pairs), bool)
     graph = coo_matrix((ones, (pairs[:, 0], pairs[:, 1])), shape=(size, size))
     return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
-def _placed(discs: _Discs, points: _FLOATS, height: _FLOATS) -> PoleColumns:
+def _placed(discs: _Discs, points: Floats, height: Floats) -> PoleColumns:
     """Chains of discs above each other, each on the axis of its returns."""
     if not len(discs.layer):
         return _columns([])
@@ -160,7 +160,7 @@ def _placed(discs: _Discs, points: _FLOATS, height: _FLOATS) -> PoleColumns:
     return _columns(found)
 
 
-def _stem(points: _FLOATS, height: _FLOATS) -> tuple[float, ...]:
+def _stem(points: Floats, height: Floats) -> tuple[float, ...]:
     """Row of a column; a place is no better than half of what its returns are smeared over."""
     xy, sigma, agree = stem_axis(points[:, :2])
     smear = np.sqrt(((points[:, :2] - xy) ** 2).sum(axis=1).mean() / 2)
@@ -168,7 +168,7 @@ def _stem(points: _FLOATS, height: _FLOATS) -> tuple[float, ...]:
     return (*xy, float(height.max()), max(sigma, 0.5 * float(smear)), ground, agree)
 
 
-def _middle(xy: _FLOATS, layer: NDArray[np.int64]) -> _FLOATS | None:
+def _middle(xy: Floats, layer: Ints) -> Floats | None:
     """Middle (2,) of a chain that is straight, upright and tall enough, else None."""
     if len(np.unique(layer)) < _SLICES:
         return None

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+
+from roadsight.base.arrays import Ints
 
 REACH_M = 2.0
 """A decision is on the nearest pole of its kind within this distance of where it was made: a pole
@@ -13,9 +14,7 @@ _WORDS = {"accept": "accepted", "reject": "rejected", "move": "moved"}
 REJECTED = "rejected by a person"
 
 
-def apply_decisions(
-    poles: pd.DataFrame, decisions: pd.DataFrame
-) -> tuple[pd.DataFrame, NDArray[np.int64]]:
+def apply_decisions(poles: pd.DataFrame, decisions: pd.DataFrame) -> tuple[pd.DataFrame, Ints]:
     """Poles with a column decided: accepted, rejected, moved, or empty.
 
     An accepted or moved pole is kept, a rejected one is not. The error ellipse stays that of the
@@ -43,7 +42,7 @@ def apply_decisions(
     return table, found
 
 
-def nearest_poles(poles: pd.DataFrame, decisions: pd.DataFrame) -> NDArray[np.int64]:
+def nearest_poles(poles: pd.DataFrame, decisions: pd.DataFrame) -> Ints:
     """Row of the pole that each decision (n,) is on, -1 for none; the nearest pairs first.
 
     No pole has two decisions. Of pairs equally far apart, the earlier decision and pole come first.

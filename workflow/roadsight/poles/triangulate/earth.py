@@ -7,14 +7,12 @@ antimeridian and a pole of the Earth without distortion.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from pyproj import Geod, Proj, Transformer
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
+from roadsight.base.arrays import Floats, Ints
 
 _WGS84 = Geod(ellps="WGS84")
 _STEP_M = 10.0
@@ -28,7 +26,7 @@ class TangentFrame:
     latitude_deg, longitude_deg : of the places; their middle is the origin.
     """
 
-    def __init__(self, latitude_deg: _FLOATS, longitude_deg: _FLOATS) -> None:
+    def __init__(self, latitude_deg: Floats, longitude_deg: Floats) -> None:
         middle = _unit_vectors(latitude_deg, longitude_deg).mean(axis=0)
         self.latitude_deg = float(np.degrees(np.arctan2(middle[2], np.hypot(*middle[:2]))))
         self.longitude_deg = float(np.degrees(np.arctan2(middle[1], middle[0])))
@@ -36,18 +34,18 @@ class TangentFrame:
             proj="aeqd", lat_0=self.latitude_deg, lon_0=self.longitude_deg, ellps="WGS84", units="m"
         )
 
-    def to_metres(self, latitude_deg: _FLOATS, longitude_deg: _FLOATS) -> _FLOATS:
+    def to_metres(self, latitude_deg: Floats, longitude_deg: Floats) -> Floats:
         """Places (n, 2) in the frame."""
         return np.column_stack(self._project(longitude_deg, latitude_deg))
 
-    def to_degrees(self, xy_m: _FLOATS) -> tuple[_FLOATS, _FLOATS]:
+    def to_degrees(self, xy_m: Floats) -> tuple[Floats, Floats]:
         """Latitude and longitude of places (n, 2)."""
         longitude, latitude = self._project(xy_m[:, 0], xy_m[:, 1], inverse=True)
         return np.asarray(latitude), np.asarray(longitude)
 
     def to_grid_bearing(
-        self, latitude_deg: _FLOATS, longitude_deg: _FLOATS, bearing_deg: _FLOATS
-    ) -> _FLOATS:
+        self, latitude_deg: Floats, longitude_deg: Floats, bearing_deg: Floats
+    ) -> Floats:
         """Directions in the frame of true bearings at places, degrees clockwise from +y."""
         step = np.full(len(latitude_deg), _STEP_M)
         longitude, latitude, _ = _WGS84.fwd(longitude_deg, latitude_deg, bearing_deg, step)
@@ -56,7 +54,7 @@ class TangentFrame:
         return np.degrees(np.arctan2(ahead[:, 0], ahead[:, 1])) % 360.0
 
 
-def neighbourhoods(latitude_deg: _FLOATS, longitude_deg: _FLOATS, reach_m: float) -> list[_INTS]:
+def neighbourhoods(latitude_deg: Floats, longitude_deg: Floats, reach_m: float) -> list[Ints]:
     """Rows of places that hang together by steps of at most ``reach_m``."""
     to_space = Transformer.from_crs("EPSG:4979", "EPSG:4978", always_xy=True)
     height = np.zeros(len(latitude_deg))
@@ -68,7 +66,7 @@ def neighbourhoods(latitude_deg: _FLOATS, longitude_deg: _FLOATS, reach_m: float
     return np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
 
 
-def _unit_vectors(latitude_deg: _FLOATS, longitude_deg: _FLOATS) -> _FLOATS:
+def _unit_vectors(latitude_deg: Floats, longitude_deg: Floats) -> Floats:
     latitude, longitude = np.radians(latitude_deg), np.radians(longitude_deg)
     level = np.cos(latitude)
     return np.column_stack([level * np.cos(longitude), level * np.sin(longitude), np.sin(latitude)])

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, pair_rays
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
 _GROWTH = 0.8
 
 
@@ -23,8 +22,8 @@ _GROWTH = 0.8
 class Points:
     """Where each ray alone puts its pole: places (n, 2) and inverse covariances (n, 2, 2)."""
 
-    place_m: _FLOATS
-    information: _FLOATS
+    place_m: Floats
+    information: Floats
 
 
 @dataclass(frozen=True)
@@ -39,10 +38,10 @@ class Groups:
     cost : half the chi squared of all members, shape (g,).
     """
 
-    members: _INTS
-    place_m: _FLOATS
-    information: _FLOATS
-    cost: _FLOATS
+    members: Ints
+    place_m: Floats
+    information: Floats
+    cost: Floats
 
     def take(self, chosen: NDArray) -> Groups:
         """Groups at ``chosen``."""
@@ -75,8 +74,8 @@ def locate_points(rays: Rays, settings: TriangulationSettings) -> Points:
 
 
 def fit_groups(
-    rays: Rays, points: Points, members: _INTS, settings: TriangulationSettings
-) -> tuple[Groups, NDArray[np.bool_]]:
+    rays: Rays, points: Points, members: Ints, settings: TriangulationSettings
+) -> tuple[Groups, Bools]:
     """Best place of each group, and whether every member can see it there.
 
     A member sees it if it lies ahead of the camera, within the maximum distance and the gate.
@@ -118,7 +117,7 @@ def build_groups(rays: Rays, settings: TriangulationSettings) -> list[Groups]:
     return levels
 
 
-def gains(groups: Groups, settings: TriangulationSettings) -> _FLOATS:
+def gains(groups: Groups, settings: TriangulationSettings) -> Floats:
     """What believing in each group gains: its members' gates less its misfit and a pole's cost."""
     size = groups.members.shape[1]
     return size * settings.gate_chi2 / 2 - groups.cost - settings.pole_cost
@@ -127,13 +126,13 @@ def gains(groups: Groups, settings: TriangulationSettings) -> _FLOATS:
 class _Links:
     """Which rays pair with which."""
 
-    def __init__(self, pairs: _INTS, rays: int) -> None:
+    def __init__(self, pairs: Ints, rays: int) -> None:
         self._rays = rays
         self._keys = np.sort(pairs[:, 0] * rays + pairs[:, 1])
         self._second = self._keys % max(rays, 1)
         self._start = np.searchsorted(self._keys, np.arange(rays + 1) * rays)
 
-    def extend(self, members: _INTS) -> _INTS:
+    def extend(self, members: Ints) -> Ints:
         """Each group with each later ray that pairs with all of it."""
         last = members[:, -1]
         counts = self._start[last + 1] - self._start[last]
@@ -160,5 +159,5 @@ def _best_for_each_ray(groups: Groups, rays: int, settings: TriangulationSetting
     return groups.take(kept)
 
 
-def _outer(vectors: _FLOATS) -> _FLOATS:
+def _outer(vectors: Floats) -> Floats:
     return vectors[:, :, None] * vectors[:, None, :]

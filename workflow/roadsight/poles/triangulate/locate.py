@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.triangulate.groups import Points, build_groups, gains, locate_points
 from roadsight.poles.triangulate.merging import merge_groups, weighted_mean
 from roadsight.poles.triangulate.packing import choose_groups
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
-
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
 
 _ROUNDS = 10
 _SETTLED = 0.01
@@ -22,12 +19,19 @@ _SCALES = (0.5, 2.0)
 _WELL_CROSSED = 0.1
 
 POLE_COLUMNS = [
-    "x", "y", "score", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition",
-    "kept", "reason",
-]  # fmt: skip
+    "x",
+    "y",
+    "score",
+    "sigma_major_m",
+    "sigma_minor_m",
+    "sigma_azimuth_deg",
+    "condition",
+    "kept",
+    "reason",
+]
 
 
-def group_rays(rays: Rays, settings: TriangulationSettings) -> list[_INTS]:
+def group_rays(rays: Rays, settings: TriangulationSettings) -> list[Ints]:
     """Ray numbers of each pole, poles from west to east and south to north."""
     levels = build_groups(rays, settings)
     members = [row for level in levels for row in level.members]
@@ -40,7 +44,7 @@ def group_rays(rays: Rays, settings: TriangulationSettings) -> list[_INTS]:
     return sorted(merged, key=lambda group: tuple(weighted_mean(points, group)[0]))
 
 
-def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, _INTS, float]:
+def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints, float]:
     """Poles with their errors.
 
     Returns
@@ -82,7 +86,7 @@ def calibrate_depths(rays: Rays, settings: TriangulationSettings) -> float:
     return scale
 
 
-def _depth_ratios(rays: Rays, members: _INTS) -> _FLOATS:
+def _depth_ratios(rays: Rays, members: Ints) -> Floats:
     """Distance by bearings alone over depth, of each ray of a well-crossed group."""
     if len(members) < 3:
         return np.empty(0)
@@ -98,7 +102,7 @@ def _depth_ratios(rays: Rays, members: _INTS) -> _FLOATS:
     return ratio[np.isfinite(ratio) & (ratio > 0)]
 
 
-def error_ellipse(covariance: _FLOATS) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+def error_ellipse(covariance: Floats) -> tuple[Floats, Floats, Floats]:
     """Semi-axes of the 1-sigma ellipse and the bearing of the longer one.
 
     Parameters
@@ -116,7 +120,7 @@ def error_ellipse(covariance: _FLOATS) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
 
 
 def describe_groups(
-    points: Points, groups: list[_INTS], settings: TriangulationSettings
+    points: Points, groups: list[Ints], settings: TriangulationSettings
 ) -> pd.DataFrame:
     """Poles of groups of rays with their errors; columns `POLE_COLUMNS`."""
     found = [weighted_mean(points, members) for members in groups]
@@ -138,7 +142,7 @@ def describe_groups(
 
 
 def withhold_thin(
-    poles: pd.DataFrame, pole_of: _INTS, in_cloud: NDArray[np.bool_], min_views: int
+    poles: pd.DataFrame, pole_of: Ints, in_cloud: Bools, min_views: int
 ) -> pd.DataFrame:
     """Poles with those withheld that too few images show and the cloud does not confirm.
 

@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.triangulate.groups import Points
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
-
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
 
 SAME_CHI2 = 5.99
 """Two poles nearer than this (95 %, 2 degrees of freedom) may be one."""
@@ -22,8 +19,8 @@ _STILL_DEG = 0.2
 
 
 def merge_groups(
-    rays: Rays, points: Points, groups: list[_INTS], settings: TriangulationSettings
-) -> list[_INTS]:
+    rays: Rays, points: Points, groups: list[Ints], settings: TriangulationSettings
+) -> list[Ints]:
     """Groups after merging, nearest first, until no two are the same pole.
 
     Two groups merge if they share no image, their joint misfit stays within every member's gate on
@@ -38,15 +35,15 @@ def merge_groups(
     near = pairs[chi2 <= SEQUENCE_CHI2]
     graph = csr_array((np.ones(len(near)), near.T), shape=(len(groups), len(groups)))
     parts, part = connected_components(graph, directed=False)
-    neighbours: list[list[_INTS]] = [[] for _ in range(parts)]
+    neighbours: list[list[Ints]] = [[] for _ in range(parts)]
     for group, number in zip(groups, part, strict=True):
         neighbours[number].append(group)
     return [group for few in neighbours for group in _merge_few(rays, points, few, settings)]
 
 
 def _merge_few(
-    rays: Rays, points: Points, groups: list[_INTS], settings: TriangulationSettings
-) -> list[_INTS]:
+    rays: Rays, points: Points, groups: list[Ints], settings: TriangulationSettings
+) -> list[Ints]:
     """Groups of one neighbourhood after merging."""
     while len(groups) > 1:
         places, covariances = _places(points, groups)
@@ -59,7 +56,7 @@ def _merge_few(
     return groups
 
 
-def follows_sequence(rays: Rays, members: _INTS, settings: TriangulationSettings) -> bool:
+def follows_sequence(rays: Rays, members: Ints, settings: TriangulationSettings) -> bool:
     """Whether rays of one route show a pole that the vehicle comes nearer to and passes.
 
     Consecutive images lie within ``sequence_m``, depths do not grow and bearings turn one way.
@@ -76,7 +73,7 @@ def follows_sequence(rays: Rays, members: _INTS, settings: TriangulationSettings
     return bool((steps_m <= settings.sequence_m).all() and one_way and nearer)
 
 
-def _places(points: Points, groups: list[_INTS]) -> tuple[_FLOATS, _FLOATS]:
+def _places(points: Points, groups: list[Ints]) -> tuple[Floats, Floats]:
     """Weighted mean (n, 2) and covariance (n, 2, 2) of each group."""
     places, covariances = np.empty((len(groups), 2)), np.empty((len(groups), 2, 2))
     for number, members in enumerate(groups):
@@ -84,7 +81,7 @@ def _places(points: Points, groups: list[_INTS]) -> tuple[_FLOATS, _FLOATS]:
     return places, covariances
 
 
-def weighted_mean(points: Points, members: _INTS) -> tuple[_FLOATS, _FLOATS]:
+def weighted_mean(points: Points, members: Ints) -> tuple[Floats, Floats]:
     """Best place (2,) of a group and its covariance (2, 2)."""
     information = points.information[members]
     origin = points.place_m[members[0]]
@@ -96,9 +93,9 @@ def weighted_mean(points: Points, members: _INTS) -> tuple[_FLOATS, _FLOATS]:
 def _first_merge(
     rays: Rays,
     points: Points,
-    groups: list[_INTS],
-    places: _FLOATS,
-    covariances: _FLOATS,
+    groups: list[Ints],
+    places: Floats,
+    covariances: Floats,
     settings: TriangulationSettings,
 ) -> tuple[int, int] | None:
     """The pair of groups to merge next, nearest by their errors first."""
@@ -117,8 +114,8 @@ def _first_merge(
 
 
 def _near_pairs(
-    places: _FLOATS, covariances: _FLOATS, settings: TriangulationSettings
-) -> tuple[_INTS, _FLOATS]:
+    places: Floats, covariances: Floats, settings: TriangulationSettings
+) -> tuple[Ints, Floats]:
     """Pairs (m, 2) of groups within the maximum distance, and their distances by their errors."""
     tree = cKDTree(places)
     pairs = tree.query_pairs(settings.max_distance_m, output_type="ndarray").astype(np.int64)
@@ -127,7 +124,7 @@ def _near_pairs(
     return pairs, np.einsum("ni,ni->n", gap, np.linalg.solve(spread, gap[:, :, None])[:, :, 0])
 
 
-def _misfit(points: Points, members: _INTS) -> float:
+def _misfit(points: Points, members: Ints) -> float:
     """Half the chi squared of a group at its best place."""
     place, _ = weighted_mean(points, members)
     rest = points.place_m[members] - place

@@ -8,19 +8,17 @@ nodes than allowed keeps the best found: a count, not a time, so that every mach
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import Bounds, LinearConstraint, milp
 from scipy.sparse import block_array, csr_array
 from scipy.sparse.csgraph import connected_components
 
-_INTS = NDArray[np.int64]
+from roadsight.base.arrays import Bools, Floats, Ints
+
 _LARGEST = 20_000
 _NODES = 1000
 
 
-def choose_groups(
-    members: list[_INTS], gain: NDArray[np.float64], rays: int, largest: int = _LARGEST
-) -> _INTS:
+def choose_groups(members: list[Ints], gain: Floats, rays: int, largest: int = _LARGEST) -> Ints:
     """Numbers of the chosen groups, ascending.
 
     Parameters
@@ -49,14 +47,14 @@ def choose_groups(
     return np.sort(useful[np.concatenate(chosen)])
 
 
-def _incidence(members: list[_INTS], rays: int) -> csr_array:
+def _incidence(members: list[Ints], rays: int) -> csr_array:
     """Rays by groups."""
     group = np.repeat(np.arange(len(members)), [len(rows) for rows in members])
     ones = np.ones(len(group))
     return csr_array((ones, (np.concatenate(members), group)), shape=(rays, len(members)))
 
 
-def _exact(table: csr_array, gain: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _exact(table: csr_array, gain: Floats) -> Bools:
     if len(gain) == 1:
         return np.ones(1, bool)
     used = table[np.flatnonzero(table.sum(axis=1) > 1)]
@@ -70,7 +68,7 @@ def _exact(table: csr_array, gain: NDArray[np.float64]) -> NDArray[np.bool_]:
     return _greedy(table, gain) if result.x is None else result.x > 0.5
 
 
-def _greedy(table: csr_array, gain: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _greedy(table: csr_array, gain: Floats) -> Bools:
     columns = table.tocsc()
     free = np.ones(table.shape[0], bool)
     chosen = np.zeros(len(gain), bool)

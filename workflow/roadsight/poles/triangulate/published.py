@@ -10,21 +10,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.triangulate.rays import (
     FURTHEST_CAMERAS,
     Rays,
     TriangulationSettings,
     cross_rays,
 )
-
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
 
 UNIT_M = 640 / 256
 """Metres on the equator of the published code's unit of distance; times cos(latitude) elsewhere."""
@@ -63,9 +60,9 @@ class Links:
         unit of the depths, (m, 2). place_m : the crossing, (m, 2).
     """
 
-    pairs: _INTS
-    along: _FLOATS
-    place_m: _FLOATS
+    pairs: Ints
+    along: Floats
+    place_m: Floats
 
 
 def find_links(rays: Rays, settings: TriangulationSettings, unit_m: float = 1.0) -> Links:
@@ -90,8 +87,8 @@ def find_links(rays: Rays, settings: TriangulationSettings, unit_m: float = 1.0)
 
 
 def sweep_links(
-    links: Links, depth: _FLOATS, energy: Energy, rng: np.random.Generator | None = None
-) -> NDArray[np.bool_]:
+    links: Links, depth: Floats, energy: Energy, rng: np.random.Generator | None = None
+) -> Bools:
     """Which links are on at a local minimum of the energy.
 
     Parameters
@@ -117,7 +114,7 @@ def sweep_links(
 class _State:
     """Links that are on, and what switching one changes."""
 
-    def __init__(self, links: Links, depth: _FLOATS, energy: Energy) -> None:
+    def __init__(self, links: Links, depth: Floats, energy: Energy) -> None:
         self.on = np.zeros(len(links.pairs), bool)
         self.of_ray: list[list[int]] = [[] for _ in depth]
         for link, (first, second) in enumerate(links.pairs.tolist()):
@@ -153,8 +150,8 @@ class _State:
 
 
 def cluster_rays(
-    links: Links, on: NDArray[np.bool_], rays: int, cluster_m: float, stretch: _FLOATS | None = None
-) -> tuple[_INTS, _FLOATS]:
+    links: Links, on: Bools, rays: int, cluster_m: float, stretch: Floats | None = None
+) -> tuple[Ints, Floats]:
     """Single-linkage clusters of the rays' mean crossings.
 
     Parameters
@@ -187,7 +184,7 @@ def cluster_rays(
     return labels, np.column_stack(places) + origin
 
 
-def cluster_reference(places_m: _FLOATS, cluster_m: float) -> _INTS:
+def cluster_reference(places_m: Floats, cluster_m: float) -> Ints:
     """Single linkage by SciPy, quadratic: what `cluster_rays` must agree with."""
     if len(places_m) < 2:
         return np.zeros(len(places_m), np.int64)
@@ -196,7 +193,7 @@ def cluster_reference(places_m: _FLOATS, cluster_m: float) -> _INTS:
 
 def published_poles(
     rays: Rays, settings: TriangulationSettings, latitude_deg: float, seed: int
-) -> tuple[_INTS, _FLOATS]:
+) -> tuple[Ints, Floats]:
     """Poles as the published code finds them, quirks included, in a seeded random order.
 
     Its unit of distance is 2.5 cos(latitude) m, its clusters are made in degrees, and images are
@@ -216,7 +213,7 @@ def published_poles(
 
 def swept_poles(
     rays: Rays, settings: TriangulationSettings, energy: Energy | None = None
-) -> tuple[_INTS, _FLOATS]:
+) -> tuple[Ints, Floats]:
     """Poles by the second paper's deterministic sweep, in metres; as `cluster_rays`."""
     links = find_links(rays, settings)
     different = rays.image[links.pairs[:, 0]] != rays.image[links.pairs[:, 1]]

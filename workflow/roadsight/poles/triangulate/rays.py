@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
+from roadsight.base.arrays import Floats, Ints
 
 FURTHEST_CAMERAS = 1.5
 """Two cameras may pair up to this many times the maximum distance to a pole."""
@@ -68,21 +67,21 @@ class Rays:
     row : row of the sighting in the caller's table.
     """
 
-    camera_m: _FLOATS
-    bearing_deg: _FLOATS
-    depth_m: _FLOATS
-    sigma_bearing_deg: _FLOATS
-    sigma_depth_m: _FLOATS
-    image: _INTS
-    route: _INTS
-    sequence: _INTS
-    row: _INTS
+    camera_m: Floats
+    bearing_deg: Floats
+    depth_m: Floats
+    sigma_bearing_deg: Floats
+    sigma_depth_m: Floats
+    image: Ints
+    route: Ints
+    sequence: Ints
+    row: Ints
 
     def __len__(self) -> int:
         return len(self.row)
 
     @property
-    def direction(self) -> _FLOATS:
+    def direction(self) -> Floats:
         """Unit vectors, shape (n, 2)."""
         radians = np.radians(self.bearing_deg)
         return np.column_stack([np.sin(radians), np.cos(radians)])
@@ -129,9 +128,16 @@ def make_rays(
     route_codes = _whole(None if route is None else _codes(list(np.asarray(route).tolist())), n)
     sequences = _whole(sequence, n)
     rays = Rays(
-        camera, bearing, depth, sigma_turn, sigma_depth, labels, route_codes, sequences,
+        camera,
+        bearing,
+        depth,
+        sigma_turn,
+        sigma_depth,
+        labels,
+        route_codes,
+        sequences,
         np.arange(n),
-    )  # fmt: skip
+    )
     keys = [sequences, route_codes, labels, sigma_depth, sigma_turn, depth, bearing]
     order = np.lexsort([*map(np.nan_to_num, keys), camera[:, 1], camera[:, 0]])
     usable = np.isfinite(camera).all(axis=1) & np.isfinite(bearing)
@@ -139,7 +145,7 @@ def make_rays(
     return _without_repeats(rays.take(order))
 
 
-def pair_rays(rays: Rays, settings: TriangulationSettings) -> _INTS:
+def pair_rays(rays: Rays, settings: TriangulationSettings) -> Ints:
     """Pairs (m, 2) of rays of different images whose cameras are neither too near nor too far."""
     if len(rays) < 2:
         return np.empty((0, 2), np.int64)
@@ -152,7 +158,7 @@ def pair_rays(rays: Rays, settings: TriangulationSettings) -> _INTS:
     return pairs[other & (apart >= settings.min_baseline_m)]
 
 
-def cross_rays(rays: Rays, pairs: _INTS) -> tuple[_FLOATS, _FLOATS]:
+def cross_rays(rays: Rays, pairs: Ints) -> tuple[Floats, Floats]:
     """Crossings of pairs of rays.
 
     Returns
@@ -169,24 +175,24 @@ def cross_rays(rays: Rays, pairs: _INTS) -> tuple[_FLOATS, _FLOATS]:
     return along, rays.camera_m[pairs[:, 0]] + along[:, :1] * first
 
 
-def _cross(a: _FLOATS, b: _FLOATS) -> _FLOATS:
+def _cross(a: Floats, b: Floats) -> Floats:
     return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
 
 
-def _positive(values: NDArray | None, n: int) -> _FLOATS:
+def _positive(values: NDArray | None, n: int) -> Floats:
     if values is None:
         return np.full(n, np.nan)
     numbers = np.asarray(values, np.float64)
     return np.where(np.isfinite(numbers) & (numbers > 0), numbers, np.nan)
 
 
-def _whole(values: NDArray | None, n: int) -> _INTS:
+def _whole(values: NDArray | None, n: int) -> Ints:
     if values is None:
         return np.full(n, -1, np.int64)
     return np.nan_to_num(np.asarray(values, np.float64), nan=-1.0).astype(np.int64)
 
 
-def _codes(labels: list) -> _INTS:
+def _codes(labels: list) -> Ints:
     """Numbers of labels in sorted order, so that they do not depend on the order of the rows."""
     known = {label: number for number, label in enumerate(sorted(set(labels)))}
     return np.array([known[label] for label in labels], np.int64)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Ints
 from roadsight.base.errors import InputError
 from roadsight.poles.triangulate.groups import locate_points
 from roadsight.poles.triangulate.locate import describe_groups, triangulate
@@ -14,22 +14,44 @@ from roadsight.poles.triangulate.published import swept_poles
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, make_rays
 
 SIGHTING_COLUMNS = (
-    "image", "route", "sequence", "kind", "x", "y", "bearing_grid_deg", "depth_m",
-    "sigma_bearing_deg", "sigma_depth_m", "kept",
-)  # fmt: skip
+    "image",
+    "route",
+    "sequence",
+    "kind",
+    "x",
+    "y",
+    "bearing_grid_deg",
+    "depth_m",
+    "sigma_bearing_deg",
+    "sigma_depth_m",
+    "kept",
+)
 POLE_COLUMNS = (
-    "id", "kind", "x", "y", "z", "latitude", "longitude", "score", "sigma_major_m",
-    "sigma_minor_m", "sigma_azimuth_deg", "condition", "images", "routes", "kept", "reason",
-)  # fmt: skip
+    "id",
+    "kind",
+    "x",
+    "y",
+    "z",
+    "latitude",
+    "longitude",
+    "score",
+    "sigma_major_m",
+    "sigma_minor_m",
+    "sigma_azimuth_deg",
+    "condition",
+    "images",
+    "routes",
+    "kept",
+    "reason",
+)
 
-_INTS = NDArray[np.int64]
 _NUMBERS = ("x", "y", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition")
 _METHODS = ("packing", "sweep")
 
 
 def site_poles(
     sightings: pd.DataFrame, settings: TriangulationSettings, method: str = "packing"
-) -> tuple[pd.DataFrame, _INTS, dict[str, float]]:
+) -> tuple[pd.DataFrame, Ints, dict[str, float]]:
     """Poles of all kinds.
 
     Parameters
@@ -75,7 +97,7 @@ def _rays(sightings: pd.DataFrame) -> Rays:
     return make_rays(places, sightings["bearing_grid_deg"].to_numpy(np.float64), **columns)
 
 
-def _sweep(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, _INTS]:
+def _sweep(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints]:
     """Poles by the second paper's method; the place of each is weighted by its rays' errors."""
     labels, _ = swept_poles(rays, settings)
     groups = [np.flatnonzero(labels == number) for number in range(labels.max(initial=-1) + 1)]
@@ -94,7 +116,7 @@ def _empty() -> pd.DataFrame:
     return pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in types.items()})
 
 
-def _with_sources(poles: pd.DataFrame, sightings: pd.DataFrame, pole_of: _INTS) -> pd.DataFrame:
+def _with_sources(poles: pd.DataFrame, sightings: pd.DataFrame, pole_of: Ints) -> pd.DataFrame:
     """Poles with the names of the images and routes that show them."""
     used = sightings.loc[pole_of >= 0, ["image", "route"]].astype(str)
     owner = pole_of[pole_of >= 0]

@@ -186,9 +186,15 @@ def plain_table(rows: Sequence[Row]) -> str:
     for row in rows:
         level = f"**{row['level']}**" if row["is_default"] else row["level"]
         cells = (
-            row["knob"], level, row["stage"], f"{row['cpu_seconds']:.1f}", f"{row['peak_mib']:.0f}",
-            title(row), amount(row["value"], row["unit"]),
-            amount(row["error_vs_reference"], row["unit"]), "yes" if row["on_frontier"] else "",
-        )  # fmt: skip
+            row["knob"],
+            level,
+            row["stage"],
+            f"{row['cpu_seconds']:.1f}",
+            f"{row['peak_mib']:.0f}",
+            title(row),
+            amount(row["value"], row["unit"]),
+            amount(row["error_vs_reference"], row["unit"]),
+            "yes" if row["on_frontier"] else "",
+        )
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"

@@ -139,8 +139,9 @@ def _error_pair(
     order = sorted(range(len(values)), key=lambda n: values[n])
     label = f"{title}, m"
     span = span_of(values, start=0.0, least=1.0)
-    scatter = Chart(label, "Poles, from the best to the worst", label,
-                    (0.0, len(values) + 1.0), span)  # fmt: skip
+    scatter = Chart(
+        label, "Poles, from the best to the worst", label, (0.0, len(values) + 1.0), span
+    )
     scatter.level(paper, "reference", f"paper: 75 % within {number(paper)} m")
     if values:
         quartile = float(np.quantile(values, 0.75))
@@ -157,8 +158,15 @@ def _error_pair(
 def f1_chart(thresholds: Sequence[dict[str, Any]]) -> str:
     """F1 score, precision and recall by distance threshold, and the paper's F1 score."""
     x = [float(row["threshold_m"]) for row in thresholds]
-    chart = Chart("F1 score by distance threshold", "Threshold, m", "Score",
-                  span_of(x, list(published.F1), start=0.0), (0.0, 1.0), 560.0, 300.0)  # fmt: skip
+    chart = Chart(
+        "F1 score by distance threshold",
+        "Threshold, m",
+        "Score",
+        span_of(x, list(published.F1), start=0.0),
+        (0.0, 1.0),
+        560.0,
+        300.0,
+    )
     chart.line(list(map(float, published.F1)), list(published.F1.values()), "reference")
     paper = [f"paper, {m} m: {f1:.2f}" for m, f1 in published.F1.items()]
     chart.dots(list(map(float, published.F1)), list(published.F1.values()), "reference", paper)

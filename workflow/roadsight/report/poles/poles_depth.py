@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Ints
 from roadsight.poles.sightings.metric_depth import HeightAt, balancing_weights, fit_metric_depth
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.poles.sightings.sighting_depth import road_points, sample_depth
@@ -19,7 +20,7 @@ _SOURCES = ("network", "ground", "lidar")
 def depth_fit(
     image: str,
     camera: ViewCamera,
-    mask: NDArray[np.uint8],
+    mask: Bytes,
     depth: NDArray[np.uint16],
     height_at: HeightAt,
 ) -> dict[str, Any] | None:
@@ -52,9 +53,7 @@ def depth_fit(
     }
 
 
-def depth_checks(
-    sightings: pd.DataFrame, owner: NDArray[np.int64], poles: pd.DataFrame
-) -> dict[str, Any]:
+def depth_checks(sightings: pd.DataFrame, owner: Ints, poles: pd.DataFrame) -> dict[str, Any]:
     """Distance to the located pole and what each single source said, for sightings of poles.
 
     Parameters

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats, Ints
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.report.packing import pack
 from roadsight.report.poles.poles_layers import ACCEPTED, REJECTED, finite
@@ -47,14 +48,14 @@ def choose_images(cameras: pd.DataFrame, most: int = MOST_IMAGES) -> list[int]:
     return np.sort(chosen).astype(int).tolist()
 
 
-def _spread(rows: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+def _spread(rows: Ints, most: int) -> Ints:
     """At most so many of the rows, evenly, first and last among them."""
     if len(rows) <= most:
         return rows
     return rows[np.unique(np.rint(np.linspace(0, len(rows) - 1, most)).astype(int))]
 
 
-def picture(image: NDArray[np.uint8]) -> dict[str, Any]:
+def picture(image: Bytes) -> dict[str, Any]:
     """JPEG in base64, at most 640 px wide.
 
     Parameters
@@ -106,7 +107,7 @@ def overlay(
     }
 
 
-def _projected(pose: pd.Series, points_m: NDArray) -> NDArray[np.float64]:
+def _projected(pose: pd.Series, points_m: NDArray) -> Floats:
     """Pixels of what lies in front of a camera, no nearer than 3 m and no further than 80 m."""
     names = ("x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px", "cx_px", "cy_px")
     values = [float(pose[name]) for name in names]
@@ -119,7 +120,7 @@ def _projected(pose: pd.Series, points_m: NDArray) -> NDArray[np.float64]:
     return uv[camera.contains(uv)]
 
 
-def _pixels(uv_px: NDArray[np.float64], scale: float, size_px: tuple[int, int]) -> dict[str, Any]:
+def _pixels(uv_px: Floats, scale: float, size_px: tuple[int, int]) -> dict[str, Any]:
     """Pixels in eighths of the copy's, thinned by leaving out evenly."""
     limit = np.array(size_px, np.float64) - 1.0
     known = np.isfinite(uv_px).all(axis=1)

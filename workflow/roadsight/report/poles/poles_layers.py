@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.geometry.frames import Frame
 from roadsight.report.packing import pack, pack_points
@@ -61,7 +62,7 @@ def cameras_of(frames: pd.DataFrame, cameras: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _stations_m(frames: pd.DataFrame) -> NDArray[np.float64]:
+def _stations_m(frames: pd.DataFrame) -> Floats:
     """Distance of each image from the first one of its route."""
     steps = frames["step_m"].fillna(0.0)
     return (steps.groupby(frames["route"]).cumsum() - steps).to_numpy(np.float64)
@@ -103,7 +104,7 @@ def names_in(value: Any) -> list[str]:
     return [name.strip() for name in re.split(r"[;|]", value) if name.strip()]
 
 
-def match_sightings(sightings: pd.DataFrame, poles: pd.DataFrame) -> NDArray[np.int64]:
+def match_sightings(sightings: pd.DataFrame, poles: pd.DataFrame) -> Ints:
     """Row of the pole that each sighting (n,) belongs to, -1 if none.
 
     A pole names the images that support it. In each of them it owns at most one kept sighting of
@@ -138,9 +139,7 @@ def _pointings(sightings: pd.DataFrame, poles: pd.DataFrame) -> list[tuple[float
     return found
 
 
-def sighting_layer(
-    sightings: pd.DataFrame, owner: NDArray[np.int64], images: list[str]
-) -> dict[str, Any]:
+def sighting_layer(sightings: pd.DataFrame, owner: Ints, images: list[str]) -> dict[str, Any]:
     """Rays from cameras to what they saw; 30 m long where the distance is not known.
 
     Parameters

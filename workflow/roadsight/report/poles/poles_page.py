@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Ints
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.top_rasters import TopRaster
 from roadsight.report.poles.poles_cautions import pole_cautions
@@ -30,7 +31,7 @@ from roadsight.report.poles.poles_raster import class_layer
 
 FORMAT = "roadsight.poles-page/1"
 
-ReadImage = Callable[[str], NDArray[np.uint8]]
+ReadImage = Callable[[str], Bytes]
 ReadEdges = Callable[[str], pd.DataFrame]
 
 
@@ -117,7 +118,7 @@ def _kept(result: PolesResult) -> tuple[pd.Series, PolesResult]:
     return result.poles.loc[~kept, "reason"].astype(str), replace(result, poles=poles)
 
 
-def _seen_times(owner: NDArray[np.int64], poles: int) -> list[int]:
+def _seen_times(owner: Ints, poles: int) -> list[int]:
     return np.bincount(owner[owner >= 0], minlength=poles).tolist()
 
 
@@ -148,7 +149,7 @@ def _by_count(reasons: pd.Series) -> list[list[Any]]:
     return [[text, int(n)] for text, n in sorted(counts.items(), key=lambda i: (-i[1], i[0]))]
 
 
-def _image(camera: pd.Series, result: PolesResult, owner: NDArray[np.int64]) -> dict[str, Any]:
+def _image(camera: pd.Series, result: PolesResult, owner: Ints) -> dict[str, Any]:
     """One embedded image with its overlay."""
     name = camera["image"]
     frame = result.frames.loc[result.frames["image"] == name].iloc[0]

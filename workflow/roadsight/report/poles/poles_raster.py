@@ -7,8 +7,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.io.raster.top_rasters import TopRaster
 
 KINDS = ("nothing", "other", "ground", "vegetation", "building", "road", "bridge")
@@ -60,7 +61,7 @@ def class_layer(top: TopRaster, cameras_xy_m: ArrayLike) -> dict[str, Any] | Non
     }
 
 
-def _window(top: TopRaster, xy_m: NDArray[np.float64]) -> tuple[int, int, int, int] | None:
+def _window(top: TopRaster, xy_m: Floats) -> tuple[int, int, int, int] | None:
     """Rows and columns of the raster within reach of the cameras' box."""
     if not len(xy_m):
         return None
@@ -76,7 +77,7 @@ def _window(top: TopRaster, xy_m: NDArray[np.float64]) -> tuple[int, int, int, i
     return low_row, high_row, low_column, high_column
 
 
-def _kinds(classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _kinds(classes: Bytes) -> Bytes:
     """Kind of each cell by its ASPRS class."""
     table = np.ones(256, np.uint8)
     table[0] = 0
@@ -85,16 +86,14 @@ def _kinds(classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return table[classes]
 
 
-def _coarser(kinds: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+def _coarser(kinds: Bytes, factor: int) -> Bytes:
     rows, columns = kinds.shape
     padded = np.pad(kinds, ((0, -rows % factor), (0, -columns % factor)))
     blocks = padded.reshape(padded.shape[0] // factor, factor, -1, factor)
     return np.ascontiguousarray(blocks.max(axis=(1, 3)))
 
 
-def _far(
-    shape: tuple[int, int], row: NDArray[np.int64], column: NDArray[np.int64], reach: float
-) -> NDArray[np.bool_]:
+def _far(shape: tuple[int, int], row: Ints, column: Ints, reach: float) -> Bools:
     """Cells further than ``reach`` cells from every camera; those near the rim count as on it."""
     free = np.ones(shape, np.uint8)
     on_rim = row.clip(0, shape[0] - 1), column.clip(0, shape[1] - 1)

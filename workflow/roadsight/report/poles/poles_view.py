@@ -67,8 +67,10 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
             }
             for route in page["routes"]
         ],
-        "depth_fit": page["depth_fit"] and {
-            "svg": depth_fit_chart(page["depth_fit"]), **page["depth_fit"],
+        "depth_fit": page["depth_fit"]
+        and {
+            "svg": depth_fit_chart(page["depth_fit"]),
+            **page["depth_fit"],
         },
         "depth_checks": [
             depth_check_chart(source, page["depth_checks"][source])
@@ -80,7 +82,7 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
         "ablation": _ablation((validation or {}).get("ablation", [])),
         "files": _files(page["files"]),
         "sections": _sections(page),
-    }  # fmt: skip
+    }
 
 
 def _sections(page: dict[str, Any]) -> list[tuple[str, str]]:
@@ -111,9 +113,12 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
             wording.number(counts["aligned"]),
             f"of {wording.number(counts['images'])}",
         ),
-        ("Sightings kept", wording.number(counts["kept"]),
-         f"of {wording.number(counts['sightings'])}"),
-    ]  # fmt: skip
+        (
+            "Sightings kept",
+            wording.number(counts["kept"]),
+            f"of {wording.number(counts['sightings'])}",
+        ),
+    ]
     if known:
         sigma = wording.metres(float(np.median(known)), 2)
         cards.append(("Uncertainty, median", sigma, "one sigma, longer axis"))
@@ -129,14 +134,20 @@ def _checked(validation: dict[str, Any]) -> dict[str, Any]:
     geodesic = [error["geodesic_m"] for error in errors if error.get("geodesic_m") is not None]
     across = [abs(e["across_m"]) for e in errors if e.get("across_m") is not None]
     rows = [
-        ("Poles matched to known ones", wording.number(len(errors)),
-         wording.number(published.CHECKED)),
+        (
+            "Poles matched to known ones",
+            wording.number(len(errors)),
+            wording.number(published.CHECKED),
+        ),
         ("Mean distance", _mean(geodesic), wording.metres(published.MEAN_M)),
         ("Standard deviation", _deviation(geodesic), wording.metres(published.STD_M)),
         ("Three quarters within", _quartile(geodesic), wording.metres(published.WITHIN_75_M)),
-        ("Across the road, three quarters within", _quartile(across),
-         wording.metres(published.ACROSS_75_M)),
-    ]  # fmt: skip
+        (
+            "Across the road, three quarters within",
+            _quartile(across),
+            wording.metres(published.ACROSS_75_M),
+        ),
+    ]
     return {
         "truth": _truth(validation),
         "rows": rows,
@@ -237,8 +248,11 @@ def _cell(key: str, value: Any) -> dict[str, Any]:
     if key == "rating" and value in _RATINGS:
         return {"text": value, "sort": _RATINGS.index(value), "number": False}
     if key == "side" and isinstance(value, int | float):
-        return {"text": {-1: "left", 1: "right"}.get(int(value), "unknown"), "sort": value,
-                "number": False}  # fmt: skip
+        return {
+            "text": {-1: "left", 1: "right"}.get(int(value), "unknown"),
+            "sort": value,
+            "number": False,
+        }
     numeric = isinstance(value, int | float) and not isinstance(value, bool)
     text = wording.quantity("" if key == "objects_per_km" else key, _rounded(value))
     return {"text": text, "sort": "" if value is None else value, "number": numeric}

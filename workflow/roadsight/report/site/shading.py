@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats
+
 _SUN_AZIMUTH_DEG, _SUN_ALTITUDE_DEG = 315.0, 45.0
 _EXAGGERATION = 2.0
 NO_DATA = 0
 
 
-def block_mean(
-    heights_m: NDArray, cell_size_m: float, most_cells: int
-) -> tuple[NDArray[np.float64], float]:
+def block_mean(heights_m: NDArray, cell_size_m: float, most_cells: int) -> tuple[Floats, float]:
     """Coarser raster with at most ``most_cells`` along its longer side.
 
     Parameters
@@ -35,7 +35,7 @@ def block_mean(
     return means, cell_size_m * factor
 
 
-def hillshade(heights_m: NDArray, cell_size_m: float) -> NDArray[np.uint8]:
+def hillshade(heights_m: NDArray, cell_size_m: float) -> Bytes:
     """Brightness of a surface lit from the north-west, 45 degrees high (Lambert's law).
 
     Slopes are doubled, because roads are flat. Beside cells without data the slope counts as zero.
@@ -58,7 +58,7 @@ def hillshade(heights_m: NDArray, cell_size_m: float) -> NDArray[np.uint8]:
     return np.where(known, 1 + np.rint(254 * light), NO_DATA).astype(np.uint8)
 
 
-def _slope(heights_m: NDArray, cell_size_m: float, axis: int) -> NDArray[np.float64]:
+def _slope(heights_m: NDArray, cell_size_m: float, axis: int) -> Floats:
     """Central differences along an axis; 0 where a neighbour is missing."""
     if heights_m.shape[axis] < 3:
         return np.zeros(heights_m.shape)

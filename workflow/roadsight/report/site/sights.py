@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pyproj import CRS, Transformer
 from scipy import sparse
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
 from roadsight.placement.sight.coverage import detection_matrix
@@ -30,16 +31,16 @@ class Sights:
     range_m: sparse.csr_matrix
 
     @property
-    def times_seen(self) -> NDArray[np.int64]:
+    def times_seen(self) -> Ints:
         """How many sensors see each target, (n,)."""
         return np.asarray(self.matrix.sum(axis=0, dtype=np.int64)).ravel()
 
     @property
-    def histogram(self) -> NDArray[np.int64]:
+    def histogram(self) -> Ints:
         """Number of targets seen by 0, 1, 2 ... sensors; never empty."""
         return np.bincount(self.times_seen, minlength=1)
 
-    def seen_by(self, sensor: int) -> NDArray[np.int64]:
+    def seen_by(self, sensor: int) -> Ints:
         """Increasing numbers of the targets that a sensor sees."""
         row = slice(self.matrix.indptr[sensor], self.matrix.indptr[sensor + 1])
         return np.sort(self.matrix.indices[row]).astype(np.int64)
@@ -77,7 +78,7 @@ def sights_of(
     return Sights(matrix, sparse.csr_matrix((distance, (rows, columns)), shape=matrix.shape))
 
 
-def longitudes_latitudes(frame: Frame, xy_m: NDArray) -> NDArray[np.float64] | None:
+def longitudes_latitudes(frame: Frame, xy_m: NDArray) -> Floats | None:
     """WGS 84 degrees (n, 2) of local positions (n, 2); None for a site without CRS."""
     if frame.crs_wkt is None:
         return None

@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Ints
+
 _STEPS = 10
 _MOST = 250_000
 
 
-def sample_mask(start: int, count: int, share: float) -> NDArray[np.bool_]:
+def sample_mask(start: int, count: int, share: float) -> Bools:
     """Which of the points ``start .. start + count`` belong to a pseudo-random sample.
 
     The choice depends on a point's number alone, so that it is the same tile by tile and has no
@@ -30,7 +32,7 @@ def sample_mask(start: int, count: int, share: float) -> NDArray[np.bool_]:
     return (bits >> np.uint64(11)).astype(np.float64) < share * 2.0**53
 
 
-def thin(xyz_m: NDArray, at_most: int) -> NDArray[np.int64]:
+def thin(xyz_m: NDArray, at_most: int) -> Ints:
     """Indices of the first point in each cube, the cubes as small as the number allows.
 
     Even in space, so that sparse verges stay visible beside a dense road.
@@ -66,7 +68,7 @@ def thin(xyz_m: NDArray, at_most: int) -> NDArray[np.int64]:
     return kept
 
 
-def _first_in_cubes(offset_m: NDArray[np.float64], size_m: float) -> NDArray[np.int64]:
+def _first_in_cubes(offset_m: Floats, size_m: float) -> Ints:
     """Index of the first point of each occupied cube; at most 2 million cubes an axis."""
     column, row, layer = (offset_m / size_m).astype(np.int64).T
     keys = column + (column.max() + 1) * (row + (row.max() + 1) * layer)

@@ -12,11 +12,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Floats, Ints, Ints32
+
 _MARGIN_M = 30.0
 _SHELL_M = 0.10
 _FEWEST = 2
@@ -55,13 +55,13 @@ class Curbs:
     polyline : (n,) which piece a point belongs to. step_m : (n,) height of the step.
     """
 
-    xyz_m: _FLOATS
-    tangent: _FLOATS
-    polyline: NDArray[np.int32]
-    step_m: _FLOATS
+    xyz_m: Floats
+    tangent: Floats
+    polyline: Ints32
+    step_m: Floats
 
 
-def find_curbs(xyz_m: _FLOATS, track_xy_m: _FLOATS, settings: CurbSettings | None = None) -> Curbs:
+def find_curbs(xyz_m: Floats, track_xy_m: Floats, settings: CurbSettings | None = None) -> Curbs:
     """Curbs on both sides of a track.
 
     Parameters
@@ -83,7 +83,7 @@ def find_curbs(xyz_m: _FLOATS, track_xy_m: _FLOATS, settings: CurbSettings | Non
     )
 
 
-def smooth_line(track_xy_m: _FLOATS, spacing_m: float, beyond_m: float) -> _FLOATS:
+def smooth_line(track_xy_m: Floats, spacing_m: float, beyond_m: float) -> Floats:
     """Track (k, 2) at even spacing, smoothed over some metres and straight on at both ends."""
     track = np.asarray(track_xy_m, np.float64).reshape(-1, 2)
     moved = np.ones(len(track), bool)
@@ -102,7 +102,7 @@ def smooth_line(track_xy_m: _FLOATS, spacing_m: float, beyond_m: float) -> _FLOA
     return np.concatenate([before, line, line[-1] + away * end / np.hypot(*end)])
 
 
-def surface(xyz_m: _FLOATS, line: _FLOATS, settings: CurbSettings) -> _FLOATS:
+def surface(xyz_m: Floats, line: Floats, settings: CurbSettings) -> Floats:
     """Height (stations, cells) of the lowest surface along a line, NaN where it was not seen.
 
     Cells run from left to right across the line; each is the mean of the points within 10 cm of
@@ -127,18 +127,20 @@ def surface(xyz_m: _FLOATS, line: _FLOATS, settings: CurbSettings) -> _FLOATS:
     count = np.bincount(flat[low], minlength=stations * cells).reshape(stations, cells)
     total = np.bincount(flat[low], z[low], minlength=stations * cells).reshape(stations, cells)
     window = max(round(settings.window_m / settings.station_m), 1)
-    sums = [ndimage.uniform_filter1d(part.astype(np.float64), window, axis=0, mode="constant")
-            for part in (total, count)]  # fmt: skip
+    sums = [
+        ndimage.uniform_filter1d(part.astype(np.float64), window, axis=0, mode="constant")
+        for part in (total, count)
+    ]
     enough = sums[1] * window > _FEWEST - 0.5
     return np.where(enough, sums[0] / np.maximum(sums[1], 1e-9), np.nan)
 
 
-def _tangents(line: _FLOATS) -> _FLOATS:
+def _tangents(line: Floats) -> Floats:
     step = np.gradient(line, axis=0)
     return np.asarray(step / np.hypot(step[:, 0], step[:, 1])[:, None], np.float64)
 
 
-def _side(heights: _FLOATS, line: _FLOATS, side: int, first: int, settings: CurbSettings) -> Curbs:
+def _side(heights: Floats, line: Floats, side: int, first: int, settings: CurbSettings) -> Curbs:
     """Curb of one side; pieces are numbered from ``first``."""
     half = heights.shape[1] // 2
     outwards = heights[:, half:] if side > 0 else heights[:, half - 1 :: -1]
@@ -156,7 +158,7 @@ def _side(heights: _FLOATS, line: _FLOATS, side: int, first: int, settings: Curb
     return Curbs(xyz, direction, (piece[kept] + first).astype(np.int32), step[row, cell][kept])
 
 
-def steps(outwards: _FLOATS, settings: CurbSettings) -> tuple[_FLOATS, _FLOATS]:
+def steps(outwards: Floats, settings: CurbSettings) -> tuple[Floats, Floats]:
     """Rise of the surface beyond each cell, and the height of its foot; both (stations, cells).
 
     The rise is that of the three cells beyond over the three before, less what the slope of the
@@ -179,7 +181,7 @@ def steps(outwards: _FLOATS, settings: CurbSettings) -> tuple[_FLOATS, _FLOATS]:
     return np.where(curb, rise, 0.0), inner
 
 
-def _means(values: _FLOATS, reach: int, direction: int) -> _FLOATS:
+def _means(values: Floats, reach: int, direction: int) -> Floats:
     """Mean of so many cells before (-1) or from (+1) each cell, NaN where fewer than half."""
     known = np.isfinite(values)
     total, count = np.zeros(values.shape), np.zeros(values.shape)
@@ -196,7 +198,7 @@ def _means(values: _FLOATS, reach: int, direction: int) -> _FLOATS:
     return np.where(count >= 0.5 * reach, total / np.maximum(count, 1), np.nan)
 
 
-def follow(step_m: _FLOATS, settings: CurbSettings) -> NDArray[np.int64]:
+def follow(step_m: Floats, settings: CurbSettings) -> Ints:
     """Cell (stations,) of the curb: the line that gathers most steps with fewest steps aside.
 
     Of two lines the nearer one is taken where they are alike.
@@ -221,7 +223,7 @@ def follow(step_m: _FLOATS, settings: CurbSettings) -> NDArray[np.int64]:
     return cell
 
 
-def _sharpest(step_m: _FLOATS, cell: NDArray[np.int64]) -> NDArray[np.int64]:
+def _sharpest(step_m: Floats, cell: Ints) -> Ints:
     """Cell of the greatest step within two cells of each station's."""
     near = np.clip(cell[:, None] + np.arange(-2, 3), 0, step_m.shape[1] - 1)
     best = np.take_along_axis(step_m, near, axis=1).argmax(axis=1)
@@ -229,9 +231,7 @@ def _sharpest(step_m: _FLOATS, cell: NDArray[np.int64]) -> NDArray[np.int64]:
     return np.where(step_m[np.arange(len(cell)), found] > 0, found, cell)
 
 
-def _pieces(
-    found: NDArray[np.bool_], settings: CurbSettings
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+def _pieces(found: Bools, settings: CurbSettings) -> tuple[Ints, Bools]:
     """Piece of each station and which to keep; gaps of one metre are closed."""
     gap = max(round(1.0 / settings.station_m), 1)
     closed = ndimage.binary_closing(np.pad(found, gap), np.ones(2 * gap + 1, bool))[gap:-gap]

@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Floats, Ints
 
-def between_pixels(
-    image: NDArray[np.floating], row: ArrayLike, column: ArrayLike
-) -> NDArray[np.float64]:
+
+def between_pixels(image: NDArray[np.floating], row: ArrayLike, column: ArrayLike) -> Floats:
     """Values of an image (rows, columns) at fractional places, bilinear between pixels' centres.
 
     Beyond the outermost centres the nearest value holds.
@@ -51,8 +51,8 @@ def blocks(shape: tuple[int, int], size: int, halo: int) -> Iterator[Block]:
 
 
 def windows_around(
-    place: NDArray[np.float64], shape: tuple[int, int], size: int, halo: int
-) -> Iterator[tuple[NDArray[np.int64], tuple[slice, slice]]]:
+    place: Floats, shape: tuple[int, int], size: int, halo: int
+) -> Iterator[tuple[Ints, tuple[slice, slice]]]:
     """Windows of an image around places (n, 2) of the same block: which places, and the window.
 
     A window reaches ``halo`` pixels beyond those between which its places lie, if the image does.

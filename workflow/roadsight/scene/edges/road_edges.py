@@ -13,11 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints32
 from roadsight.geometry.rings import resampled, runs_of, smoothed, trimmed
 from roadsight.scene.edges.pixels import between_pixels, blocks, windows_around
 
-_FLOATS = NDArray[np.float64]
-_MASK = NDArray[np.bool_]
 _MISSED_HOLES = 1e-4
 _LARGEST_CLOSING = 6
 _ROWS = 16
@@ -63,8 +62,8 @@ class RoadImage:
     surveyed : whether surveyed, with 2 closing + 1 cells more on each side.
     """
 
-    road: _MASK
-    surveyed: _MASK
+    road: Bools
+    surveyed: Bools
     closing: int
 
     @property
@@ -74,7 +73,7 @@ class RoadImage:
 
 
 def clean_road(
-    is_road: _MASK, occupied: _MASK, cell_size_m: float, settings: EdgeSettings
+    is_road: Bools, occupied: Bools, cell_size_m: float, settings: EdgeSettings
 ) -> RoadImage:
     """Close and open the road image, fill small holes and drop small islands.
 
@@ -98,7 +97,7 @@ def clean_road(
     return RoadImage(road[inner].view(bool), surveyed.view(bool), radius)
 
 
-def closing_radius(occupied: _MASK, is_road: _MASK, least: int) -> int:
+def closing_radius(occupied: Bools, is_road: Bools, least: int) -> int:
     """Radius in cells at which next to no disc on the road is empty by chance.
 
     Points that fall at random with a mean of d a cell leave a disc of radius r empty with
@@ -112,7 +111,7 @@ def closing_radius(occupied: _MASK, is_road: _MASK, least: int) -> int:
     return int(np.clip(np.ceil(radius - 0.25), max(least, 1), max(least, _LARGEST_CLOSING)))
 
 
-def edge_pixels(image: RoadImage, border_cells: float) -> _MASK:
+def edge_pixels(image: RoadImage, border_cells: float) -> Bools:
     """Edge pixels of the road (rows, columns), without the ends of the data (the paper's way)."""
     road = image.road.astype(np.uint8)
     inner = cv2.erode(np.pad(road, 1), np.ones((3, 3), np.uint8))[1:-1, 1:-1]
@@ -122,7 +121,7 @@ def edge_pixels(image: RoadImage, border_cells: float) -> _MASK:
     return edge
 
 
-def in_survey(image: RoadImage, place: _FLOATS, border_cells: float) -> _MASK:
+def in_survey(image: RoadImage, place: Floats, border_cells: float) -> Bools:
     """Whether places (n, 2) are farther than ``border_cells`` from what was not surveyed.
 
     Windows are so wide that what lies beyond them is farther.
@@ -138,9 +137,7 @@ def in_survey(image: RoadImage, place: _FLOATS, border_cells: float) -> _MASK:
     return inside
 
 
-def edge_level(
-    road_share: NDArray[np.floating], occupied: _MASK, image: RoadImage
-) -> NDArray[np.float32]:
+def edge_level(road_share: NDArray[np.floating], occupied: Bools, image: RoadImage) -> Floats32:
     """Smoothed share of road points (rows, columns): the edge runs at a half.
 
     Pixels without points say nothing. Well inside and well outside the cleaned road, the level is
@@ -156,8 +153,8 @@ def edge_level(
 
 
 def _level(
-    road_share: NDArray[np.floating], occupied: _MASK, road: _MASK, closing: int
-) -> NDArray[np.float32]:
+    road_share: NDArray[np.floating], occupied: Bools, road: Bools, closing: int
+) -> Floats32:
     """Level of a block (rows, columns), right where its surroundings are in it."""
     sigma = max(0.7, 0.5 * closing)
     weight = cv2.GaussianBlur(occupied.astype(np.float32), (0, 0), sigma)
@@ -170,7 +167,7 @@ def _level(
     return share
 
 
-def outlines(image: RoadImage, level: NDArray[np.floating], window_cells: float) -> list[_FLOATS]:
+def outlines(image: RoadImage, level: NDArray[np.floating], window_cells: float) -> list[Floats]:
     """Closed outlines of the road as fractional (row, column) pairs, each (n, 2).
 
     The chain of edge pixels is smoothed and every place moved across it to where the level is a
@@ -189,7 +186,7 @@ def outlines(image: RoadImage, level: NDArray[np.floating], window_cells: float)
     return lines
 
 
-def _to_level(line: _FLOATS, level: NDArray[np.floating], reach: float) -> _FLOATS:
+def _to_level(line: Floats, level: NDArray[np.floating], reach: float) -> Floats:
     """Move places of a closed line (n, 2) across it to the nearest crossing of level one half."""
     tangent = np.roll(line, -1, axis=0) - np.roll(line, 1, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
@@ -206,9 +203,7 @@ def _to_level(line: _FLOATS, level: NDArray[np.floating], reach: float) -> _FLOA
     return line + offset[:, None] * normal
 
 
-def _crossing(
-    place: _FLOATS, normal: _FLOATS, level: NDArray[np.floating], steps: _FLOATS
-) -> _FLOATS:
+def _crossing(place: Floats, normal: Floats, level: NDArray[np.floating], steps: Floats) -> Floats:
     """Steps (n,) from places (n, 2) along normals to the nearest level of a half, or infinite."""
     row, column = (place[:, None] + steps[:, None] * normal[:, None]).transpose(2, 0, 1)
     values = between_pixels(level, row, column) - 0.5
@@ -229,13 +224,13 @@ class EdgeLines:
     polyline : (n,) number of the line, from 0; the points of a line follow each other.
     """
 
-    place: _FLOATS
-    tangent: _FLOATS
-    polyline: NDArray[np.int32]
+    place: Floats
+    tangent: Floats
+    polyline: Ints32
 
 
 def edge_lines(
-    rings: list[_FLOATS], image: RoadImage, cell_size_m: float, settings: EdgeSettings
+    rings: list[Floats], image: RoadImage, cell_size_m: float, settings: EdgeSettings
 ) -> EdgeLines:
     """Cut closed outlines where the data end and sample what is left at equal steps.
 
@@ -262,7 +257,7 @@ def edge_lines(
     return EdgeLines(np.concatenate(places), np.concatenate(tangents), number)
 
 
-def without_small(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
+def without_small(mask: Bytes, least_cells: float) -> Bytes:
     """Mask without components (of pixels that share a side) of fewer cells.
 
     A component that reaches from a block to the end of its surroundings has at least as many cells
@@ -275,7 +270,7 @@ def without_small(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uin
     return kept
 
 
-def _large(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
+def _large(mask: Bytes, least_cells: float) -> Bytes:
     """Pixels of a mask in components of no fewer cells."""
     count, labels = cv2.connectedComponents(mask, connectivity=4)
     cells = np.zeros(count, np.int64)
@@ -286,6 +281,6 @@ def _large(mask: NDArray[np.uint8], least_cells: float) -> NDArray[np.uint8]:
     return keep[labels]
 
 
-def _disc(radius: int) -> NDArray[np.uint8]:
+def _disc(radius: int) -> Bytes:
     step = np.arange(-radius, radius + 1)
     return (np.hypot(step[:, None], step) <= radius + 0.25).astype(np.uint8)

@@ -8,18 +8,17 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from shapely import LinearRing, LineString, MultiPolygon
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 
-_FLOATS = NDArray[np.float64]
 FURTHEST_M = 50.0
 """How far from the pavement the edge of a user may lie."""
 
 
-def natural_spline(points_m: _FLOATS, spacing_m: float) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+def natural_spline(points_m: Floats, spacing_m: float) -> tuple[Floats, Floats, Floats]:
     """Resample a natural cubic spline through points at equal steps of its arc length.
 
     The spline's parameter is the chord length; the steps are measured on the curve itself. Repeated
@@ -84,7 +83,7 @@ class OutlineSettings:
 
 
 def outline_edges(
-    outline: MultiPolygon, ground_xyz_m: _FLOATS, settings: OutlineSettings
+    outline: MultiPolygon, ground_xyz_m: Floats, settings: OutlineSettings
 ) -> list[tuple[str, LineString]]:
     """Edges traced on the pavement's outline, without the cuts where road or data end.
 
@@ -110,7 +109,7 @@ def outline_edges(
     return edges
 
 
-def _knots(ring: LinearRing, spacing_m: float) -> _FLOATS:
+def _knots(ring: LinearRing, spacing_m: float) -> Floats:
     """Points at equal steps on a ring, counter-clockwise, the first one not repeated."""
     ring = ring if ring.is_ccw else shapely.reverse(ring)
     count = max(4, round(ring.length / spacing_m))
@@ -122,12 +121,12 @@ class _Ground(NamedTuple):
     """Thinned ground points in a search tree, and their heights."""
 
     tree: shapely.STRtree
-    z_m: _FLOATS
+    z_m: Floats
 
 
 def _open_ends(
-    knots: _FLOATS, outline: MultiPolygon, ground: _Ground, settings: OutlineSettings
-) -> NDArray[np.bool_]:
+    knots: Floats, outline: MultiPolygon, ground: _Ground, settings: OutlineSettings
+) -> Bools:
     """Knots where the road runs on but the found pavement stops, so that there is no real edge.
 
     There, the way across the pavement is far longer than elsewhere (it runs along the road), and
@@ -149,7 +148,7 @@ def _open_ends(
     return long & ((outside < 0.25 * inside) | (step < settings.step_m))
 
 
-def _chord_m(outline: MultiPolygon, start: _FLOATS, direction: _FLOATS) -> float:
+def _chord_m(outline: MultiPolygon, start: Floats, direction: Floats) -> float:
     """Length of pavement met first when going from an outline point along a direction."""
     ray = LineString([start + 0.05 * direction, start + 200.0 * direction])
     parts = shapely.get_parts(shapely.intersection(ray, outline))
@@ -157,8 +156,8 @@ def _chord_m(outline: MultiPolygon, start: _FLOATS, direction: _FLOATS) -> float
 
 
 def _strip(
-    ground: _Ground, start: _FLOATS, normal: _FLOATS, tangent: _FLOATS, settings: OutlineSettings
-) -> tuple[NDArray[np.int64], _FLOATS]:
+    ground: _Ground, start: Floats, normal: Floats, tangent: Floats, settings: OutlineSettings
+) -> tuple[Ints, Floats]:
     """Number and median height (NaN if none) of ground points in the box beyond each start."""
     half = 0.5 * settings.knot_spacing_m * tangent
     far = settings.open_strip_m * normal
@@ -168,7 +167,7 @@ def _strip(
     return np.bincount(box, minlength=len(start)), heights.reindex(range(len(start))).to_numpy()
 
 
-def _pieces(knots: _FLOATS, keep: NDArray[np.bool_], settings: OutlineSettings) -> list[LineString]:
+def _pieces(knots: Floats, keep: Bools, settings: OutlineSettings) -> list[LineString]:
     """Runs of kept knots, split at sharp corners, as lines; a ring without a split stays closed."""
     step = np.roll(knots, -1, axis=0) - knots
     heading = np.arctan2(step[:, 1], step[:, 0])

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
-_MASK = NDArray[np.bool_]
+from roadsight.base.arrays import Bools, Floats, Floats32, Ints
+
 _BATCH = 1_000
 
 
 def surface_heights(
-    place: _FLOATS, height_m: NDArray[np.float32], road: _MASK, radius_cells: int = 4
-) -> _FLOATS:
+    place: Floats, height_m: Floats32, road: Bools, radius_cells: int = 4
+) -> Floats:
     """Height of the road surface at places (n, 2) in rows and columns, NaN without road near.
 
     A plane through the road pixels around, without those far from their median.
@@ -24,9 +23,7 @@ def surface_heights(
     return heights
 
 
-def _planes(
-    place: _FLOATS, height_m: NDArray[np.float32], road: _MASK, radius_cells: int
-) -> _FLOATS:
+def _planes(place: Floats, height_m: Floats32, road: Bools, radius_cells: int) -> Floats:
     """Heights at places (n, 2) of planes through the road pixels around each."""
     offsets = np.arange(-radius_cells, radius_cells + 1)
     nearest = np.round(place)
@@ -47,7 +44,7 @@ def _planes(
     return middle + plane[:, 0] + (plane[:, 1:] * (place - nearest)).sum(axis=1)
 
 
-def _planes_through(weight: _FLOATS, height: _FLOATS, offsets: NDArray[np.int64]) -> _FLOATS:
+def _planes_through(weight: Floats, height: Floats, offsets: Ints) -> Floats:
     """Height in the middle and slopes down and right (n, 3) of planes through windows of pixels.
 
     Parameters
@@ -63,7 +60,7 @@ def _planes_through(weight: _FLOATS, height: _FLOATS, offsets: NDArray[np.int64]
     return np.asarray(plane[:, :, 0], np.float64)
 
 
-def medians(values: _FLOATS, valid: _MASK) -> _FLOATS:
+def medians(values: Floats, valid: Bools) -> Floats:
     """Median (n,) of the valid among each row's values (n, k), NaN where none is."""
     rising = np.sort(np.where(valid, values, np.inf), axis=1)
     count = valid.sum(axis=1)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from roadsight.base.arrays import Floats, Ints
 
 
 @njit(cache=True)
-def _root(parent: NDArray[np.int64], i: int) -> int:
+def _root(parent: Ints, i: int) -> int:
     while parent[i] != i:
         parent[i] = parent[parent[i]]
         i = parent[i]
@@ -16,18 +17,18 @@ def _root(parent: NDArray[np.int64], i: int) -> int:
 
 
 @njit(cache=True)
-def _roots(parent: NDArray[np.int64]) -> NDArray[np.int64]:
+def _roots(parent: Ints) -> Ints:
     return np.array([_root(parent, i) for i in range(len(parent))])
 
 
 @njit(cache=True)
 def _link(
-    xyz: NDArray[np.float64],
-    first: NDArray[np.int64],
-    keys: NDArray[np.int64],
-    stride: NDArray[np.int64],
+    xyz: Floats,
+    first: Ints,
+    keys: Ints,
+    stride: Ints,
     distance: float,
-    parent: NDArray[np.int64],
+    parent: Ints,
 ) -> None:
     """Union all pairs within ``distance``; cells are as wide as it, so 27 cells hold them all."""
     for c in range(len(keys)):
@@ -48,7 +49,7 @@ def _link(
                                 parent[_root(parent, j)] = root
 
 
-def euclidean_clusters(xyz_m: NDArray[np.float64], distance_m: float) -> NDArray[np.int64]:
+def euclidean_clusters(xyz_m: Floats, distance_m: float) -> Ints:
     """Cluster number of each point, 0 for the largest cluster.
 
     Two points share a cluster when a chain of points links them whose steps are shorter than
@@ -78,7 +79,7 @@ def euclidean_clusters(xyz_m: NDArray[np.float64], distance_m: float) -> NDArray
     return _by_size(roots)
 
 
-def _by_size(labels: NDArray[np.int64]) -> NDArray[np.int64]:
+def _by_size(labels: Ints) -> Ints:
     """Renumber labels so that 0 is the most frequent; ties by first appearance."""
     _, first, inverse, count = np.unique(
         labels, return_index=True, return_inverse=True, return_counts=True

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 from roadsight.scene.pavement.smoothness import local_intensity
@@ -24,14 +22,14 @@ class GroundDescription:
     histograms : (n, 33) FPFH.
     """
 
-    xyz_m: NDArray[np.float64]
-    intensity: NDArray[np.float64]
-    variation: NDArray[np.float64]
-    histograms: NDArray[np.float32]
+    xyz_m: Floats
+    intensity: Floats
+    variation: Floats
+    histograms: Floats32
 
 
 def describe_ground(
-    xyz_m: NDArray[np.float64], intensity: NDArray[np.float64], column_m: float, neighbours: int
+    xyz_m: Floats, intensity: Floats, column_m: float, neighbours: int
 ) -> GroundDescription:
     """Thin ground points to columns and describe each.
 

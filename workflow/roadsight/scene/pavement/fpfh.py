@@ -11,7 +11,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+
+from roadsight.base.arrays import Floats, Floats32, Ints
 
 BINS = 11
 FEATURES = 3 * BINS
@@ -19,9 +20,7 @@ _SAME_ANGLE = 1e-9
 
 
 @njit(cache=True)
-def _pair_bins(
-    xyz: NDArray[np.float64], normals: NDArray[np.float64], i: int, j: int
-) -> tuple[int, int, int]:
+def _pair_bins(xyz: Floats, normals: Floats, i: int, j: int) -> tuple[int, int, int]:
     """Bins of the three pair angles; -1 where the pair has none (coincident or collinear)."""
     dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
     length = math.sqrt(dx**2 + dy**2 + dz**2)
@@ -56,9 +55,7 @@ def _bin(value: float) -> int:
 
 
 @njit(cache=True)
-def _simplified(
-    xyz: NDArray[np.float64], normals: NDArray[np.float64], neighbours: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _simplified(xyz: Floats, normals: Floats, neighbours: Ints) -> Floats:
     """Simplified histograms (n, 33): each third sums to 100 where every pair is usable."""
     histograms = np.zeros((len(xyz), FEATURES))
     for i in range(len(xyz)):
@@ -81,10 +78,10 @@ def _simplified(
 
 @njit(cache=True)
 def _weighted(
-    simplified: NDArray[np.float64],
-    neighbours: NDArray[np.int64],
-    distance: NDArray[np.float64],
-) -> NDArray[np.float32]:
+    simplified: Floats,
+    neighbours: Ints,
+    distance: Floats,
+) -> Floats32:
     """Own histogram plus the neighbours' weighted mean, each third of which sums to 100."""
     out = np.zeros(simplified.shape, dtype=np.float32)
     mixed = np.zeros(FEATURES)
@@ -107,11 +104,11 @@ def _weighted(
 
 
 def fpfh(
-    xyz_m: NDArray[np.float64],
-    normals: NDArray[np.float64],
-    distance_m: NDArray[np.float64],
-    neighbours: NDArray[np.int64],
-) -> NDArray[np.float32]:
+    xyz_m: Floats,
+    normals: Floats,
+    distance_m: Floats,
+    neighbours: Ints,
+) -> Floats32:
     """FPFH of each point.
 
     Parameters

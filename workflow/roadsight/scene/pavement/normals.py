@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
+
+from roadsight.base.arrays import Floats, Ints
 
 
 def nearest_neighbours(
-    xyz_m: NDArray[np.float64], k: int, max_distance_m: float = np.inf
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    xyz_m: Floats, k: int, max_distance_m: float = np.inf
+) -> tuple[Floats, Ints]:
     """Distances and indices of the ``k`` nearest other points.
 
     A point with fewer than ``k`` others (within reach) has index -1 and infinite distance there.
@@ -38,9 +39,7 @@ def nearest_neighbours(
     return distance, np.where(np.isfinite(distance), index, -1)
 
 
-def upward_normals(
-    xyz_m: NDArray[np.float64], neighbours: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def upward_normals(xyz_m: Floats, neighbours: Ints) -> tuple[Floats, Floats]:
     """Unit normals that point up, and surface variation, by principal components.
 
     The covariance is formed around each neighbourhood's own centroid, so large coordinates lose
@@ -66,9 +65,7 @@ def upward_normals(
     return normals, variation
 
 
-def plane_residuals_m(
-    xyz_m: NDArray[np.float64], neighbours: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def plane_residuals_m(xyz_m: Floats, neighbours: Ints) -> Floats:
     """Root mean square distance of each neighbourhood from its own plane, metres; shape (n,).
 
     Parameters
@@ -81,7 +78,7 @@ def plane_residuals_m(
 
 
 @njit(cache=True)
-def _covariances(xyz_m: NDArray[np.float64], neighbours: NDArray[np.int64]) -> NDArray[np.float64]:
+def _covariances(xyz_m: Floats, neighbours: Ints) -> Floats:
     """Covariance (n, 3, 3) of each point and its neighbours, about their own centroid."""
     out = np.empty((len(xyz_m), 3, 3))
     group = np.empty((neighbours.shape[1] + 1, 3))

@@ -6,19 +6,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from rasterio import features
 from rasterio.transform import Affine
 from scipy import ndimage
 from shapely import MultiPolygon, Polygon
 from shapely.geometry import shape
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.normals import nearest_neighbours, plane_residuals_m
-
-_FLOATS = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -58,9 +56,7 @@ def pavement_settings_for(column_m: float, settings: PavementSettings) -> Paveme
     )
 
 
-def outline_pavement(
-    xyz_m: _FLOATS, smooth: NDArray[np.bool_], settings: PavementSettings
-) -> MultiPolygon:
+def outline_pavement(xyz_m: Floats, smooth: Bools, settings: PavementSettings) -> MultiPolygon:
     """Polygons of the connected smooth surfaces.
 
     Parameters
@@ -101,7 +97,7 @@ def outline_pavement(
     return outline
 
 
-def _check_roughness(outline: MultiPolygon, xyz_m: _FLOATS, roughest_m: float) -> None:
+def _check_roughness(outline: MultiPolygon, xyz_m: Floats, roughest_m: float) -> None:
     """k-means always finds a smoother half of the ground; a road is smooth on an absolute scale."""
     surface = xyz_m[inside(outline, xyz_m[:, 0], xyz_m[:, 1])]
     _, neighbours = nearest_neighbours(surface, _PLANE_NEIGHBOURS)
@@ -119,9 +115,7 @@ _PLANE_NEIGHBOURS = 8
 _HINT = "give the monitored area as a polygon (placement.tma) or raise pavement.voxel_size_m"
 
 
-def vote(
-    grid: Grid, x: _FLOATS, y: _FLOATS, smooth: NDArray[np.bool_], radius_m: float
-) -> NDArray[np.bool_]:
+def vote(grid: Grid, x: Floats, y: Floats, smooth: Bools, radius_m: float) -> Bools:
     """Class of each point after its neighbours' vote, which falls off as a Gaussian.
 
     Parameters
@@ -138,7 +132,7 @@ def vote(
     return (yes > 0.5 * total)[cell]
 
 
-def _trace(grid: Grid, xyz_m: _FLOATS, settings: PavementSettings) -> Polygon | MultiPolygon:
+def _trace(grid: Grid, xyz_m: Floats, settings: PavementSettings) -> Polygon | MultiPolygon:
     """Outline of one surface: raster, closing, small holes filled, staircase smoothed."""
     cell = settings.outline_cell_m
     reach = max(1, round(settings.closing_m / 2 / cell))
@@ -173,7 +167,7 @@ def _multi(geometry: shapely.Geometry) -> MultiPolygon:
     return MultiPolygon(sorted(parts, key=lambda part: -part.area))
 
 
-def inside(outline: MultiPolygon, x: _FLOATS, y: _FLOATS) -> NDArray[np.bool_]:
+def inside(outline: MultiPolygon, x: Floats, y: Floats) -> Bools:
     """Points (n,) inside the outline."""
     shapely.prepare(outline)
     return shapely.contains_xy(outline, x, y)

@@ -6,7 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+
+from roadsight.base.arrays import Bools, Floats
 
 _CLIP_MARGIN_M = 1.0
 
@@ -24,12 +26,12 @@ class PavedArea:
     def __init__(
         self,
         outline: shapely.Geometry,
-        height_at: Callable[[ArrayLike, ArrayLike], NDArray[np.float64]],
+        height_at: Callable[[ArrayLike, ArrayLike], Floats],
         reach_m: float = 0.3,
     ) -> None:
         self._outline, self._height_at, self._reach_m = outline, height_at, reach_m
 
-    def holds(self, x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> NDArray[np.bool_]:
+    def holds(self, x_m: ArrayLike, y_m: ArrayLike, z_m: ArrayLike) -> Bools:
         """Whether points (n,) lie on the pavement; a point on its outline does not."""
         x, y, z = (np.asarray(axis, np.float64) for axis in (x_m, y_m, z_m))
         on = np.zeros(len(x), bool)

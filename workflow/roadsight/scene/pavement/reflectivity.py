@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Floats
 
 ASPHALT = 0.17
 """Reflectance of weathered asphalt near 900 nm (ECOSTRESS library, Meerdink et al. 2019)."""
@@ -28,7 +28,7 @@ def voxel_means(xyz_m: NDArray[np.floating], intensity: NDArray[np.uint16]) -> p
     return table.assign(intensity=mean).astype(np.float32)
 
 
-def reflectivity_of(intensity: NDArray[np.floating], on_pavement: NDArray[np.floating]) -> _FLOATS:
+def reflectivity_of(intensity: NDArray[np.floating], on_pavement: NDArray[np.floating]) -> Floats:
     """Reflectivity (n,) of places from their intensities, 0 to 1.
 
     Intensities are taken as proportional to reflectivity, with the pavement's median as that of

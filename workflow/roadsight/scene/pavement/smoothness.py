@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
+from roadsight.base.arrays import Bools, Floats, Floats32, Ints
 from roadsight.base.errors import InputError
 
-_FLOATS = NDArray[np.float64]
 _ALIKE = 1e-3  # percent; histograms that differ by less differ by rounding
 
 
@@ -26,24 +25,24 @@ class SmoothnessModel:
     centres : (2, 34) class centres in normalised space. smooth : number of the smooth class.
     """
 
-    mean: _FLOATS
+    mean: Floats
     scale: float
     intensity_mean: float
     intensity_scale: float
-    centres: _FLOATS
+    centres: Floats
     smooth: int
 
 
-def local_intensity(intensity: _FLOATS, neighbours: NDArray[np.int64]) -> _FLOATS:
+def local_intensity(intensity: Floats, neighbours: Ints) -> Floats:
     """Median intensity of each point and its neighbours (n, k), -1 where missing."""
     group = np.concatenate([np.arange(len(intensity))[:, None], neighbours], axis=1)
     return np.nanmedian(np.where(group >= 0, intensity[group], np.nan), axis=1)
 
 
 def fit_smoothness(
-    histograms: NDArray[np.float32],
-    variation: _FLOATS,
-    intensity: _FLOATS | None,
+    histograms: Floats32,
+    variation: Floats,
+    intensity: Floats | None,
     intensity_weight: float,
     seed: int,
 ) -> SmoothnessModel:
@@ -85,7 +84,7 @@ def fit_smoothness(
     return replace(model, centres=means.cluster_centers_, smooth=int(rank.argmin()))
 
 
-def _tone_range(tones: _FLOATS, weight: float) -> tuple[float, float]:
+def _tone_range(tones: Floats, weight: float) -> tuple[float, float]:
     """Mean and scale of intensity between its 1st and 99th percentile; infinite if constant."""
     clipped = np.clip(tones, *np.percentile(tones, [1, 99]))
     scale = float(clipped.std()) / weight if np.ptp(clipped) > 0 else np.inf
@@ -94,17 +93,17 @@ def _tone_range(tones: _FLOATS, weight: float) -> tuple[float, float]:
 
 def is_smooth(
     model: SmoothnessModel,
-    histograms: NDArray[np.float32],
-    variation: _FLOATS,
-    intensity: _FLOATS,
-) -> NDArray[np.bool_]:
+    histograms: Floats32,
+    variation: Floats,
+    intensity: Floats,
+) -> Bools:
     """Smooth points (n,); a point without a normal is never smooth."""
     space = _normalise(model, histograms.astype(np.float64), intensity)
     distance = ((space[:, None, :] - model.centres[None]) ** 2).sum(axis=2)
     return (distance.argmin(axis=1) == model.smooth) & np.isfinite(variation)
 
 
-def _normalise(model: SmoothnessModel, histograms: _FLOATS, intensity: _FLOATS) -> _FLOATS:
+def _normalise(model: SmoothnessModel, histograms: Floats, intensity: Floats) -> Floats:
     limit = 3.0 * model.intensity_scale
     tone = np.clip(intensity - model.intensity_mean, -limit, limit) / model.intensity_scale
     return np.column_stack([(histograms - model.mean) / model.scale, np.nan_to_num(tone)])

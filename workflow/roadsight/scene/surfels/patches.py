@@ -13,8 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
+from roadsight.base.arrays import Bools, Floats, Ints
 
 
 class Patches(NamedTuple):
@@ -28,14 +27,14 @@ class Patches(NamedTuple):
     slope : (n, 2) its change along u and v.
     """
 
-    axis: _INTS
-    cell: _INTS
-    height_m: _FLOATS
-    slope: _FLOATS
+    axis: Ints
+    cell: Ints
+    height_m: Floats
+    slope: Floats
 
 
 def patches_of_planes(
-    cells: _INTS, normal: NDArray[np.floating], offset: NDArray[np.floating], size_m: float
+    cells: Ints, normal: NDArray[np.floating], offset: NDArray[np.floating], size_m: float
 ) -> Patches:
     """Patches of planes through voxels.
 
@@ -54,7 +53,7 @@ def patches_of_planes(
     return Patches(axis, np.stack([cells[rows, u], cells[rows, v]], axis=1), height_m, slope)
 
 
-def centres_and_normals(patches: Patches, size_m: float) -> tuple[_FLOATS, _FLOATS]:
+def centres_and_normals(patches: Patches, size_m: float) -> tuple[Floats, Floats]:
     """Centre (n, 3), local metres, and unit normal (n, 3) of each patch."""
     n = len(patches.axis)
     rows, axes = np.arange(n), (patches.axis, (patches.axis + 1) % 3, (patches.axis + 2) % 3)
@@ -111,8 +110,8 @@ def merge_coplanar(patches: Patches, size_m: float, tolerance_m: float) -> tuple
 
 @njit(cache=True)
 def _merge(
-    patches: Patches, height_m: _FLOATS, starts: _INTS, size_m: float, tolerance_m: float
-) -> tuple[Patches, NDArray[np.bool_]]:
+    patches: Patches, height_m: Floats, starts: Ints, size_m: float, tolerance_m: float
+) -> tuple[Patches, Bools]:
     """Merge groups between consecutive ``starts``; heights are those at the parents' centres."""
     groups = len(starts) - 1
     axis, cell = np.empty(groups, np.int64), np.empty((groups, 2), np.int64)
@@ -135,7 +134,7 @@ def _merge(
 
 
 @njit(cache=True)
-def _covers_parent(cell: _INTS, begin: int, end: int) -> bool:
+def _covers_parent(cell: Ints, begin: int, end: int) -> bool:
     """Whether all four cells of the parent are present."""
     present = 0
     for i in range(begin, end):
@@ -145,7 +144,7 @@ def _covers_parent(cell: _INTS, begin: int, end: int) -> bool:
 
 @njit(cache=True)
 def _mean_plane(
-    slope: _FLOATS, height_m: _FLOATS, begin: int, end: int
+    slope: Floats, height_m: Floats, begin: int, end: int
 ) -> tuple[float, float, float]:
     height, along_u, along_v = 0.0, 0.0, 0.0
     for i in range(begin, end):
@@ -159,7 +158,7 @@ def _mean_plane(
 @njit(cache=True)
 def _agree(
     patches: Patches,
-    height_m: _FLOATS,
+    height_m: Floats,
     begin: int,
     end: int,
     mean: tuple[float, float, float],

@@ -6,13 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.scene.surfels.voxel_moments import X_STEP, Y_STEP, Z_STEP, VoxelMoments, add_shifted
 
-_FLOATS = NDArray[np.float32]
-_DOUBLES = NDArray[np.float64]
-_INTS = NDArray[np.int64]
 _BLOCK_POINTS = 5
 
 
@@ -31,17 +28,17 @@ class Planes(NamedTuple):
     own : (n,) points of the voxel itself.
     """
 
-    normal: _FLOATS
-    offset: _FLOATS
-    spread: _FLOATS
-    variance: _FLOATS
-    centroid: _FLOATS
-    axis: _FLOATS
-    points: _FLOATS
-    own: _FLOATS
+    normal: Floats32
+    offset: Floats32
+    spread: Floats32
+    variance: Floats32
+    centroid: Floats32
+    axis: Floats32
+    points: Floats32
+    own: Floats32
 
 
-def fit_planes(keys: _INTS, voxels: VoxelMoments, min_points: int, flat_variance: float) -> Planes:
+def fit_planes(keys: Ints, voxels: VoxelMoments, min_points: int, flat_variance: float) -> Planes:
     """Least-squares planes through the 3 x 3 x 3 voxels around each key.
 
     Where the neighbourhood is not flat (an edge, a corner, a thin object) the plane is that of the
@@ -58,7 +55,7 @@ def fit_planes(keys: _INTS, voxels: VoxelMoments, min_points: int, flat_variance
     return planes
 
 
-def open_neighbours(keys: _INTS, planes: Planes, voxels: VoxelMoments) -> _INTS:
+def open_neighbours(keys: Ints, planes: Planes, voxels: VoxelMoments) -> Ints:
     """Empty voxels beside the given ones in which their planes continue; increasing keys."""
     found = _continue_planes(keys, planes.normal, planes.offset, voxels.keys)
     return np.unique(found)
@@ -72,7 +69,7 @@ def _empty(n: int) -> Planes:
 
 
 @njit(cache=True)
-def _find_block(key: int, occupied: _INTS, pointers: _INTS, block: _INTS) -> None:
+def _find_block(key: int, occupied: Ints, pointers: Ints, block: Ints) -> None:
     """Rows of the 27 voxels around a key, -1 where empty.
 
     Keys come in increasing order, so each of the nine columns only ever moves its pointer on.
@@ -91,13 +88,13 @@ def _find_block(key: int, occupied: _INTS, pointers: _INTS, block: _INTS) -> Non
 
 @njit(cache=True)
 def _sum_block(
-    block: _INTS,
-    moments: _FLOATS,
+    block: Ints,
+    moments: Floats32,
     x_from: int,
     y_from: int,
     z_from: int,
     width: int,
-    total: _DOUBLES,
+    total: Floats,
 ) -> None:
     """Moments of a cube of ``width`` voxels of the block about the block's centre."""
     total[:] = 0
@@ -110,7 +107,7 @@ def _sum_block(
 
 
 @njit(cache=True)
-def _covariance(total: _DOUBLES, covariance: _DOUBLES) -> tuple[float, float, float]:
+def _covariance(total: Floats, covariance: Floats) -> tuple[float, float, float]:
     """Centroid; fills the covariance matrix."""
     count = total[0]
     x, y, z = total[1] / count, total[2] / count, total[3] / count
@@ -124,7 +121,7 @@ def _covariance(total: _DOUBLES, covariance: _DOUBLES) -> tuple[float, float, fl
 
 
 @njit(cache=True)
-def _eigenvalues(a: _DOUBLES) -> tuple[float, float, float]:
+def _eigenvalues(a: Floats) -> tuple[float, float, float]:
     """Eigenvalues of a covariance matrix, increasing (trigonometric solution)."""
     mean = (a[0, 0] + a[1, 1] + a[2, 2]) / 3
     off = a[0, 1] ** 2 + a[0, 2] ** 2 + a[1, 2] ** 2
@@ -144,7 +141,7 @@ def _eigenvalues(a: _DOUBLES) -> tuple[float, float, float]:
 
 
 @njit(cache=True)
-def _eigenvector(a: _DOUBLES, value: float, vector: _DOUBLES) -> None:
+def _eigenvector(a: Floats, value: float, vector: Floats) -> None:
     """Unit eigenvector: the longest cross product of two rows of a - value * identity.
 
     A matrix with a repeated eigenvalue has no single answer: z is taken where nothing is left.
@@ -168,7 +165,7 @@ def _eigenvector(a: _DOUBLES, value: float, vector: _DOUBLES) -> None:
 
 @njit(cache=True)
 def _flattest_corner(
-    block: _INTS, moments: _FLOATS, total: _DOUBLES, covariance: _DOUBLES, low: float
+    block: Ints, moments: Floats32, total: Floats, covariance: Floats, low: float
 ) -> None:
     """Moments of the 2 x 2 x 2 corner with the least variance across its plane into ``total``."""
     best = -1
@@ -187,9 +184,9 @@ def _flattest_corner(
 
 @njit(cache=True)
 def _fit(
-    keys: _INTS,
-    occupied: _INTS,
-    moments: _FLOATS,
+    keys: Ints,
+    occupied: Ints,
+    moments: Floats32,
     min_points: int,
     flat_variance: float,
     planes: Planes,
@@ -220,7 +217,7 @@ def _fit(
 
 
 @njit(cache=True)
-def _continue_planes(keys: _INTS, normal: _FLOATS, offset: _FLOATS, occupied: _INTS) -> _INTS:
+def _continue_planes(keys: Ints, normal: Floats32, offset: Floats32, occupied: Ints) -> Ints:
     block, pointers = np.empty((9, 3), np.int64), np.zeros(9, np.int64)
     found = np.empty(8 * len(keys), np.int64)
     step = np.empty(3, np.int64)

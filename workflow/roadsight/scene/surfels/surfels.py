@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats32, Ints
 from roadsight.scene.surfels.patches import (
     Patches,
     centres_and_normals,
@@ -21,9 +22,6 @@ from roadsight.scene.surfels.patches import (
 )
 from roadsight.scene.surfels.plane_fit import Planes, fit_planes, open_neighbours
 from roadsight.scene.surfels.voxel_moments import VoxelMoments, coarsen, pack_cells, unpack_keys
-
-_FLOATS = NDArray[np.float32]
-_INTS = NDArray[np.int64]
 
 _COARSEST_M = 0.8  # sparse parts get voxels up to this edge, or two doublings
 _MERGE_DOUBLINGS = 5  # flat parts get patches up to 2**5 times as large
@@ -48,9 +46,9 @@ class Surfels:
     centre_m : (n, 3) local metres. normal : (n, 3) unit, sign arbitrary. half_m : (n,).
     """
 
-    centre_m: _FLOATS
-    normal: _FLOATS
-    half_m: _FLOATS
+    centre_m: Floats32
+    normal: Floats32
+    half_m: Floats32
 
     def __len__(self) -> int:
         return len(self.half_m)
@@ -77,7 +75,7 @@ def build_surfels(voxels: VoxelMoments) -> Surfels:
     return _concatenate(parts)
 
 
-def _fit_patches(voxels: VoxelMoments) -> tuple[list[Patches], _INTS]:
+def _fit_patches(voxels: VoxelMoments) -> tuple[list[Patches], Ints]:
     """Patches of each size, finest first, and keys of the finest voxels that carry none."""
     finest, cells = voxels.keys, unpack_keys(voxels.keys)
     points = cells + 0.5 + voxels.moments[:, 1:4] / voxels.moments[:, :1]
@@ -104,7 +102,7 @@ def _fit_patches(voxels: VoxelMoments) -> tuple[list[Patches], _INTS]:
     return by_size, np.sort(np.concatenate(thin))
 
 
-def _is_wide(keys: _INTS, coarser: VoxelMoments, flat: float) -> NDArray[np.bool_]:
+def _is_wide(keys: Ints, coarser: VoxelMoments, flat: float) -> Bools:
     """Whether the surface goes on over voxels of twice the edge.
 
     Sparse ground does; parallel wires, and stray points beside an object, span no wide plane.
@@ -114,23 +112,19 @@ def _is_wide(keys: _INTS, coarser: VoxelMoments, flat: float) -> NDArray[np.bool
     return ((planes.spread <= flat) & (planes.variance[:, 1] > _WIDE))[member]
 
 
-def _patches(keys: _INTS, planes: Planes, chosen: NDArray[np.bool_], size_m: float) -> Patches:
+def _patches(keys: Ints, planes: Planes, chosen: Bools, size_m: float) -> Patches:
     cells = unpack_keys(keys[chosen])
     return patches_of_planes(cells, planes.normal[chosen], planes.offset[chosen], size_m)
 
 
-def _near_plane(
-    points: NDArray[np.floating], keys: _INTS, planes: Planes, rows: _INTS
-) -> NDArray[np.bool_]:
+def _near_plane(points: NDArray[np.floating], keys: Ints, planes: Planes, rows: Ints) -> Bools:
     """Whether points, in voxel edges, lie on the planes (by row) of the voxels ``keys``."""
     offset = (points - unpack_keys(keys) - 0.5) * planes.normal[rows]
     distance = np.abs(offset.sum(axis=1) - planes.offset[rows])
     return distance <= 2.5 * np.sqrt(planes.spread[rows]) + _NEAR
 
 
-def _holes(
-    keys: _INTS, planes: Planes, good: NDArray[np.bool_], voxels: VoxelMoments, flat: float
-) -> Patches:
+def _holes(keys: Ints, planes: Planes, good: Bools, voxels: VoxelMoments, flat: float) -> Patches:
     """Patches in empty voxels whose neighbours surround them in one plane."""
     flat_around = good & (planes.variance[:, 0] <= flat)
     found = open_neighbours(
@@ -148,7 +142,7 @@ def _holes(
     return _patches(found, around, hole, voxels.edge_m)
 
 
-def _thin_surfels(keys: _INTS, voxels: VoxelMoments) -> Surfels:
+def _thin_surfels(keys: Ints, voxels: VoxelMoments) -> Surfels:
     """Crossed squares along lines, and around lone points."""
     planes = fit_planes(keys, voxels, 1, np.inf)
     linear = (planes.variance[:, 1] <= _FLAT) & (planes.variance[:, 2] > _FLAT)

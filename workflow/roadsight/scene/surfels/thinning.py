@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.scene.grids import Grid
 
 
-def column_means(
-    xyz_m: NDArray[np.float64], values: NDArray[np.float64], size_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+def column_means(xyz_m: Floats, values: Floats, size_m: float) -> tuple[Floats, Floats, Ints]:
     """Centroid and mean values of each occupied grid column, row by row from the south-west.
 
     Ground is single-valued in plan, so it is thinned by columns and not by cubes: a sloping road

@@ -14,10 +14,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats32, Ints
 from roadsight.base.errors import InputError
 
-_INTS = NDArray[np.int64]
-_MOMENTS = NDArray[np.float32]
 _BITS = 21
 _HALF = 1 << (_BITS - 1)
 _MASK = (1 << _BITS) - 1
@@ -37,17 +36,17 @@ class VoxelMoments:
     """
 
     edge_m: float
-    keys: _INTS
-    moments: _MOMENTS
+    keys: Ints
+    moments: Floats32
 
 
-def pack_cells(cells: _INTS) -> _INTS:
+def pack_cells(cells: Ints) -> Ints:
     """Voxel indices (n, 3), each within +-2**20, as keys (n,) that sort by x, y, z."""
     x, y, z = (np.asarray(cells, np.int64) + _HALF).T
     return (x << (2 * _BITS)) | (y << _BITS) | z
 
 
-def unpack_keys(keys: _INTS) -> _INTS:
+def unpack_keys(keys: Ints) -> Ints:
     """Voxel indices (n, 3) of keys (n,)."""
     parts = (keys >> (2 * _BITS), (keys >> _BITS) & _MASK, keys & _MASK)
     return np.stack(parts, axis=1) - _HALF
@@ -92,7 +91,7 @@ def coarsen(voxels: VoxelMoments) -> VoxelMoments:
     return _grouped(2 * voxels.edge_m, pack_cells(cells >> 1), moments)
 
 
-def _grouped(edge_m: float, keys: _INTS, moments: _MOMENTS) -> VoxelMoments:
+def _grouped(edge_m: float, keys: Ints, moments: Floats32) -> VoxelMoments:
     """Add up rows of equal keys."""
     if len(keys) == 0:
         return VoxelMoments(edge_m, keys, moments)
@@ -103,7 +102,7 @@ def _grouped(edge_m: float, keys: _INTS, moments: _MOMENTS) -> VoxelMoments:
 
 
 @njit(cache=True)
-def _point_keys(xyz_m: NDArray[np.floating], edge_m: float) -> _INTS:
+def _point_keys(xyz_m: NDArray[np.floating], edge_m: float) -> Ints:
     keys = np.empty(len(xyz_m), np.int64)
     for i in range(len(xyz_m)):
         x = int(np.floor(xyz_m[i, 0] / edge_m)) + _HALF
@@ -115,8 +114,8 @@ def _point_keys(xyz_m: NDArray[np.floating], edge_m: float) -> _INTS:
 
 @njit(cache=True)
 def _point_moments(
-    xyz_m: NDArray[np.floating], edge_m: float, order: _INTS, ordered: _INTS, voxels: int
-) -> _MOMENTS:
+    xyz_m: NDArray[np.floating], edge_m: float, order: Ints, ordered: Ints, voxels: int
+) -> Floats32:
     moments = np.zeros((voxels, 10), np.float32)
     row = -1
     for n in range(len(order)):
@@ -157,7 +156,7 @@ def add_shifted(total: NDArray, moments: NDArray, dx: float, dy: float, dz: floa
 
 
 @njit(cache=True)
-def _shifted(moments: _MOMENTS, shift: NDArray[np.floating]) -> _MOMENTS:
+def _shifted(moments: Floats32, shift: NDArray[np.floating]) -> Floats32:
     moved = np.zeros_like(moments)
     for i in range(len(moments)):
         add_shifted(moved[i], moments[i], shift[i, 0], shift[i, 1], shift[i, 2])

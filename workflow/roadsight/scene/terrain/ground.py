@@ -12,12 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.scene.grids import Grid, fill_gaps, lowest_per_cell, sample_bilinear
-
-_FLOATS = NDArray[np.float64]
 
 # A window that grows by one cell to each side takes at most this many cells of height off a bank of
 # 1 : 1.5; what loses more has walls, however wide it is.
@@ -55,7 +53,7 @@ def ground_settings_for(spacing_m: float, settings: GroundSettings) -> GroundSet
     )
 
 
-def coarse_ground(lowest_m: _FLOATS, settings: GroundSettings) -> tuple[_FLOATS, _FLOATS]:
+def coarse_ground(lowest_m: Floats, settings: GroundSettings) -> tuple[Floats, Floats]:
     """Coarse ground surface and its slope from the lowest height of each cell.
 
     Parameters
@@ -80,7 +78,7 @@ def coarse_ground(lowest_m: _FLOATS, settings: GroundSettings) -> tuple[_FLOATS,
     return surface, np.sqrt(sum((step**2 for step in steps), np.zeros_like(surface)))
 
 
-def _without_low_outliers(lowest_m: _FLOATS, cell_m: float) -> _FLOATS:
+def _without_low_outliers(lowest_m: Floats, cell_m: float) -> Floats:
     """NaN where a cell lies far below everything around it (multipath below the road)."""
     filled = fill_gaps(lowest_m)
     around = ndimage.median_filter(filled, size=5, mode="nearest")
@@ -88,8 +86,8 @@ def _without_low_outliers(lowest_m: _FLOATS, cell_m: float) -> _FLOATS:
 
 
 def pillar_ground_m(
-    x: _FLOATS, y: _FLOATS, z: _FLOATS, coarse_m: _FLOATS, slope: _FLOATS, settings: GroundSettings
-) -> _FLOATS:
+    x: Floats, y: Floats, z: Floats, coarse_m: Floats, slope: Floats, settings: GroundSettings
+) -> Floats:
     """Ground height of each point's pillar, from the points near the coarse surface.
 
     A pillar's ground is its lowest point within the tolerance of the coarse surface. It must also
@@ -120,8 +118,8 @@ def pillar_ground_m(
 
 
 def ground_mask(
-    x: _FLOATS, y: _FLOATS, z: _FLOATS, coarse_m: _FLOATS, slope: _FLOATS, settings: GroundSettings
-) -> NDArray[np.bool_]:
+    x: Floats, y: Floats, z: Floats, coarse_m: Floats, slope: Floats, settings: GroundSettings
+) -> Bools:
     """Which points lie on the ground: within the height threshold of their pillar's ground.
 
     Multipath points that lie below their pillar's ground by more than the threshold are not ground.
@@ -132,7 +130,7 @@ def ground_mask(
 
 
 def coarse_at(
-    grid: Grid, surface_m: _FLOATS, slope: _FLOATS, x: _FLOATS, y: _FLOATS
-) -> tuple[_FLOATS, _FLOATS]:
+    grid: Grid, surface_m: Floats, slope: Floats, x: Floats, y: Floats
+) -> tuple[Floats, Floats]:
     """Coarse surface and slope at points, bilinear between cell centres."""
     return sample_bilinear(grid, surface_m, x, y), sample_bilinear(grid, slope, x, y)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Bools
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.scene.terrain.sight_lines import TOLERANCE_M
 from roadsight.scene.terrain.tin import Terrain
 
-_FLOATS = NDArray[np.float64]
 _LAST_SHARE = 0.9999
 
 
@@ -34,7 +34,7 @@ class TerrainSight:
 
     def visible(
         self, camera_m: ArrayLike, points_m: ArrayLike, tolerance_m: float = TOLERANCE_M
-    ) -> NDArray[np.bool_]:
+    ) -> Bools:
         """Whether the straight way from a camera to points is free of terrain.
 
         The rays end ``tolerance_m`` above the points and a hair before: at a grazing angle a point
@@ -65,7 +65,7 @@ def visible(
     camera_m: ArrayLike,
     points_m: ArrayLike,
     tolerance_m: float = TOLERANCE_M,
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Whether points (n, 3) are seen from a camera (3,); see `TerrainSight.visible`.
 
     Give a `TerrainSight` where many cameras look at one terrain.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Floats, Ints
 
 _BLOCK_M = 8.0
 _LEAST_CELLS = 24
@@ -14,7 +14,7 @@ _ROUGHEST_M = 0.15
 
 def slopes_deg(
     x_m: NDArray[np.floating], y_m: NDArray[np.floating], z_m: NDArray[np.floating]
-) -> _FLOATS:
+) -> Floats:
     """Slope (k,) of the plane through each block of 8 m of smooth ground, degrees.
 
     A block counts where 24 of its cells are known and they lie within 0.15 m of their plane, root
@@ -30,7 +30,7 @@ def slopes_deg(
     _, of, count = np.unique(block, axis=0, return_inverse=True, return_counts=True)
     of = of.reshape(-1)
 
-    def mean(values: NDArray[np.floating]) -> _FLOATS:
+    def mean(values: NDArray[np.floating]) -> Floats:
         return np.bincount(of, values) / count
 
     dx, dy, dz = (axis - mean(axis)[of] for axis in (x_m, y_m, z_m))
@@ -44,9 +44,7 @@ def slopes_deg(
     return np.degrees(np.arctan(np.hypot(east, north)[smooth]))
 
 
-def cover_core(
-    column: NDArray[np.int64], row: NDArray[np.int64], covered: NDArray[np.bool_]
-) -> int:
+def cover_core(column: Ints, row: Ints, covered: Bools) -> int:
     """Number of covered cells whose eight neighbours are covered too: no wire and no gantry.
 
     Parameters

@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.geometry.cameras import wrap_deg
 
-_FLOATS = NDArray[np.float64]
-Height = Callable[[_FLOATS, _FLOATS], _FLOATS]
+Height = Callable[[Floats, Floats], Floats]
 """Function of x and y (n,), local metres, that gives heights (n,), NaN where unknown."""
 
 TOLERANCE_M = 0.15
@@ -24,7 +24,7 @@ _STEP_M = 2.0
 _POINTS = 120
 
 
-def hidden_by_heights(height: Height, eye_m: ArrayLike, points_m: ArrayLike) -> NDArray[np.bool_]:
+def hidden_by_heights(height: Height, eye_m: ArrayLike, points_m: ArrayLike) -> Bools:
     """Whether the ground rises above the straight way from an eye to points.
 
     Parameters

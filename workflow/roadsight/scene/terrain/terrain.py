@@ -5,15 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 from rasterio.fill import fillnodata
 
+from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.scene.grids import Grid, lowest_per_cell
 from roadsight.scene.terrain.ground import GroundSettings, coarse_at, coarse_ground, ground_mask
 
-_FLOATS = NDArray[np.float64]
 Bounds = tuple[float, float, float, float]
-Tiles = Callable[[float], Iterator[tuple[Bounds, _FLOATS]]]
+Tiles = Callable[[float], Iterator[tuple[Bounds, Floats]]]
 """Function of a halo in metres that yields (core bounds, (n, 3) points of core and halo)."""
 
 _HALO_PILLARS = 8
@@ -21,7 +20,7 @@ _HALO_PILLARS = 8
 
 def label_ground(
     tiles: Tiles, bounds_m: Bounds, settings: GroundSettings
-) -> Iterator[tuple[_FLOATS, NDArray[np.bool_]]]:
+) -> Iterator[tuple[Floats, Bools]]:
     """Ground labels of each tile.
 
     Parameters
@@ -58,13 +57,13 @@ class TerrainModel:
         self._total = np.zeros(self.grid.rows * self.grid.columns)
         self._count = np.zeros(len(self._total), np.int64)
 
-    def add(self, ground_m: _FLOATS) -> None:
+    def add(self, ground_m: Floats) -> None:
         """Add ground points (n, 3)."""
         cell = self.grid.flat(ground_m[:, 0], ground_m[:, 1])
         self._total += np.bincount(cell, ground_m[:, 2], minlength=len(self._total))
         self._count += np.bincount(cell, minlength=len(self._total))
 
-    def heights_m(self, fill_m: float) -> NDArray[np.float32]:
+    def heights_m(self, fill_m: float) -> Floats32:
         """Heights (rows, columns), south row first; NaN further than ``fill_m`` from ground.
 
         Gaps take the inverse-distance mean of the ground around them.

@@ -11,10 +11,9 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import Delaunay, QhullError
 
+from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
 _UNITS_PER_M = 10_000
 
 
@@ -27,8 +26,8 @@ class Terrain:
     vertices : (n, 3) float64 local metres. triangles : (m, 3) int32 rows of ``vertices``.
     """
 
-    vertices: _FLOATS
-    triangles: NDArray[np.int32]
+    vertices: Floats
+    triangles: Ints32
 
 
 @dataclass(frozen=True)
@@ -41,11 +40,11 @@ class CellSums:
     sums : (n, 4) sums of x, y, z and number of points.
     """
 
-    cell: _INTS
-    sums: _INTS
+    cell: Ints
+    sums: Ints
 
 
-def sum_cells(xyz_m: NDArray[np.floating], is_road: NDArray[np.bool_], cell_m: float) -> CellSums:
+def sum_cells(xyz_m: NDArray[np.floating], is_road: Bools, cell_m: float) -> CellSums:
     """Sum up points (n, 3), local metres, in square cells on multiples of ``cell_m``."""
     column, row = np.floor(np.asarray(xyz_m[:, :2], np.float64) / cell_m).astype(np.int64).T
     key = (((row << 30) + column) << 1) + is_road
@@ -60,7 +59,7 @@ def add_cells(parts: Sequence[CellSums]) -> CellSums:
     )
 
 
-def cell_means(cells: CellSums) -> _FLOATS:
+def cell_means(cells: CellSums) -> Floats:
     """Mean point (n, 3) of each cell, local metres: of its road points where it has any.
 
     A bridge deck is the surface that hides and carries, whatever ground lies below.
@@ -70,7 +69,7 @@ def cell_means(cells: CellSums) -> _FLOATS:
     return cells.sums[last, :3] / cells.sums[last, 3:] / _UNITS_PER_M
 
 
-def triangulate(points_m: _FLOATS, longest_m: float) -> Terrain:
+def triangulate(points_m: Floats, longest_m: float) -> Terrain:
     """Delaunay triangles of points in plan, without long ones at the outside of the hull.
 
     Coordinates are taken from the middle of the points: at the size of map coordinates the
@@ -105,7 +104,7 @@ def triangulate(points_m: _FLOATS, longest_m: float) -> Terrain:
     return Terrain(points_m[used], _ordered(number[triangles], plan[used]))
 
 
-def _summed(key: _INTS, sums: _INTS) -> CellSums:
+def _summed(key: Ints, sums: Ints) -> CellSums:
     order = np.argsort(key, kind="stable")
     key = key[order]
     first = np.flatnonzero(np.append(True, np.diff(key) != 0)[: len(key)])
@@ -114,7 +113,7 @@ def _summed(key: _INTS, sums: _INTS) -> CellSums:
     return CellSums(key[first], np.add.reduceat(sums[order], first, axis=0))
 
 
-def _outside(mesh: Delaunay, plan: _FLOATS, longest_m: float) -> NDArray[np.bool_]:
+def _outside(mesh: Delaunay, plan: Floats, longest_m: float) -> Bools:
     """Long triangles that other long triangles join to the hull."""
     corners = plan[mesh.simplices]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
@@ -129,7 +128,7 @@ def _outside(mesh: Delaunay, plan: _FLOATS, longest_m: float) -> NDArray[np.bool
     return long & np.isin(label, label[at_hull])
 
 
-def _ordered(triangles: NDArray[np.int32], plan: _FLOATS) -> NDArray[np.int32]:
+def _ordered(triangles: Ints32, plan: Floats) -> Ints32:
     """Triangles counter-clockwise from their least vertex, in rising order."""
     a, b, c = (plan[triangles[:, k]] for k in range(3))
     turn = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-_INTS = NDArray[np.int64]
+from roadsight.base.arrays import Bytes, Ints, Ints32
+
 _KIND, _NEXT, _POINTS, _HEIGHTS = range(4)
 
 
 @njit(cache=True, nogil=True)
-def chained(
-    place: _INTS, key: _INTS, columns: int, steps: int
-) -> tuple[NDArray[np.int32], _INTS, int]:
+def chained(place: Ints, key: Ints, columns: int, steps: int) -> tuple[Ints32, Ints, int]:
     """Runs of points, chained by column.
 
     Parameters
@@ -56,8 +54,8 @@ def chained(
 
 @njit(cache=True, nogil=True)
 def by_column(
-    first: NDArray[np.int32], runs: _INTS, used: int, shape: _INTS, box: _INTS
-) -> tuple[_INTS, NDArray[np.uint8], _INTS, _INTS]:
+    first: Ints32, runs: Ints, used: int, shape: Ints, box: Ints
+) -> tuple[Ints, Bytes, Ints, Ints]:
     """Voxel, class, points and heights of chained runs, by rising voxel and class.
 
     Parameters

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Ints
 from roadsight.scene.voxels.voxel_classes import (
     CLASS_BITS,
     ClassRuns,
@@ -30,8 +30,8 @@ class Settled:
     columns : by row; where the parts of an area are joined, in any order within it.
     """
 
-    voxel: NDArray[np.int64]
-    cls: NDArray[np.uint8]
+    voxel: Ints
+    cls: Bytes
     columns: Columns
 
     def split(self, grid: VoxelGrid, row: int) -> tuple[Settled, Settled]:

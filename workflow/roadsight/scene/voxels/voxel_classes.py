@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.scene.voxels.column_runs import by_column, chained
 from roadsight.scene.voxels.voxel_kernels import indices_of, point_keys, runs_of, tops, winners
 
-_INTS = NDArray[np.int64]
-_MASK = NDArray[np.bool_]
 CLASS_BITS = _HEIGHT_BITS = 8
 _KEY_BITS = 63 - CLASS_BITS - _HEIGHT_BITS
 _NUDGE_M = 2.5e-4
@@ -74,11 +73,11 @@ class VoxelGrid:
         return cls(cell_size_m, (x, y, z), (ix, iy, iz), (columns, rows, layers))
 
     @property
-    def corner_m(self) -> NDArray[np.float64]:
+    def corner_m(self) -> Floats:
         """Lower corner of the window (3,), local metres."""
         return np.asarray(self.anchor_m) + np.asarray(self.low) * self.cell_size_m
 
-    def indices(self, voxel: _INTS) -> NDArray[np.int32]:
+    def indices(self, voxel: Ints) -> Ints32:
         """Indices ix, iy, iz (n, 3) of voxel numbers (n,)."""
         return indices_of(voxel, np.array(self.shape), np.array(self.low)).T
 
@@ -89,7 +88,7 @@ class VoxelGrid:
     def _reached(self, axis: int, at_m: float) -> int:
         return int(np.floor((at_m - self.corner_m[axis] + _NUDGE_M) / self.cell_size_m))
 
-    def within(self, voxel: _INTS, west_m: float, south_m: float, size_m: float) -> _MASK:
+    def within(self, voxel: Ints, west_m: float, south_m: float, size_m: float) -> Bools:
         """Which voxels (n,) no point outside a half open square of the plan can fall into."""
         row, column = np.divmod(voxel // self.shape[2], self.shape[0])
         inside = np.ones(len(voxel), bool)
@@ -113,10 +112,10 @@ class ClassRuns:
     points : (n,) how many. heights : (n,) sum of their heights above the voxel's floor in 256ths.
     """
 
-    voxel: _INTS
-    cls: NDArray[np.uint8]
-    points: _INTS
-    heights: _INTS
+    voxel: Ints
+    cls: Bytes
+    points: Ints
+    heights: Ints
 
     def split(self, voxel: int) -> tuple[ClassRuns, ClassRuns]:
         """Runs below a voxel number, and the rest."""
@@ -124,7 +123,7 @@ class ClassRuns:
         south, north = slice(None, cut), slice(cut, None)
         return self.part(south), self.part(north)
 
-    def part(self, rows: slice | _MASK) -> ClassRuns:
+    def part(self, rows: slice | Bools) -> ClassRuns:
         """Some of the runs."""
         return ClassRuns(self.voxel[rows], self.cls[rows], self.points[rows], self.heights[rows])
 
@@ -140,11 +139,11 @@ class Voxels:
     points : (n,) all points. heights : (n,) sum of the own points' heights as in `ClassRuns`.
     """
 
-    voxel: _INTS
-    cls: NDArray[np.uint8]
-    own: _INTS
-    points: _INTS
-    heights: _INTS
+    voxel: Ints
+    cls: Bytes
+    own: Ints
+    points: Ints
+    heights: Ints
 
 
 @dataclass(frozen=True)
@@ -159,16 +158,14 @@ class Columns:
     road_share : (n,) share of road and bridge among the points at that surface, 0 without road.
     """
 
-    row: NDArray[np.int32]
-    column: NDArray[np.int32]
-    cls: NDArray[np.uint8]
-    height_m: NDArray[np.float64]
-    road_share: NDArray[np.float64]
+    row: Ints32
+    column: Ints32
+    cls: Bytes
+    height_m: Floats
+    road_share: Floats
 
 
-def count_classes(
-    grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]], cls: NDArray[np.uint8]
-) -> ClassRuns:
+def count_classes(grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]], cls: Bytes) -> ClassRuns:
     """Runs of points given as x, y, z, each (n,), local metres, and classes (n,)."""
     shape, box = np.array(grid.shape, np.int64), _columns_around(grid, xyz_m)
     columns = int(box[2] * box[3])
@@ -185,15 +182,15 @@ def count_classes(
 
 
 def _keys(
-    grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]], cls: NDArray[np.uint8], box: _INTS
-) -> tuple[_INTS, _INTS]:
+    grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]], cls: Bytes, box: Ints
+) -> tuple[Ints, Ints]:
     """Columns in a box and keys in these of points, each (n,), see `point_keys`."""
     x, y, z = xyz_m
     start, shape = grid.corner_m - _NUDGE_M, np.array(grid.shape, np.int64)
     return point_keys(x, y, z, cls, start, grid.cell_size_m, shape, box)
 
 
-def _columns_around(grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]]) -> _INTS:
+def _columns_around(grid: VoxelGrid, xyz_m: Sequence[NDArray[np.floating]]) -> Ints:
     """First column and row, columns and rows around points; of the window where they have no ends.
 
     The ends round as the points do, so that none of them lies outside.

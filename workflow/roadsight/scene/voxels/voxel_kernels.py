@@ -6,9 +6,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats, Ints, Ints32
 from roadsight.scene.classes import BRIDGE, ROAD
-
-_INTS = NDArray[np.int64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -16,12 +15,12 @@ def point_keys(
     x: NDArray[np.floating],
     y: NDArray[np.floating],
     z: NDArray[np.floating],
-    cls: NDArray[np.uint8],
-    start: NDArray[np.float64],
+    cls: Bytes,
+    start: Floats,
     edge_m: float,
-    shape: _INTS,
-    box: _INTS,
-) -> tuple[_INTS, _INTS]:
+    shape: Ints,
+    box: Ints,
+) -> tuple[Ints, Ints]:
     """Column of points in a box of columns, and layer, class and height above its floor in 256ths.
 
     Parameters
@@ -43,7 +42,7 @@ def point_keys(
 
 
 @njit(cache=True, nogil=True)
-def indices_of(voxel: _INTS, shape: _INTS, low: _INTS) -> NDArray[np.int32]:
+def indices_of(voxel: Ints, shape: Ints, low: Ints) -> Ints32:
     """Indices ix, iy, iz (3, n) of voxel numbers (n,)."""
     indices = np.empty((3, len(voxel)), np.int32)
     for i in range(len(voxel)):
@@ -56,7 +55,7 @@ def indices_of(voxel: _INTS, shape: _INTS, low: _INTS) -> NDArray[np.int32]:
 
 
 @njit(cache=True, nogil=True)
-def runs_of(keys: _INTS) -> tuple[_INTS, NDArray[np.uint8], _INTS, _INTS]:
+def runs_of(keys: Ints) -> tuple[Ints, Bytes, Ints, Ints]:
     """Voxel, class, points and heights of the runs of sorted keys."""
     count = 0
     for i in range(len(keys)):
@@ -75,8 +74,8 @@ def runs_of(keys: _INTS) -> tuple[_INTS, NDArray[np.uint8], _INTS, _INTS]:
 
 @njit(cache=True, nogil=True)
 def winners(
-    voxel: _INTS, cls: NDArray[np.uint8], points: _INTS, heights: _INTS
-) -> tuple[_INTS, NDArray[np.uint8], _INTS, _INTS, _INTS]:
+    voxel: Ints, cls: Bytes, points: Ints, heights: Ints
+) -> tuple[Ints, Bytes, Ints, Ints, Ints]:
     """Voxel, class, own points, points and heights of each voxel; see `Voxels`."""
     count = 0
     for i in range(len(voxel)):
@@ -104,13 +103,13 @@ def winners(
 
 @njit(cache=True, nogil=True)
 def tops(
-    voxel: _INTS,
-    cls: NDArray[np.uint8],
-    own: _INTS,
-    points: _INTS,
-    heights: _INTS,
+    voxel: Ints,
+    cls: Bytes,
+    own: Ints,
+    points: Ints,
+    heights: Ints,
     layers: int,
-) -> tuple[_INTS, NDArray[np.uint8], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Ints, Bytes, Floats, Floats]:
     """Column, class, height in layers and road share of each column; see `Columns`."""
     count = 0
     for i in range(len(voxel)):

@@ -12,17 +12,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.setcover.common.constraints import Row, common_shares, distinct, stacked
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
 _PARTNERS, _CUTS, _LONGEST = 5, 60, 20
 _BROKEN, _EVEN, _APART = 0.02, 1e-4, 0.05
 _MOST_MOVES, _STEPS = 3e9, 6  # entries of the shares' matrix that all descents may look at
 _MOVE_S, _READ_S = 3e-10, 1.5e-7  # work, measured: by such an entry, and by entry of the rows
 
 
-def balas_ng_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
+def balas_ng_cuts(sources: list[Row], x: Floats) -> tuple[list[Row], float]:
     """Cuts that a solution breaks, the most broken first, and the work in seconds.
 
     Parameters
@@ -40,7 +39,7 @@ def balas_ng_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
     pattern, share = pattern[kept], x[support]
     pairs = _pairs(common_shares(pattern, share), pattern.size)
     sets, left, moves = _descend(np.ascontiguousarray(pattern.T, np.float64), share, pairs)
-    found: dict[bytes, _INTS] = {}
+    found: dict[bytes, Ints] = {}
     for k in np.argsort(left, kind="stable"):
         if left[k] > 2 - _BROKEN or len(found) == _CUTS:
             break
@@ -49,7 +48,7 @@ def balas_ng_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
     return cuts, _MOVE_S * moves + _READ_S * rows.nnz
 
 
-def _pairs(common: _FLOATS, entries: int) -> _INTS:
+def _pairs(common: Floats, entries: int) -> Ints:
     """Pairs of rows to start from, (p, 2): those that share about half a choice."""
     uneven = np.round(np.abs(common - 0.5), 9)
     np.fill_diagonal(uneven, np.inf)
@@ -71,9 +70,7 @@ def _cut(count: NDArray[np.integer], size: int) -> Row:
 
 
 @njit(cache=True)
-def _descend(
-    pattern: _FLOATS, x: _FLOATS, pairs: _INTS
-) -> tuple[NDArray[np.bool_], _FLOATS, float]:
+def _descend(pattern: Floats, x: Floats, pairs: Ints) -> tuple[Bools, Floats, float]:
     """From each pair of rows down to where no row that joins or leaves lessens the left side.
 
     ``pattern`` has columns first, (columns, rows), and is 1 where a row has a column. Returns the
@@ -107,7 +104,7 @@ def _descend(
 
 @njit(cache=True)
 def _try(
-    pattern: _FLOATS, x: _FLOATS, count: _FLOATS, size: int, joins: _FLOATS, leaves: _FLOATS
+    pattern: Floats, x: Floats, count: Floats, size: int, joins: Floats, leaves: Floats
 ) -> float:
     """Left sides once each row joins or leaves a set; how many entries were looked at.
 

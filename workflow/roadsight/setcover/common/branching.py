@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from roadsight.base.arrays import Ints32
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
 
@@ -36,7 +36,7 @@ def divide(relaxation: Relaxation, node: Node, solution: Solution) -> tuple[Node
     )
 
 
-def _shared_rows(instance: Instance, node: Node, solution: Solution) -> NDArray[np.int32] | None:
+def _shared_rows(instance: Instance, node: Node, solution: Solution) -> Ints32 | None:
     """Free rows that cover both of the two targets whose division promises most."""
     tight = np.flatnonzero(solution.target_dual > 1e-9)
     dual = solution.target_dual[tight]

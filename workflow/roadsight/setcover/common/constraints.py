@@ -5,18 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 
 
 @dataclass(frozen=True)
 class Row:
     """``sum value_k x_index_k >= low``, all of them whole numbers."""
 
-    index: NDArray[np.int32]
-    value: _FLOATS
+    index: Ints32
+    value: Floats
     low: float
 
 
@@ -28,14 +27,14 @@ def stacked(rows: list[Row], choices: int) -> sparse.csr_matrix:
     return sparse.csr_matrix((value, index, start), shape=(len(rows), choices))
 
 
-def common_shares(pattern: NDArray[np.bool_], x: _FLOATS) -> _FLOATS:
+def common_shares(pattern: Bools, x: Floats) -> Floats:
     """Sum of the shares of the columns that each two rows of a pattern have in common."""
     # Sparse, because the order of sums in a dense product depends on the number of threads.
     entries = sparse.csr_matrix(pattern.astype(np.float64))
     return np.asarray((entries @ sparse.diags_array(x) @ entries.T).toarray())
 
 
-def distinct(pattern: NDArray[np.bool_]) -> NDArray[np.int64]:
+def distinct(pattern: Bools) -> Ints:
     """Numbers of the first rows of each kind in a pattern, in their order."""
     _, first = np.unique(np.packbits(pattern, axis=1), axis=0, return_index=True)
     return np.sort(first)

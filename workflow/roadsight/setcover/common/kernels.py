@@ -6,13 +6,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Ints = NDArray[np.int32]
+from roadsight.base.arrays import Bools, Floats, Ints, Ints32
+
 Bits = NDArray[np.uint64]
-Mask = NDArray[np.bool_]
 
 
 @njit(cache=True)
-def pack_bits(start: Ints, index: Ints, columns: int) -> Bits:
+def pack_bits(start: Ints32, index: Ints32, columns: int) -> Bits:
     """Bit matrix (rows, words of 64 columns) of a CSR pattern."""
     bits = np.zeros((len(start) - 1, (columns + 63) // 64), np.uint64)
     for i in range(len(start) - 1):
@@ -31,8 +31,13 @@ def _is_subset(bits: Bits, i: int, j: int, mask: Bits) -> bool:
 
 @njit(cache=True)
 def drop_implied_targets(
-    start: Ints, index: Ints, choice_start: Ints, choice_index: Ints, bits: Bits, need: Ints
-) -> Mask:
+    start: Ints32,
+    index: Ints32,
+    choice_start: Ints32,
+    choice_index: Ints32,
+    bits: Bits,
+    need: Ints32,
+) -> Bools:
     """Targets to keep: those that no kept target with fewer rows and as great a need implies.
 
     ``start, index`` is the matrix by target, ``choice_*`` by choice, ``bits`` packed by target.
@@ -65,8 +70,8 @@ def drop_implied_targets(
 
 @njit(cache=True)
 def residual_needs(
-    start: Ints, index: Ints, need: Ints, alive: Mask, fixed: Mask
-) -> tuple[Ints, Ints]:
+    start: Ints32, index: Ints32, need: Ints32, alive: Bools, fixed: Bools
+) -> tuple[Ints32, Ints32]:
     """How often each target is still to be covered, and by how many free rows it can be."""
     left = need.copy()
     free = np.zeros(len(need), np.int32)
@@ -82,18 +87,18 @@ def residual_needs(
 
 @njit(cache=True)
 def drop_dominated_choices(
-    start: Ints,
-    index: Ints,
-    target_start: Ints,
-    target_index: Ints,
+    start: Ints32,
+    index: Ints32,
+    target_start: Ints32,
+    target_index: Ints32,
     bits: Bits,
-    cost: NDArray[np.float64],
-    group: NDArray[np.int64],
-    left: Ints,
-    free: Ints,
-    alive: Mask,
-    fixed: Mask,
-    extra: Mask,
+    cost: Floats,
+    group: Ints,
+    left: Ints32,
+    free: Ints32,
+    alive: Bools,
+    fixed: Bools,
+    extra: Bools,
 ) -> int:
     """Switch off rows that others replace at no greater cost; returns how many.
 
@@ -133,7 +138,9 @@ def drop_dominated_choices(
 
 
 @njit(cache=True)
-def _rarest_open(i: int, start: Ints, index: Ints, left: Ints, free: Ints) -> tuple[int, int]:
+def _rarest_open(
+    i: int, start: Ints32, index: Ints32, left: Ints32, free: Ints32
+) -> tuple[int, int]:
     """Open target of row i with the fewest free rows (-1: none), and the greatest need left."""
     rarest = -1
     wanted = 1
@@ -147,7 +154,7 @@ def _rarest_open(i: int, start: Ints, index: Ints, left: Ints, free: Ints) -> tu
 
 
 @njit(cache=True)
-def _is_member(extra: Mask, i: int) -> bool:
+def _is_member(extra: Bools, i: int) -> bool:
     for k in range(extra.shape[0]):  # noqa: SIM110 (compiled)
         if extra[k, i]:
             return True
@@ -155,7 +162,7 @@ def _is_member(extra: Mask, i: int) -> bool:
 
 
 @njit(cache=True)
-def _stands_in(bits: Bits, i: int, j: int, mask: Bits, extra: Mask) -> bool:
+def _stands_in(bits: Bits, i: int, j: int, mask: Bits, extra: Bools) -> bool:
     """Whether row j covers all that i covers within ``mask`` and is in all its extra sets."""
     for k in range(extra.shape[0]):
         if extra[k, i] and not extra[k, j]:
@@ -165,16 +172,16 @@ def _stands_in(bits: Bits, i: int, j: int, mask: Bits, extra: Mask) -> bool:
 
 @njit(cache=True)
 def propagate(
-    start: Ints,
-    index: Ints,
-    target_start: Ints,
-    target_index: Ints,
-    need: Ints,
-    group: NDArray[np.int64],
-    alive: Mask,
-    fixed: Mask,
-    extra: Mask,
-) -> tuple[bool, Ints, Ints]:
+    start: Ints32,
+    index: Ints32,
+    target_start: Ints32,
+    target_index: Ints32,
+    need: Ints32,
+    group: Ints,
+    alive: Bools,
+    fixed: Bools,
+    extra: Bools,
+) -> tuple[bool, Ints32, Ints32]:
     """Fix rows without alternative and switch off group mates, until nothing changes.
 
     Returns
@@ -204,7 +211,7 @@ def propagate(
 
 
 @njit(cache=True)
-def _close_groups(group: NDArray[np.int64], alive: Mask, fixed: Mask) -> bool:
+def _close_groups(group: Ints, alive: Bools, fixed: Bools) -> bool:
     """Switch off the mates of fixed rows; False where two rows of a group are fixed."""
     taken = np.zeros(len(group), np.bool_)  # indexed by group: there are no more than rows
     for i in range(len(group)):
@@ -219,7 +226,7 @@ def _close_groups(group: NDArray[np.int64], alive: Mask, fixed: Mask) -> bool:
 
 
 @njit(cache=True)
-def _fix_last_member(members: Mask, alive: Mask, fixed: Mask) -> int:
+def _fix_last_member(members: Bools, alive: Bools, fixed: Bools) -> int:
     """Take the only free row of a set: 1 if there was one, 0 if nothing to do, -1 if none left."""
     free = 0
     last = -1
@@ -236,9 +243,7 @@ def _fix_last_member(members: Mask, alive: Mask, fixed: Mask) -> int:
 
 
 @njit(cache=True)
-def coverage(
-    start: NDArray[np.int32], index: NDArray[np.int32], x: NDArray[np.float64], targets: int
-) -> NDArray[np.float64]:
+def coverage(start: Ints32, index: Ints32, x: Floats, targets: int) -> Floats:
     """Sum of the shares x of the rows that cover each column."""
     total = np.zeros(targets)
     for i in range(len(x)):
@@ -250,11 +255,11 @@ def coverage(
 
 @njit(cache=True)
 def reduced_costs(
-    start: NDArray[np.int32],
-    index: NDArray[np.int32],
-    cost: NDArray[np.float64],
-    dual: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    start: Ints32,
+    index: Ints32,
+    cost: Floats,
+    dual: Floats,
+) -> Floats:
     """Costs of the rows less the duals of the columns that they cover."""
     reduced = cost.copy()
     for i in range(len(cost)):

@@ -11,13 +11,11 @@ from itertools import pairwise
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 from scipy import sparse
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.setcover.common.constraints import Row, common_shares, distinct, stacked
 
-_FLOATS = NDArray[np.float64]
-_INTS = NDArray[np.int64]
 _NEIGHBOURS = 10
 _STARTS, _CUTS = 250, 60
 _LONGEST, _LARGEST_LOW = 40, 1000.0
@@ -25,7 +23,7 @@ _ODD_SHARE, _EVEN = 0.95, 1e-3
 _MOVE_S, _READ_S = 7e-10, 1.5e-7  # work, measured: by column of a move, and by entry of the rows
 
 
-def parity_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
+def parity_cuts(sources: list[Row], x: Floats) -> tuple[list[Row], float]:
     """Cuts that a solution breaks, the most broken first, and the work in seconds.
 
     Parameters
@@ -50,7 +48,7 @@ def parity_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
         sets, share, more = _descend(odd, x[support], *moves, starts, True)
         tried += more
     work_s = _MOVE_S * tried * len(moves[2]) + _READ_S * rows.nnz
-    found: dict[bytes, _INTS] = {}
+    found: dict[bytes, Ints] = {}
     for k in np.argsort(share, kind="stable"):
         if share[k] >= _ODD_SHARE or len(found) == _CUTS:
             break
@@ -60,7 +58,7 @@ def parity_cuts(sources: list[Row], x: _FLOATS) -> tuple[list[Row], float]:
     return _rounded(list(found.values()), rows, low), work_s
 
 
-def _rounded(sets: list[_INTS], rows: sparse.csr_matrix, low: _FLOATS) -> list[Row]:
+def _rounded(sets: list[Ints], rows: sparse.csr_matrix, low: Floats) -> list[Row]:
     """Half the sum of each set of rows, rounded up."""
     if not sets:
         return []
@@ -80,9 +78,7 @@ def _rounded(sets: list[_INTS], rows: sparse.csr_matrix, low: _FLOATS) -> list[R
     ]
 
 
-def _moves(
-    odd: NDArray[np.bool_], odd_low: NDArray[np.bool_], x: _FLOATS
-) -> tuple[_INTS, _INTS, _INTS]:
+def _moves(odd: Bools, odd_low: Bools, x: Floats) -> tuple[Ints, Ints, Ints]:
     """Sets of rows that keep the sum of right sides odd: near pairs, and single rows.
 
     Returns pairs (p, 2) of rows, twice the same for one; where the columns of each that change
@@ -106,14 +102,14 @@ def _moves(
 
 @njit(cache=True)
 def _descend(
-    odd: NDArray[np.bool_],
-    x: _FLOATS,
-    pairs: _INTS,
-    first: _INTS,
-    index: _INTS,
-    starts: _INTS,
+    odd: Bools,
+    x: Floats,
+    pairs: Ints,
+    first: Ints,
+    index: Ints,
+    starts: Ints,
     level: bool,
-) -> tuple[NDArray[np.bool_], _FLOATS, int]:
+) -> tuple[Bools, Floats, int]:
     """From each single row down to where no move lessens the shares of odd columns.
 
     With ``level``, a move that neither lessens nor adds may let the set grow: along an odd ring,

@@ -8,9 +8,10 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
+from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 
 _DECIMALS = 6
@@ -91,10 +92,10 @@ class Instance:
     """
 
     by_choice: sparse.csr_matrix
-    cost: NDArray[np.float64]
-    need: NDArray[np.int32]
-    group: NDArray[np.int64]
-    choice: NDArray[np.int64]
+    cost: Floats
+    need: Ints32
+    group: Ints
+    choice: Ints
     integral: bool
 
     @cached_property
@@ -107,7 +108,7 @@ class Instance:
         """Numbers of choices and targets."""
         return self.by_choice.shape
 
-    def select(self, rows: NDArray[np.bool_], columns: NDArray[np.bool_]) -> Instance:
+    def select(self, rows: Bools, columns: Bools) -> Instance:
         """Instance of the rows and columns of two masks."""
         targets = np.flatnonzero(columns)
         if rows.all():
@@ -162,7 +163,7 @@ def clean_matrix(matrix: Any) -> sparse.csr_matrix:
     )
 
 
-def objective_step(costs: NDArray[np.float64]) -> float:
+def objective_step(costs: Floats) -> float:
     """Largest number of which all costs are whole multiples, or 0 where there is none.
 
     Costs with up to six decimals have one. Costs count as whole within 1e-9 of their size.
@@ -177,7 +178,7 @@ def objective_step(costs: NDArray[np.float64]) -> float:
     return 0.0
 
 
-def alone_to_none(group: NDArray[np.int64]) -> NDArray[np.int64]:
+def alone_to_none(group: Ints) -> Ints:
     """Groups with one member become -1; the others are numbered from 0."""
     _, number, size = np.unique(group, return_inverse=True, return_counts=True)
     shared = (group >= 0) & (size[number] > 1)
@@ -186,7 +187,7 @@ def alone_to_none(group: NDArray[np.int64]) -> NDArray[np.int64]:
     return result
 
 
-def _costs(costs: ArrayLike | None, choices: int) -> NDArray[np.float64]:
+def _costs(costs: ArrayLike | None, choices: int) -> Floats:
     values = np.ones(choices) if costs is None else np.asarray(costs)
     if values.shape != (choices,):
         raise InputError(
@@ -206,7 +207,7 @@ def _costs(costs: ArrayLike | None, choices: int) -> NDArray[np.float64]:
     return values
 
 
-def _whole(name: str, values: ArrayLike, length: int) -> NDArray[np.int64]:
+def _whole(name: str, values: ArrayLike, length: int) -> Ints:
     array = np.asarray(values)
     if array.dtype.kind not in "iu" or array.shape not in ((), (length,)):
         raise InputError(
@@ -218,7 +219,7 @@ def _whole(name: str, values: ArrayLike, length: int) -> NDArray[np.int64]:
     return np.broadcast_to(array, (length,)).astype(np.int64)
 
 
-def _row_mask(name: str, rows: ArrayLike, choices: int) -> NDArray[np.bool_]:
+def _row_mask(name: str, rows: ArrayLike, choices: int) -> Bools:
     numbers = np.asarray(rows).reshape(-1)
     mask = np.zeros(choices, bool)
     if not len(numbers):

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
+from roadsight.base.arrays import Bools, Ints, Ints32
 from roadsight.setcover.common.kernels import (
     drop_dominated_choices,
     drop_implied_targets,
@@ -42,9 +42,9 @@ class Reduced:
     """
 
     parts: list[Instance]
-    taken: NDArray[np.int64]
+    taken: Ints
     step: float
-    uncoverable: NDArray[np.int64]
+    uncoverable: Ints
     counts: dict[str, int] = field(default_factory=dict)
     feasible: bool = True
 
@@ -65,7 +65,7 @@ def reduce_problem(problem: CoverProblem) -> Reduced:
     return Reduced(parts, np.sort(forced), step or 1.0, uncoverable, counts, feasible)
 
 
-def uncoverable_targets(problem: CoverProblem) -> NDArray[np.int64]:
+def uncoverable_targets(problem: CoverProblem) -> Ints:
     """Targets that too few rows can cover, a group counting once; sorted."""
     number = alone_to_none(problem.groups)
     alone = number < 0
@@ -96,17 +96,16 @@ def _first_instance(problem: CoverProblem, step: float) -> Instance:
     )
 
 
-def shrink(
-    instance: Instance, mandatory: NDArray[np.bool_]
-) -> tuple[Instance, NDArray[np.int64], bool]:
+def shrink(instance: Instance, mandatory: Bools) -> tuple[Instance, Ints, bool]:
     """Repeat all reductions until nothing changes; instance, choices taken, feasible."""
     taken: list[int] = []
     while True:
         before = instance.shape
         none = np.zeros((0, before[0]), bool)
         alive, fixed = np.ones(before[0], bool), mandatory.copy()
-        feasible, left, _ = propagate(*arrays(instance), instance.need, instance.group,
-                                      alive, fixed, none)  # fmt: skip
+        feasible, left, _ = propagate(
+            *arrays(instance), instance.need, instance.group, alive, fixed, none
+        )
         taken += instance.choice[fixed].tolist()
         if not feasible:
             return instance, np.array(taken, np.int64), False
@@ -131,8 +130,17 @@ def _drop_dominated(instance: Instance) -> Instance:
     start, index, *_ = arrays(instance)
     left, free = residual_needs(start, index, instance.need, alive, fixed)
     bits = pack_bits(start, index, instance.shape[1])
-    drop_dominated_choices(*arrays(instance), bits, instance.cost, instance.group, left, free,
-                           alive, fixed, np.zeros((0, choices), bool))  # fmt: skip
+    drop_dominated_choices(
+        *arrays(instance),
+        bits,
+        instance.cost,
+        instance.group,
+        left,
+        free,
+        alive,
+        fixed,
+        np.zeros((0, choices), bool),
+    )
     return instance.select(alive, np.ones(instance.shape[1], bool))
 
 
@@ -159,7 +167,7 @@ def split_components(instance: Instance) -> list[Instance]:
 
 def arrays(
     instance: Instance,
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+) -> tuple[Ints32, Ints32, Ints32, Ints32]:
     """Starts and indices by choice, then by target, as the kernels take them."""
     rows, columns = instance.by_choice, instance.by_target
     return rows.indptr, rows.indices, columns.indptr, columns.indices

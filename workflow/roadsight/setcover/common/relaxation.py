@@ -8,6 +8,7 @@ import highspy
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.setcover.common.balas_ng_cuts import balas_ng_cuts
 from roadsight.setcover.common.constraints import Row
 from roadsight.setcover.common.deadline import Deadline
@@ -35,8 +36,8 @@ class Node:
     path : numbers of the branch constraints (`Relaxation.add_branch`) that hold.
     """
 
-    alive: NDArray[np.bool_]
-    fixed: NDArray[np.bool_]
+    alive: Bools
+    fixed: Bools
     path: tuple[int, ...] = ()
 
 
@@ -55,9 +56,9 @@ class Solution:
     """
 
     bound: float
-    x: NDArray[np.float64]
-    reduced_cost: NDArray[np.float64]
-    target_dual: NDArray[np.float64]
+    x: Floats
+    reduced_cost: Floats
+    target_dual: Floats
     complete: bool
     priced: tuple[tuple[Row, float], ...] = ()
 
@@ -89,7 +90,7 @@ class Relaxation:
     def __init__(self, instance: Instance) -> None:
         self.instance = instance
         self.choices, self.targets = instance.shape
-        self.branches: list[NDArray[np.int32]] = []
+        self.branches: list[Ints32] = []
         self.cuts: dict[int, Row] = {}
         self._cuts_made, self.work_s = 0, 0.0
         self._kind = np.empty(0, np.int8)
@@ -101,12 +102,12 @@ class Relaxation:
         rare = np.argsort(np.diff(instance.by_target.indptr), kind="stable")
         self._add_rows(_TARGET, np.sort(rare[:FIRST_TARGETS]))
 
-    def add_branch(self, rows: NDArray[np.int32]) -> int:
+    def add_branch(self, rows: Ints32) -> int:
         """Number of the new constraint that one of ``rows`` is taken."""
         self.branches.append(rows.astype(np.int32))
         return len(self.branches) - 1
 
-    def members(self, path: tuple[int, ...]) -> NDArray[np.bool_]:
+    def members(self, path: tuple[int, ...]) -> Bools:
         """Branch constraints as masks, (len(path), m)."""
         mask = np.zeros((len(path), self.choices), bool)
         for k, branch in enumerate(path):
@@ -178,7 +179,7 @@ class Relaxation:
         self._add_rows(_CUT, numbers)
         return self.solve(node, goal, deadline)
 
-    def targets_inside(self) -> NDArray[np.int64]:
+    def targets_inside(self) -> Ints:
         """Numbers of the targets that the relaxation holds at present."""
         return self._number[self._kind == _TARGET]
 
@@ -191,7 +192,7 @@ class Relaxation:
         slack[target] &= solution.target_dual[self._number[target]] <= 0
         self._delete(slack)
 
-    def _slack(self, value: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _slack(self, value: Floats) -> Floats:
         """By how much targets are seen more than they need, given each row's value; else 0."""
         target = self._kind == _TARGET
         slack = np.zeros(len(target))
@@ -227,7 +228,7 @@ class Relaxation:
         )
         return Solution(float(bound), x, cost, target_dual, optimal, priced)
 
-    def _separate(self, x: NDArray[np.float64]) -> bool:
+    def _separate(self, x: Floats) -> bool:
         """Add violated targets and groups; False where there are none."""
         by_choice, group = self.instance.by_choice, self.instance.group
         missing = self.instance.need - coverage(
@@ -266,7 +267,7 @@ class Relaxation:
         index = by_target.indices[by_target.indptr[number] : by_target.indptr[number + 1]]
         return _counted(index, float(self.instance.need[number]))
 
-    def _add_rows(self, kind: int, numbers: NDArray[np.int64]) -> None:
+    def _add_rows(self, kind: int, numbers: Ints) -> None:
         if not len(numbers):
             return
         rows = [self._row(kind, number) for number in numbers]
@@ -274,13 +275,19 @@ class Relaxation:
         bound = np.array([row.low for row in rows])
         low = np.full(len(rows), -np.inf) if kind == _GROUP else bound
         high = bound if kind == _GROUP else np.full(len(rows), np.inf)
-        self._highs.addRows(len(rows), low, high, start[-1], start[:-1].astype(np.int32),
-                            np.concatenate([row.index for row in rows]),
-                            np.concatenate([row.value for row in rows]))  # fmt: skip
+        self._highs.addRows(
+            len(rows),
+            low,
+            high,
+            start[-1],
+            start[:-1].astype(np.int32),
+            np.concatenate([row.index for row in rows]),
+            np.concatenate([row.value for row in rows]),
+        )
         self._kind = np.append(self._kind, np.full(len(rows), kind, np.int8))
         self._number = np.append(self._number, numbers)
 
-    def _delete(self, gone: NDArray[np.bool_]) -> None:
+    def _delete(self, gone: Bools) -> None:
         if gone.any():
             self._highs.deleteRows(int(gone.sum()), np.flatnonzero(gone).astype(np.int32))
             self._kind, self._number = self._kind[~gone], self._number[~gone]

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
+
+from roadsight.base.arrays import Ints
 
 OPTIMAL = "optimal"
 TIME_LIMIT = "time_limit"
@@ -34,12 +35,12 @@ class Cover:
     """
 
     status: str
-    chosen: NDArray[np.int64]
+    chosen: Ints
     objective: float
     bound: float
     gap: float
     seconds_cpu: float
-    uncoverable: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, np.int64))
+    uncoverable: Ints = field(default_factory=lambda: np.empty(0, np.int64))
     reductions: dict[str, int] = field(default_factory=dict)
     lp_bound: float | None = None
     nodes: int = 0

@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from roadsight.base.arrays import Bools, Ints
 from roadsight.setcover.common.constraints import stacked
 from roadsight.setcover.common.kernels import pack_bits
 from roadsight.setcover.common.problem import Instance
@@ -45,7 +45,7 @@ class Enumeration:
     """
 
     excluded: bool
-    cover: NDArray[np.bool_] | None
+    cover: Bools | None
     work_s: float
 
 
@@ -92,8 +92,8 @@ def _is_small(instance: Instance, rows: int, depths: int) -> bool:
 def _prices(
     instance: Instance,
     solution: Solution,
-    rows: NDArray[np.int64],
-    fixed: NDArray[np.int64],
+    rows: Ints,
+    fixed: Ints,
     slack: float,
 ) -> tuple[Prices, float]:
     """What rows use of the slack, and what fixed rows leave of it.
@@ -117,16 +117,24 @@ def _prices(
     left = every[~met][:, rows]
     bits = pack_bits(left.indptr, left.indices, len(rows))
     by_row = left.T.tocsr()
-    prices = Prices(instance.cost[rows], reduced, by_row.indptr, by_row.indices, value[~met],
-                    bits, low[~met], dual[~met])  # fmt: skip
+    prices = Prices(
+        instance.cost[rows],
+        reduced,
+        by_row.indptr,
+        by_row.indices,
+        value[~met],
+        bits,
+        low[~met],
+        dual[~met],
+    )
     return prices, slack
 
 
 def _targets(
     instance: Instance,
     solution: Solution,
-    rows: NDArray[np.int64],
-    fixed: NDArray[np.int64],
+    rows: Ints,
+    fixed: Ints,
 ) -> Targets:
     """What rows cover of the targets that are open, those that the shares cover least first."""
     need = instance.need - np.asarray(instance.by_choice[fixed].sum(axis=0, dtype=np.int32)).ravel()

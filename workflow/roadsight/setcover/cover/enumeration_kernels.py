@@ -6,11 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from roadsight.setcover.common.kernels import Bits, Ints
+from roadsight.base.arrays import Floats, Ints, Ints32
+from roadsight.setcover.common.kernels import Bits
 
-_FLOATS = NDArray[np.float64]
 UNDECIDED, EXCLUDED, FOUND = 0, 1, 2
 
 
@@ -25,14 +24,14 @@ class Prices(NamedTuple):
     low, dual : (constraints,) what each asks for, above 0, and the price of each unit above it.
     """
 
-    cost: _FLOATS
-    reduced: _FLOATS
-    start: Ints
-    constraint: Ints
-    value: _FLOATS
+    cost: Floats
+    reduced: Floats
+    start: Ints32
+    constraint: Ints32
+    value: Floats
     bits: Bits
-    low: _FLOATS
-    dual: _FLOATS
+    low: Floats
+    dual: Floats
 
 
 class Targets(NamedTuple):
@@ -45,10 +44,10 @@ class Targets(NamedTuple):
     first : so many of them are looked at before the others.
     """
 
-    start: Ints
-    target: Ints
+    start: Ints32
+    target: Ints32
     bits: Bits
-    need: Ints
+    need: Ints32
     first: int
 
 
@@ -56,18 +55,18 @@ class _Stack(NamedTuple):
     """State at each depth: rows that may be taken, what they would use, and those left to try."""
 
     alive: Bits
-    price: _FLOATS
+    price: Floats
     branch: Bits
-    target: NDArray[np.int64]
-    taken: NDArray[np.int64]
-    need: Ints
-    spare: _FLOATS
-    slack: _FLOATS
-    money: _FLOATS
+    target: Ints
+    taken: Ints
+    need: Ints32
+    spare: Floats
+    slack: Floats
+    money: Floats
 
 
 @njit(cache=True)
-def affordable_pairs(prices: Prices, group: NDArray[np.int64], slack: float) -> Bits:
+def affordable_pairs(prices: Prices, group: Ints, slack: float) -> Bits:
     """Bits (n, words) of the rows that each row can be taken together with."""
     count = len(prices.reduced)
     bits = np.zeros((count, (count + 63) // 64), np.uint64)
@@ -85,7 +84,7 @@ def affordable_pairs(prices: Prices, group: NDArray[np.int64], slack: float) -> 
 
 
 @njit(cache=True)
-def _charge(price: _FLOATS, prices: Prices, r: int, rows: Bits, before: float, spare: float) -> int:
+def _charge(price: Floats, prices: Prices, r: int, rows: Bits, before: float, spare: float) -> int:
     """Make rows dearer by what they are of a constraint beyond the spare room that is left.
 
     ``before`` is the room that there was. Returns how many rows there are.
@@ -115,7 +114,7 @@ def enumerate_rows(
     money: float,
     depths: int,
     most_moves: float,
-) -> tuple[int, NDArray[np.int64], float]:
+) -> tuple[int, Ints, float]:
     """Rows that cover all targets within slack and money, or that there are none.
 
     Parameters
@@ -153,11 +152,16 @@ def _new_stack(
 ) -> _Stack:
     count, words = pairs.shape
     stack = _Stack(
-        np.zeros((depths, words), np.uint64), np.zeros((depths, count)),
-        np.zeros((depths, words), np.uint64), np.zeros(depths, np.int64),
-        np.zeros(depths, np.int64), np.zeros((depths, len(targets.need)), np.int32),
-        np.zeros((depths, len(prices.low))), np.zeros(depths), np.zeros(depths),
-    )  # fmt: skip
+        np.zeros((depths, words), np.uint64),
+        np.zeros((depths, count)),
+        np.zeros((depths, words), np.uint64),
+        np.zeros(depths, np.int64),
+        np.zeros(depths, np.int64),
+        np.zeros((depths, len(targets.need)), np.int32),
+        np.zeros((depths, len(prices.low))),
+        np.zeros(depths),
+        np.zeros(depths),
+    )
     for i in range(count):
         stack.alive[0, i >> 6] |= np.uint64(1) << np.uint64(i & 63)
     stack.price[0], stack.spare[0], stack.need[0] = prices.reduced, prices.low, targets.need

@@ -6,11 +6,8 @@ from collections import namedtuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from roadsight.setcover.common.kernels import Ints, Mask
-
-Floats = NDArray[np.float64]
+from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 
 _State = namedtuple(
     "_State", "inside member place score ready stamp count weight open spot occupant sizes"
@@ -118,14 +115,14 @@ def _cheapest_loss(tabu, cost, state):  # type: ignore[no-untyped-def]  # noqa: 
 
 @njit(cache=True)
 def fill(
-    start: Ints,
-    index: Ints,
-    tstart: Ints,
-    tindex: Ints,
+    start: Ints32,
+    index: Ints32,
+    tstart: Ints32,
+    tindex: Ints32,
     cost: Floats,
-    need: Ints,
-    group: NDArray[np.int64],
-    inside: Mask,
+    need: Ints32,
+    group: Ints,
+    inside: Bools,
 ) -> bool:
     """Take rows by weight gained per cost, then drop superfluous ones; False where it got stuck.
 
@@ -155,19 +152,19 @@ def fill(
 
 @njit(cache=True)
 def exchange(
-    start: Ints,
-    index: Ints,
-    tstart: Ints,
-    tindex: Ints,
+    start: Ints32,
+    index: Ints32,
+    tstart: Ints32,
+    tindex: Ints32,
     cost: Floats,
-    need: Ints,
-    group: NDArray[np.int64],
-    first: Mask,
+    need: Ints32,
+    group: Ints,
+    first: Bools,
     goal: float,
     steps: int,
-    weight: NDArray[np.int64],
+    weight: Ints,
     rng: np.random.Generator,
-) -> tuple[Mask, bool, int]:
+) -> tuple[Bools, bool, int]:
     """Members, whether they cover all at a cost of at most ``goal``, steps used.
 
     A step takes out the rows that lose least until the rest is cheap enough, and covers open

@@ -10,8 +10,8 @@ from __future__ import annotations
 
 import highspy
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Ints
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.relaxation import Solution, quiet_highs
@@ -54,28 +54,38 @@ def _some(targets: int, share: float) -> int:
     return max(_LEAST_TARGETS, round(share * targets))
 
 
-def _solve(instance: Instance, targets: NDArray[np.int64], deadline: Deadline) -> Solution:
+def _solve(instance: Instance, targets: Ints, deadline: Deadline) -> Solution:
     """Relaxation on some targets."""
     choices = instance.shape[0]
     rows = instance.by_choice[:, targets].T.tocsr()
     step_s = _STEP_S * rows.nnz
-    highs = quiet_highs(solver="ipm", run_crossover="off", presolve="off",
-                        ipm_optimality_tolerance=_TOLERANCE,
-                        ipm_iteration_limit=deadline.count_left(step_s))  # fmt: skip
+    highs = quiet_highs(
+        solver="ipm",
+        run_crossover="off",
+        presolve="off",
+        ipm_optimality_tolerance=_TOLERANCE,
+        ipm_iteration_limit=deadline.count_left(step_s),
+    )
     if np.isfinite(deadline.clock_left_s()):
         highs.setOptionValue("time_limit", max(deadline.clock_left_s(), 1e-3))
     highs.addVars(choices, np.zeros(choices), np.ones(choices))
     highs.changeColsCost(choices, np.arange(choices, dtype=np.int32), instance.cost)
     need = instance.need[targets].astype(np.float64)
-    highs.addRows(len(targets), need, np.full(len(targets), highspy.kHighsInf), rows.nnz,
-                  rows.indptr[:-1].astype(np.int32), rows.indices.astype(np.int32),
-                  np.ones(rows.nnz))  # fmt: skip
+    highs.addRows(
+        len(targets),
+        need,
+        np.full(len(targets), highspy.kHighsInf),
+        rows.nnz,
+        rows.indptr[:-1].astype(np.int32),
+        rows.indices.astype(np.int32),
+        np.ones(rows.nnz),
+    )
     highs.run()
     deadline.spend(step_s * max(highs.getInfo().ipm_iteration_count, 0))
     return _read(highs, instance, targets)
 
 
-def _read(highs: highspy.Highs, instance: Instance, targets: NDArray[np.int64]) -> Solution:
+def _read(highs: highspy.Highs, instance: Instance, targets: Ints) -> Solution:
     """Shares and duals, all 0 where the method was stopped before it had any."""
     raw = highs.getSolution()
     share, row_dual = np.array(raw.col_value), np.array(raw.row_dual)

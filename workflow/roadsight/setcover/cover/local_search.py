@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Ints
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.reductions import arrays
@@ -17,7 +17,7 @@ _NEW_TARGETS, _NEW_SHARE = 50, 1 / 50
 _STEP_S, _ENTRY_S = 2.5e-6, 3e-10  # work of a step, measured: fixed, and by entry of the matrix
 
 
-def greedy_cover(instance: Instance) -> NDArray[np.bool_] | None:
+def greedy_cover(instance: Instance) -> Bools | None:
     """Rows by weight gained per cost, then without the superfluous ones; None if it got stuck."""
     inside = np.zeros(instance.shape[0], bool)
     done = fill(*arrays(instance), instance.cost, instance.need, instance.group, inside)
@@ -42,8 +42,8 @@ class LocalSearch:
     def __init__(
         self,
         instance: Instance,
-        best: NDArray[np.bool_] | None,
-        first: NDArray[np.bool_],
+        best: Bools | None,
+        first: Bools,
         rng: np.random.Generator,
     ) -> None:
         self.instance, self.best, self._rng = instance, best, rng
@@ -81,8 +81,17 @@ class LocalSearch:
         """Steps used, and whether more targets became active."""
         weight = self._weight[self.active]
         goal = self.instance.goal(self.cost)
-        self._trial, found, used = exchange(*arrays(part), part.cost, part.need, part.group,
-                                           self._trial, goal, steps, weight, self._rng)  # fmt: skip
+        self._trial, found, used = exchange(
+            *arrays(part),
+            part.cost,
+            part.need,
+            part.group,
+            self._trial,
+            goal,
+            steps,
+            weight,
+            self._rng,
+        )
         self._weight[self.active] = weight
         deadline.spend(used * (_STEP_S + _ENTRY_S * part.by_choice.nnz))
         if not found:
@@ -91,7 +100,7 @@ class LocalSearch:
         complete = self.accept(self._trial)
         return used + int(self.active.sum() - before), not complete
 
-    def accept(self, trial: NDArray[np.bool_]) -> bool:
+    def accept(self, trial: Bools) -> bool:
         """Whether a cheap trial covers everything: then it is the best, else targets join."""
         missing = self._missing(trial)
         self._trial = trial.copy()
@@ -100,7 +109,7 @@ class LocalSearch:
         self.active[missing] = True
         return not len(missing)
 
-    def _missing(self, trial: NDArray[np.bool_]) -> NDArray[np.int64]:
+    def _missing(self, trial: Bools) -> Ints:
         """Some of the targets that a trial leaves open, from all over the road."""
         taken = self.instance.by_choice[np.flatnonzero(trial)]
         seen = np.bincount(taken.indices, minlength=taken.shape[1])

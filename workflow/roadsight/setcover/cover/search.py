@@ -6,8 +6,8 @@ import heapq
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Ints32
 from roadsight.setcover.common.branching import divide
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.kernels import drop_dominated_choices, pack_bits, propagate
@@ -28,7 +28,7 @@ _ENTRY_S = 4e-9  # work of a propagation by entry of the matrix, measured
 class Outcome:
     """Best cover of an instance (None: none found) and its proven bound, in steps."""
 
-    best: NDArray[np.bool_] | None
+    best: Bools | None
     bound: float
     nodes: int
 
@@ -65,7 +65,7 @@ class Search:
         return min(self.local.cost, self.ceiling)
 
     @property
-    def best(self) -> NDArray[np.bool_] | None:
+    def best(self) -> Bools | None:
         """Best cover so far."""
         return self.local.best
 
@@ -144,21 +144,31 @@ class Search:
         self.relaxation.purge(solution)
         return solution.bound, divide(self.relaxation, node, solution)
 
-    def _propagate(self, node: Node) -> NDArray[np.int32] | None:
+    def _propagate(self, node: Node) -> Ints32 | None:
         """Needs left after forced rows; None where the node is infeasible. Changes the node."""
         instance = self.instance
         extra = self.relaxation.members(node.path)
-        feasible, left, free = propagate(*arrays(instance), instance.need, instance.group,
-                                         node.alive, node.fixed, extra)  # fmt: skip
+        feasible, left, free = propagate(
+            *arrays(instance), instance.need, instance.group, node.alive, node.fixed, extra
+        )
         if not feasible:
             return None
         if self._bits is not None:
             unmet = extra[~(extra & node.fixed).any(axis=1)]
-            drop_dominated_choices(*arrays(instance), self._bits, instance.cost, instance.group,
-                                   left, free, node.alive, node.fixed, unmet)  # fmt: skip
+            drop_dominated_choices(
+                *arrays(instance),
+                self._bits,
+                instance.cost,
+                instance.group,
+                left,
+                free,
+                node.alive,
+                node.fixed,
+                unmet,
+            )
         return left
 
-    def _keeps(self, chosen: NDArray[np.bool_], path: tuple[int, ...]) -> bool:
+    def _keeps(self, chosen: Bools, path: tuple[int, ...]) -> bool:
         return all(chosen[self.relaxation.branches[k]].any() for k in path)
 
     def _takes(self, solution: Solution) -> bool:

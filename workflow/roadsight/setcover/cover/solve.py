@@ -7,8 +7,8 @@ import time
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import CoverProblem, Instance
 from roadsight.setcover.common.reductions import Reduced, reduce_problem
@@ -104,7 +104,7 @@ def _cut_and_branch(
 
 def _solve_large(
     instance: Instance,
-    best: NDArray[np.bool_],
+    best: Bools,
     rng: np.random.Generator,
     deadline: Deadline,
     gap: float,
@@ -156,11 +156,11 @@ def _root(instance: Instance, goal: float, deadline: Deadline) -> tuple[Relaxati
     return relaxation, relaxation.solve(Node(everything, ~everything), goal, deadline)
 
 
-def _proven(instance: Instance, best: NDArray[np.bool_] | None, bound: float) -> bool:
+def _proven(instance: Instance, best: Bools | None, bound: float) -> bool:
     return best is not None and bound > instance.goal(float(instance.cost[best].sum()))
 
 
-def _enough(instance: Instance, best: NDArray[np.bool_] | None, bound: float, gap: float) -> bool:
+def _enough(instance: Instance, best: Bools | None, bound: float, gap: float) -> bool:
     if best is None:
         return False
     within = is_within(gap, float(instance.cost[best].sum()), bound)

@@ -14,8 +14,8 @@ from collections.abc import Callable
 
 import highspy
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.setcover.common.relaxation import quiet_highs
 from roadsight.setcover.common.result import (
     INFEASIBLE,
@@ -32,8 +32,7 @@ from roadsight.setcover.joint.joint_problem import (
     least_number,
 )
 
-_ROWS = NDArray[np.int64]
-Oracle = Callable[[_ROWS], list[_ROWS]]
+Oracle = Callable[[Ints], list[Ints]]
 """Sets of rows of which an answer needs one more; none where the sorted rows will do."""
 
 _FIRST, _ADDED = 250, 80
@@ -76,8 +75,8 @@ class _Joint:
         slack = np.asarray(problem.gain.sum(axis=0)).ravel() / problem.need
         self.active = np.zeros(len(problem.need), bool)
         self.active[np.argsort(slack, kind="stable")[:_FIRST]] = True
-        self.cuts: list[_ROWS] = []
-        self.best: _ROWS | None = None
+        self.cuts: list[Ints] = []
+        self.best: Ints | None = None
         self.bound = 0.0
 
     def run(self) -> Cover:
@@ -101,7 +100,7 @@ class _Joint:
             if late or chosen is None or not violated:
                 return self._result(TIME_LIMIT)
 
-    def _violated(self, chosen: _ROWS) -> bool:
+    def _violated(self, chosen: Ints) -> bool:
         """Add what an answer breaks; False where it breaks nothing."""
         short = self.problem.need * (1 - TOLERANCE) - self.problem.given(chosen)
         worst = np.argsort(-short / self.problem.need, kind="stable")
@@ -111,7 +110,7 @@ class _Joint:
         self.cuts += found
         return bool(len(worst) or found)
 
-    def _solve(self) -> tuple[_ROWS | None, float, highspy.HighsModelStatus]:
+    def _solve(self) -> tuple[Ints | None, float, highspy.HighsModelStatus]:
         """Answer, bound and status of the constraints of the moment."""
         highs = self._model()
         left_s = max(self.end - time.perf_counter(), 1.0)
@@ -149,8 +148,9 @@ class _Joint:
             least = least_number(share, problem.groups[index])
             if least > 1:
                 times = np.where(share >= 1 - TOLERANCE, float(least), 1.0)
-                highs.addRow(float(least), highspy.kHighsInf, len(index),
-                             index.astype(np.int32), times)  # fmt: skip
+                highs.addRow(
+                    float(least), highspy.kHighsInf, len(index), index.astype(np.int32), times
+                )
         for cut in self.cuts:
             highs.addRow(1.0, highspy.kHighsInf, len(cut), cut.astype(np.int32), np.ones(len(cut)))
         order = np.argsort(problem.groups, kind="stable")
@@ -165,13 +165,13 @@ class _Joint:
             highs.setSolution(start)
         return highs
 
-    def _offer(self, chosen: _ROWS) -> None:
+    def _offer(self, chosen: Ints) -> None:
         """Mend rows into an answer that is allowed, and keep it if it is the best."""
         mended = self._mended(chosen)
         if mended is not None and self._cost(mended) < self._cost(self.best):
             self.best = mended
 
-    def _mended(self, chosen: _ROWS) -> _ROWS | None:
+    def _mended(self, chosen: Ints) -> Ints | None:
         """Rows with the most for their cost added until nothing lacks, then needless ones out."""
         problem = self.problem
         rows = [int(row) for row in chosen]
@@ -195,7 +195,7 @@ class _Joint:
                 rows = fewer.tolist()
         return np.array(sorted(rows), np.int64)
 
-    def _help(self, rows: _ROWS, lack: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def _help(self, rows: Ints, lack: Floats) -> Floats | None:
         """What each row adds (choices,); None where nothing lacks."""
         short = np.flatnonzero(lack > 0)
         if len(short):
@@ -208,7 +208,7 @@ class _Joint:
         self.cuts += found
         return np.bincount(np.concatenate(found), minlength=len(self.problem.costs)).astype(float)
 
-    def _cost(self, rows: _ROWS | None) -> float:
+    def _cost(self, rows: Ints | None) -> float:
         return math.inf if rows is None else math.fsum(self.problem.costs[rows])
 
     def _up(self, bound: float) -> float:

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 
-_ROWS = NDArray[np.int64]
 TOLERANCE = 1e-7
 """Share of a need that may be missing."""
 
@@ -31,9 +30,9 @@ class JointProblem:
     """
 
     gain: sparse.csr_matrix
-    need: NDArray[np.float64]
-    costs: NDArray[np.float64]
-    groups: NDArray[np.int64]
+    need: Floats
+    costs: Floats
+    groups: Ints
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.need) & (self.need > 0)).all():
@@ -45,17 +44,17 @@ class JointProblem:
         capped.eliminate_zeros()
         object.__setattr__(self, "gain", capped)
 
-    def given(self, chosen: _ROWS) -> NDArray[np.float64]:
+    def given(self, chosen: Ints) -> Floats:
         """What chosen rows give each target (targets,)."""
         return np.asarray(self.gain[chosen].sum(axis=0)).ravel()
 
-    def reachable(self) -> NDArray[np.bool_]:
+    def reachable(self) -> Bools:
         """Targets (targets,) to which the best rows of all groups together give enough."""
         best = best_of_groups(self.gain, self.groups)
         return np.asarray(best.sum(axis=0)).ravel() >= self.need * (1 - TOLERANCE)
 
 
-def best_of_groups(gain: sparse.csr_matrix, groups: NDArray[np.int64]) -> sparse.csr_matrix:
+def best_of_groups(gain: sparse.csr_matrix, groups: Ints) -> sparse.csr_matrix:
     """Greatest gain of each group at each target, (groups, targets)."""
     table = gain.tocoo()
     group = np.unique(groups, return_inverse=True)[1].reshape(-1)[table.row]
@@ -67,7 +66,7 @@ def best_of_groups(gain: sparse.csr_matrix, groups: NDArray[np.int64]) -> sparse
     return sparse.csr_matrix((data[first], (group[first], column[first])), shape=size)
 
 
-def least_number(share: NDArray[np.float64], groups: NDArray[np.int64]) -> int:
+def least_number(share: Floats, groups: Ints) -> int:
     """How many rows a target needs at least of those that are not enough alone; 1 for none.
 
     With r of them, ``sum_alone r x_i + sum_others x_i >= r`` holds for every answer, and cuts off

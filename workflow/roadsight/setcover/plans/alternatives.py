@@ -6,8 +6,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Ints
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import objective_step
 from roadsight.setcover.cover.solve import solve_cover_problem
@@ -25,12 +25,12 @@ class Different:
     least_shared : proven: in every such answer at least so many do.
     """
 
-    chosen: NDArray[np.int64]
+    chosen: Ints
     shared: int
     least_shared: int
 
 
-def replacements(deployment: Deployment, chosen: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+def replacements(deployment: Deployment, chosen: Ints) -> list[Ints]:
     """For each chosen row the sorted others that could replace it alone, as cheap and as good.
 
     Mandatory rows have none. ``chosen`` must be an allowed answer.
@@ -38,7 +38,7 @@ def replacements(deployment: Deployment, chosen: NDArray[np.int64]) -> list[NDAr
     return [_replacing(deployment, chosen, int(row)) for row in chosen]
 
 
-def _replacing(deployment: Deployment, chosen: NDArray[np.int64], row: int) -> NDArray[np.int64]:
+def _replacing(deployment: Deployment, chosen: Ints, row: int) -> Ints:
     problem = deployment.problem
     if problem.mandatory[row]:
         return np.empty(0, np.int64)
@@ -69,8 +69,8 @@ def _replacing(deployment: Deployment, chosen: NDArray[np.int64], row: int) -> N
 
 def most_different(
     deployment: Deployment,
-    chosen: NDArray[np.int64],
-    place: NDArray[np.int64],
+    chosen: Ints,
+    place: Ints,
     limit: Deadline | float | None = None,
     seed: int = 1,
 ) -> Different:
@@ -93,11 +93,11 @@ def most_different(
 
 def _by_cover(
     deployment: Deployment,
-    chosen: NDArray[np.int64],
-    shared: NDArray[np.bool_],
+    chosen: Ints,
+    shared: Bools,
     limit: Deadline | float | None,
     seed: int,
-) -> tuple[NDArray[np.int64], float]:
+) -> tuple[Ints, float]:
     """As a cover whose costs count the overlap last."""
     problem, cost = deployment.problem, np.asarray(deployment.cost)
     most = len(chosen) + 1
@@ -110,11 +110,11 @@ def _by_cover(
 
 def _by_deployment(
     deployment: Deployment,
-    chosen: NDArray[np.int64],
-    shared: NDArray[np.bool_],
+    chosen: Ints,
+    shared: Bools,
     limit: Deadline | float | None,
     seed: int,
-) -> tuple[NDArray[np.int64], float]:
+) -> tuple[Ints, float]:
     """As a deployment that minimises the overlap within the cost and coverage that there are."""
     cost = np.asarray(deployment.cost)
     costs_count = bool(cost.any())

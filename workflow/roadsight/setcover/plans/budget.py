@@ -6,8 +6,9 @@ import time
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.setcover.common.problem import CoverProblem
 from roadsight.setcover.common.result import Cover
@@ -46,9 +47,7 @@ def maximise_coverage(
     return replace(cover, objective=-cover.objective, bound=-cover.bound, seconds_cpu=seconds)
 
 
-def budgeted(
-    problem: CoverProblem, budget: float, weights: NDArray[np.float64] | None
-) -> Deployment:
+def budgeted(problem: CoverProblem, budget: float, weights: Floats | None) -> Deployment:
     """Deployment of the greatest weight within a budget.
 
     Raises

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Floats, Ints
 
-def spacing_cliques(xy_m: NDArray[np.float64], spacing_m: float) -> tuple[NDArray[np.int64], ...]:
+
+def spacing_cliques(xy_m: Floats, spacing_m: float) -> tuple[Ints, ...]:
     """Sets of positions that lie nearer to each other than a spacing, or at one place.
 
     Every two positions nearer than the spacing share a set, and a set holds no others. Sets grow
@@ -28,7 +29,7 @@ def spacing_cliques(xy_m: NDArray[np.float64], spacing_m: float) -> tuple[NDArra
     return tuple(np.sort(np.concatenate([rows_at[p] for p in sorted(s)])) for s in sets)
 
 
-def _neighbours(places: NDArray[np.float64], spacing_m: float) -> list[set[int]]:
+def _neighbours(places: Floats, spacing_m: float) -> list[set[int]]:
     """Places nearer than the spacing to each; exactly the spacing is far enough."""
     near: list[set[int]] = [set() for _ in range(len(places))]
     if len(places) < 2:

@@ -7,8 +7,8 @@ from collections import namedtuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.plans.cuts import Cuts
 
@@ -33,7 +33,7 @@ class Builder:
 
     def __init__(self, cuts: Cuts, rng: np.random.Generator) -> None:
         self.cuts, self.deployment, self._rng = cuts, cuts.deployment, rng
-        self.best: NDArray[np.int64] | None = None
+        self.best: Ints | None = None
         self.value = math.inf
         problem = self.deployment.problem
         self._allowed = ~problem.forbidden
@@ -43,7 +43,7 @@ class Builder:
         self._must = np.flatnonzero(problem.mandatory)
         self._pull = np.ones(len(cuts.need))
 
-    def offer(self, rows: NDArray[np.int64]) -> bool:
+    def offer(self, rows: Ints) -> bool:
         """Take rows over if they are allowed and better than the best."""
         chosen = np.unique(rows).astype(np.int64)
         value = self.deployment.objective(chosen)
@@ -52,7 +52,7 @@ class Builder:
             return True
         return False
 
-    def build(self, start: NDArray[np.int64], liking: NDArray[np.float64] | None = None) -> None:
+    def build(self, start: Ints, liking: Floats | None = None) -> None:
         """Fill up from some rows (those that break a set are left out), tidy up and offer."""
         inside = self._compatible(start)
         liking = np.ones(self.cuts.choices) if liking is None else liking
@@ -80,7 +80,7 @@ class Builder:
             liking = self._rng.uniform(0.7, 1.0, self.cuts.choices)
             self.build(start[~out], liking)
 
-    def _compatible(self, start: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def _compatible(self, start: Ints) -> Bools:
         """Mandatory rows, then those of ``start`` that fit beside them."""
         inside = np.zeros(self.cuts.choices, bool)
         used = np.zeros(self.deployment.exclusive.shape[0], bool)
@@ -98,10 +98,10 @@ class Builder:
 
     def _fill(
         self,
-        inside: NDArray[np.bool_],
-        weight: NDArray[np.float64],
-        need: NDArray[np.int64],
-        liking: NDArray[np.float64],
+        inside: Bools,
+        weight: Floats,
+        need: Ints,
+        liking: Floats,
     ) -> None:
         deployment, rows, columns = self.deployment, self.cuts.rows, self.cuts.columns
         # A target that must be seen draws whatever its weight.
@@ -112,9 +112,19 @@ class Builder:
         divisor = charge if finite else np.asarray(deployment.cost)
         least = 0.0 if self._complete or finite else 1.0 / deployment.worth
         low = 1e-3 * max(divisor.max(initial=1.0), 1e-9)
-        rules = _Rules(rows.indptr, rows.indices, columns.indptr, columns.indices, wanted, need,
-                       np.maximum(divisor, low), charge, *self._sets, self._allowed,
-                       liking)  # fmt: skip
+        rules = _Rules(
+            rows.indptr,
+            rows.indices,
+            columns.indptr,
+            columns.indices,
+            wanted,
+            need,
+            np.maximum(divisor, low),
+            charge,
+            *self._sets,
+            self._allowed,
+            liking,
+        )
         used = np.zeros(deployment.exclusive.shape[0] + 1, bool)
         _fill(rules, inside, used, deployment.spendable, least)
 
@@ -122,9 +132,7 @@ class Builder:
     def _complete(self) -> bool:
         return self.deployment.complete or self.deployment.floor > 0
 
-    def _second_sight(
-        self, inside: NDArray[np.bool_], liking: NDArray[np.float64]
-    ) -> NDArray[np.int64]:
+    def _second_sight(self, inside: Bools, liking: Floats) -> Ints:
         """Rows with more beside them until no failure of one takes too much."""
         need, weight = self.cuts.need, self.cuts.weight
         while True:
@@ -144,7 +152,7 @@ class Builder:
                 return chosen
             inside[row] = True
 
-    def _best_addition(self, inside: NDArray[np.bool_], gain: NDArray[np.float64]) -> int:
+    def _best_addition(self, inside: Bools, gain: Floats) -> int:
         """Row that may be added and gains most for what it costs; -1: none."""
         exclusive, deployment = self.deployment.exclusive, self.deployment
         used = exclusive @ inside.astype(np.int32) > 0
@@ -155,7 +163,7 @@ class Builder:
         score = np.where(free, gain, 0.0) / np.maximum(price, 1e-9)
         return int(np.argmax(score)) if (score > 0).any() else -1
 
-    def _tidy(self, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _tidy(self, chosen: Ints) -> Ints:
         """Without rows that are worth less than they cost, the least useful first."""
         deployment = self.deployment
         value = deployment.objective(chosen)

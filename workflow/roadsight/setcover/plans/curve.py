@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Ints
 from roadsight.base.errors import InputError
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.result import INFEASIBLE, OPTIMAL, TIME_LIMIT, WITHIN_GAP, is_within
@@ -30,7 +30,7 @@ class CurvePoint:
 
     budget: float
     spent: float
-    chosen: NDArray[np.int64]
+    chosen: Ints
     value: float
     bound: float
     status: str
@@ -42,7 +42,7 @@ def coverage_curve(
     limit: Deadline | float | None = None,
     seed: int = 1,
     gap: float = 0.0,
-    known: Sequence[NDArray[np.int64]] = (),
+    known: Sequence[Ints] = (),
     full: float = 0.0,
 ) -> list[CurvePoint]:
     """Points for increasing budgets; values and bounds never fall.
@@ -88,9 +88,7 @@ def _most(deployment: Deployment, full: float) -> float:
     return deployment.total - float(asked.min(initial=0.0))
 
 
-def _point(
-    deployment: Deployment, budget: float, chosen: NDArray[np.int64], bound: float
-) -> CurvePoint:
+def _point(deployment: Deployment, budget: float, chosen: Ints, bound: float) -> CurvePoint:
     spent = math.fsum(np.asarray(deployment.charge)[chosen])
     value = deployment.guaranteed(chosen)
     return CurvePoint(budget, spent, chosen, value, max(bound, value), "")

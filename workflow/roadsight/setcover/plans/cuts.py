@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints, Ints32
 from roadsight.setcover.plans.deployment import Deployment
 
 BLOCK_TARGETS = 100
@@ -26,8 +26,8 @@ _VIOLATION = 1e-6
 class Cut:
     """``sum value_k variable_k >= low``; variables are rows, then blocks."""
 
-    index: NDArray[np.int32]
-    value: NDArray[np.float64]
+    index: Ints32
+    value: Floats
     low: float
 
 
@@ -53,11 +53,11 @@ class Cuts:
         self.exclusive = deployment.exclusive
         self.loss = (1 - deployment.keep) * deployment.total
 
-    def count(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def count(self, x: Floats) -> Floats:
         """How often each target is seen."""
         return _count(self.rows.indptr, self.rows.indices, x, self.targets)
 
-    def violated(self, x: NDArray[np.float64], value: NDArray[np.float64]) -> list[Cut]:
+    def violated(self, x: Floats, value: Floats) -> list[Cut]:
         """Cuts that shares of rows (m,) and values of blocks break."""
         count = self.count(x)
         found = self._exclusive(x)
@@ -86,7 +86,7 @@ class Cuts:
             found += [self._target(int(t)) for t in np.sort(rare)]
         return found
 
-    def _exclusive(self, x: NDArray[np.float64]) -> list[Cut]:
+    def _exclusive(self, x: Floats) -> list[Cut]:
         crowded = np.flatnonzero(self.exclusive @ x > 1 + _VIOLATION)
         start, index = self.exclusive.indptr, self.exclusive.indices
         members = [np.sort(index[start[k] : start[k + 1]]).astype(np.int32) for k in crowded]
@@ -97,13 +97,13 @@ class Cuts:
         rows = self.columns.indices[start[target] : start[target + 1]].astype(np.int32)
         return Cut(rows, np.ones(len(rows)), float(self.need[target]))
 
-    def _unseen(self, count: NDArray[np.float64]) -> list[Cut]:
+    def _unseen(self, count: Floats) -> list[Cut]:
         missing = self.need - count
         bad = np.flatnonzero(missing > _VIOLATION)
         bad = bad[np.argsort(-missing[bad], kind="stable")[:TARGETS_AT_ONCE]]
         return [self._target(int(t)) for t in bad]
 
-    def _coverage(self, count: NDArray[np.float64], value: NDArray[np.float64]) -> list[Cut]:
+    def _coverage(self, count: Floats, value: Floats) -> list[Cut]:
         part = np.minimum(count, self.need) * self.share
         seen = np.bincount(self.block, part, minlength=self.blocks)
         open_ = (count < self.need) & (self.weight > 0)
@@ -117,13 +117,11 @@ class Cuts:
             found.append(Cut(index, np.append(gain[rows], -1.0), low))
         return found
 
-    def _gain(self, targets: NDArray[np.int64]) -> NDArray[np.float64]:
+    def _gain(self, targets: Ints) -> Floats:
         """Weight over need of some targets that each row sees."""
         return _gain(self.columns.indptr, self.columns.indices, targets, self.share, self.choices)
 
-    def _failures(
-        self, x: NDArray[np.float64], count: NDArray[np.float64], value: NDArray[np.float64]
-    ) -> list[Cut]:
+    def _failures(self, x: Floats, count: Floats, value: Floats) -> list[Cut]:
         """What is left when a row fails: ``keep V <= f(x without it)``; most violated first."""
         deployment = self.deployment
         goal = deployment.keep * (deployment.total if deployment.complete else value.sum())
@@ -140,7 +138,7 @@ class Cuts:
         cuts = [self._failure(row, these) for _, row, these in found[:FAILURES_AT_ONCE]]
         return cuts + (self._critical(x, count) if deployment.complete else [])
 
-    def _failure(self, row: int, targets: NDArray[np.int64]) -> Cut:
+    def _failure(self, row: int, targets: Ints) -> Cut:
         gain = self._gain(targets[self.weight[targets] > 0])
         gain[row] = 0.0
         outside = self.deployment.total - self.weight[targets].sum()
@@ -154,7 +152,7 @@ class Cuts:
         value = np.concatenate([gain[rows], np.full(self.blocks, -keep)])
         return Cut(np.concatenate([rows, every]), value, -outside)
 
-    def _critical(self, x: NDArray[np.float64], count: NDArray[np.float64]) -> list[Cut]:
+    def _critical(self, x: Floats, count: Floats) -> list[Cut]:
         """Targets that are seen just often enough belong to rows that may lose so much each.
 
         ``u_j >= k_j + 1 - count_j`` marks such targets; each is lost with any of its k_j rows, and
@@ -173,7 +171,7 @@ class Cuts:
         rows = np.flatnonzero(value).astype(np.int32)
         return [Cut(rows, value[rows], low)]
 
-    def forbids(self, chosen: NDArray[np.int64]) -> list[Cut]:
+    def forbids(self, chosen: Ints) -> list[Cut]:
         """Cuts of whole rows that see every target but lose too much when one fails.
 
         What row i alone keeps seen often enough must be seen by others of the rows not chosen.
@@ -190,8 +188,13 @@ class Cuts:
             short = self.weight[these].sum() - self.loss
             if short <= 1e-9 * max(1.0, deployment.total):
                 continue
-            gain = _gain(self.columns.indptr, self.columns.indices, these.astype(np.int64),
-                         self.weight, self.choices)  # fmt: skip
+            gain = _gain(
+                self.columns.indptr,
+                self.columns.indices,
+                these.astype(np.int64),
+                self.weight,
+                self.choices,
+            )
             gain[chosen] = 0.0
             value = np.minimum(gain, short)
             value[row] = -short

@@ -8,8 +8,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Ints
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import CoverProblem
 from roadsight.setcover.common.result import (
@@ -48,7 +48,7 @@ def solve_deployment(
     limit: Deadline | float | None = None,
     seed: int = 1,
     gap: float = 0.0,
-    starts: Iterable[NDArray[np.int64]] = (),
+    starts: Iterable[Ints] = (),
     pool: list[Cut] | None = None,
 ) -> Deployed:
     """Best rows, proven, or the best ones found within the limit.

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import sparse
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.setcover.common.problem import CoverProblem, alone_to_none, objective_step
 
@@ -45,13 +46,13 @@ class Deployment:
     """
 
     problem: CoverProblem
-    weights: NDArray[np.float64] = None  # type: ignore[assignment]
+    weights: Floats = None  # type: ignore[assignment]
     complete: bool = True
     worth: float = 0.0
-    cost: NDArray[np.float64] = None  # type: ignore[assignment]
-    charge: NDArray[np.float64] = None  # type: ignore[assignment]
+    cost: Floats = None  # type: ignore[assignment]
+    charge: Floats = None  # type: ignore[assignment]
     budget: float = math.inf
-    cliques: tuple[NDArray[np.int64], ...] = field(default=(), repr=False)
+    cliques: tuple[Ints, ...] = field(default=(), repr=False)
     keep: float = 0.0
     floor: float = 0.0
 
@@ -112,7 +113,7 @@ class Deployment:
         if self.worth and 0 < self.keep < 1:
             return 0.0
         parts = [self.cost, self.worth * self.weights]
-        values: NDArray[np.float64] = np.concatenate(parts)
+        values: Floats = np.concatenate(parts)
         step = objective_step(values[values > 0]) if (values > 0).any() else 1.0
         return step if step >= _LEAST_STEP * values.max(initial=1.0) else 0.0
 
@@ -128,7 +129,7 @@ class Deployment:
             return bound
         return math.ceil(bound / self.step - 1e-6) * self.step
 
-    def guaranteed(self, chosen: NDArray[np.int64]) -> float:
+    def guaranteed(self, chosen: Ints) -> float:
         """V of sorted rows."""
         need, weights = self.problem.at_least, self.weights
         rows = self.problem.matrix[chosen]
@@ -141,7 +142,7 @@ class Deployment:
         lost = (rows @ critical).max(initial=0.0)
         return min(covered, max(covered - lost, 0.0) / self.keep)
 
-    def objective(self, chosen: NDArray[np.int64]) -> float:
+    def objective(self, chosen: Ints) -> float:
         """Objective of sorted rows; infinite where they are not allowed."""
         if self.broken(chosen):
             return math.inf
@@ -151,7 +152,7 @@ class Deployment:
             return math.inf
         return math.fsum(self.cost[chosen]) - self.worth * value
 
-    def broken(self, chosen: NDArray[np.int64]) -> bool:
+    def broken(self, chosen: Ints) -> bool:
         """Whether rows break the budget, a clique, a group, or what must or must not be taken."""
         mask = np.zeros(len(self.problem.costs), np.int32)
         mask[chosen] = 1
@@ -162,14 +163,12 @@ class Deployment:
             return True
         return bool((self.exclusive @ mask > 1).any())
 
-    def _unseen(self, chosen: NDArray[np.int64]) -> bool:
+    def _unseen(self, chosen: Ints) -> bool:
         count = np.asarray(self.problem.matrix[chosen].sum(axis=0, dtype=np.int64)).ravel()
         return bool((count < self.problem.at_least).any())
 
 
-def _numbers(
-    name: str, values: ArrayLike | None, length: int, default: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _numbers(name: str, values: ArrayLike | None, length: int, default: Floats) -> Floats:
     array = default if values is None else np.asarray(values, np.float64)
     if array.shape != (length,) or not np.isfinite(array).all() or (array < 0).any():
         raise InputError(

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import highspy
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Ints32
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.relaxation import Node, quiet_highs
 from roadsight.setcover.plans.cuts import Cut, Cuts
@@ -31,8 +31,8 @@ class Relaxed:
     """
 
     bound: float
-    x: NDArray[np.float64]
-    reduced_cost: NDArray[np.float64]
+    x: Floats
+    reduced_cost: Floats
     settled: bool
     complete: bool
 
@@ -43,8 +43,9 @@ class Master:
     def __init__(self, cuts: Cuts, pool: list[Cut] | None = None) -> None:
         self.cuts, deployment = cuts, cuts.deployment
         self.choices, self.columns = cuts.choices, cuts.choices + cuts.blocks
-        self.price = np.concatenate([
-            np.asarray(deployment.cost), np.full(cuts.blocks, -deployment.worth)])  # fmt: skip
+        self.price = np.concatenate(
+            [np.asarray(deployment.cost), np.full(cuts.blocks, -deployment.worth)]
+        )
         # What is guaranteed for certain once every target must be seen.
         self.constant = -deployment.worth * deployment.total if deployment.complete else 0.0
         self.branches: list[Cut] = []
@@ -65,15 +66,18 @@ class Master:
             return
         start = np.cumsum([0, *(len(cut.index) for cut in found)])
         self._highs.addRows(
-            len(found), np.array([cut.low for cut in found]), np.full(len(found), np.inf),
-            int(start[-1]), start[:-1].astype(np.int32),
+            len(found),
+            np.array([cut.low for cut in found]),
+            np.full(len(found), np.inf),
+            int(start[-1]),
+            start[:-1].astype(np.int32),
             np.concatenate([cut.index for cut in found]).astype(np.int32),
             np.concatenate([cut.value for cut in found]),
-        )  # fmt: skip
+        )
         self._rows += found
         self._branch += [branch] * len(found)
 
-    def add_branch(self, rows: NDArray[np.int32]) -> int:
+    def add_branch(self, rows: Ints32) -> int:
         """Number of the new constraint that one of ``rows`` is taken."""
         self.branches.append(Cut(rows.astype(np.int32), np.ones(len(rows)), 1.0))
         return len(self.branches) - 1
@@ -160,7 +164,7 @@ class Master:
             if number not in present:
                 self.add([self.branches[number]], number)
 
-    def _delete(self, gone: NDArray[np.bool_]) -> None:
+    def _delete(self, gone: Bools) -> None:
         if gone.any():
             self._highs.deleteRows(int(gone.sum()), np.flatnonzero(gone).astype(np.int32))
             self._rows = [cut for cut, out in zip(self._rows, gone, strict=True) if not out]

@@ -6,9 +6,9 @@ import heapq
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from roadsight.base.arrays import Floats, Ints, Ints32
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.relaxation import Node
 from roadsight.setcover.common.result import is_within
@@ -98,7 +98,7 @@ class Tree:
             return answer.bound, []
         return answer.bound, self._divide(node, answer)
 
-    def _forbid(self, chosen: NDArray[np.int64]) -> bool:
+    def _forbid(self, chosen: Ints) -> bool:
         """Add what whole rows that the relaxation allows break after all."""
         if self.builder.deployment.objective(chosen) < np.inf:
             self.builder.offer(chosen)
@@ -147,7 +147,7 @@ class Tree:
             Node(node.alive, node.fixed, (*node.path, branch)),
         ]
 
-    def _shared_rows(self, node: Node, x: NDArray[np.float64]) -> NDArray[np.int32] | None:
+    def _shared_rows(self, node: Node, x: Floats) -> Ints32 | None:
         """Free rows that see both of the two targets (or one) whose division promises most."""
         cuts, free = self.master.cuts, node.alive & ~node.fixed
         support = np.flatnonzero((x > 1e-9) & free)
@@ -163,12 +163,13 @@ class Tree:
         weight = np.minimum(cuts.weight[targets[first]], cuts.weight[targets[second]])
         best = int(np.argmax(fraction * np.maximum(weight, 1e-9)))
         start, index = cuts.columns.indptr, cuts.columns.indices
-        one, two = (index[start[t] : start[t + 1]] for t in (targets[first[best]],
-                                                           targets[second[best]]))  # fmt: skip
+        one, two = (
+            index[start[t] : start[t + 1]] for t in (targets[first[best]], targets[second[best]])
+        )
         shared = np.intersect1d(one, two)
         return shared[free[shared]].astype(np.int32)
 
-    def _fractional_targets(self, count: NDArray[np.float64]) -> NDArray[np.int64]:
+    def _fractional_targets(self, count: Floats) -> Ints:
         """Some targets that free rows see in part or just once, spread over all of them."""
         near = np.flatnonzero((count > _FRACTION) & (count < 1 + _WHOLE))
         near = near[self.master.cuts.weight[near] > 0] if not self.deployment.complete else near

@@ -194,8 +194,15 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("pole-axes", "matches"):
         parser.add_argument(f"--{name}", nargs="*", default=[], help="shards in order")
     for name in (
-        "frames", "road-edges", "columns", "voxels", "dem", "frame", "truth", "out",
-    ):  # fmt: skip
+        "frames",
+        "road-edges",
+        "columns",
+        "voxels",
+        "dem",
+        "frame",
+        "truth",
+        "out",
+    ):
         parser.add_argument(f"--{name}", required=True)
     for name in ("truth-kind", "truth-crs", "terrain", "baseline"):
         parser.add_argument(f"--{name}", nargs="?")

@@ -8,8 +8,8 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.evidence.precision import (
     largest_error_m,
     normal_error_deg,
@@ -22,8 +22,11 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.usage import own_usage
 from roadsight.stages.command import run_stage
 
-LEVELS = {"float32, world": (False, True), "float32, local": (True, True),
-          "float64, local": (True, False)}  # fmt: skip
+LEVELS = {
+    "float32, world": (False, True),
+    "float32, local": (True, True),
+    "float64, local": (True, False),
+}
 """Ways to store coordinates: whether a local origin is subtracted, whether as float32."""
 
 DEFAULT = "float32, local"
@@ -42,7 +45,7 @@ def measure_precision(arguments: argparse.Namespace) -> None:
 
 
 def _level(
-    native: NDArray[np.float64], frame: Frame, exact: NDArray[np.float64], local: bool, single: bool
+    native: Floats, frame: Frame, exact: Floats, local: bool, single: bool
 ) -> dict[str, Any]:
     """Errors and cost of one way."""
     origin = np.asarray(frame.origin) if local else np.zeros(3)

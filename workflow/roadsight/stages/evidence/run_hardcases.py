@@ -29,9 +29,13 @@ def run_hardcases(arguments: argparse.Namespace) -> None:
     for result in results:
         if not result.passed:
             log.warning(
-                "%s: naive %g, ours %g, bound %g %s", result.case.name, result.naive_error,
-                result.our_error, result.case.bound, result.case.unit,
-            )  # fmt: skip
+                "%s: naive %g, ours %g, bound %g %s",
+                result.case.name,
+                result.naive_error,
+                result.our_error,
+                result.case.bound,
+                result.case.unit,
+            )
     write_csv(arguments.table, case_table(results))
     assets = read_assets(ASSETS)
     with atomic_path(arguments.page) as temporary:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes
 from roadsight.base.shards import shard_of
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.frames import Frame
@@ -77,7 +77,7 @@ def _pictures(arguments: argparse.Namespace) -> ReadImage:
         ].itertuples(index=False)
     }
 
-    def read(path: str) -> NDArray[np.uint8]:
+    def read(path: str) -> Bytes:
         image = source.read(path)
         lens = lens_of(lenses, keys[path], (image.shape[0], image.shape[1]))
         places = source_places(lens, image.shape[1::-1], image.shape[:2])

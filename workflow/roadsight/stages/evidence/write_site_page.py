@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
@@ -122,7 +122,7 @@ def _plan(
     titles: dict[str, str],
     uncovered: Sequence[str],
     frame: Frame,
-    shares: NDArray[np.float64] | None,
+    shares: Floats | None,
     obstacles: str,
     scans: str,
 ) -> PlanResult:
@@ -149,7 +149,7 @@ def _plan(
 
 def _in_sight(
     solution: dict[str, Any], layers: str, targets: pd.Series, frame: Frame
-) -> NDArray[np.float64] | None:
+) -> Floats | None:
     """Share of the time in which a plan has each target in sight; None without traffic.
 
     Parameters
@@ -169,7 +169,7 @@ def _in_sight(
 _NO_RETURNS = np.empty((0, 3)), np.empty(0, np.int64)
 
 
-def _returns(path: str, frame: Frame) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _returns(path: str, frame: Frame) -> tuple[Floats, Ints]:
     """Sample of the simulated returns in local metres, and the number of their sensor, from 0."""
     scan = read_laz(path)
     xyz_m = frame.to_local(scan.xyz)

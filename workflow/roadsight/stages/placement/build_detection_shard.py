@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.detections import write_detections
@@ -59,8 +60,8 @@ def build_detection_shard(arguments: argparse.Namespace) -> None:
 
 
 def _hits(
-    arguments: argparse.Namespace, feet_m: NDArray[np.float64], shape: Shape
-) -> Iterator[tuple[str, NDArray[np.float64], NDArray]]:
+    arguments: argparse.Namespace, feet_m: Floats, shape: Shape
+) -> Iterator[tuple[str, Floats, NDArray]]:
     """Candidates in the order of their depth maps, where they are, and their beams on targets."""
     stride = arguments.azimuth_stride
     sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(stride)

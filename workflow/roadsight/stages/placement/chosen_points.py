@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.poses import read_poses, read_tilts
@@ -23,8 +23,6 @@ from roadsight.placement.sight.shapes import Shape
 from roadsight.placement.sight.sight import beams_by_height
 from roadsight.stages.placement.detection_inputs import sight_of
 
-_FLOATS = NDArray[np.float64]
-
 
 class _Place(NamedTuple):
     """A chosen sensor: its name, its candidate, how it is turned, and whether it has a pose."""
@@ -36,8 +34,8 @@ class _Place(NamedTuple):
 
 
 def points_by_height(
-    arguments: argparse.Namespace, chosen: pd.DataFrame, feet_m: _FLOATS, shape: Shape
-) -> dict[str, _FLOATS]:
+    arguments: argparse.Namespace, chosen: pd.DataFrame, feet_m: Floats, shape: Shape
+) -> dict[str, Floats]:
     """Points of LiDARs and pixels of cameras on each target, (targets, bands), by unit.
 
     Parameters
@@ -52,7 +50,7 @@ def points_by_height(
     pairs = zip(chosen["sensor"], chosen["candidate"].astype(str), strict=True)
     places = [_Place(name, *split_pose(told), "@" in told) for name, told in pairs]
     places = [place for place in places if not isinstance(sensors[place.sensor], Radar)]
-    totals: dict[str, _FLOATS] = {}
+    totals: dict[str, Floats] = {}
     found = 0
     for place, panorama, tilt in _views(arguments, places, sensors):
         sensor = sensors[place.sensor]
@@ -72,7 +70,7 @@ def points_by_height(
 
 def _views(
     arguments: argparse.Namespace, places: list[_Place], sensors: dict[str, AnySensor]
-) -> Iterator[tuple[_Place, Panorama, _FLOATS | None]]:
+) -> Iterator[tuple[_Place, Panorama, Floats | None]]:
     """Each place with its depth map, or its candidate's panorama, and the tilt of its mount."""
     poses = {name: pose for path in arguments.candidates for name, pose in read_poses(path).items()}
     tilts = read_tilts(arguments.tilts)
@@ -97,10 +95,10 @@ def _measured(
     place: _Place,
     sensor: AnySensor,
     view: Panorama,
-    tilt: _FLOATS | None,
-    feet_m: _FLOATS,
+    tilt: Floats | None,
+    feet_m: Floats,
     shape: Shape,
-) -> _FLOATS:
+) -> Floats:
     """What one sensor measures of each target by height, as detection counts it."""
     sight = sight_of(arguments, place.sensor, sensor)
     if not place.posed:

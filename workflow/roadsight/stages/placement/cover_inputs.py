@@ -47,8 +47,11 @@ def _areas(path: str, frame: Frame, crs: str | None) -> gpd.GeoDataFrame:
     areas = read_polygons(path, frame, crs)
     stated = [name for name in ("weight", "at_least") if name in areas]
     if not stated:
-        raise InputError("states neither weight nor at_least of its polygons", where=path,
-                         found=", ".join(map(str, areas.columns)))  # fmt: skip
+        raise InputError(
+            "states neither weight nor at_least of its polygons",
+            where=path,
+            found=", ".join(map(str, areas.columns)),
+        )
     for name in ("weight", "at_least"):
         areas[name] = attribute_numbers(areas, name, path)
     whole = areas["at_least"].dropna().to_numpy(np.float64)

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.detections import write_detections
@@ -35,7 +35,6 @@ from roadsight.stages.progress import logged
 log = logging.getLogger("detect_poses")
 
 _MOST_HITS = np.iinfo(np.uint16).max
-_FLOATS = NDArray[np.float64]
 
 
 def detect_poses(arguments: argparse.Namespace) -> None:
@@ -73,12 +72,12 @@ def _criteria(arguments: argparse.Namespace) -> Criteria:
 
 
 def _often(
-    seen: NDArray[np.bool_],
+    seen: Bools,
     panorama: Panorama,
-    feet_m: _FLOATS,
+    feet_m: Floats,
     shape: Shape,
     traffic: SiteTraffic | None,
-) -> tuple[NDArray[np.bool_], _FLOATS]:
+) -> tuple[Bools, Floats]:
     """What the poses (m, n) see often enough past traffic, and how often (n,)."""
     shares = np.ones(len(feet_m))
     if traffic is None:

@@ -6,8 +6,8 @@ import argparse
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
@@ -58,7 +58,7 @@ def sight_of(arguments: argparse.Namespace, name: str, sensor: AnySensor) -> Sig
 
 def read_shaped_targets(
     arguments: argparse.Namespace,
-) -> tuple[pd.DataFrame, NDArray[np.float64], Shape]:
+) -> tuple[pd.DataFrame, Floats, Shape]:
     """Targets, their feet and their shape; feet of boxes have headings, (n, 4).
 
     Raises

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.io.records.lanes import read_traffic
 from roadsight.placement.plans.availability import (
@@ -37,7 +37,7 @@ class Levelled:
     """
 
     cover: Cover
-    shares: NDArray[np.float64]
+    shares: Floats
     record: dict[str, Any]
 
 
@@ -88,7 +88,7 @@ def cover_at_level(
     return Levelled(cover, seen, record)
 
 
-def described(shares: NDArray[np.float64]) -> dict[str, Any]:
+def described(shares: Floats) -> dict[str, Any]:
     """Mean, least and classes of availability."""
     return {
         "mean": float(shares.mean()),

@@ -13,6 +13,7 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json
@@ -88,8 +89,11 @@ def measure_data(arguments: argparse.Namespace) -> None:
         geometry=gpd.points_from_xy(*feet_m[:, :3].T),
     )
     write_layers(arguments.layers, {"sensors": layer, "targets": feet}, frame)
-    log.info("%.0f points a second, %.0f on the road", totals["points_per_s"],
-             totals["road_points_per_s"])  # fmt: skip
+    log.info(
+        "%.0f points a second, %.0f on the road",
+        totals["points_per_s"],
+        totals["road_points_per_s"],
+    )
 
 
 def _hits(paths: list[str], chosen: pd.DataFrame, targets: pd.Series) -> NDArray[np.uint16]:
@@ -119,9 +123,7 @@ def _probability(
     return None if found is None else found | {"curves": said}
 
 
-def _rates(
-    arguments: argparse.Namespace, frame: Frame, chosen: pd.DataFrame
-) -> dict[str, NDArray[np.float64]]:
+def _rates(arguments: argparse.Namespace, frame: Frame, chosen: pd.DataFrame) -> dict[str, Floats]:
     """Points and pixels a second of each sensor, and its points on the road."""
     sensors = load_sensors(arguments.sensors)
     kinds = [sensors[name] for name in chosen["sensor"]]
@@ -134,7 +136,7 @@ def _rates(
     }
 
 
-def _on_road(arguments: argparse.Namespace, frame: Frame, count: int) -> NDArray[np.float64]:
+def _on_road(arguments: argparse.Namespace, frame: Frame, count: int) -> Floats:
     """Returns of one simulated scan of each sensor within the pavement's outline."""
     if not count:
         return np.zeros(0)

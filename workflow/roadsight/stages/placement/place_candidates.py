@@ -9,10 +9,10 @@ import sys
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from shapely import MultiPolygon
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
@@ -100,9 +100,7 @@ def candidates_at(
     return stack_candidates(positions, points, heights, settings)
 
 
-def _points_near(
-    cloud_path: str, xy_m: NDArray[np.float64], radius_m: float
-) -> NDArray[np.float64]:
+def _points_near(cloud_path: str, xy_m: Floats, radius_m: float) -> Floats:
     """All points of the cloud within a plan distance of any position, (n, 3)."""
     cloud = CloudTiles(cloud_path)
     tree = cKDTree(xy_m)

@@ -9,8 +9,9 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.shards import shard_of
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.images.depth_networks import network_for
@@ -26,8 +27,8 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("render_depth_maps")
 
-Tilt = NDArray[np.float64] | None
-Render = Callable[[Sensor, ArrayLike, float, Tilt], NDArray[np.float32]]
+Tilt = Floats | None
+Render = Callable[[Sensor, ArrayLike, float, Tilt], Floats32]
 
 
 def render_depth_maps(arguments: argparse.Namespace) -> None:
@@ -52,7 +53,7 @@ def render_depth_maps(arguments: argparse.Namespace) -> None:
             writer.append(name, render(sensor, position_m, yaw_deg, tilts.get(name)))
 
 
-def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: NDArray[np.float64]) -> Render:
+def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: Floats) -> Render:
     """The chosen model, ready to render."""
     curved = arguments.curvature == "simulate"
     if arguments.model == "surfel":
@@ -69,9 +70,7 @@ def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: NDArray[np.f
         neighbours=arguments.neighbours,
     )
 
-    def render(
-        sensor: Sensor, position_m: ArrayLike, yaw_deg: float, tilt: Tilt
-    ) -> NDArray[np.float32]:
+    def render(sensor: Sensor, position_m: ArrayLike, yaw_deg: float, tilt: Tilt) -> Floats32:
         seen = as_seen_from(xyz_m, position_m, tilt, curved)
         return model(seen, sensor, position_m, yaw_deg)
 

@@ -11,8 +11,8 @@ import logging
 import sys
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.records.depth_pairs import stack_pairs, write_pairs
@@ -44,7 +44,7 @@ def render_depth_pairs(arguments: argparse.Namespace) -> None:
     write_pairs(arguments.out, stack_pairs(pairs))
 
 
-def _poses(arguments: argparse.Namespace, rng: np.random.Generator) -> NDArray[np.float64]:
+def _poses(arguments: argparse.Namespace, rng: np.random.Generator) -> Floats:
     """Random candidates (n, 4) at random heights: x, y, z and yaw."""
     candidates = read_table(arguments.candidates, _COLUMNS)
     if candidates.empty:

@@ -9,9 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import read_json
@@ -36,7 +37,7 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("render_scans")
 
-Hearing = Callable[[str, AnySensor, NDArray[np.float64], ArrayLike], NDArray[np.bool_]]
+Hearing = Callable[[str, AnySensor, Floats, ArrayLike], Bools]
 
 _ROUNDING_M = 1e-3
 
@@ -63,10 +64,10 @@ def render_scans(arguments: argparse.Namespace) -> None:
 def _scan(
     lidar: SurfelLidar,
     sensor: AnySensor,
-    position_m: NDArray[np.float64],
+    position_m: Floats,
     place: dict[str, Any],
-    tilt: NDArray[np.float64] | None,
-) -> NDArray[np.float64]:
+    tilt: Floats | None,
+) -> Floats:
     """Points (n, 3) that a chosen sensor meets in its pose, local metres."""
     yaw_deg = float(place["yaw_deg"])
     turn = Turn(0.0, float(place.get("pitch_deg", 0.0)), float(place.get("roll_deg", 0.0)))
@@ -87,9 +88,7 @@ def _hearing(arguments: argparse.Namespace) -> Hearing:
     surfaces = [read_table(path) for path in arguments.surfaces]
     trees = [cKDTree(table[["x", "y", "z"]].to_numpy()) for table in surfaces]
 
-    def heard(
-        name: str, sensor: AnySensor, returns: NDArray[np.float64], position_m: ArrayLike
-    ) -> NDArray[np.bool_]:
+    def heard(name: str, sensor: AnySensor, returns: Floats, position_m: ArrayLike) -> Bools:
         reach_m = np.full(len(returns), sensor.range_m)
         if isinstance(sensor, Radar) or not len(returns):
             return np.ones(len(returns), bool)

@@ -45,11 +45,30 @@ METHODS = ("ours", "published", "none")
 TEXTS = ("image", "reason")
 BY_HAND = GivenSigma(heading_deg=0.1, pitch_deg=0.1, lateral_m=0.2, along_m=0.5)
 CAMERA_COLUMNS = (
-    "image", "x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px", "cx_px", "cy_px",
-    "width_px", "height_px", "sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m",
-    "sigma_along_m", "condition", "residual_px", "edge_points", "landmarks", "one_sided",
-    "accepted", "reason",
-)  # fmt: skip
+    "image",
+    "x",
+    "y",
+    "z",
+    "heading_deg",
+    "pitch_deg",
+    "roll_deg",
+    "focal_px",
+    "cx_px",
+    "cy_px",
+    "width_px",
+    "height_px",
+    "sigma_heading_deg",
+    "sigma_pitch_deg",
+    "sigma_lateral_m",
+    "sigma_along_m",
+    "condition",
+    "residual_px",
+    "edge_points",
+    "landmarks",
+    "one_sided",
+    "accepted",
+    "reason",
+)
 
 
 def align_cameras(arguments: argparse.Namespace) -> None:

@@ -34,8 +34,20 @@ from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.scene.terrain.occlusion import TerrainSight
 
 _FRAME = ["image", "route", "sequence", "x", "y", "z_road", "heading_deg", "width_px", "height_px"]
-_AXIS = ["image", "view", "u", "v", "slope", "v_foot", "v_top", "width_px", "width_view_px",
-         "height_view_px", "foot_visible", "top_cut"]  # fmt: skip
+_AXIS = [
+    "image",
+    "view",
+    "u",
+    "v",
+    "slope",
+    "v_foot",
+    "v_top",
+    "width_px",
+    "width_view_px",
+    "height_view_px",
+    "foot_visible",
+    "top_cut",
+]
 _FEWEST_POINTS = 4
 _MOST_SIGMA_M = 0.15
 _MOST_SIGMA_OF_STEM_M = 0.3
@@ -139,10 +151,17 @@ def read_scene(arguments: argparse.Namespace) -> AlignmentScene:
         LandmarkNoise(), axis_px=arguments.axis_px, farthest_m=arguments.landmark_farthest_m
     )
     return AlignmentScene(
-        places, edges, pixels, reach, noise, _terrain(arguments.terrain),
-        _pole_axes(arguments.pole_axes), _landmark_columns(arguments.columns), landmarks,
+        places,
+        edges,
+        pixels,
+        reach,
+        noise,
+        _terrain(arguments.terrain),
+        _pole_axes(arguments.pole_axes),
+        _landmark_columns(arguments.columns),
+        landmarks,
         arguments.curvature == "simulate",
-    )  # fmt: skip
+    )
 
 
 def _pole_axes(paths: list[str]) -> dict[str, pd.DataFrame]:

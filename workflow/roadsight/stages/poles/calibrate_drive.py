@@ -122,9 +122,11 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--images", type=int, default=60, help="of a drive, for its calibration")
     parser.add_argument(
-        "--start", choices=("edges", "landmarks"), default="edges",
+        "--start",
+        choices=("edges", "landmarks"),
+        default="edges",
         help="whether the road edges or the poles say first where the camera looks",
-    )  # fmt: skip
+    )
     model, sides = DriftModel(), ViewOffsets()
     parser.add_argument("--gps-sigma-m", type=float, default=model.sigma_m, help="slow error")
     parser.add_argument("--gps-length-m", type=float, default=model.length_m, help="of its path")

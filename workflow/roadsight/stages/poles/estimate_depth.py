@@ -126,9 +126,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1, help="threads of a network")
     parser.add_argument(
-        "--image-height-px", type=int, default=0,
+        "--image-height-px",
+        type=int,
+        default=0,
         help="height that networks of any size see, px; 0 leaves it to the manifest",
-    )  # fmt: skip
+    )
     return run_stage(parser, estimate_depth, argv)
 
 

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.shards import shard_of
 from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json
@@ -64,17 +64,13 @@ def _run(row: Mapping[Hashable, Any]) -> str:
     return f"{row['route']}/{int(row['sequence']) // _TOGETHER}"
 
 
-def _straight(
-    uv_px: NDArray[np.float64], row: Mapping[Hashable, Any], lenses: list[dict[str, Any]]
-) -> NDArray[np.float64]:
+def _straight(uv_px: Floats, row: Mapping[Hashable, Any], lenses: list[dict[str, Any]]) -> Floats:
     """Pixels as a pinhole camera would have shown them."""
     size = int(row["width_px"]), int(row["height_px"])
     return lens_of(lenses, (str(row["route"]), *size), size[::-1]).undistort(uv_px)
 
 
-def _rows(
-    image: str, other: str, here: NDArray[np.float64], there: NDArray[np.float64]
-) -> pd.DataFrame:
+def _rows(image: str, other: str, here: Floats, there: Floats) -> pd.DataFrame:
     known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
     table = pd.DataFrame(np.column_stack([here, there])[known], columns=list(COLUMNS[2:]))
     table.insert(0, "image", image)

@@ -10,8 +10,8 @@ from dataclasses import asdict, fields
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import Intrinsics, compass_deg
 from roadsight.geometry.frames import Frame
@@ -33,14 +33,42 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("measure_poles")
 
-_FLOATS = NDArray[np.float64]
 _COLUMNS = (
-    "image", "route", "sequence", "view", "kind", "u_foot", "v_foot", "u_min", "v_min", "u_max",
-    "v_max", "x", "y", "z", "latitude", "longitude", "bearing_grid_deg", "bearing_deg", "depth_m",
-    "sigma_bearing_deg", "sigma_depth_m", "kept", "reason", "method", "depth_from",
-    "depth_network_m", "sigma_depth_network_m", "depth_ground_m", "sigma_depth_ground_m",
-    "depth_lidar_m", "sigma_depth_lidar_m", "height_m", "width_px", "foot_visible",
-)  # fmt: skip
+    "image",
+    "route",
+    "sequence",
+    "view",
+    "kind",
+    "u_foot",
+    "v_foot",
+    "u_min",
+    "v_min",
+    "u_max",
+    "v_max",
+    "x",
+    "y",
+    "z",
+    "latitude",
+    "longitude",
+    "bearing_grid_deg",
+    "bearing_deg",
+    "depth_m",
+    "sigma_bearing_deg",
+    "sigma_depth_m",
+    "kept",
+    "reason",
+    "method",
+    "depth_from",
+    "depth_network_m",
+    "sigma_depth_network_m",
+    "depth_ground_m",
+    "sigma_depth_ground_m",
+    "depth_lidar_m",
+    "sigma_depth_lidar_m",
+    "height_m",
+    "width_px",
+    "foot_visible",
+)
 _TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
 
 
@@ -115,7 +143,7 @@ class _Evidence:
         return Evidence(self._ground.sample, self._columns, self._points[close])
 
 
-def _voxels(path: str | None, cameras: pd.DataFrame, reach_m: float) -> _FLOATS:
+def _voxels(path: str | None, cameras: pd.DataFrame, reach_m: float) -> Floats:
     """Centres (n, 3) of the voxels around the cameras."""
     if not path:
         raise InputError("the bearing `lidar` needs voxels", where="--voxels")
@@ -126,7 +154,7 @@ def _voxels(path: str | None, cameras: pd.DataFrame, reach_m: float) -> _FLOATS:
     return xyz[_near(xyz[:, :2], cameras[["x", "y"]].to_numpy(np.float64), reach_m)]
 
 
-def _near(xy_m: _FLOATS, places_m: _FLOATS, reach_m: float) -> NDArray[np.bool_]:
+def _near(xy_m: Floats, places_m: Floats, reach_m: float) -> Bools:
     """Whether points (n, 2) lie in a cell of the size of the reach beside some camera's cell."""
     if not len(places_m):
         return np.zeros(len(xy_m), bool)
@@ -144,9 +172,12 @@ def _camera(
     view: View, pose: pd.Series, offsets: ViewOffsets, shape: tuple[int, ...]
 ) -> ViewCamera:
     front = Intrinsics(
-        int(pose["width_px"]), int(pose["height_px"]), float(pose["focal_px"]),
-        float(pose["cx_px"]), float(pose["cy_px"]),
-    )  # fmt: skip
+        int(pose["width_px"]),
+        int(pose["height_px"]),
+        float(pose["focal_px"]),
+        float(pose["cx_px"]),
+        float(pose["cy_px"]),
+    )
     own = front if view.view == "front" else side_intrinsics(front, shape[1], shape[0])
     angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
     names = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")

@@ -8,8 +8,8 @@ import sys
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -53,7 +53,7 @@ def grid_scale(poles: pd.DataFrame, frame: Frame) -> float:
 
 def rate_on_ground(
     poles: pd.DataFrame,
-    edges_m: NDArray[np.float64],
+    edges_m: Floats,
     frames: pd.DataFrame,
     height: Height | None,
     settings: HazardSettings,

@@ -10,8 +10,9 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -101,7 +102,7 @@ def _site(arguments: argparse.Namespace, frame: Frame) -> Site:
     bounds = np.array([tile.bounds_m for tile in cloud.tiles])
     tree = shapely.STRtree(shapely.box(bounds[:, 0], bounds[:, 1], bounds[:, 3], bounds[:, 4]))
 
-    def covers(xy: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def covers(xy: Floats) -> Bools:
         near, _ = tree.query(shapely.points(xy), predicate="dwithin", distance=arguments.outside_m)
         return np.isin(np.arange(len(xy)), near)
 
@@ -114,14 +115,14 @@ def _site(arguments: argparse.Namespace, frame: Frame) -> Site:
 
 
 def road_heights(
-    ground_at: Callable[[ArrayLike, ArrayLike], NDArray[np.float64]], view: TopRaster | None
-) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    ground_at: Callable[[ArrayLike, ArrayLike], Floats], view: TopRaster | None
+) -> Callable[[Floats], Floats]:
     """Function of places (n, 2) that gives the road's height, or the ground's where there is none.
 
     On a bridge the terrain model may be that of the ground below, which the road is not.
     """
 
-    def heights(xy: NDArray[np.float64]) -> NDArray[np.float64]:
+    def heights(xy: Floats) -> Floats:
         found = np.full(len(xy), np.nan) if view is None else _paved_heights(view, xy)
         for reach in _GROUND_REACHES_M:
             bare = np.flatnonzero(np.isnan(found))
@@ -134,7 +135,7 @@ def road_heights(
     return heights
 
 
-def _paved_heights(view: TopRaster, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+def _paved_heights(view: TopRaster, xy: Floats) -> Floats:
     """Median height of the road cells around each place, NaN without any."""
     reach = int(np.ceil(_ROAD_REACH_M / view.cell_size_m))
     heights = np.full(len(xy), np.nan)

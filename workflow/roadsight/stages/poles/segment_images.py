@@ -8,8 +8,8 @@ import sys
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.images.label_images import LabelImages
@@ -25,7 +25,7 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("segment_images")
 
-Source = tuple[Labels, Callable[[View, NDArray[np.uint8]], NDArray[np.uint8]]]
+Source = tuple[Labels, Callable[[View, Bytes], Bytes]]
 
 
 def segment_images(arguments: argparse.Namespace) -> None:
@@ -53,7 +53,7 @@ def _open(source: list[str], arguments: argparse.Namespace) -> Source:
     if len(source) == 2:
         folder, labels = LabelImages(source[0]), read_label_map(source[1])
 
-        def from_folder(view: View, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        def from_folder(view: View, image: Bytes) -> Bytes:
             where = f"{folder.folder}: {view.path}"
             return folder_mask(folder.read(view.path), labels, image.shape[:2], where)
 
@@ -66,7 +66,7 @@ def _open(source: list[str], arguments: argparse.Namespace) -> Source:
     if model.manifest.task != "classes":
         raise InputError("must be classes", where=f"{source[0]}: task", found=model.manifest.task)
 
-    def from_network(view: View, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    def from_network(view: View, image: Bytes) -> Bytes:
         tensor = tensor_of(image, model.manifest.input, arguments.image_height_px)
         outputs = model.session.run(list(model.output_names), {model.input_name: tensor})
         return class_mask(outputs, model.manifest, image.shape[:2], source[0])
@@ -80,17 +80,23 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("frames", "images", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument(
-        "--source", nargs="+", action="append", required=True, metavar="MANIFEST | FOLDER MAP",
+        "--source",
+        nargs="+",
+        action="append",
+        required=True,
+        metavar="MANIFEST | FOLDER MAP",
         help="repeat it: later sources replace what earlier ones say, with their own classes only",
-    )  # fmt: skip
+    )
     parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1, help="threads of a network")
     parser.add_argument(
-        "--image-height-px", type=int, default=0,
+        "--image-height-px",
+        type=int,
+        default=0,
         help="height that networks of any size see, px; 0 leaves it to the manifest",
-    )  # fmt: skip
+    )
     return run_stage(parser, segment_images, argv)
 
 

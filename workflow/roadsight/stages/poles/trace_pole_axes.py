@@ -19,8 +19,17 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("trace_pole_axes")
 TEXTS = ("image", "view", "kind", "foot")
-NUMBERS = ("u", "v", "slope", "u_foot", "v_foot", "v_top", "width_px", "width_view_px",
-           "height_view_px")  # fmt: skip
+NUMBERS = (
+    "u",
+    "v",
+    "slope",
+    "u_foot",
+    "v_foot",
+    "v_top",
+    "width_px",
+    "width_view_px",
+    "height_view_px",
+)
 _KIND = "pole"
 
 

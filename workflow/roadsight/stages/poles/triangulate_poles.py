@@ -11,9 +11,9 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Ints
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
@@ -56,8 +56,11 @@ def triangulate_poles(arguments: argparse.Namespace) -> None:
     about: dict[str, Any] = {"method": arguments.method, "settings": vars(settings)}
     about |= {"depth_scale": scales, "sightings": len(sightings)}
     write_table(arguments.poles, poles, about)
-    layers = {"poles": _points(poles), "ellipses": _ellipses(poles),
-              "rays": _rays(sightings, poles, pole_of)}  # fmt: skip
+    layers = {
+        "poles": _points(poles),
+        "ellipses": _ellipses(poles),
+        "rays": _rays(sightings, poles, pole_of),
+    }
     write_layers(arguments.layers, layers, frame, _KINDS)
     write_csv(arguments.csv, in_native(poles[kept].drop(columns=["kept", "reason"]), frame))
     write_geojson(arguments.geojson, _points(poles[kept].reset_index(drop=True)), frame)
@@ -123,9 +126,7 @@ def _ellipses(poles: pd.DataFrame) -> gpd.GeoDataFrame:
     return gpd.GeoDataFrame(poles[["id", "kept"]].reset_index(drop=True), geometry=rings)
 
 
-def _rays(
-    sightings: pd.DataFrame, poles: pd.DataFrame, pole_of: NDArray[np.int64]
-) -> gpd.GeoDataFrame:
+def _rays(sightings: pd.DataFrame, poles: pd.DataFrame, pole_of: Ints) -> gpd.GeoDataFrame:
     """Lines from the cameras to the poles that they support."""
     used = np.flatnonzero(pole_of >= 0)
     start = sightings[["x", "y"]].to_numpy(np.float64)[used]

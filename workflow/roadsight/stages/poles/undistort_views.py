@@ -7,9 +7,7 @@ import json
 import logging
 import sys
 
-import numpy as np
-from numpy.typing import NDArray
-
+from roadsight.base.arrays import Floats
 from roadsight.io.images.image_shards import ImageShard, ImageShardWriter
 from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json
@@ -33,7 +31,7 @@ def undistort_views(arguments: argparse.Namespace) -> None:
         str(row["image"]): (str(row[names[0]]), int(row[names[1]]), int(row[names[2]]))
         for row in frames.to_dict("records")
     }
-    places: dict[tuple[Key, tuple[int, int], tuple[int, ...]], NDArray[np.float64]] = {}
+    places: dict[tuple[Key, tuple[int, int], tuple[int, ...]], Floats] = {}
     views = list(views_of(frames, tuple(arguments.views)))
     with ImageShardWriter(arguments.out, maps.about) as shard:
         for view in logged(views, len(views), log, "images"):

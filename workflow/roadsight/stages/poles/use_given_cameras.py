@@ -33,9 +33,11 @@ def use_given_cameras(arguments: argparse.Namespace) -> None:
     given = read_cameras(arguments.cameras, frame, arguments.intrinsics)
     poses = {str(row["image"]): row for _, row in given.iterrows()}
     sigma = GivenSigma(
-        arguments.sigma_heading_deg, arguments.sigma_pitch_deg,
-        arguments.sigma_place_m, arguments.sigma_place_m,
-    )  # fmt: skip
+        arguments.sigma_heading_deg,
+        arguments.sigma_pitch_deg,
+        arguments.sigma_place_m,
+        arguments.sigma_place_m,
+    )
     own = [p for p in scene.places if shard_of(p.image, arguments.shards) == arguments.shard]
     rows, shares = [], []
     for place in logged(own, len(own), log, "images"):
@@ -65,9 +67,14 @@ def _row(
         return camera_row(pose, size, sigma, agrees, len(scene.edges_of(place)[0].uv_px))
     numbers = dict.fromkeys(set(CAMERA_COLUMNS) - {"image", "reason"}, np.nan)
     return numbers | {
-        "width_px": size[0], "height_px": size[1], "edge_points": 0, "landmarks": 0,
-        "one_sided": False, "accepted": False, "reason": NOT_GIVEN,
-    }  # fmt: skip
+        "width_px": size[0],
+        "height_px": size[1],
+        "edge_points": 0,
+        "landmarks": 0,
+        "one_sided": False,
+        "accepted": False,
+        "reason": NOT_GIVEN,
+    }
 
 
 def _judged(shares: np.ndarray, table: pd.DataFrame) -> dict[str, Any]:

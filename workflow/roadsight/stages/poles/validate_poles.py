@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
@@ -36,8 +36,12 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("validate_poles")
 
-_NAMES = {"straight": "straight road", "curved": "curved road", "intersection": "intersection",
-          "extraneous": "extraneous features"}  # fmt: skip
+_NAMES = {
+    "straight": "straight road",
+    "curved": "curved road",
+    "intersection": "intersection",
+    "extraneous": "extraneous features",
+}
 
 
 def validate_poles(arguments: argparse.Namespace) -> None:
@@ -58,8 +62,11 @@ def validate_poles(arguments: argparse.Namespace) -> None:
     for warning in warnings:
         log.warning("%s", warning)
     content = _content(errors, warnings)
-    content["truth"] = {"within_reach": len(known), "out_of_reach": int((~near).sum()),
-                        "reach_m": arguments.reach_m}  # fmt: skip
+    content["truth"] = {
+        "within_reach": len(known),
+        "out_of_reach": int((~near).sum()),
+        "reach_m": arguments.reach_m,
+    }
     content["poles"], content["match_m"] = len(poles), arguments.match_m
     content["thresholds"] = score_thresholds(_xy(poles), _xy(known), THRESHOLDS_M)
     write_json(arguments.out, _plain(content))
@@ -97,9 +104,7 @@ def _pavement(arguments: argparse.Namespace, frame: Frame) -> shapely.Geometry |
     return shapely.union_all(layer.geometry.to_numpy())
 
 
-def _geodesic(
-    frame: Frame, found_m: NDArray[np.float64], known_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _geodesic(frame: Frame, found_m: Floats, known_m: Floats) -> Floats:
     """Distances on the ellipsoid, or in plan where the site has no place on Earth."""
     if frame.crs_wkt is None or len(found_m) == 0:
         return np.hypot(*(found_m - known_m).T)
@@ -112,8 +117,9 @@ def _content(errors: pd.DataFrame, warnings: list[str]) -> dict[str, Any]:
     summary = describe(geodesic)
     rows = errors.drop(columns=list(_NAMES)).to_dict("records")
     for row, (_, error) in zip(rows, errors.iterrows(), strict=True):
-        row["scenarios"] = [text for name, text in _NAMES.items() if error[name] is True
-                            or error[name] is np.True_]  # fmt: skip
+        row["scenarios"] = [
+            text for name, text in _NAMES.items() if error[name] is True or error[name] is np.True_
+        ]
     return {
         "warnings": warnings,
         "mean_m": summary["mean"],
@@ -125,7 +131,7 @@ def _content(errors: pd.DataFrame, warnings: list[str]) -> dict[str, Any]:
     }
 
 
-def _xy(table: pd.DataFrame) -> NDArray[np.float64]:
+def _xy(table: pd.DataFrame) -> Floats:
     return table[["x", "y"]].to_numpy(np.float64)
 
 

@@ -12,8 +12,8 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles
@@ -73,8 +73,12 @@ def _curbs(arguments: argparse.Namespace) -> tuple[pd.DataFrame, dict[str, objec
         curbs = find_curbs(_beside(cloud, track), track)
         tables.append(_curb_table(curbs, first))
         first += int(curbs.polyline.max(initial=-1)) + 1
-        log.info("%s: %d curb points, steps of %.3f m (median)", route, len(tables[-1]),
-                 np.median(curbs.step_m) if len(curbs.step_m) else np.nan)  # fmt: skip
+        log.info(
+            "%s: %d curb points, steps of %.3f m (median)",
+            route,
+            len(tables[-1]),
+            np.median(curbs.step_m) if len(curbs.step_m) else np.nan,
+        )
     edges = pd.concat(tables, ignore_index=True)
     if edges.empty:
         raise InputError(
@@ -85,7 +89,7 @@ def _curbs(arguments: argparse.Namespace) -> tuple[pd.DataFrame, dict[str, objec
     return edges, {"method": "curbs", "settings": vars(CurbSettings())}
 
 
-def _beside(cloud: CloudTiles, track_xy_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _beside(cloud: CloudTiles, track_xy_m: Floats) -> Floats:
     """Points (n, 3) of the tiles around a track."""
     low, high = track_xy_m.min(axis=0) - _BESIDE_M, track_xy_m.max(axis=0) + _BESIDE_M
     bounds = np.array([tile.bounds_m for tile in cloud.tiles])

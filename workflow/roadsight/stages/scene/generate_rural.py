@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.images.videolog_shards import write_csv
 from roadsight.io.vector.vectors import write_layers
@@ -49,7 +50,7 @@ def generate_rural(arguments: argparse.Namespace) -> None:
     logging.info("%d points, %d places, %d posts", len(xyz_m), len(places), len(site.poles))
 
 
-def _cloud(parts: Iterable[Returns]) -> tuple[NDArray[np.float64], dict[str, NDArray]]:
+def _cloud(parts: Iterable[Returns]) -> tuple[Floats, dict[str, NDArray]]:
     """Points (n, 3) in local metres and their LAS dimensions."""
     columns: dict[str, list[NDArray]] = {name: [] for name in Returns.__dataclass_fields__}
     for part in parts:

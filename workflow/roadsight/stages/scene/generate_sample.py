@@ -10,6 +10,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.vector.sample import write_native_lines
 from roadsight.io.vector.vectors import write_layers
@@ -56,7 +57,7 @@ def generate_sample(arguments: argparse.Namespace) -> None:
     logging.info("%d points on %g m of %s", len(xyz_m), arguments.length_m, arguments.scene)
 
 
-def _cloud(chunks: Iterable[PointChunk]) -> tuple[NDArray[np.float64], dict[str, NDArray]]:
+def _cloud(chunks: Iterable[PointChunk]) -> tuple[Floats, dict[str, NDArray]]:
     """Points (n, 3) in local metres and their LAS dimensions; the class stays 0, unclassified."""
     parts = list(chunks)
     xyz_m = np.concatenate([part.xyz_m for part in parts])

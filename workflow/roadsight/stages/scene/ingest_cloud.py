@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import METRES_PER_UNIT, unit_name
 from roadsight.geometry.frames import Frame
@@ -143,7 +143,7 @@ def _check_arguments(clouds: Sequence[Path], tile_size_m: float) -> None:
         )
 
 
-def _corners(scans: Sequence[CloudScan]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _corners(scans: Sequence[CloudScan]) -> tuple[Floats, Floats]:
     """Least and greatest native x, y, z of all clouds."""
     lower = np.stack([scan.lower for scan in scans]).min(axis=0)
     return lower, np.stack([scan.upper for scan in scans]).max(axis=0)

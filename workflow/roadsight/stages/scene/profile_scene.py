@@ -8,8 +8,8 @@ import sys
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.tiles import COLOUR, CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json, write_json
@@ -56,7 +56,7 @@ def profile_scene(arguments: argparse.Namespace) -> None:
     write_json(arguments.out, profile)
 
 
-def _cells(cloud: CloudTiles) -> tuple[Cells, NDArray[np.int64]]:
+def _cells(cloud: CloudTiles) -> tuple[Cells, Ints]:
     """Occupied cells of the whole cloud, and how many points have each intensity."""
     parts, intensity = [], np.zeros(_INTENSITIES, np.int64)
     for number in range(len(cloud.tiles)):
@@ -66,7 +66,7 @@ def _cells(cloud: CloudTiles) -> tuple[Cells, NDArray[np.int64]]:
     return join_cells(parts), intensity
 
 
-def _distances(cloud: CloudTiles, cells: Cells) -> NDArray[np.float64]:
+def _distances(cloud: CloudTiles, cells: Cells) -> Floats:
     """Distances of sampled points to their nearest neighbours."""
     ends = np.cumsum([tile.rows for tile in cloud.tiles])
 

@@ -11,8 +11,8 @@ from operator import itemgetter
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, Points, Tile
@@ -64,7 +64,7 @@ def rasterise_lidar(arguments: argparse.Namespace) -> None:
 def settled(
     grid: VoxelGrid,
     cloud: CloudTiles,
-    table: NDArray[np.uint8],
+    table: Bytes,
     paved: PavedArea | None,
     threads: int,
 ) -> Iterator[Settled]:
@@ -109,9 +109,7 @@ def _in_rows(grid: VoxelGrid, parts: list[Settled], starts: range) -> Iterator[S
         parts = [north for _, north in halves]
 
 
-def _classes(
-    points: Points, table: NDArray[np.uint8], paved: PavedArea | None
-) -> NDArray[np.uint8]:
+def _classes(points: Points, table: Bytes, paved: PavedArea | None) -> Bytes:
     cls = table[points["classification"]]
     if paved is not None:
         cls[paved.holds(points["x"], points["y"], points["z"])] = ROAD
@@ -119,7 +117,7 @@ def _classes(
 
 
 def _paved_area(
-    arguments: argparse.Namespace, cloud: CloudTiles, table: NDArray[np.uint8], frame: Frame
+    arguments: argparse.Namespace, cloud: CloudTiles, table: Bytes, frame: Frame
 ) -> PavedArea | None:
     """Nothing for a cloud that knows its roads, else the pavement found in it or given."""
     log.info("points by class: %s", cloud.classes)
@@ -158,9 +156,11 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--bridge-classes", type=int, nargs="*", default=[BRIDGE])
     parser.add_argument("--road-source", choices=("auto", "class", "pavement"), default="auto")
     parser.add_argument(
-        "--least-road-share", type=float, default=1e-4,
+        "--least-road-share",
+        type=float,
+        default=1e-4,
         help="auto: with a smaller share of road points, the pavement is used",
-    )  # fmt: skip
+    )
     parser.add_argument(
         "--pavement-height-m", type=float, default=0.3, help="farthest from the terrain model"
     )

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, Points, Tile, stack_xyz
@@ -82,9 +82,10 @@ class SiteCloud:
         """
         if version != self._version:
             raise OutdatedError(
-                "the cloud has changed since the page was opened", where="studio",
+                "the cloud has changed since the page was opened",
+                where="studio",
                 hint="reload the page",
-            )  # fmt: skip
+            )
         if not (0 <= number < len(self._tiles.tiles) and 0 <= level < LEVELS):
             raise InputError("no such part of the cloud", where="studio", found=(number, level))
         with self._lock:
@@ -110,20 +111,24 @@ class SiteCloud:
         xyz = stack_xyz(points)
         box = np.array(self._tiles.tiles[number].bounds_m)
         packed = pack_points(
-            xyz, box[:3], box[3:], self._heights(xyz, self._tiles.tiles[number]),
-            scaled_intensity(points["intensity"], self._bright), points["classification"],
+            xyz,
+            box[:3],
+            box[3:],
+            self._heights(xyz, self._tiles.tiles[number]),
+            scaled_intensity(points["intensity"], self._bright),
+            points["classification"],
             self._labels(number, len(xyz)),
-        )  # fmt: skip
+        )
         level = level_of_points(xyz)
         return [packed[level == wanted].tobytes() for wanted in range(LEVELS)]
 
-    def _heights(self, xyz_m: NDArray[np.float32], tile: Tile) -> NDArray[np.float64]:
+    def _heights(self, xyz_m: Floats32, tile: Tile) -> Floats:
         """Heights above the terrain, or above the tile's lowest point where there is none."""
         if self._dem is None:
             return xyz_m[:, 2].astype(np.float64) - tile.bounds_m[2]
         return xyz_m[:, 2] - self._dem.sample(xyz_m[:, 0], xyz_m[:, 1])
 
-    def _labels(self, number: int, points: int) -> NDArray[np.bool_]:
+    def _labels(self, number: int, points: int) -> Bools:
         if self._ground is None:
             return np.zeros(points, bool)
         return self._ground[self._starts[number] : self._starts[number + 1]]
@@ -136,7 +141,7 @@ class SiteCloud:
         return float(np.percentile(found, _BRIGHT_PERCENT)) if len(found) else 1.0
 
 
-def _ground_labels(path: Path, points: int) -> NDArray[np.bool_] | None:
+def _ground_labels(path: Path, points: int) -> Bools | None:
     if not path.exists():
         return None
     labels = read_table(path, ["ground"])["ground"].to_numpy(bool)

@@ -5,19 +5,27 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bools, Bytes, Floats, Floats32
+
 CELLS_M = (1.6, 0.8, 0.4, 0.2, 0.1)
 """Edges of the cells of each level; the last level has all other points."""
 LEVELS = len(CELLS_M) + 1
 RECORD = np.dtype(
-    [("xyz", "<u2", 3), ("height_cm", "<i2"), ("intensity", "u1"), ("cls", "u1"),
-     ("ground", "u1"), ("free", "u1")]
-)  # fmt: skip
+    [
+        ("xyz", "<u2", 3),
+        ("height_cm", "<i2"),
+        ("intensity", "u1"),
+        ("cls", "u1"),
+        ("ground", "u1"),
+        ("free", "u1"),
+    ]
+)
 """A point as the browser gets it: position by its tile's box, height above ground."""
 _STEPS = 65535
 _HIGHEST_CM = 32767
 
 
-def level_of_points(xyz_m: NDArray[np.float32]) -> NDArray[np.uint8]:
+def level_of_points(xyz_m: Floats32) -> Bytes:
     """Level (n,) at which each point first appears.
 
     A level takes the first point, in the order given, of each cubic cell in which no coarser level
@@ -43,13 +51,13 @@ def level_of_points(xyz_m: NDArray[np.float32]) -> NDArray[np.uint8]:
 
 
 def pack_points(
-    xyz_m: NDArray[np.float32],
-    low_m: NDArray[np.float64],
-    high_m: NDArray[np.float64],
-    height_m: NDArray[np.float64],
-    intensity: NDArray[np.uint8],
-    classes: NDArray[np.uint8],
-    ground: NDArray[np.bool_],
+    xyz_m: Floats32,
+    low_m: Floats,
+    high_m: Floats,
+    height_m: Floats,
+    intensity: Bytes,
+    classes: Bytes,
+    ground: Bools,
 ) -> NDArray[np.void]:
     """Points (n,) of `RECORD`.
 
@@ -69,7 +77,7 @@ def pack_points(
     return packed
 
 
-def scaled_intensity(intensity: NDArray[np.uint16], brightest: float) -> NDArray[np.uint8]:
+def scaled_intensity(intensity: NDArray[np.uint16], brightest: float) -> Bytes:
     """Intensity (n,) as bytes, so that a cloud's bright points are 255.
 
     Parameters

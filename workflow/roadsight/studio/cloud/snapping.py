@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from roadsight.base.arrays import Floats, Floats32
+
 REACH_M = 1.0
 _MARGIN_M = 0.6
 _CELL_M = 0.1
@@ -18,7 +20,7 @@ _LEAST_SCORE = 1.0
 
 
 def snap_to_cloud(
-    xyz_m: NDArray[np.float32], intensity: NDArray, xy_m: tuple[float, float]
+    xyz_m: Floats32, intensity: NDArray, xy_m: tuple[float, float]
 ) -> tuple[float, float] | None:
     """Place of the strongest edge within `REACH_M` of a click; None where nothing stands out.
 
@@ -53,16 +55,14 @@ def snap_to_cloud(
     return float(xy_m[0] + (share * x).sum()), float(xy_m[1] + (share * y).sum())
 
 
-def _standard(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _standard(values: Floats) -> Floats:
     """Values by their spread between dark and bright; zero where they hardly differ."""
     low, high = np.percentile(values, [5, 95])
     spread = max(high - low, 0.1 * abs(high), 1e-9)
     return np.clip((values - low) / spread, 0.0, 1.0)
 
 
-def _slope(
-    offset_m: NDArray[np.float64], values: NDArray[np.float64], half_m: float
-) -> NDArray[np.float64]:
+def _slope(offset_m: Floats, values: Floats, half_m: float) -> Floats:
     """Steepness (cells, cells), per metre, of values blurred over cells; gaps are bridged."""
     cells = int(np.ceil(2 * half_m / _CELL_M))
     index = np.clip(((offset_m + half_m) / _CELL_M).astype(int), 0, cells - 1)

@@ -53,10 +53,11 @@ def load_drawing(site: SiteFolder) -> dict[str, Any]:
         "reference": _reference(site, frame, terrain),
         "spacing_m": site.resolved.settings.candidates.spacing_m,
         "frame": {
-            "origin": list(frame.origin), "unit_m": frame.unit_m,
+            "origin": list(frame.origin),
+            "unit_m": frame.unit_m,
             "vertical_unit_m": frame.vertical_unit_m,
         },
-    }  # fmt: skip
+    }
 
 
 def terrain_of(site: SiteFolder, frame: Frame) -> Raster | None:
@@ -118,10 +119,14 @@ def _holes(area: Polygon) -> dict[str, Any]:
 
 def _mounts(mounts: Any) -> list[dict[str, Any]]:
     return [
-        {"name": row.name, "x": round(row.x, 4), "y": round(row.y, 4),
-         "height_m": None if row.top_m != row.top_m else row.top_m}
+        {
+            "name": row.name,
+            "x": round(row.x, 4),
+            "y": round(row.y, 4),
+            "height_m": None if row.top_m != row.top_m else row.top_m,
+        }
         for row in mounts.itertuples(index=False)
-    ]  # fmt: skip
+    ]
 
 
 def _reference(site: SiteFolder, frame: Frame, terrain: Raster | None) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from shapely import LineString, MultiPolygon
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.io.raster.rasters import Raster
 from roadsight.placement.candidates.positions import positions_along
@@ -89,7 +89,7 @@ def _positions(
     pavement: MultiPolygon,
     spacing_m: float,
     arm_m: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Places (n, 2) of candidates along the edges, then on poles, and where they face (n,)."""
     edges = gpd.GeoDataFrame(
         {"edge": [name for name, _, _ in splines], "kind": [kind for _, kind, _ in splines]},
@@ -148,11 +148,11 @@ def lifted(line: shapely.Geometry, terrain: Raster | None) -> list[float]:
     return _flat(np.column_stack([xy, _heights(xy, terrain)]))
 
 
-def _heights(xy_m: NDArray[np.float64], terrain: Raster | None) -> NDArray[np.float64]:
+def _heights(xy_m: Floats, terrain: Raster | None) -> Floats:
     if terrain is None or not len(xy_m):
         return np.zeros(len(xy_m))
     return np.nan_to_num(terrain.sample(xy_m[:, 0], xy_m[:, 1]))
 
 
-def _flat(table: NDArray[np.float64]) -> list[float]:
+def _flat(table: Floats) -> list[float]:
     return np.round(table, 3).ravel().tolist()

@@ -87,10 +87,15 @@ class SiteDrive:
     def _state(self, row: pd.Series) -> dict[str, Any]:
         image = str(row["image"])
         found = {
-            "image": image, "route": str(row["route"]), "x": _number(row["x"]),
-            "y": _number(row["y"]), "size": [int(row["width_px"]), int(row["height_px"])],
-            "state": "unsolved", "reason": "", "residual_px": None,
-        }  # fmt: skip
+            "image": image,
+            "route": str(row["route"]),
+            "x": _number(row["x"]),
+            "y": _number(row["y"]),
+            "size": [int(row["width_px"]), int(row["height_px"])],
+            "state": "unsolved",
+            "reason": "",
+            "residual_px": None,
+        }
         if row["status"] != "ok":
             return found | {"state": "unusable", "reason": str(row["status"])}
         if image in self.corrections:

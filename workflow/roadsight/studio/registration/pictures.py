@@ -6,8 +6,8 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.lens import RadialLens
 from roadsight.io.records.atomic import read_json
@@ -51,5 +51,5 @@ def without_distortion(content: bytes, lens: RadialLens) -> bytes:
 
 
 @lru_cache(maxsize=4)
-def _places(lens: RadialLens, width_px: int, height_px: int) -> NDArray[np.float64]:
+def _places(lens: RadialLens, width_px: int, height_px: int) -> Floats:
     return source_places(lens, (width_px, height_px), (height_px, width_px))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import read_raster
@@ -123,7 +124,7 @@ def alignment_error(drive: SiteDrive, place: Place, pose: dict[str, float]) -> d
     }
 
 
-def _gaps(uv: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+def _gaps(uv: Floats, pixels: Floats) -> Floats:
     """Distances to the nearest pixel of the points that have one within the window."""
     if not len(uv) or not len(pixels):
         return np.empty(0)
@@ -131,7 +132,7 @@ def _gaps(uv: NDArray[np.float64], pixels: NDArray[np.float64]) -> NDArray[np.fl
     return gap_px[gap_px <= WINDOW_PX]
 
 
-def _group(seen: Any, number: int) -> NDArray[np.float64]:
+def _group(seen: Any, number: int) -> Floats:
     return np.asarray(seen.uv_px[seen.groups[number] : seen.groups[number + 1]], np.float64)
 
 
@@ -157,9 +158,7 @@ def _view_deg(place: Place, pose: dict[str, float]) -> float:
     return float(min(half + _ROOM_DEG, 90.0))
 
 
-def before_camera(
-    offset_m: NDArray[np.floating], heading_deg: float, half_deg: float
-) -> NDArray[np.bool_]:
+def before_camera(offset_m: NDArray[np.floating], heading_deg: float, half_deg: float) -> Bools:
     """Whether plan offsets (n, 2) from a camera lie within its view, or right beside it."""
     azimuth = np.degrees(np.arctan2(offset_m[:, 0], offset_m[:, 1]))
     away = np.hypot(*offset_m.T)
@@ -167,7 +166,7 @@ def before_camera(
     return (away <= _AHEAD_M) & (within | (away <= _BESIDE_M))
 
 
-def _above_ground(site: SiteFolder, drive: SiteDrive, xyz: NDArray) -> NDArray[np.float64]:
+def _above_ground(site: SiteFolder, drive: SiteDrive, xyz: NDArray) -> Floats:
     ground = read_raster(site.file(DEM), drive.frame).sample(xyz[:, 0], xyz[:, 1])
     return np.nan_to_num(xyz[:, 2] - ground)
 

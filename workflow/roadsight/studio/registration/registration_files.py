@@ -75,9 +75,12 @@ def _other_pairs(drive: SiteDrive, path: Path | None, sizes: set[str]) -> list[l
         header, *rows = [row for row in csv.reader(stream) if row] or [_HEADER]
     if header != _HEADER:
         raise InputError(
-            "has other columns", where=str(path), found=",".join(header),
-            allowed=",".join(_HEADER), hint="move it away",
-        )  # fmt: skip
+            "has other columns",
+            where=str(path),
+            found=",".join(header),
+            allowed=",".join(_HEADER),
+            hint="move it away",
+        )
     frames = drive.frames[["image", "width_px", "height_px"]].itertuples(index=False)
     size_of = {str(image): f"{int(width)}x{int(height)}" for image, width, height in frames}
     return [row for row in rows if size_of.get(row[0]) not in sizes]
@@ -94,10 +97,14 @@ def _by_hand(drive: SiteDrive, place: Place, one: Registered) -> Registration:
     rms = alignment_error(drive, place, pose)["rms_px"]
     residuals = np.array([] if rms is None else [rms])
     return Registration(
-        np.array([pose["x"], pose["y"], pose["z"]]), pose["heading_deg"], pose["pitch_deg"],
-        pose["roll_deg"], pose["focal_px"], residuals if len(residuals) else np.zeros(1),
+        np.array([pose["x"], pose["y"], pose["z"]]),
+        pose["heading_deg"],
+        pose["pitch_deg"],
+        pose["roll_deg"],
+        pose["focal_px"],
+        residuals if len(residuals) else np.zeros(1),
         np.diag(_HAND**2),
-    )  # fmt: skip
+    )
 
 
 def _pair_rows(drive: SiteDrive, images: list[Registered]) -> list[list[str]]:
@@ -150,10 +157,18 @@ def _write_poses(path: Path, frame: Frame, poses: dict[str, dict[str, float]]) -
     rows = []
     for image, pose in sorted(poses.items()):
         east, north, up = frame.to_native([pose["x"], pose["y"], pose["z"]])
-        rows.append({
-            "image": image, "easting_native": round(east, 4), "northing_native": round(north, 4),
-            "height_native": round(up, 4), "heading_grid_deg": round(pose["heading_deg"], 5),
-            "pitch_deg": round(pose["pitch_deg"], 5), "roll_deg": round(pose["roll_deg"], 5),
-            "focal_px": round(pose["focal_px"], 3), "cx_px": pose["cx_px"], "cy_px": pose["cy_px"],
-        })  # fmt: skip
+        rows.append(
+            {
+                "image": image,
+                "easting_native": round(east, 4),
+                "northing_native": round(north, 4),
+                "height_native": round(up, 4),
+                "heading_grid_deg": round(pose["heading_deg"], 5),
+                "pitch_deg": round(pose["pitch_deg"], 5),
+                "roll_deg": round(pose["roll_deg"], 5),
+                "focal_px": round(pose["focal_px"], 3),
+                "cx_px": pose["cx_px"],
+                "cy_px": pose["cy_px"],
+            }
+        )
     pd.DataFrame(rows).to_csv(path, index=False, lineterminator="\n")

@@ -9,10 +9,10 @@ from typing import Annotated, Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 from scipy import sparse
 
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.detections import read_detections
@@ -26,9 +26,15 @@ from roadsight.studio.project import Project, SiteFolder
 TARGETS = "placement/targets.parquet"
 _MOST_SENSORS = 5000
 _SUMMARY = (
-    "status", "objective", "bound", "gap", "at_least", "targets", "covered_targets",
+    "status",
+    "objective",
+    "bound",
+    "gap",
+    "at_least",
+    "targets",
+    "covered_targets",
     "uncoverable_targets",
-)  # fmt: skip
+)
 
 
 class WhatIf(BaseModel):
@@ -76,17 +82,18 @@ class Layout:
         self.needed = self._needed()
         self.costs = costs
 
-    def _chosen(self, pairs: pd.MultiIndex) -> NDArray[np.int64]:
+    def _chosen(self, pairs: pd.MultiIndex) -> Ints:
         named = [(one["sensor"], one["candidate"]) for one in self.solution["sensors"]]
         rows = pairs.get_indexer(pd.MultiIndex.from_tuples(named)) if named else np.empty(0)
         if (rows < 0).any():
             raise InputError(
-                "names sensors that are no candidates any more", where=str(self.files["solution"]),
+                "names sensors that are no candidates any more",
+                where=str(self.files["solution"]),
                 hint="run the workflow",
-            )  # fmt: skip
+            )
         return rows.astype(np.int64)
 
-    def _needed(self) -> NDArray[np.int64]:
+    def _needed(self) -> Ints:
         """How many sensors each target needs (n,): the plan's, or its areas' own number."""
         needed = pd.Series(int(self.solution["at_least"]), index=self.targets["target"])
         if self.solution.get("options") and self.files["layers"].exists():
@@ -119,7 +126,7 @@ class Layout:
             **self._obstacles(),
         }
 
-    def coverage(self, rows: NDArray[np.int64]) -> dict[str, Any]:
+    def coverage(self, rows: Ints) -> dict[str, Any]:
         """What a set of choices sees.
 
         Parameters
@@ -156,14 +163,14 @@ class Layout:
             "next_covers": gain,
         }
 
-    def _check(self, rows: NDArray[np.int64]) -> None:
+    def _check(self, rows: Ints) -> None:
         if len(rows) and rows.max() >= len(self.choices):
             raise InputError("no such candidate", where="studio", found=int(rows.max()))
         position = self.choices["position"].to_numpy()[rows]
         if len(np.unique(position)) < len(position):
             raise InputError("two sensors at one position", where="studio")
 
-    def _next(self, rows: NDArray[np.int64], covered: NDArray[np.bool_]) -> tuple[int | None, int]:
+    def _next(self, rows: Ints, covered: Bools) -> tuple[int | None, int]:
         """Free choice that sees most uncovered targets; the cheaper, then the first, of equals."""
         gain = np.asarray(self.matrix[:, ~covered].sum(axis=1)).ravel().astype(np.int64)
         position = self.choices["position"].to_numpy()
@@ -183,15 +190,24 @@ class Layout:
         reasons = zip(rows.tolist(), _column(uncovered, "reason"), strict=True)
         return {
             "obstacles": [
-                {"x": place.x, "y": place.y, "z": place.z if place.has_z else 0.0, "kind": kind,
-                 "targets": int(count), "height_m": float(height)}
+                {
+                    "x": place.x,
+                    "y": place.y,
+                    "z": place.z if place.has_z else 0.0,
+                    "kind": kind,
+                    "targets": int(count),
+                    "height_m": float(height),
+                }
                 for place, kind, count, height in zip(
-                    obstacles.geometry, _column(obstacles, "kind"),
-                    _column(obstacles, "targets"), _column(obstacles, "height_m"), strict=True,
+                    obstacles.geometry,
+                    _column(obstacles, "kind"),
+                    _column(obstacles, "targets"),
+                    _column(obstacles, "height_m"),
+                    strict=True,
                 )
             ],
             "uncovered": [{"target": row, "reason": reason} for row, reason in reasons if row >= 0],
-        }  # fmt: skip
+        }
 
 
 def _column(layer: gpd.GeoDataFrame, name: str) -> list[Any]:
@@ -264,5 +280,5 @@ class Layouts:
         return layout.coverage(np.array(asked.rows, np.int64))
 
 
-def _flat(table: NDArray[np.float64]) -> list[float]:
+def _flat(table: Floats) -> list[float]:
     return np.round(table, 3).ravel().tolist()

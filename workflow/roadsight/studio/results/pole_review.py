@@ -26,9 +26,18 @@ from roadsight.studio.site_files import Writer, save_beside, saving, site_versio
 _POLES, _FRAMES, _HAZARD = "poles/poles.parquet", "poles/frames.parquet", "poles/hazard.parquet"
 _FILE = "pole_decisions.csv"
 _SHOWN = (
-    "id", "kind", "x", "y", "z", "score", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg",
-    "kept", "reason",
-)  # fmt: skip
+    "id",
+    "kind",
+    "x",
+    "y",
+    "z",
+    "score",
+    "sigma_major_m",
+    "sigma_minor_m",
+    "sigma_azimuth_deg",
+    "kept",
+    "reason",
+)
 _SEEN = ("image", "view", "u_foot", "v_foot", "u_min", "v_min", "u_max", "v_max", "x", "y")
 _SIGHTING = (*_SEEN, "bearing_grid_deg", "depth_m", "kept", "kind")
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}

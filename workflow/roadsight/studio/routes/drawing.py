@@ -35,8 +35,11 @@ def create(project: Project) -> Blueprint:
         frame = site.frame()
         settings = site.resolved.settings.candidates
         return preview(
-            body(Drawing), current_area(site, frame), terrain_of(site, frame),
-            settings.spacing_m, settings.arm_m,
-        )  # fmt: skip
+            body(Drawing),
+            current_area(site, frame),
+            terrain_of(site, frame),
+            settings.spacing_m,
+            settings.arm_m,
+        )
 
     return routes

@@ -28,9 +28,12 @@ class Job:
         """As the page shows it."""
         end_s = now_s if self.end_s is None else self.end_s
         return {
-            "job": self.number, "rule": self.rule, "wildcards": self.wildcards,
-            "seconds": max(end_s - self.start_s, 0.0), "log": bool(self.logs),
-        }  # fmt: skip
+            "job": self.number,
+            "rule": self.rule,
+            "wildcards": self.wildcards,
+            "seconds": max(end_s - self.start_s, 0.0),
+            "log": bool(self.logs),
+        }
 
 
 @dataclass
@@ -58,9 +61,12 @@ class Progress:
             self.total = max(self.total, sum(self.counts.values()))
         elif kind == "job_info":
             self.jobs[event["jobid"]] = Job(
-                event["jobid"], event["rule_name"], dict(event.get("wildcards") or {}),
-                list(event.get("log") or []), event["time"],
-            )  # fmt: skip
+                event["jobid"],
+                event["rule_name"],
+                dict(event.get("wildcards") or {}),
+                list(event.get("log") or []),
+                event["time"],
+            )
         elif kind in ("job_finished", "job_error"):
             job = self.jobs.get(event["job_id"] if kind == "job_finished" else event["jobid"])
             if job is not None:

@@ -14,11 +14,16 @@ TARGETS = ("all", "placement", "poles", "scene", "report", "tradeoffs", "audit",
 CHECKPOINT = "profile_scene"
 """The rule after which Snakemake may find further steps."""
 _HEADS = (
-    "Missing output files", "Incomplete output files", "Updated input files",
-    "Input files updated by another job", "Set of input files has changed",
-    "Code has changed", "Params have changed", "Software environment definition has changed",
+    "Missing output files",
+    "Incomplete output files",
+    "Updated input files",
+    "Input files updated by another job",
+    "Set of input files has changed",
+    "Code has changed",
+    "Params have changed",
+    "Software environment definition has changed",
     "Forced execution",
-)  # fmt: skip
+)
 _FOLLOWS = "Input files updated by another job"
 _SPLIT = re.compile(rf"; (?={'|'.join(map(re.escape, _HEADS))})")
 _LONGEST = 300

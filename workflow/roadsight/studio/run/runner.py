@@ -21,8 +21,13 @@ from typing import Any, BinaryIO
 from roadsight.io.records.atomic import write_json
 
 LOCK, ORDER, BEGUN, ENDED, EVENTS, OUTPUT = (
-    "lock", "order.json", "begun.json", "ended.json", "events.jsonl", "output.log",
-)  # fmt: skip
+    "lock",
+    "order.json",
+    "begun.json",
+    "ended.json",
+    "events.jsonl",
+    "output.log",
+)
 GRACE_S = 20.0
 """How long a run may take to stop before it is told more firmly."""
 BUSY = 3

@@ -100,22 +100,28 @@ class Runs:
         if outside:
             raise InputError(
                 f"the workflow runs already, in process {outside[0]['pid']} outside the studio",
-                where="studio", hint="wait for it, or stop it where it was started",
-            )  # fmt: skip
+                where="studio",
+                hint="wait for it, or stop it where it was started",
+            )
         if lock_is_there(self._project.root):
             raise InputError(
-                "a run that was killed has left its lock", where="studio",
+                "a run that was killed has left its lock",
+                where="studio",
                 hint="remove the lock first",
-            )  # fmt: skip
+            )
 
     def _launch(self, folder: Path, about: str, line: list[str]) -> None:
         # The files of the run belong to whoever holds its lock: until then it speaks into another.
         with tempfile.NamedTemporaryFile() as early:
             process = subprocess.Popen(
                 [sys.executable, "-m", "roadsight.studio.run.runner", str(folder), about, *line],
-                cwd=self._project.root, env=environment(), stdin=subprocess.DEVNULL,
-                stdout=early, stderr=subprocess.STDOUT, start_new_session=True,
-            )  # fmt: skip
+                cwd=self._project.root,
+                env=environment(),
+                stdin=subprocess.DEVNULL,
+                stdout=early,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
             # So that it does not stay a zombie when it ends.
             threading.Thread(target=process.wait, daemon=True).start()
             end = time.monotonic() + _START_S

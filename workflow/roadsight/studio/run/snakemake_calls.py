@@ -50,9 +50,19 @@ def command(project: Project, order: Order, events: Path) -> list[str]:
             raise InputError("no such site", where="studio", found=order.site)
         config = ["--config", f"sites={json.dumps([order.site])}"]
     return [
-        sys.executable, "-m", "snakemake", order.target, "--cores", str(order.cores),
-        "--nocolor", "--logger", "roadsight", "--logger-roadsight-events", str(events), *config,
-    ]  # fmt: skip
+        sys.executable,
+        "-m",
+        "snakemake",
+        order.target,
+        "--cores",
+        str(order.cores),
+        "--nocolor",
+        "--logger",
+        "roadsight",
+        "--logger-roadsight-events",
+        str(events),
+        *config,
+    ]
 
 
 def environment() -> dict[str, str]:
@@ -102,10 +112,17 @@ def complaint(output: str, told: list[str]) -> str:
 def _call(line: list[str], project: Project, timeout_s: float) -> subprocess.CompletedProcess[str]:
     try:
         return subprocess.run(
-            line, cwd=project.root, env=environment(), stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
-            timeout=timeout_s, check=False,
-        )  # fmt: skip
+            line,
+            cwd=project.root,
+            env=environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            timeout=timeout_s,
+            check=False,
+        )
     except subprocess.TimeoutExpired as error:
         raise InputError(f"did not answer in {timeout_s:.0f} s", where="snakemake") from error
 

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats
 from roadsight.synthetic.casting.kernel import kernel
 
 
@@ -62,7 +63,7 @@ def plan_point(alignment: Alignment, station: float, offset: float) -> tuple[flo
 
 
 @njit(cache=True, error_model="numpy")
-def _road_points(alignment: Alignment, xy: NDArray[np.float64]) -> NDArray[np.float64]:
+def _road_points(alignment: Alignment, xy: Floats) -> Floats:
     road = np.empty_like(xy)
     for i in range(len(xy)):
         road[i, 0], road[i, 1] = road_point(alignment, xy[i, 0], xy[i, 1])
@@ -70,24 +71,24 @@ def _road_points(alignment: Alignment, xy: NDArray[np.float64]) -> NDArray[np.fl
 
 
 @njit(cache=True, error_model="numpy")
-def _plan_points(alignment: Alignment, road: NDArray[np.float64]) -> NDArray[np.float64]:
+def _plan_points(alignment: Alignment, road: Floats) -> Floats:
     xy = np.empty_like(road)
     for i in range(len(road)):
         xy[i, 0], xy[i, 1] = plan_point(alignment, road[i, 0], road[i, 1])
     return xy
 
 
-def to_road(alignment: Alignment, xy_m: ArrayLike) -> NDArray[np.float64]:
+def to_road(alignment: Alignment, xy_m: ArrayLike) -> Floats:
     """Station and offset (n, 2) of local plan points (n, 2), metres."""
     return _road_points(alignment, np.ascontiguousarray(xy_m, dtype=np.float64).reshape(-1, 2))
 
 
-def to_plan(alignment: Alignment, road_m: ArrayLike) -> NDArray[np.float64]:
+def to_plan(alignment: Alignment, road_m: ArrayLike) -> Floats:
     """Local plan points (n, 2) of stations and offsets (n, 2), metres."""
     return _plan_points(alignment, np.ascontiguousarray(road_m, dtype=np.float64).reshape(-1, 2))
 
 
-def heading_at(alignment: Alignment, station_m: ArrayLike) -> NDArray[np.float64]:
+def heading_at(alignment: Alignment, station_m: ArrayLike) -> Floats:
     """Direction of travel at stations, radians anticlockwise from x."""
     start = math.atan2(alignment.ahead_y, alignment.ahead_x)
     return start + alignment.curvature_per_m * np.asarray(station_m, dtype=float)

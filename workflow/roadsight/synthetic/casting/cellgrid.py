@@ -7,13 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints, Ints32
 from roadsight.synthetic.casting.alignment import to_plan
 from roadsight.synthetic.casting.primitives import Bodies, body_extent_m
 from roadsight.synthetic.casting.terrain import CellBounds, Terrain, cell_bounds
 
-_FLOATS = NDArray[np.float64]
 _PAD_M = 1e-4
 _MAX_CELLS = 1 << 20
 BLOCK = 8
@@ -39,13 +38,13 @@ class CellGrid(NamedTuple):
     cell_m: float
     rows: int
     columns: int
-    low_m: _FLOATS
-    high_m: _FLOATS
-    block_low_m: _FLOATS
-    block_high_m: _FLOATS
+    low_m: Floats
+    high_m: Floats
+    block_low_m: Floats
+    block_high_m: Floats
     ground: CellBounds
-    first_body: NDArray[np.int64]
-    body: NDArray[np.int32]
+    first_body: Ints
+    body: Ints32
     bottom_m: float
     top_m: float
 
@@ -75,13 +74,24 @@ def build_grid(bodies: Bodies, terrain: Terrain, cell_m: float) -> CellGrid:
     bottom, top = ground.low_m.copy(), ground.high_m.copy()
     _widen(bottom, top, start, end, low[:, 2], high[:, 2])
     return CellGrid(
-        float(corner[0]), float(corner[1]), float(cell_m), rows, columns, bottom, top,
-        _by_block(bottom, np.minimum, np.inf), _by_block(top, np.maximum, -np.inf),
-        ground, first, body, float(bottom.min()), float(top.max()),
-    )  # fmt: skip
+        float(corner[0]),
+        float(corner[1]),
+        float(cell_m),
+        rows,
+        columns,
+        bottom,
+        top,
+        _by_block(bottom, np.minimum, np.inf),
+        _by_block(top, np.maximum, -np.inf),
+        ground,
+        first,
+        body,
+        float(bottom.min()),
+        float(top.max()),
+    )
 
 
-def _by_block(heights_m: _FLOATS, extreme: np.ufunc, nothing: float) -> _FLOATS:
+def _by_block(heights_m: Floats, extreme: np.ufunc, nothing: float) -> Floats:
     """Extreme height of each block of cells; blocks at the far borders may be cut."""
     rows, columns = (-(-n // BLOCK) for n in heights_m.shape)
     padded = np.full((rows * BLOCK, columns * BLOCK), nothing)
@@ -89,7 +99,7 @@ def _by_block(heights_m: _FLOATS, extreme: np.ufunc, nothing: float) -> _FLOATS:
     return extreme.reduce(padded.reshape(rows, BLOCK, columns, BLOCK), axis=(1, 3))
 
 
-def _terrain_corners(terrain: Terrain) -> _FLOATS:
+def _terrain_corners(terrain: Terrain) -> Floats:
     """Plan points (n, 2) whose bounding box holds the terrain."""
     if terrain.end_m < terrain.start_m:
         return np.empty((0, 2))
@@ -101,9 +111,7 @@ def _terrain_corners(terrain: Terrain) -> _FLOATS:
 
 
 @njit(cache=True, error_model="numpy")
-def _bodies_by_cell(
-    start: NDArray[np.int64], end: NDArray[np.int64], rows: int, columns: int
-) -> tuple[NDArray[np.int64], NDArray[np.int32]]:
+def _bodies_by_cell(start: Ints, end: Ints, rows: int, columns: int) -> tuple[Ints, Ints32]:
     """Bodies of each cell in ascending order, from the cells (row, column) that each covers."""
     first = np.zeros(rows * columns + 1, dtype=np.int64)
     for i in range(len(start)):
@@ -124,12 +132,12 @@ def _bodies_by_cell(
 
 @njit(cache=True, error_model="numpy")
 def _widen(
-    bottom: _FLOATS,
-    top: _FLOATS,
-    start: NDArray[np.int64],
-    end: NDArray[np.int64],
-    low: _FLOATS,
-    high: _FLOATS,
+    bottom: Floats,
+    top: Floats,
+    start: Ints,
+    end: Ints,
+    low: Floats,
+    high: Floats,
 ) -> None:
     """Widen the heights of the cells that bodies cover."""
     for i in range(len(start)):

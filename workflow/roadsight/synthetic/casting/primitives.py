@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints32
 from roadsight.synthetic.casting.kernel import kernel
 
 MIN_RANGE_M = 1e-6
@@ -35,10 +36,10 @@ class Bodies(NamedTuple):
     """
 
     kind: NDArray[np.int8]
-    centre_m: NDArray[np.float64]
-    scene_from_body: NDArray[np.float64]
-    half_m: NDArray[np.float64]
-    object_id: NDArray[np.int32]
+    centre_m: Floats
+    scene_from_body: Floats
+    half_m: Floats
+    object_id: Ints32
 
 
 @kernel
@@ -232,7 +233,7 @@ def body_normal(bodies: Bodies, i: int, x: float, y: float, z: float) -> tuple[f
     )
 
 
-def body_extent_m(bodies: Bodies) -> NDArray[np.float64]:
+def body_extent_m(bodies: Bodies) -> Floats:
     """Half sizes (n, 3) of the axis-parallel boxes around the bodies, metres."""
     rotation, half = np.abs(bodies.scene_from_body), bodies.half_m[:, None, :]
     boxes = (rotation * half).sum(axis=2)

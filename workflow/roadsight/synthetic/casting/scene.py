@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats, Ints32
 from roadsight.base.errors import InputError
 from roadsight.synthetic.casting.alignment import Alignment
 from roadsight.synthetic.casting.cellgrid import CellGrid, build_grid
@@ -15,14 +16,25 @@ from roadsight.synthetic.casting.primitives import Bodies
 from roadsight.synthetic.casting.terrain import Terrain
 from roadsight.synthetic.casting.traversal import cast_rays
 
-_FLOATS = NDArray[np.float64]
 _UNIT_TOLERANCE = 1e-6
 
 NO_TERRAIN = Terrain(
-    Alignment(0.0, 0.0, 1.0, 0.0, 0.0), 0.0, 0.0,
-    np.array([0.0, 1.0]), np.zeros(2), np.zeros((1, 1)),
-    0.0, 0.0, 1.0, 1.0, np.inf, -np.inf, np.inf, -np.inf, -1,
-)  # fmt: skip
+    Alignment(0.0, 0.0, 1.0, 0.0, 0.0),
+    0.0,
+    0.0,
+    np.array([0.0, 1.0]),
+    np.zeros(2),
+    np.zeros((1, 1)),
+    0.0,
+    0.0,
+    1.0,
+    1.0,
+    np.inf,
+    -np.inf,
+    np.inf,
+    -np.inf,
+    -1,
+)
 
 
 @dataclass(frozen=True)
@@ -59,7 +71,7 @@ class Scene:
 
     def cast(
         self, origins_m: ArrayLike, directions: ArrayLike, max_range_m: float
-    ) -> tuple[_FLOATS, NDArray[np.int32], _FLOATS]:
+    ) -> tuple[Floats, Ints32, Floats]:
         """First surface along each ray, exactly.
 
         Parameters
@@ -83,7 +95,7 @@ class Scene:
         return cast_rays(self.bodies, self.terrain, self.grid, origins, unit, float(max_range_m))
 
 
-def _check_rays(origins: _FLOATS, directions: _FLOATS, max_range_m: float) -> None:
+def _check_rays(origins: Floats, directions: Floats, max_range_m: float) -> None:
     if origins.ndim != 2 or origins.shape[1] != 3 or directions.shape != origins.shape:
         raise InputError(
             "origins and directions differ in shape or are not (n, 3)",
@@ -107,7 +119,7 @@ class SceneBuilder:
 
     objects: list[SceneObject] = field(default_factory=list)
     terrain: Terrain = NO_TERRAIN
-    _rows: list[tuple[int, _FLOATS, _FLOATS, _FLOATS, int]] = field(default_factory=list)
+    _rows: list[tuple[int, Floats, Floats, Floats, int]] = field(default_factory=list)
 
     def add_object(self, kind: str, material: str, truth_class: TruthClass) -> int:
         """Start an object and return its id."""
@@ -149,7 +161,7 @@ class SceneBuilder:
         )
 
 
-def rotation_zyx(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> _FLOATS:
+def rotation_zyx(yaw_rad: float, pitch_rad: float = 0.0, roll_rad: float = 0.0) -> Floats:
     """Rotation scene_from_body (3, 3): roll about x, pitch (nose up) about y, yaw about z."""
     cy, sy = np.cos(yaw_rad), np.sin(yaw_rad)
     cp, sp = np.cos(pitch_rad), np.sin(pitch_rad)

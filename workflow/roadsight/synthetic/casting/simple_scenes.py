@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.synthetic.casting.alignment import Alignment
 from roadsight.synthetic.casting.materials import TruthClass
 from roadsight.synthetic.casting.primitives import BOX, CYLINDER, ELLIPSOID, RECTANGLE, TUBE
 from roadsight.synthetic.casting.scene import Scene, SceneBuilder, rotation_zyx
 from roadsight.synthetic.casting.terrain import Terrain
-
-_FLOATS = NDArray[np.float64]
 
 
 def plane_scene(size_m: float = 400.0, slope: float = 0.0) -> Scene:
@@ -31,7 +29,7 @@ def _furnished(
     kind: int,
     centre_m: Sequence[float],
     half_m: Sequence[float],
-    rotation: _FLOATS | None,
+    rotation: Floats | None,
     name: str,
 ) -> Scene:
     """One body on a horizontal plane at z = 0."""
@@ -89,10 +87,22 @@ def hill_scene(height_m: float = 6.0, width_m: float = 20.0, size_m: float = 160
     squared = node[:, None] ** 2 + node[None, :] ** 2
     half = 0.5 * size_m
     terrain = Terrain(
-        Alignment(0.0, 0.0, 1.0, 0.0, 0.0), 0.0, 0.0, np.array([-half, half]), np.zeros(2),
+        Alignment(0.0, 0.0, 1.0, 0.0, 0.0),
+        0.0,
+        0.0,
+        np.array([-half, half]),
+        np.zeros(2),
         height_m * np.exp(-0.5 * squared / width_m**2),
-        float(node[0]), float(node[0]), step, step, -half, half, -half, half, 0,
-    )  # fmt: skip
+        float(node[0]),
+        float(node[0]),
+        step,
+        step,
+        -half,
+        half,
+        -half,
+        half,
+        0,
+    )
     builder = SceneBuilder()
     builder.add_ground(terrain, "grass")
     return builder.build()

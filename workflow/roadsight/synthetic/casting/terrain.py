@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
+from roadsight.base.arrays import Floats
 from roadsight.synthetic.casting.alignment import Alignment, heading_at, road_point, to_road
 from roadsight.synthetic.casting.kernel import kernel
 
-_FLOATS = NDArray[np.float64]
 _SLACK_M = 1e-6
 
 
@@ -42,9 +42,9 @@ class Terrain(NamedTuple):
     alignment: Alignment
     height_m: float
     grade: float
-    profile_offset_m: _FLOATS
-    profile_height_m: _FLOATS
-    coefficient_m: _FLOATS
+    profile_offset_m: Floats
+    profile_height_m: Floats
+    coefficient_m: Floats
     first_station_m: float
     first_offset_m: float
     station_step_m: float
@@ -63,11 +63,11 @@ class CellBounds(NamedTuple):
     (slope_x, slope_y).
     """
 
-    low_m: _FLOATS
-    high_m: _FLOATS
-    slope_x: _FLOATS
-    slope_y: _FLOATS
-    spread: _FLOATS
+    low_m: Floats
+    high_m: Floats
+    slope_x: Floats
+    slope_y: Floats
+    spread: Floats
 
 
 @kernel
@@ -145,7 +145,7 @@ def exists(terrain: Terrain, x: float, y: float) -> bool:
 
 
 @njit(cache=True, error_model="numpy")
-def _heights(terrain: Terrain, xy: _FLOATS) -> _FLOATS:
+def _heights(terrain: Terrain, xy: Floats) -> Floats:
     z = np.empty(len(xy))
     for i in range(len(xy)):
         x, y = xy[i, 0], xy[i, 1]
@@ -153,12 +153,12 @@ def _heights(terrain: Terrain, xy: _FLOATS) -> _FLOATS:
     return z
 
 
-def height_at(terrain: Terrain, xy_m: ArrayLike) -> _FLOATS:
+def height_at(terrain: Terrain, xy_m: ArrayLike) -> Floats:
     """Exact ground height (n,) at local plan points (n, 2), metres; NaN where there is none."""
     return _heights(terrain, np.ascontiguousarray(xy_m, dtype=np.float64).reshape(-1, 2))
 
 
-def cell_bounds(terrain: Terrain, x_m: _FLOATS, y_m: _FLOATS, cell_m: float) -> CellBounds:
+def cell_bounds(terrain: Terrain, x_m: Floats, y_m: Floats, cell_m: float) -> CellBounds:
     """Bounds over the square cells of width ``cell_m`` centred at columns x and rows y.
 
     Cells must be small against the radius of the road and against its end-to-end turn.
@@ -181,7 +181,7 @@ def cell_bounds(terrain: Terrain, x_m: _FLOATS, y_m: _FLOATS, cell_m: float) -> 
     return CellBounds(low, high, *_slope_bounds(terrain, station, stretch, along, profile, spline))
 
 
-def _profile_bounds(terrain: Terrain, right: _FLOATS, left: _FLOATS) -> tuple[_FLOATS, ...]:
+def _profile_bounds(terrain: Terrain, right: Floats, left: Floats) -> tuple[Floats, ...]:
     """Least and greatest height, least and greatest slope of the profile between two offsets."""
     x, z = terrain.profile_offset_m, terrain.profile_height_m
     ends = np.interp(right, x, z), np.interp(left, x, z)
@@ -203,8 +203,8 @@ def _profile_bounds(terrain: Terrain, right: _FLOATS, left: _FLOATS) -> tuple[_F
 
 
 def _spline_bounds(
-    terrain: Terrain, station: _FLOATS, offset: _FLOATS, along: float, across: float
-) -> tuple[_FLOATS, ...]:
+    terrain: Terrain, station: Floats, offset: Floats, along: float, across: float
+) -> tuple[Floats, ...]:
     """Bounds of the spline and of its two slopes within ``along`` and ``across`` of points."""
     reach = (
         math.ceil(along / terrain.station_step_m) + 2,
@@ -230,12 +230,12 @@ def _spline_bounds(
 
 def _slope_bounds(
     terrain: Terrain,
-    station: _FLOATS,
-    stretch: _FLOATS,
-    along: _FLOATS,
-    profile: tuple[_FLOATS, ...],
-    spline: tuple[_FLOATS, ...],
-) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+    station: Floats,
+    stretch: Floats,
+    along: Floats,
+    profile: tuple[Floats, ...],
+    spline: tuple[Floats, ...],
+) -> tuple[Floats, Floats, Floats]:
     """Middle of the plan gradient and how far the gradient may be from it."""
     k = terrain.alignment.curvature_per_m
     along_low, along_high = spline[2] + terrain.grade, spline[3] + terrain.grade

@@ -6,14 +6,13 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats, Ints32
 from roadsight.synthetic.casting.cellgrid import BLOCK, CellGrid
 from roadsight.synthetic.casting.kernel import kernel
 from roadsight.synthetic.casting.primitives import MIN_RANGE_M, Bodies, body_normal, ray_body
 from roadsight.synthetic.casting.terrain import Terrain, exists, surface_gradient, surface_height
 
-_FLOATS = NDArray[np.float64]
 _GROUND = -1
 _NOTHING = -2
 _MIN_STEP_M = 2e-4
@@ -221,18 +220,22 @@ def cast_rays(
     bodies: Bodies,
     terrain: Terrain,
     grid: CellGrid,
-    origins: _FLOATS,
-    directions: _FLOATS,
+    origins: Floats,
+    directions: Floats,
     max_range: float,
-) -> tuple[_FLOATS, NDArray[np.int32], _FLOATS]:
+) -> tuple[Floats, Ints32, Floats]:
     """Range (inf = none), object (-1 = none), normal (NaN = none) of each ray's first surface."""
     n = len(origins)
     ranges, objects, normals = np.empty(n), np.empty(n, dtype=np.int32), np.empty((n, 3))
     for i in range(n):
         ray = (
-            origins[i, 0], origins[i, 1], origins[i, 2],
-            directions[i, 0], directions[i, 1], directions[i, 2],
-        )  # fmt: skip
+            origins[i, 0],
+            origins[i, 1],
+            origins[i, 2],
+            directions[i, 0],
+            directions[i, 1],
+            directions[i, 2],
+        )
         ranges[i], hit = nearest_hit(bodies, terrain, grid, ray, max_range)
         if ranges[i] > max_range:
             ranges[i] = math.inf

@@ -6,9 +6,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS
 
+from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.synthetic.casting.alignment import Alignment, to_road
@@ -69,13 +70,13 @@ class Highway:
         """Native coordinates of the site."""
         return Frame(ORIGIN_M, crs_wkt=CRS.from_epsg(EPSG).to_wkt())
 
-    def ground_classes(self, xy_m: ArrayLike) -> NDArray[np.uint8]:
+    def ground_classes(self, xy_m: ArrayLike) -> Bytes:
         """True class (n,) of the ground at local plan points (n, 2): ROAD or GROUND."""
         offset = to_road(self.alignment, xy_m)[:, 1]
         paved = is_paved(self.section, offset)
         return np.where(paved, TruthClass.ROAD, TruthClass.GROUND).astype(np.uint8)
 
-    def ground_materials(self, xy_m: ArrayLike) -> NDArray[np.uint8]:
+    def ground_materials(self, xy_m: ArrayLike) -> Bytes:
         """Material (n,) of the ground at local plan points (n, 2), as row of `MATERIAL_NAMES`."""
         station, offset = to_road(self.alignment, xy_m).T
         paved = is_paved(self.section, offset)

@@ -5,13 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
+from roadsight.base.arrays import Bools, Floats
 from roadsight.synthetic.casting.alignment import Alignment
 from roadsight.synthetic.casting.terrain import Terrain
 
-_FLOATS = NDArray[np.float64]
 _STATION_STEP_M = 0.4
 _OFFSET_STEP_M = 0.2
 _COARSE_STEP_M = 3.0
@@ -55,7 +55,7 @@ class CrossSection:
         """Distance from the reference line of the pavement's inner and outer edge."""
         return self.median_half_m, self.lane_edges_m[-1] + self.outer_shoulder_m
 
-    def profile(self) -> tuple[_FLOATS, _FLOATS]:
+    def profile(self) -> tuple[Floats, Floats]:
         """Break points of the ground across the road: offset and height above the grade plane.
 
         The left side rises as a cut behind a ditch, the right side falls as a fill.
@@ -66,9 +66,12 @@ class CrossSection:
         bench = outer + 0.1 + self.verge_m
         right = [(bench, verge[1]), (bench + 13.5, verge[1] - 4.5), (60.0, verge[1] - 5.1)]
         left = [
-            (bench, verge[1]), (bench + 1.0, verge[1] - 0.45), (bench + 1.5, verge[1] - 0.45),
-            (bench + 18.1, verge[1] + 7.85), (60.0, verge[1] + 9.0),
-        ]  # fmt: skip
+            (bench, verge[1]),
+            (bench + 1.0, verge[1] - 0.45),
+            (bench + 1.5, verge[1] - 0.45),
+            (bench + 18.1, verge[1] + 7.85),
+            (60.0, verge[1] + 9.0),
+        ]
         kerb, lip = (inner - 0.05, self.median_rise_m), (outer + 0.1, verge[0])
         road = [kerb, (inner, 0.0), (outer, edge), lip]
         points = [(-x, z) for x, z in reversed(road + right)] + road + left
@@ -96,13 +99,25 @@ def highway_terrain(
     cover = HILL_HEIGHT_M - np.interp(offset, profile_offset, profile_height)
     hill = _hill_share(section, station, offset, tunnel_start_m) * np.maximum(cover, 0.0)
     return Terrain(
-        alignment, height_m, grade, profile_offset, profile_height, bumps + hill,
-        float(station[0]), float(offset[0]), _STATION_STEP_M, _OFFSET_STEP_M,
-        0.0, length_m, -HALF_WIDTH_M, HALF_WIDTH_M, 0,
-    )  # fmt: skip
+        alignment,
+        height_m,
+        grade,
+        profile_offset,
+        profile_height,
+        bumps + hill,
+        float(station[0]),
+        float(offset[0]),
+        _STATION_STEP_M,
+        _OFFSET_STEP_M,
+        0.0,
+        length_m,
+        -HALF_WIDTH_M,
+        HALF_WIDTH_M,
+        0,
+    )
 
 
-def _roughness(section: CrossSection, offset: _FLOATS) -> _FLOATS:
+def _roughness(section: CrossSection, offset: Floats) -> Floats:
     """Amplitude of the bumps at each node: next to none on pavement, centimetres beside it."""
     inner, outer = section.pavement_m
     clear = 1.5 * _OFFSET_STEP_M  # reach of a node: rough nodes must not touch the pavement
@@ -116,8 +131,8 @@ def _roughness(section: CrossSection, offset: _FLOATS) -> _FLOATS:
 
 
 def _undulation(
-    section: CrossSection, station: _FLOATS, offset: _FLOATS, rng: np.random.Generator
-) -> _FLOATS:
+    section: CrossSection, station: Floats, offset: Floats, rng: np.random.Generator
+) -> Floats:
     """Gentle unevenness over several metres: millimetres on the road, decimetres on the slopes."""
     shape = [int(np.ptp(axis) / _COARSE_STEP_M) + 2 for axis in (station, offset)]
     nodes = rng.normal(0.0, _COARSE_SIGMA_M, shape)
@@ -132,8 +147,8 @@ def _undulation(
 
 
 def _hill_share(
-    section: CrossSection, station: _FLOATS, offset: _FLOATS, tunnel_start_m: float
-) -> _FLOATS:
+    section: CrossSection, station: Floats, offset: Floats, tunnel_start_m: float
+) -> Floats:
     """Share of the hill's height at each node: none over the road, all behind the portal."""
     beyond = np.maximum(np.abs(offset) - WING_M + 1.0, 0.0)
     start, width = tunnel_start_m + 0.3 * beyond, 0.6 + 3.0 * beyond
@@ -142,9 +157,7 @@ def _hill_share(
     return np.where(behind_walls, rise * rise * (3.0 - 2.0 * rise), 0.0)
 
 
-def is_marking(
-    section: CrossSection, station_m: ArrayLike, offset_m: ArrayLike
-) -> NDArray[np.bool_]:
+def is_marking(section: CrossSection, station_m: ArrayLike, offset_m: ArrayLike) -> Bools:
     """Whether road points carry paint: solid at the outer lines, 6 m dashes between the lanes."""
     station, distance = np.asarray(station_m), np.abs(offset_m)
     painted = np.zeros(np.shape(station), dtype=bool)
@@ -154,7 +167,7 @@ def is_marking(
     return painted
 
 
-def is_paved(section: CrossSection, offset_m: ArrayLike) -> NDArray[np.bool_]:
+def is_paved(section: CrossSection, offset_m: ArrayLike) -> Bools:
     """Whether road points lie on one of the two carriageways."""
     inner, outer = section.pavement_m
     distance = np.abs(offset_m)

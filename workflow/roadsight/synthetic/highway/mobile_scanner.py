@@ -10,13 +10,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.synthetic.casting.alignment import heading_at, to_plan
 from roadsight.synthetic.casting.scene import rotation_zyx
 from roadsight.synthetic.highway.highway import Highway
 from roadsight.synthetic.highway.returns import LaserModel, measure
 
-_FLOATS = NDArray[np.float64]
 _PILOT_PULSES = 20_000
 _CHUNK_PULSES = 400_000
 _EVEN_SPACING_AT_M = 5.0
@@ -74,10 +74,10 @@ class PointChunk:
     truth_class : (n,) `TruthClass`. sweep : (n,) number of the sweep.
     """
 
-    xyz_m: _FLOATS
+    xyz_m: Floats
     intensity: NDArray[np.uint16]
-    time_s: _FLOATS
-    truth_class: NDArray[np.uint8]
+    time_s: Floats
+    truth_class: Bytes
     sweep: NDArray[np.uint16]
 
 
@@ -91,8 +91,8 @@ def sweeps_of(highway: Highway, scanner: MobileScanner) -> list[Sweep]:
 
 
 def pulses(
-    highway: Highway, scanner: MobileScanner, sweep: Sweep, elapsed_s: _FLOATS, angle_rad: _FLOATS
-) -> tuple[_FLOATS, _FLOATS]:
+    highway: Highway, scanner: MobileScanner, sweep: Sweep, elapsed_s: Floats, angle_rad: Floats
+) -> tuple[Floats, Floats]:
     """Origins and unit directions (n, 3) of a head's pulses in the local frame.
 
     Parameters
@@ -149,7 +149,7 @@ class _Wobble:
         self.phase_rad = rng.uniform(0.0, 2.0 * np.pi, (waves, 3))
         self.amplitude_m = sigma_m * math.sqrt(2.0 / waves)
 
-    def at(self, elapsed_s: _FLOATS) -> _FLOATS:
+    def at(self, elapsed_s: Floats) -> Floats:
         waves = zip(self.rate_rad_s, self.phase_rad, strict=True)
         angles = (elapsed_s[:, None] * rate + phase for rate, phase in waves)
         return self.amplitude_m * sum((np.sin(a) for a in angles), np.zeros((len(elapsed_s), 3)))
@@ -178,7 +178,7 @@ def _chunk(
     highway: Highway,
     scanner: MobileScanner,
     sweep: Sweep,
-    number: NDArray[np.int64],
+    number: Ints,
     pulse_rate_hz: float,
     wobble: _Wobble,
     rng: np.random.Generator,

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats, Ints, Ints32
 from roadsight.synthetic.casting.materials import MATERIAL_NAMES, MATERIALS, TruthClass
 from roadsight.synthetic.highway.highway import Highway
 
-_FLOATS = NDArray[np.float64]
 _REFLECTANCE = np.array([MATERIALS[name].reflectance for name in MATERIAL_NAMES])
 _ROUGHNESS_M = np.array([MATERIALS[name].roughness_m for name in MATERIAL_NAMES])
 _HALF_SIGNAL_M = 30.0
@@ -52,16 +52,16 @@ class Echoes:
     range_m : (n,) measured range. intensity : (n,) 16 bit. truth_class : (n,) `TruthClass`.
     """
 
-    pulse: NDArray[np.int64]
-    range_m: _FLOATS
+    pulse: Ints
+    range_m: Floats
     intensity: NDArray[np.uint16]
-    truth_class: NDArray[np.uint8]
+    truth_class: Bytes
 
 
 def measure(
     highway: Highway,
-    origins_m: _FLOATS,
-    directions: _FLOATS,
+    origins_m: Floats,
+    directions: Floats,
     laser: LaserModel,
     rng: np.random.Generator,
 ) -> Echoes:
@@ -89,9 +89,7 @@ def measure(
     return _with_clutter(echoes, ranges, laser, rng)
 
 
-def _surface(
-    highway: Highway, object_id: NDArray[np.int32], plan_m: _FLOATS
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
+def _surface(highway: Highway, object_id: Ints32, plan_m: Floats) -> tuple[Bytes, Bytes]:
     """Material (row of `MATERIAL_NAMES`) and true class of each hit."""
     objects = highway.scene.objects
     material = np.array([MATERIAL_NAMES.index(o.material) for o in objects], np.uint8)[object_id]
@@ -103,7 +101,7 @@ def _surface(
 
 
 def _intensity(
-    reflectance: _FLOATS, cosine: _FLOATS, range_m: _FLOATS, rng: np.random.Generator
+    reflectance: Floats, cosine: Floats, range_m: Floats, rng: np.random.Generator
 ) -> NDArray[np.uint16]:
     """Amplitude on a 16 bit scale, weaker with range and incidence, 5 % speckle."""
     attenuation = np.sqrt(cosine) / (1.0 + (range_m / _HALF_SIGNAL_M) ** 2)
@@ -112,14 +110,14 @@ def _intensity(
 
 
 def _mixed_edges(
-    pulse: NDArray[np.int64],
-    object_id: NDArray[np.int32],
-    surface_m: _FLOATS,
-    measured_m: _FLOATS,
-    truth: NDArray[np.uint8],
+    pulse: Ints,
+    object_id: Ints32,
+    surface_m: Floats,
+    measured_m: Floats,
+    truth: Bytes,
     laser: LaserModel,
     rng: np.random.Generator,
-) -> tuple[_FLOATS, NDArray[np.uint8]]:
+) -> tuple[Floats, Bytes]:
     """Some pulses that straddle the edge between two objects get a range in between."""
     chance, share = rng.random(len(pulse)), rng.uniform(0.15, 0.85, len(pulse))
     before = np.concatenate([surface_m[:1], surface_m[:-1]])
@@ -131,8 +129,8 @@ def _mixed_edges(
 
 
 def _multipath(
-    measured_m: _FLOATS, truth: NDArray[np.uint8], laser: LaserModel, rng: np.random.Generator
-) -> tuple[_FLOATS, NDArray[np.uint8]]:
+    measured_m: Floats, truth: Bytes, laser: LaserModel, rng: np.random.Generator
+) -> tuple[Floats, Bytes]:
     """Some returns of road and ground arrive late."""
     chance, delay = rng.random(len(truth)), rng.uniform(0.3, 3.0, len(truth))
     late = np.isin(truth, (TruthClass.ROAD, TruthClass.GROUND)) & (chance < laser.multipath_share)
@@ -140,7 +138,7 @@ def _multipath(
 
 
 def _with_clutter(
-    echoes: Echoes, surface_m: _FLOATS, laser: LaserModel, rng: np.random.Generator
+    echoes: Echoes, surface_m: Floats, laser: LaserModel, rng: np.random.Generator
 ) -> Echoes:
     """Some pulses end in the air, at most 30 m away; they replace what lies behind."""
     stopped = np.flatnonzero(rng.random(len(surface_m)) < laser.clutter_share)

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from roadsight.base.arrays import Floats
 from roadsight.synthetic.casting.alignment import heading_at, plan_point
 from roadsight.synthetic.casting.materials import TruthClass
 from roadsight.synthetic.casting.primitives import BOX, CYLINDER, ELLIPSOID
@@ -114,9 +112,7 @@ class Roadside:
         self.poles.append(Pole(kind, station_m, offset_m, xyz, height_m, radius_m))
         return ground
 
-    def clumps(
-        self, object_id: int, centres_m: NDArray[np.float64], half_m: NDArray[np.float64]
-    ) -> None:
+    def clumps(self, object_id: int, centres_m: Floats, half_m: Floats) -> None:
         """Add upright ellipsoids with centres (n, 3) and half axes (n, 3)."""
         for centre, half in zip(centres_m, half_m, strict=True):
             self.builder.add_body(object_id, ELLIPSOID, centre, half)

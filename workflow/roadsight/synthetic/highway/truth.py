@@ -5,15 +5,15 @@ from __future__ import annotations
 import geopandas as gpd
 import numpy as np
 import shapely
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Bytes, Floats
 from roadsight.synthetic.casting.alignment import to_plan
 from roadsight.synthetic.casting.primitives import BOX, ELLIPSOID, RECTANGLE, Bodies, body_extent_m
 from roadsight.synthetic.casting.scene import Scene
 from roadsight.synthetic.casting.terrain import height_at
 from roadsight.synthetic.highway.highway import Highway, build_highway
 
-_FLOATS = NDArray[np.float64]
 _LINE_STEP_M = 0.5
 _CLICK_SPACING_M = (15.0, 25.0)
 _CLICK_SIGMA_M = 0.05
@@ -24,7 +24,7 @@ def sample_scene(seed: int = 1, length_m: float = 250.0) -> Scene:
     return build_highway(seed, length_m).scene
 
 
-def surface_at(highway: Highway, xy_m: ArrayLike) -> tuple[NDArray[np.uint8], _FLOATS]:
+def surface_at(highway: Highway, xy_m: ArrayLike) -> tuple[Bytes, Floats]:
     """True class (n,) and exact height (n,) of the ground at local plan points (n, 2), metres.
 
     The height is NaN beyond the site; objects that stand on the ground do not count.
@@ -64,7 +64,7 @@ def digitised_edges(highway: Highway, rng: np.random.Generator) -> gpd.GeoDataFr
     return gpd.GeoDataFrame(columns, geometry=[shapely.LineString(line) for line in clicked])
 
 
-def _click_stations(length_m: float, rng: np.random.Generator) -> _FLOATS:
+def _click_stations(length_m: float, rng: np.random.Generator) -> Floats:
     """Stations from the start to the end of the site, the last step as it comes out."""
     stations = [0.0]
     while stations[-1] + _CLICK_SPACING_M[1] < length_m:
@@ -72,7 +72,7 @@ def _click_stations(length_m: float, rng: np.random.Generator) -> _FLOATS:
     return np.array([*stations, length_m])
 
 
-def _line(highway: Highway, offset_m: float) -> _FLOATS:
+def _line(highway: Highway, offset_m: float) -> Floats:
     """Plan points (n, 2) along an offset, from the start to the end of the site."""
     pieces = int(np.ceil(highway.length_m / _LINE_STEP_M))
     stations = np.linspace(0.0, highway.length_m, pieces + 1)
@@ -93,8 +93,12 @@ def _pavement(highway: Highway) -> gpd.GeoDataFrame:
 def _edges(highway: Highway) -> gpd.GeoDataFrame:
     inner, outer = highway.section.pavement_m
     offsets = {
-        "left": outer, "median_left": inner, "median": 0.0, "median_right": -inner, "right": -outer,
-    }  # fmt: skip
+        "left": outer,
+        "median_left": inner,
+        "median": 0.0,
+        "median_right": -inner,
+        "right": -outer,
+    }
     kinds = ["median" if name.startswith("median") else "edge" for name in offsets]
     shapes = [shapely.LineString(_line(highway, offset)) for offset in offsets.values()]
     columns = {"edge": list(offsets), "kind": kinds, "offset_m": list(offsets.values())}

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.synthetic.casting.materials import TruthClass
 from roadsight.synthetic.highway.furniture import BUILDING_OFFSET_M, BUILDING_SHARE
 from roadsight.synthetic.highway.roadside import Roadside
 
-_FLOATS = NDArray[np.float64]
 _TREES_PER_M = 0.24
 _BUSHES_PER_M = 0.36
 _KEEP_OFF_M = 6.0
@@ -52,8 +51,8 @@ def _bush(road: Roadside, at: tuple[float, float], rng: np.random.Generator) -> 
 def _leaves(
     road: Roadside,
     object_id: int,
-    middle: _FLOATS,
-    half: _FLOATS,
+    middle: Floats,
+    half: Floats,
     count: int,
     radii_m: tuple[float, float],
     rng: np.random.Generator,

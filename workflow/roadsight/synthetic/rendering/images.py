@@ -7,7 +7,7 @@ their share of the pixel, thin things (poles, wires, signs) by four more rays.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -16,22 +16,25 @@ from embreex.rtcore_scene import EmbreeScene
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from roadsight.base.arrays import Bytes, Floats, Floats32, Ints32, Numbers
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.lens import RadialLens
 from roadsight.synthetic.rendering.rendering_shade import Hits, Look, shade
 from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_road import RuralSite
 
-_FLOATS = NDArray[np.float64]
 _SHADOW_REACH_M = 120.0
 _LEAF_SHADOW_REACH_M, _FAR_LEAF_LIT = 60.0, 0.8
 _SHADOW_LIFT_M = 0.02
 _CHUNK_RAYS = 400_000
 _SUPER = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])
 _THIN = np.array(
-    [m.name.startswith(("SIGN_", "STEEL", "WIRE", "POLE", "FENCE", "RAIL", "DELIN", "FITTING"))
-     for m in Material] + [False]
-)  # fmt: skip
+    [
+        m.name.startswith(("SIGN_", "STEEL", "WIRE", "POLE", "FENCE", "RAIL", "DELIN", "FITTING"))
+        for m in Material
+    ]
+    + [False]
+)
 _NOTHING = len(Material)
 
 
@@ -45,9 +48,9 @@ class RenderedView:
     depth_m : (h, w) float32 along the optical axis, infinite for the sky.
     """
 
-    colour: NDArray[np.uint8]
-    classes: NDArray[np.uint8]
-    depth_m: NDArray[np.float32]
+    colour: Bytes
+    classes: Bytes
+    depth_m: Floats32
 
     def inverse_depth(self) -> NDArray[np.uint16]:
         """Relative inverse depth (h, w): 65535 is 1 m or nearer, 0 sky; larger is nearer."""
@@ -58,8 +61,8 @@ class Camera(NamedTuple):
     """Where an image is taken: intrinsics, rotation cam_from_world (3, 3), centre (3,)."""
 
     intrinsics: Intrinsics
-    rotation: _FLOATS
-    position_m: _FLOATS
+    rotation: Floats
+    position_m: Floats
 
 
 class Cast(NamedTuple):
@@ -71,12 +74,12 @@ class Cast(NamedTuple):
     place_m : (n, 3). road_m : (n, 2) station and offset, 0 beyond the corridor's ground.
     """
 
-    range_m: _FLOATS
-    triangle: NDArray[np.int32]
-    place_m: _FLOATS
-    road_m: _FLOATS
+    range_m: Floats
+    triangle: Ints32
+    place_m: Floats
+    road_m: Floats
 
-    def take(self, rows: NDArray[Any]) -> Cast:
+    def take(self, rows: Numbers) -> Cast:
         """The given rows."""
         return Cast(self.range_m[rows], self.triangle[rows], self.place_m[rows], self.road_m[rows])
 
@@ -108,7 +111,7 @@ class RuralRenderer:
         place = np.asarray(origins_m, float) + reach * np.asarray(directions, float)
         return Cast(range_m, triangle, place, self._road(found, triangle))
 
-    def _road(self, found: dict[str, NDArray], triangle: NDArray[np.int32]) -> _FLOATS:
+    def _road(self, found: dict[str, NDArray], triangle: Ints32) -> Floats:
         """Station and offset, linear over each triangle of the corridor."""
         road = np.zeros((len(triangle), 2))
         rows = np.flatnonzero((triangle >= 0) & (triangle < self.site.corridor_triangles))
@@ -117,7 +120,7 @@ class RuralRenderer:
         road[rows] = (1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
         return road
 
-    def sunlit(self, cast: Cast, sun: _FLOATS) -> NDArray[np.float32]:
+    def sunlit(self, cast: Cast, sun: Floats) -> Floats32:
         """Share of the sun that reaches each hit; far hits and the sky count as lit."""
         lit = np.ones(len(cast.range_m), np.float32)
         near = np.flatnonzero(cast.range_m < _SHADOW_REACH_M)
@@ -135,14 +138,21 @@ class RuralRenderer:
             lit[rows] = self._scene.run(start, way, query="OCCLUDED") != 0
         return lit
 
-    def _hits(self, cast: Cast, directions: _FLOATS, lit: NDArray, pixel_rad: float) -> Hits:
+    def _hits(self, cast: Cast, directions: Floats, lit: NDArray, pixel_rad: float) -> Hits:
         mesh, triangle = self.site.mesh, cast.triangle
         return Hits(
-            cast.place_m, directions, cast.range_m, mesh.material[triangle], mesh.tint[triangle],
-            mesh.normal[triangle], cast.road_m, lit, pixel_rad,
-        )  # fmt: skip
+            cast.place_m,
+            directions,
+            cast.range_m,
+            mesh.material[triangle],
+            mesh.tint[triangle],
+            mesh.normal[triangle],
+            cast.road_m,
+            lit,
+            pixel_rad,
+        )
 
-    def _shaded(self, look: Look, hits: Hits) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    def _shaded(self, look: Look, hits: Hits) -> tuple[Floats32, Bytes]:
         heading = self.site.line.heading(hits.road[:, 0])
         return shade(look, self.site.surface, hits, np.cos(heading), np.sin(heading))
 
@@ -181,7 +191,7 @@ class RuralRenderer:
         picture = finish.apply(colour.reshape(*size, 3), np.random.default_rng(seed))
         return RenderedView(picture, classes.reshape(size), depth.astype(np.float32).reshape(size))
 
-    def _thin_edges(self, triangle: NDArray[np.int32], size: tuple[int, int]) -> NDArray[np.intp]:
+    def _thin_edges(self, triangle: Ints32, size: tuple[int, int]) -> NDArray[np.intp]:
         """Pixels at and beside the outlines of thin things."""
         material = np.where(triangle >= 0, self.site.mesh.material[triangle], _NOTHING)
         thin = np.where(_THIN[material], 1 + self.site.mesh.object_id[triangle], 0)
@@ -193,7 +203,7 @@ class RuralRenderer:
         return np.flatnonzero(outline | (cv2.dilate(wire, np.ones((5, 19), np.uint8)) > 0))
 
 
-def _pixel_rays(camera: Camera, uv_px: _FLOATS, lens: RadialLens | None) -> _FLOATS:
+def _pixel_rays(camera: Camera, uv_px: Floats, lens: RadialLens | None) -> Floats:
     """`roadsight.geometry.cameras.pixel_directions`, without its temporary arrays."""
     own = camera.intrinsics
     straight = uv_px if lens is None else lens.undistort(uv_px)
@@ -201,7 +211,7 @@ def _pixel_rays(camera: Camera, uv_px: _FLOATS, lens: RadialLens | None) -> _FLO
 
 
 @njit(cache=True)
-def _rays(uv: _FLOATS, cx: float, cy: float, focal: float, rotation: _FLOATS) -> _FLOATS:
+def _rays(uv: Floats, cx: float, cy: float, focal: float, rotation: Floats) -> Floats:
     rays = np.empty((len(uv), 3))
     for i in range(len(uv)):
         x, y = (uv[i, 0] - cx) / focal, (uv[i, 1] - cy) / focal
@@ -227,7 +237,7 @@ class Finish:
     noise: float = 2.0
     gamma: float = 2.2
 
-    def apply(self, linear: NDArray[np.float32], rng: np.random.Generator) -> NDArray[np.uint8]:
+    def apply(self, linear: Floats32, rng: np.random.Generator) -> Bytes:
         """8-bit image (h, w, 3) of linear colours (h, w, 3)."""
         light = linear * (self.exposure * np.asarray(self.balance, np.float32))
         light = cv2.GaussianBlur(light, (0, 0), self.blur_px)

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats, Floats32
 from roadsight.synthetic.casting.kernel import kernel
 from roadsight.synthetic.rendering.rendering_noise import (
     Colour,
@@ -27,7 +27,6 @@ from roadsight.synthetic.rural.rural_materials import (
 )
 from roadsight.synthetic.rural.rural_surface import Surface, ground_kind, line_cover
 
-_FLOATS = NDArray[np.float64]
 _GRASS, _SHOULDER, _ROAD = int(Ground.GRASS), int(Ground.SHOULDER), int(Ground.ROAD)
 _SIDE, _GRAVEL, _BRIDGE = int(Ground.SIDE_ROAD), int(Ground.GRAVEL_DRIVE), int(Ground.BRIDGE)
 _WHITE, _YELLOW = int(Ground.WHITE_LINE), int(Ground.YELLOW_LINE)
@@ -39,15 +38,23 @@ _SKY = 9
 
 _PLAIN = np.zeros((len(Material), 3))
 for _material, _bgr in {
-    Material.WIRE: (0.03, 0.03, 0.03), Material.STEEL_POST: (0.33, 0.33, 0.31),
-    Material.FENCE: (0.16, 0.2, 0.24), Material.SIGN_YELLOW: (0.02, 0.5, 0.8),
-    Material.SIGN_WHITE: (0.8, 0.8, 0.8), Material.SIGN_RED: (0.05, 0.04, 0.55),
-    Material.SIGN_BLACK: (0.02, 0.02, 0.02), Material.SIGN_BACK: (0.4, 0.4, 0.39),
-    Material.SIGN_GREEN: (0.13, 0.3, 0.02), Material.WINDOW: (0.1, 0.08, 0.06),
-    Material.GLASS: (0.06, 0.05, 0.04), Material.TYRE: (0.02, 0.02, 0.02),
-    Material.RAIL: (0.46, 0.46, 0.45), Material.CONCRETE: (0.4, 0.43, 0.45),
-    Material.FITTING: (0.3, 0.28, 0.26), Material.DELINEATOR: (0.75, 0.78, 0.8),
-}.items():  # fmt: skip
+    Material.WIRE: (0.03, 0.03, 0.03),
+    Material.STEEL_POST: (0.33, 0.33, 0.31),
+    Material.FENCE: (0.16, 0.2, 0.24),
+    Material.SIGN_YELLOW: (0.02, 0.5, 0.8),
+    Material.SIGN_WHITE: (0.8, 0.8, 0.8),
+    Material.SIGN_RED: (0.05, 0.04, 0.55),
+    Material.SIGN_BLACK: (0.02, 0.02, 0.02),
+    Material.SIGN_BACK: (0.4, 0.4, 0.39),
+    Material.SIGN_GREEN: (0.13, 0.3, 0.02),
+    Material.WINDOW: (0.1, 0.08, 0.06),
+    Material.GLASS: (0.06, 0.05, 0.04),
+    Material.TYRE: (0.02, 0.02, 0.02),
+    Material.RAIL: (0.46, 0.46, 0.45),
+    Material.CONCRETE: (0.4, 0.43, 0.45),
+    Material.FITTING: (0.3, 0.28, 0.26),
+    Material.DELINEATOR: (0.75, 0.78, 0.8),
+}.items():
     _PLAIN[_material] = _bgr
 _PAINTS = np.array(
     [[0.5, 0.5, 0.5], [0.03, 0.03, 0.4], [0.3, 0.12, 0.03], [0.02, 0.02, 0.02], [0.7, 0.7, 0.7]]
@@ -66,12 +73,12 @@ class Look(NamedTuple):
     asphalt : how bright asphalt is. wear : how worn markings are.
     """
 
-    sun: _FLOATS
-    sun_light: _FLOATS
-    sky_light: _FLOATS
+    sun: Floats
+    sun_light: Floats
+    sky_light: Floats
     haze_m: float
-    horizon: _FLOATS
-    zenith: _FLOATS
+    horizon: Floats
+    zenith: Floats
     cloud: float
     seed: int
     lush: float
@@ -89,14 +96,14 @@ class Hits(NamedTuple):
     corridor's ground only. lit : (n,) share of the sun that arrives. pixel_rad : width of a pixel.
     """
 
-    place: _FLOATS
-    ray: _FLOATS
-    depth: _FLOATS
-    material: NDArray[np.uint8]
-    tint: NDArray[np.float32]
-    normal: NDArray[np.float32]
-    road: _FLOATS
-    lit: NDArray[np.float32]
+    place: Floats
+    ray: Floats
+    depth: Floats
+    material: Bytes
+    tint: Floats32
+    normal: Floats32
+    road: Floats
+    lit: Floats32
     pixel_rad: float
 
 
@@ -266,8 +273,8 @@ def _footprint(hits: Hits, i: int, along_x: float, along_y: float) -> tuple[floa
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def shade(
-    look: Look, surface: Surface, hits: Hits, road_cos: _FLOATS, road_sin: _FLOATS
-) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    look: Look, surface: Surface, hits: Hits, road_cos: Floats, road_sin: Floats
+) -> tuple[Floats32, Bytes]:
     """Linear colours (n, 3) and `PixelClass` (n,) of hits.
 
     Parameters

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 from roadsight.synthetic.rendering.images import Cast, RuralRenderer
 from roadsight.synthetic.rural.rural_materials import (
@@ -23,7 +24,6 @@ from roadsight.synthetic.rural.rural_materials import (
 )
 from roadsight.synthetic.rural.rural_surface import ground_kinds
 
-_FLOATS = NDArray[np.float64]
 _STRIP_M = 40.0
 _START_ABOVE_M = 90.0
 _GAP_SHARE = 0.55
@@ -66,14 +66,14 @@ class Returns:
     scan_angle_deg : (n,). object_id : (n,) of the site's mesh, truth.
     """
 
-    xyz_m: _FLOATS
-    classification: NDArray[np.uint8]
+    xyz_m: Floats
+    classification: Bytes
     intensity: NDArray[np.uint16]
-    return_number: NDArray[np.uint8]
-    number_of_returns: NDArray[np.uint8]
+    return_number: Bytes
+    number_of_returns: Bytes
     line: NDArray[np.uint16]
-    scan_angle_deg: _FLOATS
-    object_id: NDArray[np.int32]
+    scan_angle_deg: Floats
+    object_id: Ints32
 
 
 def scan_rural(
@@ -116,16 +116,20 @@ def _strip(
     strength *= np.exp(rng.normal(0.0, 0.08, len(pulse)))
     count = np.bincount(pulse, minlength=len(road))
     return Returns(
-        hits.place_m + noise, classes,
+        hits.place_m + noise,
+        classes,
         np.clip(65535.0 * strength, 1.0, 65535.0).astype(np.uint16),
-        number.astype(np.uint8), count[pulse].astype(np.uint8),
-        (line[pulse] + 1).astype(np.uint16), angle[pulse], mesh.object_id[hits.triangle],
-    )  # fmt: skip
+        number.astype(np.uint8),
+        count[pulse].astype(np.uint8),
+        (line[pulse] + 1).astype(np.uint16),
+        angle[pulse],
+        mesh.object_id[hits.triangle],
+    )
 
 
 def _aims(
     start_m: float, end_m: float, scanner: AirborneScanner, rng: np.random.Generator
-) -> _FLOATS:
+) -> Floats:
     """Stations and offsets (n, 2) of a jittered grid with the wanted density."""
     cell = 1.0 / np.sqrt(scanner.pulses_per_m2)
     station = np.arange(start_m, end_m, cell)
@@ -135,8 +139,8 @@ def _aims(
 
 
 def _pulses(
-    renderer: RuralRenderer, road: _FLOATS, line: NDArray[np.int64], scanner: AirborneScanner
-) -> tuple[_FLOATS, _FLOATS, _FLOATS]:
+    renderer: RuralRenderer, road: Floats, line: Ints, scanner: AirborneScanner
+) -> tuple[Floats, Floats, Floats]:
     """Starts 90 m above ground, unit directions, and signed scan angles of pulses."""
     site = renderer.site
     target = np.column_stack([site.line.plan(*road.T), site.line.height(road[:, 0])])
@@ -153,8 +157,8 @@ def _pulses(
 
 
 def _echoes(
-    renderer: RuralRenderer, origin: _FLOATS, ray: _FLOATS, rng: np.random.Generator
-) -> tuple[NDArray[np.intp], NDArray[np.int64], Cast]:
+    renderer: RuralRenderer, origin: Floats, ray: Floats, rng: np.random.Generator
+) -> tuple[NDArray[np.intp], Ints, Cast]:
     """Pulse number, return number and surface of every return, by pulse and return."""
     pulse, number, parts = [], [], []
     active, start = np.arange(len(ray)), origin
@@ -182,7 +186,7 @@ def _echoes(
     return pulses[order], numbers[order], joined.take(order)
 
 
-def _surfaces(renderer: RuralRenderer, hits: Cast) -> tuple[NDArray[np.uint8], _FLOATS]:
+def _surfaces(renderer: RuralRenderer, hits: Cast) -> tuple[Bytes, Floats]:
     """Class and reflectance of surfaces; vegetation by its height above the ground."""
     site = renderer.site
     material = site.mesh.material[hits.triangle]
@@ -201,10 +205,10 @@ def _surfaces(renderer: RuralRenderer, hits: Cast) -> tuple[NDArray[np.uint8], _
 def _edge_errors(
     renderer: RuralRenderer,
     hits: Cast,
-    classes: NDArray[np.uint8],
+    classes: Bytes,
     share: float,
     rng: np.random.Generator,
-) -> NDArray[np.uint8]:
+) -> Bytes:
     """Swap road and ground for some points near the pavement's edge."""
     edge = renderer.site.ground.section.pavement_m
     near = np.abs(np.abs(hits.road_m[:, 1]) - edge) < _EDGE_M

@@ -5,17 +5,15 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.synthetic.rural.rural_furniture import Furnisher
 from roadsight.synthetic.rural.rural_ground import Branch
 from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_mesh import raised, turned
 
-_FLOATS = NDArray[np.float64]
 
-
-def add_house(add: Furnisher, branch: Branch) -> _FLOATS:
+def add_house(add: Furnisher, branch: Branch) -> Floats:
     """House beside the end of a driveway; returns its plan place (2,)."""
     rng = add.rng
     along, aside = branch.length_m - 4.0, rng.choice([-1.0, 1.0]) * rng.uniform(8.0, 10.0)
@@ -37,7 +35,7 @@ def add_house(add: Furnisher, branch: Branch) -> _FLOATS:
     return xy
 
 
-def _roof(add: Furnisher, eaves: _FLOATS, half: _FLOATS, heading: float, tint: float) -> None:
+def _roof(add: Furnisher, eaves: Floats, half: Floats, heading: float, tint: float) -> None:
     """Gable roof with an overhang of 0.4 m."""
     x, y = half + 0.4
     rise = 0.55 * y
@@ -49,7 +47,7 @@ def _roof(add: Furnisher, eaves: _FLOATS, half: _FLOATS, heading: float, tint: f
     add.mesh.add(inner, gable, Material.WALL, tint)
 
 
-def _windows(add: Furnisher, place: _FLOATS, half: _FLOATS, heading: float) -> None:
+def _windows(add: Furnisher, place: Floats, half: Floats, heading: float) -> None:
     """Windows on all four walls, a door on the long ones."""
     for turn, reach, width in ((0, half[1], half[0]), (1, half[0], half[1])):
         for face in (0.0, math.pi):
@@ -57,8 +55,12 @@ def _windows(add: Furnisher, place: _FLOATS, half: _FLOATS, heading: float) -> N
             for number, x in enumerate(np.linspace(-0.65, 0.65, 4 if turn == 0 else 2) * width):
                 door = turn == 0 and number == 1
                 low, high = (0.0, 2.05) if door else (0.95, 2.1)
-                pane = [[x - 0.5, -reach - 0.03, low], [x + 0.5, -reach - 0.03, low],
-                        [x + 0.5, -reach - 0.03, high], [x - 0.5, -reach - 0.03, high]]  # fmt: skip
+                pane = [
+                    [x - 0.5, -reach - 0.03, low],
+                    [x + 0.5, -reach - 0.03, low],
+                    [x + 0.5, -reach - 0.03, high],
+                    [x - 0.5, -reach - 0.03, high],
+                ]
                 add.mesh.quad(turned(pane, way, place), Material.WINDOW, 0.9 if door else 0.2)
 
 
@@ -104,7 +106,7 @@ def _extruded(
     add: Furnisher,
     profile: list[tuple[float, float]],
     half_m: float,
-    place: _FLOATS,
+    place: Floats,
     heading: float,
     material: int,
     tint: float,

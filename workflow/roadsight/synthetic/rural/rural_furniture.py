@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.synthetic.rural.rural_ground import SIDE_ROAD, RuralGround
 from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_mesh import MeshBuilder, raised, turned
 
-_FLOATS = NDArray[np.float64]
 _SPAN_M = (35.0, 50.0)
 _SIDES = 12
 _WIRE_PIECES = 10
@@ -43,7 +42,7 @@ class Furnisher:
     rng: np.random.Generator
     poles: list[RuralPole]
 
-    def place(self, station_m: float, offset_m: float) -> _FLOATS:
+    def place(self, station_m: float, offset_m: float) -> Floats:
         """Place (3,) of the ground."""
         xy = self.ground.line.plan(station_m, offset_m)
         return np.array([*xy, float(self.ground.height(station_m, offset_m))])
@@ -54,7 +53,7 @@ class Furnisher:
 
     def listed(
         self, kind: str, station_m: float, offset_m: float, height_m: float, radius_m: float
-    ) -> _FLOATS:
+    ) -> Floats:
         """List a pole and return its foot (3,)."""
         foot = self.place(station_m, offset_m)
         x, y, z = foot.tolist()
@@ -77,7 +76,7 @@ def add_utility_line(add: Furnisher, side: int) -> None:
     """Poles every 35 m to 50 m on one side with wires, and a few on the other side."""
     rng, line = add.rng, add.ground.line
     station = line.station_m[0] + 25.0
-    tops: list[_FLOATS] = []
+    tops: list[Floats] = []
     bridge = add.ground.gully_m
     while station < line.station_m[-1] - 10.0:
         offset = side * rng.uniform(6.4, 10.5)
@@ -95,7 +94,7 @@ def add_utility_line(add: Furnisher, side: int) -> None:
             _wire(add, here[number], there[number], radius)
 
 
-def _utility_pole(add: Furnisher, station: float, offset: float, heading: float | None) -> _FLOATS:
+def _utility_pole(add: Furnisher, station: float, offset: float, heading: float | None) -> Floats:
     """Wooden pole, with a cross-arm where the line follows the road; attachments (5, 3)."""
     rng = add.rng
     height = rng.uniform(9.0, 12.0) - (2.0 if heading is None else 0.0)
@@ -118,7 +117,7 @@ def _utility_pole(add: Furnisher, station: float, offset: float, heading: float 
     return np.stack([top, *ends, raised(top, -2.0), raised(top, -0.3 * height)])
 
 
-def _wire(add: Furnisher, start: _FLOATS, end: _FLOATS, radius: float) -> None:
+def _wire(add: Furnisher, start: Floats, end: Floats, radius: float) -> None:
     """Wire that sags by about 1.2 % of its span."""
     share = np.linspace(0.0, 1.0, _WIRE_PIECES + 1)[:, None]
     span = float(np.linalg.norm(end - start))
@@ -172,17 +171,31 @@ _OCTAGON = [
 ]
 _BLACK, _WHITE = Material.SIGN_BLACK, Material.SIGN_WHITE
 _SIGNS = (
-    ([(0.0, -0.54), (-0.54, 0.0), (0.0, 0.54), (0.54, 0.0)], Material.SIGN_YELLOW,
-     [(_rectangle(-0.05, -0.25, 0.05, 0.12), _BLACK),
-      (_rectangle(-0.05, 0.02, 0.25, 0.12), _BLACK)]),
-    (_rectangle(-0.31, -0.38, 0.31, 0.38), Material.SIGN_WHITE,
-     [(_rectangle(-0.22, 0.18, 0.22, 0.26), _BLACK), (_rectangle(-0.22, 0.06, 0.22, 0.12), _BLACK),
-      (_rectangle(-0.2, -0.28, -0.05, -0.02), _BLACK),
-      (_rectangle(0.05, -0.28, 0.2, -0.02), _BLACK)]),
-    (_rectangle(-0.45, -0.2, 0.45, 0.2), Material.SIGN_GREEN,
-     [(_rectangle(-0.36, -0.06, 0.34, 0.07), _WHITE)]),
+    (
+        [(0.0, -0.54), (-0.54, 0.0), (0.0, 0.54), (0.54, 0.0)],
+        Material.SIGN_YELLOW,
+        [
+            (_rectangle(-0.05, -0.25, 0.05, 0.12), _BLACK),
+            (_rectangle(-0.05, 0.02, 0.25, 0.12), _BLACK),
+        ],
+    ),
+    (
+        _rectangle(-0.31, -0.38, 0.31, 0.38),
+        Material.SIGN_WHITE,
+        [
+            (_rectangle(-0.22, 0.18, 0.22, 0.26), _BLACK),
+            (_rectangle(-0.22, 0.06, 0.22, 0.12), _BLACK),
+            (_rectangle(-0.2, -0.28, -0.05, -0.02), _BLACK),
+            (_rectangle(0.05, -0.28, 0.2, -0.02), _BLACK),
+        ],
+    ),
+    (
+        _rectangle(-0.45, -0.2, 0.45, 0.2),
+        Material.SIGN_GREEN,
+        [(_rectangle(-0.36, -0.06, 0.34, 0.07), _WHITE)],
+    ),
     (_OCTAGON, Material.SIGN_RED, [(_rectangle(-0.27, -0.1, 0.27, 0.1), _WHITE)]),
-)  # fmt: skip
+)
 
 
 def add_delineators(add: Furnisher) -> None:

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial import cKDTree
 
+from roadsight.base.arrays import Floats, Ints32
 from roadsight.synthetic.rural.rural_line import RuralLine
 
-_FLOATS = NDArray[np.float64]
 _ROW_M = 1.0
 _FAR_CELL_M = 14.0
 _FAR_REACH_M = 800.0
@@ -51,15 +51,15 @@ class Branch:
     kind: int
     station_m: float
     side: int
-    start_m: _FLOATS
-    ahead: _FLOATS
+    start_m: Floats
+    ahead: Floats
     half_m: float
     length_m: float
     radius_m: float
     rise_m: float
     grade: float
 
-    def along_across(self, xy_m: ArrayLike) -> tuple[_FLOATS, _FLOATS]:
+    def along_across(self, xy_m: ArrayLike) -> tuple[Floats, Floats]:
         """Distance along the branch from the pavement's edge, and to the left of its middle."""
         east, north = np.moveaxis(np.asarray(xy_m, float) - self.start_m, -1, 0)
         ax, ay = self.ahead
@@ -72,10 +72,10 @@ class Hills:
 
     west_m: float
     south_m: float
-    height_m: _FLOATS
-    distance_m: _FLOATS
+    height_m: Floats
+    distance_m: Floats
 
-    def at(self, xy_m: ArrayLike) -> _FLOATS:
+    def at(self, xy_m: ArrayLike) -> Floats:
         """Natural height (...) at plan points (..., 2)."""
         xy = np.asarray(xy_m, float)
         cells = (xy.reshape(-1, 2) - [self.west_m, self.south_m]) / _FAR_CELL_M
@@ -99,7 +99,7 @@ class RuralGround:
     gully_m: float
     bridge_half_m: float = 7.0
 
-    def height(self, station_m: ArrayLike, offset_m: ArrayLike) -> _FLOATS:
+    def height(self, station_m: ArrayLike, offset_m: ArrayLike) -> Floats:
         """Height of the ground (n,) at stations and offsets, local metres."""
         station, offset = np.broadcast_arrays(
             np.asarray(station_m, float), np.asarray(offset_m, float)
@@ -112,7 +112,7 @@ class RuralGround:
             height = _regraded(height, branch, xy, away, self.section)
         return height - self._gully(station, away)
 
-    def _gully(self, station: _FLOATS, away: _FLOATS) -> _FLOATS:
+    def _gully(self, station: Floats, away: Floats) -> Floats:
         """Depth of the stream's bed, none under the bridge's deck."""
         depth = 2.6 * (1.0 - _smooth((np.abs(station - self.gully_m) - 1.5) / 5.5))
         reach = 1.0 - _smooth((away - 60.0) / 40.0)
@@ -145,8 +145,8 @@ def make_hills(line: RuralLine, rng: np.random.Generator) -> Hills:
 
 
 def _waves(
-    xy: _FLOATS, lengths_m: tuple[float, float], steep: float, rng: np.random.Generator
-) -> _FLOATS:
+    xy: Floats, lengths_m: tuple[float, float], steep: float, rng: np.random.Generator
+) -> Floats:
     """Sum of plane waves with amplitudes ``steep`` times their lengths."""
     total = np.zeros(xy.shape[:-1])
     for length in np.geomspace(*lengths_m, 9):
@@ -177,9 +177,7 @@ def make_branch(
     return Branch(kind, station_m, side, start, ahead, half, length, radius, rise, grade)
 
 
-def _regraded(
-    height: _FLOATS, branch: Branch, xy: _FLOATS, away: _FLOATS, section: Section
-) -> _FLOATS:
+def _regraded(height: Floats, branch: Branch, xy: Floats, away: Floats, section: Section) -> Floats:
     """Heights bent to a branch, which starts at the road's shoulder."""
     along, across = branch.along_across(xy)
     bed = branch.rise_m + branch.grade * along
@@ -189,13 +187,13 @@ def _regraded(
     return height + (bed - height) * side * end * begin
 
 
-def _smooth(share: _FLOATS) -> _FLOATS:
+def _smooth(share: Floats) -> Floats:
     """0 below 0, 1 above 1, a cubic between."""
     t = np.clip(share, 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 
-def column_offsets(section: Section) -> _FLOATS:
+def column_offsets(section: Section) -> Floats:
     """Offsets of the mesh's columns, denser near the road."""
     breaks = section_profile(section)[0]
     shoulder = section.shoulder_m
@@ -212,7 +210,7 @@ def column_offsets(section: Section) -> _FLOATS:
     return np.concatenate([-half[:0:-1], half])
 
 
-def corridor_mesh(ground: RuralGround) -> tuple[_FLOATS, NDArray[np.int32], _FLOATS]:
+def corridor_mesh(ground: RuralGround) -> tuple[Floats, Ints32, Floats]:
     """Vertices (n, 3), triangles (m, 3), and station and offset (n, 2) of each vertex."""
     stations = np.arange(ground.line.station_m[0], ground.line.station_m[-1], _ROW_M)
     road = np.stack(np.meshgrid(stations, column_offsets(ground.section), indexing="ij"), axis=-1)
@@ -223,7 +221,7 @@ def corridor_mesh(ground: RuralGround) -> tuple[_FLOATS, NDArray[np.int32], _FLO
     return vertices, grid_triangles(rows, columns), road
 
 
-def far_mesh(hills: Hills, rng: np.random.Generator) -> tuple[_FLOATS, NDArray[np.int32]]:
+def far_mesh(hills: Hills, rng: np.random.Generator) -> tuple[Floats, Ints32]:
     """Wooded land beyond the corridor; it dives below the corridor's mesh."""
     rows, columns = hills.height_m.shape
     x = hills.west_m + _FAR_CELL_M * np.arange(columns)
@@ -236,7 +234,7 @@ def far_mesh(hills: Hills, rng: np.random.Generator) -> tuple[_FLOATS, NDArray[n
     return vertices, grid_triangles(rows, columns)
 
 
-def grid_triangles(rows: int, columns: int) -> NDArray[np.int32]:
+def grid_triangles(rows: int, columns: int) -> Ints32:
     """Two triangles for each cell of a grid of vertices, row by row."""
     a = (np.arange(rows - 1)[:, None] * columns + np.arange(columns - 1)).ravel()
     b, c, d = a + 1, a + columns, a + columns + 1

@@ -9,11 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.ndimage import uniform_filter1d
 from scipy.spatial import cKDTree
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Floats
+
 _STEP_M = 0.25
 _TRANSITION_M = 45.0
 _RADII_M = (190.0, 380.0)
@@ -30,19 +31,19 @@ class RuralLine:
     wave_m, wave_rad_m, wave_phase : (k,) amplitude, angle per metre, phase of the profile's waves.
     """
 
-    station_m: _FLOATS
-    x_m: _FLOATS
-    y_m: _FLOATS
-    heading_rad: _FLOATS
-    wave_m: _FLOATS
-    wave_rad_m: _FLOATS
-    wave_phase: _FLOATS
+    station_m: Floats
+    x_m: Floats
+    y_m: Floats
+    heading_rad: Floats
+    wave_m: Floats
+    wave_rad_m: Floats
+    wave_phase: Floats
 
-    def heading(self, station_m: ArrayLike) -> _FLOATS:
+    def heading(self, station_m: ArrayLike) -> Floats:
         """Direction of rising stations, radians anticlockwise from x."""
         return np.interp(np.asarray(station_m, float), self.station_m, self.heading_rad)
 
-    def plan(self, station_m: ArrayLike, offset_m: ArrayLike) -> _FLOATS:
+    def plan(self, station_m: ArrayLike, offset_m: ArrayLike) -> Floats:
         """Local plan points (..., 2) of stations and offsets, broadcast together."""
         station, offset = np.broadcast_arrays(
             *(np.asarray(a, float) for a in (station_m, offset_m))
@@ -52,7 +53,7 @@ class RuralLine:
         y = np.interp(station, self.station_m, self.y_m) + offset * np.cos(heading)
         return np.stack([x, y], axis=-1)
 
-    def road(self, xy_m: ArrayLike) -> _FLOATS:
+    def road(self, xy_m: ArrayLike) -> Floats:
         """Station and offset (n, 2) of plan points (n, 2) nearer to the line than its radii.
 
         Newton's method from the nearest row; beyond the ends the end's direction holds.
@@ -72,12 +73,12 @@ class RuralLine:
         east, north = (xy - self.plan(station, 0.0)).T
         return np.column_stack([station, north * np.cos(heading) - east * np.sin(heading)])
 
-    def height(self, station_m: ArrayLike) -> _FLOATS:
+    def height(self, station_m: ArrayLike) -> Floats:
         """Height of the middle of the road, local metres."""
         angle = np.multiply.outer(np.asarray(station_m, float), self.wave_rad_m) + self.wave_phase
         return np.sin(angle) @ self.wave_m
 
-    def grade(self, station_m: ArrayLike) -> _FLOATS:
+    def grade(self, station_m: ArrayLike) -> Floats:
         """Rise over run of the middle of the road."""
         angle = np.multiply.outer(np.asarray(station_m, float), self.wave_rad_m) + self.wave_phase
         return np.cos(angle) @ (self.wave_m * self.wave_rad_m)
@@ -103,7 +104,7 @@ def random_line(start_m: float, end_m: float, rng: np.random.Generator) -> Rural
     return RuralLine(station, *place, heading, heights, 2.0 * np.pi / lengths, phases)
 
 
-def _bends(station: _FLOATS, rng: np.random.Generator) -> _FLOATS:
+def _bends(station: Floats, rng: np.random.Generator) -> Floats:
     """Curvature: arcs and tangents in turn, joined by linear transitions of 45 m."""
     curvature, at, heading, turn = np.zeros_like(station), station[0], 0.0, rng.choice([-1.0, 1.0])
     while at < station[-1]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Bytes, Floats
 from roadsight.poles.images.classes import PixelClass
 
 
@@ -116,25 +116,19 @@ _GROUND_REFLECTANCE = {
     Ground.BRIDGE: 0.2,
 }
 
-PIXEL_OF_MATERIAL: NDArray[np.uint8] = np.array(
-    [_PIXEL.get(m, PixelClass.OTHER) for m in Material], np.uint8
-)
+PIXEL_OF_MATERIAL: Bytes = np.array([_PIXEL.get(m, PixelClass.OTHER) for m in Material], np.uint8)
 """Pixel class by `Material`; GROUND's comes from `PIXEL_OF_GROUND`."""
 
-PIXEL_OF_GROUND: NDArray[np.uint8] = np.array(
-    [_GROUND_PIXEL.get(g, PixelClass.ROAD) for g in Ground], np.uint8
-)
+PIXEL_OF_GROUND: Bytes = np.array([_GROUND_PIXEL.get(g, PixelClass.ROAD) for g in Ground], np.uint8)
 """Pixel class by `Ground`; a paved driveway looks like road and is."""
 
-CLOUD_OF_GROUND: NDArray[np.uint8] = np.array([_GROUND_CLOUD.get(g, 2) for g in Ground], np.uint8)
+CLOUD_OF_GROUND: Bytes = np.array([_GROUND_CLOUD.get(g, 2) for g in Ground], np.uint8)
 """ASPRS class by `Ground`; driveways are ground."""
 
-CLOUD_OF_MATERIAL: NDArray[np.uint8] = np.array(
+CLOUD_OF_MATERIAL: Bytes = np.array(
     [5 if m in _PLANTS or m in _POLES else 6 if m in _BUILDING else 1 for m in Material], np.uint8
 )
 """ASPRS class by `Material`; 5 is vegetation of any height, with poles and wires in it."""
 
-REFLECTANCE_OF_MATERIAL: NDArray[np.float64] = np.array(
-    [_REFLECTANCE.get(m, 0.35) for m in Material]
-)
-REFLECTANCE_OF_GROUND: NDArray[np.float64] = np.array([_GROUND_REFLECTANCE[g] for g in Ground])
+REFLECTANCE_OF_MATERIAL: Floats = np.array([_REFLECTANCE.get(m, 0.35) for m in Material])
+REFLECTANCE_OF_GROUND: Floats = np.array([_GROUND_REFLECTANCE[g] for g in Ground])

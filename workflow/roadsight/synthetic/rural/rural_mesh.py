@@ -6,13 +6,26 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-_FLOATS = NDArray[np.float64]
+from roadsight.base.arrays import Bytes, Floats, Floats32, Ints32
+
 _BOX = np.array(
-    [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4],
-     [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6], [1, 3, 5], [3, 7, 5]]
-)  # fmt: skip
+    [
+        [0, 2, 1],
+        [1, 2, 3],
+        [4, 5, 6],
+        [5, 7, 6],
+        [0, 1, 4],
+        [1, 5, 4],
+        [2, 6, 3],
+        [3, 6, 7],
+        [0, 4, 2],
+        [2, 4, 6],
+        [1, 3, 5],
+        [3, 7, 5],
+    ]
+)
 _CORNERS = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float)
 
 
@@ -27,15 +40,15 @@ class Mesh(NamedTuple):
     normal : (m, 3) float32, how the triangle is lit (crowns as a whole are, not leaf by leaf).
     """
 
-    vertices_m: _FLOATS
-    triangles: NDArray[np.int32]
-    material: NDArray[np.uint8]
-    object_id: NDArray[np.int32]
-    tint: NDArray[np.float32]
-    normal: NDArray[np.float32]
+    vertices_m: Floats
+    triangles: Ints32
+    material: Bytes
+    object_id: Ints32
+    tint: Floats32
+    normal: Floats32
 
 
-def face_normals(corners_m: _FLOATS) -> _FLOATS:
+def face_normals(corners_m: Floats) -> Floats:
     """Unit normals (m, 3) of triangles (m, 3, 3); a triangle without area has a vertical one."""
     normal = np.cross(corners_m[:, 1] - corners_m[:, 0], corners_m[:, 2] - corners_m[:, 0])
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -144,23 +157,23 @@ class MeshBuilder:
         return Mesh(*joined)
 
 
-def _turned(points_m: _FLOATS, heading_rad: float) -> _FLOATS:
+def _turned(points_m: Floats, heading_rad: float) -> Floats:
     """Points turned about z."""
     cos, sin = np.cos(heading_rad), np.sin(heading_rad)
     return points_m @ np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
 
-def turned(points_m: ArrayLike, heading_rad: float, place_m: ArrayLike) -> _FLOATS:
+def turned(points_m: ArrayLike, heading_rad: float, place_m: ArrayLike) -> Floats:
     """Points (n, 3) of a body's frame whose x axis points along ``heading_rad``, at a place."""
     return _turned(np.asarray(points_m, float), heading_rad) + np.asarray(place_m, float)
 
 
-def raised(place_m: ArrayLike, by_m: float) -> _FLOATS:
+def raised(place_m: ArrayLike, by_m: float) -> Floats:
     """Place (3,) moved up."""
     return np.add(place_m, [0.0, 0.0, by_m])
 
 
-def _rings(line: _FLOATS, radius: _FLOATS, sides: int) -> _FLOATS:
+def _rings(line: Floats, radius: Floats, sides: int) -> Floats:
     """Corners (k, sides, 3) around a line; the polygon has the area of the circle."""
     ahead = np.gradient(line, axis=0)
     ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)

@@ -6,19 +6,18 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from roadsight.base.arrays import Floats
 from roadsight.synthetic.rural.rural_furniture import Furnisher
 from roadsight.synthetic.rural.rural_materials import Material
 
-_FLOATS = NDArray[np.float64]
 _TREES_PER_M = 1.15
 _BUSHES_PER_M = 0.9
 _DETAIL = ((17.0, 3600, 0.26), (34.0, 1400, 0.42), (math.inf, 480, 0.8))
 """Farthest offset, leaves of a tree 10 m high, their size in metres."""
 
 
-def add_plants(add: Furnisher, houses: list[_FLOATS], detail: float = 1.0) -> None:
+def add_plants(add: Furnisher, houses: list[Floats], detail: float = 1.0) -> None:
     """Trees in groves, pasture between them, bushes along the ditch."""
     rng, line = add.rng, add.ground.line
     first, last = line.station_m[0] + 3.0, line.station_m[-1] - 3.0
@@ -85,7 +84,7 @@ def _tree(add: Furnisher, station: float, offset: float, detail: float) -> None:
     _leaves(add, foot + middle, outward, size / math.sqrt(detail), tint, Material.LEAVES)
 
 
-def _crown(count: int, height: float, rng: np.random.Generator) -> tuple[_FLOATS, _FLOATS]:
+def _crown(count: int, height: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Leaf places and outward directions (n, 3): a few big lobes around a tall ellipsoid."""
     lobes = 14
     way = rng.normal(size=(lobes, 3))
@@ -102,7 +101,7 @@ def _crown(count: int, height: float, rng: np.random.Generator) -> tuple[_FLOATS
     return middle, outward
 
 
-def _cone(count: int, height: float, rng: np.random.Generator) -> tuple[_FLOATS, _FLOATS]:
+def _cone(count: int, height: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Leaf places and outward directions (n, 3) of a conifer with whorls."""
     up = 1.0 - np.sqrt(rng.uniform(0.0, 1.0, count))
     up = np.round(up * 14.0) / 14.0 + rng.normal(0.0, 0.012, count)
@@ -129,7 +128,7 @@ def _bush(add: Furnisher, station: float, offset: float, detail: float) -> None:
 
 
 def _leaves(
-    add: Furnisher, middle: _FLOATS, outward: _FLOATS, size: float, tint: _FLOATS, material: int
+    add: Furnisher, middle: Floats, outward: Floats, size: float, tint: Floats, material: int
 ) -> None:
     """One triangle of any attitude for each leaf clump, lit by where it is in the crown."""
     rng = add.rng

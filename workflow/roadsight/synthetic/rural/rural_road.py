@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pyproj import CRS
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.synthetic.rural.rural_buildings import add_house, add_mailbox, add_vehicle
@@ -66,7 +67,7 @@ class RuralSite:
     surface: Surface
     mesh: Mesh
     corridor_triangles: int
-    road_m: NDArray[np.float64]
+    road_m: Floats
     kinds: tuple[str, ...]
     poles: tuple[RuralPole, ...]
 
@@ -80,7 +81,7 @@ class RuralSite:
         crs = CRS.from_user_input(f"EPSG:{EPSG}+{VERTICAL_EPSG}")
         return Frame(ORIGIN_FT, US_FOOT_M, US_FOOT_M, crs.to_wkt())
 
-    def height(self, xy_m: ArrayLike) -> NDArray[np.float64]:
+    def height(self, xy_m: ArrayLike) -> Floats:
         """Height (n,) of the ground at plan points (n, 2) of the corridor, local metres."""
         return self.ground.height(*self.line.road(xy_m).T)
 
@@ -121,9 +122,16 @@ def build_rural(
     passing = [[0.42 * length_m, 0.62 * length_m]]
     surface = make_surface(ground, passing)
     return RuralSite(
-        seed, length_m, ground, surface, builder.build(), triangles, road,
-        tuple(builder.kinds), tuple(add.poles),
-    )  # fmt: skip
+        seed,
+        length_m,
+        ground,
+        surface,
+        builder.build(),
+        triangles,
+        road,
+        tuple(builder.kinds),
+        tuple(add.poles),
+    )
 
 
 def _ground(
@@ -149,7 +157,7 @@ def _ground(
 
 def _add_land(
     builder: MeshBuilder, ground: RuralGround, hills: Hills, rng: np.random.Generator
-) -> tuple[int, NDArray[np.float64]]:
+) -> tuple[int, Floats]:
     """Add corridor and far land; number of corridor triangles, their vertices' road places."""
     builder.start("ground")
     vertices, triangles, road = corridor_mesh(ground)
@@ -159,7 +167,7 @@ def _add_land(
     return len(triangles), road
 
 
-def _furnish(add: Furnisher, length_m: float) -> list[NDArray[np.float64]]:
+def _furnish(add: Furnisher, length_m: float) -> list[Floats]:
     """Add everything but plants; plan places of the houses."""
     ground, rng = add.ground, add.rng
     side = int(rng.choice([-1, 1]))

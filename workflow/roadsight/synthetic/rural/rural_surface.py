@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Bytes, Floats
 from roadsight.synthetic.casting.kernel import kernel
 from roadsight.synthetic.rural.rural_ground import GRAVEL_DRIVE, SIDE_ROAD, RuralGround
 from roadsight.synthetic.rural.rural_materials import Ground
 
-_FLOATS = NDArray[np.float64]
 _GRASS, _SHOULDER, _ROAD = int(Ground.GRASS), int(Ground.SHOULDER), int(Ground.ROAD)
 _SIDE, _GRAVEL, _DRIVE = int(Ground.SIDE_ROAD), int(Ground.GRAVEL_DRIVE), int(Ground.PAVED_DRIVE)
 _WHITE, _YELLOW, _BRIDGE = int(Ground.WHITE_LINE), int(Ground.YELLOW_LINE), int(Ground.BRIDGE)
@@ -41,10 +41,10 @@ class Surface(NamedTuple):
     line_half_m: float
     gully_m: float
     bridge_half_m: float
-    branch: _FLOATS
-    branch_length_m: _FLOATS
-    passing: _FLOATS
-    gap: _FLOATS
+    branch: Floats
+    branch_length_m: Floats
+    passing: Floats
+    gap: Floats
 
 
 def make_surface(ground: RuralGround, passing_m: ArrayLike) -> Surface:
@@ -140,7 +140,7 @@ def ground_kind(surface: Surface, x: float, y: float, s: float, o: float) -> int
 
 
 @njit(cache=True, error_model="numpy")
-def _kinds(surface: Surface, xy: _FLOATS, road: _FLOATS, lines: bool) -> NDArray[np.uint8]:
+def _kinds(surface: Surface, xy: Floats, road: Floats, lines: bool) -> Bytes:
     kinds = np.empty(len(xy), np.uint8)
     for i in range(len(xy)):
         kind = ground_kind(surface, xy[i, 0], xy[i, 1], road[i, 0], road[i, 1])
@@ -151,9 +151,7 @@ def _kinds(surface: Surface, xy: _FLOATS, road: _FLOATS, lines: bool) -> NDArray
     return kinds
 
 
-def ground_kinds(
-    surface: Surface, xy_m: ArrayLike, road_m: ArrayLike, lines: bool = True
-) -> NDArray[np.uint8]:
+def ground_kinds(surface: Surface, xy_m: ArrayLike, road_m: ArrayLike, lines: bool = True) -> Bytes:
     """`Ground` (n,) at plan points (n, 2) with their stations and offsets (n, 2).
 
     Without ``lines`` it is what lies under the markings.

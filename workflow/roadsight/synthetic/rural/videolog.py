@@ -10,13 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from roadsight.base.arrays import Floats
 from roadsight.geometry.cameras import Intrinsics, attitude_deg, cam_from_world, compass_deg
 from roadsight.synthetic.rendering.images import Camera
 from roadsight.synthetic.rural.rural_road import RuralSite
 
-_FLOATS = NDArray[np.float64]
 _LANE_M = 1.6
 _STITCH_OVERLAP_DEG = 1.5
 _UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -58,7 +58,7 @@ class GpsNoise:
     correlation_m: float = 100.0
     white_sigma_m: float = 0.2
 
-    def draw(self, travelled_m: ArrayLike, rng: np.random.Generator) -> _FLOATS:
+    def draw(self, travelled_m: ArrayLike, rng: np.random.Generator) -> Floats:
         """Errors (n, 2) at distances travelled (n,), increasing, metres."""
         step = np.diff(np.asarray(travelled_m, float), prepend=-np.inf)
         keep = np.exp(-step / self.correlation_m)
@@ -106,7 +106,7 @@ class Shot:
     sequence: int
     station_m: float
     cameras: dict[str, Camera]
-    gps_xy_m: _FLOATS
+    gps_xy_m: Floats
     ground_m: float
 
     def name(self, view: str = "front") -> str:
@@ -150,9 +150,13 @@ def _random_mount(height_m: float, rng: np.random.Generator) -> Mount:
     pitch = -rng.uniform(0.8, 2.0)
     left = rng.choice([-1.0, 1.0]) * rng.uniform(0.2, 0.5)
     return Mount(
-        height_m + float(rng.uniform(-0.08, 0.08)), float(yaw), float(pitch), float(roll),
-        float(left), float(rng.uniform(-1.6, -0.6)),
-    )  # fmt: skip
+        height_m + float(rng.uniform(-0.08, 0.08)),
+        float(yaw),
+        float(pitch),
+        float(roll),
+        float(left),
+        float(rng.uniform(-1.6, -0.6)),
+    )
 
 
 def shots(site: RuralSite, drive: Drive, seed: int) -> list[Shot]:
@@ -170,9 +174,7 @@ def shots(site: RuralSite, drive: Drive, seed: int) -> list[Shot]:
     ]
 
 
-def _lane_place(
-    station: _FLOATS, forward: bool, rng: np.random.Generator
-) -> tuple[_FLOATS, _FLOATS]:
+def _lane_place(station: Floats, forward: bool, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Offset of the vehicle and its change per metre of station: two slow waves in the lane."""
     lengths, phases = rng.uniform(90.0, 260.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
     angle = 2.0 * np.pi * station[:, None] / lengths + phases
@@ -186,8 +188,8 @@ def _shot(
     drive: Drive,
     sequence: int,
     place: tuple[float, float, float],
-    noise: _FLOATS,
-    shake: _FLOATS,
+    noise: Floats,
+    shake: Floats,
 ) -> Shot:
     """Cameras and GPS place at a station, offset and drift."""
     station, offset, _ = place
@@ -213,7 +215,7 @@ def _shot(
 
 def vehicle_rotation(
     site: RuralSite, forward: bool, station: float, offset: float, drift: float
-) -> _FLOATS:
+) -> Floats:
     """Rotation (3, 3) whose rows are right, down and ahead of a vehicle on the road."""
     turn = float(site.line.heading(station)) + np.arctan(drift)
     heading = 90.0 - np.degrees(turn) + (0.0 if forward else 180.0)
@@ -225,7 +227,7 @@ def vehicle_rotation(
     return cam_from_world(heading, pitch, roll)
 
 
-def mounted(base: _FLOATS, yaw_deg: float, pitch_deg: float, roll_deg: float) -> _FLOATS:
+def mounted(base: Floats, yaw_deg: float, pitch_deg: float, roll_deg: float) -> Floats:
     """Rotation of a camera turned against another: right about its vertical, up, right side up."""
     return cam_from_world(yaw_deg, pitch_deg, roll_deg) @ _UP_FROM_CAMERA @ base
 

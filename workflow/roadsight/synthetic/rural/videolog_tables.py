@@ -22,9 +22,15 @@ CAMERA_DECIMALS = (
     | {f"cam_from_world_r{i}{j}": 9 for i in range(3) for j in range(3)}
 )
 POLE_DECIMALS = dict.fromkeys(("x_m", "y_m", "z_m", "easting_usft", "northing_usft"), 4) | {
-    "height_usft": 4, "latitude": 9, "longitude": 9, "height_m": 3, "radius_m": 3,
-    "station_m": 3, "offset_m": 3, "edge_distance_m": 3,
-}  # fmt: skip
+    "height_usft": 4,
+    "latitude": 9,
+    "longitude": 9,
+    "height_m": 3,
+    "radius_m": 3,
+    "station_m": 3,
+    "offset_m": 3,
+    "edge_distance_m": 3,
+}
 VIDEOLOG_DECIMALS = {"latitude": 7, "longitude": 7}
 
 
@@ -69,12 +75,26 @@ def _camera_row(shot: Shot, view: str) -> dict[str, Any]:
         f"cam_from_world_r{i}{j}": camera.rotation[i, j] for i in range(3) for j in range(3)
     }
     return {
-        "image": shot.name(view), "place": shot.name(), "view": view, "route": shot.route,
-        "sequence": shot.sequence, "x_m": x, "y_m": y, "z_m": z, "station_m": shot.station_m,
-        "height_above_road_m": z - shot.ground_m, "heading_grid_deg": heading, "pitch_deg": pitch,
-        "roll_deg": roll, "focal_px": lens.focal_px, "cx_px": lens.cx_px, "cy_px": lens.cy_px,
-        "width_px": lens.width_px, "height_px": lens.height_px, **rotation,
-    }  # fmt: skip
+        "image": shot.name(view),
+        "place": shot.name(),
+        "view": view,
+        "route": shot.route,
+        "sequence": shot.sequence,
+        "x_m": x,
+        "y_m": y,
+        "z_m": z,
+        "station_m": shot.station_m,
+        "height_above_road_m": z - shot.ground_m,
+        "heading_grid_deg": heading,
+        "pitch_deg": pitch,
+        "roll_deg": roll,
+        "focal_px": lens.focal_px,
+        "cx_px": lens.cx_px,
+        "cy_px": lens.cy_px,
+        "width_px": lens.width_px,
+        "height_px": lens.height_px,
+        **rotation,
+    }
 
 
 def pole_table(site: RuralSite) -> pd.DataFrame:

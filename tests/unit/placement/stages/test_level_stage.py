@@ -12,7 +12,7 @@ from roadsight.io.vector.vectors import read_layer
 from roadsight.report.site.sight_view import sight_view
 from roadsight.report.wording import percent
 from tests.unit.placement.sight.test_lanes import straight_lanes
-from tests.unit.setcover.test_solve_cover_stage import FRAME, Site
+from tests.unit.placement.stages.test_solve_cover_stage import FRAME, Site
 
 SIGHT = {"a": "01", "b": "01", "c": "01", "d": "2345"}
 SHARES = {"a": 0.9, "b": 0.8, "c": 0.6, "d": 0.995}
