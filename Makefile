@@ -75,7 +75,8 @@ studio-vendor: ## bundle the studio's JavaScript libraries anew from web/package
 clean: ## remove results, logs and the environment
 	rm -rf results logs .snakemake .venv
 
-dag: .venv/.installed ## redraw docs/images/dag.svg (needs graphviz)
-	$(BIN)/snakemake --rulegraph dot \
-	  | sed -E 's/color = "[0-9. ]+", style="rounded"/color="#1d4ed8", style="rounded,filled", fillcolor="#eff6ff"/' \
-	  | tred | dot -Tsvg -o docs/images/dag.svg
+dag: .venv/.installed ## redraw the pictures of docs/architecture.md from the code (needs graphviz)
+	$(BIN)/python scripts/rooms.py docs/images/rooms.svg
+	for job in placement poles all; do \
+	  $(BIN)/snakemake $$job --rulegraph dot | $(BIN)/python scripts/flow.py docs/images/flow-$$job.svg || exit 1; \
+	done

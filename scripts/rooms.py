@@ -75,8 +75,11 @@ def _modules(statement: ast.AST) -> list[str]:
 
 
 def drawing() -> str:
-    """Rooms and the imports between them, in the language of graphviz."""
-    arrows = Counter((room, other) for _, room, other in imports() if room != other)
+    """Rooms and the imports between them, in the language of graphviz.
+
+    Every room imports ``base``: those arrows would hide the others and are left out.
+    """
+    arrows = Counter((room, other) for _, room, other in imports() if other not in (room, "base"))
     heaviest = max(arrows.values())
     lines = [
         "digraph rooms {",
