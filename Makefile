@@ -8,7 +8,7 @@ empty :=
 space := $(empty) $(empty)
 
 .DEFAULT_GOAL := help
-.PHONY: help run real studio studio-vendor test test-full bench bench-full lint format config lock dag clean
+.PHONY: help run real truth studio studio-vendor test test-full bench bench-full lint format config lock dag clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -30,6 +30,9 @@ run: .venv/.installed ## install from the lock and run the workflow on the embed
 real: .venv/.installed ## run the workflow on the real clouds under ROADSIGHT_DATA
 	@test -n "$$ROADSIGHT_DATA" || { echo "make real: set ROADSIGHT_DATA to the folder that holds clouds/" >&2; exit 2; }
 	$(BIN)/snakemake --cores $(CORES) --config 'sites=[$(subst $(space),$(comma),$(REAL_SITES))]'
+
+truth: .venv/.installed ## the product on the real data under ROADSIGHT_DATA, beside peers
+	$(BIN)/snakemake --cores $(CORES) truth
 
 studio: .venv/.installed ## the local web application: see, draw, register, run
 	$(BIN)/roadsight studio

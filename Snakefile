@@ -15,6 +15,7 @@ include: "workflow/rules/evidence/evidence_inputs.smk"
 include: "workflow/rules/scene/effects_inputs.smk"
 include: "workflow/rules/scene/sample_inputs.smk"
 include: "workflow/rules/evidence/audit_inputs.smk"
+include: "workflow/rules/evidence/truth_inputs.smk"
 include: "workflow/rules/scene/effects.smk"
 include: "workflow/rules/scene/sample.smk"
 include: "workflow/rules/scene/scene.smk"
@@ -34,6 +35,7 @@ include: "workflow/rules/evidence/components.smk"
 include: "workflow/rules/evidence/hardcases.smk"
 include: "workflow/rules/evidence/evidence.smk"
 include: "workflow/rules/evidence/audit.smk"
+include: "workflow/rules/evidence/truth.smk"
 
 
 rule all:
@@ -71,6 +73,12 @@ rule tradeoffs:
 rule audit:
     input:
         rules.write_audit.output,
+    localrule: True
+
+
+rule truth:
+    input:
+        rules.write_truth.output,
     localrule: True
 
 

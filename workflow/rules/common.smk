@@ -21,7 +21,9 @@ from roadsight.placement.sensors.sensors import load_sensors
 prepare_environment()
 
 LOCK = "envs/requirements.lock"
-REPORT_ASSETS = Path("workflow/roadsight/report/assets")
+REPORT_ASSETS = sorted(
+    str(path) for path in Path("workflow/roadsight/report/assets").rglob("*.*")
+)
 ENVIRONMENT = "../../envs/roadsight.yaml"
 
 
@@ -190,6 +192,7 @@ def scene_results():
 # Pages of evidence that have targets of their own, by their titles.
 EVIDENCE_PAGES = {
     "Accuracy and time": "results/tradeoffs/index.html",
+    "Real roads": "results/truth/index.html",
     "Hard cases": "results/hardcases/index.html",
     "Effects audited": "results/audit/index.html",
     "Benchmarks": "results/bench/index.html",

@@ -18,7 +18,8 @@ def package(tmp_path, monkeypatch):
         "roadsight/__init__.py": "",
         "roadsight/stages/__init__.py": "",
         "roadsight/stages/scene/__init__.py": "",
-        "roadsight/stages/scene/one.py": "import numpy\nfrom roadsight.core import near, CONSTANT\n",
+        "roadsight/stages/scene/one.py": "import numpy\n"
+        "from roadsight.core import near, CONSTANT\n",
         "roadsight/stages/scene/two.py": "import roadsight.other\n",
         "roadsight/core/__init__.py": "from roadsight.core.constants import CONSTANT\n",
         "roadsight/core/constants.py": "CONSTANT = 1\n",

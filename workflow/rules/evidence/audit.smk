@@ -61,7 +61,7 @@ rule write_audit:
             *(f"results/audit/{site}.json" for site in audited_sites("placement")),
             *(f"results/audit/poles/{site}.json" for site in audited_sites("poles")),
         ],
-        assets=sorted(str(path) for path in REPORT_ASSETS.iterdir()),
+        assets=REPORT_ASSETS,
         code=sources("write_audit"),
     output:
         csv="results/audit/audit.csv",

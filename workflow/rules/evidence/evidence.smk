@@ -85,7 +85,7 @@ rule write_tradeoffs:
         base=base_costs(),
         precision=rules.measure_precision.output.precision,
         studies=CONFIG.tradeoffs_file,
-        assets=sorted(str(path) for path in REPORT_ASSETS.iterdir()),
+        assets=REPORT_ASSETS,
         code=sources("write_tradeoffs"),
     output:
         csv="results/tradeoffs/tradeoffs.csv",

@@ -97,7 +97,7 @@ rule write_report:
     input:
         pages=site_pages(),
         poles_pages=pole_pages(),
-        assets=sorted(str(path) for path in REPORT_ASSETS.iterdir()),
+        assets=REPORT_ASSETS,
         code=sources("write_report"),
     output:
         report="results/report.html",

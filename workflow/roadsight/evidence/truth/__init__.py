@@ -1,0 +1,1 @@
+"""The product on real data beside a peer: what `snakemake truth` measures."""

@@ -1,0 +1,158 @@
+"""What is measured on real data: areas, their data sets, metrics, peers, published figures, goals.
+
+The data lie under the folder that ``ROADSIGHT_DATA`` names; nothing here opens them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+STREETS = ("02", "03", "05", "07", "08")
+"""Streets of ``street_scans``: ten frames of a 64-channel scanner with labels and photographs."""
+ISPRS = ("samp11", "samp21", "samp31", "samp42", "samp52", "samp53", "samp71")
+"""Samples of the ISPRS comparison of ground filters."""
+COVERS = (
+    "camera_placement_ac01",
+    "sc_157_0",
+    "sc_1000_11",
+    "sc_330_0",
+    "sc_5000_1",
+    "rail507",
+    "scpnrg1",
+    "scpcyc09",
+)
+"""Public covering instances."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A figure that is measured on each data set of an area.
+
+    Parameters
+    ----------
+    unit : of the figure. published : what others report, None where nobody did.
+    goal : a number behind ``<`` or ``>`` that the mean must keep; empty: none.
+    each : the same for every data set. mean : whether a mean over data sets has a meaning.
+    """
+
+    unit: str
+    published: float | None = None
+    goal: str = ""
+    each: str = ""
+    mean: bool = True
+
+
+@dataclass(frozen=True)
+class Area:
+    """Part of the product that real data judge.
+
+    Parameters
+    ----------
+    title : for people. peer : what is measured beside it in the same run.
+    datasets : patterns of files by name of the data set, relative to the data folder.
+    metrics : by name.
+    """
+
+    title: str
+    peer: str
+    datasets: Mapping[str, tuple[str, ...]]
+    metrics: Mapping[str, Metric]
+
+    def files(self, dataset: str, data: Path) -> tuple[list[Path], list[str]]:
+        """Files of a data set that are there, and the patterns that match nothing."""
+        found, missing = [], []
+        for pattern in self.datasets[dataset]:
+            matches = sorted(path for path in data.glob(pattern) if path.is_file())
+            found += matches
+            missing += [] if matches else [pattern]
+        return found, missing
+
+
+def _street(name: str, *patterns: str) -> tuple[str, ...]:
+    return tuple(f"street_scans/{name}/{pattern}" for pattern in patterns)
+
+
+_CLOUD = ("frames.laz", "labels.npz", "poses.csv")
+
+AREAS: dict[str, Area] = {
+    "ground": Area(
+        title="Ground points of a cloud",
+        peer="SMRF, fixed parameters",
+        datasets={
+            **{
+                name: (f"clouds/isprs/{name}.laz", f"clouds/isprs/{name}_ground.npz")
+                for name in ISPRS
+            },
+            **{f"street_{name}": _street(name, *_CLOUD) for name in STREETS},
+        },
+        metrics={
+            # Pingel, Clarke, McBride 2013, table 4: 15 samples, one set of parameters.
+            "total_error": Metric("%", published=4.4, goal="<4.0"),
+            "kappa": Metric("%", published=85.4, goal=">85"),
+            "f1": Metric("%", goal=">96"),
+        },
+    ),
+    "pavement": Area(
+        title="Pavement of a street",
+        peer="all ground is road",
+        datasets={
+            **{f"street_{name}": _street(name, *_CLOUD) for name in STREETS},
+            "delft": ("clouds/delft/cloud.laz", "clouds/delft/bgt_*.sqlite"),
+        },
+        metrics={
+            # The study's own two sites: 90.4 and 96.3 %.
+            "f1": Metric("%", published=90.4, goal=">85", each=">75"),
+            "recall_by_area": Metric("%", goal=">70"),
+            "precision_by_area": Metric("%", goal=">85"),
+        },
+    ),
+    "edges": Area(
+        title="Road edges beside surveyed ones",
+        peer="outline of all ground",
+        datasets={"delft": ("clouds/delft/cloud.laz", "clouds/delft/bgt_*.sqlite")},
+        metrics={
+            "median_distance": Metric("m", goal="<0.5"),
+            "completeness_0.5m": Metric("%"),
+            "completeness_1m": Metric("%", goal=">60"),
+            "completeness_2m": Metric("%"),
+        },
+    ),
+    "depth": Area(
+        title="Depth map beside a real scan that was left out",
+        peer="median of the points in a 0.15 degree cone",
+        datasets={f"street_{name}": _street(name, *_CLOUD) for name in STREETS},
+        metrics={
+            "within_0.5m": Metric("%", goal=">92"),
+            "within_0.5m_to_20m": Metric("%"),
+            "within_0.5m_20_to_40m": Metric("%"),
+            "within_0.5m_40_to_90m": Metric("%"),
+            "too_near_over_too_far": Metric("ratio", goal="<3"),
+        },
+    ),
+    "sightings": Area(
+        title="Poles from published street-view sightings",
+        peer="the published method",
+        datasets={"tl50": ("sightings/tl50_sightings.csv", "sightings/tl50_truth.csv")},
+        metrics={
+            # Means of ten seeds of the published code, one-to-one matches.
+            "precision_2m": Metric("ratio", published=0.33),
+            "recall_2m": Metric("ratio", published=0.35),
+            "precision_4m": Metric("ratio", published=0.54),
+            "recall_4m": Metric("ratio", published=0.61),
+            "precision_6m": Metric("ratio", published=0.68),
+            "recall_6m": Metric("ratio", published=0.74),
+        },
+    ),
+    "cover": Area(
+        title="Public covering instances, 60 s each",
+        peer="HiGHS",
+        datasets={name: (f"setcover/{name}.txt",) for name in COVERS},
+        metrics={
+            "objective": Metric("cost", mean=False),
+            "bound": Metric("cost", mean=False),
+            "over_best_known": Metric("%", goal="<0.6"),
+        },
+    ),
+}

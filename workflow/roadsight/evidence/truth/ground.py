@@ -1,0 +1,105 @@
+"""Ground labels beside those of people: ISPRS samples and labelled streets."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy import ndimage
+
+from roadsight.base.arrays import Bools, Floats
+from roadsight.evidence.truth.catalogue import ISPRS
+from roadsight.evidence.truth.streets import GROUND, UNLABELLED, ground_points, read_street
+from roadsight.evidence.truth.table import Figure
+from roadsight.io.cloud.clouds import read_laz
+from roadsight.scene.grids import Grid, fill_gaps, lowest_per_cell, sample_bilinear
+from roadsight.scene.whole import ground_of
+
+# SMRF (Pingel, Clarke, McBride 2013): the fixed parameters of its table 4 and section 4.
+_CELL_M = 1.0
+_WINDOW_M = 18.0
+_SLOPE = 0.15
+_THRESHOLD_M = 0.5
+_SCALE = 1.25
+
+
+def measure_ground(dataset: str, files: Sequence[Path]) -> list[Figure]:
+    """Figures of one data set."""
+    if dataset in ISPRS:
+        cloud, truth = sorted(files, key=lambda path: path.suffix)
+        xyz_m = read_laz(cloud).xyz
+        xyz_m = xyz_m - xyz_m.min(axis=0)
+        return _isprs(xyz_m, np.load(truth)["ground"].astype(bool))
+    street = ground_points(read_street(files[0].parent))
+    judged = ~np.isin(street.label, UNLABELLED)
+    truth = np.isin(street.label, GROUND)
+    started = time.process_time()
+    found = ground_of(street.xyz_m)
+    used_s = time.process_time() - started
+    peer = smrf(street.xyz_m)
+    return [
+        Figure(
+            "f1",
+            100 * f1(found[judged], truth[judged]),
+            100 * f1(peer[judged], truth[judged]),
+            used_s,
+        )
+    ]
+
+
+def _isprs(xyz_m: Floats, truth: Bools) -> list[Figure]:
+    started = time.process_time()
+    found = ground_of(xyz_m)
+    used_s = time.process_time() - started
+    peer = smrf(xyz_m)
+    return [
+        Figure("total_error", 100 * (found != truth).mean(), 100 * (peer != truth).mean(), used_s),
+        Figure("kappa", 100 * kappa(found, truth), 100 * kappa(peer, truth), used_s),
+    ]
+
+
+def f1(found: Bools, truth: Bools) -> float:
+    """Harmonic mean of precision and recall; 1 where there is nothing to find and nothing found."""
+    both = int((found & truth).sum())
+    total = int(found.sum()) + int(truth.sum())
+    return 2 * both / total if total else 1.0
+
+
+def kappa(found: Bools, truth: Bools) -> float:
+    """Cohen's kappa: agreement beyond what shares alone explain."""
+    agreed = float((found == truth).mean())
+    chance = float(found.mean() * truth.mean() + (1 - found.mean()) * (1 - truth.mean()))
+    return (agreed - chance) / (1 - chance) if chance < 1 else 1.0
+
+
+def smrf(xyz_m: Floats) -> Bools:
+    """Ground by SMRF with its fixed parameters, written from the paper.
+
+    Opening of the lowest surface with discs of growing radius marks objects where the step exceeds
+    the slope; the surface without them decides by height and slope.
+    """
+    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], _CELL_M)
+    lowest = lowest_per_cell(grid, *xyz_m.T)
+    filled = fill_gaps(lowest)
+    low = _objects(-filled, 1, 5.0)
+    surface = fill_gaps(np.where(low, np.nan, filled))
+    objects = _objects(surface, round(_WINDOW_M / _CELL_M), _SLOPE) | low
+    ground = fill_gaps(np.where(objects | ~np.isfinite(lowest), np.nan, surface))
+    gradient = np.hypot(*np.gradient(ground, _CELL_M))
+    height = sample_bilinear(grid, ground, xyz_m[:, 0], xyz_m[:, 1])
+    slope = sample_bilinear(grid, gradient, xyz_m[:, 0], xyz_m[:, 1])
+    return np.abs(xyz_m[:, 2] - height) <= _THRESHOLD_M + _SCALE * slope
+
+
+def _objects(surface: Floats, widest: int, slope: float) -> Bools:
+    """Cells that an opening with some disc up to ``widest`` cells lowers beyond the slope."""
+    found = np.zeros(surface.shape, bool)
+    last = surface
+    for radius in range(1, widest + 1):
+        disc = np.hypot(*np.mgrid[-radius : radius + 1, -radius : radius + 1]) <= radius
+        opened = ndimage.grey_opening(last, footprint=disc)
+        found |= last - opened > slope * radius * _CELL_M
+        last = opened
+    return found

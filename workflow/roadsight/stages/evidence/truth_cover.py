@@ -1,0 +1,18 @@
+"""Public covering instances on real data, one data set at a time."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from roadsight.evidence.truth.cover import measure_cover
+from roadsight.stages.evidence.truth_stage import truth_main
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line."""
+    return truth_main(__doc__, measure_cover, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

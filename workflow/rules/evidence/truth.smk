@@ -1,0 +1,168 @@
+"""The product on real data beside a peer: tables and a page.
+
+REQUIRED INPUTS  the data under ROADSIGHT_DATA
+OUTPUTS          results/truth/: truth.csv, index.html
+"""
+
+
+rule truth_ground:
+    input:
+        files=truth_files("ground"),
+        code=sources("truth_ground"),
+    output:
+        figures="results/truth/ground/{dataset}.json",
+    wildcard_constraints:
+        dataset=truth_datasets("ground"),
+    log:
+        "logs/truth/ground-{dataset}.log",
+    benchmark:
+        "results/truth/benchmarks/ground-{dataset}.tsv"
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=4000,
+    params:
+        sha256=truth_checksums("ground"),
+        missing=truth_missing("ground"),
+    shell:
+        "python -m roadsight.stages.evidence.truth_ground --dataset {wildcards.dataset}"
+        " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
+
+
+rule truth_pavement:
+    input:
+        files=truth_files("pavement"),
+        code=sources("truth_pavement"),
+    output:
+        figures="results/truth/pavement/{dataset}.json",
+    wildcard_constraints:
+        dataset=truth_datasets("pavement"),
+    log:
+        "logs/truth/pavement-{dataset}.log",
+    benchmark:
+        "results/truth/benchmarks/pavement-{dataset}.tsv"
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=4000,
+    params:
+        sha256=truth_checksums("pavement"),
+        missing=truth_missing("pavement"),
+    shell:
+        "python -m roadsight.stages.evidence.truth_pavement --dataset {wildcards.dataset}"
+        " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
+
+
+rule truth_edges:
+    input:
+        files=truth_files("edges"),
+        code=sources("truth_edges"),
+    output:
+        figures="results/truth/edges/{dataset}.json",
+    wildcard_constraints:
+        dataset=truth_datasets("edges"),
+    log:
+        "logs/truth/edges-{dataset}.log",
+    benchmark:
+        "results/truth/benchmarks/edges-{dataset}.tsv"
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=4000,
+    params:
+        sha256=truth_checksums("edges"),
+        missing=truth_missing("edges"),
+    shell:
+        "python -m roadsight.stages.evidence.truth_edges --dataset {wildcards.dataset}"
+        " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
+
+
+rule truth_depth:
+    input:
+        files=truth_files("depth"),
+        code=sources("truth_depth"),
+    output:
+        figures="results/truth/depth/{dataset}.json",
+    wildcard_constraints:
+        dataset=truth_datasets("depth"),
+    log:
+        "logs/truth/depth-{dataset}.log",
+    benchmark:
+        "results/truth/benchmarks/depth-{dataset}.tsv"
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=4000,
+    params:
+        sha256=truth_checksums("depth"),
+        missing=truth_missing("depth"),
+    shell:
+        "python -m roadsight.stages.evidence.truth_depth --dataset {wildcards.dataset}"
+        " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
+
+
+rule truth_sightings:
+    input:
+        files=truth_files("sightings"),
+        code=sources("truth_sightings"),
+    output:
+        figures="results/truth/sightings/{dataset}.json",
+    wildcard_constraints:
+        dataset=truth_datasets("sightings"),
+    log:
+        "logs/truth/sightings-{dataset}.log",
+    benchmark:
+        "results/truth/benchmarks/sightings-{dataset}.tsv"
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=4000,
+    params:
+        sha256=truth_checksums("sightings"),
+        missing=truth_missing("sightings"),
+    shell:
+        "python -m roadsight.stages.evidence.truth_sightings --dataset {wildcards.dataset}"
+        " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
+
+
+rule truth_cover:
+    input:
+        files=truth_files("cover"),
+        code=sources("truth_cover"),
+    output:
+        figures="results/truth/cover/{dataset}.json",
+    wildcard_constraints:
+        dataset=truth_datasets("cover"),
+    log:
+        "logs/truth/cover-{dataset}.log",
+    benchmark:
+        "results/truth/benchmarks/cover-{dataset}.tsv"
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=4000,
+    params:
+        sha256=truth_checksums("cover"),
+        missing=truth_missing("cover"),
+    shell:
+        "python -m roadsight.stages.evidence.truth_cover --dataset {wildcards.dataset}"
+        " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
+
+
+rule write_truth:
+    input:
+        figures=truth_figures(),
+        assets=REPORT_ASSETS,
+        code=sources("write_truth"),
+    output:
+        csv="results/truth/truth.csv",
+        page="results/truth/index.html",
+    log:
+        "logs/truth/write_truth.log",
+    benchmark:
+        "results/truth/benchmarks/write_truth.tsv"
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.evidence.write_truth --figures {input.figures}"
+        " --csv {output.csv} --page {output.page} > {log} 2>&1"

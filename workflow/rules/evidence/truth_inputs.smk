@@ -1,0 +1,56 @@
+"""Helpers of the rules that measure on real data: which files each data set has."""
+
+from roadsight.evidence.truth.catalogue import AREAS
+
+DATA = os.environ.get("ROADSIGHT_DATA", "")
+
+
+def truth_datasets(area):
+    """Pattern of the data sets of an area."""
+    return "|".join(map(re.escape, AREAS[area].datasets))
+
+
+def data_folder():
+    """Folder of the real data; without one there is nothing to measure on."""
+    if not DATA or not Path(DATA).is_dir():
+        clearly(refuse_no_data)
+    return Path(DATA)
+
+
+def refuse_no_data():
+    raise InputError(
+        "real data are needed",
+        where="ROADSIGHT_DATA",
+        found=DATA or "nothing",
+        allowed="the folder that holds clouds/, street_scans/, sightings/, ...",
+        hint="export ROADSIGHT_DATA=/path/to/data",
+    )
+
+
+def truth_files(area):
+    """Files of a data set: only their content can make figures stale."""
+    return lambda wildcards: ancient(
+        [str(p) for p in AREAS[area].files(wildcards.dataset, data_folder())[0]]
+    )
+
+
+def truth_checksums(area):
+    return lambda wildcards: [
+        CHECKSUMS.of(str(p))
+        for p in AREAS[area].files(wildcards.dataset, data_folder())[0]
+    ]
+
+
+def truth_missing(area):
+    """Patterns of a data set that match no file; the table and the page say so."""
+    return lambda wildcards: AREAS[area].files(wildcards.dataset, data_folder())[1]
+
+
+def truth_figures():
+    """Figures of all data sets, where there are data at all."""
+    return lambda wildcards: [
+        f"results/truth/{area}/{dataset}.json"
+        for area, about in AREAS.items()
+        for dataset in about.datasets
+        if data_folder()
+    ]
