@@ -91,7 +91,7 @@ def tied_points(wildcards):
     return all_matches(wildcards)
 
 
-# Settings of the alignment that the calibration of the drive does not know.
+# Settings of the alignment that are no options of the calibration of the drives.
 ALIGNMENT_ONLY = (
     "landmarks",
     "ties",

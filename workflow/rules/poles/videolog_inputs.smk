@@ -82,6 +82,7 @@ def named_folders(resolved, field):
     return [resolved.beside(path) for path in named if path]
 
 
+# The project's own networks, for sites that name none.
 OWN_CLASSES = "resources/manifests/road_classes.yaml"
 OWN_DEPTH = "resources/manifests/road_depth.yaml"
 

@@ -66,9 +66,15 @@ def _inputs(folder):
 
 def _align(folder, *extra, out="cameras.parquet"):
     code = align_cameras.main(
-        [*_inputs(folder), "--calibration", str(folder / "calibration.json"),
-         "--out", str(folder / out), *extra]
-    )  # fmt: skip
+        [
+            *_inputs(folder),
+            "--calibration",
+            str(folder / "calibration.json"),
+            "--out",
+            str(folder / out),
+            *extra,
+        ]
+    )
     assert code == 0
     return read_table(folder / out)
 

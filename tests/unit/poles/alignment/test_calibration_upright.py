@@ -16,7 +16,8 @@ from roadsight.poles.sightings.lidar_poles import PoleColumns
 from tests.helpers.road_bed import Mount as BedMount
 from tests.helpers.road_bed import RoadBed, frames_of
 
-HFOV_DEG, HEIGHT_M = 70.0, 8.0
+HFOV_DEG = 70.0
+HEIGHT_M = 8.0
 NOISE = LandmarkNoise()
 
 

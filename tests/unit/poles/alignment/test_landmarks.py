@@ -81,8 +81,19 @@ def axis_rows(bed, number, columns, rng, views=("front",)):
                     "top_cut": not inside[-1], "slope": (u0 - u1) / (low - top),
                 }
             )  # fmt: skip
-    names = ["view", "u", "v", "v_foot", "v_top", "width_px", "width_view_px", "height_view_px",
-             "foot_visible", "top_cut", "slope"]  # fmt: skip
+    names = [
+        "view",
+        "u",
+        "v",
+        "v_foot",
+        "v_top",
+        "width_px",
+        "width_view_px",
+        "height_view_px",
+        "foot_visible",
+        "top_cut",
+        "slope",
+    ]
     return pd.DataFrame(rows, columns=names)
 
 
@@ -90,8 +101,22 @@ def tasks_of(bed, columns, views=("front",), known=None, side_deg=(0.0, 0.0), si
     rng = np.random.default_rng(8)
     edges = RoadEdges.from_points(bed.road_edges)
     m = bed.mount
-    mean = np.array([0, m.lateral_m, m.height_m, m.yaw_deg, m.pitch_deg, m.roll_deg - 1.146,
-                     np.log(bed.intrinsics.focal_px), 0.5, 0.5, 0, 0, *side_deg])  # fmt: skip
+    mean = np.array(
+        [
+            0,
+            m.lateral_m,
+            m.height_m,
+            m.yaw_deg,
+            m.pitch_deg,
+            m.roll_deg - 1.146,
+            np.log(bed.intrinsics.focal_px),
+            0.5,
+            0.5,
+            0,
+            0,
+            *side_deg,
+        ]
+    )
     sigma = SPREAD.vector()
     sigma[TURNS:] = side_sigma_deg
     information = np.diag(1.0 / sigma**2)
@@ -202,8 +227,11 @@ def test_beam_finds_what_trying_all_finds(tasks):
         taken = chosen[chosen >= 0]
         if len(set(taken)) < len(taken):
             continue
-        rows = [np.flatnonzero((pairs.axis == a) & (pairs.column == c))[0]
-                for a, c in enumerate(chosen) if c >= 0]  # fmt: skip
+        rows = [
+            np.flatnonzero((pairs.axis == a) & (pairs.column == c))[0]
+            for a, c in enumerate(chosen)
+            if c >= 0
+        ]
         slope, gap, own = pairs.slope[rows], pairs.gap[rows], pairs.variance[rows]
         spread = slope @ pose[1] @ slope.T + np.diag(own)
         axes = [a for a in np.unique(pairs.axis) if chosen[a] < 0]

@@ -14,7 +14,9 @@ from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import FOCAL, SIZE, YAW, Spread, Start, pose_of
 from roadsight.poles.alignment.ties import Member, pose_misfit, told_by_others
 
-WIDTH, HEIGHT, FOCAL_PX = 640, 416, 1650.0
+WIDTH = 640
+HEIGHT = 416
+FOCAL_PX = 1650.0
 ORIGIN = np.zeros(3)
 
 
@@ -212,9 +214,11 @@ def test_an_image_that_took_a_wrong_pole_is_overruled():
     wrong = members[6].measured
     shift = np.array([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
     members[6] = Member(
-        members[6].place, members[6].unknowns,
-        Normal(wrong.matrix, wrong.right + wrong.matrix @ shift), members[6].shared,
-    )  # fmt: skip
+        members[6].place,
+        members[6].unknowns,
+        Normal(wrong.matrix, wrong.right + wrong.matrix @ shift),
+        members[6].shared,
+    )
     told = told_by_others(members, KNOWN, Spread(yaw_deg=0.3), DriftModel())
     assert np.abs(heading_errors(members, truth, told)).max() < 0.1
 

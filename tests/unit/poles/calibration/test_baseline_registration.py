@@ -17,7 +17,8 @@ from roadsight.poles.calibration.calibration import weak_mount
 from roadsight.poles.calibration.calibration_table import baseline_mount
 from roadsight.poles.calibration.registration import register_camera
 
-WIDTH, HEIGHT = 1200, 800
+WIDTH = 1200
+HEIGHT = 800
 TRUTH = np.array([1.2, -0.4, 2.1, 1.5, -3.0, 0.7, np.log(900.0), 0, 0, 0, 0])
 
 
@@ -82,8 +83,12 @@ def written(tmp_path, *rows):
 
 
 def test_pairs_in_the_clouds_crs(tmp_path, frame):
-    path = written(tmp_path, "Image,pixel_x,pixel_y,x,y,z", "a.jpg,10.5,20,458010,5428020,103.5",
-                   "a.jpg,11,21,458011,5428021,")  # fmt: skip
+    path = written(
+        tmp_path,
+        "Image,pixel_x,pixel_y,x,y,z",
+        "a.jpg,10.5,20,458010,5428020,103.5",
+        "a.jpg,11,21,458011,5428021,",
+    )
     pairs = read_pairs(path, frame)
     assert pairs.iloc[0].tolist() == ["a.jpg", 10.5, 20.0, 10.0, 20.0, 3.5]
     assert np.isnan(pairs["z"].iloc[1])

@@ -15,7 +15,9 @@ from roadsight.poles.images.lanes import (
     without_specks,
 )
 
-ROWS, COLUMNS, HORIZON = 300, 500, 100
+ROWS = 300
+COLUMNS = 500
+HORIZON = 100
 
 
 def straight_road(shift: float = 0.0, side: bool = True, middle: bool = True) -> np.ndarray:

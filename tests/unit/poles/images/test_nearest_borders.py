@@ -6,7 +6,8 @@ from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.image_edges import trace_edges
 from roadsight.poles.images.lanes import EdgeSettings
 
-ROWS, COLUMNS = 375, 1242
+ROWS = 375
+COLUMNS = 1242
 
 
 def street():

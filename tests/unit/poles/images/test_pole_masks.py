@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.pole_masks import MaskSettings, find_instances
 
-HEIGHT, WIDTH = 1200, 900
+HEIGHT = 1200
+WIDTH = 900
 
 
 def scene() -> np.ndarray:

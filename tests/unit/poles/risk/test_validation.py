@@ -121,8 +121,9 @@ def test_straight_curved_and_crossing():
     assert classes["straight"].all()
     assert classes["intersection"].tolist() == [False, True]
     assert classes["extraneous"].isna().all()
-    bend = classify_places(np.array([[20.0, 9]]), RouteTracks(track(arc(90))), None,
-                           ScenarioSettings())  # fmt: skip
+    bend = classify_places(
+        np.array([[20.0, 9]]), RouteTracks(track(arc(90))), None, ScenarioSettings()
+    )
     assert bend["curved"].all()
     errors = describe_scenarios(np.array([1.0, 3.0]), classes)
     assert errors["straight"]["mean"] == 2
@@ -135,8 +136,9 @@ def test_a_driveway_is_extraneous():
     road = Polygon([(0, -4), (300, -4), (300, 4), (0, 4)])
     drive = Polygon([(98, 4), (104, 4), (104, 20), (98, 20)])
     places = np.array([[100.0, 9], [200, 9]])
-    classes = classify_places(places, RouteTracks(track(xy)), union_all([road, drive]),
-                              ScenarioSettings())  # fmt: skip
+    classes = classify_places(
+        places, RouteTracks(track(xy)), union_all([road, drive]), ScenarioSettings()
+    )
     assert classes["extraneous"].tolist() == [True, False]
 
 

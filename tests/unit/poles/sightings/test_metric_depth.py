@@ -12,7 +12,8 @@ from roadsight.poles.sightings.metric_depth import (
     ground_distance_m,
 )
 
-TRUE_C1, TRUE_C2 = 6.0, -0.2
+TRUE_C1 = 6.0
+TRUE_C2 = -0.2
 
 
 def points(rng: np.random.Generator, count: int = 400, noise: float = 0.0):

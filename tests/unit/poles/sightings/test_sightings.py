@@ -17,9 +17,16 @@ from roadsight.poles.sightings.sightings import Evidence, SightingSettings, meas
 
 NONE = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
 CAMERA = ViewCamera(
-    Intrinsics.from_field_of_view(1000, 600, 60.0), (5.0, -3.0, 2.5), 355.0, -2.0, 1.0,
-    sigma_heading_deg=0.1, sigma_pitch_deg=0.1, sigma_lateral_m=0.1, sigma_along_m=0.3,
-)  # fmt: skip
+    Intrinsics.from_field_of_view(1000, 600, 60.0),
+    (5.0, -3.0, 2.5),
+    355.0,
+    -2.0,
+    1.0,
+    sigma_heading_deg=0.1,
+    sigma_pitch_deg=0.1,
+    sigma_lateral_m=0.1,
+    sigma_along_m=0.3,
+)
 
 
 def level(x, y):
@@ -114,9 +121,14 @@ def test_two_columns_that_agree_are_not_used():
         CAMERA, far, np.array([350.0]), np.array([0.2]), np.array([20.0]), np.array([1.0]), 60.0
     )
     unknown = matching_columns(
-        CAMERA, far, np.array([350.0]), np.array([0.2]), np.array([np.nan]), np.array([np.nan]),
+        CAMERA,
+        far,
+        np.array([350.0]),
+        np.array([0.2]),
+        np.array([np.nan]),
+        np.array([np.nan]),
         60.0,
-    )  # fmt: skip
+    )
     assert (known.tolist(), unknown.tolist()) == ([0], [-1])
 
 

@@ -29,8 +29,11 @@ def test_axes_of_all_views_are_traced(tmp_path):
     assert trace_pole_axes.main([*files, "--out", str(out)]) == 0
     (row,) = read_table(out).to_dict("records")
     assert (row["image"], row["view"], row["foot_visible"], row["top_cut"]) == (
-        "a.jpg", "front", True, False,
-    )  # fmt: skip
+        "a.jpg",
+        "front",
+        True,
+        False,
+    )
     assert abs(row["u"] - 304.5) < 0.1 and abs(row["v"] - 274.5) < 1.0
     assert (row["v_foot"], row["v_top"]) == (449.5, 99.5)
     assert (row["width_view_px"], row["height_view_px"]) == (1000, 600)

@@ -25,7 +25,11 @@ from roadsight.poles.alignment.landmarks import (
 )
 
 _GATE = 4.0
+"""Standard deviations by which an axis and a column may differ: a narrower gate loses true pairs, a
+wider one makes more hypotheses."""
 _BEAM = 12
+"""Hypotheses that are followed up: with fewer, the true one may drop out while others look as good;
+time grows with them."""
 _LOST_TOP = 0.4
 """Share of a pole's length that a mask may lose at its thin upper end."""
 

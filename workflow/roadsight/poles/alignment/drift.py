@@ -19,10 +19,11 @@ from roadsight.poles.alignment.solve import Fit
 
 _State = tuple[Floats, Floats]
 _UNKNOWN_M = 30.0
+"""One standard deviation of a place that counts as unknown: far beyond any error of a track."""
 OVERLAP = 0.05
-"""Share of what an image sees of edges that others do not see again, with the same errors."""
+"""Share of what road edges tell an image that is news: others see the same, errors included."""
 MARK_OVERLAP = 0.5
-"""The same share of what an image sees of landmarks."""
+"""The same share of what landmarks tell."""
 
 
 @dataclass(frozen=True)
@@ -102,11 +103,13 @@ class Drift:
     def without_outliers(self, limit: float = 4.0) -> tuple[Drift, Bools]:
         """Drift without measurements that their neighbours contradict, and which ones stay."""
         kept = np.ones(len(self.station_m), bool)
+        # More than a quarter cannot be outliers: then something else is wrong.
         most = len(kept) // 4
         # The worst of a stretch first: an outlier makes its neighbours look like outliers.
         while most > 0:
             rest = self._part(kept)
             surprise = np.array([rest._surprise(number) for number in range(kept.sum())])
+            # Two numbers, east and north, so that the bound is twice that of one.
             worst = _peaks(rest.station_m, surprise, 2.0 * limit**2, self.model.length_m)[:most]
             if not len(worst):
                 break

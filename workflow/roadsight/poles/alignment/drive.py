@@ -21,7 +21,11 @@ Visible = Callable[[Floats, Floats], Bools]
 """Function of a camera place (3,) and points (n, 3): which of them the terrain does not hide."""
 
 _BEYOND_M = 60.0
+"""By this much the track reaches beyond the farthest road edge, since points past its ends have no
+side; at the ends of a route it is continued straight on."""
 _SLACK_M = 10.0
+"""Columns this much beyond the range of landmarks are loaded: the range is measured from the track,
+and again from the pose, which may be nearer."""
 _AXIS_NUMBERS = (
     "u",
     "v",
@@ -32,7 +36,10 @@ _AXIS_NUMBERS = (
     "width_view_px",
     "height_view_px",
 )
+"""Columns of the table of pole axes that hold numbers."""
 _EYE_M = 2.2
+"""Height of a camera above the road before it is known, for sight lines; what `weak_mount`
+expects."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +99,10 @@ def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None
 
 
 def _grade(path_m: Floats, z_m: Floats, k: int) -> float:
-    """Rise per metre of the road along the track, over at least 4 m where the route has it."""
+    """Rise per metre of the road along the track, over 12 m and one image to either side.
+
+    0 where the route has no metre of road there; never above a quarter.
+    """
     near = np.abs(path_m - path_m[k]) <= 12.0
     near[max(k - 1, 0) : k + 2] = True
     near &= np.isfinite(z_m)

@@ -15,6 +15,7 @@ from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.kernel import camera
 
 _DEGREE = np.pi / 180.0
+"""Radians in a degree."""
 POSED = 6
 """How many of the unknowns place and turn a camera."""
 
@@ -87,6 +88,7 @@ def shared_misfit(
     for i in range(len(pixels)):
         side1, side2 = _cross(base, rays1[i]), _cross(rays2[i], base)
         plane = _cross(rays1[i], rays2[i])
+        # Two cameras at one place have a residual of 0, not of 0 / 0.
         size = np.sqrt(side1 @ side1 + side2 @ side2) + 1e-300
         gap = (base @ plane) / size
         residual = gap / sigma

@@ -13,8 +13,11 @@ from numba import njit
 from roadsight.base.arrays import Floats, Ints
 
 _DEGREE = np.pi / 180.0
+"""Radians in a degree."""
 _NEAR_M = 1.0
+"""Points less far in front of the camera are not projected: near its plane they go to infinity."""
 _BLOCK = 8
+"""Points in a box: smaller boxes are more boxes to compare, larger ones more distances in each."""
 
 
 @njit(cache=True, error_model="numpy", fastmath=False)
@@ -76,6 +79,7 @@ def _project(
         if z < _NEAR_M:
             continue
         tu, tv = focal * (tx - x / z * tz) / z, focal * (ty - y / z * tz) / z
+        # A piece that points at the camera has no length in the image.
         length = max(np.sqrt(tu * tu + tv * tv), 1e-12)
         row = rows[count]
         row[0], row[1] = start[6] + focal * x / z, start[7] + focal * y / z
@@ -198,6 +202,7 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
             du, dv = pixels[i, 0] - near[0], pixels[i, 1] - near[1]
             nu, nv = near[3], -near[2]
             across = nu * du + nv * dv
+            # How far past the ends of its piece, with two pixels of slack, a pixel lies.
             beyond = max(0.0, abs(near[2] * du + near[3] * dv) - near[4] - 2.0)
             j, x, y, z = int(near[5]), near[6], near[7], near[8]
             # Image motion across the edge of a camera-frame motion (a, b, c) of the point.
@@ -227,6 +232,7 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
                     column = ka * turns[a, 0, k] + kb * turns[a, 1, k] + kc * turns[a, 2, k]
                     swing += column * offset[k]
                 row[a], row[3 + a] = shift, swing
+            # Further along the road the camera also turns with the road's bend and hump.
             row[0] += (start[10] * row[3] + start[11] * row[4]) / _DEGREE
             row[6] = focal * (nu * x + nv * y) / z
             row[7] = aside

@@ -16,12 +16,18 @@ from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import TURNS
 
 VIEWS = ("front", "left", "right")
+"""Views in the order of their numbers."""
 POSE = 7
 """How many of the unknowns move what is seen: all before the insets."""
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5])
+"""Half steps of the numeric derivatives: metres, degrees, and the logarithm of the focal length."""
 _BEHIND_M = 1.0
+"""Ends of columns that are less far in front of a view have no row in it."""
 _BLIND_DEG = 1.0
+"""A side view whose yaw is less certain than this is not used: its axes would fit too many
+columns."""
 _DEGREE = np.pi / 180.0
+"""Radians in a degree."""
 
 
 @dataclass(frozen=True)
@@ -203,7 +209,7 @@ def slopes(unknowns: Floats, start: Floats, seen: Floats, there: Floats) -> Floa
     for a in range(len(unknowns)):
         if POSE <= a < TURNS or (a >= TURNS and not sides):
             continue
-        step = _STEPS[a] if a < POSE else _STEPS[3]
+        step = _STEPS[a] if a < POSE else _STEPS[3]  # Side views turn as the front view does.
         moved[a] = unknowns[a] + step
         high = measure(moved, start, seen, there)
         moved[a] = unknowns[a] - step

@@ -13,9 +13,19 @@ from roadsight.poles.alignment.search import search
 from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend
 
 _ROUNDS = 3
+"""Rounds of pairing and descent at most, should pairs go to and fro."""
 _STARTS = 2
+"""Minima of the road edges that landmarks are tried on."""
 _FAR_WORSE = 15.0
-_FEW, _MOST_TRUST, _MEDIAN_OF_NORMAL = 20, 4.0, 0.6745
+"""A minimum that costs so much more than the best (log-likelihood) is not tried. An axis without a
+column costs 4.5, so more than three landmarks would have to speak for it alone."""
+_FEW = 20
+"""Fewer pixels than this do not tell how well edges fit."""
+_MOST_TRUST = 4.0
+"""Edges count up to so many times more or less, which a scatter of half or twice the expected one
+gives: a few pixels that fit by chance must not outweigh everything else."""
+_MEDIAN_OF_NORMAL = 0.6745
+"""Median of the absolute value of a standard normal variable."""
 _UNEXPLAINED = 0.5 * FINEST**2
 """Cost of an axis without a column: that of a landmark that is infinitely far off."""
 
@@ -104,7 +114,7 @@ def _improved(task: Task, one: Hypothesis, noise: LandmarkNoise) -> Fit:
 
 
 def without_view(task: Task, fit: Fit, view: str) -> Fit:
-    """The same minimum, as it were without the landmarks of one view."""
+    """The minimum that is left without the landmarks of one view."""
     if fit.marks is None or task.sight is None:
         return fit
     kept = task.sight.axes.view[fit.marks.pairs[:, 0]] != VIEWS.index(view)

@@ -34,9 +34,11 @@ UNKNOWNS = (
 )
 ALONG, LATERAL, HEIGHT, YAW, PITCH, ROLL, FOCAL, INSETS = range(8)
 TURNS = 11
+"""Number of the first yaw of a side view; between `INSETS` and this are the four insets."""
 _TIMES = [1] * INSETS + [2, 2, 2]
 """How many unknowns share a value of `Spread`."""
 SIZE = len(UNKNOWNS)
+"""How many unknowns there are."""
 
 
 @dataclass(frozen=True)

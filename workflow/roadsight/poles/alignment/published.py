@@ -17,6 +17,7 @@ from roadsight.poles.alignment.roadside import NearEdges
 from roadsight.poles.alignment.solve import ImageEdges
 
 _UNITS = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01])
+"""What one unit of a step is: metres, degrees, and 1 % of the focal length."""
 
 
 def nelder_mead(

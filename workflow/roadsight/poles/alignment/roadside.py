@@ -14,7 +14,9 @@ from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
 
 _BATCH = 20_000
+"""Edge points that are fitted at once, each with up to 64 neighbours: bounds the memory."""
 _FEWEST_ACROSS = 10
+"""Points that either side needs for the road to have a width."""
 
 
 @dataclass(frozen=True)
@@ -162,7 +164,7 @@ class NearEdges:
         return 0.5 * float(np.median(cKDTree(right).query(left)[0]))
 
     def thinned(self, step: int) -> NearEdges:
-        """Every so manyeth of the same points of each side."""
+        """Every ``step``-th point of each side, which then stands for as many."""
         number = np.arange(len(self.half_m))
         kept = np.flatnonzero(np.where(number < self.left, number, number - self.left) % step == 0)
         left = int(np.count_nonzero(kept < self.left))
@@ -229,8 +231,10 @@ def _thinned(gap_m: Floats, points: int) -> tuple[Ints, Floats]:
         free = share < 1.0 if share.min() < 1.0 else np.ones(len(share), bool)
         rest = max(points - (len(share) - int(free.sum())), 0)
         share[free] = np.minimum(1.0, rest * weight[free] / weight[free].sum())
+    # Just below whole numbers, so that rounding of the sum decides nothing.
     turn = np.floor(np.cumsum(share) - 1e-9)
     kept = np.flatnonzero(np.diff(turn, prepend=-1.0) > 0)
+    # Half a foot for each point of the raster that one stands for, and a foot of overlap.
     return kept, 0.3 + 0.15 / share[kept]
 
 

@@ -16,10 +16,13 @@ from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.roadside import RoadEdges
 
 _TURN_DEG = 25.0
+"""Edges that run at a greater angle to the track are of side roads and drives."""
 _FEWEST = 12
-# As if grade, bank and bend of the grade were known beforehand this well.
+"""With fewer edge points the track alone has to do."""
+# As if height (m), grade, bank and bend of the grade (1/m) were known beforehand this well.
 _TILT_SIGMA = np.array([0.5, 0.03, 0.04, 0.002])
 _HEIGHT_SIGMA_M = 0.1
+"""One standard deviation of an edge point's height."""
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,8 @@ from roadsight.poles.alignment.pose import FOCAL, LATERAL, PITCH, YAW
 from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend
 
 _NEAR_M = 20.0
+"""Range at which an error across the road is counted as a turn; a shorter one calls for the grid
+search more often."""
 _PULL = 16.0
 """Scale, in standard deviations of a pixel, from which a descent still finds its edges."""
 

@@ -240,11 +240,18 @@ class Fit:
 
 
 _SCANNED = 100
+"""Edge points in a scan, about: it only has to tell which valley is the lowest."""
 _State = tuple[float, Floats, Floats, Floats]
 FINEST = 3.0
+"""Scale of the last descent, in standard deviations. What is further off hardly counts and does not
+agree."""
 _STEPS = 5
+"""Steps at a coarse scale at most, whose minimum is only a start; three times as many at the
+finest."""
 _INSETS = np.arange(INSETS, TURNS)
+"""Numbers of the insets among the unknowns."""
 _HELD = 1e9
+"""Stiffness of an unknown that is held; where the expectation alone speaks, it is 1."""
 
 
 def descend(task: Task, unknowns: Floats, scale: float) -> Fit:
@@ -290,6 +297,7 @@ def _settle(
         if trial[0] < cost:
             unknowns, state = unknowns + step, trial
             damping = max(damping * 0.2, 1e-9)
+            # The cost is a log-likelihood: so little more decides nothing.
             if cost - trial[0] < 1e-4 * (1.0 + 1e-2 * cost):
                 break
         else:

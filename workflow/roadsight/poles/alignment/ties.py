@@ -21,18 +21,27 @@ from roadsight.poles.alignment.epipolar import POSED, shared_misfit
 from roadsight.poles.alignment.pose import ALONG, LATERAL, Spread
 
 _SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
+"""Scale of each round, in standard deviations of a shared point: wide as long as headings are off,
+narrow against wrong matches. The last one is that of the result."""
 _STEP = np.array([0.5, 0.2, 0.05, 0.2, 0.2, 0.2])
-_FINEST = 3.0
+"""One standard deviation of a step: along, lateral, height (m), yaw, pitch, roll (degrees). Shared
+points tell little about the way along the road until the headings are right."""
 _FEWEST = 12
+"""Shared points that must agree: the relative pose of two images has five numbers."""
 _PIXEL_PX = 0.4
+"""One standard deviation of a shared point. With 0.7 px, and every second point counted, a stretch
+of ten images leant on one wrong link (`docs/decisions/047-neighbouring-images-tie-cameras.md`)."""
 _MEDIAN_OF_NORMAL = 0.6745
+"""Median of the absolute value of a standard normal variable."""
 _INDEPENDENT = 0.15
 """Share of shared points that tell something new: they lie on few things, seen by one lens."""
 _HELD = Normal(np.diag(_STEP**-2.0), np.zeros(POSED))
 """Keeps a step short: what images share is far from linear along the road."""
 _SOFT = 4.0 * POSED
-_UNKNOWN_M = 30.0
+"""Surprise, in squared standard deviations, at which a measurement counts a quarter: four times
+what is usual for the six numbers of a pose."""
 _PLACE = np.array([ALONG, LATERAL])
+"""Numbers of the place on the road, whose error is the track's."""
 
 
 @dataclass(frozen=True)

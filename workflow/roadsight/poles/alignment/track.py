@@ -51,6 +51,7 @@ def _sides(points: Floats, track: Floats) -> NDArray[np.int8]:
             part = min(1.0, max(0.0, share))
             gap2 = (dx - part * east) ** 2 + (dy - part * north) ** 2
             cross = (east * dy - north * dx) / np.sqrt(square_m2)
+            # At a corner both pieces are equally near, but for rounding.
             tie = abs(gap2 - nearest) <= 1e-9 * (1.0 + gap2)
             if (gap2 < nearest and not tie) or (tie and abs(cross) > squareness):
                 nearest, squareness = min(gap2, nearest), abs(cross)
@@ -93,6 +94,7 @@ def track_headings_deg(
         order = 2 if near.sum() >= 4 else 1
         terms = step[:, None] ** np.arange(order + 1)
         slope = np.linalg.lstsq(terms, moved, rcond=None)[0][1]
+        # Place by path has slope 1, and far less where noise goes to and fro.
         if np.hypot(*slope) > 0.1:
             heading[i] = np.degrees(np.arctan2(slope[0], slope[1])) % 360.0
     return heading

@@ -11,6 +11,7 @@ from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, PITCH, UNKNOWN
 from roadsight.poles.alignment.solve import FINEST, Fit, Task
 
 _PIXELS_OF_A_SIDE = 10
+"""Edge pixels that a side of the road needs to count as seen."""
 
 
 @dataclass(frozen=True)

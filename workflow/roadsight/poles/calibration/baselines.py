@@ -15,7 +15,10 @@ from roadsight.poles.calibration.registration import Registration
 # An image differs from the drive by the track's error and the vehicle's sway: a baseline of few
 # images is no better than that.
 _SWAY = np.array([1.0, 1.0, 0.07, 0.5, 0.5, 0.3, 0.0])
+"""Along, lateral, height (m), yaw, pitch, roll (degrees) and log focal length: the spread of a
+drive's images (`Spread`), but for the lens, which does not change."""
 _LEAST = np.array([0.05, 0.05, 0.02, 0.05, 0.05, 0.05, 0.002])
+"""Least standard deviations of a baseline in the same order."""
 
 
 def mounted(found: Registration, start: Start) -> tuple[Floats, Floats]:

@@ -30,9 +30,13 @@ from roadsight.poles.alignment.search import search
 from roadsight.poles.alignment.solve import FINEST, Fit, Task
 
 _HFOV_DEG = (8.0, 130.0)
+"""Horizontal fields of view that a camera on a vehicle may have."""
 _HEIGHT_M = (0.5, 5.0)
+"""Heights above the road that it may have."""
 _ANY_TURN_DEG = 60.0
+"""One standard deviation of the yaw of a side view of which nothing is known."""
 _FEWEST_PIXELS = 40
+"""Edge pixels of an image that teaches about its drive, as many as for a verdict (`Limits`)."""
 _MIDDLE = 0.75
 """Share of half the road beyond which a line is no line at its edge."""
 Loader = Callable[[Floats, Floats], Task]
@@ -68,6 +72,7 @@ def weak_mount(hfov_deg: float | None, width_px: int) -> Mount:
     """
     focal = 0.5 * width_px / np.tan(np.radians(hfov_deg or 60.0) / 2)
     lens = 0.1 if hfov_deg else 0.6
+    # In the order of UNKNOWNS: on a roof, looking a little down, lines 0.3 m inside the edge.
     mean = np.array([0.0, 0.0, 2.2, 0.0, -1.0, 0.0, np.log(focal), 0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
     sigma = np.array(
         [1.2, 0.7, 0.5, 3.0, 4.0, 1.5, lens, 0.2, 0.2, 0.03, 0.03, _ANY_TURN_DEG, _ANY_TURN_DEG]
@@ -167,6 +172,7 @@ def shared_mean(fits: Sequence[Fit], prior: Mount, spread: Spread) -> Mount:
         right = known @ prior.mean + sum(w * b for w, (_, b) in zip(weights, parts, strict=True))
         mean = np.linalg.solve(total, right)
         apart = np.array([_distance(fit, mean, pull) for fit in fits])
+        # An image four times as far off as is usual for so many unknowns counts a quarter.
         weights = (1.0 / (1.0 + apart / (4.0 * SIZE))) ** 2
     covariance = np.linalg.inv(total)
     return Mount(mean, 0.5 * (covariance + covariance.T), len(fits))
@@ -238,6 +244,7 @@ def _with_focal(prior: Mount, log_focal: float) -> Mount:
     mean, covariance = prior.mean.copy(), prior.covariance.copy()
     mean[FOCAL] = log_focal
     covariance[FOCAL], covariance[:, FOCAL] = 0.0, 0.0
+    # Trials are a sixth apart: the true length is within a sigma of one of them.
     covariance[FOCAL, FOCAL] = 0.1**2
     return Mount(mean, covariance)
 
@@ -252,6 +259,7 @@ def _aimed(loaders: Sequence[Loader], prior: Mount, spread: Spread) -> Mount:
     total = np.zeros(len(trials))
     for loader in loaders:
         task = loader(prior.mean, information).coarser()
+        # In a grid of one degree the truth is at most 0.7 degrees from a trial.
         reach_px = np.exp(prior.mean[FOCAL]) * np.radians(0.7)
         total += task.scan(trials, max(8.0, reach_px / task.noise.pixel_px))
     mean = trials[int(np.argmin(total))]

@@ -21,10 +21,15 @@ from roadsight.poles.calibration.calibration_table import DriveCalibration, drif
 
 log = logging.getLogger(__name__)
 _ROUNDS = 8
+"""Rounds at most; on the generated roads three suffice
+(`docs/decisions/033-a-drive-is-solved-together.md`)."""
 _SETTLED = 0.1
+"""Rounds end when the drive's mean moves by less than this, in standard deviations."""
 _STITCHED = 0.93
 """Turn of a side view as a share of the field of view, where views are made to be stitched."""
 _TURN_SIGMA_DEG = 0.5
+"""One standard deviation of a side view's yaw when the view joins. The vote's own is far smaller,
+but it rests on a lens that is still to be solved."""
 _Posed = tuple[Place, Task, Fit]
 
 

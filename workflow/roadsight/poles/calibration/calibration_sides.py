@@ -27,14 +27,23 @@ from roadsight.poles.alignment.locate import without_view
 from roadsight.poles.alignment.solve import Fit, Task
 
 _STEP_DEG = 0.02
+"""Step of the yaws whose votes are counted; the best one is refined afterwards."""
 _REACH_DEG = 10.0
+"""How far to either side of a guess yaws are tried."""
 _FARTHEST_M = 80.0
+"""Columns beyond this do not vote: more of them lie near every ray."""
 _GATE = 3.0
+"""Standard deviations by which rows of foot and top may differ."""
 _FEWEST = 6
+"""Votes that must agree on a yaw."""
 _WRONG = 0.5
+"""Share of the axes whose vote is astray, since their pole is no column of the cloud."""
 _APART_DEG = 0.6
+"""Yaws that differ by more are rivals of the best one, not its flank."""
 _CLEARER = 6.0
+"""Log-likelihood by which the best yaw must lead its rivals, else the view stays unused."""
 _LEAST_SIGMA_DEG = 0.005
+"""Standard deviation that many votes do not get below."""
 
 
 def side_turns(
@@ -127,7 +136,7 @@ def _score(grid: Floats, table: Floats, range_deg: float) -> Floats:
     for axis in np.unique(number):
         _, turn, sigma = table[number == axis].T
         off = (grid[:, None] - turn) / sigma
-        density = (np.exp(-0.5 * off**2) / (2.5066 * sigma)).sum(axis=1)
+        density = (np.exp(-0.5 * off**2) / (2.5066 * sigma)).sum(axis=1)  # The root of 2 pi.
         total += np.log(_WRONG / range_deg + (1.0 - _WRONG) * density)
     return total
 

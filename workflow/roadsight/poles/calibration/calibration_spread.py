@@ -23,6 +23,7 @@ _NUMBERS = {
     "lane_inset_m": [INSETS, INSETS + 1],
     "border_inset_m": [INSETS + 2, INSETS + 3],
 }
+"""Unknowns that share a value of `Spread`, by its name: those that are estimated."""
 _LEAST = {
     "height_m": 0.01,
     "yaw_deg": 0.05,
@@ -31,9 +32,13 @@ _LEAST = {
     "lane_inset_m": 0.01,
     "border_inset_m": 0.01,
 }
+"""Least spread of each, metres and degrees: with none, images could not differ at all."""
 _STEPS = 30
+"""Steps of expectation maximisation."""
 _KNOWN_IMAGES = 10.0
+"""How many images the expected spread counts as."""
 _FAR = 4.0
+"""An image further from the mean than this, in standard deviations, does not widen the spread."""
 
 
 def estimated_spread(fits: Sequence[Fit], mount: Mount, expected: Spread) -> Spread:

@@ -15,10 +15,16 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.cameras import attitude_deg
 
 FEWEST_PAIRS = 4
+"""Seven unknowns, two numbers of each pair."""
 _HFOVS_DEG = (8.0, 120.0)
+"""Horizontal fields of view from which starts are made."""
 _LOG_FOCAL_SIGMA = 1.0
+"""One standard deviation of the log focal length about that of 60 degrees: it decides only where
+the pairs do not."""
 _PIXEL_PX = 2.0
+"""One standard deviation of a click."""
 _STARTS = 5
+"""Starts that are refined, those that fit best: the best one may lead to a worse minimum."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,7 @@ def register_camera(
     starts.sort(key=lambda one: _misfit(uv - middle, xyz - origin, *one))
     for log_focal, start in starts[:_STARTS]:
         fit = _refined(uv - middle, xyz - origin, start, log_focal, usual)
+        # Better by more than rounding, so that of equal fits the first one stays.
         if fit is not None and (best is None or fit.cost < best.cost * (1 - 1e-9)):
             best = fit
     if best is None:
@@ -152,12 +159,14 @@ def _refined(
         camera = _seen_from(unknowns, xyz)
         depth = np.maximum(camera[:, 2], 1e-3)
         gap = np.exp(unknowns[6]) * camera[:, :2] / depth[:, None] - uv
+        # A place behind the camera pulls it back, the more, the further behind.
         gap += 1e3 * np.maximum(1e-3 - camera[:, 2:], 0.0)
         lens = _PIXEL_PX * (unknowns[6] - usual) / _LOG_FOCAL_SIGMA
         return np.append(gap.ravel(), lens)
 
     if (_seen_from(start, xyz)[:, 2] <= 0).any():
         return None
+    # Radians, metres, and the log of the focal length.
     scale = [0.1, 0.1, 0.1, 1.0, 1.0, 1.0, 0.1]
     fit = least_squares(misfit, np.append(start, log_focal), method="lm", x_scale=scale)
     well = np.isfinite(fit.x).all() and (_seen_from(fit.x, xyz)[:, 2] > 0).all()

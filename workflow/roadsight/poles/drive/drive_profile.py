@@ -19,15 +19,26 @@ from roadsight.scene.terrain.sight_lines import Height, hidden_road_share
 Picture = Callable[[str], Bytes]
 
 EYE_M = 2.2
+"""Height of a camera above the road; what is known before any calibration."""
 REACH_M = 240.0
+"""How far ahead road counts: the reach of the alignment by default."""
 FIELDS_DEG = (10.0, 15.0, 20.0, 25.0, 30.0, 40.0, 50.0, 60.0, 75.0, 90.0, 110.0)
+"""Horizontal fields of view for which the roadside is measured: a site's own one then changes the
+decision, not the profile."""
 _CAMERAS = 60
+"""Cameras that the hidden road is estimated from, spread over all drives."""
 _PICTURES = 120
+"""Images of a drive that its lens is measured in."""
 _ROADSIDE_M = (3.0, 6.0, 9.0, 12.0)
+"""Offsets from the track at which poles may stand."""
 _ROADSIDE_STEP_M = 4.0
+"""Distance between places along the track."""
 _ROAD_M = (3.0,)
+"""Offsets of the road's edges from the track, before any edge is known."""
 _NEAR_M = 40.0
+"""Range within which images measure a pole: the reach of the triangulation by default."""
 _VIEWS = 3
+"""Images that a pole needs (`docs/decisions/019-two-rays-are-not-enough.md`)."""
 
 
 def evenly(count: int, most: int) -> Ints:
@@ -125,8 +136,8 @@ def frames_of(frames: pd.DataFrame, key: Key) -> pd.DataFrame:
 def measured_lens(key: Key, paths: Iterable[str], picture: Picture) -> dict[str, Any]:
     """The lens of a drive from upright outlines in its images.
 
-    None where there are too few; one that is not certain is told, and withheld with the reason: its
-    coefficients are those of a pinhole.
+    Too few outlines give a pinhole of source "unknown". A lens that is not certain is withheld: its
+    displacement and the reason are told, but its coefficients are those of a pinhole.
     """
     curves: list[Floats] = []
     owner: list[int] = []

@@ -9,7 +9,9 @@ from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.cameras import azimuth_deg, compass_deg
 
 STANDING_M = 0.5
+"""Steps below this are standing still: their direction is noise."""
 _ROUNDS = 5
+"""Fits of each parabola, each with weights from the one before."""
 
 
 def steps_m(xy_m: ArrayLike) -> Floats:
@@ -76,6 +78,7 @@ def _slope(station: Floats, xy: Floats) -> Floats:
     """Derivative (2,) at station 0 of a weighted parabola; two places give their chord."""
     scale = np.abs(station).max()
     share = station / scale
+    # Somewhat wider than the places, so that the outermost still count.
     window = (1 - (np.abs(share) / 1.15) ** 3) ** 3
     terms = np.stack([np.ones_like(share), share, share**2], axis=1)
     weight = window
@@ -86,6 +89,7 @@ def _slope(station: Floats, xy: Floats) -> Floats:
         square = terms.T @ (weight[:, None] * terms) + bend
         fitted = np.linalg.solve(square, terms.T @ (weight[:, None] * xy))
         off = np.linalg.norm(xy - terms @ fitted, axis=1)
+        # Places that fit to a few centimetres are no outliers of each other.
         reach = 3.0 * max(float(np.median(off)), 0.05)
         weight = window * np.clip(1 - (off / reach) ** 2, 1e-3, None) ** 2
     return fitted[1]

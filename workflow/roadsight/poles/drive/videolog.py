@@ -19,7 +19,10 @@ from roadsight.poles.drive.track import headings_deg, moving, steps_m
 
 OK = "ok"
 _FEW = 2
+"""Places in a row that may be strays; more of them are a drive of their own."""
 _RARE_SIZE = 20
+"""A size with fewer images than this, and less than a fifth of the usual size's, is not
+calibrated."""
 
 
 @dataclass(frozen=True)

@@ -22,10 +22,16 @@ from roadsight.poles.images.lanes import (
 )
 from roadsight.poles.images.nearest_borders import on_nearest_border
 
-LANE, BORDER = "lane", "border"
+LANE = "lane"
+"""Kind of a point on a painted line."""
+BORDER = "border"
+"""Kind of a point on the road's border."""
 _BLUR_PX = 5
+"""Window of the blur that takes the steps out of a mask's border; odd, so that nothing shifts."""
 _MARGIN = 0.15
+"""Share of the road's width by which the dividing line stays away from its borders."""
 _ROWS_OF_A_LINE = 12
+"""Rows with two markings that a line half-way between them needs."""
 
 
 def _table(*classes: PixelClass) -> Bytes:
@@ -34,6 +40,7 @@ def _table(*classes: PixelClass) -> Bytes:
     return table
 
 
+# What a road's border encloses.
 _ROAD = _table(PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
 # Against these the road's border is not traced: they stand in front of it, or it drops out of
 # sight; a kerb is an edge by its own centre-line.

@@ -14,10 +14,16 @@ import pandas as pd
 from roadsight.base.arrays import Bytes, Floats, Floats32, Ints
 
 _FEATURES = 1500
+"""Points of an image at most, the strongest; time grows with the square."""
 _CONTRAST = 0.02
+"""Half of OpenCV's threshold: fields and asphalt have little contrast."""
 _CLEARER = 0.85
+"""A match must be nearer than this share of the second nearest one's distance. Lowe takes 0.8; the
+wrong matches that this lets in hardly count in the robust misfit."""
 _FARTHEST_M = 40.0
+"""Images further apart show the same things too differently."""
 _STANDING_M = 0.3
+"""Images nearer than this have no baseline that a direction could be told from."""
 
 
 @dataclass(frozen=True)

@@ -16,10 +16,15 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 
 PUBLISHED_HEIGHT_PX = 1200
+"""Height of the study's images, for which its thresholds in pixels hold."""
 _MAX_MIDDLE_LINES = 4
+"""Middle lines that are taken out at most; a double line has two."""
 _MIDDLE_THIRD = (0.35, 0.65)
+"""Where a middle line lies, as a share of the road's width from the left."""
 _STRETCH_POINTS = 10
+"""Points that a straight stretch of a curve needs."""
 _LINE_ROUNDS = 12
+"""Rounds of reweighting for least absolute errors."""
 
 
 @dataclass(frozen=True)

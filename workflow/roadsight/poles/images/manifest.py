@@ -28,7 +28,9 @@ _KINDS = {
     "relative_depth": ("inverse_depth", "depth"),
     "metric_depth": ("inverse_depth", "depth"),
 }
+"""Kinds of output that fit each task."""
 _PROJECT_CLASSES = {entry.name.lower(): int(entry) for entry in PixelClass}
+"""Numbers of the project classes by name."""
 
 
 class _Section(BaseModel):

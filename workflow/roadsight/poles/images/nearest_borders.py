@@ -13,9 +13,11 @@ from numba import njit
 from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.poles.images.classes import PixelClass
 
+# 1 for the classes over which the road runs on.
 _OPEN = np.zeros(256, np.uint8)
 _OPEN[[PixelClass.ROAD, PixelClass.MARKING]] = 1
 _KERB = int(PixelClass.KERB)
+"""As a plain number, for comparisons with masks."""
 
 
 def on_nearest_border(

@@ -22,10 +22,13 @@ _RESIZE = {
     "cubic": cv2.INTER_CUBIC,
     "nearest": cv2.INTER_NEAREST,
 }
+"""OpenCV's numbers of the ways to resize that a manifest may name."""
 FULL_SCALE = 65535
+"""Greatest value of a 16-bit map."""
 METRIC_NEAREST_M = 0.5
 """Metric inverse depth is stored in steps of 1 / (0.5 m x 65535): 0.3 % at 100 m."""
 _LEAST_CONTRAST = 1e-3
+"""A map that varies by less than this share of its values is constant."""
 
 
 def tensor_of(image: Bytes, spec: Input, wanted_height_px: int = 0) -> Floats32:

@@ -20,16 +20,27 @@ _PRIOR = np.array([0.5, 0.05])
 """One standard deviation of k1 and k2, in units of half the image's diagonal: wide angles of
 action cameras reach a third in k1."""
 _TRACED_PX = 0.15
+"""What tracing adds to the bow of a straight outline, one standard deviation."""
 _CROOKED = 0.002
+"""Bow of a straight thing as a share of its length: 2 mm in a metre."""
 _SCAN = np.linspace(-0.4, 0.4, 161)
+"""Values of k1 from which the best start is taken; the robust misfit may have several minima."""
 _STEP = 1e-4
+"""Step of the numeric derivatives by k1 and k2."""
 _ROUNDS = 30
+"""Steps, and halvings of one step, at most."""
 _SCALE = 3.0
-_FEWEST, _FEWEST_STRETCHES = 8, 4
+"""Standard deviations beyond which a curve hardly counts."""
+_FEWEST = 8
+"""Curves that a lens needs, with any stretch of the drive left out, too."""
+_FEWEST_STRETCHES = 4
+"""Stretches that the jackknife needs."""
 CERTAIN_SIGMAS = 3.0
 """A lens that moves the corner by less than so many standard deviations may be none."""
 _GROUPS = 8
+"""Stretches of a drive, each left out once by the jackknife."""
 _TOLERANCE = 1e-6
+"""A step of k1 and k2 below this ends the descent."""
 
 
 @dataclass(frozen=True)
@@ -174,6 +185,7 @@ def _within(k: Floats, step: Floats, size: tuple[int, int]) -> Floats:
     """As much of a step, halved, as leaves a lens that shows the whole image with some to spare."""
     for _ in range(_ROUNDS):
         trial = k + step
+        # In half diagonals: the corners lie at 1.
         if _lens(trial, size).turning_radius > 1.5:
             return trial
         step = 0.5 * step

@@ -17,12 +17,14 @@ from roadsight.base.arrays import Bytes, Floats
 from roadsight.poles.images.classes import PixelClass
 
 PUBLISHED_HEIGHT_PX = 1200
+"""Height of the study's images, for which its thresholds in pixels hold."""
 KINDS = {
     "pole": (PixelClass.POLE,),
     "sign": (PixelClass.SIGN,),
     "tree": (PixelClass.TREE,),
     "guardrail": (PixelClass.GUARDRAIL,),
 }
+"""Pixel classes of each kind of object."""
 _HIDERS = (
     PixelClass.VEHICLE,
     PixelClass.TREE,
@@ -30,7 +32,9 @@ _HIDERS = (
     PixelClass.SIGN,
     PixelClass.BUILDING,
 )
+"""Classes that hide a foot where they lie below it; plants may be grass, and are told apart."""
 _LINE_ROUNDS = 10
+"""Rounds of reweighting for least absolute errors."""
 
 
 @dataclass(frozen=True)

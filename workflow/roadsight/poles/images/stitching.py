@@ -17,7 +17,10 @@ from roadsight.base.arrays import Bytes, Floats
 from roadsight.geometry.cameras import Intrinsics, wrap_deg
 
 _SIGMAS = 3.0
+"""Standard deviations within which bearings and distances of one object agree."""
 _SEAM_DEG = 0.5
+"""Bearings of what the frame cuts in both views may differ by this: either view shows a part
+only."""
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,13 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32
 
 _BLUR_PX = 1.0
+"""Standard deviation of the blur: less follows the noise, more joins the sides of thin posts."""
 _LEAST_STEP = 40.0
+"""Least step of grey across an outline, as Sobel's window sums it: 5 grey levels a pixel."""
 _UPRIGHT = 3.0
+"""An outline's step across must be this many times that along: within 18 degrees of upright."""
 _SHARE_OF_ROWS = 0.95
+"""Rows of its own that an outline needs, as a share of its pixels: forks and steps have fewer."""
 
 
 def upright_curves(image: Bytes, min_height: float = 0.3) -> list[Floats]:

@@ -12,7 +12,9 @@ import pandas as pd
 from roadsight.base.shards import shard_of
 
 VIEWS = ("front", "left", "right")
+"""Views in the order in which they are looked at."""
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}
+"""Column of the frames that names each view's image."""
 
 
 @dataclass(frozen=True)

@@ -24,15 +24,19 @@ SOURCE = (
     "AASHTO Roadside Design Guide, table 3.1 (metric), wider end of each range;"
     " compared with the Indiana Design Manual, figure 49-2A"
 )
+"""Where the widths are from, as written into results."""
 
 RECOVERABLE_SLOPE = 0.25
 """Rise over run (1V:4H): vehicles can return from flatter foreslopes."""
 TRAVERSABLE_SLOPE = 1 / 3
 """1V:3H: vehicles are likely to overturn on steeper foreslopes."""
 _FLAT_SLOPE = 1 / 6
+"""1V:6H: up to this either way the guide's flattest columns hold."""
 
 _SPEEDS_KMH = (60.0, 80.0, 90.0, 100.0, np.inf)
+"""Greatest speed of each of the table's classes."""
 _AADT = (750.0, 1500.0, 6000.0, np.inf)
+"""Greatest traffic of each of the table's classes, vehicles a day."""
 # Columns: foreslope 1V:6H or flatter, foreslope 1V:5H to 1V:4H, backslope 1V:3H,
 # backslope 1V:5H to 1V:4H, backslope 1V:6H or flatter.
 _WIDTHS_M = np.array(

@@ -27,6 +27,7 @@ from roadsight.poles.risk.scenarios import RouteTracks
 Height = Callable[[Floats, Floats], Floats]
 
 RULE = __doc__.split("\n\n", 1)[1].strip() if __doc__ else ""
+"""The rating in words, as written into results."""
 
 HAZARD_COLUMNS = [
     "offset_m",

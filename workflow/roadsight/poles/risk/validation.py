@@ -17,9 +17,12 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats, Ints
 
 THRESHOLDS_M = tuple(range(1, 17))
+"""Distances up to which a found pole counts as right, each scored by itself."""
 FEWEST_TRUTHS = 5
+"""With fewer known poles the figures come with a warning."""
 
 _EDGE_REACH_M = 5.0
+"""Edge points within this tell the edge's direction: fewer are noise, more follow a bend."""
 _GEOD = Geod(ellps="WGS84")
 
 

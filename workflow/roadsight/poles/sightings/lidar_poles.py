@@ -15,21 +15,39 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Floats, Ints
 
 _CLASSES = (1, 3, 4, 5)
+"""ASPRS classes that returns of a pole may have: unclassified, low, medium and high vegetation."""
 _LOWEST_M = 1.0
+"""Returns below this may be of grass, shrubs and fences."""
 _TRUNK_M = 4.5
+"""Below this there are no wires and arms, so that a pole stands alone."""
 _LAYER_M = 1.0
+"""Height of the layers in which a column must have points."""
 _CELL_M = 0.5
+"""Cells in plan in which columns are looked for."""
 _INNER_M = 0.6
+"""Points within this are the column's: a trunk, wherever in its cell it stands."""
 _OUTER_M = 2.0
+"""Points between the two radii are of something around it, such as a crown or a wall."""
 _APART_M = 1.5
+"""Of columns nearer to each other, the one with more layers stays."""
 _THIN_M = 0.3
+"""Cells that count as one point each, however dense the cloud."""
 _HEAD_M = 1.2
+"""Below the top by this much begin arms, lamps and wires, which lie beside the axis."""
 _NOISE_M = 0.03
+"""One standard deviation of a return about the surface of a stem."""
 _STRAY = 0.02
+"""Likelihood of a stray return against that of one on the surface."""
 _LEAST_SIGMA_M = 0.02
+"""Standard deviation that no place gets below: the cloud's own."""
 _CENTRES_M = np.arange(-0.30, 0.301, 0.02)
+"""Places tried in either direction from the median return."""
 _RADII_M = np.arange(0.03, 0.26, 0.02)
-_USUAL_RADIUS_M, _SPREAD_OF_RADII_M = 0.13, 0.05
+"""Radii tried, from a sign post's to a thick trunk's."""
+_USUAL_RADIUS_M = 0.13
+"""Usual radius of poles and trunks beside roads."""
+_SPREAD_OF_RADII_M = 0.05
+"""One standard deviation of radii; it decides where returns show one side only."""
 
 
 def _nothing() -> Floats:
@@ -104,6 +122,7 @@ def _isolated(xy: Floats, height: Floats, min_top_m: float) -> Floats:
     tree, trunk = cKDTree(xy), cKDTree(xy[height < _TRUNK_M])
     inner, outer = (_count(tree, centre, r) for r in (_INNER_M, _OUTER_M))
     inner_trunk, outer_trunk = (_count(trunk, centre, r) for r in (_INNER_M, _OUTER_M))
+    # One or two points more, so that thin columns of a sparse cloud are not lost to a stray.
     alone = (outer_trunk - inner_trunk <= 0.5 * inner_trunk + 1) & (outer <= 4 * inner + 2)
     centre, layers, inner = centre[alone], layers[alone], inner[alone]
     order = np.lexsort((centre[:, 1], centre[:, 0], -inner, -layers))

@@ -15,11 +15,17 @@ from numpy.typing import ArrayLike
 from roadsight.base.arrays import Bools, Floats, Ints
 
 _TUKEY = 4.685
+"""Tuning constant of the bisquare: 95 % efficiency where errors are normal."""
 _TO_SIGMA = 1.4826
+"""Standard deviation over median absolute deviation, of a normal distribution."""
 _ROUNDS = 30
+"""Rounds of least absolute errors, and as many of the bisquare after them."""
 _GUARD_SIGMAS = 2.0
+"""Standard deviations from the pole of the relation within which depth is unknown."""
 _LEAST_POINTS = 8
+"""Points of known depth that two coefficients need."""
 _LEAST_RATIO = 1.3
+"""Farthest over nearest known depth: with less, scale and shift of the map look alike."""
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,7 @@ def _bisquare(basis: Floats, d: Floats, w: Floats) -> tuple[Floats, float, Float
     robust = w
     scatter = 0.0
     solution: Floats = np.zeros(2)
+    # Where the fit is exact, weights stay finite.
     floor = 1e-9 * max(float(np.abs(d).max()), 1e-300)
     for turn in range(2 * _ROUNDS):
         root = np.sqrt(robust)

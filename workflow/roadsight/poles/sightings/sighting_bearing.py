@@ -21,8 +21,12 @@ from roadsight.poles.images.stitching import turned
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 
 _STEP_DEG = 0.01
+"""Step of the numeric derivative by pitch."""
 SNAP_SIGMAS = 2.0
+"""Standard deviations by which a bearing and a column may differ: with a wider gate more sightings
+meet two columns and snap to none."""
 _DEPTH_SHARE = 0.3
+"""Share by which the distances of both may differ: sigma alone lets far ones match anything."""
 
 
 @dataclass(frozen=True)

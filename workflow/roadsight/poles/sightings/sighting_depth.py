@@ -21,11 +21,21 @@ from roadsight.poles.sightings.metric_depth import (
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 
 _ROAD = (PixelClass.ROAD, PixelClass.MARKING, PixelClass.KERB)
-_FAN_RAYS, _FAN_STEPS = 61, 80
-_FAN_NEAR_M, _FAN_FAR_M = 4.0, 80.0
+"""Classes where a mask shows the terrain's own surface."""
+_FAN_RAYS = 61
+"""Rays in plan over the field of view."""
+_FAN_STEPS = 80
+"""Places on each ray, their distances in equal ratios."""
+_FAN_NEAR_M = 4.0
+"""Nearest place: road nearer to the camera is below the image or under the vehicle."""
+_FAN_FAR_M = 80.0
+"""Farthest place: beyond, a pixel of road is metres long."""
 _AXIS_SAMPLES = 60
+"""Places on an object's axis at which depth is read."""
 _FOOT_PART = 6
+"""The lowest of so many parts of an object gives its depth."""
 _PLANTS_NEARER = 0.75
+"""Plants hide a foot if they are nearer than this share of the ground's distance."""
 
 
 def sample_depth(depth: NDArray[np.uint16], uv_px: ArrayLike, shape: tuple[int, int]) -> Floats:

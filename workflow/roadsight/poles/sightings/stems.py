@@ -22,21 +22,40 @@ from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.poles.sightings.lidar_poles import PoleColumns, stem_axis
 
 _CLASSES = (1, 3, 4, 5)
+"""ASPRS classes that returns of a stem may have: unclassified, low, medium and high vegetation."""
 _LAYER_M = 0.3
+"""Height of a slice: lower ones have too few returns, higher ones blur leaning stems."""
 _CELL_M = 0.1
+"""Cells of a slice in plan."""
 _HEIGHTS_M = (0.6, 6.0)
-_CORE_CELLS, _WIDE_CELLS = 2, 6
+"""Heights above the ground between which stems are looked for: above grass, and not where a scanner
+on a vehicle, which looks hardly upwards, sees little."""
+_CORE_CELLS = 2
+"""Radius of the disc that holds a stem."""
+_WIDE_CELLS = 6
+"""Distance of the discs around it, and the range in which its disc must be the fullest."""
 _DIRECTIONS = 8
+"""Discs around it."""
 _DENSE = 0.25
+"""A disc around it is dense from this share of its own returns on."""
 _MOST_DENSE = 2
+"""Dense discs that a stem may have around it."""
 _WALL = 0.7
+"""From this share of its own returns on, a single disc around it makes it a wall's."""
 _FEWEST_IN_SLICE = 8
+"""Returns in a slice's disc."""
 _SLICES = 4
+"""Slices of a stem."""
 _SHIFT_M = 0.15
+"""How far aside the disc of the next slice, and any disc from their middle, may be."""
 _BENT_M = 0.06
+"""Root mean square by which discs may be off a straight axis."""
 _STEEPEST = 0.15
+"""Lean of a stem at most, metres aside per metre up."""
 _NEAR_M = 0.6
+"""Returns within this of the middle give the axis."""
 _SAME_M = 0.8
+"""A stem this near to a column is the same."""
 
 
 @dataclass(frozen=True)

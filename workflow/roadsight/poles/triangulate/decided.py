@@ -11,6 +11,7 @@ REACH_M = 2.0
 """A decision is on the nearest pole of its kind within this distance of where it was made: a pole
 that is computed again from other settings moves less, and two poles are seldom as near."""
 _WORDS = {"accept": "accepted", "reject": "rejected", "move": "moved"}
+"""What each decision makes of a pole."""
 REJECTED = "rejected by a person"
 
 

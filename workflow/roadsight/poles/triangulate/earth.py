@@ -16,6 +16,7 @@ from roadsight.base.arrays import Floats, Ints
 
 _WGS84 = Geod(ellps="WGS84")
 _STEP_M = 10.0
+"""Step that turns a bearing into a direction: short against the Earth, long against rounding."""
 
 
 class TangentFrame:

@@ -17,6 +17,7 @@ from roadsight.poles.triangulate.rays import (
 
 COLUMNS = ["lat", "lon", "score", "sigma_m"]
 _DECIMALS = 9
+"""Of latitude and longitude in degrees: a tenth of a millimetre."""
 
 
 def triangulate_geographic(

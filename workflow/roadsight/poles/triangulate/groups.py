@@ -16,6 +16,8 @@ from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, pair_rays
 
 _GROWTH = 0.8
+"""A group is kept for growing while its misfit is below this share of its members' gates: near all
+of them nothing is gained."""
 
 
 @dataclass(frozen=True)
@@ -91,6 +93,7 @@ def fit_groups(
     sight = (origin + mean)[:, None] - rays.camera_m[members]
     ahead = np.einsum("gki,gki->gk", sight, rays.direction[members]) > 0
     near = np.hypot(sight[..., 0], sight[..., 1]) <= settings.max_distance_m
+    # A member may be beyond its gate by half: the place still moves as rays join.
     fits = (ahead & near & (half_chi2 <= 0.75 * settings.gate_chi2)).all(axis=1)
     return Groups(members, origin + mean, total, half_chi2.sum(axis=1)), fits
 

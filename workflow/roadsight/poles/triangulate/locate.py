@@ -13,10 +13,16 @@ from roadsight.poles.triangulate.packing import choose_groups
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
 _ROUNDS = 10
+"""Rounds of grouping and scaling at most, should the factor go to and fro."""
 _SETTLED = 0.01
+"""The factor is found when it changes by less than this share."""
 _FEWEST_DEPTHS = 30
+"""Depths that the factor needs, as the median of their ratios."""
 _SCALES = (0.5, 2.0)
+"""Bounds of the factor: beyond, groups rather than depths are wrong."""
 _WELL_CROSSED = 0.1
+"""Least eigenvalue of the rays' normal matrix, a sum of squared sines: below, rays are so parallel
+that bearings alone do not tell the distance."""
 
 POLE_COLUMNS = [
     "x",

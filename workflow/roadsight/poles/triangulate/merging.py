@@ -16,6 +16,7 @@ SAME_CHI2 = 5.99
 SEQUENCE_CHI2 = 13.8
 """As above (99.9 %), where depths and bearings follow the order of the images."""
 _STILL_DEG = 0.2
+"""A bearing that turns back by less than this has not turned."""
 
 
 def merge_groups(

@@ -15,7 +15,9 @@ from scipy.sparse.csgraph import connected_components
 from roadsight.base.arrays import Bools, Floats, Ints
 
 _LARGEST = 20_000
+"""Groups of a connected part up to which it is solved exactly."""
 _NODES = 1000
+"""Nodes of branch and bound for a part; more come nearer to the best choice, and take longer."""
 
 
 def choose_groups(members: list[Ints], gain: Floats, rays: int, largest: int = _LARGEST) -> Ints:

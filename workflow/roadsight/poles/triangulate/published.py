@@ -29,9 +29,14 @@ PUBLISHED_DISTANCE = 25.0
 """Its maximum distance, in that unit."""
 
 _EARTH_RATIO = 6_367_000 / 6_371_000
+"""The published code measures between cameras on an Earth of 6,367 km instead of 6,371 km."""
 _DEPTH_IF_UNKNOWN = 5.0
+"""Depth of a ray that has none, in the unit of depths."""
 _SWEEPS = 15
+"""Visits of each ray on average, as in the first code."""
 _MOST_SWEEPS = 1000
+"""Turns over all links at most, a bound only: the energy falls with every switch, so that turns end
+anyhow."""
 
 
 @dataclass(frozen=True)

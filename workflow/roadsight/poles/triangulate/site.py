@@ -46,7 +46,9 @@ POLE_COLUMNS = (
 )
 
 _NUMBERS = ("x", "y", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition")
+"""Columns of poles that hold real numbers."""
 _METHODS = ("packing", "sweep")
+"""Ours, and that of the second paper."""
 
 
 def site_poles(

@@ -42,8 +42,11 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("align_cameras")
 METHODS = ("ours", "published", "none")
+"""Ours, that of the second paper, and none: the expected pose."""
 TEXTS = ("image", "reason")
+"""Columns of the table that hold texts."""
 BY_HAND = GivenSigma(heading_deg=0.1, pitch_deg=0.1, lateral_m=0.2, along_m=0.5)
+"""One standard deviation of a pose that a person set by eye."""
 CAMERA_COLUMNS = (
     "image",
     "x",

@@ -35,6 +35,7 @@ from roadsight.stages.poles.alignment_inputs import add_arguments, read_scene
 
 log = logging.getLogger("calibrate_drive")
 _FEW = 12
+"""Images that tell the focal length roughly: all are aligned anew for each of 14 focal lengths."""
 
 
 def calibrate_drives(arguments: argparse.Namespace) -> None:

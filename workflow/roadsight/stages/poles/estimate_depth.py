@@ -31,7 +31,10 @@ from roadsight.stages.progress import logged
 log = logging.getLogger("estimate_depth")
 
 _INVERTED = -0.3
+"""Correlation of nearness with the row below which depth is the wrong way round; where there is
+ground it is well above 0, where there is none it may be anything near 0."""
 _ENOUGH = 5
+"""Images after which the direction is checked first, so that a wrong one costs no full run."""
 Depth = Callable[[View], NDArray[np.uint16]]
 
 

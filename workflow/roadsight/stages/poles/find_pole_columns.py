@@ -22,6 +22,8 @@ from roadsight.stages.progress import logged
 log = logging.getLogger("find_pole_columns")
 COLUMNS = ("x", "y", "z_ground", "top_m", "sigma_m", "points", "open_top")
 _HALO_M = 6.0
+"""Margin of a tile: more than what decides about a column, which lies within 2 m, and about its
+nearest neighbours, so that tiles do not show in the result."""
 
 
 def find_columns(arguments: argparse.Namespace) -> None:

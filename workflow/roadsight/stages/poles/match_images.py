@@ -25,7 +25,10 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("match_images")
 _FRAME = ["image", "path", "route", "sequence", "status", "x", "y", "width_px", "height_px"]
+"""Columns of the frames that are read."""
 _TOGETHER = 16
+"""Images in a row that one shard takes: with more, fewer images are looked at in two shards, but
+shards differ more in size."""
 COLUMNS = ("image", "other", "u", "v", "u_other", "v_other")
 
 

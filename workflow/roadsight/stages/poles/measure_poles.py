@@ -70,6 +70,7 @@ _COLUMNS = (
     "foot_visible",
 )
 _TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
+"""Columns that hold texts, also where there is no row to tell."""
 
 
 def measure_poles(arguments: argparse.Namespace) -> None:

@@ -30,13 +30,31 @@ from roadsight.stages.progress import logged
 log = logging.getLogger("read_videolog")
 
 COLUMNS = [
-    *("image", "route", "sequence", "path", "left_path", "right_path", "width_px", "height_px"),
-    *("latitude", "longitude", "x", "y", "z_road", "heading_deg", "heading_raw_deg", "step_m"),
+    "image",
+    "route",
+    "sequence",
+    "path",
+    "left_path",
+    "right_path",
+    "width_px",
+    "height_px",
+    "latitude",
+    "longitude",
+    "x",
+    "y",
+    "z_road",
+    "heading_deg",
+    "heading_raw_deg",
+    "step_m",
     "status",
 ]
 _ROAD_REACH_M = 2.5
+"""How far to either side cells of road give the road's height: positions are about a metre off."""
 _GROUND_REACHES_M = (2.0, 5.0, 10.0)
+"""Without road, the terrain model is read on rings of these radii, the next wider one where the
+last met no ground."""
 _RING = np.array([[0.0, 0.0], *([np.sin(a), np.cos(a)] for a in np.radians(range(0, 360, 45)))])
+"""Middle and eight places of a ring of radius 1."""
 
 
 def read_videolog(arguments: argparse.Namespace) -> None:

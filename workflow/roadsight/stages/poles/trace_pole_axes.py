@@ -19,6 +19,7 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("trace_pole_axes")
 TEXTS = ("image", "view", "kind", "foot")
+"""Columns of the table that hold texts."""
 NUMBERS = (
     "u",
     "v",
@@ -30,7 +31,9 @@ NUMBERS = (
     "width_view_px",
     "height_view_px",
 )
+"""Columns of the table that hold numbers; `foot_visible` and `top_cut` come after them."""
 _KIND = "pole"
+"""Kind of object whose axes are landmarks."""
 
 
 def trace_pole_axes(arguments: argparse.Namespace) -> None:

@@ -31,8 +31,11 @@ from roadsight.stages.command import run_stage
 log = logging.getLogger("triangulate_poles")
 
 _STRUCTURES = (6, 11, 17)
+"""ASPRS classes of buildings, road surface and bridge decks."""
 _CORNERS = 32
+"""Corners of the polygon of an error ellipse."""
 _KINDS = {"poles": "Point", "ellipses": "Polygon", "rays": "LineString"}
+"""Geometry of each layer, for layers that are empty."""
 
 
 def triangulate_poles(arguments: argparse.Namespace) -> None:

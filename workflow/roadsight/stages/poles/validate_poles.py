@@ -42,6 +42,7 @@ _NAMES = {
     "intersection": "intersection",
     "extraneous": "extraneous features",
 }
+"""Scenarios as the report names them."""
 
 
 def validate_poles(arguments: argparse.Namespace) -> None:
