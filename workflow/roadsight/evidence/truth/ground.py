@@ -28,10 +28,10 @@ _SCALE = 1.25
 def measure_ground(dataset: str, files: Sequence[Path]) -> list[Figure]:
     """Figures of one data set."""
     if dataset in ISPRS:
-        cloud, truth = sorted(files, key=lambda path: path.suffix)
+        cloud, labels = sorted(files, key=lambda path: path.suffix)
         xyz_m = read_laz(cloud).xyz
         xyz_m = xyz_m - xyz_m.min(axis=0)
-        return _isprs(xyz_m, np.load(truth)["ground"].astype(bool))
+        return _isprs(xyz_m, np.load(labels)["ground"].astype(bool))
     street = ground_points(read_street(files[0].parent))
     judged = ~np.isin(street.label, UNLABELLED)
     truth = np.isin(street.label, GROUND)

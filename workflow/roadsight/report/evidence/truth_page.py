@@ -64,7 +64,7 @@ def _area(name: str, area: Area, rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def _metric(metric: str, rows: pd.DataFrame) -> dict[str, Any]:
-    shown = [_row(row) for row in rows.to_dict("records")]
+    shown = [_row(row._asdict()) for row in rows.itertuples(index=False)]
     return {
         "name": words(metric),
         "unit": rows["unit"].iloc[0],
