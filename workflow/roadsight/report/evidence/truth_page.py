@@ -64,7 +64,7 @@ def _area(name: str, area: Area, rows: pd.DataFrame) -> dict[str, Any]:
 
 
 def _metric(metric: str, rows: pd.DataFrame) -> dict[str, Any]:
-    shown = [_row(row._asdict()) for row in rows.itertuples(index=False)]
+    shown = [_row(row) for _, row in rows.iterrows()]
     return {
         "name": words(metric),
         "unit": rows["unit"].iloc[0],
@@ -78,7 +78,7 @@ def words(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _row(row: Mapping[str, Any]) -> dict[str, Any]:
+def _row(row: pd.Series) -> dict[str, Any]:
     ours, goal = _float(row["ours"]), str(row["goal"] or "")
     goal = "" if goal == "nan" else goal
     return {
