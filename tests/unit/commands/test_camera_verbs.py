@@ -56,8 +56,10 @@ def clicked(drive, images, rng, pairs=9):
     for _, camera in front(drive)[lambda t: t["image"].isin(images)].iterrows():
         rotation = camera[[f"cam_from_world_r{i}{j}" for i in range(3) for j in range(3)]]
         rotation = rotation.to_numpy(float).reshape(3, 3)
-        lens = Intrinsics(*(camera[[f"{n}_px" for n in ("width", "height")]].astype(int)),
-                          *camera[["focal_px", "cx_px", "cy_px"]].astype(float))  # fmt: skip
+        lens = Intrinsics(
+            *(camera[[f"{n}_px" for n in ("width", "height")]].astype(int)),
+            *camera[["focal_px", "cx_px", "cy_px"]].astype(float),
+        )
         native = camera[["easting_usft", "northing_usft", "height_usft"]].to_numpy(float) * FOOT_M
         depth = rng.uniform(10, 60, pairs)
         uv = rng.uniform([20, 40], [lens.width_px - 20, lens.height_px - 20], (pairs, 2))

@@ -121,8 +121,10 @@ HEAD = (
 
 
 def test_tables_are_read_into_the_local_frame(tmp_path: Path) -> None:
-    (tmp_path / "t.csv").write_text(f"{HEAD},focal_px,cx_px,cy_px,width_px,height_px\n"
-                                    "a,1010,2020,2,60,90,1,2,700,320,240,640,480\n")  # fmt: skip
+    (tmp_path / "t.csv").write_text(
+        f"{HEAD},focal_px,cx_px,cy_px,width_px,height_px\n"
+        "a,1010,2020,2,60,90,1,2,700,320,240,640,480\n"
+    )
     row = read_cameras(tmp_path / "t.csv", FRAME).iloc[0]
     np.testing.assert_allclose(row[["x", "y", "z"]].to_numpy(float), [3.048, 6.096, 3.048])
     assert row["heading_deg"] == 90

@@ -77,8 +77,9 @@ def test_share_wrong_counts_ranges_and_missing_returns(exact: ExactHighway) -> N
 
 
 def test_a_target_on_the_road_is_seen_from_above_and_not_from_below(exact: ExactHighway) -> None:
-    fine = Sensor(azimuth_step_deg=0.5, elevation_min_deg=-80, elevation_max_deg=10, channels=90,
-                  range_m=60)  # fmt: skip
+    fine = Sensor(
+        azimuth_step_deg=0.5, elevation_min_deg=-80, elevation_max_deg=10, channels=90, range_m=60
+    )
     place = above_the_road(exact)
     foot = place + np.array([4.0, 0.0, -5.0])
     assert exact.sees(fine, place, 0.0, foot[None]).tolist() == [True]

@@ -44,11 +44,15 @@ def test_each_pole_is_matched_once_and_as_many_as_can_be():
 def sightings(turn=0.0, kept=True):
     return pd.DataFrame(
         {
-            "image": ["a", "a", "b", "c"], "view": "front", "u_foot": [1.0, 2.0, 1.0, 5.0],
-            "v_foot": 3.0, "bearing_deg": (np.array([359.9, 10.0, 0.05, 90.0]) + turn) % 360,
-            "sigma_bearing_deg": [0.1, 0.5, 0.1, 0.1], "kept": kept,
+            "image": ["a", "a", "b", "c"],
+            "view": "front",
+            "u_foot": [1.0, 2.0, 1.0, 5.0],
+            "v_foot": 3.0,
+            "bearing_deg": (np.array([359.9, 10.0, 0.05, 90.0]) + turn) % 360,
+            "sigma_bearing_deg": [0.1, 0.5, 0.1, 0.1],
+            "kept": kept,
         }
-    )  # fmt: skip
+    )
 
 
 def test_bearings_beyond_their_sigma():

@@ -285,8 +285,11 @@ class TestRows:
     def test_the_next_step_is_the_cheapest_better_level_of_the_frontier(self, tmp_path):
         study = load(tmp_path, levels={"a": 0.5, "b": 0.4, "c": 0.3, "d": 0.2}).studies["s"]
         measured = {
-            "a": level(1.0, 0.5), "b": level(9.0, 0.2), "c": level(5.0, 0.3), "d": level(6.0, 0.3)
-        }  # fmt: skip
+            "a": level(1.0, 0.5),
+            "b": level(9.0, 0.2),
+            "c": level(5.0, 0.3),
+            "d": level(6.0, 0.3),
+        }
         step = next_step(study_rows(study, measured))
         assert step["level"] == "c"
         assert step["cpu_s"] == pytest.approx(4.0)
@@ -326,10 +329,15 @@ class TestPage:
         measured = {"2": level(1.0, 0.3), "1": level(2.0, None), "0.5": level(4.0, 0.1)}
         rows = [{"study": "s", **row} for row in study_rows(study.studies["s"], measured)]
         ways = {
-            name: {"coordinate_error_m": e, "normal_error_deg": e, "cpu_s": 1.0, "wall_s": 1.0,
-                   "peak_mib": 1.0}
+            name: {
+                "coordinate_error_m": e,
+                "normal_error_deg": e,
+                "cpu_s": 1.0,
+                "wall_s": 1.0,
+                "peak_mib": 1.0,
+            }
             for name, e in (("world", 0.25), ("local", 1e-5))
-        }  # fmt: skip
+        }
         coordinates = precision_rows({"default": "local", "repeats": 3, "levels": ways})
         rows += [{"study": "coordinates", **row} for row in coordinates]
         assets = read_assets((TEMPLATE, *STYLES))

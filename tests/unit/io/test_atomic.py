@@ -7,7 +7,13 @@ import subprocess
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.io.records.atomic import atomic_path, read_json, write_json
+from roadsight.io.records.atomic import (
+    Incomplete,
+    WholeFile,
+    atomic_path,
+    read_json,
+    write_json,
+)
 
 
 def test_output_appears_under_its_name_only_after_success(tmp_path):
@@ -88,3 +94,77 @@ def test_a_file_that_is_no_json_is_told(tmp_path):
             read_json(path)
     with pytest.raises(InputError, match="JSON"):
         read_json(tmp_path / "none.json")
+
+
+class Lines(WholeFile):
+    """Lines of text; the last is held back until the block ends well."""
+
+    def __init__(self, path, fails_at=""):
+        super().__init__(path)
+        self.fails_at, self.closed, self.wanted = fails_at, 0, True
+
+    def _fail(self, step):
+        if step == self.fails_at:
+            raise RuntimeError(step)
+
+    def _open(self, temporary):
+        self.file = temporary.open("w")
+        self._fail("open")
+
+    def write(self, line):
+        self.file.write(f"{line}\n")
+        self._fail("write")
+
+    def _complete(self):
+        if not self.wanted:
+            raise Incomplete
+        self.file.write("end\n")
+        self._fail("complete")
+
+    def _close(self):
+        self.closed += 1
+        self.file.close()
+        self._fail("close")
+
+    def _check(self):
+        self._fail("check")
+
+
+def test_a_file_written_piece_by_piece_appears_after_its_block(tmp_path):
+    target = tmp_path / "a.txt"
+    with Lines(target) as lines:
+        lines.write("one")
+        assert not target.exists()
+    assert target.read_text() == "one\nend\n"
+    assert lines.closed == 1
+    assert list(tmp_path.iterdir()) == [target]
+
+
+@pytest.mark.parametrize("step", ["open", "write", "complete", "close", "check"])
+def test_a_step_that_fails_leaves_the_old_file(tmp_path, step):
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    lines = Lines(target, step)
+    with pytest.raises(RuntimeError, match=step), lines:
+        lines.write("one")
+    assert lines.closed == (step != "open")
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_the_first_error_is_told_and_not_that_of_closing(tmp_path):
+    with pytest.raises(KeyError, match="first"), Lines(tmp_path / "a.txt", "close"):
+        raise KeyError("first")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_can_be_dropped_without_an_error_and_kept_early(tmp_path):
+    with Lines(tmp_path / "a.txt") as lines:
+        lines.wanted = False
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(KeyError), Lines(tmp_path / "b.txt") as lines:
+        lines.keep()
+        assert (tmp_path / "b.txt").read_text() == "end\n"
+        raise KeyError
+    assert lines.closed == 1
+    assert (tmp_path / "b.txt").exists()

@@ -107,9 +107,15 @@ def test_bad_rasters_are_one_message(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_raster(tmp_path / "text.tif", frame)
     with rasterio.open(
-        tmp_path / "other.tif", "w", driver="GTiff", height=2, width=2, count=1, dtype="float32",
+        tmp_path / "other.tif",
+        "w",
+        driver="GTiff",
+        height=2,
+        width=2,
+        count=1,
+        dtype="float32",
         transform=rasterio.transform.from_origin(0, 0, 1, 1),
-    ) as raster:  # fmt: skip
+    ) as raster:
         raster.write(np.zeros((1, 2, 2), np.float32))
     with pytest.raises(InputError, match="no raster that this workflow wrote"):
         read_raster(tmp_path / "other.tif", frame)

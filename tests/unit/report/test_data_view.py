@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from roadsight.report.site.data_view import data_view
 
-SENSOR = {"candidate": "a", "sensor": "OS-64", "station_m": 3.0, "points_per_s": 1e6,
-          "pixels_per_s": 0.0, "road_points_per_s": 2e5}  # fmt: skip
+SENSOR = {
+    "candidate": "a",
+    "sensor": "OS-64",
+    "station_m": 3.0,
+    "points_per_s": 1e6,
+    "pixels_per_s": 0.0,
+    "road_points_per_s": 2e5,
+}
 DATA = {
     "share_seen_by_two": 0.5,
     "mean_sensors": 1.5,

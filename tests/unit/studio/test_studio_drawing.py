@@ -64,9 +64,11 @@ def states():
 def test_saving_again_changes_no_file(project):
     first = save(project, edges=[EDGE], zones=[ZONE], tma={"remove": [ZONE["points"]]})
     assert first == [
-        "config/sites/tiny/edges.geojson", "config/sites/tiny/zones.geojson",
-        "config/sites/tiny/tma.geojson", "config/sites/tiny.yaml",
-    ]  # fmt: skip
+        "config/sites/tiny/edges.geojson",
+        "config/sites/tiny/zones.geojson",
+        "config/sites/tiny/tma.geojson",
+        "config/sites/tiny.yaml",
+    ]
     loaded, before = load_drawing(project.site("tiny")), states()
     assert save(project, edges=loaded["edges"], zones=loaded["zones"]) == []
     assert save(project, edges=loaded["edges"], tma={}) == []
@@ -207,8 +209,9 @@ def test_a_site_file_that_cannot_be_changed_stays(project):
     text = path.read_text() + "placement: &p {edges: sample}\ntruth: {poles: x}\n"
     path.write_text(text.replace("jobs:\n- placement\n", "jobs: [placement]\n"))
     assert save(project, edges=[EDGE]) == [
-        "config/sites/tiny/edges.geojson", "config/sites/tiny.yaml",
-    ]  # fmt: skip
+        "config/sites/tiny/edges.geojson",
+        "config/sites/tiny.yaml",
+    ]
 
 
 def test_the_preview_is_what_the_workflow_computes(client):
@@ -229,13 +232,18 @@ def test_a_far_edge_is_told_while_it_is_drawn(client):
 
 VALUES = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
-    lambda inner: st.lists(inner, max_size=4)
-    | st.dictionaries(
-        st.sampled_from(["edges", "zones", "mounts", "tma", "name", "points", "kind", "x", "add"]),
-        inner, max_size=4,
+    lambda inner: (
+        st.lists(inner, max_size=4)
+        | st.dictionaries(
+            st.sampled_from(
+                ["edges", "zones", "mounts", "tma", "name", "points", "kind", "x", "add"]
+            ),
+            inner,
+            max_size=4,
+        )
     ),
     max_leaves=12,
-)  # fmt: skip
+)
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
@@ -250,8 +258,11 @@ def test_other_kinds_of_requests_are_refused(client):
     answer = client.put("/api/sites/tiny/drawing", data="edges=1", headers=OWN)
     assert answer.status_code == 422 and "application/json" in answer.json["error"]
     assert client.put("/api/sites/none/drawing", json={}, headers=OWN).status_code == 422
-    large = client.put("/api/sites/tiny/drawing", data=b" " * (17 << 20), headers=OWN | {
-        "Content-Type": "application/json"})  # fmt: skip
+    large = client.put(
+        "/api/sites/tiny/drawing",
+        data=b" " * (17 << 20),
+        headers=OWN | {"Content-Type": "application/json"},
+    )
     assert large.status_code == 413
 
 

@@ -44,9 +44,10 @@ def on(pole, decision, **to):
 def test_decisions_are_kept_found_again_and_taken_back(project):
     first, second, third, *_ = review(project.site("drive"))["poles"]
     asked = [
-        on(first, "reject"), on(second, "accept"),
+        on(first, "reject"),
+        on(second, "accept"),
         on(third, "move", to_x=third["base"][0] + 3, to_y=third["base"][1]),
-    ]  # fmt: skip
+    ]
     changed = save_decisions(project, "drive", asked)
     assert changed == ["config/sites/drive/pole_decisions.csv", "config/sites/drive.yaml"]
     assert Path("config/sites/drive.yaml").read_text().startswith("# mine\n")

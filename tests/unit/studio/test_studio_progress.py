@@ -19,9 +19,14 @@ from snakemake_logger_plugin_roadsight import entry
 
 def begun(number, rule, time, **more):
     return {
-        "event": "job_info", "time": time, "jobid": number, "rule_name": rule,
-        "wildcards": {"site": "a"}, "log": [f"{number}.log"], **more,
-    }  # fmt: skip
+        "event": "job_info",
+        "time": time,
+        "jobid": number,
+        "rule_name": rule,
+        "wildcards": {"site": "a"},
+        "log": [f"{number}.log"],
+        **more,
+    }
 
 
 def finished(number, time):
@@ -70,9 +75,10 @@ def test_reasons_are_split_and_shortened():
     files = ", ".join(f"f{n}" for n in range(9))
     reason = f"Missing output files: a; b.txt; Updated input files: {files}; Code has changed since"
     assert causes(reason) == [
-        "Missing output files: a; b.txt", "Updated input files: f0, f1, f2, f3 and 5 more",
+        "Missing output files: a; b.txt",
+        "Updated input files: f0, f1, f2, f3 and 5 more",
         "Code has changed since",
-    ]  # fmt: skip
+    ]
     assert is_own("Updated input files: a")
     assert not is_own("Input files updated by another job: a")
     assert len(causes("Params have changed since last execution: " + "x" * 900)[0]) < 310
@@ -84,12 +90,15 @@ def test_a_plan_tells_own_causes_apart():
         begun(1, "ground", 0, reason="Updated input files: cloud"),
         begun(2, "cover", 0, reason=follows),
         begun(3, "cover", 0, reason=f"{follows}; Code has changed"),
-        begun(4, "all", 0, reason=follows), begun(5, "profile_scene", 0, reason=follows),
-    ]  # fmt: skip
+        begun(4, "all", 0, reason=follows),
+        begun(5, "profile_scene", 0, reason=follows),
+    ]
     found = plan(events, {"cover": 3.0})
     assert [(rule["rule"], rule["jobs"], rule["own"]) for rule in found["rules"]] == [
-        ("ground", 1, 1), ("cover", 2, 1), ("profile_scene", 1, 0),
-    ]  # fmt: skip
+        ("ground", 1, 1),
+        ("cover", 2, 1),
+        ("profile_scene", 1, 0),
+    ]
     assert (found["jobs"], found["seconds"], found["known"], found["open"]) == (4, 6.0, 2, True)
     assert [cause["text"] for cause in found["rules"][1]["why"]] == ["Code has changed", follows]
 
@@ -118,10 +127,13 @@ def test_the_plugin_keeps_what_is_read():
 
 def test_earlier_seconds_are_those_of_the_site_if_it_has_any(tmp_path):
     for site, rule, text in (
-        ("a", "ground", "s\th:m:s\n4.0\tx\n"), ("a", "2/ground", "s\n6.0\n"),
+        ("a", "ground", "s\th:m:s\n4.0\tx\n"),
+        ("a", "2/ground", "s\n6.0\n"),
         ("b", "ground", "s\n90\n"),
-        ("b", "cover", "s\n7\n"), ("a", "broken", "nothing"), ("a", "other", "s\n-\n"),
-    ):  # fmt: skip
+        ("b", "cover", "s\n7\n"),
+        ("a", "broken", "nothing"),
+        ("a", "other", "s\n-\n"),
+    ):
         path = tmp_path / site / "benchmarks" / f"{rule}.tsv"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)

@@ -125,8 +125,9 @@ def test_baselines_of_other_sizes_stay(project, drive, folder):
     found = read_baselines(own / "baseline.json")
     assert set(found) == {"640x480", "800x400"} and found["640x480"]["hfov_deg"] == 70.0
     assert [row.split(",")[0] for row in (own / "pairs.csv").read_text().split()] == [
-        "image", "of_another_size",
-    ]  # fmt: skip
+        "image",
+        "of_another_size",
+    ]
 
 
 def test_corrections_by_two_at_once_are_both_kept(project, drive):
@@ -194,8 +195,14 @@ def test_pictures_are_straightened_where_the_workflow_does_so(project, drive, fo
 
     site, key = project.site("drive"), ("40001", 800, 400)
     assert lens_for(site, key) is None
-    lens = {"route": key[0], "width_px": 800, "height_px": 400, "k1": -0.2, "k2": 0.0,
-            "scale_px": 400.0}  # fmt: skip
+    lens = {
+        "route": key[0],
+        "width_px": 800,
+        "height_px": 400,
+        "k1": -0.2,
+        "k2": 0.0,
+        "scale_px": 400.0,
+    }
     write_json(folder / "results/drive/poles/drive.json", {"lenses": [lens]})
     effects = folder / "results/drive/effects.json"
     before = effects.read_bytes() if effects.exists() else None

@@ -58,8 +58,9 @@ def test_a_run_to_its_end_and_what_is_stale_before_and_after(runs, tmp_path):
     assert runs.state()["order"] is None
     before = runs.plan(Order(cores=1))
     assert [(rule["rule"], rule["jobs"]) for rule in before["rules"]] == [
-        ("count_steps", 4), ("join_steps", 1),
-    ]  # fmt: skip
+        ("count_steps", 4),
+        ("join_steps", 1),
+    ]
     assert before["rules"][0]["why"][0]["text"].startswith("Missing output files: results/small/")
     assert before["known"] == 0 and runs.state()["order"] is None
     runs.start(Order(cores=2))
@@ -86,8 +87,9 @@ def test_a_failed_step_shows_its_log(runs, tmp_path):
     assert step["rule"] == "count_steps" and step["wildcards"] == {"n": "2"}
     log = runs.log(step["job"])
     assert log == {
-        "path": "logs/small/count_steps_2.log", "text": "begins 2\nthe <b>reason</b>\n",
-    }  # fmt: skip
+        "path": "logs/small/count_steps_2.log",
+        "text": "begins 2\nthe <b>reason</b>\n",
+    }
     (tmp_path / "fail").unlink()
     runs.start(Order(cores=2))
     assert ended(runs)["status"] == "done"
@@ -140,9 +142,12 @@ def within_s(limit_s, condition):
 def test_a_run_outside_is_seen_and_left_alone(runs, tmp_path):
     (tmp_path / "slow").touch()
     process = subprocess.Popen(
-        [sys.executable, "-m", "snakemake", "--cores", "1"], cwd=tmp_path,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+        [sys.executable, "-m", "snakemake", "--cores", "1"],
+        cwd=tmp_path,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
     try:
         within_s(10, lambda: processes_outside(tmp_path))  # its arguments are not there at once
         assert [found["pid"] for found in processes_outside(tmp_path)] == [process.pid]

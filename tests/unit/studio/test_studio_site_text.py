@@ -56,10 +56,13 @@ def test_removing_and_the_last_key_takes_its_section():
         ("placement:\nsite: a\n", "e", {"edges": "e"}),
         ("placement: {}\n", "e", {"edges": "e"}),
         ("placement: {tma: t}\n", "e", {"edges": "e", "tma": "t"}),
-        ("'placement':\n    'edges': >-\n      long\n      name\n    tma: t\n", "e",
-         {"edges": "e", "tma": "t"}),
+        (
+            "'placement':\n    'edges': >-\n      long\n      name\n    tma: t\n",
+            "e",
+            {"edges": "e", "tma": "t"},
+        ),
     ],
-)  # fmt: skip
+)
 def test_other_ways_to_write_it(text, value, expected):
     changed = yaml.safe_load(with_value(text, "placement", "edges", value)) or {}
     assert changed.get("placement") == expected

@@ -83,8 +83,16 @@ def test_classes_and_materials_follow_the_offset(site):
     assert np.isfinite(heights).all()
     names = [MATERIAL_NAMES[code] for code in site.ground_materials(xy)]
     assert names == [
-        "soil", "soil", "asphalt", "asphalt", "marking", "asphalt", "grass", "asphalt", "grass",
-    ]  # fmt: skip
+        "soil",
+        "soil",
+        "asphalt",
+        "asphalt",
+        "marking",
+        "asphalt",
+        "grass",
+        "asphalt",
+        "grass",
+    ]
 
 
 def test_lane_lines_are_dashed_and_edge_lines_solid():

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterable
 
 _LONGEST = 500
+"""Letters of a foreign text that a message quotes: enough to recognise it, not a whole file."""
 
 
 class InputError(Exception):

@@ -9,7 +9,10 @@ from pydantic import BaseModel, ValidationError
 
 from roadsight.base.errors import InputError, nearest
 
-_LONGEST_NAME, _LONGEST_PATH = 255, 4095  # bytes, as Linux has it
+_LONGEST_NAME = 255
+"""Bytes of one part of a path (NAME_MAX of Linux)."""
+_LONGEST_PATH = 4095
+"""Bytes of a whole path (PATH_MAX of Linux, less the null that ends it)."""
 
 Model = TypeVar("Model", bound=BaseModel)
 

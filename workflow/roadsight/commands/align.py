@@ -16,6 +16,7 @@ from roadsight.io.records.sighting_tables import write_csv
 from roadsight.io.records.tables import read_table
 
 _COLUMNS = {"heading_deg": "heading_grid_deg", "focal_px": "fx_px"}
+"""Columns that the verb's table names otherwise than the workflow's."""
 _WRITTEN = (
     "image",
     "x",
@@ -33,6 +34,7 @@ _WRITTEN = (
     "accepted",
     "reason",
 )
+"""Columns of the verb's table."""
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

@@ -12,7 +12,11 @@ from roadsight.io.records.sources import stage_module
 from roadsight.stages.scene.ingest_cloud import UNITS
 
 MANIFESTS = Path(__file__).resolve().parents[3] / "resources" / "manifests"
-_ROAD_CLASS, _LEAST_ROAD = "11", 1e-4
+_ROAD_CLASS = "11"
+"""Class "road surface" of LAS 1.4, as a profile names it."""
+_LEAST_ROAD = 1e-4
+"""Share of points with that class from which a cloud counts as classified; below it stand stray
+points, and the pavement is sought by shape."""
 
 
 def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:

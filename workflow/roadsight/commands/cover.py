@@ -16,6 +16,7 @@ from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.plans.deploy import solve_deployment
 
 _FIRST = 5
+"""Columns that a message names of those that nothing covers."""
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

@@ -21,6 +21,7 @@ from roadsight.scene.surfels.voxel_moments import sum_moments
 _SENSORS = Path(__file__).parents[3] / "config" / "sensors.yaml"
 _NETWORK = Path(__file__).parents[3] / "resources" / "models" / "depth_unet.onnx"
 _SURFEL_M = 0.1
+"""Edge of the cells that surfels are fitted in, or the points' spacing where that is wider."""
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

@@ -29,7 +29,12 @@ log = logging.getLogger("roadsight")
 # Candidates and targets of the generated highway, 1,228 and 5,552 on 250 m.
 A_MILE = Amounts(points_m=5.4, candidates=7_900, sensors=1, targets=35_700, plans=1, images=796)
 _MOST_MILES = 1e7
-_MILE_M, _DEGREE_M = 1609.344, 111_195.0
+"""A million times this is the largest number that any option takes; what is larger is a slip."""
+_MILE_M = 1609.344
+"""An international mile."""
+_DEGREE_M = 111_195.0
+"""A degree on a sphere of the Earth's mean radius, for clouds in degrees. Along a parallel it is
+shorter, which an estimate can bear."""
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

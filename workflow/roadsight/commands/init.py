@@ -24,6 +24,7 @@ from roadsight.io.records.atomic import atomic_path
 from roadsight.scene.profile import CELL_M, density, merge_counts
 
 _DATA_VARIABLE = "ROADSIGHT_DATA"
+"""Environment variable that names the folder of a user's clouds."""
 _CLASS_NAMES = {
     0: "never classified",
     1: "unclassified",

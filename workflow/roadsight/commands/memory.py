@@ -32,6 +32,7 @@ from roadsight.stages.scene.ingest_cloud import UNITS, survey
 log = logging.getLogger("roadsight")
 
 _SAMPLE = 100_000
+"""Points that the classes of a cloud are learnt from; all of a smaller cloud."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,9 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 PORT = 8711
+"""Of the studio, unless the user names another."""
 _FOLDER = ".snakemake/roadsight"
+"""The studio's own files, beside Snakemake's, below the project."""
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

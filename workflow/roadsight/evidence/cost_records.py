@@ -13,6 +13,7 @@ from roadsight.io.records.tables import read_table
 from roadsight.io.records.usage import last_usage
 
 _SIDES = ("left_path", "right_path")
+"""Columns of side views, which are images of their own."""
 
 
 def read_amounts(site: Path) -> Amounts:

@@ -72,7 +72,9 @@ class Step:
     split: str = "run"
 
 
-_CLOUD, _RUN = ("points_m", "run"), ("runs", "run")
+# Driver and split of steps that are one job a run.
+_CLOUD = ("points_m", "run")
+_RUN = ("runs", "run")
 STEPS: dict[str, Step] = {
     **{name: Step("both", *_CLOUD) for name in ("ingest_cloud", "profile_scene", "build_dem")},
     **{

@@ -30,7 +30,9 @@ from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
 
 _MATCH_M = 3
+"""Threshold of the validation (a row of its table) at which poles count as found."""
 _STEP_M = 1.0
+"""Spacing of the places on true edges that are compared with found ones."""
 
 
 @dataclass(frozen=True)
@@ -129,10 +131,15 @@ def _pole_sightings(results: Results) -> float:
 
 
 _EXACT = "exact truth of the generated scene"
+"""What a measure is compared with."""
 _FINEST = "the study's reference level"
+"""What a measure without a truth is compared with."""
 _PLAN = ("placement/{plan}/solution.json",)
+"""Files, below a site's results, that measures of plans read."""
 _VALIDATION = ("poles/validation.json",)
+"""Those of measures of poles."""
 _CAMERAS = ("poles/camera_scores.json",)
+"""Those of measures of cameras."""
 
 METRICS: dict[str, Metric] = {
     "dem_rmse_m": Metric(

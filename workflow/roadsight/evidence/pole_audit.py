@@ -12,6 +12,7 @@ from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.cameras import wrap_deg
 
 MOVED_M = 0.5
+"""Poles of two answers that lie further apart are not the same pole."""
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,11 @@ from roadsight.placement.sight.shapes import Cylinder
 from roadsight.placement.sight.sight import Sight
 
 _STEP_DEG = 0.2
+"""Cells of the exact panorama that stands for the scene; finer ones cost the square in time."""
 TARGET = Cylinder(radius_m=0.25, height_m=0.6)
+"""The default target of the placement job."""
 RCS_M2 = 0.16
+"""Radar cross-section of the default target."""
 
 
 def sees_in_pose(

@@ -26,10 +26,15 @@ from roadsight.io.records.usage import last_usage
 log = logging.getLogger(__name__)
 
 _PACKAGE = Path(__file__).resolve().parents[2]
+"""A variant runs in a folder of its own and has to find this package."""
 _CONFIG = "variant.json"
+"""The variant's configuration in its folder."""
 _LOG = re.compile(r"^ +log: (\S+)", re.MULTILINE)
+"""Log of a job that failed, as Snakemake's output names it."""
 _MESSAGE = "roadsight: "
+"""Begins the line by which a stage tells its own message."""
 _JOB = re.compile(r"^(?:local)?(?:rule|checkpoint) (\w+):$", re.MULTILINE)
+"""Begin of a job in Snakemake's output."""
 
 
 class VariantError(InputError):

@@ -12,9 +12,17 @@ from numpy.typing import ArrayLike
 
 from roadsight.report.wording import number
 
-_LEFT, _RIGHT, _TOP, _BOTTOM = 56.0, 14.0, 12.0, 42.0
+# Margins of a plot, px.
+_LEFT = 56.0  # numbers of the y axis
+_RIGHT = 14.0
+_TOP = 12.0
+_BOTTOM = 42.0  # numbers and title of the x axis
 _TICKS = 6
-_CHARACTER, _LINE = 5.8, 11.0  # about the size of a label's letters, px
+"""Most numbers on an axis; more would touch each other on a plot of ordinary size."""
+_CHARACTER = 5.8
+"""About the width of a label's letter, px."""
+_LINE = 11.0
+"""About the height of a label's letters, px."""
 
 Span = tuple[float, float]
 Box = tuple[float, float, float, float]

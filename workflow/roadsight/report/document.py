@@ -22,6 +22,7 @@ from roadsight.report.site.plan_view import best_plan, plan_views
 from roadsight.report.templates import template_environment
 
 _ROWS_SHOWN = 100
+"""Rows of a long table that are shown before a reader asks for the rest."""
 _FILTERS = ("number", "percent", "seconds", "metres", "bearing", "counted", "label", "pose")
 _UNIT_SIGNS = {"metre": "m", "foot": "ft", "us-survey-foot": "US ft"}
 

@@ -5,7 +5,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-_NARROW, _TIMES, _MINUS = "\u202f", "\u00d7", "\u2212"
+_NARROW = "\u202f"
+"""Narrow space that does not break, between a number and its unit."""
+_TIMES = "\u00d7"
+"""Multiplication sign."""
+_MINUS = "\u2212"
+"""Minus sign, as wide as a plus."""
 _UNITS = {
     "per_m2": "/m²",
     "m2": "m²",
@@ -18,7 +23,9 @@ _UNITS = {
     "share": "%",
     "shares": "%",
 }
+"""Units as people write them, by the end of a value's name."""
 _SHARES = {"accuracy", "precision", "recall", "f1", "area_iou", "outline_found_within_1m"}
+"""Values that are shares though their names do not end so."""
 _SPELLING = {
     "f1": "F1",
     "dem": "DEM",
@@ -32,6 +39,7 @@ _SPELLING = {
     "cpu": "CPU",
     "z": "z",
 }
+"""Words of names that are not written in small letters, or not as they are said."""
 _NAMES = {
     "area_iou": "Overlap of areas (IoU)",
     "area_m2": "Occupied area",
@@ -46,7 +54,9 @@ _NAMES = {
     "relief_m": "Relief, 5th to 95th percentile",
     "spacing_m": "Point spacing",
 }
+"""Values whose names tell too little."""
 MISSING = "\u2013"
+"""A dash where there is no value."""
 
 
 def label(key: str) -> str:

@@ -15,14 +15,19 @@ from flask import Flask, Response, abort, request
 LOOPBACK = "127.0.0.1"
 TOKEN_HEADER = "X-Roadsight-Token"  # its name, not a secret
 API = "/api/"
+"""Begins the paths that need a token."""
 _NAMES = (LOOPBACK, "localhost")
+"""Hosts by which a browser on this machine may call the studio."""
 _LARGEST_BYTES = 16 << 20
+"""Largest request that is read."""
 _SAME = ("same-origin", "none")
+"""What a browser says of the site of a request that is not foreign."""
 _POLICY = (
     "default-src 'self'; script-src 'self'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' blob: data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
     "form-action 'none'; frame-ancestors 'none'"
 )
+"""Pages load nothing from elsewhere and stand in no other page's frame."""
 
 
 def new_token() -> str:

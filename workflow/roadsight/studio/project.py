@@ -16,12 +16,11 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 
 CONFIG = Path("config/config.yaml")
-FRAME, CLOUD, GROUND, DEM = (
-    "scene/frame.json",
-    "scene/cloud.parquet",
-    "scene/ground.parquet",
-    "scene/dem.tif",
-)
+# Files that the scene's steps leave in a site's results.
+FRAME = "scene/frame.json"
+CLOUD = "scene/cloud.parquet"
+GROUND = "scene/ground.parquet"
+DEM = "scene/dem.tif"
 
 
 def find_project(folder: Path) -> Path:

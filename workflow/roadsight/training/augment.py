@@ -13,7 +13,9 @@ from roadsight.poles.images.classes import PixelClass
 from roadsight.training.samples import DEPTH_SCALE, Sample
 
 _WANTED = (PixelClass.POLE, PixelClass.SIGN, PixelClass.MARKING)
+"""Classes at which many crops are placed, because they have few pixels."""
 _GREY_BGR = np.array([0.114, 0.587, 0.299], np.float32)
+"""Weights of blue, green and red in grey (ITU-R BT.601)."""
 
 
 @dataclass(frozen=True)

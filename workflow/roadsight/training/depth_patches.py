@@ -12,8 +12,11 @@ from roadsight.io.records.depth_pairs import STEP_M, DepthPairs
 from roadsight.placement.depth.normalising import normalised
 
 PATCH_CELLS = 56
+"""Side of a patch, as in the paper."""
 _TRIES = 8
+"""Places that are tried for a patch with returns; the last is taken as it is."""
 _LEAST_RETURNS = 0.02
+"""Share of cells that must return: empty patches teach nothing."""
 
 
 class Patches(NamedTuple):

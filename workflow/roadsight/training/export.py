@@ -14,6 +14,7 @@ import torch
 from torch import nn
 
 _OPSET = 17
+"""Version of ONNX operators that the files use; a newer one would ask for a newer runtime."""
 
 
 def export_network(

@@ -25,10 +25,15 @@ OVERLAP_CLASSES = (
     PixelClass.SIGN,
     PixelClass.WIRE,
 )
+"""Classes whose overlap counts beside each pixel (Dice): thin ones, and the road."""
 _LEAST_SPREAD = 1e-3
+"""Least divisor, for images of one depth."""
 _NEARNESS_FLOOR = 0.3
+"""Keeps the weight of the farthest pixels finite."""
 _DEPTH_WEIGHTS = {PixelClass.POLE: 12.0, PixelClass.ROAD: 1.5, PixelClass.MARKING: 1.5}
+"""Others have 1: poles have few pixels, and the road is what metres are fitted to."""
 _STEP_SHARE = 0.2
+"""Weight of the error's steps, which keep the edges of objects."""
 
 
 def classes_loss(logits: Tensor, classes: Tensor) -> Tensor:

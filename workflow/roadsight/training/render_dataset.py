@@ -16,6 +16,7 @@ log = logging.getLogger("render_dataset")
 _SIZES_PX = ((640, 416), (768, 512))
 """Width and height of the views of even and of odd seeds: those of the sample's two cameras."""
 _SITE_LENGTH_M = 500.0
+"""Of each generated site."""
 
 
 def render_dataset(arguments: argparse.Namespace) -> None:

@@ -28,6 +28,7 @@ from roadsight.training.record import update_record
 log = logging.getLogger("train_depth_network")
 
 _LOG_EVERY = 100
+"""Steps between two lines of the log."""
 
 
 def train(

@@ -32,6 +32,7 @@ from roadsight.training.samples import Sample, digest, read_samples
 log = logging.getLogger("train_networks")
 
 _LOG_EVERY = 50
+"""Steps between two lines of the log."""
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from roadsight.poles.calibration.registration import register_camera
 from roadsight.poles.sightings.lidar_poles import stem_axis
 
 _LENS = Intrinsics.centred(1920, 1200, 1600.0)
+"""An ordinary camera of videologs: width and height px, focal length px."""
 
 
 @hard_case("measure_poles", bound=0.5, unit="points in the image that are behind the camera")

@@ -32,6 +32,7 @@ from roadsight.scene.surfels.surfels import build_surfels
 from roadsight.scene.surfels.voxel_moments import sum_moments
 
 _AT = (0.0, 0.0, 0.0)
+"""Where the sensor stands, local metres."""
 
 
 def _sensor(**more: float) -> Sensor:

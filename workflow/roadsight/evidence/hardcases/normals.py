@@ -15,6 +15,7 @@ from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 
 _FAR = np.array([500_000.0, 6_543_000.0, 200.0])
+"""Easting, northing and height of a place in UTM, m: there, single precision has steps of 0.5 m."""
 
 
 def _road(

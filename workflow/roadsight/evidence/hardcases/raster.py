@@ -25,6 +25,7 @@ from roadsight.scene.terrain.tin import Terrain, add_cells, cell_means, sum_cell
 from roadsight.scene.voxels.voxel_classes import VoxelGrid, add_runs, count_classes, settle
 
 _FAR = np.array([632_000.0, 6_543_000.0, 0.0])
+"""Easting and northing of a place in UTM, m: there, single precision has steps of 0.5 m."""
 
 
 @hard_case("rasterise_lidar", bound=0.001, unit="share of points in another voxel")

@@ -18,6 +18,7 @@ _GEOD = Geod(ellps="WGS84")
 _FINE = TriangulationSettings(
     sigma_position_m=0.1, sigma_bearing_deg=0.3, sigma_depth_ratio=0.15, calibrate_depth=False
 )
+"""Settings for places and angles that are known well, without the calibration of depths."""
 
 
 @hard_case("measure_poles", bound=0.35, unit="share of the depth")

@@ -13,6 +13,7 @@ from roadsight.poles.risk.scenarios import RouteTracks, track_radius_m
 from roadsight.poles.risk.validation import describe, match_points
 
 _FAR = np.array([632_000.0, 4_123_000.0])
+"""Easting and northing of a place in UTM, m."""
 
 
 @hard_case("rate_hazard", bound=0.01, unit="rise over run")

@@ -30,9 +30,14 @@ CHUNK_POINTS = 125_000
 """What is computed of so many points stays in the processor's cache."""
 
 _DECODED_POINTS = 8 * CHUNK_POINTS
+"""Points decoded at once: several chunks of a file, which threads decode beside each other. More
+would take more memory."""
 _LAZ_SCALE = 0.001
+"""Step of written coordinates, in the cloud's own unit (a millimetre where that is the metre)."""
 _LAZ_DATE = date(2000, 1, 1)
+"""A fixed date of creation, so that the same points give the same bytes."""
 _DEGREES_PER_SCAN_ANGLE = 0.006
+"""Unit of the scan angle in point formats 6 to 10 (LAS 1.4)."""
 _ALL_LAYERS = DecompressionSelection.all()
 _CHUNK_LAYERS = (
     DecompressionSelection.base()

@@ -20,12 +20,24 @@ from roadsight.geometry.crs import StatedCrs, stated_crs
 
 SUFFIXES = (".las", ".laz")
 COLOURS = ("red", "green", "blue")
-_WKT_RECORD, _GEO_KEY_RECORD = 2112, 34735
-_RECORD_HEADER_BYTES, _EXTENDED_RECORD_HEADER_BYTES = 54, 60
-_SHORTEST_HEADER_BYTES, _LAS_14_HEADER_BYTES = 227, 375
+_WKT_RECORD = 2112
+"""Number of the record that holds a CRS as WKT (LAS 1.4)."""
+_GEO_KEY_RECORD = 34735
+"""Number of the record that holds GeoTIFF keys of the CRS (LAS specification)."""
+_RECORD_HEADER_BYTES = 54
+"""Length of a variable record without its content: more records than fit are not believed."""
+_EXTENDED_RECORD_HEADER_BYTES = 60
+"""The same of an extended record, which lies behind the points."""
+_SHORTEST_HEADER_BYTES = 227
+"""Length of the header of LAS 1.0 to 1.2."""
+_LAS_14_HEADER_BYTES = 375
+"""Length of the header of LAS 1.4, the longest."""
 _LEAST_POINT_BYTES = 20
+"""Length of the shortest point, of format 0; each chunk begins with a whole point."""
 _COMPRESSED = 0x80
+"""Bit of the point format by which LAZ marks compressed points."""
 _TABLE_OFFSET_AT_END = -1
+"""Place of the chunk table by which a LAZ file says that its last bytes hold the place."""
 
 
 @dataclass(frozen=True)

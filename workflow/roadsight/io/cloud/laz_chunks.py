@@ -19,12 +19,17 @@ _Chunks = list[tuple[int, int]]
 """Points and bytes of each chunk."""
 
 _CHUNKED, _LAYERED = 2, 3
+"""Compressors of LAZ that write chunks: points one after the other, and layer by layer."""
 _LAZ_ITEMS_AT = 34
+"""Byte of the LAZ record at which the list of a point's items begins."""
 _LARGEST_CHUNK = 1_000_000
+"""Points of a chunk: where one has more, chunks are not decoded beside each other, because their
+memory would not be bounded."""
 # Layers of each kind of item: point, colour, colour with infrared, waveform; extra bytes have one
 # layer a byte.
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
 _EXTRA_BYTES = 14
+"""Kind of the item of extra bytes."""
 
 
 def check_layers(path: Path, header: laspy.LasHeader) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from types import TracebackType
+from contextlib import ExitStack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from roadsight.io.cloud.tile_writer import TileWriter
 from roadsight.io.cloud.tiles import COLOUR, Tile
 
 
-class TileDraft:
+class TileDraft(ExitStack):
     """Tiles that count only if the headers were right about corner and colour.
 
     Parameters
@@ -29,32 +29,20 @@ class TileDraft:
     def __init__(
         self, path: str | os.PathLike[str], tile_size_m: float, frame: Frame | None, coloured: bool
     ) -> None:
+        super().__init__()
         self._frame, self._coloured = frame, coloured
         self._shift: dict[str, int] = {}
-        self._writer = None if frame is None else TileWriter(path, tile_size_m, coloured)
-
-    def __enter__(self) -> TileDraft:
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._give_up(error)
-
-    def _give_up(self, error: BaseException | None = None) -> None:
-        if self._writer is not None:
-            self._writer.close(error)
-            self._writer = None
+        self._writer: TileWriter | None = None
+        if frame is not None:
+            self._writer = self.enter_context(TileWriter(path, tile_size_m, coloured))
 
     def take(self, path: str | os.PathLike[str], chunk: Chunk) -> None:
         """Add points of a cloud, or give up where they lie beyond the promised corner."""
         if self._writer is None or self._frame is None:
             return
         if len(chunk) and not (chunk.xyz.min(axis=0) >= self._frame.origin).all():
-            self._give_up()
+            self.close()
+            self._writer = None
             return
         brightest = 0 if chunk.colour is None else int(chunk.colour.max(initial=0))
         shift = self._shift.setdefault(os.fspath(path), colour_shift(brightest))

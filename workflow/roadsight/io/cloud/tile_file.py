@@ -17,9 +17,9 @@ from roadsight.base.arrays import Floats32
 from roadsight.io.cloud.tile_spill import TileKey
 from roadsight.io.cloud.tiles import METADATA_KEY, POSITION, Tile
 from roadsight.io.records.arrow import as_table, schema_of
-from roadsight.io.records.atomic import atomic_path, close_within, open_within
 
 _WRITTEN_BYTES = 1 << 20
+"""Buffer of the file: the system takes few large writes in less time than many small ones."""
 
 
 @dataclass
@@ -48,7 +48,7 @@ class TileFile:
 
     Parameters
     ----------
-    path : the Parquet file; it appears when `finish` has written all of it.
+    path : the Parquet file.
     types : NumPy type of each column.
     """
 
@@ -57,15 +57,9 @@ class TileFile:
         self._tiles: dict[TileKey, _Written] = {}
         self._groups = 0
         self._classes: Counter[int] = Counter()
-        self._place = atomic_path(path)
-        self._is_open = True
-        self._stream, self._writer = open_within(self._place, self._open)
-
-    def _open(self, path: Path) -> tuple[pa.NativeFile, pq.ParquetWriter]:
-        """Stream and writer; the system takes few large writes in less time than many small."""
-        stream = pa.output_stream(path, compression=None, buffer_size=_WRITTEN_BYTES)
-        return stream, pq.ParquetWriter(
-            stream,
+        self._stream = pa.output_stream(path, compression=None, buffer_size=_WRITTEN_BYTES)
+        self._writer = pq.ParquetWriter(
+            self._stream,
             self._schema,
             compression="lz4",
             use_dictionary=False,
@@ -83,12 +77,7 @@ class TileFile:
         self._classes.update(dict(enumerate(np.bincount(points["classification"]).tolist())))
 
     def finish(self, tile_size_m: float) -> list[Tile]:
-        """Write the index, let the file appear and return its tiles.
-
-        Raises
-        ------
-        InputError : the disk is full.
-        """
+        """Add the index, which is written when the file is closed, and return its tiles."""
         written = sorted(self._tiles.items())
         tiles = [
             Tile(ix, iy, tile.rows, (*tile.lower.tolist(), *tile.upper.tolist()))
@@ -101,22 +90,10 @@ class TileFile:
             "classes": {cls: count for cls, count in sorted(self._classes.items()) if count},
         }
         self._writer.add_key_value_metadata({METADATA_KEY: json.dumps(index).encode()})
-        self._is_open = False
-        close_within(self._place, self._close, None)
         return tiles
 
-    def give_up(self, error: BaseException | None = None) -> None:
-        """Remove what was written, unless `finish` did its work.
-
-        Raises
-        ------
-        InputError : ``error`` came of a full disk.
-        """
-        if self._is_open:
-            self._is_open = False
-            close_within(self._place, self._close, error or GeneratorExit())
-
-    def _close(self) -> None:
+    def close(self) -> None:
+        """Write the end of the file."""
         try:
             self._writer.close()
         finally:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from roadsight.io.records.atomic import no_room
 
 _WRITTEN_POINTS = 1 << 15
+"""Points packed at once, few enough that their records stay in the processor's cache."""
 
 TileKey = tuple[int, int]
 """Row and column of a tile."""

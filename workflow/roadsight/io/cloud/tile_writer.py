@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +14,24 @@ from roadsight.base.errors import InputError
 from roadsight.io.cloud.tile_file import TileFile
 from roadsight.io.cloud.tile_spill import TileKey, TileSpill
 from roadsight.io.cloud.tiles import COLOUR, COLUMN_TYPES, Tile
+from roadsight.io.records.atomic import Incomplete, WholeFile
 
 _MAX_TILES = 40_000
+"""More tiles than this come of stray points or of a wrong unit; each costs memory and an entry of
+the index."""
 _HELD_POINTS = 1_000_000
+"""Points held in memory. Fewer would send more of them through the file where points wait."""
 _LEAST_POINTS = 1 << 15
 """Points of a tile that are worth a row group of their own, before the last."""
 
 
-class TileWriter:
+class TileWriter(WholeFile):
     """Sorts a stream of points into tiles with bounded memory.
 
     So many points are held. When there are more, tiles with enough of them are written. Of what is
     left, tiles that still grow are held on; others wait in an anonymous file beside the output, and
     all do where they are more than half (points in no order). The result does not depend on the
-    batches.
+    batches. The file appears when `finish` has written it.
 
     Parameters
     ----------
@@ -38,35 +41,30 @@ class TileWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], tile_size_m: float, coloured: bool) -> None:
-        target, self._tile_size_m = Path(path), tile_size_m
+        super().__init__(path)
+        self._tile_size_m = tile_size_m
         names = [name for name in COLUMN_TYPES if coloured or name not in COLOUR]
-        types = {name: np.dtype(COLUMN_TYPES[name]) for name in names}
-        self._held = {name: np.empty(_HELD_POINTS, kind) for name, kind in types.items()}
+        self._types = {name: np.dtype(COLUMN_TYPES[name]) for name in names}
+        self._held = {name: np.empty(_HELD_POINTS, kind) for name, kind in self._types.items()}
         self._count = self._held_on = 0
         self._known: set[TileKey] = set()
-        self._spill = TileSpill(target, types)
-        self._file = TileFile(target, types)
+        self._is_finished = False
+        self._spill = TileSpill(Path(path), self._types)
+        # Before the file is opened, so that it is closed after it: only while the spill still takes
+        # its room can be told whether the disk was full.
+        self._whole.callback(self._spill.close)
+        # A writer may be kept longer than its block; the points that it held need not.
+        self._whole.callback(self._held.clear)
 
-    def __enter__(self) -> TileWriter:
-        return self
+    def _open(self, temporary: Path) -> None:
+        self._file = TileFile(temporary, self._types)
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self.close(error)
+    def _complete(self) -> None:
+        if not self._is_finished:
+            raise Incomplete
 
-    def close(self, error: BaseException | None = None) -> None:
-        """Drop what was not written by `finish`.
-
-        Raises
-        ------
-        InputError : ``error`` came of a full disk.
-        """
-        self._spill.close()
-        self._file.give_up(error)
+    def _close(self) -> None:
+        self._file.close()
 
     def append(self, points: Mapping[str, NDArray]) -> None:
         """Add points.
@@ -100,7 +98,10 @@ class TileWriter:
         self._write_tiles(1)
         for tile in sorted(self._spill.tiles):
             self._write(tile, np.empty(0, np.intp))
-        return self._file.finish(self._tile_size_m)
+        tiles = self._file.finish(self._tile_size_m)
+        self._is_finished = True
+        self.keep()
+        return tiles
 
     def _write_tiles(self, least: int) -> None:
         """Write the tiles that have at least so many points; keep the others."""

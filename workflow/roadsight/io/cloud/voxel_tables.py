@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from types import TracebackType
+from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
@@ -12,13 +12,15 @@ import pyarrow.parquet as pq
 
 from roadsight.base.arrays import Bytes, Ints32
 from roadsight.io.records.arrow import as_table, schema_of
-from roadsight.io.records.atomic import atomic_path, close_within, open_within
+from roadsight.io.records.atomic import WholeFile
 
 _GROUP = 1 << 20
+"""Rows of a row group. Groups are cut at whole multiples, so that the bytes do not depend on the
+pieces in which voxels come."""
 _SCHEMA = schema_of({**dict.fromkeys(("ix", "iy", "iz"), "i4"), "cls": "u1"})
 
 
-class VoxelTableWriter:
+class VoxelTableWriter(WholeFile):
     """Writes columns ix, iy, iz and cls; the bytes do not depend on the pieces.
 
     Parameters
@@ -27,26 +29,28 @@ class VoxelTableWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], about: dict[str, Any]) -> None:
-        self._place = atomic_path(path)
+        super().__init__(path)
         self._schema = _SCHEMA.with_metadata(
             {b"roadsight": json.dumps(about, sort_keys=True).encode()}
         )
         self._waiting: list[pa.Table] = []
         self.rows = 0
 
-    def __enter__(self) -> VoxelTableWriter:
-        self._file = open_within(
-            self._place,
-            lambda path: pq.ParquetWriter(
-                path,
-                self._schema,
-                compression="zstd",
-                write_page_checksum=True,
-                use_dictionary=False,
-                column_encoding=dict.fromkeys(_SCHEMA.names, "BYTE_STREAM_SPLIT"),
-            ),
+    def _open(self, temporary: Path) -> None:
+        self._file = pq.ParquetWriter(
+            temporary,
+            self._schema,
+            compression="zstd",
+            write_page_checksum=True,
+            use_dictionary=False,
+            column_encoding=dict.fromkeys(_SCHEMA.names, "BYTE_STREAM_SPLIT"),
         )
-        return self
+
+    def _complete(self) -> None:
+        self._flush(whole_groups=False)
+
+    def _close(self) -> None:
+        self._file.close()
 
     def add(self, indices: Ints32, cls: Bytes) -> None:
         """Add voxels: indices ix, iy, iz (n, 3) and classes (n,)."""
@@ -64,16 +68,3 @@ class VoxelTableWriter:
         if cut:
             self._file.write_table(waiting.slice(0, cut), row_group_size=_GROUP)
         self._waiting = [waiting.slice(cut)]
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        def close() -> None:
-            if error is None:
-                self._flush(whole_groups=False)
-            self._file.close()
-
-        close_within(self._place, close, error)

@@ -13,6 +13,7 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.sighting_tables import read_text_table
 
 _PLACES = (("x", "y"), ("lon", "lat"), ("longitude", "latitude"))
+"""Names of the columns of a place: in the site's CRS, or in degrees."""
 
 
 def read_pairs(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:

@@ -12,11 +12,22 @@ import numpy as np
 from roadsight.base.arrays import Numbers
 
 _MOST_PIXELS = 1 << 28
-_JPEG, _PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
+"""Larger images are refused before they are decoded: a damaged header may announce any size."""
+_JPEG = b"\xff\xd8"
+"""First bytes of a JPEG."""
+_PNG = b"\x89PNG\r\n\x1a\n"
+"""First bytes of a PNG."""
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+"""JPEG markers that begin a frame and tell the size; of the three left out, two begin tables and
+one is reserved."""
 _BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
-_ORIENTATION, _GPS_IFD = 0x0112, 0x8825
+"""JPEG markers without a length and content."""
+_ORIENTATION = 0x0112
+"""EXIF tag: how the image is to be turned; from 5 on, by a quarter."""
+_GPS_IFD = 0x8825
+"""EXIF tag: place of the directory of GPS tags."""
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8}
+"""Length of a value of each TIFF type."""
 
 
 @dataclass(frozen=True)

@@ -14,13 +14,15 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Numbers
 from roadsight.base.errors import InputError
-from roadsight.io.records.atomic import atomic_path, close_within, open_within
+from roadsight.io.records.atomic import WholeFile
 
 _ABOUT = "about.json"
+"""Name of the description in the ZIP."""
 _DATE = (1980, 1, 1, 0, 0, 0)
+"""The earliest date that a ZIP can hold, so that the same images give the same bytes."""
 
 
-class ImageShardWriter:
+class ImageShardWriter(WholeFile):
     """Writes images one by one; the file appears under its name when all is well.
 
     Parameters
@@ -29,18 +31,15 @@ class ImageShardWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], about: dict[str, Any] | None = None) -> None:
-        self._place = atomic_path(path)
+        super().__init__(path)
         self._about = about or {}
 
-    def __enter__(self) -> ImageShardWriter:
-        self._zip = open_within(self._place, self._begin)
-        return self
+    def _open(self, temporary: Path) -> None:
+        self._zip = zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED)
+        self._add(_ABOUT, json.dumps(self._about, sort_keys=True).encode())
 
-    def _begin(self, path: Path) -> zipfile.ZipFile:
-        archive = zipfile.ZipFile(path, "w", zipfile.ZIP_STORED)
-        about = json.dumps(self._about, sort_keys=True).encode()
-        archive.writestr(zipfile.ZipInfo(_ABOUT, _DATE), about)
-        return archive
+    def _close(self) -> None:
+        self._zip.close()
 
     def write(self, name: str, image: Bytes | NDArray[np.uint16]) -> None:
         """Add an image (rows, columns) or (rows, columns, 3 BGR) under ``name`` (no extension)."""
@@ -51,9 +50,6 @@ class ImageShardWriter:
 
     def _add(self, name: str, content: bytes) -> None:
         self._zip.writestr(zipfile.ZipInfo(name, _DATE), content)
-
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        close_within(self._place, self._zip.close, error)
 
 
 class ImageShard:

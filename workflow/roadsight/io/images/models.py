@@ -18,8 +18,11 @@ from roadsight.io.records.checksums import sha256
 from roadsight.poles.images.manifest import LabelMap, Manifest
 
 _FLOAT = "tensor(float)"
+"""Type of a network's input, by ONNX."""
 _LABEL_TYPES = ("tensor(uint8)", "tensor(int32)", "tensor(int64)", "tensor(float)")
+"""Types of an output of labels, by ONNX."""
 _CHANNELS = 3
+"""Networks take colour images."""
 
 
 @dataclass(frozen=True)

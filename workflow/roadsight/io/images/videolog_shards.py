@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import os
 import zipfile
-from typing import Any
+from pathlib import Path
 
 import cv2
 import pandas as pd
 
 from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
-from roadsight.io.records.atomic import atomic_path, close_within, open_within
+from roadsight.io.records.atomic import WholeFile, atomic_path
 
 _DATE = (1980, 1, 1, 0, 0, 0)
+"""The earliest date that a ZIP can hold, so that the same images give the same bytes."""
 
 
-class JpegShardWriter:
+class JpegShardWriter(WholeFile):
     """Writes JPEGs one by one into a ZIP, which appears under its name when all is well.
 
     A ZIP is one file that a workflow can declare; unpacked, it is the folder of images that a
@@ -28,14 +29,14 @@ class JpegShardWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], quality: int = 90) -> None:
-        self._place = atomic_path(path)
+        super().__init__(path)
         self._options = [cv2.IMWRITE_JPEG_QUALITY, quality]
 
-    def __enter__(self) -> JpegShardWriter:
-        self._zip = open_within(
-            self._place, lambda path: zipfile.ZipFile(path, "w", zipfile.ZIP_STORED)
-        )
-        return self
+    def _open(self, temporary: Path) -> None:
+        self._zip = zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED)
+
+    def _close(self) -> None:
+        self._zip.close()
 
     def write(self, name: str, image: Bytes) -> None:
         """Add an image (rows, columns, 3 BGR) under ``name``, which ends in .jpg."""
@@ -43,9 +44,6 @@ class JpegShardWriter:
         if not done:
             raise InputError("cannot be written as JPEG", where=name, found=image.dtype)
         self._zip.writestr(zipfile.ZipInfo(name, _DATE), encoded.tobytes())
-
-    def __exit__(self, kind: Any, error: Any, trace: Any) -> None:
-        close_within(self._place, self._zip.close, error)
 
 
 def write_csv(path: str | os.PathLike[str], table: pd.DataFrame, decimals: dict[str, int]) -> None:

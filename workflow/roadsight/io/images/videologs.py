@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Bytes
+from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import ImageFacts, decoded_image, image_facts
 
@@ -26,8 +26,11 @@ _ALIASES = {
     "left_image": ("left_image", "left"),
     "right_image": ("right_image", "right"),
 }
+"""Names that a table's columns may have, the usual first."""
 _MOST_BYTES = 1 << 28
+"""Larger images are refused: a ZIP may unpack to any size."""
 _ONE_ROUTE = "route"
+"""Route of images that name none."""
 
 
 class ImageSource:
@@ -264,3 +267,18 @@ def _check_inside(name: str, where: Path) -> None:
     path = PurePosixPath(name.replace("\\", "/"))
     if not name or path.is_absolute() or ".." in path.parts or re.match(r"[A-Za-z]:", name):
         raise InputError("an image's name leads out of the folder", where=str(where), found=name)
+
+
+def read_positions(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
+    """Latitude and longitude, degrees, of the images of a videolog that have both.
+
+    Raises
+    ------
+    InputError : as `read_videolog_table`, or no image has a position.
+    """
+    tagged = Path(path).is_dir() or Path(path).suffix.lower() == ".zip"
+    table = _from_exif(ImageSource(path)) if tagged else _from_csv(Path(path))
+    placed = table.dropna(subset=["latitude", "longitude"])
+    if not len(placed):
+        raise InputError("has no image with a position", where=str(path))
+    return placed["latitude"].to_numpy(float), placed["longitude"].to_numpy(float)

@@ -19,7 +19,9 @@ from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.whole import check_raster
 
 _CONTENT = "CONTENT"
-_HEIGHT, _VALUE = "height", "value"
+"""Tag that says whether a raster holds heights, which have an origin, or other values."""
+_HEIGHT = "height"
+_VALUE = "value"
 
 
 @dataclass(frozen=True)

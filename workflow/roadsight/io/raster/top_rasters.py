@@ -10,7 +10,6 @@ import os
 from collections.abc import Collection
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -25,19 +24,23 @@ from roadsight.base.arrays import Bytes, Floats, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
-from roadsight.io.records.atomic import atomic_path, close_within, open_within
+from roadsight.io.records.atomic import WholeFile
 from roadsight.io.records.whole import check_raster
 
 if TYPE_CHECKING:  # compiled loops that a reader does not need
     from roadsight.scene.voxels.voxel_classes import Columns, VoxelGrid
 
-_BLOCK_ROWS, _BLOCK_COLUMNS = 128, 256
+_BLOCK_ROWS = 128
+"""Rows of a block; the writer holds one row of blocks, so that lower blocks take less memory."""
+_BLOCK_COLUMNS = 256
+"""Columns of a block."""
 _NODATA = -9999.0
+"""Where nothing was hit; no class, height or share can have this value."""
 _CACHE_MIB = 16  # each block is read once
 _BANDS = ("class", "height", "road share")
 
 
-class TopRasterWriter:
+class TopRasterWriter(WholeFile):
     """Writes columns of voxels; blocks without any are left out of the file.
 
     Parameters
@@ -46,13 +49,22 @@ class TopRasterWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], frame: Frame, grid: VoxelGrid) -> None:
-        self._place, self._frame, self._grid = atomic_path(path), frame, grid
+        super().__init__(path)
+        self._frame, self._grid = frame, grid
         self._block, self._written = -1, 0
         self._pixels = np.full((len(_BANDS), _BLOCK_ROWS, grid.shape[0]), _NODATA, np.float32)
 
-    def __enter__(self) -> TopRasterWriter:
-        self._file = open_within(self._place, self._create)
-        return self
+    def _open(self, temporary: Path) -> None:
+        self._file = self._create(temporary)
+
+    def _complete(self) -> None:
+        self._flush()
+
+    def _close(self) -> None:
+        self._file.close()
+
+    def _check(self) -> None:
+        check_raster(Path(self._file.name), len(_BANDS) * self._written)
 
     def _create(self, path: Path) -> DatasetWriter:
         columns, rows, _ = self._grid.shape
@@ -112,21 +124,6 @@ class TopRasterWriter:
                 self._file.write(part, window=Window(west, first, part.shape[2], rows))
                 self._written += 1
         self._pixels.fill(_NODATA)
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        def close() -> None:
-            if error is None:
-                self._flush()
-            self._file.close()
-            if error is None:
-                check_raster(Path(self._file.name), len(_BANDS) * self._written)
-
-        close_within(self._place, close, error)
 
 
 @dataclass(frozen=True)

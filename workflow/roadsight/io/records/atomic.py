@@ -6,17 +6,20 @@ import glob
 import json
 import os
 import socket
-from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import Any, TypeVar
+from types import TracebackType
+from typing import Any, Self
 
 from roadsight.base.errors import InputError
 
 _HOST = socket.gethostname().partition(".")[0]
+"""Part of a temporary's name, because the processes of other hosts cannot be looked up here."""
 _PROBE_BYTES = 1 << 20
-
-File = TypeVar("File")
+"""Written after a failure to learn whether the disk is full, because libraries say everything but
+that. Less might still fit where a library's block did not."""
 
 written: set[Path] = set()
 """Files that this process wrote, by absolute path."""
@@ -59,37 +62,74 @@ def no_room(path: Path) -> InputError:
     )
 
 
-def open_within(place: AbstractContextManager[Path], open_file: Callable[[Path], File]) -> File:
-    """Enter ``place``, which is `atomic_path`, and open its temporary; leave it if that fails."""
-    temporary = place.__enter__()
-    try:
-        return open_file(temporary)
-    except Exception as error:
-        place.__exit__(type(error), error, error.__traceback__)
-        raise
+class Incomplete(BaseException):
+    """Raised by a `WholeFile` whose file must not appear though its block ended well."""
 
 
-def close_within(
-    place: AbstractContextManager[Path], close: Callable[[], None], error: BaseException | None
-) -> None:
-    """Close a file that was opened in ``place``, which is `atomic_path`, at the end of a block.
+class WholeFile(ABC):
+    """Base of writers that write one file piece by piece: it appears whole or not at all.
+
+    The file appears under its name if the writer's block ends well, and is removed otherwise. It
+    is written to the temporary of `atomic_path`, which also tells a full disk from other errors.
 
     Parameters
     ----------
-    close : writes the rest and closes the file. error : what ended the block early, if anything.
+    path : the file to write.
     """
-    late = None
-    try:
-        close()
-    except Exception as raised:
-        late = raised
-    failure = error or late
-    if failure is None:
-        place.__exit__(None, None, None)
-        return
-    place.__exit__(type(failure), failure, failure.__traceback__)
-    if error is None:
-        raise failure
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = path
+        self._whole = ExitStack()
+
+    @abstractmethod
+    def _open(self, temporary: Path) -> None:
+        """Open the file under its temporary name."""
+
+    def _complete(self) -> None:  # noqa: B027  # most writers hold nothing back
+        """Write what is still held back: the block ended well. `Incomplete` drops the file."""
+
+    @abstractmethod
+    def _close(self) -> None:
+        """Close the file, after `_complete` or after an error."""
+
+    def _check(self) -> None:  # noqa: B027  # most libraries raise by themselves
+        """Raise if the file, now closed, is not whole."""
+
+    @contextmanager
+    def _being_written(self) -> Iterator[None]:
+        with atomic_path(self._path) as temporary:
+            self._open(temporary)
+            try:
+                yield
+                self._complete()
+            except BaseException:
+                with suppress(Exception):  # the first error is the one that tells why
+                    self._close()
+                raise
+            self._close()
+            self._check()
+
+    def __enter__(self) -> Self:
+        self._whole.enter_context(self._being_written())
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        with suppress(Incomplete):
+            self._whole.__exit__(kind, error, trace)
+
+    def keep(self) -> None:
+        """Let the file appear before the block ends; nothing can be added after that.
+
+        Raises
+        ------
+        InputError : the disk is full.
+        """
+        self._whole.close()
 
 
 def _temporary_name(target: Path, process: str) -> str:

@@ -11,7 +11,6 @@ import os
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 import pyarrow as pa
@@ -23,13 +22,19 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
-from roadsight.io.records.atomic import atomic_path, close_within, open_within
+from roadsight.io.records.atomic import WholeFile
 
 _KEY = b"roadsight"
+"""Of the file's metadata."""
 _VERSION = 1
+"""Of the layout; files of another are refused."""
 _LEVEL = 3
+"""Of Zstandard: its own default."""
 _MAPS_IN_GROUP = 8
+"""Maps of a row group, which is read as a whole: few, so that one map costs little memory."""
 _MAX_STEPS = 65_000
+"""Steps up to the sensor's range: a little less than the 65,535 that 16 bits hold, so that ranges
+just beyond it fit."""
 _SCHEMA = pa.schema([("candidate", pa.string()), ("steps", pa.binary())])
 
 
@@ -56,7 +61,7 @@ def range_step_m(max_range_m: float) -> float:
     return float(np.ceil(max_range_m / _MAX_STEPS * 1000) / 1000)
 
 
-class DepthMapWriter:
+class DepthMapWriter(WholeFile):
     """Writes depth maps one after the other; the file appears when the block ends well.
 
     Parameters
@@ -66,34 +71,23 @@ class DepthMapWriter:
     """
 
     def __init__(self, path: str | os.PathLike[str], info: DepthMapInfo) -> None:
+        super().__init__(path)
         about = {"version": _VERSION, **asdict(info)}
         self._info = info
         self._schema = _SCHEMA.with_metadata({_KEY: json.dumps(about, sort_keys=True).encode()})
-        self._atomic = atomic_path(path)
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
         self._pending: list[tuple[str, bytes]] = []
 
-    def __enter__(self) -> DepthMapWriter:
-        self._writer = open_within(
-            self._atomic,
-            lambda path: pq.ParquetWriter(
-                path, self._schema, compression="none", write_page_checksum=True
-            ),
+    def _open(self, temporary: Path) -> None:
+        self._writer = pq.ParquetWriter(
+            temporary, self._schema, compression="none", write_page_checksum=True
         )
-        return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        def close() -> None:
-            if error is None:
-                self._flush()
-            self._writer.close()
+    def _complete(self) -> None:
+        self._flush()
 
-        close_within(self._atomic, close, error)
+    def _close(self) -> None:
+        self._writer.close()
 
     def append(self, candidate: str, range_m: Floats32) -> None:
         """Add the depth map (rows, columns), metres, 0 where nothing returns, of a candidate."""

@@ -11,7 +11,9 @@ from roadsight.base.errors import InputError
 from roadsight.io.records.sources import package_digest
 
 _OWN = {"results", "logs", ".snakemake", ".git"}
+"""What a mirror has of its own; everything else of the project is linked."""
 _METADATA = Path(".snakemake/metadata")
+"""What Snakemake knows of outputs: without it, all of them would be stale."""
 
 
 def mirror_site(base: Path, folder: Path, site: str) -> None:

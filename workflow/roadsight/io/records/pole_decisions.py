@@ -13,7 +13,10 @@ from roadsight.io.records.sighting_tables import read_text_table, write_csv
 
 ACCEPT, REJECT, MOVE = "accept", "reject", "move"
 _KINDS = (ACCEPT, REJECT, MOVE)
-_PLACE, _TO = ["x", "y"], ["to_x", "to_y"]
+_PLACE = ["x", "y"]
+"""Where the pole lies that is decided on."""
+_TO = ["to_x", "to_y"]
+"""Where it is moved to."""
 COLUMNS = ("decision", "kind", *_PLACE, *_TO, "pole")
 
 

@@ -13,7 +13,10 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import atomic_path
 
 _NEEDED = {"lat": (-90.0, 90.0), "lon": (-180.0, 360.0), "bearing": (-360.0, 720.0)}
+"""Columns that a table must have, with the least and greatest value; both ways of counting angles
+are taken."""
 _DECIMALS = 4
+"""Of written coordinates in the cloud's unit, a tenth of a millimetre in metres."""
 _OPTIONAL = ("depth", "sigma_bearing_deg", "sigma_depth_m")
 
 

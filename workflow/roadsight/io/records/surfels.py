@@ -11,7 +11,8 @@ import pandas as pd
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.scene.surfels.surfels import Surfels
 
-_CENTRE, _NORMAL = ["x", "y", "z"], ["nx", "ny", "nz"]
+_CENTRE = ["x", "y", "z"]
+_NORMAL = ["nx", "ny", "nz"]
 
 
 def write_surfels(

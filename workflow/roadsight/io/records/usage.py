@@ -9,8 +9,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _STATUS = Path("/proc/self/status")
+"""Where Linux tells the peak of memory."""
 _LINE = "used {cpu_s:.2f} CPU s, at most {peak_mib:.0f} MiB"
+"""Last line of a step's log."""
 _PATTERN = re.compile(r"used (\d+\.\d+) CPU s, at most (\d+) MiB")
+"""The same, to be found again."""
 
 
 @dataclass(frozen=True)

@@ -16,6 +16,7 @@ from roadsight.io.vector.vector_sources import load_local
 
 _HEIGHT = "height_m"
 _HIGHEST_M = 100.0
+"""A mount that is said to be higher is taken for a mistake of unit or column."""
 
 
 def read_mounts(path: str | os.PathLike[str], frame: Frame) -> pd.DataFrame:

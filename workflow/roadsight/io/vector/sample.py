@@ -12,6 +12,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import write_json
 
 _DECIMALS = 3
+"""Of written coordinates in the cloud's unit, a millimetre in metres."""
 
 
 def write_native_lines(

@@ -19,9 +19,14 @@ from roadsight.geometry.crs import horizontal, parse_crs
 from roadsight.geometry.frames import Frame
 from roadsight.io.vector.line_tables import read_line_table
 
-_GEOJSON, _TABLE = (".geojson", ".json"), (".csv",)
+_GEOJSON = (".geojson", ".json")
+"""Formats whose CRS is WGS 84 unless the file names another."""
+_TABLE = (".csv",)
+"""Formats that are read as tables of vertices."""
 _OTHER = (".gpkg", ".shp", ".fgb", ".sqlite", ".gml", ".kml")
+"""Formats whose files name their CRS where they have one."""
 _NATIVE = ("local", "native")
+"""Words for the cloud's own coordinates."""
 _WGS84 = CRS.from_epsg(4326)
 
 Mapping = Callable[[Floats], Floats]

@@ -28,8 +28,11 @@ KINDS = ("edge", "median", "line")
 """Kinds of lines along which sensors may stand."""
 
 _NAME_COLUMNS = ("edge", "name", "id")
+"""Columns that may hold a feature's name, the first that is there."""
 _FIXED_DATE = "2000-01-01T00:00:00.000Z"
+"""Time of change in a GeoPackage, so that the same features give the same bytes."""
 _GEOJSON_DECIMALS = "9"
+"""Of degrees: a tenth of a millimetre."""
 
 
 def write_layers(

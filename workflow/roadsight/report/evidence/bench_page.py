@@ -18,8 +18,15 @@ ASSETS = (TEMPLATE, *STYLES)
 BOUND = "bound: "
 """Begins the name of what nothing can be faster than."""
 
-_LEFT, _RIGHT, _TOP, _ROW, _BOTTOM, _WIDTH = 400.0, 60.0, 12.0, 20.0, 34.0, 1060.0
+# Margins and sizes of the plot, px.
+_LEFT = 400.0  # names of the rows
+_RIGHT = 60.0  # the ratio behind the longest bar
+_TOP = 12.0
+_ROW = 20.0
+_BOTTOM = 34.0  # numbers and title of the axis
+_WIDTH = 1060.0
 _LEAST_DECADE = -2
+"""Ratios below a hundredth are drawn as one, so that one of them does not squeeze all bars."""
 
 
 def render_bench(

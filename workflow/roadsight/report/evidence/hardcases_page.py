@@ -18,7 +18,13 @@ ASSETS = (TEMPLATE, *STYLES)
 """Names of the files that `render_hardcases` needs."""
 
 _DECADES = 9
-_LEFT, _RIGHT, _TOP, _ROW, _BOTTOM = 300.0, 24.0, 26.0, 15.0, 34.0
+"""Errors over bounds are drawn from 1e-9 to 1e9; smaller and larger ones stand at the ends."""
+# Margins and sizes of the plot, px.
+_LEFT = 300.0  # names of the cases
+_RIGHT = 24.0
+_TOP = 26.0  # the word above the line of the bounds
+_ROW = 15.0
+_BOTTOM = 34.0  # numbers and title of the axis
 _WIDTH = 1060.0
 
 

@@ -10,10 +10,18 @@ from roadsight.report.poles.poles_layers import ACCEPTED, UNUSED
 from roadsight.report.site.cautions import Caution
 from roadsight.report.wording import counted, number, percent
 
-_FEW_IMAGES, _FEW_SIGHTINGS, _FEW_CHECKED = 20, 20, 10
+_FEW_IMAGES = 20
+"""Fewer images are warned of: most poles are then seen from few sides."""
+_FEW_SIGHTINGS = 20
+"""Fewer sightings are warned of."""
+_FEW_CHECKED = 10
+"""Fewer known poles are warned of: a mean over them says little."""
 _LEAST_ALIGNED = 0.7
+"""A smaller share of aligned images is warned of."""
 _WIDE_SIGMA_M = 5.0
+"""Poles with a longer major half axis (one sigma) count as uncertain."""
 _WIDE_SHARE = 0.2
+"""A larger share of uncertain poles is warned of."""
 
 
 def pole_cautions(

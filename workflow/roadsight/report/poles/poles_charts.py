@@ -12,9 +12,15 @@ from roadsight.report.poles import published
 from roadsight.report.poles.poles_layers import ACCEPTED, REJECTED
 from roadsight.report.wording import counted, number
 
-_WIDE, _LOW = 1000.0, 176.0
+_WIDE = 1000.0
+"""Width of a plot along a route, px: about that of the page."""
+_LOW = 176.0
+"""Height of a plot along a route, px: several stand below each other."""
 _SHOWN_SHARE = 0.99
+"""Share of the values that an axis must show; a few wild ones lie outside, so that the others are
+not squeezed."""
 _BINS = 20
+"""Bars of a histogram."""
 _PANELS = (
     ("residual_px", None, "Residual, px"),
     ("yaw_deg", "sigma_yaw_deg", "Turned right, °"),

@@ -14,6 +14,7 @@ from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.poles.sightings.sighting_depth import road_points, sample_depth
 
 _MOST_SAMPLES = 400
+"""Points of the plot of a fit; more would only cover each other."""
 _SOURCES = ("network", "ground", "lidar")
 
 

@@ -16,11 +16,19 @@ from roadsight.report.packing import pack
 from roadsight.report.poles.poles_layers import ACCEPTED, REJECTED, finite
 
 MOST_IMAGES = 24
+"""Images in the page, which holds them itself: each adds its bytes."""
 WIDTH_PX = 640
+"""Width to which larger images are reduced."""
 _JPEG_QUALITY = 74
+"""Of reduced images: small, and edges still stand out."""
 _MOST_POINTS = 1200
-_NEAR_M, _FAR_M = 3.0, 80.0
+"""Points of each kind that are drawn on an image."""
+_NEAR_M = 3.0
+"""Points nearer to the camera are not drawn: they are under the vehicle or far out of the image."""
+_FAR_M = 80.0
+"""Points further from the camera are not drawn: they would crowd at the horizon."""
 _STEPS_PER_PX = 8
+"""Places of drawn points are stored in eighths of a pixel."""
 
 
 def choose_images(cameras: pd.DataFrame, most: int = MOST_IMAGES) -> list[int]:

@@ -19,8 +19,11 @@ from roadsight.report.site.thinning import thin
 
 ACCEPTED, REJECTED, UNUSED = 0, 1, 2
 _MOST_EDGE_POINTS = 60_000
+"""Points of road edges on the map, packed into the page."""
 _OPEN_RAY_M = 30.0
+"""Length of the drawn ray of a sighting without a depth."""
 _MOST_APART_DEG = 10.0
+"""A ray and a pole further apart in direction do not belong together."""
 
 
 def cameras_of(frames: pd.DataFrame, cameras: pd.DataFrame) -> pd.DataFrame:

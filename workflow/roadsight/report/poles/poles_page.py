@@ -30,6 +30,7 @@ from roadsight.report.poles.poles_layers import (
 from roadsight.report.poles.poles_raster import class_layer
 
 FORMAT = "roadsight.poles-page/1"
+"""Of the page's content; the report refuses others."""
 
 ReadImage = Callable[[str], Bytes]
 ReadEdges = Callable[[str], pd.DataFrame]

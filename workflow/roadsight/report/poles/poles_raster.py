@@ -19,8 +19,11 @@ LEVELS = 40
 """Grey levels between two kinds, so that no rounding in a browser mixes them up."""
 
 _KIND_OF_CLASS = {2: 2, 3: 3, 4: 3, 5: 3, 6: 4, 11: 5, 17: 6}
+"""Colours of the picture by class of LAS: vegetation, of any height, has one."""
 _MOST_CELLS = 2200
+"""Cells along the longer side of the picture; cells are merged until it is no larger."""
 _REACH_M = 80.0
+"""The picture ends so far from the route: what is further off tells nothing of its poles."""
 
 
 def class_layer(top: TopRaster, cameras_xy_m: ArrayLike) -> dict[str, Any] | None:

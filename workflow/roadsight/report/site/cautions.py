@@ -11,8 +11,10 @@ from roadsight.report.site.options_view import goal_text
 from roadsight.report.wording import counted, number, percent
 
 # Below these, one target or position more or less can change the number of sensors.
-_FEW_TARGETS, _FEW_POSITIONS = 100, 10
+_FEW_TARGETS = 100
+_FEW_POSITIONS = 10
 _PAVEMENT_WITH_TARGETS = 0.9
+"""A smaller share of the pavement with targets is warned of."""
 
 
 @dataclass(frozen=True)

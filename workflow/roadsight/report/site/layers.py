@@ -16,9 +16,13 @@ from roadsight.report.packing import pack, pack_points, to_byte
 from roadsight.report.site.shading import block_mean, hillshade
 
 UNKNOWN_HEIGHT = 255
+"""Step that says that a point's height above ground is not known."""
 _HEIGHT_STEP_M = 0.1
+"""Heights above ground are stored in bytes: up to 25.4 m."""
 _DRAWN_WITHIN_M = 0.05
+"""Drawn lines may be so far off; smaller values make the page larger."""
 _MOST_RELIEF_CELLS = 900
+"""Cells along the longer side of the shaded relief."""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from roadsight.report.charts import Chart, span_of
 from roadsight.report.wording import counted, number, percent
 
 _LISTED = 6
+"""Names in a cell of a table; of more, their number is told."""
 
 
 def goal_proven(goal: dict[str, Any], status: str) -> bool:

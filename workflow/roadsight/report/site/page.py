@@ -34,9 +34,11 @@ from roadsight.report.site.options_view import goal_proven
 from roadsight.report.site.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
 
 FORMAT = "roadsight.page/1"
+"""Of the page's content; the report refuses others."""
 IN_SIGHT = (0.5, 0.8, 0.9, 0.95)
 """Borders of the classes of the share of the time in sight, one fewer than the map has colours."""
 _MOST_OBSTACLES = 300
+"""Obstacles in the page: those that block most."""
 _OPTIONAL = ("cost", "loses", "mandatory", "pole")
 _POSE = ("position", "pitch_deg", "roll_deg")
 

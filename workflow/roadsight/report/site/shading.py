@@ -7,9 +7,14 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Floats
 
-_SUN_AZIMUTH_DEG, _SUN_ALTITUDE_DEG = 315.0, 45.0
+_SUN_AZIMUTH_DEG = 315.0
+"""Light from the north-west, as maps have it: from the south, hills would look like hollows."""
+_SUN_ALTITUDE_DEG = 45.0
+"""Height of the light above the horizon."""
 _EXAGGERATION = 2.0
+"""Slopes are drawn this much steeper: roadsides are too flat to show otherwise."""
 NO_DATA = 0
+"""Byte of cells without a height; shades go from 1 to 255."""
 
 
 def block_mean(heights_m: NDArray, cell_size_m: float, most_cells: int) -> tuple[Floats, float]:

@@ -35,6 +35,7 @@ from roadsight.stages.command import run_stage
 log = logging.getLogger("write_poles_page")
 
 _MOST_FITS_TRIED = 12
+"""Images of which the fit of depth is tried, spread over the drive, until one can be shown."""
 
 
 def write_poles_page(arguments: argparse.Namespace) -> None:

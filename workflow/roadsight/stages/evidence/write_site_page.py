@@ -31,7 +31,9 @@ from roadsight.stages.command import run_stage
 log = logging.getLogger("write_site_page")
 
 _CLOUD_POINTS = 150_000
+"""Points of the cloud in the page; three numbers of 16 bits each, before compression."""
 _RETURNS = 20_000
+"""Returns of a plan's virtual scans in the page."""
 # Points in memory before they are thinned evenly in space.
 _SAMPLED_POINTS = 2_000_000
 

@@ -28,8 +28,12 @@ from roadsight.studio.project import CLOUD, DEM, FRAME, GROUND, SiteFolder
 from roadsight.studio.site_files import OutdatedError
 
 _BRIGHT_PERCENT = 98.0
+"""Percentile of intensity that is drawn white; a few points above it, such as those of signs, would
+leave the road dark."""
 _SAMPLED_TILES = 9
+"""Tiles, spread over the cloud, that this percentile is taken from."""
 _KEPT_BYTES = 256 << 20
+"""Read tiles that are kept, so that finer levels of a tile need not read it again."""
 
 
 class SiteCloud:

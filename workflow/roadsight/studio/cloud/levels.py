@@ -22,7 +22,9 @@ RECORD = np.dtype(
 )
 """A point as the browser gets it: position by its tile's box, height above ground."""
 _STEPS = 65535
+"""Steps of a coordinate within a tile's box: what 16 bits hold."""
 _HIGHEST_CM = 32767
+"""Heights above ground are centimetres in 16 bits with a sign."""
 
 
 def level_of_points(xyz_m: Floats32) -> Bytes:

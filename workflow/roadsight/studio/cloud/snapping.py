@@ -9,14 +9,23 @@ from scipy.ndimage import gaussian_filter
 from roadsight.base.arrays import Floats, Floats32
 
 REACH_M = 1.0
+"""Edges further from the click are not looked for."""
 _MARGIN_M = 0.6
+"""Points are taken from so far beyond the reach, so that slopes at its rim are right."""
 _CELL_M = 0.1
+"""Cells that height and brightness are averaged over."""
 _BLUR_CELLS = 1.0
+"""Standard deviation of the blur, which bridges cells without points."""
 _STEP_M_PER_M = 0.12
+"""Steepness that counts as much as `_BRIGHT_PER_M`: 12 mm of height in a cell."""
 _BRIGHT_PER_M = 1.6
+"""Change of brightness a metre, as a share of its spread: a sixth of it in a cell."""
 _GROUND_M = 0.6
+"""Points higher above the lowest tenth are left out: cars, plants, poles."""
 _FEWEST = 60
+"""With fewer points around the click there is no edge to tell."""
 _LEAST_SCORE = 1.0
+"""Edges no steeper than the two steepnesses above do not stand out."""
 
 
 def snap_to_cloud(

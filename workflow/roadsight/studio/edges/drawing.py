@@ -34,6 +34,7 @@ _SECTION = "placement"
 LAYERS = ("edges", "zones", "mounts", "tma")
 _PAVEMENT = "scene/pavement.gpkg"
 _KNOT_M = 0.15
+"""A traced outline is drawn with as few knots as keep it within this distance."""
 
 
 def load_drawing(site: SiteFolder) -> dict[str, Any]:

@@ -14,7 +14,9 @@ from shapely import LineString, MultiPolygon, Polygon
 from roadsight.base.errors import InputError
 
 _FURTHEST_M = 1e6
+"""Largest coordinate, local metres, that is taken from a page."""
 _MOST = 5000
+"""Points of a shape, and poles, that are taken from a page."""
 Metre = Annotated[float, Field(ge=-_FURTHEST_M, le=_FURTHEST_M, allow_inf_nan=False)]
 Point = tuple[Metre, Metre]
 Points = Annotated[list[Point], Field(max_length=_MOST)]

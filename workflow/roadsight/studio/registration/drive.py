@@ -25,8 +25,11 @@ from roadsight.studio.project import CLOUD, DEM, FRAME, SiteFolder
 
 POSE = ("x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px")
 _USUAL_HFOV_DEG = 60.0
-_FRAMES, _ROAD = "poles/frames.parquet", "poles/road_edges.parquet"
-_CALIBRATION, _TERRAIN = "poles/calibration.json", "poles/terrain.npz"
+"""Field of view that an image starts from where nothing is known of its camera."""
+_FRAMES = "poles/frames.parquet"
+_ROAD = "poles/road_edges.parquet"
+_CALIBRATION = "poles/calibration.json"
+_TERRAIN = "poles/terrain.npz"
 _SHARED = ("nearest_m", "farthest_m", "edge_points", "pixels")
 
 

@@ -15,7 +15,9 @@ from roadsight.poles.drive.drive_lenses import Key, lens_of, with_given
 from roadsight.poles.images.straightening import source_places, straightened
 from roadsight.studio.project import SiteFolder
 
-_DRIVE, _EFFECTS, _DISTORTION = "poles/drive.json", "effects.json", "lens_distortion"
+_DRIVE = "poles/drive.json"
+_EFFECTS = "effects.json"
+_DISTORTION = "lens_distortion"
 
 
 def lens_for(site: SiteFolder, key: Key) -> RadialLens | None:

@@ -22,7 +22,16 @@ from roadsight.studio.project import CLOUD, DEM, SiteFolder
 from roadsight.studio.registration.drive import POSE, SiteDrive
 
 WINDOW_PX = 300.0
-_BESIDE_M, _AHEAD_M, _ROOM_DEG, _MOST_POINTS = 5.0, 150.0, 12.0, 60_000
+"""Points further from every pixel of an edge do not count."""
+_BESIDE_M = 5.0
+"""Points nearer than this are sent in all directions, because a camera that is moved may come to
+see them."""
+_AHEAD_M = 150.0
+"""Points further away are not sent."""
+_ROOM_DEG = 12.0
+"""Points so far beyond the image's sides are sent, so that the camera can be turned."""
+_MOST_POINTS = 60_000
+"""Points that are sent of an image, coarse ones first."""
 POINT = np.dtype([("xyz", "<f4", 3), ("height_m", "<f4")])
 Angle = Annotated[float, Field(ge=-360, le=360, allow_inf_nan=False)]
 Pixel = Annotated[float, Field(ge=-1e5, le=1e5, allow_inf_nan=False)]

@@ -30,7 +30,9 @@ from roadsight.studio.site_files import Writer, save_beside, saving
 
 _HAND = np.array([0.3, 0.3, 0.1, 0.005, 0.005, 0.005, 0.01])
 """Standard deviations of a pose set by eye: metres, radians, log focal length."""
-_BASELINE, _PAIRS, _CORRECTIONS = "baseline.json", "pairs.csv", "corrections.csv"
+_BASELINE = "baseline.json"
+_PAIRS = "pairs.csv"
+_CORRECTIONS = "corrections.csv"
 _HEADER = ["image", "pixel_x", "pixel_y", "x", "y", "z"]
 _LENS = ("cx_px", "cy_px")
 

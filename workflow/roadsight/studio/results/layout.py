@@ -25,6 +25,7 @@ from roadsight.studio.project import Project, SiteFolder
 
 TARGETS = "placement/targets.parquet"
 _MOST_SENSORS = 5000
+"""Sensors of a layout that are taken from a page."""
 _SUMMARY = (
     "status",
     "objective",

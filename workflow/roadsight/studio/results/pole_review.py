@@ -23,7 +23,9 @@ from roadsight.studio.project import Project, SiteFolder
 from roadsight.studio.registration.drive import images_of
 from roadsight.studio.site_files import Writer, save_beside, saving, site_version
 
-_POLES, _FRAMES, _HAZARD = "poles/poles.parquet", "poles/frames.parquet", "poles/hazard.parquet"
+_POLES = "poles/poles.parquet"
+_FRAMES = "poles/frames.parquet"
+_HAZARD = "poles/hazard.parquet"
 _FILE = "pole_decisions.csv"
 _SHOWN = (
     "id",
@@ -43,6 +45,7 @@ _SIGHTING = (*_SEEN, "bearing_grid_deg", "depth_m", "kept", "kind")
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}
 _TYPES = {".png": "image/png", ".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".webp": "image/webp"}
 _SAME_M = 0.01
+"""A decision and a pole so close belong together; files round places more finely."""
 
 
 class Decision(Shape):

@@ -9,7 +9,10 @@ from typing import Any
 from roadsight.studio.run.run_events import TARGETS, Event
 
 _SOON_S = 10.0
+"""Before this much of a run has passed, its speed says nothing, and full use of the cores is
+assumed."""
 _MOST_TEXT = 2000
+"""Characters of an error message that are kept."""
 
 
 @dataclass

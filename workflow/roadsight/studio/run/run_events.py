@@ -24,10 +24,15 @@ _HEADS = (
     "Software environment definition has changed",
     "Forced execution",
 )
+"""How Snakemake begins each reason for a job; files may follow."""
 _FOLLOWS = "Input files updated by another job"
+"""The reason that is another job's, not a cause of its own."""
 _SPLIT = re.compile(rf"; (?={'|'.join(map(re.escape, _HEADS))})")
+"""Reasons are parted by semicolons, and names of files may hold some."""
 _LONGEST = 300
+"""Characters of a reason; longer ones are cut."""
 _MOST_FILES = 4
+"""Files that a reason names; of more, their number is told."""
 
 Event = Mapping[str, Any]
 

@@ -20,19 +20,21 @@ from typing import Any, BinaryIO
 
 from roadsight.io.records.atomic import write_json
 
-LOCK, ORDER, BEGUN, ENDED, EVENTS, OUTPUT = (
-    "lock",
-    "order.json",
-    "begun.json",
-    "ended.json",
-    "events.jsonl",
-    "output.log",
-)
+# Files of a run in its folder.
+LOCK = "lock"
+ORDER = "order.json"
+BEGUN = "begun.json"
+ENDED = "ended.json"
+EVENTS = "events.jsonl"
+OUTPUT = "output.log"
 GRACE_S = 20.0
 """How long a run may take to stop before it is told more firmly."""
 BUSY = 3
 """Exit code: another run holds the lock."""
-_TRIES, _PAUSE_S = 20, 0.1
+_TRIES = 20
+"""How often the lock is tried: the studio holds it for moments, to see whether a run is alive."""
+_PAUSE_S = 0.1
+"""Between two tries."""
 
 
 def hold(folder: Path, tries: int = 1) -> BinaryIO | None:

@@ -37,8 +37,11 @@ from roadsight.studio.run.workflows_outside import lock_is_there, processes_outs
 
 FOLDER = ".snakemake/roadsight/run"
 _START_S = 20.0
+"""How long the process of a run may take to lead it, before the studio answers."""
 _LAST_STEPS = 8
+"""Finished steps that are shown."""
 _LOG_BYTES = 64 << 10
+"""End of a log that is shown."""
 _NO_RUN: dict[str, Any] = {"order": None}
 
 

@@ -23,7 +23,9 @@ from roadsight.studio.run.run_events import read_events
 _PACKAGES = Path(roadsight.__file__).resolve().parents[1]
 _OURS = "roadsight: "
 _DRY_RUN_S = 300.0
+"""Limit of a dry run, which takes longer with the steps of all sites."""
 _UNLOCK_S = 120.0
+"""Limit of removing a lock."""
 
 
 class Order(BaseModel):

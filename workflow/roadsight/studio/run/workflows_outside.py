@@ -8,9 +8,13 @@ from pathlib import Path
 from typing import Any
 
 _PROCESSES = Path("/proc")
+"""Where Linux lists processes."""
 _LOCKS = ".snakemake/locks"
+"""Where Snakemake keeps its lock on a folder."""
 _RUNNER = b"roadsight.studio.run.runner"
+"""By it the processes of the studio's own runs are known."""
 _NO_LOCK = (b"--dry-run", b"--dryrun", b"-n", b"--unlock")
+"""Calls of Snakemake with one of these do not hold its lock."""
 
 
 def lock_is_there(root: Path) -> bool:

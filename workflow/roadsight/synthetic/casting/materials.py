@@ -47,5 +47,6 @@ MATERIALS = {
     "wood": Material(0.30, 0.003),
     "leaves": Material(0.55, 0.030),
 }
+"""By name; arrays by material have their rows in this order."""
 
 MATERIAL_NAMES = tuple(MATERIALS)

@@ -19,6 +19,7 @@ from roadsight.base.arrays import Floats, Ints32
 from roadsight.synthetic.casting.kernel import kernel
 
 MIN_RANGE_M = 1e-6
+"""Hits no further than this are the surface that the ray starts on."""
 RECTANGLE, BOX, CYLINDER, TUBE, ELLIPSOID = range(5)
 
 

@@ -17,6 +17,7 @@ from roadsight.synthetic.casting.terrain import Terrain
 from roadsight.synthetic.casting.traversal import cast_rays
 
 _UNIT_TOLERANCE = 1e-6
+"""Directions whose length is further from 1 are refused, because ranges would not be metres."""
 
 NO_TERRAIN = Terrain(
     Alignment(0.0, 0.0, 1.0, 0.0, 0.0),

@@ -21,6 +21,7 @@ from roadsight.synthetic.casting.alignment import Alignment, heading_at, road_po
 from roadsight.synthetic.casting.kernel import kernel
 
 _SLACK_M = 1e-6
+"""Bounds are so much wider than computed: far more than rounding, far less than a bump."""
 
 
 class Terrain(NamedTuple):

@@ -9,13 +9,21 @@ from roadsight.synthetic.highway.highway_ground import WING_M, CrossSection
 from roadsight.synthetic.highway.roadside import Roadside
 
 _WALL_INNER_M = 12.5
+"""Offset of the inner face of the tunnel's outer walls."""
 _WALL_OUTER_M = 13.5
+"""Offset of their outer face."""
 _CLEARANCE_M = 6.6
+"""Height of the tunnel's ceiling above the road."""
 _PORTAL_TOP_M = 9.0
+"""Top of the portal wall above the road: it holds back the hill (`HILL_HEIGHT_M`)."""
 _RAIL_OFFSET_M = 12.35
+"""Offset of guard rails, in front of poles and signs."""
 _POST_OFFSET_M = 12.95
+"""Offset of lamps, signs and the gantry's post."""
 BUILDING_SHARE = 0.42
+"""Place of the hut along the open road; plants keep off it."""
 BUILDING_OFFSET_M = -36.0
+"""Its offset; below 0 is right of the road."""
 
 
 def add_furniture(road: Roadside, section: CrossSection, open_m: float, end_m: float) -> None:

@@ -12,8 +12,11 @@ from roadsight.synthetic.casting.materials import MATERIAL_NAMES, MATERIALS, Tru
 from roadsight.synthetic.highway.highway import Highway
 
 _REFLECTANCE = np.array([MATERIALS[name].reflectance for name in MATERIAL_NAMES])
+"""By row of `MATERIAL_NAMES`."""
 _ROUGHNESS_M = np.array([MATERIALS[name].roughness_m for name in MATERIAL_NAMES])
+"""By row of `MATERIAL_NAMES`."""
 _HALF_SIGNAL_M = 30.0
+"""Range at which intensity has fallen to half."""
 
 
 @dataclass(frozen=True)

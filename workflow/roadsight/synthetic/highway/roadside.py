@@ -13,7 +13,9 @@ from roadsight.synthetic.casting.scene import SceneBuilder, rotation_zyx
 from roadsight.synthetic.casting.terrain import Terrain, surface_height
 
 _FOUNDATION_M = 0.4
+"""Posts reach so far into the ground, so that no gap shows below them on a slope."""
 _PIECE_M = 4.0
+"""Longest straight piece of what follows the road."""
 
 
 @dataclass(frozen=True)

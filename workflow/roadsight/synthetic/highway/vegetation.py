@@ -10,8 +10,11 @@ from roadsight.synthetic.highway.furniture import BUILDING_OFFSET_M, BUILDING_SH
 from roadsight.synthetic.highway.roadside import Roadside
 
 _TREES_PER_M = 0.24
+"""Tried places by length of road; those too near to something else stay empty."""
 _BUSHES_PER_M = 0.36
+"""As of trees."""
 _KEEP_OFF_M = 6.0
+"""Between a tree and anything else, about the width of a crown."""
 
 
 def add_vegetation(road: Roadside, open_m: float, rng: np.random.Generator) -> None:

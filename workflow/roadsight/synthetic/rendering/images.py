@@ -24,10 +24,18 @@ from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_road import RuralSite
 
 _SHADOW_REACH_M = 120.0
-_LEAF_SHADOW_REACH_M, _FAR_LEAF_LIT = 60.0, 0.8
+"""Shadows fall on what is nearer to the camera; what is further away counts as lit."""
+_LEAF_SHADOW_REACH_M = 60.0
+"""Leaves further from the camera get `_FAR_LEAF_LIT` of the sun instead of a ray each."""
+_FAR_LEAF_LIT = 0.8
+"""Less than all of the sun, because crowns shade themselves."""
 _SHADOW_LIFT_M = 0.02
+"""Rays to the sun start so far off the surface, or they would meet it again in single precision."""
 _CHUNK_RAYS = 400_000
+"""Rays cast at once; they bound memory."""
 _SUPER = np.array([[-0.375, -0.125], [0.125, -0.375], [0.375, 0.125], [-0.125, 0.375]])
+"""Shifts, px, of four more rays in pixels at thin outlines, turned so that no two share a row or
+column."""
 _THIN = np.array(
     [
         m.name.startswith(("SIGN_", "STEEL", "WIRE", "POLE", "FENCE", "RAIL", "DELIN", "FITTING"))
@@ -35,6 +43,7 @@ _THIN = np.array(
     ]
     + [False]
 )
+"""By `Material`, and last by nothing: what is often thinner than a pixel."""
 _NOTHING = len(Material)
 
 

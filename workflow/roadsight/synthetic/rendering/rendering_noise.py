@@ -8,6 +8,7 @@ from roadsight.synthetic.casting.kernel import kernel
 
 Colour = tuple[float, float, float]
 _MASK = 0xFFFFFFFF
+"""Keeps whole numbers at 32 bits."""
 
 
 @kernel

@@ -27,14 +27,27 @@ from roadsight.synthetic.rural.rural_materials import (
 )
 from roadsight.synthetic.rural.rural_surface import Surface, ground_kind, line_cover
 
-_GRASS, _SHOULDER, _ROAD = int(Ground.GRASS), int(Ground.SHOULDER), int(Ground.ROAD)
-_SIDE, _GRAVEL, _BRIDGE = int(Ground.SIDE_ROAD), int(Ground.GRAVEL_DRIVE), int(Ground.BRIDGE)
-_WHITE, _YELLOW = int(Ground.WHITE_LINE), int(Ground.YELLOW_LINE)
-_GROUND, _FAR, _LEAVES = int(Material.GROUND), int(Material.FAR_FOREST), int(Material.LEAVES)
-_BUSH, _WOOD, _BARK = int(Material.BUSH), int(Material.POLE_WOOD), int(Material.BARK)
-_WALL, _ROOF, _PAINT = int(Material.WALL), int(Material.ROOF), int(Material.PAINT)
+# Plain numbers, as compiled code takes them.
+_GRASS = int(Ground.GRASS)
+_SHOULDER = int(Ground.SHOULDER)
+_ROAD = int(Ground.ROAD)
+_SIDE = int(Ground.SIDE_ROAD)
+_GRAVEL = int(Ground.GRAVEL_DRIVE)
+_BRIDGE = int(Ground.BRIDGE)
+_WHITE = int(Ground.WHITE_LINE)
+_YELLOW = int(Ground.YELLOW_LINE)
+_GROUND = int(Material.GROUND)
+_FAR = int(Material.FAR_FOREST)
+_LEAVES = int(Material.LEAVES)
+_BUSH = int(Material.BUSH)
+_WOOD = int(Material.POLE_WOOD)
+_BARK = int(Material.BARK)
+_WALL = int(Material.WALL)
+_ROOF = int(Material.ROOF)
+_PAINT = int(Material.PAINT)
 _DELINEATOR = int(Material.DELINEATOR)
 _SKY = 9
+"""`PixelClass.SKY`."""
 
 _PLAIN = np.zeros((len(Material), 3))
 for _material, _bgr in {
@@ -59,7 +72,9 @@ for _material, _bgr in {
 _PAINTS = np.array(
     [[0.5, 0.5, 0.5], [0.03, 0.03, 0.4], [0.3, 0.12, 0.03], [0.02, 0.02, 0.02], [0.7, 0.7, 0.7]]
 )
+"""Colours of vehicles: blue, green, red."""
 _WALLS = np.array([[0.62, 0.66, 0.68], [0.35, 0.5, 0.6], [0.5, 0.42, 0.35], [0.12, 0.16, 0.38]])
+"""Colours of walls: blue, green, red."""
 
 
 class Look(NamedTuple):

@@ -14,8 +14,11 @@ from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_mesh import MeshBuilder, raised, turned
 
 _SPAN_M = (35.0, 50.0)
+"""Least and greatest distance between utility poles."""
 _SIDES = 12
+"""Of a post, enough to look round."""
 _WIRE_PIECES = 10
+"""Straight pieces of a sagging wire."""
 
 
 @dataclass(frozen=True)
@@ -169,7 +172,9 @@ _OCTAGON = [
     (0.41 * math.cos(math.radians(a)), 0.41 * math.sin(math.radians(a)))
     for a in np.arange(22.5, 360.0, 45.0)
 ]
-_BLACK, _WHITE = Material.SIGN_BLACK, Material.SIGN_WHITE
+"""Corners of the STOP sign, m; its sides are level and upright."""
+_BLACK = Material.SIGN_BLACK
+_WHITE = Material.SIGN_WHITE
 _SIGNS = (
     (
         [(0.0, -0.54), (-0.54, 0.0), (0.0, 0.54), (0.54, 0.0)],

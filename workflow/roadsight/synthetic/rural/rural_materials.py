@@ -104,6 +104,7 @@ _REFLECTANCE = {
     Material.RAIL: 0.5,
     Material.TYRE: 0.05,
 }
+"""Of the scanner's light; others have 0.35."""
 _GROUND_REFLECTANCE = {
     Ground.GRASS: 0.45,
     Ground.SHOULDER: 0.3,
@@ -115,6 +116,7 @@ _GROUND_REFLECTANCE = {
     Ground.YELLOW_LINE: 0.5,
     Ground.BRIDGE: 0.2,
 }
+"""Of the scanner's light."""
 
 PIXEL_OF_MATERIAL: Bytes = np.array([_PIXEL.get(m, PixelClass.OTHER) for m in Material], np.uint8)
 """Pixel class by `Material`; GROUND's comes from `PIXEL_OF_GROUND`."""

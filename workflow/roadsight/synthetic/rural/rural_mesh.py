@@ -26,7 +26,9 @@ _BOX = np.array(
         [3, 7, 5],
     ]
 )
+"""Triangles of a box, by row of `_CORNERS`."""
 _CORNERS = np.array([[x, y, z] for z in (-1, 1) for y in (-1, 1) for x in (-1, 1)], float)
+"""Of a box with half edges of 1."""
 
 
 class Mesh(NamedTuple):

@@ -12,7 +12,9 @@ from roadsight.synthetic.rural.rural_furniture import Furnisher
 from roadsight.synthetic.rural.rural_materials import Material
 
 _TREES_PER_M = 1.15
+"""Tried places by length of road; those on open land or too near to something else stay empty."""
 _BUSHES_PER_M = 0.9
+"""As of trees."""
 _DETAIL = ((17.0, 3600, 0.26), (34.0, 1400, 0.42), (math.inf, 480, 0.8))
 """Farthest offset, leaves of a tree 10 m high, their size in metres."""
 

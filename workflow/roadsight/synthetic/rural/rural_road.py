@@ -40,11 +40,20 @@ from roadsight.synthetic.rural.rural_mesh import Mesh, MeshBuilder
 from roadsight.synthetic.rural.rural_plants import add_plants
 from roadsight.synthetic.rural.rural_surface import Surface, make_surface
 
-EPSG, VERTICAL_EPSG = 6543, 6360
+EPSG = 6543
+"""NAD83(2011) / North Carolina, US survey feet."""
+VERTICAL_EPSG = 6360
+"""Heights in US survey feet above NAVD88."""
 US_FOOT_M = 1200.0 / 3937.0
+"""By its definition."""
 ORIGIN_FT = (760_000.0, 600_000.0, 2_150.0)
+"""Easting, northing and height of the local origin."""
 _LEAD_M = 130.0
-_SHORTEST_M, _LONGEST_M = 60.0, 3000.0
+"""The road goes on so far beyond both ends of the site."""
+_SHORTEST_M = 60.0
+"""Shorter roads leave no room for what stands beside them."""
+_LONGEST_M = 3000.0
+"""Longer ones are refused, because the mesh grows with the length."""
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,24 @@ from roadsight.synthetic.casting.kernel import kernel
 from roadsight.synthetic.rural.rural_ground import GRAVEL_DRIVE, SIDE_ROAD, RuralGround
 from roadsight.synthetic.rural.rural_materials import Ground
 
-_GRASS, _SHOULDER, _ROAD = int(Ground.GRASS), int(Ground.SHOULDER), int(Ground.ROAD)
-_SIDE, _GRAVEL, _DRIVE = int(Ground.SIDE_ROAD), int(Ground.GRAVEL_DRIVE), int(Ground.PAVED_DRIVE)
-_WHITE, _YELLOW, _BRIDGE = int(Ground.WHITE_LINE), int(Ground.YELLOW_LINE), int(Ground.BRIDGE)
-_SIDE_ROAD_KIND, _GRAVEL_KIND = SIDE_ROAD, GRAVEL_DRIVE
-_DASH_M, _PERIOD_M = 3.0, 12.0
+# Plain numbers, as compiled code takes them.
+_GRASS = int(Ground.GRASS)
+_SHOULDER = int(Ground.SHOULDER)
+_ROAD = int(Ground.ROAD)
+_SIDE = int(Ground.SIDE_ROAD)
+_GRAVEL = int(Ground.GRAVEL_DRIVE)
+_DRIVE = int(Ground.PAVED_DRIVE)
+_WHITE = int(Ground.WHITE_LINE)
+_YELLOW = int(Ground.YELLOW_LINE)
+_BRIDGE = int(Ground.BRIDGE)
+_SIDE_ROAD_KIND = SIDE_ROAD
+_GRAVEL_KIND = GRAVEL_DRIVE
+_DASH_M = 3.0
+"""Painted part of a dashed middle line: about 10 ft of 40."""
+_PERIOD_M = 12.0
+"""From dash to dash."""
 _DOUBLE_OFFSET_M = 0.11
+"""Of either line of a double middle line from the middle."""
 
 
 class Surface(NamedTuple):

@@ -11,8 +11,11 @@ from roadsight.synthetic.rural.rural_road import RuralSite
 from roadsight.synthetic.rural.videolog_tables import pole_table
 
 _KINDS = ("side road", "gravel driveway", "paved driveway")
+"""By kind of branch (`SIDE_ROAD` and so on)."""
 _MARGIN_M = 20.0
+"""Layers go on so far beyond both ends of the road."""
 _ARC_POINTS = 24
+"""Points of a rounded corner."""
 
 
 def rural_layers(site: RuralSite) -> dict[str, gpd.GeoDataFrame]:

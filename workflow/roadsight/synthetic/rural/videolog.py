@@ -18,8 +18,11 @@ from roadsight.synthetic.rendering.images import Camera
 from roadsight.synthetic.rural.rural_road import RuralSite
 
 _LANE_M = 1.6
+"""Offset of the vehicle's way from the middle of the road."""
 _STITCH_OVERLAP_DEG = 1.5
+"""Side views overlap the front view by so much."""
 _UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+"""From a camera's axes (right, down, ahead) to right, ahead, up."""
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,7 @@ CAMERA_DECIMALS = (
     | {"latitude": 9, "longitude": 9}
     | {f"cam_from_world_r{i}{j}": 9 for i in range(3) for j in range(3)}
 )
+"""Of the true cameras, finer than anything is estimated."""
 POLE_DECIMALS = dict.fromkeys(("x_m", "y_m", "z_m", "easting_usft", "northing_usft"), 4) | {
     "height_usft": 4,
     "latitude": 9,
@@ -31,7 +32,9 @@ POLE_DECIMALS = dict.fromkeys(("x_m", "y_m", "z_m", "easting_usft", "northing_us
     "offset_m": 3,
     "edge_distance_m": 3,
 }
+"""Of the true poles."""
 VIDEOLOG_DECIMALS = {"latitude": 7, "longitude": 7}
+"""Of what a user gets: 1e-7 degrees are a centimetre."""
 
 
 def videolog_table(site: RuralSite, places: Sequence[Shot]) -> pd.DataFrame:
