@@ -37,15 +37,14 @@ def clearly(function, *arguments):
         os._exit(2)
 
 
-for (
-    path
-) in workflow.configfiles:  # Snakemake keeps the last of keys that are there twice
+# Snakemake keeps the last of keys that are there twice; reading the files refuses them.
+for path in workflow.configfiles:
     clearly(read_yaml, path)
 CONFIG = clearly(load_config, config)
 ASKED_SITES = clearly(load_sites, CONFIG)
 TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file)
-# Sites of trade-offs and of audits have rules like any other, but only `tradeoffs` and `audit` ask for
-# them, and they solve their own plans, whatever plans a run asks for.
+# Sites of trade-offs and of audits have rules like any other, but only the targets `tradeoffs` and
+# `audit` ask for them. They solve their own plans, whatever plans a run asks for.
 OWN_PLANS = CONFIG.model_copy(update={"plans": []})
 AUDIT_SITES = clearly(load_audit_sites, CONFIG.effects_file)
 SITES = (

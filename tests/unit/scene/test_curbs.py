@@ -5,7 +5,8 @@ import pytest
 
 from roadsight.scene.edges.curbs import CurbSettings, find_curbs, follow, smooth_line
 
-HALF_M, STEP_M = 4.0, 0.10
+HALF_M = 4.0
+STEP_M = 0.10
 
 
 def street(rng, step_m=STEP_M, radius_m=None, forecourt=True, count=400_000):

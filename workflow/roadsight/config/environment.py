@@ -10,16 +10,22 @@ from pathlib import Path
 from roadsight.io.records.sources import package_digest
 
 _PYC_HEADER_BYTES = 16
+"""What comes before the code in a compiled module (PEP 552)."""
 _THREADS = (
     "OMP_NUM_THREADS",
     "OPENBLAS_NUM_THREADS",
     "NUMBA_NUM_THREADS",
     "RAYON_NUM_THREADS",
 )
+"""What says how many threads each library starts."""
 _ALLOCATION = {
+    # Arrow takes memory from where NumPy does, so that each uses again what the other has freed.
     "ARROW_DEFAULT_MEMORY_POOL": "system",
+    # Large pages, see `docs/decisions/050-what-bounds-a-corridor.md`.
     "GLIBC_TUNABLES": "glibc.malloc.hugetlb=1",
+    # Bytes from which an array gets pages of its own, which go back as soon as it is freed.
     "MALLOC_MMAP_THRESHOLD_": str(2**25),
+    # Bytes that a stage keeps when they are freed.
     "MALLOC_TRIM_THRESHOLD_": str(2**28),
 }
 

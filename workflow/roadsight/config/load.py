@@ -18,6 +18,7 @@ from roadsight.config.sites import Site
 from roadsight.effects.catalogue import check_names, load_catalogue
 
 SITES = Path("config/sites")
+"""Where sites are that are named without a path."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ _FIRST = (
     "plans",
     "overrides",
 )
+"""Settings that come first, before the sections; the rest keeps the order of the schema."""
 
 
 def render_config() -> str:

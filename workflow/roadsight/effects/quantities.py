@@ -22,6 +22,7 @@ from roadsight.placement.sight.passing import CAR, TRUCK, expected_in_the_way, v
 from roadsight.placement.sight.shapes import shape_of
 
 _NEAREST_LANES = 2.0
+"""Lanes between the sensor and the target of `moving_vehicles`, one direction of a road of four."""
 
 
 def hole_filling(site: Circumstances) -> Quantity:

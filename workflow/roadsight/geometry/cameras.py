@@ -49,7 +49,7 @@ class Intrinsics:
     def contains(self, uv_px: ArrayLike, margin_px: float = 0.0) -> Bools:
         """Whether pixels (n, 2) lie in the image, or up to a margin outside it; NaN does not."""
         u, v = np.asarray(uv_px, np.float64).T
-        low = -0.5 - margin_px
+        low = -0.5 - margin_px  # pixel centres have whole coordinates: the image begins at -0.5
         return (
             (u >= low)
             & (u < self.width_px - 0.5 + margin_px)
@@ -66,6 +66,7 @@ def wrap_deg(angle_deg: ArrayLike) -> Floats:
 def compass_deg(angle_deg: ArrayLike) -> Floats:
     """Angle in [0, 360)."""
     turned = np.asarray(angle_deg, np.float64) % 360.0
+    # The remainder of a tiny negative angle rounds to 360 itself.
     return np.where(turned >= 360.0, 0.0, turned)
 
 
@@ -100,6 +101,7 @@ def attitude_deg(rotation: ArrayLike) -> tuple[Floats, Floats, Floats]:
     axes = np.asarray(rotation, np.float64)
     right, forward = axes[..., 0, :], axes[..., 2, :]
     heading = np.degrees(np.arctan2(forward[..., 0], forward[..., 1]))
+    # By the arc tangent: an arc sine of the rise loses half of the digits near the vertical.
     level = np.hypot(forward[..., 0], forward[..., 1])
     pitch = np.degrees(np.arctan2(forward[..., 2], level))
     roll = np.degrees(np.arctan2(right[..., 2], -axes[..., 1, 2]))

@@ -19,10 +19,18 @@ METRES_PER_UNIT = {"metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}
 """Metres in one unit of each name that a site file may state."""
 
 _EPSG_UNITS = {9001: "metre", 9002: "foot", 9003: "us-survey-foot"}
+"""EPSG codes of units, as GeoTIFF keys name them."""
 _AGREEMENT_M = 0.01
+"""CRSs that put a place no farther apart mean the same: clouds are less accurate than that."""
 _USER_DEFINED = 32767
-# GeoTIFF keys of a LAS header
-_GEOGRAPHIC, _PROJECTED, _LINEAR_UNIT, _VERTICAL_CRS, _VERTICAL_UNIT = 2048, 3072, 3076, 4096, 4099
+"""Value of a GeoTIFF key that says: no EPSG code, the definition follows in other keys."""
+
+# Numbers of the GeoTIFF keys that a LAS header may hold.
+_GEOGRAPHIC = 2048
+_PROJECTED = 3072
+_LINEAR_UNIT = 3076
+_VERTICAL_CRS = 4096
+_VERTICAL_UNIT = 4099
 
 
 @dataclass(frozen=True)

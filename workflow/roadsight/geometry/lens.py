@@ -18,7 +18,11 @@ from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
 _STEPS = 60
+"""Most steps of Newton's method. Bisection alone, to which it falls back, needs some 53 for all the
+bits of a double."""
 _WIDEST = 2.5
+"""Pinhole distance over the distance shown, at most, where the image never turns back: there the
+lens shows a place at more than 4/9 of its pinhole distance, so that the bracket needs 9/4."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +133,8 @@ def _turning_radius(k1: float, k2: float) -> float:
 def _undone(k1: float, k2: float, shown: Floats) -> Floats:
     """Pinhole distance (n,) of a distance shown (n,), in units; NaN beyond the last one shown."""
     turn = _turning_radius(k1, k2)
-    # Where the image never turns back, 9 k1^2 < 20 k2, so that the factor is above 1 - 5/9.
+    # Where the image never turns back, 9 k1^2 < 20 k2. The factor 1 + k1 r^2 + k2 r^4 is least at
+    # r^2 = -k1 / (2 k2), where it is 1 - k1^2 / (4 k2) and so above 1 - 5/9.
     high = np.full_like(shown, turn) if np.isfinite(turn) else _WIDEST * shown
     last = high * (1.0 + high**2 * (k1 + k2 * high**2))
     low, r = np.zeros_like(shown), np.minimum(shown, high)

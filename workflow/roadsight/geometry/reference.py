@@ -128,18 +128,18 @@ def _common_statement(
     stated: Sequence[tuple[str, StatedCrs]], centre: tuple[float, float]
 ) -> StatedCrs:
     """What the headers state together; two that contradict each other are named in an error."""
-    common, owner, vertical_owner = StatedCrs(), "", ""
+    common = StatedCrs()
+    owner = vertical_owner = ""
     for name, statement in stated:
         if common.crs is None:
-            common, owner = replace(common, crs=statement.crs, problem=statement.problem), name
+            common = replace(common, crs=statement.crs, problem=statement.problem)
+            owner = name
         elif statement.crs is not None and not agree(common.crs, statement.crs, *centre):
             found = f"{common.crs.name} and {statement.crs.name}"
             raise _contradiction("in CRS", owner, name, found)
         if common.vertical_unit_m is None:
-            common, vertical_owner = (
-                replace(common, vertical_unit_m=statement.vertical_unit_m),
-                name,
-            )
+            common = replace(common, vertical_unit_m=statement.vertical_unit_m)
+            vertical_owner = name
         elif statement.vertical_unit_m not in (None, common.vertical_unit_m):
             found = f"{common.vertical_unit_m:g} m and {statement.vertical_unit_m:g} m"
             raise _contradiction("in the unit of z", vertical_owner, name, found)

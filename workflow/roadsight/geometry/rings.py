@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bools, Floats, Ints
 
 _DEVIATIONS = 4.0
+"""Half width of a Gaussian window in standard deviations, as SciPy cuts it; 6e-5 lies outside."""
 
 
 def smoothed(ring: Floats, sigma: float) -> Floats:

@@ -8,7 +8,12 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Bytes
 
-GROUND, ROAD, BRIDGE = 2, 11, 17
+GROUND = 2
+"""Ground."""
+ROAD = 11
+"""Road surface."""
+BRIDGE = 17
+"""Bridge deck."""
 
 
 def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> Bytes:

@@ -100,6 +100,7 @@ def fill_gaps(values: Floats) -> Floats:
 
 def sample_bilinear(grid: Grid, values: Floats, x: ArrayLike, y: ArrayLike) -> Floats:
     """Values (rows, columns) at points (n,), bilinear between cell centres, constant outside."""
+    # Values belong to the centres of cells, half a cell from their corners.
     column = np.asarray(x, np.float64) / grid.cell_size_m - grid.west - 0.5
     row = np.asarray(y, np.float64) / grid.cell_size_m - grid.south - 0.5
     return ndimage.map_coordinates(values, [row, column], order=1, mode="nearest")

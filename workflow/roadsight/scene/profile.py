@@ -19,12 +19,19 @@ CELL_M = 1.0
 """Edge of the cells that are counted; tiles are made of whole ones."""
 
 _POINTS_PER_DENSITY_CELL = 4
+"""Points that cells hold on average before density is told, see `density`."""
 _GROUND_BAND_M = 1.0
+"""Points up to this above the lowest of their cell are ground and what lies on it."""
 _CLEARANCE_M = 3.0
+"""What is higher above the lowest point of a cell, with nothing between, spans it overhead."""
 _WINDOWS = 50
+"""Windows in which spacing is measured, at even steps through the cloud."""
 _WINDOW_POINTS = 400
+"""Points of a window at the cloud's median density, which sets its size."""
 _WINDOW_SAMPLE = 200
+"""Distances taken of each window, so that dense windows do not outvote the others."""
 _HALO_SPACINGS = 5.0
+"""Margin of a window, in spacings of the cloud: neighbours of its points lie within."""
 
 Bounds = tuple[float, float, float, float]
 

@@ -9,6 +9,7 @@ import atexit
 import gc
 
 _NEW_OBJECTS = 10_000
+"""New objects after which garbage is looked for, many times what Python does by itself."""
 
 gc.set_threshold(_NEW_OBJECTS)
 atexit.register(gc.freeze)

@@ -22,7 +22,9 @@ from roadsight.io.records.usage import own_usage
 log = logging.getLogger("roadsight")
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What writing fails with where there is no room: on the disk, in a quota, for so large a file."""
 _TERMINATED = 128 + signal.SIGTERM
+"""Exit code of what a signal ended, as shells have it."""
 
 
 def run_stage(

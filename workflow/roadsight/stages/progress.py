@@ -9,6 +9,7 @@ from typing import TypeVar
 
 Item = TypeVar("Item")
 _SECONDS = 5.0
+"""Least time between two lines of the log."""
 
 
 def logged(items: Iterable[Item], total: int, log: logging.Logger, what: str) -> Iterator[Item]:

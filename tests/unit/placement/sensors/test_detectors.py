@@ -22,15 +22,22 @@ from roadsight.placement.sight.sight import Sight
 from tests.helpers.analytic_scene import HEIGHT_M, RADIUS_M, Trace, panorama_of, scene_ranges
 
 ORIGIN = np.array([1.0, -2.0, 6.0])
-BOXES = ((np.array([12.0, -1.0, 0.0]), np.array([13.0, 4.0, 4.5])),
-         (np.array([6.0, 4.0, 0.0]), np.array([16.0, 4.5, 1.0])))  # fmt: skip
+BOXES = (
+    (np.array([12.0, -1.0, 0.0]), np.array([13.0, 4.0, 4.5])),
+    (np.array([6.0, 4.0, 0.0]), np.array([16.0, 4.5, 1.0])),
+)
 SHAPE = Cylinder(RADIUS_M, HEIGHT_M)
 CAMERA = Camera(kind="camera", columns_px=320, rows_px=240, hfov_deg=60, min_pixels=8, range_m=90)
 ROSETTE = Rosette(kind="rosette", field_deg=70.4, points_per_s=2e5, frame_s=0.5, range_m=120)
 AVIA = Rosette(
-    kind="rosette", field_deg=60, lasers=6, lasers_span_deg=6, points_per_s=2e5, frame_s=0.5,
+    kind="rosette",
+    field_deg=60,
+    lasers=6,
+    lasers_span_deg=6,
+    points_per_s=2e5,
+    frame_s=0.5,
     range_m=120,
-)  # fmt: skip
+)
 RADAR = Radar(
     kind="radar",
     zones=[
@@ -40,12 +47,18 @@ RADAR = Radar(
     elevation_min_deg=-25,
 )
 SPINNING = Sensor(
-    azimuth_step_deg=0.4, elevation_min_deg=-30, elevation_max_deg=10, channels=81, range_m=100,
-    divergence_mrad=(4.0, 2.0), aperture_mm=10,
-)  # fmt: skip
+    azimuth_step_deg=0.4,
+    elevation_min_deg=-30,
+    elevation_max_deg=10,
+    channels=81,
+    range_m=100,
+    divergence_mrad=(4.0, 2.0),
+    aperture_mm=10,
+)
 CRITERIA = Criteria(min_beams=8, rcs_m2=0.16)
-POSE = st.tuples(st.floats(-170, 170), st.builds(
-    Turn, st.floats(-60, 60), st.floats(-35, 5), st.floats(-30, 30)))  # fmt: skip
+POSE = st.tuples(
+    st.floats(-170, 170), st.builds(Turn, st.floats(-60, 60), st.floats(-35, 5), st.floats(-30, 30))
+)
 
 
 def feet_before(rng, rotation, count=12):
@@ -227,9 +240,14 @@ def _slow_echo(foot, rotation):
         return 0.0
     ahead, left, _ = middle @ rotation
     angle = np.degrees(abs(np.arctan2(left, ahead)))
-    reach = max((zone.range_m for zone in RADAR.zones
-                 if angle <= zone.half_angle_deg
-                 and range_m * np.radians(zone.resolution_deg) <= 3.5), default=0.0)  # fmt: skip
+    reach = max(
+        (
+            zone.range_m
+            for zone in RADAR.zones
+            if angle <= zone.half_angle_deg and range_m * np.radians(zone.resolution_deg) <= 3.5
+        ),
+        default=0.0,
+    )
     echo = (reach / range_m) ** 4 * 0.16 / 10 * seen.sum() / met.sum()
     farthest = 160 * (0.16 / 10) ** 0.25
     return echo if range_m < farthest else 0.0

@@ -18,7 +18,8 @@ from roadsight.placement.sight.probability import (
     found_by_plan,
 )
 
-LIDAR, CAMERA = Curve(*LIDAR_CURVE), Curve(*CAMERA_CURVE)
+LIDAR = Curve(*LIDAR_CURVE)
+CAMERA = Curve(*CAMERA_CURVE)
 SENSORS = load_sensors("config/sensors.yaml")
 
 
@@ -36,8 +37,11 @@ def test_values_of_the_published_curves():
 
 
 @given(
-    st.floats(0.01, 2), st.floats(-2, 1), st.floats(0.01, 1), st.integers(0, 10**6),
-)  # fmt: skip
+    st.floats(0.01, 2),
+    st.floats(-2, 1),
+    st.floats(0.01, 1),
+    st.integers(0, 10**6),
+)
 def test_the_number_needed_is_the_fewest_that_suffice(slope, offset, asked, number):
     curve = Curve(slope, offset)
     needed = curve.needed(asked)

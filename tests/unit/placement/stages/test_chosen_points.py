@@ -51,5 +51,6 @@ def test_sensors_in_poses_add_up_to_what_detection_measured(road, box):  # noqa:
         alike = told[both[both].index]
         np.testing.assert_allclose(total[alike.index], alike, atol=len(part))
     with pytest.raises(InputError, match="missing"):
-        points_by_height(arguments, pd.DataFrame({"sensor": ["ring"], "candidate": ["a"]}),
-                         feet, shape)  # fmt: skip
+        points_by_height(
+            arguments, pd.DataFrame({"sensor": ["ring"], "candidate": ["a"]}), feet, shape
+        )

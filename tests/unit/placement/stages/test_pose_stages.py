@@ -44,7 +44,8 @@ sensors:
          cost: 1}
 """
 FRAME = Frame((0.0, 0.0, 0.0), 1.0, 1.0, None)
-YAW, PITCH = ("-60", "0", "60"), ("-30", "-10", "-8")
+YAW = ("-60", "0", "60")
+PITCH = ("-30", "-10", "-8")
 PLACES = {"a": (0.0, -4.0), "b": (30.0, -4.0)}
 HEIGHT_M = 6.0
 
@@ -80,8 +81,12 @@ def road(tmp_path_factory):
 
 def detect(folder, sensor, *options, out=None):
     out = folder / (out or f"seen-{sensor}")
-    files = {"depth": "depth", "candidates": "candidates", "targets": "targets",
-             "sensors": "sensors.yaml"}  # fmt: skip
+    files = {
+        "depth": "depth",
+        "candidates": "candidates",
+        "targets": "targets",
+        "sensors": "sensors.yaml",
+    }
     named = [part for key, name in files.items() for part in (f"--{key}", str(folder / name))]
     angles = ("--yaw-deg", *YAW, "--pitch-deg", *PITCH)
     stage = [*named, "--sensor", sensor, *angles, *options, "--out", str(out)]
@@ -167,23 +172,33 @@ class TestChoice:
         detections["position"] = [split_pose(str(n))[0] for n in detections["candidate"]]
         wanted = set(detections["target"]) - set(solution["excluded"])
         options = {
-            place: [(0.0, set()), *(
-                (costs[str(sensor)], set(rows["target"]))
-                for (sensor, _), rows in part.groupby(["sensor", "candidate"], observed=True))]
+            place: [
+                (0.0, set()),
+                *(
+                    (costs[str(sensor)], set(rows["target"]))
+                    for (sensor, _), rows in part.groupby(["sensor", "candidate"], observed=True)
+                ),
+            ]
             for place, part in detections.groupby("position")
-        }  # fmt: skip
+        }
         best = min(
             one[0] + two[0]
-            for one in options["a"] for two in options.get("b", [(0.0, set())])
+            for one in options["a"]
+            for two in options.get("b", [(0.0, set())])
             if wanted <= one[1] | two[1]
-        )  # fmt: skip
+        )
         if solution["status"] == "optimal":
             assert solution["objective"] == pytest.approx(best)
 
     def test_choices_are_those_poses_or_every_candidate_as_it_is(self):
         candidates = pd.DataFrame({"candidate": ["a", "b"], "yaw_deg": [170.0, -90.0]})
-        seen = [("eye", "b@y+0p-10r+0"), ("eye", "a@y+35p-10r+0"), ("eye", "gone@y+0p+0r+0"),
-                ("ring", "a"), ("eye", "b@y+0p-10r+0")]  # fmt: skip
+        seen = [
+            ("eye", "b@y+0p-10r+0"),
+            ("eye", "a@y+35p-10r+0"),
+            ("eye", "gone@y+0p+0r+0"),
+            ("ring", "a"),
+            ("eye", "b@y+0p-10r+0"),
+        ]
         detections = pd.DataFrame(seen, columns=["sensor", "candidate"])
         choices = choices_of({"ring": 1.0, "eye": 0.4, "ear": 2.0}, candidates, detections)
         assert choices["sensor"].tolist() == ["ring", "ring", "eye", "eye", "ear", "ear"]
@@ -213,24 +228,37 @@ class TestObstacles:
         place |= {"roll_deg": 0.0}
         write_json(tmp_path / "solution", {"sensors": [place], "sensor_types": ["eye"]})
         write_json(tmp_path / "coverage", {"plans": {"p": {"uncovered": ["t0"]}}})
-        nothing = pd.DataFrame({"candidate": pd.Series(dtype=str), "target": pd.Series(dtype=str),
-                                "hits": pd.Series(dtype=np.uint16)})  # fmt: skip
+        nothing = pd.DataFrame(
+            {
+                "candidate": pd.Series(dtype=str),
+                "target": pd.Series(dtype=str),
+                "hits": pd.Series(dtype=np.uint16),
+            }
+        )
         write_detections(tmp_path / "seen", nothing, {"sensor": "eye"})
         files = {
-            "solution": tmp_path / "solution", "coverage": tmp_path / "coverage",
-            "targets": folder / "targets", "surfels": tmp_path / "walls",
-            "dem": tmp_path / "dem.tif", "frame": folder / "frame.json",
-            "sensors": folder / "sensors.yaml", "candidates": folder / "candidates",
-            "detections": tmp_path / "seen", "out": tmp_path / "out.gpkg",
-        }  # fmt: skip
+            "solution": tmp_path / "solution",
+            "coverage": tmp_path / "coverage",
+            "targets": folder / "targets",
+            "surfels": tmp_path / "walls",
+            "dem": tmp_path / "dem.tif",
+            "frame": folder / "frame.json",
+            "sensors": folder / "sensors.yaml",
+            "candidates": folder / "candidates",
+            "detections": tmp_path / "seen",
+            "out": tmp_path / "out.gpkg",
+        }
         named = [part for key, file in files.items() for part in (f"--{key}", str(file))]
         assert find_obstacles.main([*named, "--plan", "p"]) == 0
         obstacles = read_layer(tmp_path / "out.gpkg", "obstacles", FRAME)
         assert len(obstacles)
         assert (obstacles.geometry.x < 0).all()
         gaps = read_layer(tmp_path / "out.gpkg", "uncovered", FRAME)
-        assert set(gaps["reason"]) <= {"hidden", "out of range",
-                                       "out of view, or too few beams, pixels or echo"}  # fmt: skip
+        assert set(gaps["reason"]) <= {
+            "hidden",
+            "out of range",
+            "out of view, or too few beams, pixels or echo",
+        }
 
 
 class TestScans:
@@ -238,13 +266,24 @@ class TestScans:
     def test_returns_lie_on_the_road_within_range_and_view(self, road, tmp_path, sensor):
         folder, _ = road
         definition = load_sensors(folder / "sensors.yaml")[sensor]
-        place = {"candidate": "a@y+60p-20r+5", "position": "a", "sensor": sensor,
-                 "x": 0.0, "y": -4.0, "z": 6.0,
-                 "yaw_deg": 150.0, "pitch_deg": -20.0, "roll_deg": 5.0}  # fmt: skip
+        place = {
+            "candidate": "a@y+60p-20r+5",
+            "position": "a",
+            "sensor": sensor,
+            "x": 0.0,
+            "y": -4.0,
+            "z": 6.0,
+            "yaw_deg": 150.0,
+            "pitch_deg": -20.0,
+            "roll_deg": 5.0,
+        }
         write_json(tmp_path / "solution", {"sensors": [place]})
         arguments = ["--solution", str(tmp_path / "solution"), "--out", str(tmp_path / "scan.laz")]
-        for name, file in (("surfels", "surfels"), ("frame", "frame.json"),
-                           ("sensors", "sensors.yaml")):  # fmt: skip
+        for name, file in (
+            ("surfels", "surfels"),
+            ("frame", "frame.json"),
+            ("sensors", "sensors.yaml"),
+        ):
             arguments += [f"--{name}", str(folder / file)]
         assert render_scans.main(arguments) == 0
         xyz = read_laz(tmp_path / "scan.laz").xyz

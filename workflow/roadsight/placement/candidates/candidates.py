@@ -13,9 +13,13 @@ from shapely import MultiPolygon
 
 from roadsight.base.arrays import Floats
 
-# Of the cells of a position's plan, this share must be covered before what hangs above is a roof.
 _ROOF_SHARE = 0.6
+"""Of the cells of a position's plan, the share that a roof covers: more than a crown or a gantry
+(`docs/decisions/009-roofs-end-the-search-for-heights.md`)."""
 _ROOF_CELLS = 4
+"""Cells along either side of that plan, a square as wide as the search radius reaches."""
+_ROOF_PERCENTILE = 5
+"""Percentile of the heights above a position at which its roof is: stray points may hang lower."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,7 @@ def free_heights_m(point_heights_m: Floats, settings: HeightSettings) -> Floats:
 
 def _steps(start: float, stop: float, step: float) -> Floats:
     """Values from ``start`` to ``stop`` inclusive; empty if the range is."""
+    # Rounding must not cost the last height.
     return start + step * np.arange(max(0, np.floor((stop - start) / step + 1e-9) + 1))
 
 
@@ -97,7 +102,7 @@ def roof_height_m(offsets_m: Floats, point_heights_m: Floats, settings: HeightSe
     covered = np.unique(np.clip(cell, 0, _ROOF_CELLS - 1), axis=0)
     if len(covered) < _ROOF_SHARE * _ROOF_CELLS**2:
         return np.inf
-    return float(np.percentile(point_heights_m[above], 5))
+    return float(np.percentile(point_heights_m[above], _ROOF_PERCENTILE))
 
 
 def facing_deg(

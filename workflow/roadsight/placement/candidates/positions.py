@@ -13,10 +13,12 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight.placement.candidates.candidates import facing_deg
 
 _TANGENT_M = 0.5
+"""The edge's direction at a station is taken from this far behind it to this far ahead."""
 _COLUMNS = {
     **dict.fromkeys(("x", "y", "station_m", "yaw_deg"), "float64"),
     **dict.fromkeys(("edge", "mount", "key"), "str"),
 }
+"""Columns of a table without any position."""
 
 
 def positions_along(

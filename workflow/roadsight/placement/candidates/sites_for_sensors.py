@@ -10,6 +10,7 @@ from shapely import MultiPolygon
 from roadsight.base.arrays import Bools, Floats
 
 POLE = "pole"
+"""Mount of positions on poles, and what their keys begin with."""
 
 
 def outside_zones(xy_m: Floats, zones: list[shapely.Polygon]) -> Bools:

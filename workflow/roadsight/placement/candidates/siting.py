@@ -61,6 +61,7 @@ def mounting_costs(
     places = poles[["x", "y"]].to_numpy(np.float64)
     near = cKDTree(places).query_ball_point(xy_m, within_m)
     for k, around in enumerate(near):
+        # Heights are sums of steps: rounding must not put one beyond the limit that it stands for.
         fits = [p for p in around if low_m[p] - 1e-9 <= height_m[k] <= high_m[p] + 1e-9]
         if fits:
             pole = min(fits, key=lambda p: (price[p], np.hypot(*(places[p] - xy_m[k])), p))

@@ -15,6 +15,8 @@ from roadsight.base.errors import InputError
 from roadsight.scene.grids import Grid
 
 _TANGENT_M = 2.0
+"""The edge's direction beside a target is taken from this far behind it to this far ahead: over
+about the length of a vehicle, which does not turn with every vertex."""
 
 
 def place_targets(

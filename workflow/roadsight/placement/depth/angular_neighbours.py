@@ -10,7 +10,10 @@ from numba import njit
 from roadsight.base.arrays import Bools, Floats, Ints
 
 _BINS_IN_REACH = 6
+"""Bins within the reach of a beam. More of them mean fewer points to look at in more bins; what is
+found stays the same."""
 _ON_BEAM_M = 1e-9
+"""Points this near to the beam are on it: the inverse of their distance means nothing."""
 
 
 class Spherical(NamedTuple):
@@ -108,6 +111,7 @@ def _find_nearest(
     own_column = int(np.floor((beam_deg[0] + 180.0) / bins.width_deg))
     step_deg = min(bins.width_deg, bins.height_deg)
     found = 0
+    # One ring more than the reach, because the beam may lie anywhere in its own bin.
     for ring in range(_BINS_IN_REACH + 2):
         for row in range(max(own_row - ring, 0), min(own_row + ring + 1, bins.rows)):
             stride = 1 if abs(row - own_row) == ring else max(2 * ring, 1)

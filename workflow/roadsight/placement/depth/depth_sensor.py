@@ -18,6 +18,7 @@ HEIGHTS_M = (4.0, 20.0)
 
 def training_sensor(rng: np.random.Generator, span_deg: float) -> Sensor:
     """Sensor of Table 1 with a random range that looks ``span_deg`` wide in a random direction."""
+    # On the lattice of the fine grid, and with the seam at 180 degrees never inside.
     first = STEP_DEG * int(rng.integers(-1800, 1800 - round(span_deg / STEP_DEG) + 1))
     range_m = float(rng.choice(RANGES_M))
     return grid_sensor((first, first + span_deg), (-ROWS // 2, ROWS // 2), range_m)

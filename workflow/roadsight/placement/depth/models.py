@@ -11,6 +11,7 @@ from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.unet import unet_depth, unet_mask_depth
 
 MODELS = ("surfel", "hybrid", "preliminary", "unet", "unet_mask")
+"""All of them."""
 
 _UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
 NETWORK_MODELS = tuple(_UNETS)

@@ -14,6 +14,7 @@ from roadsight.base.arrays import Floats
 from roadsight.placement.sensors.aimed import AimedSensor, Camera, Radar, Rosette
 
 _MOST_PIXELS = 200_000
+"""Pixels of a camera's scan: what a report can draw."""
 
 
 def scan_directions(sensor: AimedSensor) -> Floats:

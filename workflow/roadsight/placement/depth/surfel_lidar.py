@@ -14,8 +14,11 @@ from roadsight.placement.sensors.sensors import Sensor
 from roadsight.scene.surfels.surfels import Surfels
 
 _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-_FARTHEST_M = 1e6
+"""Corners of a square about its middle, in half edges, in turn."""
 _TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+"""The two triangles that it is made of, by its corners."""
+_FARTHEST_M = 1e6
+"""Limit of rays without any: rays need a finite one, and no site is so large."""
 
 
 class SurfelLidar:
@@ -30,6 +33,7 @@ class SurfelLidar:
         self._origin_m = np.zeros(3)
         self._scene = None
         if len(surfels):
+            # Embree works in single precision, which is good for millimetres near its origin only.
             self._origin_m = np.round(surfels.centre_m.mean(axis=0, dtype=np.float64))
             corners_m = _corners(surfels, self._origin_m)
             rows = 4 * np.arange(len(surfels), dtype=np.int32)

@@ -29,7 +29,10 @@ TILE_CELLS = 720
 """Columns of a map that the network refines at once: bounds the memory."""
 
 _CONTEXT_DEG = 2.5
+"""How far the fine grid reaches beyond the outermost beams: Table 1 has -25 to 25 degrees for a
+field of view of -22.5 to 22.5."""
 _LARGEST_STEP = 0.05
+"""Ranges of neighbouring cells that differ by a greater share are of two surfaces."""
 
 
 def unet_depth(
@@ -76,6 +79,7 @@ def fine_sensor(sensor: Sensor) -> Sensor:
     to 22.5 degrees. The network looks that far around the outermost beams.
     """
     lowest, highest = sensor.elevation_deg[[0, -1]]
+    # Limits on the lattice stay there, whichever way their quotient rounds.
     bottom = max(math.floor((lowest - _CONTEXT_DEG) / STEP_DEG + 1e-6), round(-90 / STEP_DEG))
     top = min(math.ceil((highest + _CONTEXT_DEG) / STEP_DEG - 1e-6), round(90 / STEP_DEG))
     return grid_sensor((-180.0, 180.0), (bottom, top), sensor.range_m)

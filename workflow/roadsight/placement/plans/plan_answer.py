@@ -22,6 +22,7 @@ from roadsight.setcover.plans.deploy import solve_costly_cover, solve_deployment
 from roadsight.setcover.plans.deployment import Deployment
 
 _LISTED = 50
+"""Interchangeable positions named for each sensor; how many there are is told in any case."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,7 @@ from roadsight.setcover.plans.conflicts import spacing_cliques
 from roadsight.setcover.plans.deployment import Deployment
 
 _NAMED = 5
+"""Targets that a message names."""
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,13 @@ from roadsight.placement.sensors.sensors import AnySensor, Rosette, Sensor
 CLEAR_M = 20_000.0
 """Visibility from which on the air counts as clear (WMO-No. 8: the haze limit is 5 km)."""
 
-_CONTRAST = 3.912  # minus the logarithm of 2 %, Koschmieder
+_CONTRAST = 3.912
+"""Minus the logarithm of 2 %, the contrast that is just seen (Koschmieder)."""
 _REFERENCE_NM = 550.0
+"""Wavelength at which visibility is defined: that of the eye."""
 _CLEAR_PER_M = 1e-12
+"""Extinction, 1/m, below which ranges stay as they are: in r = W(a R) / a, both sides of the
+quotient go to 0, and at 0 it has no value."""
 
 
 def rain_extinction_per_m(rain_mm_h: float) -> float:

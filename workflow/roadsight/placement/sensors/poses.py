@@ -43,6 +43,7 @@ def turns_of(
 
     Angles are rounded to a thousandth of a degree, as names of poses state them.
     """
+    # Adding zero turns -0.0 into 0.0: the two are equal and would have different names.
     turns = {
         Turn(*(round(float(angle), 3) + 0.0 for angle in angles))
         for angles in product(yaw_deg, pitch_deg, roll_deg)

@@ -12,10 +12,20 @@ from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
 from roadsight.placement.sensors.spinning import Sensor
 
 SPHERICAL, PINHOLE, EQUIDISTANT = 0, 1, 2
+"""Numbers of the projections, by which kernels know them; see `Raster`."""
 _ROSETTE_CELL_DEG = 0.1
+"""Cells in which a rosette's expected points are gathered."""
 _ROSETTE_PARTS = 4
+"""Parts of a cell, either way, over which the density is averaged: it is not even at the rim and at
+the axis."""
 _RADAR_CELL_DEG = 0.02
+"""Cells that tell which part of a target a radar's beam meets: far finer than its resolution."""
+_MOST_FINE = 24
+"""Pixels of a camera and cells of a rosette looked at along either axis of a target."""
+_MOST_RADAR = 16
+"""The same for radars, of which only the part of a target that is met counts."""
 _ALL = 1 << 30
+"""More than any sensor has: every beam of a spinning LiDAR is looked at."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +60,7 @@ def camera_raster(camera: Camera) -> Raster:
         np.asarray((np.arange(count) + 0.5 - count / 2) / camera.focal_px, np.float64)
         for count in (camera.columns_px, camera.rows_px)
     )
-    return Raster(PINHOLE, u, v, np.zeros((0, 0)), 24)
+    return Raster(PINHOLE, u, v, np.zeros((0, 0)), _MOST_FINE)
 
 
 def radar_raster(radar: Radar) -> Raster:
@@ -58,7 +68,7 @@ def radar_raster(radar: Radar) -> Raster:
     reach = min(radar.zones[-1].half_angle_deg, 180.0)
     u = _cells(-reach, reach, _RADAR_CELL_DEG)
     v = _cells(radar.elevation_min_deg, radar.elevation_max_deg, _RADAR_CELL_DEG)
-    return Raster(SPHERICAL, u, v, np.zeros((0, 0)), 16)
+    return Raster(SPHERICAL, u, v, np.zeros((0, 0)), _MOST_RADAR)
 
 
 @lru_cache(maxsize=8)
@@ -82,7 +92,7 @@ def rosette_raster(rosette: Rosette) -> Raster:
             for dv in parts:
                 radius = np.hypot(u + cell * du, (v + cell * dv - offset_deg)[:, None])
                 weight += _density(radius, rosette.field_deg / 4, cell / _ROSETTE_PARTS)
-    return Raster(EQUIDISTANT, u, v, weight * (rosette.points / weight.sum()), 24)
+    return Raster(EQUIDISTANT, u, v, weight * (rosette.points / weight.sum()), _MOST_FINE)
 
 
 def _density(radius_deg: Floats, arrow_deg: float, width_deg: float) -> Floats:

@@ -40,7 +40,9 @@ KINDS: dict[str, type[Sensor] | type[AimedSensor]] = {
 """Schema of each kind of sensor."""
 
 _PANORAMA = re.compile(r"panorama-(\d*\.?\d+)deg-(\d+)m")
+"""Names that `panorama_name` gives: step and range."""
 _PANORAMA_TOP_DEG = 20.0
+"""Highest elevation of a panorama: targets stand on the road, hardly ever above their sensor."""
 
 
 def load_sensors(path: str | os.PathLike[str]) -> dict[str, AnySensor]:

@@ -17,6 +17,7 @@ from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
 _MAX_BEAMS = 20_000_000
+"""Beams of a sensor; more is a slip of a step, and its depth maps would not fit into memory."""
 
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

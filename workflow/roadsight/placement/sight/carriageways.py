@@ -8,14 +8,19 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Ints
 
-# Carriageways of one road are no farther apart, and all of them lie within twice of it.
 _APART_M = 40.0
+"""Carriageways of one road are no farther apart, and all of them lie within twice of it."""
 _PARALLEL = float(np.cos(np.radians(20.0)))
-# Points of a lane are two metres apart.
+"""Cosine of the angle up to which directions are about the same."""
 _BESIDE_M = 1.0 + 1e-6
+"""Along the road, half the distance of a lane's points and a little for rounding: every lane
+abreast has a point so near."""
 _ALONGSIDE_SHARE = 0.5
+"""Share of new lanes' points that must run along a road for them to be its."""
 _MOST_SAMPLES = 400
+"""Places of a road at which lanes abreast are counted; their median needs no more."""
 _NEIGHBOURS = 16
+"""Nearest known points that are looked at; the nearest of them may be of a road that crosses."""
 
 
 def road_alongside(points: pd.DataFrame, known: pd.DataFrame) -> int | None:

@@ -18,8 +18,8 @@ from roadsight.placement.sensors.sensors import Sensor
 MIN_BEAMS = 8
 """A target is seen when more beams than this return from it (paper 1, Table 3)."""
 
-# A sensor this near to a target's side touches it and counts as inside, metres.
 _TOUCH_M = 1e-9
+"""A sensor this near to a target's side touches it and counts as inside."""
 
 
 def count_hits(
@@ -121,6 +121,7 @@ def column_windows(
 @njit(cache=True)
 def _cut(low_deg: float, high_deg: float, cell_deg: float, columns: int) -> tuple[int, int]:
     """Columns whose centres lie between two azimuths, counted from the field of view's limit."""
+    # Rounding must not lose a column whose beam just touches the circle; `chord` decides on it.
     first = int(np.ceil(low_deg / cell_deg - 0.5 - 1e-9))
     last = int(np.floor(high_deg / cell_deg - 0.5 + 1e-9))
     return max(first, 0), min(last, columns - 1)

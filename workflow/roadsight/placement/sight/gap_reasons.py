@@ -10,7 +10,9 @@ from roadsight.base.arrays import Bools
 from roadsight.placement.sight.lanes import Traffic, free_shares
 from roadsight.placement.sight.obstacles import NEAREST
 
-OUT_OF_RANGE, HIDDEN = "out of range", "hidden"
+# Reasons as tables and reports name them; the first two are those of `explain_gaps`.
+OUT_OF_RANGE = "out of range"
+HIDDEN = "hidden"
 WEATHER = "in range only without rain and fog"
 DARK = "in range only of brighter targets"
 VEHICLES = "hidden by vehicles too often"

@@ -17,12 +17,19 @@ from roadsight.placement.sight.passing import VehicleClass
 from roadsight.scene.grids import Grid
 
 _STATION_M = 2.0
+"""Distance of a lane's points."""
 _ACROSS_M = 40.0
+"""How far across an edge, to either side, carriageways are looked for."""
 _TANGENT_M = 1.0
+"""The edge's direction at a station is taken from this far behind it to this far ahead."""
 _SHOULDERS_M = 1.0
+"""Width of pavement, both sides together, that carries no lane."""
 _CELL_M = 0.5
+"""Cells of the raster of lanes: fine against the width of vehicles."""
 _STEP_M = 0.25
+"""Steps along lines of sight in plan, half a cell: hardly a cell is stepped over."""
 _NO_LANE = -1
+"""What the raster of lanes holds elsewhere."""
 
 
 def trace_lanes(

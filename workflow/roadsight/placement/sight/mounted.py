@@ -23,8 +23,9 @@ from roadsight.placement.sight.shapes import (
     relative_to,
 )
 
-# Of a box that spans more rows or columns, every n-th is looked at and stands for n.
 _MOST = 64
+"""Of a box that spans more rows or columns, every n-th is looked at and stands for n: near boxes
+would take most of the time, and have far more beams than it takes to see them."""
 
 
 def count_tilted_hits(

@@ -19,13 +19,16 @@ from roadsight.base.errors import InputError
 Cast = Callable[[Floats, Floats], Floats]
 """Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 or infinity for none."""
 
-# Heights on a target, as shares of its own, to which sight lines are cast.
 _LEVELS = (0.25, 0.5, 0.75, 1.0)
-# A hit this near to the target is the pavement or the target's own surroundings, metres.
+"""Heights on a target, as shares of its own, to which sight lines are cast."""
 _NEAR_M = 0.4
+"""A hit this near to the target is the pavement or the target's own surroundings."""
 _CELL_M = 1.0
-# Candidates at which an uncovered target is judged.
+"""Edge of the cubes in which obstacles are gathered."""
 NEAREST = 8
+"""Candidates at which an uncovered target is judged."""
+_COLUMNS = ["blocked_share", "obstacle_x", "obstacle_y", "obstacle_z"]
+"""What is told of the sight lines of a pair."""
 
 
 def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
@@ -51,13 +54,11 @@ def blocked_sight_lines(pairs: pd.DataFrame, target_height_m: float, cast: Cast)
     return pd.concat(parts).reindex(pairs.index)
 
 
-_COLUMNS = ["blocked_share", "obstacle_x", "obstacle_y", "obstacle_z"]
-
-
 def _lines_of_sensor(pairs: pd.DataFrame, target_height_m: float, cast: Cast) -> pd.DataFrame:
     sensor = pairs[["sensor_x", "sensor_y", "sensor_z"]].to_numpy(np.float64)[0]
     blocked = np.zeros((len(pairs), len(_LEVELS)), dtype=bool)
     hits = np.full((len(pairs), 3), np.nan)
+    # From the top down, so that the hit of the lowest blocked line is what stays.
     for column, level in reversed(list(enumerate(_LEVELS))):
         way = pairs[["x", "y", "z"]].to_numpy(np.float64) - sensor
         way[:, 2] += level * target_height_m

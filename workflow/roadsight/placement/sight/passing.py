@@ -61,6 +61,7 @@ def expected_in_the_way(
     across = end[1] - start[1]
     crossing = np.sort((np.array([lane_y_m - half, lane_y_m + half]) - start[1]) / across)
     low, high = np.clip(crossing, 0.0, 1.0)
+    # Of the line within the lane, what lies below the vehicles' height counts.
     fall = end[2] - start[2]
     if fall != 0:
         level = (vehicle.height_m - start[2]) / fall

@@ -12,10 +12,14 @@ from roadsight.base.arrays import Floats, Numbers
 from roadsight.placement.sensors.aimed import Camera, Rosette
 from roadsight.placement.sensors.sensors import AnySensor, Sensor
 
-LIDAR_CURVE, CAMERA_CURVE = (0.152, 0.659), (0.055, 0.155)
-"""a and b of Ma, Liu, Li for points of LiDARs and for pixels of cameras."""
+LIDAR_CURVE = (0.152, 0.659)
+"""a and b of Ma, Liu, Li for points of LiDARs."""
+CAMERA_CURVE = (0.055, 0.155)
+"""a and b of Ma, Liu, Li for pixels of cameras."""
 
 _MOST_LOG = np.log(1e9)
+"""Logarithm of the most points that are asked for; a flat curve would ask for more than a number
+holds."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,6 @@ class Curve:
 
     def needed(self, probability: float) -> int:
         """The fewest points or pixels, at least 1, that give a probability in (0, 1]."""
-        # Nobody has a thousand million points of a target.
         rough = np.exp(min((probability - self.offset) / self.slope, _MOST_LOG))
         number = max(int(np.ceil(rough)), 1)
         # Rounding of the exponential must not cost or give a point.

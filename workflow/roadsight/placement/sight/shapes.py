@@ -22,6 +22,7 @@ from roadsight.placement.sight.footprints import overlap, slopes_into
 Packed = tuple[int, float, float, float]
 
 CYLINDER, BOX = 0, 1
+"""Numbers of the shapes, by which kernels know them."""
 
 
 @dataclass(frozen=True)
@@ -131,6 +132,7 @@ def entry_range_m(
     """
     east, north, up = direction
     enter, leave = 0.0, np.inf
+    # A level beam crosses neither cap: it runs between them, or above or below the cylinder.
     if abs(up) > 1e-12:
         one, two = foot[2] / up, (foot[2] + height_m) / up
         enter, leave = max(enter, min(one, two)), min(leave, max(one, two))

@@ -18,8 +18,21 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 
 _MARGIN_M = 30.0
+"""How far curbs are followed straight on beyond both ends of the track."""
 _SHELL_M = 0.10
+"""Points no higher above the lowest one of their cell are of the surface: more than a scanner's
+noise, less than most of what stands on it."""
 _FEWEST = 2
+"""Points in the window along the line that a height needs."""
+_LANE_M = 1.5
+"""Cells this near to the track are the road, from whose height it is told what stands up."""
+_MOST_SLOPE_M = 0.05
+"""What the slope of the cells before may explain of a rise over 0.3 m; more is itself a step."""
+_NEARER = 0.006
+"""What a curb gains by being nearer by one cell, against 1 for a clear curb: over the default reach
+of 120 cells it stays below that."""
+_ASIDE_CELLS = 3
+"""How far aside a curb may go from one station to the next."""
 
 
 @dataclass(frozen=True)
@@ -94,8 +107,10 @@ def smooth_line(track_xy_m: Floats, spacing_m: float, beyond_m: float) -> Floats
     path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track, axis=0).T))])
     station = np.arange(0.0, path[-1] + 1e-9, spacing_m)
     line = np.column_stack([np.interp(station, path, axis) for axis in track.T])
+    # Over 4 m the jitter of single positions goes, and bends stay.
     line = ndimage.gaussian_filter1d(line, 4.0 / spacing_m, axis=0, mode="nearest")
     away = np.arange(1, round(beyond_m / spacing_m) + 1)[:, None] * spacing_m
+    # Straight on means: in the direction of the last 10 m.
     reach = min(len(line) - 1, round(10.0 / spacing_m))
     start, end = line[0] - line[reach], line[-1] - line[-1 - reach]
     before = (line[0] + away * start / np.hypot(*start))[::-1]
@@ -131,6 +146,7 @@ def surface(xyz_m: Floats, line: Floats, settings: CurbSettings) -> Floats:
         ndimage.uniform_filter1d(part.astype(np.float64), window, axis=0, mode="constant")
         for part in (total, count)
     ]
+    # A mean times its window is a whole number but for rounding, so that a half decides.
     enough = sums[1] * window > _FEWEST - 0.5
     return np.where(enough, sums[0] / np.maximum(sums[1], 1e-9), np.nan)
 
@@ -167,10 +183,12 @@ def steps(outwards: Floats, settings: CurbSettings) -> tuple[Floats, Floats]:
     reach = 3
     inner, outer = _means(outwards, reach, -1), _means(outwards, reach, 1)
     before = _means(outwards, 2 * reach, -1)
+    # The middles of the cells before and of the three nearest of them are 1.5 cells apart, those
+    # of the three before and the three beyond 3 cells: hence twice.
     slope = np.where(np.isfinite(before), inner - before, 0.0) * 2.0
-    rise = outer - inner - np.clip(slope, -0.05, 0.05)
+    rise = outer - inner - np.clip(slope, -_MOST_SLOPE_M, _MOST_SLOPE_M)
     open_ground = np.fmax.accumulate(np.nan_to_num(outwards, nan=-np.inf), axis=1)
-    lane = outwards[:, : max(round(1.5 / settings.across_m), 1)]
+    lane = outwards[:, : max(round(_LANE_M / settings.across_m), 1)]
     road = np.full(len(lane), np.nan)
     known = np.isfinite(lane).any(axis=1)
     road[known] = np.nanmedian(lane[known], axis=1)
@@ -204,15 +222,15 @@ def follow(step_m: Floats, settings: CurbSettings) -> Ints:
     Of two lines the nearer one is taken where they are alike.
     """
     clear = np.minimum(step_m / (2.0 * settings.least_step_m), 1.0)
-    gain = clear - 0.006 * np.arange(step_m.shape[1])
-    aside = np.arange(-3, 4)
+    gain = clear - _NEARER * np.arange(step_m.shape[1])
+    aside = np.arange(-_ASIDE_CELLS, _ASIDE_CELLS + 1)
     best = np.empty(step_m.shape)
     back = np.zeros(step_m.shape, np.int64)
     best[0] = gain[0]
     cells = step_m.shape[1]
     cost = settings.bend_cost * np.abs(aside)
     for row in range(1, len(step_m)):
-        padded = np.pad(best[row - 1], 3, constant_values=-np.inf)
+        padded = np.pad(best[row - 1], _ASIDE_CELLS, constant_values=-np.inf)
         options = np.stack([padded[k : k + cells] for k in range(len(aside))]) - cost[:, None]
         back[row] = options.argmax(axis=0)
         best[row] = gain[row] + options.max(axis=0)

@@ -18,11 +18,18 @@ from roadsight.geometry.rings import resampled, runs_of, smoothed, trimmed
 from roadsight.scene.edges.pixels import between_pixels, blocks, windows_around
 
 _MISSED_HOLES = 1e-4
+"""Probability that a disc on the road is empty by chance, at most; it sets the closing radius."""
 _LARGEST_CLOSING = 6
+"""Cells; a larger radius would round off corners and join carriageways of very sparse clouds."""
 _ROWS = 16
+"""Rows whose labels are counted together: a copy of few labels, not of all."""
 _BLOCK = 256
+"""Rows and columns of the blocks in which levels and distances are computed: what a block takes is
+used again, while memory of the whole view would be touched for the first time."""
 _LABELS_BLOCK = 4096
+"""The same for labels of components, which need wide surroundings."""
 _BATCH = 1_000
+"""Places of an outline worked on together: their samples stay in the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -108,6 +115,7 @@ def closing_radius(occupied: Bools, is_road: Bools, least: int) -> int:
     share = np.count_nonzero(occupied & around) / cells if cells else 1.0
     density = -np.log(max(1.0 - share, 1e-3))
     radius = np.sqrt(-np.log(_MISSED_HOLES) / (np.pi * max(density, 1e-3)))
+    # Discs are drawn a quarter of a cell larger than their radius, see `_disc`.
     return int(np.clip(np.ceil(radius - 0.25), max(least, 1), max(least, _LARGEST_CLOSING)))
 
 
@@ -238,7 +246,7 @@ def edge_lines(
     """
     step = settings.spacing_m / cell_size_m
     trim = int(np.ceil(2.0 * settings.window_cells(image, cell_size_m) / step))
-    reach = max(1, round(1.0 / settings.spacing_m))
+    reach = max(1, round(1.0 / settings.spacing_m))  # tangents over a metre to either side
     places, tangents = [np.empty((0, 2))], [np.empty((0, 2))]
     lengths = []
     sampled = [resampled(outline, step) for outline in rings]

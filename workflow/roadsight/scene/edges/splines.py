@@ -15,7 +15,8 @@ from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 
 FURTHEST_M = 50.0
-"""How far from the pavement the edge of a user may lie."""
+"""How far from the pavement the edge of a user may lie; what is farther belongs to another road, or
+is in another CRS."""
 
 
 def natural_spline(points_m: Floats, spacing_m: float) -> tuple[Floats, Floats, Floats]:
@@ -43,6 +44,7 @@ def natural_spline(points_m: Floats, spacing_m: float) -> tuple[Floats, Floats, 
         raise InputError("an edge needs at least 2 distinct points", found=len(points))
     chord = np.append(0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T)))
     curve = CubicSpline(chord, points, bc_type="natural")
+    # The arc is measured on chords of 0.1 m or less, which fall short of it by next to nothing.
     fine = np.linspace(0.0, chord[-1], max(2, int(np.ceil(chord[-1] / min(0.1, spacing_m))) + 1))
     arc = np.append(0.0, np.cumsum(np.hypot(*np.diff(curve(fine), axis=0).T)))
     station = np.arange(0.0, arc[-1] + 1e-9, spacing_m)
@@ -143,6 +145,7 @@ def _open_ends(
         _strip(ground, knots + start * width * normal, normal, tangent, settings)
         for start in (-1, 0, 1)
     )
+    # Against the height to which the two strips inside lead on: the road's own slope is no step.
     step = np.abs(z_out - (2 * z_in - z_far))
     long = across > max(2.5 * float(np.median(across)), 10.0)
     return long & ((outside < 0.25 * inside) | (step < settings.step_m))
@@ -150,6 +153,7 @@ def _open_ends(
 
 def _chord_m(outline: MultiPolygon, start: Floats, direction: Floats) -> float:
     """Length of pavement met first when going from an outline point along a direction."""
+    # From just inside the outline, which is not crossed at once, and farther than roads are wide.
     ray = LineString([start + 0.05 * direction, start + 200.0 * direction])
     parts = shapely.get_parts(shapely.intersection(ray, outline))
     return next((p.length for p in parts if p.distance(shapely.Point(start)) < 1.0), 0.0)

@@ -7,6 +7,9 @@ import numpy as np
 from roadsight.base.arrays import Bools, Floats, Floats32, Ints
 
 _BATCH = 1_000
+"""Places worked on together: their windows of pixels stay in the processor's cache."""
+_FAR_M = 0.3
+"""Road pixels farther from the median around them, up or down, are of something else."""
 
 
 def surface_heights(
@@ -39,7 +42,7 @@ def _planes(place: Floats, height_m: Floats32, road: Bools, radius_cells: int) -
     valid &= np.isfinite(z)
     middle = medians(z, valid)
     apart = np.where(valid, z - middle[:, None], 0.0)
-    weight = (valid & (np.abs(apart) <= 0.3)).astype(np.float64)
+    weight = (valid & (np.abs(apart) <= _FAR_M)).astype(np.float64)
     plane = _planes_through(weight, apart, offsets)
     return middle + plane[:, 0] + (plane[:, 1:] * (place - nearest)).sum(axis=1)
 
@@ -54,7 +57,8 @@ def _planes_through(weight: Floats, height: Floats, offsets: Ints) -> Floats:
     down, right = (grid.ravel() for grid in np.meshgrid(offsets, offsets, indexing="ij"))
     terms = np.stack([np.ones(len(down)), down, right], axis=1)
     products = (terms[:, :, None] * terms[:, None, :]).reshape(len(terms), 9)
-    # As if the slope were known to be some 5 cm a cell, so that few or collinear pixels do.
+    # As if the slope were known to be some 5 cm a cell, so that few or collinear pixels do. The
+    # tiny weight on the height keeps a window without any road pixel solvable; its median is NaN.
     square = (weight @ products).reshape(-1, 3, 3) + np.diag([1e-9, 0.3, 0.3])
     plane = np.linalg.solve(square, ((weight * height) @ terms)[..., None])
     return np.asarray(plane[:, :, 0], np.float64)

@@ -37,7 +37,7 @@ def _link(
                 for dz in range(-1, 2):
                     key = keys[c] + dx * stride[0] + dy * stride[1] + dz * stride[2]
                     if key < keys[c]:
-                        continue
+                        continue  # each pair of cells once
                     other = np.searchsorted(keys, key)
                     if other == len(keys) or keys[other] != key:
                         continue
@@ -65,6 +65,7 @@ def euclidean_clusters(xyz_m: Floats, distance_m: float) -> Ints:
     """
     if len(xyz_m) == 0:
         return np.empty(0, np.int64)
+    # An empty cell all around, so that no key beside a cell is that of a cell elsewhere.
     index = np.floor((xyz_m - xyz_m.min(axis=0)) / distance_m).astype(np.int64) + 1
     spans = index.max(axis=0) + 2
     stride = np.array([spans[1] * spans[2], spans[2], 1])

@@ -15,8 +15,11 @@ from numba import njit
 from roadsight.base.arrays import Floats, Floats32, Ints
 
 BINS = 11
+"""Bins of each of the three angles."""
 FEATURES = 3 * BINS
+"""Numbers of a histogram."""
 _SAME_ANGLE = 1e-9
+"""Cosines that differ by less differ by rounding."""
 
 
 @njit(cache=True)

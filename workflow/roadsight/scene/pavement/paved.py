@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from roadsight.base.arrays import Bools, Floats
 
 _CLIP_MARGIN_M = 1.0
+"""How far around points the outline is cut out."""
 
 
 class PavedArea:
@@ -37,7 +38,7 @@ class PavedArea:
         on = np.zeros(len(x), bool)
         if not len(x):
             return on
-        # The margin keeps the box's own sides away from the points.
+        # Without a margin the box's own sides would be an outline on which points lie.
         west, south = x.min() - _CLIP_MARGIN_M, y.min() - _CLIP_MARGIN_M
         east, north = x.max() + _CLIP_MARGIN_M, y.max() + _CLIP_MARGIN_M
         near = shapely.intersection(self._outline, shapely.box(west, south, east, north))

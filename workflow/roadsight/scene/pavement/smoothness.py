@@ -11,7 +11,8 @@ from threadpoolctl import threadpool_limits
 from roadsight.base.arrays import Bools, Floats, Floats32, Ints
 from roadsight.base.errors import InputError
 
-_ALIKE = 1e-3  # percent; histograms that differ by less differ by rounding
+_ALIKE = 1e-3
+"""Per cent; histograms that differ by less differ by rounding."""
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.scene.surfels.voxel_moments import X_STEP, Y_STEP, Z_STEP, VoxelMoments, add_shifted
 
 _BLOCK_POINTS = 5
+"""Points of a 2 x 2 x 2 corner that carry a plane of its own: two more than define one."""
 
 
 class Planes(NamedTuple):

@@ -18,10 +18,16 @@ from roadsight.base.arrays import Floats32, Ints
 from roadsight.base.errors import InputError
 
 _BITS = 21
+"""Bits of an index in a key: three of them fill the 63 bits that the sign leaves."""
 _HALF = 1 << (_BITS - 1)
+"""What is added to an index, so that it is not negative."""
 _MASK = (1 << _BITS) - 1
-X_STEP, Y_STEP, Z_STEP = 1 << (2 * _BITS), 1 << _BITS, 1
-"""What a step to the next voxel along an axis adds to a key."""
+"""The bits of one index."""
+
+# What a step to the next voxel along an axis adds to a key.
+X_STEP = 1 << (2 * _BITS)
+Y_STEP = 1 << _BITS
+Z_STEP = 1
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,8 @@ from roadsight.scene.terrain.sight_lines import TOLERANCE_M
 from roadsight.scene.terrain.tin import Terrain
 
 _LAST_SHARE = 0.9999
+"""Share of the way to a point at which its ray ends, lest rounding make it meet the point's own
+triangle."""
 
 
 class TerrainSight:

@@ -8,8 +8,11 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bools, Floats, Ints
 
 _BLOCK_M = 8.0
+"""Edge of the blocks whose slope is measured: about two lanes wide."""
 _LEAST_CELLS = 24
+"""Known cells of the 64 of a block; fewer may lie in a strip, across which the slope is a guess."""
 _ROUGHEST_M = 0.15
+"""Root mean square distance of smooth ground from its plane; more is a wall, a hedge or forest."""
 
 
 def slopes_deg(
@@ -37,6 +40,7 @@ def slopes_deg(
     xx, yy, xy = mean(dx * dx), mean(dy * dy), mean(dx * dy)
     xz, yz, zz = mean(dx * dz), mean(dy * dz), mean(dz * dz)
     area = xx * yy - xy * xy
+    # Cells on one line have no area, and their plane no slope across it.
     flat = (count >= _LEAST_CELLS) & (area > 1e-6 * (xx + yy) ** 2)
     xx, yy, xy, xz, yz, zz, area = (v[flat] for v in (xx, yy, xy, xz, yz, zz, area))
     east, north = (xz * yy - yz * xy) / area, (yz * xx - xz * xy) / area

@@ -20,8 +20,11 @@ Height = Callable[[Floats, Floats], Floats]
 TOLERANCE_M = 0.15
 """Sight lines end this much above the points: they would else meet the ground that these lie on."""
 _HALF_ANGLE_DEG = 45.0
+"""Road edges this far to either side of the heading are ahead of a camera."""
 _STEP_M = 2.0
+"""Steps along the longest sight line; crests that hide a road are longer."""
 _POINTS = 120
+"""Edge points looked at from each camera, about: a share needs no more."""
 
 
 def hidden_by_heights(height: Height, eye_m: ArrayLike, points_m: ArrayLike) -> Bools:
@@ -69,7 +72,7 @@ def hidden_road_share(
         turn = wrap_deg(np.degrees(np.arctan2(east, north)) - heading)
         away_m = np.hypot(east, north)
         ahead = np.flatnonzero((away_m <= reach_m) & (away_m > 0) & (abs(turn) <= _HALF_ANGLE_DEG))
-        ahead = ahead[:: max(len(ahead) // _POINTS, 1)]
+        ahead = ahead[:: max(len(ahead) // _POINTS, 1)]  # evenly, up to twice as many
         hidden += int(hidden_by_heights(height, eye, edges[ahead]).sum())
         total += len(ahead)
     return hidden / total if total else float("nan")

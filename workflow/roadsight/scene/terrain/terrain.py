@@ -16,6 +16,8 @@ Tiles = Callable[[float], Iterator[tuple[Bounds, Floats]]]
 """Function of a halo in metres that yields (core bounds, (n, 3) points of core and halo)."""
 
 _HALO_PILLARS = 8
+"""Pillars around a tile whose points are read with it: more than the filter over pillars looks to
+either side, because gaps are filled from beyond them."""
 
 
 def label_ground(

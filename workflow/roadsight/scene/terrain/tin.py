@@ -15,6 +15,7 @@ from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 
 _UNITS_PER_M = 10_000
+"""Tenths of a millimetre: whole numbers add up to the same in any order, unlike fractions."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class CellSums:
 def sum_cells(xyz_m: NDArray[np.floating], is_road: Bools, cell_m: float) -> CellSums:
     """Sum up points (n, 3), local metres, in square cells on multiples of ``cell_m``."""
     column, row = np.floor(np.asarray(xyz_m[:, :2], np.float64) / cell_m).astype(np.int64).T
+    # Unique while columns stay within 2^29 of the origin, whatever their sign.
     key = (((row << 30) + column) << 1) + is_road
     units = np.round(np.asarray(xyz_m, np.float64) * _UNITS_PER_M).astype(np.int64)
     return _summed(key, np.column_stack([units, np.ones(len(units), np.int64)]))
@@ -65,6 +67,7 @@ def cell_means(cells: CellSums) -> Floats:
     A bridge deck is the surface that hides and carries, whatever ground lies below.
     """
     place = cells.cell >> 1
+    # Road points have the greater key of their cell: where there are any, they come last.
     last = np.append(np.diff(place) != 0, True)[: len(place)]
     return cells.sums[last, :3] / cells.sums[last, 3:] / _UNITS_PER_M
 

@@ -12,6 +12,7 @@ from numba import njit
 from roadsight.base.arrays import Bytes, Ints, Ints32
 
 _KIND, _NEXT, _POINTS, _HEIGHTS = range(4)
+"""Columns of a run: layer and class, the next run of its column, points, sum of their heights."""
 
 
 @njit(cache=True, nogil=True)

@@ -20,11 +20,22 @@ from roadsight.geometry.frames import Frame
 from roadsight.scene.voxels.column_runs import by_column, chained
 from roadsight.scene.voxels.voxel_kernels import indices_of, point_keys, runs_of, tops, winners
 
-CLASS_BITS = _HEIGHT_BITS = 8
+CLASS_BITS = 8
+"""Bits of a point's class in its key: LAS has 256 classes."""
+_HEIGHT_BITS = 8
+"""Bits of a point's height above its voxel's floor: 256ths of an edge, a millimetre at 0.25 m."""
 _KEY_BITS = 63 - CLASS_BITS - _HEIGHT_BITS
+"""What the sign, class and height leave of a 64 bit key for the number of the voxel."""
 _NUDGE_M = 2.5e-4
+"""How far points are moved, so that all on a face fall to the same side, see `VoxelGrid`."""
 _SLACK_M = 1e-6
-_COLUMNS_A_POINT, _STEPS_A_POINT = 8, 32
+"""Rounding of a tile's borders: voxels this near to one may still get points of the next tile."""
+_COLUMNS_A_POINT = 8
+"""Points are counted by column where the box around them has at most so many columns for each; a
+sparser box, such as that of stray points, would take more memory than sorting keys does."""
+_STEPS_A_POINT = 32
+"""Steps along chains of runs for each point, on average, before keys are sorted instead: columns of
+very many layers would otherwise take a time that grows with their square."""
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ def tops(
     number, shown = np.empty(count, np.int64), np.empty(count, np.uint8)
     layer, share = np.empty(count, np.float64), np.zeros(count, np.float64)
     k, end = count, len(voxel)
-    while end > 0:
+    while end > 0:  # columns from the last to the first, so that each is met at its top
         column, top, first = voxel[end - 1] // layers, end - 1, end - 1
         while first > 0 and voxel[first - 1] // layers == column:
             first -= 1
@@ -140,6 +140,6 @@ def tops(
             share[k - 1] = mine / around
         k -= 1
         number[k], shown[k] = column, cls[top]
-        layer[k] = (level / mine + 0.5) / 256.0
+        layer[k] = (level / mine + 0.5) / 256.0  # heights were cut off to 256ths: half of one more
         end = first
     return number, shown, layer, share

@@ -33,6 +33,7 @@ from roadsight.stages.progress import logged
 log = logging.getLogger("build_detection_shard")
 
 _MOST_HITS = np.iinfo(np.uint16).max
+"""Hits are written in 16 bits; what is nearer than that many need not be told apart."""
 
 
 def build_detection_shard(arguments: argparse.Namespace) -> None:

@@ -15,6 +15,7 @@ from roadsight.io.vector.vectors import read_polygons
 from roadsight.placement.plans.plan_problem import Asked
 
 FILES = ("areas", "forbidden", "mandatory", "poles")
+"""Options of a plan that name a file, each an argument of the stage."""
 
 
 def read_asked(arguments: argparse.Namespace, frame: Frame) -> Asked | None:

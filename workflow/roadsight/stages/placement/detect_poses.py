@@ -35,6 +35,7 @@ from roadsight.stages.progress import logged
 log = logging.getLogger("detect_poses")
 
 _MOST_HITS = np.iinfo(np.uint16).max
+"""Hits are written in 16 bits; what is nearer than that many need not be told apart."""
 
 
 def detect_poses(arguments: argparse.Namespace) -> None:

@@ -35,6 +35,9 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("find_obstacles")
 
+_GROUND_M = 0.3
+"""Obstacles lower than this above the terrain model are told as ground: a bank, a crest."""
+
 
 def find_obstacles(arguments: argparse.Namespace) -> None:
     """Write layers ``obstacles`` (by cubic metre) and ``uncovered`` (targets and reasons)."""
@@ -52,7 +55,7 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
     dem = read_raster(arguments.dem, frame)
     ground = dem.sample(obstacles["x"].to_numpy(), obstacles["y"].to_numpy())
     obstacles["height_m"] = obstacles["z"] - ground
-    obstacles["kind"] = np.where(obstacles["height_m"] < 0.3, "ground", "object")
+    obstacles["kind"] = np.where(obstacles["height_m"] < _GROUND_M, "ground", "object")
     gaps = _gaps(arguments, targets, sensors, cast)
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
     place = ["obstacle_x", "obstacle_y", "obstacle_z"]

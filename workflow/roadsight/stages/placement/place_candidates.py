@@ -107,6 +107,7 @@ def _points_near(cloud_path: str, xy_m: Floats, radius_m: float) -> Floats:
     parts = [np.empty((0, 3))]
     for number in range(len(cloud.tiles)):
         xyz = stack_xyz(cloud.read(("x", "y", "z"), [number])).astype(np.float64)
+        # A hair more, so that points at the radius itself are kept.
         distance, _ = tree.query(xyz[:, :2], distance_upper_bound=radius_m * (1 + 1e-9))
         parts.append(xyz[np.isfinite(distance)])
     return np.concatenate(parts)

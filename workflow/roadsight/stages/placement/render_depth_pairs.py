@@ -25,6 +25,7 @@ from roadsight.stages.progress import logged
 log = logging.getLogger("render_depth_pairs")
 
 _COLUMNS = ["x", "y", "ground_z_m", "yaw_deg"]
+"""What is used of a candidate: its place and where it faces, not its height."""
 
 
 def render_depth_pairs(arguments: argparse.Namespace) -> None:

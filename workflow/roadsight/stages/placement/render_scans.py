@@ -40,6 +40,7 @@ log = logging.getLogger("render_scans")
 Hearing = Callable[[str, AnySensor, Floats, ArrayLike], Bools]
 
 _ROUNDING_M = 1e-3
+"""Rounding of ranges, which are single precision: a return at the very limit stays."""
 
 
 def render_scans(arguments: argparse.Namespace) -> None:

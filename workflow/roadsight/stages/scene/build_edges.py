@@ -21,8 +21,6 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("build_edges")
 
-# Digitised edges further than this from the pavement belong to another road or another CRS.
-
 
 def build_edges(arguments: argparse.Namespace) -> None:
     """Write the edges as splines, marked digitised or automatic."""

@@ -20,6 +20,8 @@ from roadsight.stages.progress import logged
 log = logging.getLogger("build_terrain")
 
 _MERGE_EVERY = 64
+"""Tiles whose sums wait until they are added up: bounds the memory. Sums are whole numbers, so that
+the result does not depend on it."""
 
 
 def build_terrain(arguments: argparse.Namespace) -> None:

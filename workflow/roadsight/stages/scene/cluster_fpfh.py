@@ -23,8 +23,8 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("cluster_fpfh")
 
-# Neighbourhoods reach two columns beyond K1 columns; the halo holds both rings of an FPFH.
 _HALO_COLUMNS = 20
+"""Columns around a tile that are read with it: they hold both rings of neighbours of an FPFH."""
 
 
 def cluster_fpfh(arguments: argparse.Namespace) -> None:

@@ -41,7 +41,10 @@ if TYPE_CHECKING:
 log = logging.getLogger("extract_road_edges")
 
 _BESIDE_M = 45.0
+"""Tiles this near to the track are read for curbs, which are followed 30 m beyond its ends and
+looked for 12 m aside."""
 METHODS = ("contours", "pixels", "curbs")
+"""Ways to road edges, as the setting names them."""
 
 
 def extract_road_edges(arguments: argparse.Namespace) -> None:

@@ -20,6 +20,7 @@ from roadsight.synthetic.highway.mobile_scanner import PointChunk, scan
 from roadsight.synthetic.highway.truth import digitised_edges, truth_layers
 
 _FIRST_SECOND_OF_WEEK = 200_000.0
+"""When the scan begins, s of the GPS week: some moment on a Tuesday."""
 TRUTH_DIMENSION = "truth_class"
 """Extra dimension of the cloud with each point's `TruthClass`: for scoring, never an input."""
 

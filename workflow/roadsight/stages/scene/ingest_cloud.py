@@ -34,6 +34,7 @@ from roadsight.stages.command import run_stage
 log = logging.getLogger(__name__)
 
 UNITS = ("auto", *METRES_PER_UNIT)
+"""What a user may say of units."""
 
 
 def ingest(

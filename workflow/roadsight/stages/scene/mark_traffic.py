@@ -24,10 +24,12 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("mark_traffic")
 
-# Kerbs, islands' rims and the foot of what stands beside the road lie within this of the outline.
 _RIM_M = 0.5
+"""Kerbs, islands' rims and the foot of what stands beside the road are this near to the outline."""
 _COLUMN_M = 0.5
+"""Edge of the columns whose greatest height tells vehicles from what stays."""
 _LOWEST_M = 0.2
+"""What is lower above the ground is pavement."""
 
 
 def mark_traffic(arguments: argparse.Namespace) -> None:

@@ -26,6 +26,7 @@ from roadsight.stages.command import run_stage
 log = logging.getLogger(__name__)
 
 _INTENSITIES = 65_536
+"""Intensities that there are: LAS holds them in 16 bits."""
 
 
 def profile_scene(arguments: argparse.Namespace) -> None:

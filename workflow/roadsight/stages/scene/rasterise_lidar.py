@@ -31,6 +31,7 @@ from roadsight.stages.progress import logged
 log = logging.getLogger("rasterise_lidar")
 
 _ROWS = 32
+"""Rows of voxels that are joined across a row of tiles and written together: bounds the memory."""
 
 
 def rasterise_lidar(arguments: argparse.Namespace) -> None:
