@@ -277,7 +277,7 @@ def test_skipped_side_views_are_not_segmented(copy_of_road):
     copy_of_road.edit(SITE, "  shards: 2\n", "  shards: 2\n  effects: {side_views: skip}\n")
     result = copy_of_road.snakemake("-n", "-p")
     told = result.stdout + result.stderr
-    commands = [line for line in told.splitlines() if "stages.segment_images" in line]
+    commands = [line for line in told.splitlines() if "stages.poles.segment_images" in line]
     assert len(commands) == 2
     assert all("--views front --" in command for command in commands)
 

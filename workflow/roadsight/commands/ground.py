@@ -7,7 +7,7 @@ import argparse
 from roadsight.commands.memory import (
     add_cloud_arguments,
     check_output,
-    ground_of,
+    ground_labels,
     labels_of,
     load_cloud,
 )
@@ -26,7 +26,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground labels, all other dimensions kept."""
     check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
-    labels = labels_of(cloud, ground_of(cloud), None)
+    labels = labels_of(cloud, ground_labels(cloud))
     write_laz(
         arguments.out, cloud.xyz_m, cloud.frame, {**cloud.native.dims, "classification": labels}
     )

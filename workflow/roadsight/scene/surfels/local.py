@@ -20,8 +20,8 @@ cloud, some hundred of an airborne one, and finer than density changes along a r
 _MOST_DOUBLINGS = 5
 """Voxels are up to 2**5 times the finest ones (3.2 m): sparser points span no surface."""
 _FEWEST_POINTS = 12
-"""A block with fewer carries no plane: its points stay what they are, in the finest voxels, or large
-voxels would string them up as wires."""
+"""A block with fewer carries no plane: its points stay what they are, in the finest voxels; large
+ones would string them up as wires."""
 _MARGIN_BLOCKS = 1
 """Blocks around those of a size that its surfels may draw on; they reach a few voxels at most."""
 
