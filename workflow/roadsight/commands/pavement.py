@@ -11,8 +11,8 @@ from roadsight.commands.memory import (
     labels_of,
     load_cloud,
     pavement_of,
+    write_labelled,
 )
-from roadsight.io.cloud.clouds import write_laz
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -42,9 +42,7 @@ def run(arguments: argparse.Namespace) -> None:
     ground = ground_of(cloud)
     outline, _ = pavement_of(cloud, ground, arguments.intensity, arguments.seed)
     labels = labels_of(cloud, ground, outline)
-    write_laz(
-        arguments.out, cloud.xyz_m, cloud.frame, {**cloud.native.dims, "classification": labels}
-    )
+    write_labelled(arguments.out, cloud, labels)
     print(
         f"{outline.area:.0f} m2 of pavement in {len(outline.geoms)} parts,"
         f" {(labels == 11).sum()} points: {arguments.out}"

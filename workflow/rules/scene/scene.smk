@@ -29,11 +29,12 @@ rule ingest_cloud:
         vertical_units=site_field("vertical_units"),
         target_crs=site_field("target_crs"),
         tile_size_m=setting("scene.tile_size_m"),
+        overlap=setting("scene.overlap"),
     shell:
         "RAYON_NUM_THREADS={threads} python -m roadsight.stages.scene.ingest_cloud --site {wildcards.site}"
         " --crs={params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
         " --target-crs={params.target_crs:q} --tile-size-m {params.tile_size_m}"
-        " --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
+        " --overlap {params.overlap} --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
 
 
 checkpoint profile_scene:
