@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from roadsight.base.shards import shard_of
 from roadsight.io.images.camera_tables import posed_images
-from roadsight.io.images.videologs import ImageSource, read_videolog_table
+from roadsight.io.images.videologs import ImageSource, read_videolog_table, recorded_path
 
 
 def files_by_shard(
@@ -33,7 +33,7 @@ def files_by_shard(
     for row in read_videolog_table(table, source).to_dict("records"):
         shard = shard_of(row["image"], shards)
         for name in (row["image"], row["left_image"], row["right_image"]):
-            owner.setdefault(PurePosixPath(name).stem, set()).add(shard)
+            owner.setdefault(recorded_path(name).stem, set()).add(shard)
     found: list[set[Path]] = [set() for _ in range(shards)]
     for folder in map(Path, folders):
         files = (
