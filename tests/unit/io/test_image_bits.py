@@ -50,7 +50,9 @@ def tagged(kind, image, exif, orientation):
         return content[:33] + chunk(b"eXIf", exif) + content[33:]
     if kind == ".webp":
         height, width = image.shape[:2]
-        vp8x = b"\x08\0\0\0" + (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+        vp8x = (
+            b"\x08\0\0\0" + (width - 1).to_bytes(3, "little") + (height - 1).to_bytes(3, "little")
+        )
         body = b"WEBPVP8X" + struct.pack("<I", 10) + vp8x + content[12:]
         body += b"EXIF" + struct.pack("<I", len(exif)) + exif + b"\0" * (len(exif) % 2)
         return b"RIFF" + struct.pack("<I", len(body)) + body

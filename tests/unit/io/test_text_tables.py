@@ -76,7 +76,12 @@ def test_the_message_says_quotes(name):
 
 @pytest.mark.parametrize(
     "name",
-    [r"C:\data\run 2\p.jpg", "C:\\\\data\\\\run 2\\\\p.jpg", "/data/run 2/p.jpg", r"\\nas\run 2\p.jpg"],
+    [
+        r"C:\data\run 2\p.jpg",
+        "C:\\\\data\\\\run 2\\\\p.jpg",
+        "/data/run 2/p.jpg",
+        r"\\nas\run 2\p.jpg",
+    ],
 )
 def test_paths_of_the_recording_computer(tmp_path, name):
     for run in ("run 1", "run 2"):

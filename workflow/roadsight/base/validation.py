@@ -67,7 +67,7 @@ def _message(model: type[BaseModel], error: ValidationError, where: str) -> Inpu
     shown = None if isinstance(first["input"], dict) else repr(first["input"])
     hint = ""
     if first["type"] == "string_type" and isinstance(first["input"], _MISREAD | None):
-        hint = f"put it in quotes: \"...\" (YAML reads it as a {_kind(first['input'])})"
+        hint = f'put it in quotes: "..." (YAML reads it as a {_kind(first["input"])})'
     return InputError(f"{field or 'file'}: {message}", where=where, found=shown, hint=hint)
 
 

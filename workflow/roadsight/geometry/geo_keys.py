@@ -90,8 +90,10 @@ def from_geo_keys(keys: Keys) -> StatedCrs:
         return StatedCrs(crs, vertical_unit_m, "", notes)
     unit_m = _linear_unit_m(keys)
     own_m = crs.axis_info[0].unit_conversion_factor
-    if unit_m is not None and abs(unit_m / own_m - 1) > 1e-9 and unit_name(unit_m) in (
-        METRES_PER_UNIT
+    if (
+        unit_m is not None
+        and abs(unit_m / own_m - 1) > 1e-9
+        and unit_name(unit_m) in (METRES_PER_UNIT)
     ):
         notes = (
             *notes,
@@ -209,7 +211,8 @@ def _conversion(keys: Keys, unit_m: float) -> tuple[dict[str, Any] | None, str]:
     method = _code(keys, _METHOD)
     if method not in _METHODS:
         return None, (
-            f"its GeoTIFF keys name no EPSG code, and the projection method {method or 'none'} (key 3075)"
+            "its GeoTIFF keys name no EPSG code, and the projection method"
+            f" {method or 'none'} (key 3075)"
         )
     name, parameters = _METHODS[method]
     parts = [f"+proj={name}"]

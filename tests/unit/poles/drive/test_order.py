@@ -50,7 +50,7 @@ def test_standing_and_wandering():
     rng = np.random.default_rng(0)
     assert wandering(rng.normal(0, 1.5, (30, 2))).mean() > 0.9
     assert not wandering(EAST + rng.normal(0, 1, EAST.shape)).any()
-    stop = np.vstack([EAST, EAST[-1] + rng.normal(0, 1, (12, 2)), EAST + [90.0, 0]])
+    stop = np.vstack([EAST, EAST[-1] + rng.normal(0, 1, (12, 2)), EAST + np.array([90.0, 0])])
     lost = wandering(stop)
     assert lost[14:22].mean() > 0.8
     assert not lost[:9].any()

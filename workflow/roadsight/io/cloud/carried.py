@@ -59,10 +59,7 @@ def carried_of(header: laspy.LasHeader) -> Carried:
         for record in [*header.vlrs, *(header.evlrs or [])]
         if _is_kept(record.user_id, record.record_id)
     ]
-    extra = {
-        dim.name: _extra_field(dim)
-        for dim in header.point_format.extra_dimensions
-    }
+    extra = {dim.name: _extra_field(dim) for dim in header.point_format.extra_dimensions}
     return Carried(
         int(header.global_encoding.gps_time_type),
         int(header.file_source_id),
@@ -103,5 +100,7 @@ def carry(header: laspy.LasHeader, carried: Carried) -> None:
 
 
 def _text(description: str | bytes) -> str:
-    plain = description.decode("ascii", "replace") if isinstance(description, bytes) else description
+    plain = (
+        description.decode("ascii", "replace") if isinstance(description, bytes) else description
+    )
     return plain.rstrip("\0")

@@ -186,7 +186,9 @@ def counted(path: Path) -> tuple[int, tuple[str, ...]]:
     notes = [note] if note else []
     room = 0 if head[104] & _COMPRESSED else _room(head, size)
     if room > points:
-        notes.append(f"its header says {points:,} points, but there is room for {room:,}: the first")
+        notes.append(
+            f"its header says {points:,} points, but there is room for {room:,}: the first"
+        )
     return points, tuple(notes)
 
 
@@ -260,11 +262,13 @@ def _stated(header: laspy.LasHeader) -> StatedCrs:
             contents.setdefault(record.record_id, []).append(record.record_data_bytes())
     texts = {}
     for number in (_WKT_RECORD, _WKT_2_RECORD):
-        plain = [d.decode("utf-8", "replace").rstrip("\0").strip() for d in contents.get(number, [])]
+        plain = [
+            d.decode("utf-8", "replace").rstrip("\0").strip() for d in contents.get(number, [])
+        ]
         texts[number] = list(dict.fromkeys(text for text in plain if text))
-    if repeated := [number for number, found in texts.items() if len(found) > 1]:
-        found = " and ".join(text[:60] for text in texts[repeated[0]])
-        return StatedCrs(problem=f"it holds different records {repeated[0]}: {found}")
+    if repeated := [number for number, told in texts.items() if len(told) > 1]:
+        both = " and ".join(text[:60] for text in texts[repeated[0]])
+        return StatedCrs(problem=f"it holds different records {repeated[0]}: {both}")
     middle = (np.asarray(header.mins) + np.asarray(header.maxs)) / 2
     return stated_crs(
         next(iter(texts[_WKT_RECORD]), None),

@@ -10,7 +10,7 @@ from roadsight.base.arrays import Bools, Floats
 NOISE_CLASSES = (7, 18)
 """ASPRS classes of low and high noise."""
 OVERLAP_CLASS = 12
-"""Class of points of overlapping flight lines in point formats 0 to 5, which have no flag for it."""
+"""Class of points of overlapping flight lines in point formats 0 to 5, which have no such flag."""
 OVERLAPS = ("use", "leave_out")
 """What may be done with points of overlapping flight lines."""
 

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.chunks import Chunk
-from roadsight.io.cloud.clouds import read_header
 from roadsight.io.cloud.cloud_scan import kept_chunks
+from roadsight.io.cloud.clouds import read_header
 from roadsight.io.cloud.point_filter import key_steps, point_keys
 from roadsight.io.records.checksums import sha256
 

@@ -164,9 +164,9 @@ def _plain_png(content: bytes) -> tuple[bytes, int]:
     for name, data in chunks:
         if name in (b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT"):
             continue
-        data = header if name == b"IHDR" else data
-        check = struct.pack(">I", zlib.crc32(name + data))
-        parts.append(struct.pack(">I", len(data)) + name + data + check)
+        content_of = header if name == b"IHDR" else data
+        check = struct.pack(">I", zlib.crc32(name + content_of))
+        parts.append(struct.pack(">I", len(content_of)) + name + content_of + check)
     return b"".join(parts), 255 // (2**depth - 1) if depth < 8 else 1
 
 
@@ -277,8 +277,9 @@ def _capture_s(tiff: bytes, order: str, entries: dict[int, list[float]]) -> floa
             moment = datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
         except ValueError:
             continue
-        return moment.timestamp() + (float(f"0.{digits}") if digits.isascii() and digits.isdigit()
-            else 0.0)
+        return moment.timestamp() + (
+            float(f"0.{digits}") if digits.isascii() and digits.isdigit() else 0.0
+        )
     return None
 
 

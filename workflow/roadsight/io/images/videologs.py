@@ -301,9 +301,9 @@ def _lookup(names: Iterable[str]) -> dict[str, list[str]]:
 
 
 def recorded_path(name: str) -> PurePosixPath:
-    """An image's name as a relative path: that of a recording computer without what leads there.
+    r"""An image's name as a relative path: that of a recording computer without what leads there.
 
-    ``C:\\data\\run 1\\p.jpg``, ``\\\\server\\run 1\\p.jpg`` and ``/data/run 1/p.jpg`` become
+    ``C:\data\run 1\p.jpg``, ``\\server\run 1\p.jpg`` and ``/data/run 1/p.jpg`` become
     ``data/run 1/p.jpg`` or ``server/run 1/p.jpg``; nothing outside the folder is ever opened.
     """
     plain = re.sub(r"^[A-Za-z]:", "", name.replace("\\", "/"))

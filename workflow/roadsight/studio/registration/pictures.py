@@ -5,12 +5,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import cv2
-import numpy as np
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.io.images.exif import decoded_image
 from roadsight.geometry.lens import RadialLens
+from roadsight.io.images.exif import decoded_image
 from roadsight.io.records.atomic import read_json
 from roadsight.poles.drive.drive_lenses import Key, lens_of, with_given
 from roadsight.poles.images.straightening import source_places, straightened
