@@ -185,13 +185,14 @@ def write_laz(
             where=str(path),
         )
     carried = carried or Carried()
-    dims = {name: np.asarray(dims[name]) for name in dims or {} if name not in _WAVEFORM}
-    las = laspy.LasData(_new_header(frame, offset, dims, carried))
+    given = (dims or {}).items()
+    fields = {name: np.asarray(values) for name, values in given if name not in _WAVEFORM}
+    las = laspy.LasData(_new_header(frame, offset, fields, carried))
     las.x, las.y, las.z = xyz.T
-    for name, values in dims.items():
+    for name, values in fields.items():
         stored = _las_values(name, values)
         description = carried.extra.get(name, ExtraField())
-        if description.scales is None:
+        if description.scales is None or description.offsets is None:
             las[_las_name(name)] = stored
         else:
             steps = (values - description.offsets) / description.scales

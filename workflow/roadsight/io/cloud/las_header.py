@@ -166,7 +166,7 @@ def _room(head: bytes, size: int) -> int:
     (points_at,) = struct.unpack_from("<I", head, 96)
     (point_bytes,) = struct.unpack_from("<H", head, 105)
     end = size
-    followers = []
+    followers: list[int] = []
     if head[25] >= 3 and len(head) >= 235:
         followers += struct.unpack_from("<Q", head, 227)
     if head[25] >= 4 and len(head) == _LAS_14_HEADER_BYTES:

@@ -55,12 +55,11 @@ def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.
     path = Path(file)
     features, stated = _load(path, layer)
     if stated is not None and _is_undefined(stated):
-        stated = (
-            parse_crs(default_crs, f"CRS of {path}")
-            if _names_place(default_crs)
-            else (_WGS84 if stated.is_geographic and default_crs is None else None)
-        )
-        default_crs = "local" if stated is None else default_crs
+        if default_crs is None:
+            stated = _WGS84 if stated.is_geographic else None
+            default_crs = "local"
+        else:
+            stated = None
     if len(features) == 0:
         raise InputError("holds no features", where=str(path))
     geometries = features.geometry.to_numpy().copy()
@@ -85,10 +84,6 @@ def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.
 def _is_undefined(crs: CRS) -> bool:
     """Whether a CRS says that there is none, as QGIS and R write it into a GeoPackage."""
     return crs.is_engineering or crs.name.lower().startswith(("undefined", "unknown cartesian"))
-
-
-def _names_place(default_crs: str | None) -> bool:
-    return default_crs is not None and default_crs not in _NATIVE
 
 
 def with_known_heights(geometry: shapely.Geometry) -> shapely.Geometry:
