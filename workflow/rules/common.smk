@@ -131,6 +131,20 @@ def beside_site(path):
     return files
 
 
+def layered_site(path, otherwise=None):
+    """The same as an argument of a stage: with the layer that the site file names."""
+
+    def files(wildcards):
+        content = SITES[wildcards.site].site
+        for part in path.split("."):
+            content = getattr(content, part)
+        if content is None or content == "sample":
+            return (otherwise or beside_site(path))(wildcards)
+        return [SITES[wildcards.site].layered(content)]
+
+    return files
+
+
 def million_points(input):
     """Size of a stage's cloud in million points; 4 where there is none yet."""
     cloud = getattr(input, "cloud", None)

@@ -10,8 +10,8 @@ from roadsight.commands.memory import (
     ground_labels,
     labels_of,
     load_cloud,
+    write_labelled,
 )
-from roadsight.io.cloud.clouds import write_laz
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -27,7 +27,5 @@ def run(arguments: argparse.Namespace) -> None:
     check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
     labels = labels_of(cloud, ground_labels(cloud))
-    write_laz(
-        arguments.out, cloud.xyz_m, cloud.frame, {**cloud.native.dims, "classification": labels}
-    )
+    write_labelled(arguments.out, cloud, labels)
     print(f"{(labels == 2).sum()} of {len(labels)} points are ground: {arguments.out}")

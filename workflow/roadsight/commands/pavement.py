@@ -11,8 +11,8 @@ from roadsight.commands.memory import (
     labels_of,
     load_cloud,
     pavement_of,
+    write_labelled,
 )
-from roadsight.io.cloud.clouds import write_laz
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -49,9 +49,7 @@ def run(arguments: argparse.Namespace) -> None:
     ground = ground_labels(cloud)
     found = pavement_of(cloud, ground, arguments)
     labels = labels_of(cloud, ground, found.points)
-    write_laz(
-        arguments.out, cloud.xyz_m, cloud.frame, {**cloud.native.dims, "classification": labels}
-    )
+    write_labelled(arguments.out, cloud, labels)
     print(
         f"{found.outline.area:.0f} m2 of pavement in {len(found.outline.geoms)} parts,"
         f" {(labels == 11).sum()} points: {arguments.out}"
