@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import ImageFacts, decoded_image, image_facts
 from roadsight.io.records.text_tables import read_cells
@@ -314,18 +314,3 @@ def _check_inside(name: str, where: Path) -> None:
     path = PurePosixPath(name.replace("\\", "/"))
     if not name or path.is_absolute() or ".." in path.parts or re.match(r"[A-Za-z]:", name):
         raise InputError("an image's name leads out of the folder", where=str(where), found=name)
-
-
-def read_positions(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
-    """Latitude and longitude, degrees, of the images of a videolog that have both.
-
-    Raises
-    ------
-    InputError : as `read_videolog_table`, or no image has a position.
-    """
-    tagged = Path(path).is_dir() or Path(path).suffix.lower() == ".zip"
-    table = _from_exif(ImageSource(path)) if tagged else _from_csv(Path(path))
-    placed = table.dropna(subset=["latitude", "longitude"])
-    if not len(placed):
-        raise InputError("has no image with a position", where=str(path))
-    return placed["latitude"].to_numpy(float), placed["longitude"].to_numpy(float)
