@@ -233,6 +233,38 @@ def summaries():
     return [f"results/{site}/summary.json" for site in ASKED_SITES]
 
 
+def site_extent(wildcards):
+    """The site's extent as ``kind=value``; a polygon is given by its file."""
+    resolved = SITES[wildcards.site]
+    extent = resolved.site.extent
+    if extent is None:
+        return NamedValue("extent", "")
+    kind, _, value = extent.stated.partition("=")
+    if kind == "polygon":
+        value = resolved.beside(value)
+    return NamedValue("extent", f"{kind}={value}")
+
+
+def extent_crs(wildcards):
+    """CRS of the extent's file if it names none."""
+    site = SITES[wildcards.site].site
+    if site.extent is None:
+        return ""
+    return (
+        site.extent.polygon_crs if site.extent.polygon else site.placement.edges_crs
+    ) or ""
+
+
+def extent_files(wildcards):
+    """Files that decide what belongs to the site: its polygon, edges, or videolog."""
+    extent = SITES[wildcards.site].site.extent
+    if extent is None or extent.box is not None:
+        return []
+    if extent.polygon is not None:
+        return beside_site("extent.polygon")(wildcards)
+    return (edges_file if extent.edges_m else videolog_file)(wildcards)
+
+
 def edges_file(wildcards):
     """Digitised edges: the site's file, or those that come with the generated sample."""
     if SITES[wildcards.site].site.placement.edges == "sample":

@@ -17,7 +17,9 @@ from tests.helpers.las_files import DATA, needs_data, random_points, wkt_of, wri
 
 US_FOOT = 1200 / 3937
 UTM = wkt_of("EPSG:25832")
-NOTHING_DROPPED = dict.fromkeys(("withheld", "noise", "synthetic", "overlap", "repeated"), 0)
+NOTHING_DROPPED = dict.fromkeys(
+    ("withheld", "noise", "synthetic", "overlap", "repeated", "outside"), 0
+)
 
 
 def run(tmp_path, clouds, crs="auto", units="auto", vertical="auto", target=None, **options):

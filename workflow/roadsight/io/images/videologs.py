@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Bytes
+from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import ImageFacts, decoded_image, image_facts
 from roadsight.io.records.text_tables import read_cells
@@ -288,6 +288,21 @@ def _from_exif(source: ImageSource) -> pd.DataFrame:
     table["sequence"], reasons = drive_order(table["route"], sequence, time, False)
     _tell_order(reasons)
     return table.drop(columns="time")
+
+
+def read_positions(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
+    """Latitude and longitude, degrees, of the images of a videolog that have both.
+
+    Raises
+    ------
+    InputError : as `read_videolog_table`, or no image has a position.
+    """
+    tagged = Path(path).is_dir() or Path(path).suffix.lower() == ".zip"
+    table = _from_exif(ImageSource(path)) if tagged else _from_csv(Path(path))
+    placed = table.dropna(subset=["latitude", "longitude"])
+    if not len(placed):
+        raise InputError("has no image with a position", where=str(path))
+    return placed["latitude"].to_numpy(float), placed["longitude"].to_numpy(float)
 
 
 def _lookup(names: Iterable[str]) -> dict[str, list[str]]:

@@ -11,7 +11,7 @@ import argparse
 import logging
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -33,6 +33,8 @@ from roadsight.io.cloud.tile_draft import TileDraft, colour_shift, is_coloured, 
 from roadsight.io.cloud.tile_writer import TileWriter
 from roadsight.io.cloud.tiles import Tile
 from roadsight.io.records.atomic import write_json
+from roadsight.io.vector.extent import Within
+from roadsight.io.vector.extent import read_extent as read_site_extent
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger(__name__)
@@ -50,6 +52,7 @@ def ingest(
     frame_path: Path,
     chunk_points: int = CHUNK_POINTS,
     overlap: str = "use",
+    extent: Callable[[Frame], Within] | None = None,
 ) -> None:
     """Read ``clouds``, check them and write the tiled cloud and its frame.
 
@@ -61,13 +64,16 @@ def ingest(
     tile_size_m : edge of a tile, whole metres, so that tiles are made of whole cells.
     chunk_points : points looked at together; the result does not depend on it.
     overlap : whether points of overlapping flight lines take part, see `kept_chunks`.
+    extent : gives, in the site's frame, which places belong to the site; None: all.
 
     Raises
     ------
-    InputError : a cloud cannot be read, or CRS and units are missing, contradictory or impossible.
+    InputError : a cloud cannot be read, CRS and units are missing, contradictory or impossible, or
+        the extent holds no point.
     """
     _check_arguments(clouds, tile_size_m)
-    promised, coloured = (None, False) if target_crs else _promised(clouds, choice)
+    moved = target_crs or extent is not None
+    promised, coloured = (None, False) if moved else _promised(clouds, choice)
     with TileDraft(cloud_path, tile_size_m, promised, coloured) as draft:
         sample = RepeatedSample(steps_of(clouds))
 
@@ -86,8 +92,10 @@ def ingest(
             told = "clouds overlap, or hold copies: %d points are there twice and count once"
             log.warning(told, repeated)
         tiles = None if repeated else draft.finish(site.frame, scans)
+    outside = 0
+    within = None if extent is None else extent(site.frame)
     if tiles is None:
-        log.info("reading again: the points differ from what the headers say, or are moved")
+        log.info("reading again: the points differ from what the headers say, or are not all kept")
         with TileWriter(cloud_path, tile_size_m, is_coloured(scans)) as writer:
             for scan, ones in zip(scans, first, strict=True):
                 shift, done = colour_shift(scan.brightest), 0
@@ -95,9 +103,16 @@ def ingest(
                     part = None if ones is None else ones[done : done + len(chunk)]
                     done += len(chunk)
                     kept = chunk if part is None else chunk.select(part)
+                    if within is not None:
+                        inside = within(site.frame.to_local(kept.xyz[:, :2]))
+                        outside += int(np.count_nonzero(~inside))
+                        kept = kept.select(inside)
                     writer.append(tile_columns(kept, site.frame, shift))
+            _check_extent(outside, scans, repeated)
             tiles = writer.finish()
-    write_json(frame_path, describe(site, scans, tiles, tile_size_m, repeated))
+    if outside:
+        log.info("the extent leaves %d points out", outside)
+    write_json(frame_path, describe(site, scans, tiles, tile_size_m, repeated, outside))
     log.info("%d points in %d tiles", sum(tile.rows for tile in tiles), len(tiles))
 
 
@@ -144,6 +159,7 @@ def describe(
     tiles: Sequence[Tile],
     tile_size_m: float,
     repeated: int = 0,
+    outside: int = 0,
 ) -> dict[str, Any]:
     """Content of ``scene/frame.json``."""
     corners = np.array([tile.bounds_m for tile in tiles])
@@ -165,8 +181,21 @@ def describe(
             "synthetic": sum(scan.synthetic for scan in scans),
             "overlap": sum(scan.overlap for scan in scans),
             "repeated": repeated,
+            "outside": outside,
         },
     }
+
+
+def _check_extent(outside: int, scans: Sequence[CloudScan], repeated: int) -> None:
+    """Refuse an extent that misses the clouds, before they become a site without points."""
+    if outside and outside == sum(scan.points for scan in scans) - repeated:
+        (west, south, _), (east, north, _) = _corners(scans)
+        raise InputError(
+            "holds no point of the clouds",
+            where="extent",
+            allowed=f"part of x {west:.10g} to {east:.10g}, y {south:.10g} to {north:.10g}",
+            hint="give it in the clouds' coordinates, or a file that names its CRS",
+        )
 
 
 def _check_arguments(clouds: Sequence[Path], tile_size_m: float) -> None:
@@ -212,6 +241,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--target-crs", nargs="?", help="reproject to this projected CRS")
     parser.add_argument("--tile-size-m", type=float, default=50.0)
     parser.add_argument("--overlap", choices=OVERLAPS, default="use")
+    parser.add_argument("--extent", nargs="?", help="KIND=VALUE, see `read_extent`")
+    parser.add_argument("--extent-files", nargs="*", type=Path, default=[])
+    parser.add_argument("--extent-crs", nargs="?", help="of extent files that name none")
     parser.add_argument("--cloud", type=Path, required=True, help="tiled cloud to write")
     parser.add_argument("--frame", type=Path, required=True, help="frame to write")
     parser.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD")
@@ -228,9 +260,19 @@ def _run(arguments: argparse.Namespace) -> None:
             arguments.cloud,
             arguments.frame,
             overlap=arguments.overlap,
+            extent=_extent(arguments),
         )
     except InputError as error:
         raise InputError(str(error), where=f"site {arguments.site}") from error
+
+
+def _extent(arguments: argparse.Namespace) -> Callable[[Frame], Within] | None:
+    """How the site's extent is found once its frame is known."""
+    if not arguments.extent:
+        return None
+    kind, _, value = arguments.extent.partition("=")
+    files, crs = arguments.extent_files, arguments.extent_crs
+    return lambda frame: read_site_extent(kind, value, frame, files, crs)
 
 
 if __name__ == "__main__":
