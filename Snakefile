@@ -42,6 +42,7 @@ rule all:
     default_target: True
     input:
         "results/report.html",
+        printed_reports(),
         summaries(),
     localrule: True
 
@@ -85,6 +86,7 @@ rule truth:
 rule report:
     input:
         "results/report.html",
+        printed_reports(),
     localrule: True
 
 

@@ -1,7 +1,7 @@
 """What people and checks read: a summary of each site and one report page.
 
 REQUIRED INPUTS  everything a site's jobs produced
-OUTPUTS          results/{site}/summary.json, results/report.html
+OUTPUTS          results/{site}/summary.json, results/{site}/report.pdf, results/report.html
 """
 
 
@@ -113,6 +113,27 @@ rule write_report:
         "python -m roadsight.stages.evidence.write_report --pages {input.pages}"
         " --poles-pages {input.poles_pages} --evidence {params.evidence:q}"
         " --out {output.report} > {log} 2>&1"
+
+
+rule write_pdf:
+    input:
+        page=own_site_page,
+        poles_page=own_poles_page,
+        template=PAPER_ASSETS,
+        code=sources("write_pdf"),
+    output:
+        pdf="results/{site}/report.pdf",
+    log:
+        log_of("write_pdf"),
+    benchmark:
+        benchmark_of("write_pdf")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(100),
+    shell:
+        "python -m roadsight.stages.evidence.write_pdf --page {input.page} --poles-page {input.poles_page}"
+        " --benchmarks results/{wildcards.site}/benchmarks --out {output.pdf} > {log} 2>&1"
 
 
 rule write_poles_page:
