@@ -43,6 +43,7 @@ rule all:
     input:
         "results/report.html",
         printed_reports(),
+        handovers(),
         summaries(),
     localrule: True
 
@@ -87,6 +88,7 @@ rule report:
     input:
         "results/report.html",
         printed_reports(),
+        handovers(),
     localrule: True
 
 

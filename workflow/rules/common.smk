@@ -253,6 +253,27 @@ def printed_reports():
     ]
 
 
+def scene_page_only(file):
+    """A result of the scene, where the site asks for pavement and edges."""
+    return lambda wildcards: (
+        [file.format(site=wildcards.site)] if has_scene_page(wildcards.site) else []
+    )
+
+
+def handovers():
+    """What GIS, CAD and crews take along."""
+    found = []
+    for site in ASKED_SITES:
+        if has_scene_page(site) or wants(site, "poles"):
+            found += [
+                f"results/{site}/gis/{site}.{kind}"
+                for kind in ("gpkg", "qgs", "kml", "dxf")
+            ]
+        if wants(site, "placement"):
+            found.append(f"results/{site}/stakeout.csv")
+    return found
+
+
 def summaries():
     return [f"results/{site}/summary.json" for site in ASKED_SITES]
 
