@@ -18,8 +18,10 @@ from roadsight.io.records.checksums import CachedChecksums
 from roadsight.io.records.sources import stage_sources
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
+from snakemake_logger_plugin_roadsight.stopping import let_stops_through
 
 prepare_environment()
+let_stops_through()
 
 LOCK = "envs/requirements.lock"
 PAPER_ASSETS = ["workflow/roadsight/report/assets/paper/report.typ"]
