@@ -20,12 +20,13 @@ from roadsight.poles.images.networks import (
     METRIC_NEAREST_M,
     downward_trend,
     inverse_depth,
+    is_stretched,
     packed_depth,
     tensor_of,
 )
 from roadsight.poles.images.views import VIEWS, View
 from roadsight.stages.command import run_stage
-from roadsight.stages.poles.view_inputs import views_with_images
+from roadsight.stages.poles.view_inputs import Stretched, views_with_images
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("estimate_depth")
@@ -108,9 +109,12 @@ def _open(arguments: argparse.Namespace) -> tuple[bool, str, Depth]:
 
 def _from_folder(arguments: argparse.Namespace) -> Depth:
     folder, kind = LabelImages(arguments.source), arguments.folder_kind
+    images, stretched = ImageSource(arguments.images), Stretched("depth images", log)
 
     def depth_of(view: View) -> NDArray[np.uint16]:
-        pixels = folder.read(view.path).astype(np.float32)
+        pixels, shape = folder.read(view.path).astype(np.float32), images.size(view.path)[::-1]
+        if is_stretched(pixels.shape, shape, f"{folder.folder}: {view.path}"):
+            stretched.tell(view.path, pixels.shape, shape)
         known = np.where(pixels > 0, pixels, np.float32(np.nan))
         inverse = known if kind == "inverse_depth" else 1.0 / known
         return packed_depth(inverse.astype(np.float32), metric=False)

@@ -17,10 +17,16 @@ from roadsight.io.images.models import open_model, read_label_map
 from roadsight.io.images.videologs import ImageSource
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.manifest import Labels
-from roadsight.poles.images.networks import class_mask, folder_mask, merge_masks, tensor_of
+from roadsight.poles.images.networks import (
+    class_mask,
+    folder_mask,
+    is_stretched,
+    merge_masks,
+    tensor_of,
+)
 from roadsight.poles.images.views import VIEWS, View
 from roadsight.stages.command import run_stage
-from roadsight.stages.poles.view_inputs import views_with_images
+from roadsight.stages.poles.view_inputs import Stretched, views_with_images
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("segment_images")
@@ -53,10 +59,14 @@ def _open(source: list[str], arguments: argparse.Namespace) -> Source:
     """One source: a model's manifest, or a folder and its label map."""
     if len(source) == 2:
         folder, labels = LabelImages(source[0]), read_label_map(source[1])
+        stretched = Stretched("label images", log)
 
         def from_folder(view: View, image: Bytes) -> Bytes:
             where = f"{folder.folder}: {view.path}"
-            return folder_mask(folder.read(view.path), labels, image.shape[:2], where)
+            labelled, shape = folder.read(view.path), image.shape[:2]
+            if is_stretched(labelled.shape, shape, where):
+                stretched.tell(view.path, labelled.shape, shape)
+            return folder_mask(labelled, labels, shape, where)
 
         return labels, from_folder
     if len(source) != 1:

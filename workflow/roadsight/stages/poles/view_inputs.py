@@ -39,3 +39,18 @@ def views_with_images(
             "%d images of this shard have no %s and are left out: %s", len(left_out), what, names
         )
     return [view for view in views if view.path not in missing], [v.name for v in left_out]
+
+
+class Stretched:
+    """Images that have other proportions than those they belong to: the first one is told."""
+
+    def __init__(self, what: str, log: logging.Logger) -> None:
+        self._what, self._log, self._told = what, log, False
+
+    def tell(self, image: str, found: tuple[int, ...], wanted: tuple[int, ...]) -> None:
+        """Log the sizes, rows and columns, of the first one."""
+        if not self._told:
+            text = "%s have other proportions than their images and are stretched: %s, %s for %s px"
+            sizes = (f"{shape[1]} x {shape[0]}" for shape in (found, wanted))
+            self._log.warning(text, self._what, image, *sizes)
+            self._told = True
