@@ -23,8 +23,11 @@ def given_lists(wildcards):
     site, poles, found = resolved.site, resolved.site.poles, []
 
     def add(kind, what, path, crs=None):
+        found.append(dict(kind=kind, what=what, path=path, crs=crs))
+
+    def add_named(kind, what, path, crs=None):
         if path is not None and path != "sample":
-            found.append(dict(kind=kind, what=what, path=path, crs=crs))
+            add(kind, what, resolved.layered(path), crs)
 
     if has_scene_page(wildcards.site):
         own = site.placement
@@ -35,7 +38,7 @@ def given_lists(wildcards):
             ("existing poles", own.mounts, None),
             ("known polygons", site.truth.pavement, site.truth.pavement_crs),
         ):
-            add("places", what, path and resolved.layered(path), crs)
+            add_named("places", what, path, crs)
     if wants(wildcards.site, "placement"):
         for plan in plans_of(wildcards.site).values():
             for option, what in PLAN_LISTS.items():
@@ -44,13 +47,13 @@ def given_lists(wildcards):
                     add("places", what, features.file, features.crs)
     if wants(wildcards.site, "poles") and not site.sample:
         truth = site.truth
-        add("places", "known poles", truth.poles and resolved.layered(truth.poles), truth.poles_crs)
+        add_named("places", "known poles", truth.poles, truth.poles_crs)
         for what, path in (
             ("corrections", poles.corrections),
             ("given cameras", poles.cameras),
             ("known cameras", truth.cameras),
         ):
-            add("images", what, resolved.beside(path))
+            add_named("images", what, path)
         for path in named_folders(resolved, "masks"):
             add("folder", "label images", path)
         for path in named_folders(resolved, "depth"):
