@@ -288,7 +288,7 @@ def site_extent(wildcards):
         return NamedValue("extent", "")
     kind, _, value = extent.stated.partition("=")
     if kind == "polygon":
-        value = resolved.beside(value)
+        value = resolved.layered(value)
     return NamedValue("extent", f"{kind}={value}")
 
 
@@ -310,6 +310,14 @@ def extent_files(wildcards):
     if extent.polygon is not None:
         return beside_site("extent.polygon")(wildcards)
     return (edges_file if extent.edges_m else videolog_file)(wildcards)
+
+
+def layered_extent_files(wildcards):
+    """The edges or the videolog that decide, with the layer that the site file names."""
+    extent = SITES[wildcards.site].site.extent
+    if extent is not None and extent.edges_m:
+        return layered_site("placement.edges", edges_file)(wildcards)
+    return extent_files(wildcards)
 
 
 def edges_file(wildcards):

@@ -138,8 +138,9 @@ def _has(page: _Page, key: str) -> bool:
 
 
 def _cautions(page: _Page | None, poles_page: _Page | None) -> list[dict[str, str]]:
-    """Cautions of both jobs, warnings first."""
+    """Cautions of both jobs, warnings first; what both say stands once."""
     found = [caution for given in (page, poles_page) if given for caution in given["cautions"]]
+    found = [caution for number, caution in enumerate(found) if caution not in found[:number]]
     return sorted(found, key=lambda caution: caution["level"] != "warning")
 
 

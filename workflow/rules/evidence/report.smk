@@ -6,6 +6,32 @@ OUTPUTS          results/{site}/summary.json, results/{site}/report.pdf, results
 """
 
 
+rule match_inputs:
+    input:
+        frame=rules.ingest_cloud.output.frame,
+        frames=frames_of_lists,
+        files=listed_files,
+        code=sources("match_inputs"),
+    output:
+        doubts="results/{site}/doubts/match_inputs.json",
+    log:
+        log_of("match_inputs"),
+    benchmark:
+        benchmark_of("match_inputs")
+    conda:
+        ENVIRONMENT
+    params:
+        lists=lists_json,
+        images_sha256=listed_images,
+        views=lambda wildcards: (
+            used_views(wildcards) if frames_of_lists(wildcards) else "front"
+        ),
+    shell:
+        "python -m roadsight.stages.evidence.match_inputs --frame {input.frame}"
+        " --frames {input.frames} --views {params.views} --lists={params.lists:q}"
+        " --doubts {output.doubts} > {log} 2>&1"
+
+
 rule summarise_site:
     input:
         frame=rules.ingest_cloud.output.frame,
@@ -24,6 +50,7 @@ rule summarise_site:
         solutions=placement_only(plan_solutions),
         timings=placement_only(plan_timings),
         data=placement_only(plan_data),
+        doubts=told_doubts,
         code=sources("summarise_site"),
     output:
         summary="results/{site}/summary.json",
@@ -45,7 +72,7 @@ rule summarise_site:
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
         " --timings {input.timings} --data {input.data} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
-        " --camera-scores {input.camera_scores}"
+        " --camera-scores {input.camera_scores} --doubts {input.doubts}"
         " --out {output.summary} > {log} 2>&1"
 
 
