@@ -252,8 +252,8 @@ def test_a_new_sensor_makes_nothing_stale(copy_of_finished):
 
 def test_one_sensor_changed_renders_that_sensor_alone(copy_of_finished):
     path = copy_of_finished.folder / "config/sensors.yaml"
-    before, name, rest = path.read_text().partition("  OS-64:")
-    path.write_text(before + name + rest.replace("range_m: 120", "range_m: 110", 1))
+    before, name, rest = path.read_text().partition("  OS1-32: {like: OS1-64")
+    path.write_text(f"{before}{name}, range_m: 110{rest}")
     result = copy_of_finished.snakemake("-n")
     rendered = [
         line
@@ -262,7 +262,7 @@ def test_one_sensor_changed_renders_that_sensor_alone(copy_of_finished):
         if "output:" in line and "round-0/depth/" in line
     ]
     assert rendered
-    assert all("/OS-64/" in line for line in rendered)
+    assert all("/OS1-32/" in line for line in rendered)
 
 
 def test_a_renamed_site_file_with_other_cloud_content_is_noticed(copy_of_finished):

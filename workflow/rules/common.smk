@@ -24,7 +24,7 @@ LOCK = "envs/requirements.lock"
 REPORT_ASSETS = sorted(
     str(path) for path in Path("workflow/roadsight/report/assets").rglob("*.*")
 )
-ENVIRONMENT = "../../envs/roadsight.yaml"
+ENVIRONMENT = "../../../envs/roadsight.yaml"
 
 
 def clearly(function, *arguments):

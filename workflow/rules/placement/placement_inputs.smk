@@ -2,6 +2,7 @@
 
 from roadsight.base.validation import check_path
 from roadsight.placement.sensors.light import wavelength_nm
+from roadsight.placement.sensors.sensors import what_it_sees
 
 
 def plans_of(site):
@@ -26,8 +27,8 @@ def placement_results():
 
 
 def sensor_definition(wildcards):
-    """Everything that the sensors file says of the rule's sensor."""
-    return SENSORS[wildcards.sensor].to_dict()
+    """What the sensors file says of the rule's sensor, without its cost: prices render nothing."""
+    return what_it_sees(SENSORS[wildcards.sensor])
 
 
 def rounds_of(site):
@@ -177,8 +178,13 @@ def site_sensors(wildcards):
     return {name: SENSORS[name].to_dict() for name in sensors_of(wildcards.site)}
 
 
+def site_sensors_seeing(wildcards):
+    """The same without their costs."""
+    return {name: what_it_sees(SENSORS[name]) for name in sensors_of(wildcards.site)}
+
+
 def site_sensors_json(wildcards):
-    """The same as JSON, for the record."""
+    """Definitions of the site's sensors as JSON, for the record."""
     return json.dumps(site_sensors(wildcards), sort_keys=True)
 
 
