@@ -55,9 +55,17 @@ READERS = {
         "place_targets",
         "densify_candidates",
         "measure_data",
+        "summarise_site",
         "write_site_page",
     },
-    "build_edges": {"place_candidates", "densify_candidates", "measure_data", "write_site_page"},
+    # Digitised edges bound the road on which targets stand.
+    "build_edges": {
+        "place_candidates",
+        "place_targets",
+        "densify_candidates",
+        "measure_data",
+        "write_site_page",
+    },
     "score_pavement": {"summarise_site"},
     "place_candidates": {
         "render_depth_maps",

@@ -224,7 +224,10 @@ class TestData:
         assert "Only 40 targets" in texts
         assert "Only 3 candidate positions" in texts
         assert "90" in texts
-        assert "fewer than 25 points" in texts
+        assert "hatched on the map" in texts
+        assert not data_cautions(500, 50, 2000.0, SETTINGS, 1990.0)
+        (thin,) = data_cautions(500, 50, 2000.0, SETTINGS, 940.0)
+        assert "53" in thin.text
 
     def test_pavement_of_no_area(self):
         assert data_cautions(500, 50, 0.0, SETTINGS) == []

@@ -16,14 +16,13 @@ class Targets(Section):
     """Pole-like targets on the pavement."""
 
     cell_size_m: Metres = Field(default=1.0, description="grid of targets, m")
-    min_points: Count = Field(
-        default=25, description="pavement points that a cell needs to carry a target"
+    min_points: Count | Literal["local"] = Field(
+        default="local",
+        description="pavement points that a cell needs to carry a target; local: by density",
     )
-    inset_m: float = Field(
-        default=0.0,
-        ge=-10,
-        le=10,
-        description="targets keep this far inside the outline, m; negative: outside",
+    inset_m: Annotated[float, Field(ge=-10, le=10)] | Literal["local"] = Field(
+        default="local",
+        description="targets keep this far inside the outline, m; local: a spacing of points",
     )
     kind: Literal["cylinder", "pedestrian", "car", "truck", "deer", "box"] = Field(
         default="cylinder",

@@ -20,6 +20,7 @@ rule summarise_site:
         validation=pole_validation,
         camera_scores=camera_scores,
         coverage=placement_only(last_coverage),
+        pavement=pavement_points,
         solutions=placement_only(plan_solutions),
         timings=placement_only(plan_timings),
         data=placement_only(plan_data),
@@ -42,7 +43,7 @@ rule summarise_site:
         " --frame {input.frame} --profile {input.profile}"
         " --effects {input.effects}"
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
-        " --timings {input.timings} --data {input.data} --frames {input.frames} --cameras {input.cameras}"
+        " --pavement {input.pavement} --timings {input.timings} --data {input.data} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
         " --camera-scores {input.camera_scores}"
         " --out {output.summary} > {log} 2>&1"
@@ -57,6 +58,7 @@ rule write_site_page:
         pavement=rules.extract_pavement.output.pavement,
         edges=rules.build_edges.output.edges,
         targets=placement_only(site_targets),
+        unexamined=placement_only(unexamined_pavement),
         candidates=placement_only(all_candidates),
         detections=placement_only(all_detections),
         coverage=placement_only(last_coverage),
@@ -86,7 +88,7 @@ rule write_site_page:
         " --title={params.title:q} --plans {params.plans:q} --sensors {params.sensors_file:q}"
         " --summary {input.summary} --frame {input.frame} --cloud {input.cloud}"
         " --dem {input.dem} --pavement {input.pavement} --edges {input.edges}"
-        " --targets {input.targets} --candidates {input.candidates}"
+        " --targets {input.targets} --unexamined {input.unexamined} --candidates {input.candidates}"
         " --detections {input.detections} --coverage {input.coverage}"
         " --solutions {input.solutions} --layers {input.layers}"
         " --obstacles {input.obstacles} --scans {input.scans}"

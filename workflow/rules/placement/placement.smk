@@ -54,10 +54,11 @@ rule place_targets:
         pavement=rules.extract_pavement.output.points,
         outline=rules.extract_pavement.output.pavement,
         frame=rules.ingest_cloud.output.frame,
-        edges=edges_of_boxes,
+        edges=edges_of_targets,
         code=sources("place_targets"),
     output:
         targets="results/{site}/placement/targets.parquet",
+        unexamined="results/{site}/placement/unexamined.gpkg",
     log:
         log_of("place_targets"),
     benchmark:
@@ -68,11 +69,14 @@ rule place_targets:
         cell_size_m=setting("targets.cell_size_m"),
         min_points=setting("targets.min_points"),
         inset_m=setting("targets.inset_m"),
+        width_m=target_width,
+        box=target_box,
     shell:
         "python -m roadsight.stages.placement.place_targets --pavement {input.pavement}"
-        " --outline {input.outline} --frame {input.frame} --edges {input.edges} --inset-m {params.inset_m}"
+        " --outline {input.outline} --frame {input.frame} --edges {input.edges} --inset-m={params.inset_m}"
         " --cell-size-m {params.cell_size_m} --min-points {params.min_points}"
-        " --out {output.targets} > {log} 2>&1"
+        " --width-m {params.width_m} {params.box}"
+        " --unexamined {output.unexamined} --out {output.targets} > {log} 2>&1"
 
 
 rule render_depth_maps:

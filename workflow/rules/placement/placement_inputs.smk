@@ -162,6 +162,16 @@ def site_targets(wildcards):
     return f"results/{wildcards.site}/placement/targets.parquet"
 
 
+def unexamined_pavement(wildcards):
+    return f"results/{wildcards.site}/placement/unexamined.gpkg"
+
+
+def pavement_points(wildcards):
+    """Points of the pavement, where a site asks for it; they say its area."""
+    found = f"results/{wildcards.site}/scene/pavement.parquet"
+    return [found] if has_scene_page(wildcards.site) else []
+
+
 def all_detections(wildcards):
     site = wildcards.site
     return detections_in(site, rounds_of(site), sensors_of(site))

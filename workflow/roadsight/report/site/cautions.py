@@ -86,6 +86,7 @@ def data_cautions(
     positions: int | None,
     pavement_area_m2: float,
     settings: dict[str, Any],
+    examined_m2: float | None = None,
 ) -> list[Caution]:
     """Cautions where a result rests on too little data.
 
@@ -93,6 +94,7 @@ def data_cautions(
     ----------
     targets, positions : counts; None where a site has no placement.
     settings : all settings of the site.
+    examined_m2 : pavement that targets stand for; else a cell for each target.
     """
     found = []
     if targets is not None and targets < _FEW_TARGETS:
@@ -102,12 +104,14 @@ def data_cautions(
         text = f"Only {counted(positions, 'candidate position')}: there is little to choose from."
         found.append(Caution("warning", text))
     cell_m2 = settings["targets"]["cell_size_m"] ** 2
-    share = 1.0 if targets is None else targets * cell_m2 / max(pavement_area_m2, cell_m2)
+    if examined_m2 is None and targets is not None:
+        examined_m2 = targets * cell_m2
+    share = 1.0 if examined_m2 is None else examined_m2 / max(pavement_area_m2, cell_m2)
     if share < _PAVEMENT_WITH_TARGETS:
-        least = counted(settings["targets"]["min_points"], "point")
         text = (
-            f"{percent(1 - share)} of the pavement carries no target, because its cells hold fewer "
-            f"than {least} or lie on its outline: whether sensors see it is not known."
+            f"{percent(1 - share)} of the pavement carries no target, because the cloud is too thin"
+            " there or it lies at the road's edge: whether sensors see it is not known. It is"
+            " hatched on the map."
         )
         found.append(Caution("warning", text))
     return found

@@ -110,6 +110,7 @@ class Placement:
     targets : columns target, x, y, z. rounds : candidates of each round.
     detections : columns sensor, candidate, target of the chosen sensors at least.
     sensors : definitions by name of the sensors that plans may use. plans : solved plans, in order.
+    unexamined : polygons of the pavement that no target stands for.
     """
 
     targets: pd.DataFrame
@@ -117,6 +118,7 @@ class Placement:
     detections: pd.DataFrame
     sensors: dict[str, dict[str, Any]]
     plans: Sequence[PlanResult]
+    unexamined: gpd.GeoDataFrame | None = None
 
 
 def build_page(
@@ -139,9 +141,11 @@ def build_page(
     if placement is not None:
         layers["candidates"] = candidate_layer(placement.rounds)
         layers["targets"] = target_layer(placement.targets)
+        if placement.unexamined is not None:
+            layers["unexamined"] = polygon_layer(placement.unexamined)
         results = summary["placement"]
         plans = [
-            _plan(plan, placement, scene.frame, results[plan.solution["plan"]])
+            _plan(plan, placement, scene, results[plan.solution["plan"]])
             for plan in placement.plans
         ]
     return {
@@ -158,10 +162,10 @@ def build_page(
 
 
 def _plan(
-    plan: PlanResult, placement: Placement, frame: Frame, result: dict[str, Any]
+    plan: PlanResult, placement: Placement, scene: Scene, result: dict[str, Any]
 ) -> dict[str, Any]:
     """One plan's result with what its sensors see."""
-    solution = plan.solution
+    solution, frame = plan.solution, scene.frame
     sights = sights_of(solution["sensors"], placement.detections, placement.targets)
     costs = [placement.sensors[name]["cost"] for name in solution["sensor_types"]]
     at_least = int(solution["at_least"])
@@ -181,6 +185,7 @@ def _plan(
         **({"data": result["data"]} if "data" in result else {}),
         "at_least": at_least,
         "proven": proven,
+        **_proven_for(solution, scene),
         "targets": len(placement.targets),
         "excluded": len(solution["excluded"]),
         "sensors": _sensors(solution["sensors"], sights, frame),
@@ -201,6 +206,18 @@ def _plan(
             **pack_points(plan.returns_xyz_m),
             "sensor": pack(plan.returns_sensor, "u2"),
         },
+    }
+
+
+def _proven_for(solution: dict[str, Any], scene: Scene) -> dict[str, Any]:
+    """Pavement that the plan provably sees, and its share; nothing where nobody measured."""
+    area_m2 = solution.get("proven_area_m2")
+    if area_m2 is None:
+        return {}
+    whole_m2 = float(scene.pavement.geometry.area.sum())
+    return {
+        "proven_area_m2": area_m2,
+        "proven_share": min(area_m2 / whole_m2, 1.0) if whole_m2 > 0 else 0.0,
     }
 
 
@@ -249,7 +266,10 @@ def _cautions(
         positions = len(pd.unique(pd.concat([table["key"] for table in placement.rounds])))
     area_m2 = float(scene.pavement.geometry.area.sum())
     found = plan_cautions(plans)
-    found += data_cautions(targets, positions, area_m2, summary["settings"])
+    examined_m2 = None
+    if placement is not None and "area_m2" in placement.targets:
+        examined_m2 = float(placement.targets["area_m2"].sum())
+    found += data_cautions(targets, positions, area_m2, summary["settings"], examined_m2)
     found += scene_cautions(
         scene.about,
         summary["scene"].get("pavement_scores") is not None,

@@ -35,6 +35,8 @@ def summarise_site(arguments: argparse.Namespace) -> None:
         },
         "effects": {effect.pop("effect"): effect for effect in read_json(arguments.effects)},
     }
+    for path in arguments.pavement:
+        summary["pavement_area_m2"] = read_about(path)["area_m2"]
     if arguments.solutions:
         coverage = read_json(arguments.coverage[0])
         summary["sensors"] = json.loads(arguments.sensors)
@@ -101,6 +103,7 @@ def _plan(solution: dict[str, Any], candidates: int) -> dict[str, Any]:
         "candidates": candidates,
         "uncoverable_targets": solution["uncoverable_targets"],
         "seconds_cpu": solution["seconds_cpu"],
+        "proven_area_m2": solution.get("proven_area_m2"),
         **({"availability": solution["availability"]} if "availability" in solution else {}),
         **({"options": _options(solution["options"])} if "options" in solution else {}),
     }
@@ -128,7 +131,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--sensors", default="{}", help="definitions of the sensors as JSON")
     for name in ("frames", "poles", "validation", "camera-scores"):
         parser.add_argument(f"--{name}", nargs="?")
-    shards, tables = ("cameras", "sightings"), ("given", "scores", "traffic", "coverage")
+    shards, tables = ("cameras", "sightings"), ("given", "scores", "traffic", "coverage", "pavement")
     for name in (*shards, *tables, "solutions", "timings", "data"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)

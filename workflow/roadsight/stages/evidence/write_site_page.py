@@ -109,6 +109,7 @@ def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
         detections[detections["candidate"].isin(chosen)],
         {name: _shown(definitions[name]) for name in names},
         plans,
+        read_layer(arguments.unexamined, "unexamined", frame) if arguments.unexamined else None,
     )
 
 
@@ -196,6 +197,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--title", default="", help="name of the site for people")
     parser.add_argument("--sensors", help="definitions of the sensors; needed with --solutions")
     parser.add_argument("--plans", nargs="*", default=[], metavar="NAME=TITLE")
+    parser.add_argument("--unexamined", nargs="?", help="pavement that no target stands for")
     per_site = ("targets", "candidates", "detections", "coverage")
     for name in (*per_site, "solutions", "layers", "obstacles", "scans"):
         parser.add_argument(f"--{name}", nargs="*", default=[])

@@ -62,6 +62,7 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(arguments, cover, sensors, targets, uncovered)
+    content |= _proven_area(wanted, content["at_least"])
     if levelled is not None:
         wanted["availability"], content["availability"] = levelled.shares, levelled.record
         content["at_least"] = 1  # the level says how often, not how many sensors
@@ -240,6 +241,15 @@ def _content(
         "excluded": uncovered,
         "reductions": cover.reductions,
     }
+
+
+def _proven_area(targets: pd.DataFrame, at_least: int) -> dict[str, float]:
+    """Pavement whose targets are seen as often as asked for; nothing where none says its own."""
+    if "area_m2" not in targets:
+        return {}
+    needed = targets["needed"] if "needed" in targets else at_least
+    enough = targets["sensors"] >= np.maximum(needed, 1)
+    return {"proven_area_m2": float(targets.loc[enough, "area_m2"].sum())}
 
 
 def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:

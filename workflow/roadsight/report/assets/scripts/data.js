@@ -39,6 +39,7 @@ function readSite(content) {
     cell_size_m: content.cell_size_m,
     relief: { ...layers.relief, shade: unpack(layers.relief.shade) },
     pavement: layers.pavement.map((rings) => rings.map(unpack)),
+    unexamined: (layers.unexamined ?? []).map((rings) => rings.map(unpack)),
     edges: layers.edges.map((edge) => ({ ...edge, xy: unpack(edge.xy) })),
     candidates: layers.candidates && {
       xy: unpack(layers.candidates.xy),
