@@ -24,6 +24,7 @@ from roadsight.config.poles_schema import (
 )
 from roadsight.config.poses import Poses
 from roadsight.config.sensing import Lidar, Targets
+from roadsight.placement.candidates.mounting import Mounting
 
 
 class Scene(Section):
@@ -167,6 +168,7 @@ class Settings(Section):
     pavement: Pavement = Pavement()
     edges: Edges = Edges()
     candidates: Candidates = Candidates()
+    mounting: Mounting = Mounting()
     poses: Poses = Poses()
     targets: Targets = Targets()
     lidar: Lidar = Lidar()

@@ -17,6 +17,8 @@ rule solve_cover:
         forbidden=plan_file("forbidden"),
         mandatory=plan_file("mandatory"),
         poles=plan_file("poles"),
+        zones=beside_site("placement.zones"),
+        cabinets=beside_site("placement.cabinets"),
         code=sources("solve_cover"),
     output:
         solution="results/{site}/placement/{plan}/solution.json",
@@ -37,6 +39,7 @@ rule solve_cover:
         time_limit_s=setting("cover.time_limit_s"),
         gap=setting("cover.gap"),
         uncoverable=setting("coverage.uncoverable"),
+        mounting=mounting_rules,
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.placement.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
@@ -47,6 +50,7 @@ rule solve_cover:
         " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"
         " --areas {input.areas:q} --forbidden {input.forbidden:q}"
         " --mandatory {input.mandatory:q} --poles {input.poles:q}"
+        " --zones {input.zones:q} --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
         " --solution {output.solution} --layers {output.layers}"
         " --timing {output.timing} > {log} 2>&1"
 
@@ -65,6 +69,8 @@ rule find_obstacles:
         fog=placement_effect("fog", "fog.json"),
         reflectivity=placement_effect("reflectivity", "reflectivity.json"),
         lanes=placement_effect("moving_vehicles", "lanes.parquet"),
+        zones=beside_site("placement.zones"),
+        cabinets=beside_site("placement.cabinets"),
         code=sources("find_obstacles"),
     output:
         obstacles="results/{site}/placement/{plan}/obstacles.gpkg",
@@ -81,6 +87,7 @@ rule find_obstacles:
         sensors_file=CONFIG.sensors_file,
         sensors=plan_costs,
         height_m=target_height,
+        mounting=mounting_rules,
     shell:
         "python -m roadsight.stages.placement.find_obstacles --solution {input.solution}"
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
@@ -88,6 +95,7 @@ rule find_obstacles:
         " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
         " --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
+        " --zones {input.zones:q} --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
         " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
 
 

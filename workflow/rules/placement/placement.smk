@@ -14,7 +14,7 @@ rule place_candidates:
         dem=rules.build_dem.output.dem,
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
-        zones=beside_site("placement.zones"),
+        ground=rules.build_dem.output.ground,
         mounts=beside_site("placement.mounts"),
         decided=after_profile("overhead_cover"),
         code=sources("place_candidates"),
@@ -44,7 +44,7 @@ rule place_candidates:
         " --cloud {input.cloud} --frame {input.frame} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --zones {input.zones:q} --mounts {input.mounts:q} --arm-m {params.arm_m}"
+        " --ground {input.ground} --mounts {input.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"
 
@@ -173,6 +173,9 @@ rule check_coverage:
         targets=rules.place_targets.output.targets,
         candidates=candidates_up_to_round,
         detections=detections_up_to_round,
+        frame=rules.ingest_cloud.output.frame,
+        zones=in_last_round(beside_site("placement.zones")),
+        cabinets=in_last_round(beside_site("placement.cabinets")),
         code=sources("check_coverage"),
     output:
         coverage="results/{site}/placement/round-{round}/coverage.json",
@@ -184,9 +187,11 @@ rule check_coverage:
         ENVIRONMENT
     params:
         plans=plan_sensors,
+        mounting=in_last_round(mounting_rules, otherwise="{}"),
     shell:
         "python -m roadsight.stages.placement.check_coverage --targets {input.targets}"
-        " --candidates {input.candidates} --detections {input.detections}"
+        " --candidates {input.candidates} --detections {input.detections} --frame {input.frame}"
+        " --zones {input.zones:q} --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
         " --plans {params.plans:q} --out {output.coverage} > {log} 2>&1"
 
 
@@ -200,7 +205,7 @@ rule densify_candidates:
         dem=rules.build_dem.output.dem,
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
-        zones=beside_site("placement.zones"),
+        ground=rules.build_dem.output.ground,
         mounts=beside_site("placement.mounts"),
         decided=after_profile("overhead_cover"),
         code=sources("densify_candidates"),
@@ -232,6 +237,6 @@ rule densify_candidates:
         " --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --zones {input.zones:q} --mounts {input.mounts:q} --arm-m {params.arm_m}"
+        " --ground {input.ground} --mounts {input.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"

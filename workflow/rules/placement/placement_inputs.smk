@@ -16,6 +16,25 @@ def sensors_of(site):
     )
 
 
+def mounting_rules(wildcards):
+    """Rules of mounting as JSON."""
+    rules = SITES[wildcards.site].settings.mounting
+    return NamedValue("mounting", rules.model_dump_json())
+
+
+def in_last_round(value, otherwise=()):
+    """What only the last coverage check looks at: zones and rules come after all detections.
+
+    Rounds before it find gaps of all candidates, so that a zone renders nothing.
+    """
+
+    def found(wildcards):
+        last = rounds_of(wildcards.site)[-1]
+        return value(wildcards) if int(wildcards.round) == last else otherwise or []
+
+    return found
+
+
 def placement_results():
     return [
         f"results/{site}/placement/{plan}/{file}"

@@ -171,6 +171,8 @@ def _plan(
     at_least = int(solution["at_least"])
     kept = ("sensor_types", "status", "objective", "bound", "gap", "reductions")
     options = solution.get("options")
+    # Masts and cables may cost a part of a sensor.
+    costs += [entry["cost"] for entry in solution["sensors"] if "cost" in entry]
     whole = all(float(cost).is_integer() for cost in costs)
     if options is None:
         proven = is_proven(solution["status"], solution["objective"], solution["bound"], whole)

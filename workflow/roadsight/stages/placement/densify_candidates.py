@@ -42,7 +42,8 @@ def densify_candidates(arguments: argparse.Namespace) -> None:
         positions = positions[near_gaps(positions, gaps_xy, arguments.radius_m)]
         if len(positions):
             step_m = arguments.height_step_m / finer
-            denser = candidates_at(positions.reset_index(drop=True), arguments, frame, step_m)
+            positions = positions.reset_index(drop=True)
+            denser = candidates_at(positions, arguments, frame, step_m, pavement)
             denser = denser[~denser["candidate"].isin(known["candidate"])]
     log.info("%d uncovered targets, %d new candidates", len(gaps_xy), len(denser))
     write_table(arguments.out, denser[COLUMNS].astype(known[COLUMNS].dtypes).reset_index(drop=True))

@@ -32,6 +32,7 @@ from roadsight.placement.sight.obstacles import (
     pairs_in_range,
 )
 from roadsight.stages.command import run_stage
+from roadsight.stages.placement.allowed import add_allowed_arguments, allowed_candidates
 
 log = logging.getLogger("find_obstacles")
 
@@ -56,7 +57,7 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
     ground = dem.sample(obstacles["x"].to_numpy(), obstacles["y"].to_numpy())
     obstacles["height_m"] = obstacles["z"] - ground
     obstacles["kind"] = np.where(obstacles["height_m"] < _GROUND_M, "ground", "object")
-    gaps = _gaps(arguments, targets, sensors, cast)
+    gaps = _gaps(arguments, targets, sensors, cast, frame)
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
     place = ["obstacle_x", "obstacle_y", "obstacle_z"]
     gaps[place] = frame.to_native(gaps[place].to_numpy(np.float64))
@@ -109,11 +110,14 @@ def _gaps(
     targets: pd.DataFrame,
     sensors: dict[str, AnySensor],
     cast: Cast,
+    frame: Frame,
 ) -> pd.DataFrame:
     """Targets that no candidate of the plan sees."""
     uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
     names = read_json(arguments.solution)["sensor_types"]
     candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    candidates = candidates[allowed_candidates(arguments, candidates, frame)[0]]
+    candidates = candidates.reset_index(drop=True)
     range_m = max(sensors[name].range_m for name in names)
     gaps = targets[targets["target"].isin(uncovered)].reset_index(drop=True)
     gaps = explain_gaps(gaps, candidates, range_m, arguments.target_height_m, cast)
@@ -173,6 +177,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
     parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
     parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    add_allowed_arguments(parser)
     parser.add_argument("--target-height-m", type=float, default=0.6)
     return run_stage(parser, find_obstacles, argv)
 

@@ -27,6 +27,7 @@ from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.result import WITHIN_GAP
 from roadsight.stages.command import run_stage
+from roadsight.stages.placement.allowed import add_allowed_arguments, allowed_candidates
 from roadsight.stages.placement.cover_inputs import FILES, read_asked
 from roadsight.stages.placement.level_cover import cover_at_level, described
 
@@ -38,6 +39,11 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     frame = Frame.from_dict(read_json(arguments.frame))
     costs = {name: float(cost) for name, _, cost in (s.partition("=") for s in arguments.sensors)}
     candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    allowed, building, cable_m = allowed_candidates(arguments, candidates, frame)
+    candidates["building_cost"] = building
+    if cable_m is not None:
+        candidates["cable_m"] = cable_m
+    candidates = candidates[allowed].reset_index(drop=True)
     targets = read_table(arguments.targets)
     uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
     wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
@@ -45,6 +51,8 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     _check_uncovered(arguments, targets, uncovered, asked)
     detections = read_detections(arguments.detections)
     choices = choices_of(costs, candidates, detections)
+    beside = candidates.pop("building_cost").to_numpy()
+    choices["cost"] = choices["cost"] + beside[choices["position"]]
     pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
     matrix = detection_matrix(detections, pairs, pd.Index(wanted["target"]))
     answered = levelled = None
@@ -210,6 +218,7 @@ def _sensor_table(
     chosen = choices.iloc[rows]
     table = posed_candidates(chosen, candidates)
     table.insert(1, "sensor", chosen["sensor"].tolist())
+    table["cost"] = chosen["cost"].to_numpy(np.float64)
     seen = matrix[rows].astype(np.int64)
     once = np.asarray(seen.sum(axis=0)).ravel() == 1
     table["targets"] = np.asarray(seen.sum(axis=1)).ravel()
@@ -277,6 +286,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--time-limit-s", type=float, default=300.0)
     parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")
     parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")
+    add_allowed_arguments(parser)
     parser.add_argument("--seed", type=int, default=1)
     return run_stage(parser, solve_cover, argv)
 
