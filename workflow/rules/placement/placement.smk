@@ -112,6 +112,8 @@ rule render_depth_maps:
         curvature=decision_on("curvature_refraction"),
         min_cell_points=setting("lidar.min_cell_points"),
         neighbours=setting("lidar.neighbours"),
+        panorama=panorama_flag,
+        kept="results/{site}/placement/kept/round-{round}/depth/{sensor}/{shard}.parquet",
     shell:
         "python -m roadsight.stages.placement.render_depth_maps --candidates {input.candidates}"
         " --shard {wildcards.shard} --shards {params.shards}"
@@ -120,6 +122,7 @@ rule render_depth_maps:
         " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
         " --network {input.network:q}"
         " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
+        " {params.panorama} --kept {params.kept}"
         " --tilts {input.tilts} --curvature {params.curvature} --out {output.depth} > {log} 2>&1"
 
 
@@ -156,6 +159,7 @@ rule build_detection_shard:
         azimuth_stride=setting("lidar.azimuth_stride"),
         partial_hits=decision_on("partial_hits"),
         curvature=decision_on("curvature_refraction"),
+        kept="results/{site}/placement/kept/round-{round}/detection/{sensor}/{shard}.parquet",
     shell:
         "python -m roadsight.stages.placement.build_detection_shard --depth {input.depth}"
         " --candidates {input.candidates} --targets {input.targets}"
@@ -165,7 +169,7 @@ rule build_detection_shard:
         " --tilts {input.tilts} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"
-        " --out {output.detection} > {log} 2>&1"
+        " --kept {params.kept} --out {output.detection} > {log} 2>&1"
 
 
 rule check_coverage:
@@ -220,6 +224,7 @@ rule densify_candidates:
     conda:
         ENVIRONMENT
     params:
+        plans=plan_sensors,
         radius_m=setting("coverage.radius_m"),
         spacing_m=setting("candidates.spacing_m"),
         height_min_m=setting("candidates.height_min_m"),
@@ -234,7 +239,7 @@ rule densify_candidates:
         " --round {wildcards.round} --coverage {input.coverage} --targets {input.targets}"
         " --candidates {input.candidates} --edges {input.edges} --pavement {input.pavement}"
         " --dem {input.dem} --cloud {input.cloud} --frame {input.frame}"
-        " --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
+        " --plans {params.plans:q} --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
         " --ground {input.ground} --mounts {input.mounts:q} --arm-m {params.arm_m}"

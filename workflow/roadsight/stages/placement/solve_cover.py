@@ -16,6 +16,7 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.detections import read_detections
+from roadsight.io.records.poses import FOR_SENSORS
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.candidates.siting import needs_by_area
@@ -44,6 +45,7 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     if cable_m is not None:
         candidates["cable_m"] = cable_m
     candidates = candidates[allowed].reset_index(drop=True)
+    candidates = candidates.drop(columns=FOR_SENSORS, errors="ignore")
     targets = read_table(arguments.targets)
     uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
     wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
