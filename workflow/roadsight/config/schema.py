@@ -23,7 +23,7 @@ from roadsight.config.poles_schema import (
     Voxels,
 )
 from roadsight.config.poses import Poses
-from roadsight.config.sensing import Lidar, Targets
+from roadsight.config.sensing import Lidar, Targets, Tolerance
 from roadsight.placement.candidates.mounting import Mounting
 
 
@@ -179,6 +179,7 @@ class Settings(Section):
     )
     coverage: Coverage = Coverage()
     cover: Cover = Cover()
+    tolerance: Tolerance = Tolerance()
     voxels: Voxels = Voxels()
     road_edges: RoadEdges = RoadEdges()
     terrain_mesh: TerrainMesh = TerrainMesh()

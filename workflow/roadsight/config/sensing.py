@@ -61,6 +61,14 @@ class Targets(Section):
         return curve
 
 
+class Tolerance(Section):
+    """How far sensors may stand from their plan: each is looked at alone."""
+
+    move_m: Metres = Field(default=0.2, description="to each side, forward, back, up, down, m")
+    turn_deg: float = Field(default=1.0, gt=0, le=45, description="about each axis, degrees")
+    other_height_m: Metres = Field(default=0.5, description="another mast, lower or higher, m")
+
+
 class Lidar(Section):
     """Virtual LiDAR."""
 

@@ -126,6 +126,7 @@ def _scene(page: _Page) -> dict[str, Any]:
         "sight": _has(page, "availability"),
         "shared": _has(page, "data"),
         "examined": _has(page, "proven_share"),
+        "tolerance": _has(page, "tolerance"),
         "unexamined": bool(page["layers"].get("unexamined")),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
         **_cloud(page),
@@ -270,7 +271,8 @@ def _sections(
         asked = [("options", "Plan options")] if _has(page, "options") else []
         seen = [("sight", "In sight past traffic")] if _has(page, "availability") else []
         data = [("data", "Hand-over and data")] if _has(page, "data") else []
-        results[1:1] = [*asked, *seen, *data]
+        ways = [("tolerance", "Tolerance")] if _has(page, "tolerance") else []
+        results[1:1] = [*asked, *seen, *data, *ways]
         found = [("plans", "Plans compared"), *views, *results] if page["plans"] else views
     if poles is not None:
         found += poles["sections"]

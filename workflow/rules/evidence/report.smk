@@ -24,6 +24,7 @@ rule summarise_site:
         solutions=placement_only(plan_solutions),
         timings=placement_only(plan_timings),
         data=placement_only(plan_data),
+        tolerances=placement_only(plan_tolerances),
         code=sources("summarise_site"),
     output:
         summary="results/{site}/summary.json",
@@ -43,7 +44,7 @@ rule summarise_site:
         " --frame {input.frame} --profile {input.profile}"
         " --effects {input.effects}"
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
-        " --pavement {input.pavement} --timings {input.timings} --data {input.data} --frames {input.frames} --cameras {input.cameras}"
+        " --pavement {input.pavement} --timings {input.timings} --data {input.data} --tolerances {input.tolerances} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
         " --camera-scores {input.camera_scores}"
         " --out {output.summary} > {log} 2>&1"
@@ -64,6 +65,7 @@ rule write_site_page:
         coverage=placement_only(last_coverage),
         solutions=placement_only(plan_solutions),
         layers=placement_only(plan_layers),
+        tolerances=placement_only(plan_tolerance_layers),
         obstacles=placement_only(plan_obstacles),
         scans=placement_only(plan_scans),
         code=sources("write_site_page"),
@@ -91,6 +93,7 @@ rule write_site_page:
         " --targets {input.targets} --unexamined {input.unexamined} --candidates {input.candidates}"
         " --detections {input.detections} --coverage {input.coverage}"
         " --solutions {input.solutions} --layers {input.layers}"
+        " --tolerances {input.tolerances}"
         " --obstacles {input.obstacles} --scans {input.scans}"
         " --out {output.page} > {log} 2>&1"
 

@@ -19,6 +19,10 @@ rule solve_cover:
         poles=plan_file("poles"),
         zones=beside_site("placement.zones"),
         cabinets=beside_site("placement.cabinets"),
+        surfels=if_robust(lambda wildcards: [seen_surfels(wildcards)]),
+        tilts=if_robust(only_if("mount_tilt", tilts_of_all_rounds)),
+        air=if_robust(air_of_site),
+        reflectivity=if_robust(placement_effect("reflectivity", "reflectivity.json")),
         code=sources("solve_cover"),
     output:
         solution="results/{site}/placement/{plan}/solution.json",
@@ -40,6 +44,7 @@ rule solve_cover:
         gap=setting("cover.gap"),
         uncoverable=setting("coverage.uncoverable"),
         mounting=mounting_rules,
+        robust=robust_arguments,
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.placement.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
@@ -51,6 +56,7 @@ rule solve_cover:
         " --areas {input.areas:q} --forbidden {input.forbidden:q}"
         " --mandatory {input.mandatory:q} --poles {input.poles:q}"
         " --zones {input.zones:q} --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
+        " --surfels {input.surfels} --tilts {input.tilts} --air {input.air} --reflectivity {input.reflectivity} {params.robust}"
         " --solution {output.solution} --layers {output.layers}"
         " --timing {output.timing} > {log} 2>&1"
 
@@ -183,3 +189,43 @@ rule measure_data:
         " --azimuth-stride {params.azimuth_stride}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"
         " --out {output.data} --layers {output.layers} > {log} 2>&1"
+
+
+rule measure_tolerance:
+    input:
+        solution=rules.solve_cover.output.solution,
+        targets=rules.place_targets.output.targets,
+        surfels=seen_surfels,
+        frame=rules.ingest_cloud.output.frame,
+        tilts=only_if("mount_tilt", tilts_of_all_rounds),
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        decided=after_profile("partial_hits", "curvature_refraction"),
+        code=sources("measure_tolerance"),
+    output:
+        tolerance="results/{site}/placement/{plan}/tolerance.json",
+        layers="results/{site}/placement/{plan}/tolerance.gpkg",
+    log:
+        log_of("measure_tolerance", "{plan}"),
+    benchmark:
+        benchmark_of("measure_tolerance", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=site_sensors_seeing,
+        settings=change_arguments,
+        partial_hits=decision_on("partial_hits"),
+        curvature=decision_on("curvature_refraction"),
+    shell:
+        "python -m roadsight.stages.placement.measure_tolerance --solution {input.solution}"
+        " --targets {input.targets} --surfels {input.surfels} --frame {input.frame}"
+        " --sensors-file {params.sensors_file:q} {params.settings}"
+        " --tilts {input.tilts} --air {input.rain} {input.fog}"
+        " --reflectivity {input.reflectivity}"
+        " --partial-hits {params.partial_hits} --curvature {params.curvature}"
+        " --out {output.tolerance} --layers {output.layers} > {log} 2>&1"

@@ -169,6 +169,8 @@ plan_solutions = per_plan("solution.json")
 plan_layers = per_plan("solution.gpkg")
 plan_timings = per_plan("timing.json")
 plan_data = per_plan("data.json")
+plan_tolerances = per_plan("tolerance.json")
+plan_tolerance_layers = per_plan("tolerance.gpkg")
 plan_obstacles = per_plan("obstacles.gpkg")
 plan_scans = per_plan("scans.laz")
 
@@ -287,3 +289,65 @@ def lanes_of_plan(wildcards):
     if plans_of(wildcards.site)[wildcards.plan].availability is None:
         return []
     return placement_effect("moving_vehicles", "lanes.parquet")(wildcards)
+
+
+def seen_surfels(wildcards):
+    """Surfels of the scene that sensors look at."""
+    return f"results/{wildcards.site}/scene/surfels.parquet"
+
+
+def is_robust(wildcards):
+    return plans_of(wildcards.site)[wildcards.plan].robust is not None
+
+
+def if_robust(files):
+    """Inputs of covers that hold with tolerance."""
+    return lambda wildcards: files(wildcards) if is_robust(wildcards) else []
+
+
+def air_of_site(wildcards):
+    """What rain and fog take out of beams, where they are simulated."""
+    return [
+        *placement_effect("rain", "rain.json")(wildcards),
+        *placement_effect("fog", "fog.json")(wildcards),
+    ]
+
+
+def change_arguments(wildcards):
+    """How targets are seen, and how far sensors may stand from their plan, as arguments."""
+    found = SITES[wildcards.site].settings
+    change, targets = found.tolerance, found.targets
+    text = (
+        f"--move-m {change.move_m} --turn-deg {change.turn_deg}"
+        f" --other-height-m {change.other_height_m} --radius-m {targets.radius_m}"
+        f" --height-m {target_height(wildcards)} {target_box(wildcards)}"
+        f" --min-beams {min_beams_of(wildcards.site)}"
+        f" --azimuth-stride {found.lidar.azimuth_stride}"
+    )
+    return NamedValue("changes", text)
+
+
+def robust_arguments(wildcards):
+    """Arguments of a cover that holds with tolerance; nothing for others."""
+    if not is_robust(wildcards):
+        return ""
+    posed = [s for s in plans_of(wildcards.site)[wildcards.plan].sensors if is_posed(wildcards.site, s)]
+    clearly(refuse_posed, wildcards, posed)
+    effects = (
+        f" --partial-hits {decision_on('partial_hits')(wildcards)}"
+        f" --curvature {decision_on('curvature_refraction')(wildcards)}"
+    )
+    return NamedValue(
+        "robust",
+        f"--robust --sensors-file {CONFIG.sensors_file} {change_arguments(wildcards)}{effects}",
+    )
+
+
+def refuse_posed(wildcards, posed):
+    if posed:
+        raise InputError(
+            "robust: tolerance is for spinning LiDARs as mounted",
+            where=f"site {wildcards.site}, plan {wildcards.plan}",
+            found=", ".join(posed),
+            hint="leave robust or these sensors out",
+        )

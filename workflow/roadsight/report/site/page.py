@@ -31,6 +31,7 @@ from roadsight.report.site.layers import (
     target_layer,
 )
 from roadsight.report.site.options_view import goal_proven
+from roadsight.report.site.tolerance_view import lost_classes
 from roadsight.report.site.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
 
 FORMAT = "roadsight.page/1"
@@ -89,6 +90,7 @@ class PlanResult:
     returns_xyz_m, returns_sensor : (n, 3) and (n,) sample of what the sensors would see, and the
         number of the sensor, from 0.
     in_sight : (n,) share of the time in which each target is in sight, None without traffic.
+    lost_share : (n,) share of the ways in which a sensor may not be as planned that lose each target.
     """
 
     title: str
@@ -99,6 +101,7 @@ class PlanResult:
     returns_xyz_m: NDArray
     returns_sensor: NDArray
     in_sight: NDArray | None
+    lost_share: NDArray | None = None
 
 
 @dataclass(frozen=True)
@@ -194,6 +197,8 @@ def _plan(
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
         **({} if plan.in_sight is None else _in_sight(plan.in_sight)),
+        **({"tolerance": result["tolerance"]} if "tolerance" in result else {}),
+        **({} if plan.lost_share is None else lost_classes(plan.lost_share)),
         **({"availability": solution["availability"]} if "availability" in solution else {}),
         "gaps": gaps_of(
             placement.targets,

@@ -46,6 +46,9 @@ def summarise_site(arguments: argparse.Namespace) -> None:
             summary["placement"][solution["plan"]] = _plan(solution, coverage["candidates"])
         for path in arguments.data:
             summary["placement"][Path(path).parent.name]["data"] = read_json(path)
+        for path in arguments.tolerances:
+            found = read_json(path)
+            summary["placement"][found["plan"]]["tolerance"] = found
     if arguments.poles:
         summary["poles"] = _poles(arguments)
     write_json(arguments.out, summary)
@@ -132,7 +135,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("frames", "poles", "validation", "camera-scores"):
         parser.add_argument(f"--{name}", nargs="?")
     shards, tables = ("cameras", "sightings"), ("given", "scores", "traffic", "coverage", "pavement")
-    for name in (*shards, *tables, "solutions", "timings", "data"):
+    for name in (*shards, *tables, "solutions", "timings", "data", "tolerances"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 

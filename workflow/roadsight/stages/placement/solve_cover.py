@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy import sparse
 
+from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
@@ -23,13 +24,17 @@ from roadsight.placement.candidates.siting import needs_by_area
 from roadsight.placement.plans.choices import choices_of, posed_candidates
 from roadsight.placement.plans.plan_answer import Answer, answer
 from roadsight.placement.plans.plan_problem import Asked, pose
+from roadsight.placement.plans.tolerance import solve_with_tolerance
 from roadsight.placement.sight.coverage import availability, detection_matrix, times_seen
+from roadsight.placement.sight.detection import MIN_BEAMS
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.result import WITHIN_GAP
 from roadsight.stages.command import run_stage
 from roadsight.stages.placement.allowed import add_allowed_arguments, allowed_candidates
+from roadsight.stages.placement.changed_sight import ChangedSight, add_change_arguments
 from roadsight.stages.placement.cover_inputs import FILES, read_asked
+from roadsight.stages.placement.detection_inputs import add_sight_arguments
 from roadsight.stages.placement.level_cover import cover_at_level, described
 
 log = logging.getLogger("solve_cover")
@@ -58,6 +63,12 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
     matrix = detection_matrix(detections, pairs, pd.Index(wanted["target"]))
     answered = levelled = None
+    robust: dict[str, Any] = {}
+    if arguments.robust:
+        matrix, wanted, beyond, robust = _with_tolerance(
+            arguments, asked, matrix, choices, candidates, wanted
+        )
+        uncovered = [*uncovered, *beyond]
     if arguments.availability is not None:
         levelled = cover_at_level(arguments, detections, choices, candidates, wanted)
         cover = levelled.cover
@@ -72,6 +83,9 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(arguments, cover, sensors, targets, uncovered)
+    content |= robust
+    if robust and not robust["robust"]["exact"]:
+        content["status"] = "time_limit"
     content |= _proven_area(wanted, content["at_least"])
     if levelled is not None:
         wanted["availability"], content["availability"] = levelled.shares, levelled.record
@@ -90,6 +104,67 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     write_json(arguments.solution, content)
     found = (arguments.plan, len(sensors), cover.objective, cover.bound, cover.status)
     log.info("%s: %d sensors, cost %g, bound %g, %s", *found)
+
+
+def _with_tolerance(
+    arguments: argparse.Namespace,
+    asked: Asked | None,
+    matrix: sparse.csr_matrix,
+    choices: pd.DataFrame,
+    candidates: pd.DataFrame,
+    wanted: pd.DataFrame,
+) -> tuple[sparse.csr_matrix, pd.DataFrame, list[str], dict[str, Any]]:
+    """The matrix of what sensors see with tolerance, its targets, and those that none sees so."""
+    sight = ChangedSight(arguments)
+    column = pd.Index(sight.targets["target"]).get_indexer(wanted["target"])
+    beyond: list[str] = []
+
+    def look(row: int) -> Bools:
+        choice = choices.iloc[row]
+        place = candidates.iloc[choice["position"]].to_dict()
+        return sight.keeps(place | {"sensor": choice["sensor"]})[column]
+
+    def solve(current: sparse.csr_matrix) -> Ints | None:
+        seen = np.asarray(current.sum(axis=0)).ravel() > 0
+        if not seen.all() and arguments.uncoverable != "exclude":
+            return None
+        if asked is not None:
+            posed = pose(asked, current, choices, candidates, wanted)
+            found = answer(asked, posed, choices, candidates, *_limits(arguments)).cover.chosen
+            return np.asarray(found, np.int64)
+        problem = CoverProblem(
+            current[:, seen],
+            choices["cost"].to_numpy(),
+            groups=choices["position"].to_numpy(),
+            at_least=arguments.at_least,
+        )
+        limit_s, seed, gap = _limits(arguments)
+        cover = solve_cover_problem(problem, WorkLimit(limit_s), seed=seed, gap=gap)
+        return None if not len(cover.chosen) else np.asarray(cover.chosen, np.int64)
+
+    reduced, known, rounds, exact = solve_with_tolerance(matrix, solve, look)
+    seen = np.asarray(reduced.sum(axis=0)).ravel() > 0
+    if not seen.all() and arguments.uncoverable != "exclude":
+        raise InputError(
+            f"{int((~seen).sum())} of {len(seen)} targets are seen by no candidate with tolerance",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            found=f"moved by {arguments.move_m:g} m, turned by {arguments.turn_deg:g} degrees,"
+            f" masts {arguments.other_height_m:g} m lower or higher",
+            hint="narrow the tolerance, densify the candidates, leave robust out, or leave these"
+            " targets out with coverage.uncoverable: exclude",
+        )
+    if solve(reduced) is None:
+        raise InputError(
+            "no set of sensors sees everything with tolerance",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            hint="narrow the tolerance, lower cover.at_least, or leave robust out",
+        )
+    beyond = [str(name) for name in wanted["target"][~seen]]
+    log.info("tolerance: %d candidates looked at in %d covers", known.sum(), rounds)
+    record = {"looked_at": int(known.sum()), "rounds": rounds, "exact": exact}
+    record |= {"beyond": len(beyond)}
+    kept = wanted[seen].reset_index(drop=True)
+    return reduced[:, seen], kept, beyond, {"robust": record}
 
 
 def _cheapest(
@@ -284,6 +359,13 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", nargs="*", default=[], help="file of the option")
     parser.add_argument("--availability", type=float, help="how often targets must be in sight")
     parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    parser.add_argument("--robust", action="store_true", help="sensors count with tolerance")
+    parser.add_argument("--surfels", nargs="?", help="the scene; needed with --robust")
+    parser.add_argument("--sensors-file", help="needed with --robust")
+    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
+    parser.add_argument("--azimuth-stride", type=int, default=1)
+    add_sight_arguments(parser)
+    add_change_arguments(parser)
     parser.add_argument("--target-height-m", type=float, default=0.6)
     parser.add_argument("--time-limit-s", type=float, default=300.0)
     parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")

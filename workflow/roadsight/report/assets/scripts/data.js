@@ -27,7 +27,8 @@ function readPlan(plan, targets) {
   const names = [...new Set(plan.sensors.map((sensor) => sensor.sensor))].sort();
   const models = plan.sensors.map((sensor) => names.indexOf(sensor.sensor) % 3);
   const inSight = plan.in_sight ? unpack(plan.in_sight) : null;
-  return { ...plan, seen, times, models, inSight };
+  const lost = plan.lost ? unpack(plan.lost) : null;
+  return { ...plan, seen, times, models, inSight, lost };
 }
 
 function readSite(content) {

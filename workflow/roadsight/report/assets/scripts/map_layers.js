@@ -134,7 +134,7 @@ function drawTargets(map, plan) {
   const size = Math.min(Math.max(map.scale * site.cell_size_m * 0.8, 1.6), 12);
   const lit = state.sensor === null ? null : new Set(plan.seen[state.sensor]);
   const spots = Array.from({ length: MOST_SEEN + 1 }, () => []);
-  const classes = state.targetsBy === "sight" && plan.inSight;
+  const classes = { sight: plan.inSight, lost: plan.lost }[state.targetsBy];
   plan.times.forEach((times, i) => spots[classes ? classes[i] : bucketOf(times)].push(i));
   spots.reverse().forEach((members, order) => {
     const bucket = MOST_SEEN - order;
