@@ -31,6 +31,8 @@ READERS = {
         "measure_tolerance",
         "summarise_site",
         "write_site_page",
+        "try_removals",
+        "gather_objects",
     },
     "profile_scene": {
         "build_dem",
@@ -48,6 +50,7 @@ READERS = {
         "densify_candidates",
         "find_obstacles",
         "write_site_page",
+        "gather_objects",
     },
     "cluster_fpfh": {"extract_pavement", "build_edges"},
     "extract_pavement": {
@@ -78,6 +81,7 @@ READERS = {
         "find_obstacles",
         "measure_data",
         "write_site_page",
+        "try_removals",
     },
     "place_targets": {
         "build_detection_shard",
@@ -88,8 +92,13 @@ READERS = {
         "measure_data",
         "measure_tolerance",
         "write_site_page",
+        "try_removals",
     },
+    "gather_objects": {"find_obstacles", "try_removals"},
+    "try_removals": {"summarise_site"},
     "build_surfels": {
+        "gather_objects",
+        "try_removals",
         "render_depth_maps",
         "find_obstacles",
         "render_scans",
@@ -102,6 +111,7 @@ READERS = {
         "find_obstacles",
         "measure_data",
         "write_site_page",
+        "try_removals",
     },
     "check_coverage": {
         "densify_candidates",
@@ -118,6 +128,7 @@ READERS = {
         "find_obstacles",
         "measure_data",
         "write_site_page",
+        "try_removals",
     },
     "solve_cover": {
         "find_obstacles",
@@ -126,8 +137,9 @@ READERS = {
         "measure_tolerance",
         "summarise_site",
         "write_site_page",
+        "try_removals",
     },
-    "find_obstacles": {"write_site_page"},
+    "find_obstacles": {"try_removals", "write_site_page"},
     "render_scans": {"measure_data", "write_site_page"},
     "measure_data": {"summarise_site"},
     "measure_tolerance": {"summarise_site", "write_site_page"},

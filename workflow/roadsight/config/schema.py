@@ -134,6 +134,9 @@ class Coverage(Section):
 
     rounds: int = Field(default=1, ge=0, le=5, description="rounds of denser candidates near gaps")
     radius_m: Metres = Field(default=30.0, description="new candidates stand this near a gap, m")
+    felled: int = Field(
+        default=1, ge=0, le=20, description="objects tried without, those that hide most; 0: none"
+    )
     shards: Count = Field(default=2, description="shards of each round of denser candidates")
     uncoverable: Literal["error", "exclude"] = Field(
         default="error",

@@ -61,6 +61,9 @@ class PlacementInputs(Section):
     mounts: str | None = Field(
         default=None, description="existing poles that may carry sensors: points, height_m"
     )
+    remove: list[str] = Field(
+        default=[], description="objects that are taken away first, by their names in objects.gpkg"
+    )
     cabinets: str | None = Field(
         default=None, description="cabinets with power and fibre: points, for the cost of cables"
     )

@@ -25,6 +25,7 @@ rule summarise_site:
         timings=placement_only(plan_timings),
         data=placement_only(plan_data),
         tolerances=placement_only(plan_tolerances),
+        removals=placement_only(plan_removals),
         code=sources("summarise_site"),
     output:
         summary="results/{site}/summary.json",
@@ -44,7 +45,7 @@ rule summarise_site:
         " --frame {input.frame} --profile {input.profile}"
         " --effects {input.effects}"
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
-        " --pavement {input.pavement} --timings {input.timings} --data {input.data} --tolerances {input.tolerances} --frames {input.frames} --cameras {input.cameras}"
+        " --pavement {input.pavement} --timings {input.timings} --data {input.data} --tolerances {input.tolerances} --removals {input.removals} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
         " --camera-scores {input.camera_scores}"
         " --out {output.summary} > {log} 2>&1"

@@ -68,13 +68,14 @@ rule find_obstacles:
         targets=rules.place_targets.output.targets,
         candidates=all_candidates,
         detections=plan_detections,
-        surfels=rules.build_surfels.output.surfels,
+        surfels=seen_surfels,
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
         rain=placement_effect("rain", "rain.json"),
         fog=placement_effect("fog", "fog.json"),
         reflectivity=placement_effect("reflectivity", "reflectivity.json"),
         lanes=placement_effect("moving_vehicles", "lanes.parquet"),
+        objects=rules.gather_objects.output.members,
         zones=beside_site("placement.zones"),
         cabinets=beside_site("placement.cabinets"),
         code=sources("find_obstacles"),
@@ -99,7 +100,7 @@ rule find_obstacles:
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
         " --candidates {input.candidates} --detections {input.detections}"
         " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
-        " --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
+        " --objects {input.objects} --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --zones {input.zones:q} --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
         " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
@@ -108,7 +109,7 @@ rule find_obstacles:
 rule render_scans:
     input:
         solution=rules.solve_cover.output.solution,
-        surfels=rules.build_surfels.output.surfels,
+        surfels=seen_surfels,
         frame=rules.ingest_cloud.output.frame,
         tilts=only_if("mount_tilt", tilts_of_all_rounds),
         rain=placement_effect("rain", "rain.json"),
@@ -229,3 +230,54 @@ rule measure_tolerance:
         " --reflectivity {input.reflectivity}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"
         " --out {output.tolerance} --layers {output.layers} > {log} 2>&1"
+
+
+rule try_removals:
+    input:
+        solution=rules.solve_cover.output.solution,
+        obstacles=rules.find_obstacles.output.obstacles,
+        objects=rules.gather_objects.output.members,
+        targets=rules.place_targets.output.targets,
+        candidates=all_candidates,
+        detections=plan_detections,
+        surfels=seen_surfels,
+        frame=rules.ingest_cloud.output.frame,
+        tilts=only_if("mount_tilt", tilts_of_all_rounds),
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        zones=beside_site("placement.zones"),
+        cabinets=beside_site("placement.cabinets"),
+        decided=after_profile("partial_hits", "curvature_refraction"),
+        code=sources("try_removals"),
+    output:
+        removals="results/{site}/placement/{plan}/removals.json",
+    log:
+        log_of("try_removals", "{plan}"),
+    benchmark:
+        benchmark_of("try_removals", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
+        felled=setting("coverage.felled"),
+        time_limit_s=setting("cover.time_limit_s"),
+        mounting=mounting_rules,
+        settings=change_arguments,
+        partial_hits=decision_on("partial_hits"),
+        curvature=decision_on("curvature_refraction"),
+    shell:
+        "python -m roadsight.stages.placement.try_removals --solution {input.solution}"
+        " --obstacles {input.obstacles} --objects {input.objects} --targets {input.targets}"
+        " --candidates {input.candidates} --detections {input.detections}"
+        " --surfels {input.surfels} --frame {input.frame} --costs {params.sensors:q}"
+        " --sensors-file {params.sensors_file:q} --felled {params.felled} {params.settings}"
+        " --time-limit-s {params.time_limit_s} --tilts {input.tilts} --air {input.rain} {input.fog}"
+        " --reflectivity {input.reflectivity} --zones {input.zones:q}"
+        " --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
+        " --partial-hits {params.partial_hits} --curvature {params.curvature}"
+        " --out {output.removals} > {log} 2>&1"

@@ -79,10 +79,38 @@ rule place_targets:
         " --unexamined {output.unexamined} --out {output.targets} > {log} 2>&1"
 
 
+rule gather_objects:
+    input:
+        surfels=rules.build_surfels.output.surfels,
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+        code=sources("gather_objects"),
+    output:
+        objects="results/{site}/placement/objects.gpkg",
+        members="results/{site}/placement/objects.parquet",
+        left="results/{site}/placement/surfels_left.parquet",
+    log:
+        log_of("gather_objects"),
+    benchmark:
+        benchmark_of("gather_objects")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        removed=site_field("placement.remove"),
+    shell:
+        "python -m roadsight.stages.placement.gather_objects --site {wildcards.site}"
+        " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
+        " --remove {params.removed} --objects {output.objects} --members {output.members}"
+        " --left {output.left} > {log} 2>&1"
+
+
 rule render_depth_maps:
     input:
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
-        surfels=rules.build_surfels.output.surfels,
+        surfels=seen_surfels,
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
         network=depth_network,

@@ -171,6 +171,7 @@ plan_timings = per_plan("timing.json")
 plan_data = per_plan("data.json")
 plan_tolerances = per_plan("tolerance.json")
 plan_tolerance_layers = per_plan("tolerance.gpkg")
+plan_removals = per_plan("removals.json")
 plan_obstacles = per_plan("obstacles.gpkg")
 plan_scans = per_plan("scans.laz")
 
@@ -292,7 +293,11 @@ def lanes_of_plan(wildcards):
 
 
 def seen_surfels(wildcards):
-    """Surfels of the scene that sensors look at."""
+    """Surfels of the scene that sensors look at, without the objects that the site removes."""
+    resolved = SITES[wildcards.site]
+    if resolved.site.placement.remove:
+        clearly(refuse_removal, resolved)
+        return f"results/{wildcards.site}/placement/surfels_left.parquet"
     return f"results/{wildcards.site}/scene/surfels.parquet"
 
 
@@ -350,4 +355,15 @@ def refuse_posed(wildcards, posed):
             where=f"site {wildcards.site}, plan {wildcards.plan}",
             found=", ".join(posed),
             hint="leave robust or these sensors out",
+        )
+
+
+def refuse_removal(resolved):
+    """Only surfels are gathered to objects."""
+    if resolved.settings.lidar.model != "surfel":
+        raise InputError(
+            "objects can only be removed from surfels",
+            where=f"{resolved.file}: placement.remove",
+            found=f"lidar.model: {resolved.settings.lidar.model}",
+            allowed="lidar.model: surfel",
         )

@@ -197,6 +197,7 @@ def _plan(
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
         **({} if plan.in_sight is None else _in_sight(plan.in_sight)),
+        **({"removals": result["removals"]} if result.get("removals") else {}),
         **({"tolerance": result["tolerance"]} if "tolerance" in result else {}),
         **({} if plan.lost_share is None else lost_classes(plan.lost_share)),
         **({"availability": solution["availability"]} if "availability" in solution else {}),

@@ -49,6 +49,9 @@ def summarise_site(arguments: argparse.Namespace) -> None:
         for path in arguments.tolerances:
             found = read_json(path)
             summary["placement"][found["plan"]]["tolerance"] = found
+        for path in arguments.removals:
+            found = read_json(path)
+            summary["placement"][found["plan"]]["removals"] = found["rows"]
     if arguments.poles:
         summary["poles"] = _poles(arguments)
     write_json(arguments.out, summary)
@@ -135,7 +138,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("frames", "poles", "validation", "camera-scores"):
         parser.add_argument(f"--{name}", nargs="?")
     shards, tables = ("cameras", "sightings"), ("given", "scores", "traffic", "coverage", "pavement")
-    for name in (*shards, *tables, "solutions", "timings", "data", "tolerances"):
+    for name in (*shards, *tables, "solutions", "timings", "data", "tolerances", "removals"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 

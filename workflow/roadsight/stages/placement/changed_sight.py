@@ -50,8 +50,14 @@ class ChangedSight:
         """Whether a sensor is a spinning LiDAR; others are judged from panoramas."""
         return isinstance(self._sensors[sensor], Sensor)
 
-    def sees(self, place: Mapping[str, Any], change: Change | None) -> Bools:
+    def sees(
+        self, place: Mapping[str, Any], change: Change | None, lidar: SurfelLidar | None = None
+    ) -> Bools:
         """Targets (n,) that a sensor sees from a place: sensor, candidate, x, y, z, yaw_deg.
+
+        Parameters
+        ----------
+        lidar : another scene.
 
         Raises
         ------
@@ -73,7 +79,8 @@ class ChangedSight:
             yaw_deg += change.turn.yaw_deg
             tilt = self._tilted(yaw_deg, change, tilt)
         curved = self._arguments.curvature == "simulate"
-        depth_m = self._lidar.depth_map(sensor, position, yaw_deg, tilt, curved)
+        scene = self._lidar if lidar is None else lidar
+        depth_m = scene.depth_map(sensor, position, yaw_deg, tilt, curved)
         sight = sight_of(self._arguments, place["sensor"], whole)
         pose = (position, yaw_deg)
         beams = count_beams(depth_m, sensor, *pose, self._feet_m, self._size_m, sight, tilt)

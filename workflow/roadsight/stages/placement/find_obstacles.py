@@ -10,6 +10,7 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
@@ -24,9 +25,12 @@ from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, Camera, Radar, load_sensors
 from roadsight.placement.sight.gap_reasons import hidden_too_often, refine_reasons
+from roadsight.placement.sight.objects import kind_of_name
 from roadsight.placement.sight.obstacles import (
+    OBJECT_NEAR_M,
     Cast,
     blocked_sight_lines,
+    by_object,
     explain_gaps,
     group_obstacles,
     pairs_in_range,
@@ -52,7 +56,8 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
         reach_m = lidar.cast(origin_m, directions)
         return np.where(np.isinf(reach_m), 0.0, reach_m)
 
-    obstacles = _obstacles(arguments, solution, targets, sensors, cast)
+    lines = _blocked(arguments, solution, targets, sensors, cast)
+    obstacles = group_obstacles(lines)
     dem = read_raster(arguments.dem, frame)
     ground = dem.sample(obstacles["x"].to_numpy(), obstacles["y"].to_numpy())
     obstacles["height_m"] = obstacles["z"] - ground
@@ -61,18 +66,47 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
     place = ["obstacle_x", "obstacle_y", "obstacle_z"]
     gaps[place] = frame.to_native(gaps[place].to_numpy(np.float64))
-    layers = {"obstacles": _points(obstacles), "uncovered": _points(gaps)}
+    objects = _objects(arguments, lines)
+    _name_obstacles(arguments, obstacles)
+    layers = {
+        "obstacles": _points(obstacles),
+        "uncovered": _points(gaps),
+        "objects": _points(objects),
+    }
     write_layers(arguments.out, layers, frame, dict.fromkeys(layers, "Point Z"))
 
 
-def _obstacles(
+def _objects(arguments: argparse.Namespace, lines: pd.DataFrame) -> pd.DataFrame:
+    """Objects with what they hide from the chosen sensors, the greatest first."""
+    members = read_table(arguments.objects) if arguments.objects else pd.DataFrame()
+    table = by_object(lines, members).rename(columns={"object": "name"})
+    table["kind"] = [kind_of_name(name) for name in table["name"]]
+    numbers = ["x", "y", "z", "sight_lines", "targets", "sensors"]
+    return table.astype(dict.fromkeys(numbers, np.float64))
+
+
+def _name_obstacles(arguments: argparse.Namespace, obstacles: pd.DataFrame) -> None:
+    """Say of obstacles above the ground what kind of object they belong to."""
+    if not arguments.objects or obstacles.empty:
+        return
+    members = read_table(arguments.objects)
+    if members.empty:
+        return
+    tree = cKDTree(members[["x", "y", "z"]].to_numpy(np.float64))
+    distance_m, near = tree.query(obstacles[["x", "y", "z"]].to_numpy(np.float64))
+    names = members["object"].astype(str).to_numpy()[near]
+    known = (distance_m <= OBJECT_NEAR_M) & (obstacles["kind"] != "ground").to_numpy()
+    obstacles.loc[known, "kind"] = [kind_of_name(name) for name in names[known]]
+
+
+def _blocked(
     arguments: argparse.Namespace,
     solution: dict,
     targets: pd.DataFrame,
     sensors: dict[str, AnySensor],
     cast: Cast,
 ) -> pd.DataFrame:
-    """Obstacles on the sight lines of chosen sensors to targets that they do not see."""
+    """Sight lines of chosen sensors to targets that they do not see, and where they end."""
     chosen = pd.DataFrame(solution["sensors"], columns=["candidate", "sensor", "x", "y", "z"])
     ranges = np.array([sensors[name].range_m for name in chosen["sensor"]])
     pairs = pairs_in_range(chosen, targets, ranges)
@@ -82,7 +116,7 @@ def _obstacles(
     keys = pd.MultiIndex.from_frame(pairs[["candidate", "target"]])
     hidden = ~keys.isin(pd.MultiIndex.from_frame(seen[["candidate", "target"]]))
     pairs = pairs[hidden].reset_index(drop=True)
-    return group_obstacles(pairs.join(blocked_sight_lines(pairs, arguments.target_height_m, cast)))
+    return pairs.join(blocked_sight_lines(pairs, arguments.target_height_m, cast))
 
 
 def _in_view(
@@ -177,6 +211,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
     parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
     parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    parser.add_argument("--objects", nargs="?", help="surfels of the objects of the scene")
     add_allowed_arguments(parser)
     parser.add_argument("--target-height-m", type=float, default=0.6)
     return run_stage(parser, find_obstacles, argv)

@@ -1,0 +1,157 @@
+"""How many sensors a plan saves if an object is taken away: a tree felled, a sign moved."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from scipy import sparse
+
+from roadsight.base.arrays import Bools
+from roadsight.geometry.frames import Frame
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.detections import read_detections
+from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.tables import read_table
+from roadsight.io.vector.vectors import read_layer
+from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.plans.choices import choices_of
+from roadsight.placement.sight.coverage import detection_matrix
+from roadsight.placement.sight.detection import MIN_BEAMS
+from roadsight.scene.surfels.surfels import Surfels
+from roadsight.setcover import CoverProblem, solve_cover_problem
+from roadsight.setcover.common.deadline import WorkLimit
+from roadsight.stages.command import run_stage
+from roadsight.stages.placement.allowed import add_allowed_arguments, allowed_candidates
+from roadsight.stages.placement.changed_sight import ChangedSight, add_change_arguments
+from roadsight.stages.placement.detection_inputs import add_sight_arguments
+
+log = logging.getLogger("try_removals")
+
+REMOVABLE = ("tree", "sign", "pole", "barrier")
+"""Kinds that an agency can take away or move; buildings and the ground stay."""
+_NEAR_M = 40.0
+"""Candidates so near an object are rendered without it: its shadow is widest from there."""
+_MOST_CANDIDATES = 300
+"""Candidates rendered for an object, the nearest: 20 to 30 CPU s with 128 channels."""
+
+
+def try_removals(arguments: argparse.Namespace) -> None:
+    """Write a row for each of the objects that hide most targets from the plan's sensors."""
+    solution = read_json(arguments.solution)
+    frame = Frame.from_dict(read_json(arguments.frame))
+    objects = read_layer(arguments.obstacles, "objects", frame)
+    objects = objects[objects["kind"].isin(REMOVABLE)].iloc[: arguments.felled]
+    rows: list[dict[str, Any]] = []
+    if len(objects) and "options" not in solution and "robust" not in solution:
+        rows = _rows(arguments, solution, objects, frame)
+    write_json(arguments.out, {"plan": solution["plan"], "rows": rows})
+    for row in rows:
+        log.info("without %s: cost %g instead of %g", row["object"], row["cost"], row["cost_before"])
+
+
+def _rows(
+    arguments: argparse.Namespace,
+    solution: dict[str, Any],
+    objects: pd.DataFrame,
+    frame: Frame,
+) -> list[dict[str, Any]]:
+    sight = ChangedSight(arguments)
+    costs = {name: float(cost) for name, _, cost in (s.partition("=") for s in arguments.costs)}
+    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    allowed, beside, _ = allowed_candidates(arguments, candidates, frame)
+    candidates, beside = candidates[allowed].reset_index(drop=True), beside[allowed]
+    detections = read_detections(arguments.detections)
+    choices = choices_of(costs, candidates, detections)
+    cost = choices["cost"].to_numpy() + beside[choices["position"]]
+    pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
+    matrix = detection_matrix(detections, pairs, pd.Index(sight.targets["target"]))
+    members = read_table(arguments.objects)
+    surfels = read_surfels(arguments.surfels)
+    wanted = ~sight.targets["target"].isin(solution["excluded"]).to_numpy()
+    rows = []
+    for name, kind, hidden in zip(objects["name"], objects["kind"], objects["targets"], strict=True):
+        own = members[members["object"].astype(str) == name][["x", "y", "z"]]
+        lidar = SurfelLidar(_without(surfels, own))
+        middle = own.median().to_numpy(np.float64)
+        away = np.hypot(*(candidates[["x", "y"]].to_numpy() - middle[:2]).T)
+        near = np.flatnonzero(away <= _NEAR_M)
+        near = near[np.argsort(away[near], kind="stable")][:_MOST_CANDIDATES]
+        seen = _seen_without(sight, lidar, choices, candidates, near, matrix)
+        problem = CoverProblem(
+            seen[:, wanted], cost, choices["position"].to_numpy(), solution["at_least"]
+        )
+        cover = solve_cover_problem(problem, WorkLimit(arguments.time_limit_s), seed=1)
+        now_seen = int((np.asarray(seen.sum(axis=0)).ravel() > 0)[~wanted].sum())
+        rows.append(
+            {
+                "object": str(name),
+                "kind": str(kind),
+                "hidden_targets": int(hidden),
+                "cost_before": solution["objective"],
+                "cost": float(cover.objective),
+                "sensors_before": len(solution["sensors"]),
+                "sensors": len(cover.chosen),
+                "more_targets": now_seen,
+                "candidates": len(near),
+                "status": cover.status,
+            }
+        )
+    return rows
+
+
+def _without(surfels: Surfels, own: pd.DataFrame) -> Surfels:
+    """The scene without the surfels of an object, which are known by their places."""
+    place = np.dtype((np.void, 3 * np.dtype(np.float32).itemsize))
+    key = np.ascontiguousarray(surfels.centre_m, np.float32).view(place).ravel()
+    gone = np.ascontiguousarray(own.to_numpy(np.float32)).view(place).ravel()
+    left = ~np.isin(key, gone)
+    return Surfels(surfels.centre_m[left], surfels.normal[left], surfels.half_m[left])
+
+
+def _seen_without(
+    sight: ChangedSight,
+    lidar: SurfelLidar,
+    choices: pd.DataFrame,
+    candidates: pd.DataFrame,
+    near: np.ndarray,
+    matrix: sparse.csr_matrix,
+) -> sparse.csr_matrix:
+    """What choices near an object see without it, beside what they saw."""
+    rows = matrix.tolil(copy=True)
+    for row in np.flatnonzero(choices["position"].isin(near) & ~choices["posed"]):
+        choice = choices.iloc[row]
+        if not sight.can_change(choice["sensor"]):
+            continue
+        place = candidates.iloc[choice["position"]].to_dict() | {"sensor": choice["sensor"]}
+        found: Bools = sight.sees(place, None, lidar)
+        found |= np.asarray(matrix[row].todense()).ravel()
+        rows.rows[row] = np.flatnonzero(found).tolist()
+        rows.data[row] = [True] * int(found.sum())
+    return rows.tocsr()
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    names = ("solution", "targets", "surfels", "frame", "objects", "obstacles", "sensors-file", "out")
+    for name in names:
+        parser.add_argument(f"--{name}", required=True)
+    for name in ("candidates", "detections", "costs"):
+        parser.add_argument(f"--{name}", nargs="+", required=True)
+    parser.add_argument("--felled", type=int, default=1, help="objects that are tried")
+    parser.add_argument("--time-limit-s", type=float, default=60.0)
+    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
+    parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
+    add_sight_arguments(parser)
+    add_change_arguments(parser)
+    add_allowed_arguments(parser)
+    return run_stage(parser, try_removals, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
