@@ -21,7 +21,7 @@ from roadsight.io.records.atomic import write_json
 from roadsight.io.records.detections import write_detections
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import write_layers
-from roadsight.stages.placement.level_cover import described
+from roadsight.stages.placement.shared.level_cover import described
 from tests.conftest import PROJECT
 
 PLANS = {

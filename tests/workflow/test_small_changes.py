@@ -55,7 +55,9 @@ class TestNothingIsRendered:
             write_feature(copy_of_finished, "cabinets.geojson", point, {"name": "k1"})
             beside_edges(copy_of_finished, "cabinets: cabinets.geojson")
         else:
-            copy_of_finished.edit(SITE, "  shards: 2\n", "  shards: 2\n  mounting: {mast_cost: 1}\n")
+            copy_of_finished.edit(
+                SITE, "  shards: 2\n", "  shards: 2\n  mounting: {mast_cost: 1}\n"
+            )
         assert copy_of_finished.stale_rules() == AFTER_DETECTION
 
     def test_where_a_price_changes(self, copy_of_finished):

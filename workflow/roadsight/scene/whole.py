@@ -5,13 +5,49 @@ For verbs, notebooks and checks on real data, which take one cloud and keep its 
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import dataclass
 
-from roadsight.base.arrays import Bools, Floats
+import numpy as np
+from shapely import MultiPolygon
+
+from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.scene.grids import Grid, lowest_per_cell
+from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.pavement.outline import (
+    PavementSettings,
+    inside,
+    outline_pavement,
+    pavement_settings_for,
+    trace_cells,
+)
+from roadsight.scene.pavement.road_surface import (
+    RoadSettings,
+    RoadSurface,
+    find_road,
+    road_points,
+)
+from roadsight.scene.pavement.scan_levels import scanner_positions
+from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.profile import count_cells, density
-from roadsight.scene.spacing import plan_spacing_m
-from roadsight.scene.terrain.ground import GroundSettings, ground_settings_for
+from roadsight.scene.spacing import plan_spacing_m, uses_intensity
+from roadsight.scene.terrain.ground import (
+    GroundSettings,
+    coarse_at,
+    coarse_ground,
+    ground_settings_for,
+)
 from roadsight.scene.terrain.terrain import label_ground
+
+_COLUMN_M = 0.1
+"""Columns to which ground is thinned before its features are computed, or the spacing if wider."""
+_SAMPLE = 100_000
+"""Columns on which k-means is fitted; the rest are classified by its centres."""
+_INTENSITY_WEIGHT = 1.5
+"""Of intensity against the whole histogram (docs/decisions/005)."""
+_FEWEST_SCANS = 2
+"""One scan has no registration to level, but its blind disc alone is a weak sign of a road."""
+_SURE_SCANS = 0.5
+"""Share of scans with a blind disc from which the cloud was scanned from a vehicle in it."""
 
 
 def spacing_of(xyz_m: Floats) -> float:
@@ -34,3 +70,111 @@ def ground_of(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
     # One tile that holds everything, so that labels keep the cloud's order.
     _, mask = next(label_ground(lambda halo: iter([(bounds, xyz_m)]), bounds, settings))
     return mask
+
+
+def near_ground(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
+    """Points (n,) up to some decimetres from the coarse ground: a road is sought among them."""
+    settings = ground_settings_for(spacing_of(xyz_m), settings or GroundSettings())
+    x, y, z = xyz_m.T
+    grid = Grid.around(x, y, settings.coarse_cell_m)
+    surface, slope = coarse_ground(lowest_per_cell(grid, x, y, z), settings)
+    coarse_m, tilt = coarse_at(grid, surface, slope, x, y)
+    return np.abs(z - coarse_m) < settings.coarse_tolerance_m + tilt * settings.coarse_cell_m
+
+
+@dataclass(frozen=True)
+class FoundRoad:
+    """Pavement of a cloud.
+
+    Parameters
+    ----------
+    outline : its polygons, local metres. points : (n,) which points lie on it.
+    surface_m : (k, 3) places on it, for the heights of its edges.
+    """
+
+    outline: MultiPolygon
+    points: Bools
+    surface_m: Floats
+
+
+def scans_tell(xyz_m: Floats, scan: Ints | None) -> bool:
+    """Whether scans are told apart and their scanner drove through the cloud.
+
+    Their blind discs then say where the road is, and their registration can be levelled.
+    """
+    if scan is None or len(np.unique(scan)) < _FEWEST_SCANS:
+        return False
+    near = near_ground(xyz_m)
+    _, sure = scanner_positions(xyz_m[near], scan[near])
+    return bool(len(sure)) and float(sure.mean()) >= _SURE_SCANS
+
+
+def road_of(
+    xyz_m: Floats,
+    intensity: Floats | None,
+    scan: Ints | None,
+    track_xy: Floats | None = None,
+    settings: RoadSettings | None = None,
+) -> tuple[FoundRoad, RoadSurface]:
+    """Road as a surface that runs on until a kerb, grass or a wall ends it.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres. intensity, scan : (n,) or None. track_xy : (k, 2) where a vehicle
+        drove, or None.
+
+    Raises
+    ------
+    InputError : no smooth ground is wide enough for a road.
+    """
+    settings = settings or RoadSettings()
+    near = np.flatnonzero(near_ground(xyz_m))
+    surface = find_road(
+        xyz_m[near],
+        None if intensity is None else intensity[near],
+        None if scan is None else scan[near],
+        track_xy,
+        settings,
+    )
+    points = np.zeros(len(xyz_m), bool)
+    points[near] = road_points(surface, xyz_m[near], settings)
+    row, column = np.nonzero(surface.road)
+    x, y = surface.grid.centres(column, row)
+    places = np.column_stack([x, y, surface.height_m[row, column]])
+    outline = trace_cells(surface.grid, surface.road | surface.bridged, PavementSettings())
+    return FoundRoad(outline, points, places), surface
+
+
+def published_road(
+    xyz_m: Floats, ground: Bools, intensity: Floats, intensity_choice: str = "auto", seed: int = 1
+) -> FoundRoad:
+    """Road as the connected smooth ground by FPFH and k-means (paper 1, section 2.2).
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres. ground : (n,) ground labels. intensity : (n,).
+    intensity_choice : "use", "ignore" or "auto" by the spacing.
+
+    Raises
+    ------
+    InputError : nothing smooth, too little of it, or nothing but fragments.
+    """
+    spacing_m = spacing_of(xyz_m)
+    column_m = max(_COLUMN_M, spacing_m)
+    description = describe_ground(xyz_m[ground], intensity[ground], column_m, neighbours=10)
+    rng = np.random.default_rng(seed)
+    count = len(description.variation)
+    rows = np.sort(rng.choice(count, min(_SAMPLE, count), replace=False))
+    use = uses_intensity(intensity_choice, spacing_m) and len(np.unique(intensity[ground])) > 1
+    model = fit_smoothness(
+        description.histograms[rows],
+        description.variation[rows],
+        description.intensity[rows] if use else None,
+        _INTENSITY_WEIGHT,
+        seed,
+    )
+    smooth = is_smooth(model, description.histograms, description.variation, description.intensity)
+    settings = pavement_settings_for(column_m, PavementSettings())
+    outline = outline_pavement(description.xyz_m, smooth, settings)
+    x, y, _ = xyz_m.T
+    return FoundRoad(outline, ground & inside(outline, x, y), description.xyz_m)

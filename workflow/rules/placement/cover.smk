@@ -35,6 +35,12 @@ rule solve_cover:
     conda:
         ENVIRONMENT
     params:
+        zones=layered_site("placement.zones"),
+        cabinets=layered_site("placement.cabinets"),
+        areas=layered_plan_file("areas"),
+        forbidden=layered_plan_file("forbidden"),
+        mandatory=layered_plan_file("mandatory"),
+        poles=layered_plan_file("poles"),
         sensors=plan_costs,
         options=plan_options,
         at_least=setting("cover.at_least"),
@@ -53,9 +59,9 @@ rule solve_cover:
         " --at-least {params.at_least} {params.availability} --lanes {input.lanes}"
         " --target-height-m {params.height_m} --time-limit-s {params.time_limit_s} --gap {params.gap}"
         " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"
-        " --areas {input.areas:q} --forbidden {input.forbidden:q}"
-        " --mandatory {input.mandatory:q} --poles {input.poles:q}"
-        " --zones {input.zones:q} --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
+        " --areas {params.areas:q} --forbidden {params.forbidden:q}"
+        " --mandatory {params.mandatory:q} --poles {params.poles:q}"
+        " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
         " --surfels {input.surfels} --tilts {input.tilts} --air {input.air} --reflectivity {input.reflectivity} {params.robust}"
         " --solution {output.solution} --layers {output.layers}"
         " --timing {output.timing} > {log} 2>&1"
@@ -91,6 +97,8 @@ rule find_obstacles:
         mem_mb=megabytes(250),
         runtime=minutes(),
     params:
+        zones=layered_site("placement.zones"),
+        cabinets=layered_site("placement.cabinets"),
         sensors_file=CONFIG.sensors_file,
         sensors=plan_costs,
         height_m=target_height,
@@ -102,7 +110,7 @@ rule find_obstacles:
         " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
         " --objects {input.objects} --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
-        " --zones {input.zones:q} --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
+        " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
         " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
 
 
@@ -262,6 +270,8 @@ rule try_removals:
         mem_mb=megabytes(250),
         runtime=minutes(),
     params:
+        zones=layered_site("placement.zones"),
+        cabinets=layered_site("placement.cabinets"),
         sensors_file=CONFIG.sensors_file,
         sensors=plan_costs,
         felled=setting("coverage.felled"),
@@ -277,7 +287,7 @@ rule try_removals:
         " --surfels {input.surfels} --frame {input.frame} --costs {params.sensors:q}"
         " --sensors-file {params.sensors_file:q} --felled {params.felled} {params.settings}"
         " --time-limit-s {params.time_limit_s} --tilts {input.tilts} --air {input.rain} {input.fog}"
-        " --reflectivity {input.reflectivity} --zones {input.zones:q}"
-        " --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
+        " --reflectivity {input.reflectivity} --zones {params.zones:q}"
+        " --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"
         " --out {output.removals} > {log} 2>&1"

@@ -30,6 +30,7 @@ rule place_candidates:
         mem_mb=megabytes(60),
         runtime=minutes(),
     params:
+        mounts=layered_site("placement.mounts"),
         spacing_m=setting("candidates.spacing_m"),
         height_min_m=setting("candidates.height_min_m"),
         height_max_m=setting("candidates.height_max_m"),
@@ -44,7 +45,7 @@ rule place_candidates:
         " --cloud {input.cloud} --frame {input.frame} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --ground {input.ground} --mounts {input.mounts:q} --arm-m {params.arm_m}"
+        " --ground {input.ground} --mounts {params.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"
 
@@ -219,11 +220,13 @@ rule check_coverage:
         ENVIRONMENT
     params:
         plans=plan_sensors,
+        zones=in_last_round(layered_site("placement.zones")),
+        cabinets=in_last_round(layered_site("placement.cabinets")),
         mounting=in_last_round(mounting_rules, otherwise="{}"),
     shell:
         "python -m roadsight.stages.placement.check_coverage --targets {input.targets}"
         " --candidates {input.candidates} --detections {input.detections} --frame {input.frame}"
-        " --zones {input.zones:q} --cabinets {input.cabinets:q} --mounting {params.mounting:q}"
+        " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
         " --plans {params.plans:q} --out {output.coverage} > {log} 2>&1"
 
 
@@ -252,6 +255,7 @@ rule densify_candidates:
     conda:
         ENVIRONMENT
     params:
+        mounts=layered_site("placement.mounts"),
         plans=plan_sensors,
         radius_m=setting("coverage.radius_m"),
         spacing_m=setting("candidates.spacing_m"),
@@ -270,6 +274,6 @@ rule densify_candidates:
         " --plans {params.plans:q} --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --ground {input.ground} --mounts {input.mounts:q} --arm-m {params.arm_m}"
+        " --ground {input.ground} --mounts {params.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"

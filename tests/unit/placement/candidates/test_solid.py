@@ -1,4 +1,4 @@
-"""No sensor in, behind or above what a scan shows only in part; heights on a road with overheads."""
+"""No sensor in, behind or above what a scan shows only in part; heights below overheads."""
 
 from __future__ import annotations
 

@@ -119,7 +119,7 @@ def test_a_thin_cloud_is_examined_as_a_whole(rng):
 def test_a_hole_in_a_dense_cloud_carries_no_target(rng):
     points = rng.uniform(0, 20, (200 * 400, 3))
     hole = (np.abs(points[:, :2] - 10) < 2).all(axis=1)
-    points = np.concatenate([points[~hole], points[hole][:16 * 20]])  # 20 points/m2 left
+    points = np.concatenate([points[~hole], points[hole][: 16 * 20]])  # 20 points/m2 left
     local = place_targets(points, 1.0, 9, True)
     assert len(local) == 400 - 16
     assert len(place_targets(points, 1.0, 9)) == 400
@@ -147,7 +147,7 @@ class TestExamined:
         area_m2, left = examined_areas_m2(table, cells, self.road, 1.0)
         assert left.area == pytest.approx(self.road.area - area_m2.sum())
         # Two cells beside the last column lie off the road in their middles, and are slivers.
-        assert area_m2.sum() == pytest.approx(4.7 * 4.2 , abs=0.5)
+        assert area_m2.sum() == pytest.approx(4.7 * 4.2, abs=0.5)
 
     def test_no_target_examines_nothing(self):
         table, cells = self.targets(np.arange(0), np.arange(0))

@@ -42,7 +42,9 @@ def test_losses_are_of_one_sensor_at_a_time():
 
 
 def best(matrix):
-    cover = solve_cover_problem(CoverProblem(matrix, np.ones(matrix.shape[0])), WorkLimit(20), seed=1)
+    cover = solve_cover_problem(
+        CoverProblem(matrix, np.ones(matrix.shape[0])), WorkLimit(20), seed=1
+    )
     return None if not len(cover.chosen) else np.asarray(cover.chosen)
 
 

@@ -62,9 +62,7 @@ def test_real_channel_table_is_dense_around_the_horizon(project):
         ("OS1-64-512x20", 512, 20, 1_310_720),
     ],
 )
-def test_products_send_no_more_points_than_they_can(
-    project, name, columns, turns_hz, points_per_s
-):
+def test_products_send_no_more_points_than_they_can(project, name, columns, turns_hz, points_per_s):
     sensor = load_sensors(project / "config/sensors.yaml")[name]
     assert (sensor.columns, sensor.rotation_hz) == (columns, turns_hz)
     assert sensor.points_per_s == points_per_s
@@ -81,9 +79,7 @@ def test_old_names_are_those_of_table_5(project):
 
 def test_a_product_with_more_points_than_it_sends_is_refused(tmp_path):
     product = "{range_m: 120, elevation_min_deg: -22.5, elevation_max_deg: 22.5, channels: 128"
-    path = write(
-        tmp_path, f"sensors: {{A: {product}, rotation_hz: 10, points_per_s: 2621440}}}}"
-    )
+    path = write(tmp_path, f"sensors: {{A: {product}, rotation_hz: 10, points_per_s: 2621440}}}}")
     with pytest.raises(InputError, match=r"sensor A.*4,608,000 points a second, more than the 2,6"):
         load_sensors(path)
 
@@ -93,7 +89,10 @@ def test_a_product_with_more_points_than_it_sends_is_refused(tmp_path):
     [
         ("A: {like: B}", "like: no such sensor"),
         ("A: {like: B}, B: {like: A}", "like: a circle"),
-        ("A: {range_m: 9, elevations_deg: [1], azimuth_step_deg: 1, columns_per_turn: 9}", "not both"),
+        (
+            "A: {range_m: 9, elevations_deg: [1], azimuth_step_deg: 1, columns_per_turn: 9}",
+            "not both",
+        ),
         ("A: {range_m: 9, range_min_m: 9, elevations_deg: [1]}", "range_min_m"),
     ],
 )
@@ -103,7 +102,10 @@ def test_wrong_products_end_in_one_message(tmp_path, text, message):
 
 
 def test_a_sensor_like_another_may_say_the_same_in_another_way(tmp_path):
-    base = "A: {range_m: 9, azimuth_step_deg: 1, elevation_min_deg: 0, elevation_max_deg: 1, channels: 2}"
+    base = (
+        "A: {range_m: 9, azimuth_step_deg: 1, elevation_min_deg: 0, elevation_max_deg: 1,"
+        " channels: 2}"
+    )
     path = write(
         tmp_path, f"sensors: {{{base}, B: {{like: A, columns_per_turn: 90, elevations_deg: [5]}}}}"
     )

@@ -24,7 +24,7 @@ def pole(x, y, height):
 def crown(x, y, rng):
     way, normal = rng.normal(size=(2, 900, 3))
     xyz = way / np.linalg.norm(way, axis=1, keepdims=True) * 2.0 * rng.random((900, 1)) ** (1 / 3)
-    return xyz + [x, y, 4.0], normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    return xyz + np.array([x, y, 4.0]), normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 @pytest.fixture

@@ -1,7 +1,8 @@
 """What an earlier run of a step made of each candidate, kept so that a small change is a small run.
 
-A step's output is linked under another name, beside a list of keys: of everything that all its rows
-rest on, and of each row's own. The next run of the step takes over the rows whose keys are the same.
+A step's output is linked under another name, beside a list of keys: of everything that all its
+rows rest on, and of each row's own. The next run of the step takes over the rows whose keys are the
+same.
 Snakemake knows nothing of these files; without them everything is made again, with the same bytes.
 """
 

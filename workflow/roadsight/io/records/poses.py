@@ -17,7 +17,7 @@ _NORMAL = ["normal_x", "normal_y", "normal_z"]
 
 
 FOR_SENSORS = "for_sensors"
-"""Column of denser candidates: names of the sensors whose gaps they are for, with blanks between."""
+"""Column of denser candidates: names of the sensors whose gaps they are for, blanks between."""
 
 
 def read_poses(path: str | os.PathLike[str], sensor: str | None = None) -> dict[str, Floats]:

@@ -183,9 +183,7 @@ def stack_candidates(
     return stacked
 
 
-def _surroundings(
-    xy_m: Floats, ground_z_m: Floats, points_m: Floats | None
-) -> list[Surroundings]:
+def _surroundings(xy_m: Floats, ground_z_m: Floats, points_m: Floats | None) -> list[Surroundings]:
     """What lies within two metres of each position (n, 2); nothing where nobody looked."""
     if points_m is None or not len(points_m):
         return [Surroundings(np.empty((0, 2)), np.empty(0))] * len(xy_m)

@@ -69,7 +69,8 @@ def examined_areas_m2(
     """Pavement that each target stands for (n,), and the pavement that none stands for.
 
     A target stands for the pavement in its own cell, and for that in cells beside it whose middle
-    lies off the road or on its rim, where no target may stand: slivers along the rim, of which none is further than a cell from it.
+    lies off the road or on its rim, where no target may stand: slivers along the rim, of which none
+    is further than a cell from it.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def examined_areas_m2(
             if beside not in own:
                 slivers.setdefault(beside, k)
     beside_cells = np.array(list(slivers), np.int64).reshape(-1, 2)
-    middles = (beside_cells + 0.5) * cell_size_m
+    middles = np.asarray((beside_cells + 0.5) * cell_size_m, np.float64)
     shapely.prepare(road)
     off = ~at_least_inside(road, middles, np.full(len(middles), rim_m))
     beside_cells, owner = beside_cells[off], np.array(list(slivers.values()), np.int64)[off]
@@ -101,4 +102,5 @@ def examined_areas_m2(
     stands_for = np.concatenate([np.arange(len(targets)), owner])
     left = road.difference(shapely.union_all(boxes))
     parts = [part for part in shapely.get_parts(left) if isinstance(part, shapely.Polygon)]
-    return np.bincount(stands_for, area, minlength=len(targets)), MultiPolygon(parts)
+    examined_m2 = np.bincount(stands_for, area, minlength=len(targets)).astype(np.float64)
+    return examined_m2, MultiPolygon(parts)

@@ -1,8 +1,8 @@
 """Solid matter that a scan shows only in part: no sensor inside it, behind it or above it.
 
 A scanner on the road sees the faces of walls and ceilings and nothing behind them. What it shows as
-free there is rock, fill or a building. Three signs tell: no measured ground at the foot of a mast, a
-roof that is wider than the space searched for points, and walls all around.
+free there is rock, fill or a building. Three signs tell: no measured ground at the foot of a mast,
+a roof that is wider than the space searched for points, and walls all around.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ _ROOF_SHARE = 0.6
 fifth) or wires; both halves of a ceiling beside a wall of 0.8 m cover four fifths, and two thirds
 1 m behind a portal."""
 _ROOF_SPREAD_M = 0.5
-"""The height of a roof differs by less than this: ceilings on a grade of 12 % by 0.48 m over 4 m; of
-a crown with a radius of 2.5 m, half of the cells do."""
+"""The height of a roof differs by less than this: ceilings on a grade of 12 % by 0.48 m over 4 m;
+of a crown with a radius of 2.5 m, half of the cells do."""
 _THIN_SHARE = 0.35
 """Of the cells, those in which a roof is nothing but thin: crowns of trees are metres thick."""
 _ROOF_PERCENTILE = 5

@@ -68,7 +68,8 @@ def place_targets(
     Returns
     -------
     columns target (name ``t{column}_{row}`` of the cell), x, y, z (foot, local metres, float64),
-    points (int32) and spacing_m (of the points nearby), row by row from the south-west; no rows if no cell has enough points.
+    points (int32) and spacing_m (of the points nearby), row by row from the south-west; no rows if
+    no cell has enough points.
 
     Raises
     ------

@@ -56,7 +56,8 @@ def margins(
     """
     before = seen.any(axis=0)
     kept = [
-        (seen & (distance_m <= reach[:, None])).any(axis=0) for reach in (dark_m, SHORTER * range_m)
+        np.asarray((seen & (distance_m <= reach[:, None])).any(axis=0))
+        for reach in (dark_m, SHORTER * range_m)
     ]
     count = max(int(before.sum()), 1)
     lost = [int((before & ~after).sum()) for after in kept]

@@ -17,8 +17,12 @@ from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.placement.sensors.poses import Turn
 
 MOST_ROUNDS = 60
-"""Covers that are tried with rows as they are seen with tolerance, before only rows that were looked
-at may be chosen: the test sites needed 3 to 20."""
+"""Covers that are tried with rows as they are seen with tolerance, before only rows that were
+looked at may be chosen: the test sites needed 3 to 20."""
+
+
+_NO_TURN = Turn(0.0, 0.0, 0.0)
+"""A sensor that is turned as planned."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +38,7 @@ class Change:
     kind: str
     name: str
     shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    turn: Turn = Turn(0.0, 0.0, 0.0)
+    turn: Turn = _NO_TURN
 
 
 def changes(move_m: float, turn_deg: float, height_m: float) -> list[Change]:
@@ -155,7 +159,7 @@ def solve_with_tolerance(
             rows.rows[row] = kept.tolist()
             rows.data[row] = [True] * len(kept)
             known[row] = True
-    for row in np.flatnonzero(~known):
+    for row in np.flatnonzero(~known).tolist():
         rows.rows[row], rows.data[row] = [], []
     return rows.tocsr(), known, most_rounds, False
 

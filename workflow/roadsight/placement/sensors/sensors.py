@@ -112,7 +112,7 @@ _INSTEAD = (
 
 
 def _replaced(key: str, own: dict[str, Any]) -> bool:
-    """Whether keys that a sensor states itself stand in place of a key of the one that it is like."""
+    """Whether keys that a sensor states itself stand in place of one of the sensor it is like."""
     ways = [*_INSTEAD, *((other, one) for one, other in _INSTEAD)]
     return any(key in one and other & own.keys() for one, other in ways)
 

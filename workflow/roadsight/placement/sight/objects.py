@@ -10,7 +10,7 @@ import pandas as pd
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from roadsight.base.arrays import Floats, Ints
+from roadsight.base.arrays import Floats, Floats32, Ints
 
 LOWEST_M = 0.3
 """Surfels lower than this above the ground are ground: a kerb, grass, a bank."""
@@ -108,7 +108,7 @@ def kind_of_name(name: str) -> str:
 
 
 def objects_of(
-    centre_m: Floats, normal: Floats, height_m: Floats
+    centre_m: Floats | Floats32, normal: Floats | Floats32, height_m: Floats
 ) -> tuple[Ints, pd.DataFrame]:
     """Objects of a scene.
 
@@ -120,8 +120,8 @@ def objects_of(
     Returns
     -------
     (n,) row of each surfel's object, -1 for the ground and stray ones; and the objects: name (kind
-        and place in metres, so that others coming or going do not rename it), kind, x, y, z, height_m
-        (of its top), length_m and surfels.
+    and place in metres, so that others coming or going do not rename it), kind, x, y, z, height_m
+    (of its top), length_m and surfels.
     """
     high = np.flatnonzero(height_m >= LOWEST_M)
     row_of = np.full(len(centre_m), -1, np.int64)

@@ -104,7 +104,7 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
 
 
 OBJECT_NEAR_M = 0.6
-"""A hit belongs to the object whose nearest surfel is no farther: half a cube and a surfel's size."""
+"""A hit is of the object whose nearest surfel is no farther: half a cube and a surfel's size."""
 
 
 def by_object(lines: pd.DataFrame, members: pd.DataFrame) -> pd.DataFrame:

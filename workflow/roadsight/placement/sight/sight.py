@@ -61,9 +61,7 @@ def count_beams(
     return hits
 
 
-def _nearest_m(
-    feet_m: Floats, position_m: ArrayLike, size_m: tuple[float, float] | Box
-) -> Floats:
+def _nearest_m(feet_m: Floats, position_m: ArrayLike, size_m: tuple[float, float] | Box) -> Floats:
     """Least distance (n,) at which a target may begin: a cylinder around it holds all of it."""
     place = np.asarray(position_m, np.float64)
     if isinstance(size_m, Box):

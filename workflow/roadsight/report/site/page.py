@@ -31,8 +31,8 @@ from roadsight.report.site.layers import (
     target_layer,
 )
 from roadsight.report.site.options_view import goal_proven
-from roadsight.report.site.tolerance_view import lost_classes
 from roadsight.report.site.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
+from roadsight.report.site.tolerance_view import lost_classes
 
 FORMAT = "roadsight.page/1"
 """Of the page's content; the report refuses others."""
@@ -90,7 +90,7 @@ class PlanResult:
     returns_xyz_m, returns_sensor : (n, 3) and (n,) sample of what the sensors would see, and the
         number of the sensor, from 0.
     in_sight : (n,) share of the time in which each target is in sight, None without traffic.
-    lost_share : (n,) share of the ways in which a sensor may not be as planned that lose each target.
+    lost_share : (n,) share of the changes of a sensor that lose each target.
     """
 
     title: str
@@ -197,7 +197,7 @@ def _plan(
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
         **({} if plan.in_sight is None else _in_sight(plan.in_sight)),
-        **({"removals": result["removals"]} if result.get("removals") else {}),
+        "removals": result.get("removals", []),
         **({"tolerance": result["tolerance"]} if "tolerance" in result else {}),
         **({} if plan.lost_share is None else lost_classes(plan.lost_share)),
         **({"availability": solution["availability"]} if "availability" in solution else {}),

@@ -37,7 +37,7 @@ def tolerance_view(plan: dict[str, Any]) -> dict[str, Any] | None:
             "mean": number(row["mean_lost"], 1),
             "worst": f"sensor {numbers.get(row['sensor'], '?')}, {row['name']}"
             if row["lost"]
-            else "–",
+            else "\u2013",
         }
         for row in found["rows"]
     ]

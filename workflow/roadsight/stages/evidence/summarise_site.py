@@ -137,7 +137,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--sensors", default="{}", help="definitions of the sensors as JSON")
     for name in ("frames", "poles", "validation", "camera-scores"):
         parser.add_argument(f"--{name}", nargs="?")
-    shards, tables = ("cameras", "sightings"), ("given", "scores", "traffic", "coverage", "pavement")
+    shards, tables = (
+        ("cameras", "sightings"),
+        ("given", "scores", "traffic", "coverage", "pavement"),
+    )
     for name in (*shards, *tables, "solutions", "timings", "data", "tolerances", "removals"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)

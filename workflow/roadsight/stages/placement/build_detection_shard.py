@@ -21,7 +21,7 @@ from roadsight.placement.sight.lanes import free_shares
 from roadsight.placement.sight.shapes import Box
 from roadsight.placement.sight.sight import count_beams
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.detection_inputs import (
+from roadsight.stages.placement.shared.detection_inputs import (
     add_detection_arguments,
     read_shaped_targets,
     said_of_shape,
@@ -64,9 +64,7 @@ def build_detection_shard(arguments: argparse.Namespace) -> None:
             raise InputError("holds its maps in another order", where=arguments.depth)
         *place, yaw_deg = poses[name]
         pose = (np.array(place), yaw_deg)
-        beams = stride * count_beams(
-            depth, sensor, *pose, feet_m, size_m, sight, tilts.get(name)
-        )
+        beams = stride * count_beams(depth, sensor, *pose, feet_m, size_m, sight, tilts.get(name))
         seen = np.flatnonzero(beams > arguments.min_beams)
         if traffic is not None:
             middles = feet_m[seen, :3] + np.array([0.0, 0.0, shape.height_m / 2])
@@ -91,7 +89,7 @@ def _keys(
     poses: dict[str, Floats],
     tilts: dict[str, Floats],
 ) -> dict[str, str]:
-    """Key of what each candidate's row rests on: its map, its pose and its tilt; in the maps' order."""
+    """Key of what each candidate's row rests on: map, pose and tilt; in the maps' order."""
     keys = {}
     for name in maps.candidates():
         if name not in poses:

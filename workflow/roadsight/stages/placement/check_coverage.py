@@ -15,7 +15,7 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.detections import read_seen_targets
 from roadsight.io.records.tables import read_table
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.allowed import add_allowed_arguments, allowed_candidates
+from roadsight.stages.placement.shared.allowed import add_allowed_arguments, allowed_candidates
 
 log = logging.getLogger("check_coverage")
 

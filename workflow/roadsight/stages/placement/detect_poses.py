@@ -24,7 +24,7 @@ from roadsight.placement.sight.lanes import free_shares
 from roadsight.placement.sight.posed import Panorama
 from roadsight.placement.sight.shapes import Shape
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.detection_inputs import (
+from roadsight.stages.placement.shared.detection_inputs import (
     add_detection_arguments,
     read_shaped_targets,
     said_of_shape,

@@ -36,7 +36,7 @@ from roadsight.placement.sight.obstacles import (
     pairs_in_range,
 )
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.allowed import add_allowed_arguments, allowed_candidates
+from roadsight.stages.placement.shared.allowed import add_allowed_arguments, allowed_candidates
 
 log = logging.getLogger("find_obstacles")
 

@@ -39,7 +39,7 @@ def gather_objects(arguments: argparse.Namespace) -> None:
     write_surfels(arguments.left, left, {"removed": sorted(removed)})
     centres = pd.DataFrame(surfels.centre_m, columns=["x", "y", "z"])
     part = centres.assign(object=row)[row >= 0].reset_index(drop=True)
-    part["object"] = pd.Categorical.from_codes(part["object"], objects["name"])
+    part["object"] = pd.Categorical(objects["name"].to_numpy()[row[row >= 0]])
     write_table(arguments.members, part)
     layer = gpd.GeoDataFrame(
         objects.drop(columns=["x", "y", "z"]),

@@ -39,8 +39,8 @@ from roadsight.placement.sight.probability import (
 )
 from roadsight.scene.pavement.outline import inside
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.chosen_points import points_by_height
-from roadsight.stages.placement.detection_inputs import (
+from roadsight.stages.placement.shared.chosen_points import points_by_height
+from roadsight.stages.placement.shared.detection_inputs import (
     add_sight_arguments,
     read_shaped_targets,
     sight_of,

@@ -15,8 +15,8 @@ from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.plans.tolerance import lost_shares, tolerance_of
 from roadsight.placement.sight.detection import MIN_BEAMS
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.changed_sight import ChangedSight, add_change_arguments
-from roadsight.stages.placement.detection_inputs import add_sight_arguments
+from roadsight.stages.placement.shared.changed_sight import ChangedSight, add_change_arguments
+from roadsight.stages.placement.shared.detection_inputs import add_sight_arguments
 
 log = logging.getLogger("measure_tolerance")
 
@@ -26,8 +26,11 @@ def measure_tolerance(arguments: argparse.Namespace) -> None:
     solution = read_json(arguments.solution)
     frame = Frame.from_dict(read_json(arguments.frame))
     sight = ChangedSight(arguments)
-    places = [p for p in solution["sensors"] if sight.can_change(p["sensor"]) and "@" not in
-              p["candidate"]]
+    places = [
+        p
+        for p in solution["sensors"]
+        if sight.can_change(p["sensor"]) and "@" not in p["candidate"]
+    ]
     seen = np.zeros((len(places), len(sight.targets)), bool)
     changed = {}
     for number, place in enumerate(places):
@@ -61,8 +64,9 @@ def measure_tolerance(arguments: argparse.Namespace) -> None:
     )
     write_layers(arguments.layers, {"targets": layer}, frame, {"targets": "Point Z"})
     for row in rows:
-        log.info("%s: at most %d targets lost (%.1f %%)", row["kind"], row["lost"],
-                 100 * row["share"])
+        log.info(
+            "%s: at most %d targets lost (%.1f %%)", row["kind"], row["lost"], 100 * row["share"]
+        )
 
 
 def main(argv: list[str] | None = None) -> int:

@@ -98,9 +98,7 @@ def _step(arguments: argparse.Namespace, sensor: Sensor) -> str:
     if arguments.model != "surfel":
         cloud = [arguments.cloud, *filter(None, (arguments.traffic, arguments.network))]
     names = ("model", "azimuth_stride", "min_cell_points", "neighbours", "curvature")
-    return key_of_step(
-        cloud, what_it_sees(sensor), [getattr(arguments, name) for name in names]
-    )
+    return key_of_step(cloud, what_it_sees(sensor), [getattr(arguments, name) for name in names])
 
 
 def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: Floats) -> Render:

@@ -16,26 +16,25 @@ from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.detections import read_detections
-from roadsight.io.records.poses import FOR_SENSORS
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.candidates.siting import needs_by_area
-from roadsight.placement.plans.choices import choices_of, posed_candidates
+from roadsight.placement.plans.choices import posed_candidates
 from roadsight.placement.plans.plan_answer import Answer, answer
 from roadsight.placement.plans.plan_problem import Asked, pose
 from roadsight.placement.plans.tolerance import solve_with_tolerance
-from roadsight.placement.sight.coverage import availability, detection_matrix, times_seen
+from roadsight.placement.sight.coverage import availability, times_seen
 from roadsight.placement.sight.detection import MIN_BEAMS
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.result import WITHIN_GAP
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.allowed import add_allowed_arguments, allowed_candidates
-from roadsight.stages.placement.changed_sight import ChangedSight, add_change_arguments
-from roadsight.stages.placement.cover_inputs import FILES, read_asked
-from roadsight.stages.placement.detection_inputs import add_sight_arguments
-from roadsight.stages.placement.level_cover import cover_at_level, described
+from roadsight.stages.placement.shared.allowed import add_allowed_arguments
+from roadsight.stages.placement.shared.changed_sight import ChangedSight, add_change_arguments
+from roadsight.stages.placement.shared.cover_inputs import FILES, read_asked
+from roadsight.stages.placement.shared.detection_inputs import add_sight_arguments
+from roadsight.stages.placement.shared.level_cover import cover_at_level, described
+from roadsight.stages.placement.shared.plan_choices import read_choices
 
 log = logging.getLogger("solve_cover")
 
@@ -43,25 +42,14 @@ log = logging.getLogger("solve_cover")
 def solve_cover(arguments: argparse.Namespace) -> None:
     """Write the solution, its layers for GIS, and the solver's timing."""
     frame = Frame.from_dict(read_json(arguments.frame))
-    costs = {name: float(cost) for name, _, cost in (s.partition("=") for s in arguments.sensors)}
-    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
-    allowed, building, cable_m = allowed_candidates(arguments, candidates, frame)
-    candidates["building_cost"] = building
-    if cable_m is not None:
-        candidates["cable_m"] = cable_m
-    candidates = candidates[allowed].reset_index(drop=True)
-    candidates = candidates.drop(columns=FOR_SENSORS, errors="ignore")
+    plan = read_choices(arguments, arguments.sensors, frame)
+    candidates, detections, choices = plan.candidates, plan.detections, plan.choices
     targets = read_table(arguments.targets)
     uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
     wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
     asked = read_asked(arguments, frame)
     _check_uncovered(arguments, targets, uncovered, asked)
-    detections = read_detections(arguments.detections)
-    choices = choices_of(costs, candidates, detections)
-    beside = candidates.pop("building_cost").to_numpy()
-    choices["cost"] = choices["cost"] + beside[choices["position"]]
-    pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
-    matrix = detection_matrix(detections, pairs, pd.Index(wanted["target"]))
+    matrix = plan.matrix(wanted["target"])
     answered = levelled = None
     robust: dict[str, Any] = {}
     if arguments.robust:
@@ -333,7 +321,7 @@ def _proven_area(targets: pd.DataFrame, at_least: int) -> dict[str, float]:
     """Pavement whose targets are seen as often as asked for; nothing where none says its own."""
     if "area_m2" not in targets:
         return {}
-    needed = targets["needed"] if "needed" in targets else at_least
+    needed = targets.get("needed", at_least)
     enough = targets["sensors"] >= np.maximum(needed, 1)
     return {"proven_area_m2": float(targets.loc[enough, "area_m2"].sum())}
 

@@ -14,21 +14,19 @@ from scipy import sparse
 from roadsight.base.arrays import Bools
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.detections import read_detections
 from roadsight.io.records.surfels import read_surfels
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
-from roadsight.placement.plans.choices import choices_of
-from roadsight.placement.sight.coverage import detection_matrix
 from roadsight.placement.sight.detection import MIN_BEAMS
 from roadsight.scene.surfels.surfels import Surfels
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.allowed import add_allowed_arguments, allowed_candidates
-from roadsight.stages.placement.changed_sight import ChangedSight, add_change_arguments
-from roadsight.stages.placement.detection_inputs import add_sight_arguments
+from roadsight.stages.placement.shared.allowed import add_allowed_arguments
+from roadsight.stages.placement.shared.changed_sight import ChangedSight, add_change_arguments
+from roadsight.stages.placement.shared.detection_inputs import add_sight_arguments
+from roadsight.stages.placement.shared.plan_choices import read_choices
 
 log = logging.getLogger("try_removals")
 
@@ -51,7 +49,9 @@ def try_removals(arguments: argparse.Namespace) -> None:
         rows = _rows(arguments, solution, objects, frame)
     write_json(arguments.out, {"plan": solution["plan"], "rows": rows})
     for row in rows:
-        log.info("without %s: cost %g instead of %g", row["object"], row["cost"], row["cost_before"])
+        log.info(
+            "without %s: cost %g instead of %g", row["object"], row["cost"], row["cost_before"]
+        )
 
 
 def _rows(
@@ -61,20 +61,16 @@ def _rows(
     frame: Frame,
 ) -> list[dict[str, Any]]:
     sight = ChangedSight(arguments)
-    costs = {name: float(cost) for name, _, cost in (s.partition("=") for s in arguments.costs)}
-    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
-    allowed, beside, _ = allowed_candidates(arguments, candidates, frame)
-    candidates, beside = candidates[allowed].reset_index(drop=True), beside[allowed]
-    detections = read_detections(arguments.detections)
-    choices = choices_of(costs, candidates, detections)
-    cost = choices["cost"].to_numpy() + beside[choices["position"]]
-    pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
-    matrix = detection_matrix(detections, pairs, pd.Index(sight.targets["target"]))
+    plan = read_choices(arguments, arguments.costs, frame)
+    candidates, choices = plan.candidates, plan.choices
+    matrix = plan.matrix(sight.targets["target"])
     members = read_table(arguments.objects)
     surfels = read_surfels(arguments.surfels)
     wanted = ~sight.targets["target"].isin(solution["excluded"]).to_numpy()
     rows = []
-    for name, kind, hidden in zip(objects["name"], objects["kind"], objects["targets"], strict=True):
+    for name, kind, hidden in zip(
+        objects["name"], objects["kind"], objects["targets"], strict=True
+    ):
         own = members[members["object"].astype(str) == name][["x", "y", "z"]]
         lidar = SurfelLidar(_without(surfels, own))
         middle = own.median().to_numpy(np.float64)
@@ -83,7 +79,10 @@ def _rows(
         near = near[np.argsort(away[near], kind="stable")][:_MOST_CANDIDATES]
         seen = _seen_without(sight, lidar, choices, candidates, near, matrix)
         problem = CoverProblem(
-            seen[:, wanted], cost, choices["position"].to_numpy(), solution["at_least"]
+            seen[:, wanted],
+            choices["cost"].to_numpy(),
+            choices["position"].to_numpy(),
+            solution["at_least"],
         )
         cover = solve_cover_problem(problem, WorkLimit(arguments.time_limit_s), seed=1)
         now_seen = int((np.asarray(seen.sum(axis=0)).ravel() > 0)[~wanted].sum())
@@ -138,7 +137,16 @@ def _seen_without(
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    names = ("solution", "targets", "surfels", "frame", "objects", "obstacles", "sensors-file", "out")
+    names = (
+        "solution",
+        "targets",
+        "surfels",
+        "frame",
+        "objects",
+        "obstacles",
+        "sensors-file",
+        "out",
+    )
     for name in names:
         parser.add_argument(f"--{name}", required=True)
     for name in ("candidates", "detections", "costs"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,9 @@ import pandas as pd
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.io.records.atomic import read_json
 from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_polygons
 from roadsight.placement.candidates.mounting import (
     Mounting,
@@ -20,6 +23,8 @@ from roadsight.placement.candidates.mounting import (
     may_be_built,
 )
 from roadsight.placement.candidates.sites_for_sensors import outside_zones
+
+log = logging.getLogger(__name__)
 
 
 def add_allowed_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,12 +44,17 @@ def allowed_candidates(
     InputError : a file is not usable, a cabinet lies off the site, or no candidate is left.
     """
     rules = Mounting(**json.loads(arguments.mounting or "{}"))
+    about = read_json(arguments.frame)
     cabinets = read_points(arguments.cabinets, frame) if arguments.cabinets else None
+    if cabinets is not None:
+        places = cabinets[["x", "y"]].to_numpy(np.float64)
+        tell_near(log, "cabinets", places, about, arguments.cabinets)
     where = str(arguments.cabinets or "mounting")
     cable_m = cable_lengths_m(candidates, cabinets, rules, where)
     free = np.ones(len(candidates), bool)
     if arguments.zones:
         zones = list(read_polygons(arguments.zones, frame).geometry)
+        tell_near(log, "zones", np.array(zones, object), about, arguments.zones)
         free = outside_zones(candidates[["x", "y"]].to_numpy(np.float64), zones)
     if "mount" not in candidates:
         return free, np.zeros(len(candidates)), cable_m

@@ -18,7 +18,7 @@ from roadsight.placement.sensors.poses import AS_MOUNTED, Turn, local_from_senso
 from roadsight.placement.sensors.sensors import Sensor, load_sensors
 from roadsight.placement.sight.shapes import Box
 from roadsight.placement.sight.sight import count_beams
-from roadsight.stages.placement.detection_inputs import read_shaped_targets, sight_of
+from roadsight.stages.placement.shared.detection_inputs import read_shaped_targets, sight_of
 
 
 def add_change_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,8 +33,8 @@ class ChangedSight:
 
     Parameters
     ----------
-    arguments : those of `add_sight_arguments` and `add_change_arguments`, sensors, surfels, targets,
-        min_beams and azimuth_stride.
+    arguments : those of `add_sight_arguments` and `add_change_arguments`, sensors, surfels,
+        targets, min_beams and azimuth_stride.
     """
 
     def __init__(self, arguments: argparse.Namespace) -> None:
@@ -65,9 +65,7 @@ class ChangedSight:
         """
         whole = self._sensors[place["sensor"]]
         if not isinstance(whole, Sensor):
-            raise InputError(
-                "tolerance is measured of spinning LiDARs only", found=place["sensor"]
-            )
+            raise InputError("tolerance is measured of spinning LiDARs only", found=place["sensor"])
         stride = self._arguments.azimuth_stride
         sensor = whole.thinned(stride)
         position = np.array([place[axis] for axis in "xyz"], np.float64)
