@@ -91,6 +91,7 @@ READERS = {
         "find_obstacles",
         "measure_data",
         "measure_tolerance",
+        "summarise_site",
         "write_site_page",
         "try_removals",
     },

@@ -26,6 +26,7 @@ rule summarise_site:
         data=placement_only(plan_data),
         tolerances=placement_only(plan_tolerances),
         removals=placement_only(plan_removals),
+        doubts=told_doubts,
         code=sources("summarise_site"),
     output:
         summary="results/{site}/summary.json",
@@ -47,7 +48,7 @@ rule summarise_site:
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
         " --pavement {input.pavement} --timings {input.timings} --data {input.data} --tolerances {input.tolerances} --removals {input.removals} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
-        " --camera-scores {input.camera_scores}"
+        " --camera-scores {input.camera_scores} --doubts {input.doubts}"
         " --out {output.summary} > {log} 2>&1"
 
 

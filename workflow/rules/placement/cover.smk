@@ -28,6 +28,7 @@ rule solve_cover:
         solution="results/{site}/placement/{plan}/solution.json",
         layers="results/{site}/placement/{plan}/solution.gpkg",
         timing="results/{site}/placement/{plan}/timing.json",
+        doubts="results/{site}/doubts/solve_cover/{plan}.json",
     log:
         log_of("solve_cover", "{plan}"),
     benchmark:
@@ -64,7 +65,7 @@ rule solve_cover:
         " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
         " --surfels {input.surfels} --tilts {input.tilts} --air {input.air} --reflectivity {input.reflectivity} {params.robust}"
         " --solution {output.solution} --layers {output.layers}"
-        " --timing {output.timing} > {log} 2>&1"
+        " --timing {output.timing} --doubts {output.doubts} > {log} 2>&1"
 
 
 rule find_obstacles:

@@ -60,6 +60,7 @@ rule place_targets:
     output:
         targets="results/{site}/placement/targets.parquet",
         unexamined="results/{site}/placement/unexamined.gpkg",
+        doubts="results/{site}/doubts/place_targets.json",
     log:
         log_of("place_targets"),
     benchmark:
@@ -77,7 +78,7 @@ rule place_targets:
         " --outline {input.outline} --frame {input.frame} --edges {input.edges} --inset-m={params.inset_m}"
         " --cell-size-m {params.cell_size_m} --min-points {params.min_points}"
         " --width-m {params.width_m} {params.box}"
-        " --unexamined {output.unexamined} --out {output.targets} > {log} 2>&1"
+        " --unexamined {output.unexamined} --doubts {output.doubts} --out {output.targets} > {log} 2>&1"
 
 
 rule gather_objects:

@@ -187,6 +187,13 @@ plan_obstacles = per_plan("obstacles.gpkg")
 plan_scans = per_plan("scans.laz")
 
 
+def placement_doubts(wildcards):
+    """Files in which the placement stages tell what their answers rest on."""
+    folder = f"results/{wildcards.site}/doubts"
+    plans = [f"{folder}/solve_cover/{plan}.json" for plan in plans_of(wildcards.site)]
+    return [f"{folder}/place_targets.json", *plans]
+
+
 def plan_titles(wildcards):
     return [f"{name}={plan.title}" for name, plan in plans_of(wildcards.site).items()]
 

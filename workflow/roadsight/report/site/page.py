@@ -19,6 +19,7 @@ from roadsight.report.site.cautions import (
     is_proven,
     plan_cautions,
     scene_cautions,
+    told_cautions,
 )
 from roadsight.report.site.gaps import gaps_of, obstacles_of
 from roadsight.report.site.layers import (
@@ -273,7 +274,7 @@ def _cautions(
         targets = len(placement.targets)
         positions = len(pd.unique(pd.concat([table["key"] for table in placement.rounds])))
     area_m2 = float(scene.pavement.geometry.area.sum())
-    found = plan_cautions(plans)
+    found = told_cautions(summary.get("warnings", [])) + plan_cautions(plans)
     examined_m2 = None
     if placement is not None and "area_m2" in placement.targets:
         examined_m2 = float(placement.targets["area_m2"].sum())

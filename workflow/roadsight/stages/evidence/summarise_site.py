@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from roadsight import __version__
+from roadsight.base.doubts import Doubt, by_severity
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.checksums import sha256
 from roadsight.io.records.tables import read_about, read_table
@@ -54,6 +55,8 @@ def summarise_site(arguments: argparse.Namespace) -> None:
             summary["placement"][found["plan"]]["removals"] = found["rows"]
     if arguments.poles:
         summary["poles"] = _poles(arguments)
+    told = [Doubt.from_dict(one) for path in arguments.doubts for one in read_json(path)]
+    summary["warnings"] = [doubt.to_dict() for doubt in by_severity(told)]
     write_json(arguments.out, summary)
 
 
@@ -137,11 +140,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--sensors", default="{}", help="definitions of the sensors as JSON")
     for name in ("frames", "poles", "validation", "camera-scores"):
         parser.add_argument(f"--{name}", nargs="?")
-    shards, tables = (
-        ("cameras", "sightings"),
-        ("given", "scores", "traffic", "coverage", "pavement"),
-    )
-    for name in (*shards, *tables, "solutions", "timings", "data", "tolerances", "removals"):
+    shards = ("cameras", "sightings", "solutions", "timings", "data", "tolerances", "removals")
+    tables = ("given", "scores", "traffic", "coverage", "pavement", "doubts")
+    for name in (*shards, *tables):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 

@@ -23,9 +23,15 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("gather_objects")
 
+_LISTED = 12
+"""No more objects than these are listed in a message."""
+
 
 def gather_objects(arguments: argparse.Namespace) -> None:
-    """Write the objects, which surfels are theirs, and the surfels that are left."""
+    """Write the objects, which surfels are theirs, and the surfels that are left.
+
+    Objects that are removed stay in the layer, marked so, and own no surfels.
+    """
     frame = Frame.from_dict(read_json(arguments.frame))
     surfels = read_surfels(arguments.surfels)
     dem = read_raster(arguments.dem, frame)
@@ -38,8 +44,9 @@ def gather_objects(arguments: argparse.Namespace) -> None:
     left = Surfels(surfels.centre_m[~gone], surfels.normal[~gone], surfels.half_m[~gone])
     write_surfels(arguments.left, left, {"removed": sorted(removed)})
     centres = pd.DataFrame(surfels.centre_m, columns=["x", "y", "z"])
-    part = centres.assign(object=row)[row >= 0].reset_index(drop=True)
-    part["object"] = pd.Categorical(objects["name"].to_numpy()[row[row >= 0]])
+    stays = (row >= 0) & ~gone
+    part = centres[stays].reset_index(drop=True)
+    part["object"] = pd.Categorical(objects["name"].to_numpy()[row[stays]])
     write_table(arguments.members, part)
     layer = gpd.GeoDataFrame(
         objects.drop(columns=["x", "y", "z"]),
@@ -51,14 +58,25 @@ def gather_objects(arguments: argparse.Namespace) -> None:
 
 
 def _removed(arguments: argparse.Namespace, objects: pd.DataFrame) -> set[str]:
+    """Names of the objects that the site removes.
+
+    Raises
+    ------
+    InputError : there is no object of such a name.
+    """
     known = [str(name) for name in objects["name"]]
     for name in arguments.remove:
         if name not in known:
+            close = nearest(name, known)
+            few = close.startswith("did you mean") or len(known) <= _LISTED
             raise InputError(
-                f"no object {name!r}",
+                "no object of the scene has this name",
                 where=f"site {arguments.site}: placement.remove",
-                hint=f"{nearest(name, known)}; objects are listed in {arguments.objects} once the"
-                " site has run without it",
+                found=name,
+                hint=f"{close}; "
+                * few
+                + f"the {len(known)} objects are named in the layer objects of"
+                f" {arguments.objects} once the site has run without this entry",
             )
     return set(arguments.remove)
 

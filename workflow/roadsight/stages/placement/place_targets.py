@@ -24,7 +24,9 @@ from roadsight.placement.candidates.examined import (
     road_within,
 )
 from roadsight.placement.candidates.targets import headings_along, place_targets, points_needed
+from roadsight.placement.plans.plan_doubts import target_doubts
 from roadsight.stages.command import run_stage
+from roadsight.stages.doubts import tell
 
 log = logging.getLogger("place_targets")
 
@@ -74,6 +76,9 @@ def write_targets(arguments: argparse.Namespace) -> None:
         "pavement_area_m2": float(outline.area),
         "examined_area_m2": examined_m2,
     }
+    if arguments.doubts:
+        doubts = target_doubts(len(inside), examined_m2, float(outline.area))
+        tell(doubts, arguments.doubts, f"pavement {arguments.outline}", log)
     write_table(arguments.out, inside, about)
     if not arguments.unexamined:
         return
@@ -116,6 +121,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--min-points", default="25", help="a number, or local: by the density")
     parser.add_argument("--width-m", type=float, default=0.5, help="of a target")
     parser.add_argument("--unexamined", help="polygons without targets")
+    parser.add_argument("--doubts", help="JSON with what the targets rest on")
     parser.add_argument("--out", required=True)
     return run_stage(parser, write_targets, argv)
 

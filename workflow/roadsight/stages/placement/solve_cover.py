@@ -21,6 +21,7 @@ from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.candidates.siting import needs_by_area
 from roadsight.placement.plans.choices import posed_candidates
 from roadsight.placement.plans.plan_answer import Answer, answer
+from roadsight.placement.plans.plan_doubts import plan_doubts
 from roadsight.placement.plans.plan_problem import Asked, pose
 from roadsight.placement.plans.tolerance import solve_with_tolerance
 from roadsight.placement.sight.coverage import availability, times_seen
@@ -29,6 +30,7 @@ from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.result import WITHIN_GAP
 from roadsight.stages.command import run_stage
+from roadsight.stages.doubts import tell
 from roadsight.stages.placement.shared.allowed import add_allowed_arguments
 from roadsight.stages.placement.shared.changed_sight import ChangedSight, add_change_arguments
 from roadsight.stages.placement.shared.cover_inputs import FILES, read_asked
@@ -72,8 +74,6 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(arguments, cover, sensors, targets, uncovered)
     content |= robust
-    if robust and not robust["robust"]["exact"]:
-        content["status"] = "time_limit"
     content |= _proven_area(wanted, content["at_least"])
     if levelled is not None:
         wanted["availability"], content["availability"] = levelled.shares, levelled.record
@@ -88,10 +88,19 @@ def solve_cover(arguments: argparse.Namespace) -> None:
         layers |= _option_layers(answered, candidates, choices)
         layers["sensors"] = _points(sensors)
     write_layers(arguments.layers, layers, frame, dict.fromkeys(layers, "Point Z"))
+    _tell(arguments, content, candidates)
     write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
     write_json(arguments.solution, content)
     found = (arguments.plan, len(sensors), cover.objective, cover.bound, cover.status)
     log.info("%s: %d sensors, cost %g, bound %g, %s", *found)
+
+
+def _tell(arguments: argparse.Namespace, content: dict[str, Any], candidates: pd.DataFrame) -> None:
+    """Say what the plan rests on."""
+    if arguments.doubts:
+        positions = int(candidates["key"].nunique()) if "key" in candidates else len(candidates)
+        where = f"site {arguments.site}, plan {arguments.plan}"
+        tell(plan_doubts(content, positions), arguments.doubts, where, log)
 
 
 def _with_tolerance(
@@ -152,7 +161,9 @@ def _with_tolerance(
     record = {"looked_at": int(known.sum()), "rounds": rounds, "exact": exact}
     record |= {"beyond": len(beyond)}
     kept = wanted[seen].reset_index(drop=True)
-    return reduced[:, seen], kept, beyond, {"robust": record}
+    # Rows that were left out because the rounds ran out may have been part of a better cover.
+    status = {} if exact else {"status": "time_limit"}
+    return reduced[:, seen], kept, beyond, {"robust": record, **status}
 
 
 def _cheapest(
@@ -347,6 +358,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", nargs="*", default=[], help="file of the option")
     parser.add_argument("--availability", type=float, help="how often targets must be in sight")
     parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    parser.add_argument("--doubts", help="JSON with what the plan rests on")
     parser.add_argument("--robust", action="store_true", help="sensors count with tolerance")
     parser.add_argument("--surfels", nargs="?", help="the scene; needed with --robust")
     parser.add_argument("--sensors-file", help="needed with --robust")
