@@ -21,10 +21,12 @@ def pole(x, y, height):
     return np.column_stack([x + 0.1 * normal[:, 0], y + 0.1 * normal[:, 1], z]), normal
 
 
-def crown(x, y, rng):
+def crown(x, y, rng, radius=2.0, z=4.0):
     way, normal = rng.normal(size=(2, 900, 3))
-    xyz = way / np.linalg.norm(way, axis=1, keepdims=True) * 2.0 * rng.random((900, 1)) ** (1 / 3)
-    return xyz + np.array([x, y, 4.0]), normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    xyz = (
+        way / np.linalg.norm(way, axis=1, keepdims=True) * radius * rng.random((900, 1)) ** (1 / 3)
+    )
+    return xyz + np.array([x, y, z]), normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
 @pytest.fixture
@@ -42,6 +44,7 @@ def scene(rng):
         "barrier": wall((0, 15), 0, (0.4, 0.9)),
         "pole": pole(20, 0, 7.0),
         "tree": crown(30, 0, rng),
+        "bush": crown(35, 0, rng, 0.6, 0.8),
         "building": building,
         "sign": sign,
     }
@@ -64,6 +67,21 @@ def test_objects_of_a_scene_have_stable_names(scene):
     without = len(scene["barrier"][0])
     _, fewer = objects_of(xyz[without:], normal[without:], xyz[without:, 2])
     assert set(fewer["name"]) < set(objects["name"])
+
+
+def test_a_barrier_that_meets_a_building_is_an_object_of_its_own(scene):
+    touching = wall((30, 40.2), 9, (0.4, 0.9))
+    parts = zip(scene["building"], touching, strict=True)
+    xyz, normal = (np.concatenate(both) for both in parts)
+    _, objects = objects_of(xyz, normal, xyz[:, 2])
+    assert sorted(objects["kind"]) == ["barrier", "building"]
+
+
+def test_a_single_return_is_no_object():
+    xyz = np.repeat([[5.0, 5.0, 9.0], [8.0, 5.0, 1.0]], 3, axis=0)
+    row, objects = objects_of(xyz, np.tile(np.eye(3), (2, 1)), xyz[:, 2])
+    assert objects.empty
+    assert (row == -1).all()
 
 
 def test_what_touches_is_one_object():

@@ -10,15 +10,17 @@ import pandas as pd
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from roadsight.base.arrays import Floats, Floats32, Ints
+from roadsight.base.arrays import Bools, Floats, Floats32, Ints
 
 LOWEST_M = 0.3
 """Surfels lower than this above the ground are ground: a kerb, grass, a bank."""
 _CELL_M = 0.4
 """Surfels in the same or in touching cubes of this edge belong together: more than the spacing of
 leaves and rails in a scan of 20 points/m2, less than the gap between two posts."""
-_FEWEST = 3
-"""Surfels of an object; fewer are stray."""
+_FEWEST = 4
+"""Places of surfels of an object; fewer are stray. One return has three surfels at its place."""
+_TOGETHER = 3
+"""Surfels in a cube of 0.8 m whose normals are compared."""
 _POLE_WIDE_M = 0.5
 """Nine tenths of a pole's surfels lie so near its axis."""
 _POLE_M = 2.5
@@ -35,17 +37,24 @@ _LEAFY = 0.8
 """Agreement of normals within a cube below which it is foliage: walls have 0.9 and more, crowns of
 the generated roads 0.5 to 0.75."""
 _TREE_M = 1.5
-"""A tree or bush is so high at least."""
+"""A tree is so high at least; what is leafy and lower is a bush. Signs are as high."""
 _BUILDING_M2 = 4.0
 """Footprint of a building or another structure, at least."""
 
 
-def connected(centre_m: Floats) -> Ints:
-    """Number of the object (n,) that each point belongs to: cubes of 0.4 m that touch."""
+def connected(centre_m: Floats, part: Ints | Bools | None = None) -> Ints:
+    """Number of the object (n,) that each point belongs to: cubes of 0.4 m that touch.
+
+    Parameters
+    ----------
+    part : (n,) points of different parts do not belong together.
+    """
     if not len(centre_m):
         return np.empty(0, np.int64)
     cells = np.floor(centre_m / _CELL_M).astype(np.int64)
     cells -= cells.min(axis=0) - 1
+    if part is not None:
+        cells[:, 0] += np.asarray(part, np.int64) * (cells[:, 0].max() + 2)
     size = cells.max(axis=0) + 2
     keys = (cells[:, 0] * size[1] + cells[:, 1]) * size[2] + cells[:, 2]
     unique, cube = np.unique(keys, return_inverse=True)
@@ -62,8 +71,25 @@ def connected(centre_m: Floats) -> Ints:
     return np.asarray(connected_components(graph, directed=False)[1][cube], np.int64)
 
 
+def stands_low(centre_m: Floats, height_m: Floats) -> Bools:
+    """Whether what stands at each point (n,) is no higher than a barrier, without a gap above it.
+
+    A barrier that meets a portal, or a rail that touches a lamp, is an object of its own.
+    """
+    cells = np.floor(centre_m / _CELL_M).astype(np.int64)
+    order = np.lexsort((cells[:, 2], cells[:, 1], cells[:, 0]))
+    before, after = cells[order][:-1], cells[order][1:]
+    parted = (before[:, :2] != after[:, :2]).any(axis=1) | (after[:, 2] - before[:, 2] > 1)
+    run = np.concatenate([[0], np.cumsum(parted)])[: len(order)]
+    top_m = np.full(len(order), -np.inf)
+    np.maximum.at(top_m, run, height_m[order])
+    low = np.empty(len(order), bool)
+    low[order] = top_m[run] <= _BARRIER_M
+    return low
+
+
 def kind_of_object(xyz_m: Floats, normal: Floats, height_m: Floats) -> str:
-    """What an object is like: pole, sign, barrier, tree, building, or object.
+    """What an object is like: pole, sign, barrier, tree, bush, building, or object.
 
     Parameters
     ----------
@@ -79,8 +105,8 @@ def kind_of_object(xyz_m: Floats, normal: Floats, height_m: Floats) -> str:
     if top <= _BARRIER_M and length >= _BARRIER_LONG_M and along >= 4 * across:
         return "barrier"
     leafy = _agreement(xyz_m, normal) < _LEAFY
-    if top >= _TREE_M and leafy:
-        return "tree"
+    if leafy:
+        return "tree" if top >= _TREE_M else "bush"
     if top >= _TREE_M and across <= _SIGN_THICK_M and length <= _SIGN_LONG_M:
         return "sign"
     footprint = len(np.unique(np.floor(xyz_m[:, :2]).astype(np.int64), axis=0))
@@ -95,7 +121,7 @@ def _agreement(xyz_m: Floats, normal: Floats) -> float:
     _, cube, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
     tensor = np.zeros((len(count), 3, 3))
     np.add.at(tensor, cube.ravel(), normal[:, :, None] * normal[:, None, :])
-    many = count >= _FEWEST
+    many = count >= _TOGETHER
     if not many.any():
         return 1.0
     largest = np.linalg.eigvalsh(tensor[many] / count[many, None, None])[:, -1]
@@ -125,15 +151,16 @@ def objects_of(
     """
     high = np.flatnonzero(height_m >= LOWEST_M)
     row_of = np.full(len(centre_m), -1, np.int64)
-    groups = connected(centre_m[high].astype(np.float64))
+    places = centre_m[high].astype(np.float64)
+    groups = connected(places, stands_low(places, height_m[high]))
     order = np.argsort(groups, kind="stable")
     members = np.split(high[order], np.cumsum(np.bincount(groups))[:-1]) if len(high) else []
     rows: list[dict[str, object]] = []
     used: dict[str, int] = {}
     for member in members:
-        if len(member) < _FEWEST:
-            continue
         xyz = centre_m[member].astype(np.float64)
+        if len(np.unique(xyz, axis=0)) < _FEWEST:
+            continue
         kind = kind_of_object(xyz, normal[member].astype(np.float64), height_m[member])
         x, y, z = np.median(xyz, axis=0)
         name = f"{kind}{round(x):+d}{round(y):+d}"

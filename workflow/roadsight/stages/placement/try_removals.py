@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from scipy import sparse
+from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Bools
+from roadsight.base.arrays import Bools, Floats
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.surfels import read_surfels
@@ -30,8 +31,12 @@ from roadsight.stages.placement.shared.plan_choices import read_choices
 
 log = logging.getLogger("try_removals")
 
-REMOVABLE = ("tree", "sign", "pole", "barrier")
+REMOVABLE = ("tree", "bush", "sign", "pole", "barrier")
 """Kinds that an agency can take away or move; buildings and the ground stay."""
+_LONGEST_M = 20.0
+"""Longer objects, such as barriers along the road, are not taken away for a sensor."""
+_OTHERWISE = ("options", "robust", "availability")
+"""Plans with these are not solved again: they ask for more than a cover."""
 _NEAR_M = 40.0
 """Candidates so near an object are rendered without it: its shadow is widest from there."""
 _MOST_CANDIDATES = 300
@@ -42,11 +47,14 @@ def try_removals(arguments: argparse.Namespace) -> None:
     """Write a row for each of the objects that hide most targets from the plan's sensors."""
     solution = read_json(arguments.solution)
     frame = Frame.from_dict(read_json(arguments.frame))
+    members = read_table(arguments.objects)
+    members["object"] = members["object"].astype(str)
     objects = read_layer(arguments.obstacles, "objects", frame)
-    objects = objects[objects["kind"].isin(REMOVABLE)].iloc[: arguments.felled]
+    possible = objects["kind"].isin(REMOVABLE) & (_lengths_m(objects, members) <= _LONGEST_M)
+    objects = objects[possible].iloc[: arguments.felled]
     rows: list[dict[str, Any]] = []
-    if len(objects) and "options" not in solution and "robust" not in solution:
-        rows = _rows(arguments, solution, objects, frame)
+    if len(objects) and not any(key in solution for key in _OTHERWISE):
+        rows = _rows(arguments, solution, objects, members, frame)
     write_json(arguments.out, {"plan": solution["plan"], "rows": rows})
     for row in rows:
         log.info(
@@ -54,27 +62,33 @@ def try_removals(arguments: argparse.Namespace) -> None:
         )
 
 
+def _lengths_m(objects: pd.DataFrame, members: pd.DataFrame) -> Floats:
+    """Length of each object (n,) in plan, across its corners."""
+    span = members.groupby("object")[["x", "y"]].agg(np.ptp)
+    length_m = pd.Series(np.hypot(span["x"], span["y"]), span.index)
+    return length_m.reindex(objects["name"]).to_numpy(np.float64)
+
+
 def _rows(
     arguments: argparse.Namespace,
     solution: dict[str, Any],
     objects: pd.DataFrame,
+    members: pd.DataFrame,
     frame: Frame,
 ) -> list[dict[str, Any]]:
     sight = ChangedSight(arguments)
     plan = read_choices(arguments, arguments.costs, frame)
     candidates, choices = plan.candidates, plan.choices
     matrix = plan.matrix(sight.targets["target"])
-    members = read_table(arguments.objects)
     surfels = read_surfels(arguments.surfels)
     wanted = ~sight.targets["target"].isin(solution["excluded"]).to_numpy()
     rows = []
     for name, kind, hidden in zip(
         objects["name"], objects["kind"], objects["targets"], strict=True
     ):
-        own = members[members["object"].astype(str) == name][["x", "y", "z"]]
+        own = members[members["object"] == name][["x", "y", "z"]]
         lidar = SurfelLidar(_without(surfels, own))
-        middle = own.median().to_numpy(np.float64)
-        away = np.hypot(*(candidates[["x", "y"]].to_numpy() - middle[:2]).T)
+        away, _ = cKDTree(own[["x", "y"]]).query(candidates[["x", "y"]].to_numpy(np.float64))
         near = np.flatnonzero(away <= _NEAR_M)
         near = near[np.argsort(away[near], kind="stable")][:_MOST_CANDIDATES]
         seen = _seen_without(sight, lidar, choices, candidates, near, matrix)
