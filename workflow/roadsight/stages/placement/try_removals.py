@@ -65,8 +65,8 @@ def try_removals(arguments: argparse.Namespace) -> None:
 def _lengths_m(objects: pd.DataFrame, members: pd.DataFrame) -> Floats:
     """Length of each object (n,) in plan, across its corners."""
     span = members.groupby("object")[["x", "y"]].agg(np.ptp)
-    length_m = pd.Series(np.hypot(span["x"], span["y"]), span.index)
-    return length_m.reindex(objects["name"]).to_numpy(np.float64)
+    length_m = pd.Series(np.hypot(span["x"], span["y"]), span.index, dtype=np.float64)
+    return np.asarray(length_m.reindex(objects["name"]), np.float64)
 
 
 def _rows(
