@@ -9,12 +9,19 @@ import pytest
 from pyproj import CRS
 
 from roadsight.geometry.frames import Frame
-from roadsight.report.site.cautions import data_cautions, is_proven, plan_cautions, scene_cautions
+from roadsight.report.site.cautions import (
+    data_cautions,
+    is_proven,
+    plan_cautions,
+    scene_cautions,
+    told_cautions,
+)
 from roadsight.report.site.gaps import (
     NOT_CHOSEN,
     OUT_OF_SIGHT,
     TOO_FEW,
     gaps_of,
+    objects_in_the_way,
     obstacles_of,
 )
 from roadsight.report.site.sights import bearing_deg, longitudes_latitudes, sights_of
@@ -245,3 +252,23 @@ class TestData:
         frame = {"crs_wkt": "PROJCRS[]", "notes": []}
         sensors = {"A": {"cost": 1.0}, "B": {"cost": 3.0}}
         assert scene_cautions(frame, True, None, {"digitised"}, sensors) == []
+
+
+class TestObjects:
+    def test_each_object_says_what_was_saved_without_it_if_that_was_tried(self):
+        objects = [{"name": n, "kind": "tree", "targets": 9, "sensors": 2} for n in ("one", "two")]
+        saved = {"sensors": 4, "sensors_before": 5, "more_targets": 0, "kind": "sign"}
+        removals = [{"object": n, "hidden_targets": 3, **saved} for n in ("two", "three")]
+        one, two, three = objects_in_the_way(objects, removals)
+        assert (one["without"], two["without"], three["without"]) == (None, *removals)
+        assert (two["sensors"], three["sensors"], three["targets"]) == (2, None, 3)
+
+
+def test_what_stages_told_is_said_once():
+    told = {"measured": 0.4, "limit": 0.9}
+    doubts = [
+        {"code": "noisy_ground", "severity": "doubt", "message": "noisy ground"},
+        {"code": "few_targets", "severity": "doubt", "message": "the page says this itself"},
+    ]
+    (found,) = told_cautions([doubt | told for doubt in doubts])
+    assert (found.level, found.text) == ("warning", "Noisy ground: 0.4 (limit 0.9).")

@@ -17,7 +17,7 @@ def test_fourteen_ways():
     assert len(ways) == 14
     assert {way.kind for way in ways} == {
         "moved by 0.2 m",
-        "turned by 1 degrees",
+        "turned by 1 degree",
         "mast 0.5 m lower or higher",
     }
     assert sum(np.any(way.shift_m) for way in ways) == 8

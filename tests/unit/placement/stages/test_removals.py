@@ -129,12 +129,15 @@ def test_a_removal_says_what_it_saves_and_keeps_its_word(site):
     solution, found = plan(site, "surfels.parquet")
     assert len(solution["sensors"]) == 2
     (row,) = found["rows"]
+    (told,) = found["objects"]
+    assert (told["name"], told["kind"], told["sensors"]) == (BARRIER, "barrier", 2)
+    assert told["targets"] == row["hidden_targets"]
     assert (row["object"], row["kind"], row["status"]) == (BARRIER, "barrier", "optimal")
     assert (row["sensors_before"], row["sensors"]) == (2, 1)
     assert row["hidden_targets"] > 10
     assert gather(site, BARRIER) == 0
     solution, found = plan(site, "left.parquet")
     assert len(solution["sensors"]) == 1
-    assert found == {"plan": "p", "rows": []}
+    assert found == {"plan": "p", "objects": [], "rows": []}
     told = json.loads((site / "doubts.json").read_text())
     assert [doubt["code"] for doubt in told] == ["few_positions"]

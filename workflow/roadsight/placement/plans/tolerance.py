@@ -16,6 +16,8 @@ from scipy import sparse
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.placement.sensors.poses import Turn
 
+OUT = "out"
+"""Name of the change of a sensor that fails."""
 MOST_ROUNDS = 60
 """Covers that are tried with rows as they are seen with tolerance, before only rows that were
 looked at may be chosen: the test sites needed 3 to 20."""
@@ -45,7 +47,7 @@ def changes(move_m: float, turn_deg: float, height_m: float) -> list[Change]:
     """The ways that are looked at: six of moving, six of turning, two of another mast."""
     moved, turned, mast = (
         f"moved by {move_m:g} m",
-        f"turned by {turn_deg:g} degrees",
+        f"turned by {turn_deg:g} degree{'' if turn_deg == 1 else 's'}",
         f"mast {height_m:g} m lower or higher",
     )
     found = []
@@ -104,7 +106,7 @@ def tolerance_of(seen: Bools, changed: dict[int, list[tuple[Change, Bools]]]) ->
             cases.setdefault(change.kind, []).append((int(lost.sum()), sensor, change.name))
     for sensor in range(len(seen)):
         lost = before & (times - seen[sensor] == 0)
-        cases.setdefault("one sensor out", []).append((int(lost.sum()), sensor, "out"))
+        cases.setdefault("one sensor out", []).append((int(lost.sum()), sensor, OUT))
     rows = []
     for kind, losses in cases.items():
         lost, sensor, name = max(losses, key=lambda loss: (loss[0], -loss[1]))

@@ -21,7 +21,7 @@ from roadsight.report.site.cautions import (
     scene_cautions,
     told_cautions,
 )
-from roadsight.report.site.gaps import gaps_of, obstacles_of
+from roadsight.report.site.gaps import gaps_of, objects_in_the_way, obstacles_of
 from roadsight.report.site.layers import (
     CloudSample,
     candidate_layer,
@@ -198,7 +198,7 @@ def _plan(
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
         **({} if plan.in_sight is None else _in_sight(plan.in_sight)),
-        "removals": result.get("removals", []),
+        "objects": objects_in_the_way(result.get("objects", []), result.get("removals", [])),
         **({"tolerance": result["tolerance"]} if "tolerance" in result else {}),
         **({} if plan.lost_share is None else lost_classes(plan.lost_share)),
         **({"availability": solution["availability"]} if "availability" in solution else {}),

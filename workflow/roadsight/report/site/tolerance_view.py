@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from roadsight.placement.plans.tolerance import OUT
 from roadsight.report.packing import pack
 from roadsight.report.wording import number, percent
 
@@ -35,9 +36,7 @@ def tolerance_view(plan: dict[str, Any]) -> dict[str, Any] | None:
             "lost": number(row["lost"]),
             "share": percent(row["share"]),
             "mean": number(row["mean_lost"], 1),
-            "worst": f"sensor {numbers.get(row['sensor'], '?')}, {row['name']}"
-            if row["lost"]
-            else "\u2013",
+            "worst": _worst(row, numbers),
         }
         for row in found["rows"]
     ]
@@ -47,3 +46,11 @@ def tolerance_view(plan: dict[str, Any]) -> dict[str, Any] | None:
         "not_measured": found["not_measured"],
         "classes": list(zip(NAMES, counts, strict=True)) if counts else [],
     }
+
+
+def _worst(row: dict[str, Any], numbers: dict[str, int]) -> str:
+    """The sensor and the change that lose most; a sensor that is out needs no name of a change."""
+    if not row["lost"]:
+        return "\u2013"
+    sensor = f"sensor {numbers.get(row['sensor'], '?')}"
+    return sensor if row["name"] == OUT else f"{sensor}, {row['name']}"

@@ -52,7 +52,8 @@ def summarise_site(arguments: argparse.Namespace) -> None:
             summary["placement"][found["plan"]]["tolerance"] = found
         for path in arguments.removals:
             found = read_json(path)
-            summary["placement"][found["plan"]]["removals"] = found["rows"]
+            own = {"objects": found["objects"], "removals": found["rows"]}
+            summary["placement"][found["plan"]] |= own
     if arguments.poles:
         summary["poles"] = _poles(arguments)
     told = [Doubt.from_dict(one) for path in arguments.doubts for one in read_json(path)]

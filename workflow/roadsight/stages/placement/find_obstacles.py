@@ -40,6 +40,9 @@ from roadsight.stages.placement.shared.allowed import add_allowed_arguments, all
 
 log = logging.getLogger("find_obstacles")
 
+STRAY = "stray returns"
+"""Kind of obstacles above the ground that belong to no object: too few surfels for one."""
+
 _GROUND_M = 0.3
 """Obstacles lower than this above the terrain model are told as ground: a bank, a crest."""
 
@@ -90,12 +93,15 @@ def _name_obstacles(arguments: argparse.Namespace, obstacles: pd.DataFrame) -> N
     if not arguments.objects or obstacles.empty:
         return
     members = read_table(arguments.objects)
+    above = (obstacles["kind"] != "ground").to_numpy()
     if members.empty:
+        obstacles.loc[above, "kind"] = STRAY
         return
     tree = cKDTree(members[["x", "y", "z"]].to_numpy(np.float64))
     distance_m, near = tree.query(obstacles[["x", "y", "z"]].to_numpy(np.float64))
     names = members["object"].astype(str).to_numpy()[near]
-    known = (distance_m <= OBJECT_NEAR_M) & (obstacles["kind"] != "ground").to_numpy()
+    known = above & (distance_m <= OBJECT_NEAR_M)
+    obstacles.loc[above & ~known, "kind"] = STRAY
     obstacles.loc[known, "kind"] = [kind_of_name(name) for name in names[known]]
 
 

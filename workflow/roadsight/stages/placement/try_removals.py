@@ -33,6 +33,10 @@ log = logging.getLogger("try_removals")
 
 REMOVABLE = ("tree", "bush", "sign", "pole", "barrier")
 """Kinds that an agency can take away or move; buildings and the ground stay."""
+_TOLD = {"name": str, "kind": str, "targets": int, "sensors": int, "sight_lines": int}
+"""What is told of objects in the way."""
+_MOST_TOLD = 12
+"""So many of them are told; the layer has all."""
 _LONGEST_M = 20.0
 """Longer objects, such as barriers along the road, are not taken away for a sensor."""
 _OTHERWISE = ("options", "robust", "availability")
@@ -50,12 +54,14 @@ def try_removals(arguments: argparse.Namespace) -> None:
     members = read_table(arguments.objects)
     members["object"] = members["object"].astype(str)
     objects = read_layer(arguments.obstacles, "objects", frame)
+    greatest = objects[[*_TOLD]].iloc[:_MOST_TOLD].astype(_TOLD).to_dict("records")
     possible = objects["kind"].isin(REMOVABLE) & (_lengths_m(objects, members) <= _LONGEST_M)
     objects = objects[possible].iloc[: arguments.felled]
     rows: list[dict[str, Any]] = []
     if len(objects) and not any(key in solution for key in _OTHERWISE):
         rows = _rows(arguments, solution, objects, members, frame)
-    write_json(arguments.out, {"plan": solution["plan"], "rows": rows})
+    content = {"plan": solution["plan"], "objects": greatest, "rows": rows}
+    write_json(arguments.out, content)
     for row in rows:
         log.info(
             "without %s: cost %g instead of %g", row["object"], row["cost"], row["cost_before"]
