@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
 from roadsight.base.section import Count, Name, Section
 from roadsight.config.plans import Plan
+
+ObjectName = Annotated[str, Field(pattern=r"^[a-z]+[+-]\d+[+-]\d+(-\d+)?$")]
+"""Kind and place of an object in the way, such as tree+115+140 (`placement/sight/objects.py`)."""
 
 Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
 
@@ -97,7 +100,7 @@ class PlacementInputs(Section):
     mounts: str | None = Field(
         default=None, description="existing poles that may carry sensors: points, height_m"
     )
-    remove: list[str] = Field(
+    remove: list[ObjectName] = Field(
         default=[], description="objects that are taken away first, by their names in objects.gpkg"
     )
     cabinets: str | None = Field(

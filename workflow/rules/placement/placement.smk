@@ -105,7 +105,7 @@ rule gather_objects:
     shell:
         "python -m roadsight.stages.placement.gather_objects --site {wildcards.site}"
         " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
-        " --remove {params.removed} --objects {output.objects} --members {output.members}"
+        " --remove {params.removed:q} --objects {output.objects} --members {output.members}"
         " --left {output.left} > {log} 2>&1"
 
 
