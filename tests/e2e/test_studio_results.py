@@ -140,7 +140,7 @@ def test_a_sensor_is_added_by_a_click_and_taken_away(plan):
 def test_other_plans_three_dimensions_and_obstacles(plan):
     plan.run("""(() => { const list = document.querySelector('[data-do=plan]');
         list.value = 'os-64'; list.dispatchEvent(new Event('change')); })()""")
-    plan.until(f"{PART}.plan === 'os-64' && {PART}.about.sensors[0].name === 'OS-64'")
+    plan.until(f"{PART}.plan === 'os-64' && {PART}.about.sensors[0].name === 'OS1-64'")
     assert "object, 2.4 m high" in text(plan, ".panel")
     assert "hidden" in text(plan, ".panel")
     click(plan, "[data-do=obstacles]")

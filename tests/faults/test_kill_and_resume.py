@@ -37,7 +37,7 @@ RESTARTS = [
     ["fault/placement/targets.parquet", "fault_road/poles/frames.parquet"],
     ["fault/scene/surfels.parquet", "fault_road/poles/masks/0.zip"],
     ["fault/scene/dem.tif", "fault_road/scene/dem.tif"],
-    ["fault/placement/round-0/depth/OS-64/1.parquet", "fault_road/poles/top.tif"],
+    ["fault/placement/round-0/depth/OS1-64/1.parquet", "fault_road/poles/top.tif"],
 ]
 
 

@@ -21,18 +21,18 @@ from roadsight.io.records.atomic import write_json
 from roadsight.io.records.detections import write_detections
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import write_layers
-from roadsight.stages.placement.level_cover import described
+from roadsight.stages.placement.shared.level_cover import described
 from tests.conftest import PROJECT
 
 PLANS = {
     "vlp-16": ("VLP-16 only", ["VLP-16"]),
-    "puck-32c": ("Puck 32C only", ["Puck-32C"]),
-    "puck-32c-or-os-32": ("Puck 32C or OS-32", ["Puck-32C", "OS-32"]),
-    "os-32": ("OS-32 only", ["OS-32"]),
-    "os-64": ("OS-64 only", ["OS-64"]),
-    "os-128": ("OS-128 only", ["OS-128"]),
+    "puck-32c": ("VLP-32C only", ["VLP-32C"]),
+    "puck-32c-or-os-32": ("VLP-32C or OS1-32", ["VLP-32C", "OS1-32"]),
+    "os-32": ("OS1-32 only", ["OS1-32"]),
+    "os-64": ("OS1-64 only", ["OS1-64"]),
+    "os-128": ("OS1-128 only", ["OS1-128"]),
 }
-REACH_M = {"VLP-16": 16.0, "Puck-32C": 30.0, "OS-32": 26.0, "OS-64": 40.0, "OS-128": 55.0}
+REACH_M = {"VLP-16": 16.0, "VLP-32C": 30.0, "OS1-32": 26.0, "OS1-64": 40.0, "OS1-128": 55.0}
 HALF_WIDTH_M, SPACING_M = 6.0, 4.0
 TILE_M = 25
 SETTINGS = Settings(targets=Targets(cell_size_m=1.5))

@@ -150,11 +150,11 @@ def test_a_cut_off_shard_stops_the_run_and_is_made_again(copy_of_finished):
     expected = digests(folder)
     struck = Disturbed(copy_of_finished, np.random.default_rng(0))
     struck.forget("tiny/placement/round-0/coverage.json")
-    shard = folder / "results/tiny/placement/round-0/detection/OS-64/0.parquet"
+    shard = folder / "results/tiny/placement/round-0/detection/OS1-64/0.parquet"
     shard.write_bytes(shard.read_bytes()[:-1000])
     run = struck.start()
     assert run.end() != 0
-    assert "round-0/detection/OS-64/0.parquet: cannot be read" in run.text
+    assert "round-0/detection/OS1-64/0.parquet: cannot be read" in run.text
     assert "delete it and run the workflow again" in run.text
     assert "Traceback" not in run.text
     shard.unlink()

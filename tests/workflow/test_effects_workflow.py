@@ -52,7 +52,7 @@ def test_what_the_scene_calls_for_enters_the_dag(copy_of_finished, effect):
     assert stale & OWN == {rule}
     assert stale >= AGAIN
     # Denser candidates hang on the coverage; depth maps of the first ones only on the mounts.
-    first = "results/tiny/placement/round-0/depth/OS-64/0.parquet"
+    first = "results/tiny/placement/round-0/depth/OS1-64/0.parquet"
     rendered = "render_depth_maps" in copy_of_finished.stale_rules(first)
     assert rendered == (effect == "mount_tilt")
 

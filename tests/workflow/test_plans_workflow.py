@@ -14,7 +14,7 @@ placement:
   edges: sample
   plans: [os-32, os-64]
   own_plans:
-    os-64: {title: OS-64 only, sensors: [OS-64], spacing_m: 6}
+    os-64: {title: OS-64 only, sensors: [OS1-64], spacing_m: 6}
 """
 PLAIN = """\
 placement:
@@ -28,13 +28,13 @@ placement:
   own_plans:
     os-64:
       title: OS-64, two of them
-      sensors: [OS-64]
+      sensors: [OS1-64]
       budget: {sensors: 2}
       areas: {file: areas.gpkg}
       forbidden: {file: zones.gpkg}
       alternatives: true
       curve: 4
-    nothing: {title: Not worth it, sensors: [OS-64], price: 1.0e-6}
+    nothing: {title: Not worth it, sensors: [OS1-64], price: 1.0e-6}
 """
 SITE = "config/sites/tiny.yaml"
 

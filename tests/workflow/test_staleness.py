@@ -22,13 +22,17 @@ READERS = {
         "place_candidates",
         "place_targets",
         "build_surfels",
+        "check_coverage",
         "densify_candidates",
         "solve_cover",
         "find_obstacles",
         "render_scans",
         "measure_data",
+        "measure_tolerance",
         "summarise_site",
         "write_site_page",
+        "try_removals",
+        "gather_objects",
     },
     "profile_scene": {
         "build_dem",
@@ -46,6 +50,7 @@ READERS = {
         "densify_candidates",
         "find_obstacles",
         "write_site_page",
+        "gather_objects",
     },
     "cluster_fpfh": {"extract_pavement", "build_edges"},
     "extract_pavement": {
@@ -55,9 +60,17 @@ READERS = {
         "place_targets",
         "densify_candidates",
         "measure_data",
+        "summarise_site",
         "write_site_page",
     },
-    "build_edges": {"place_candidates", "densify_candidates", "measure_data", "write_site_page"},
+    # Digitised edges bound the road on which targets stand.
+    "build_edges": {
+        "place_candidates",
+        "place_targets",
+        "densify_candidates",
+        "measure_data",
+        "write_site_page",
+    },
     "score_pavement": {"summarise_site"},
     "place_candidates": {
         "render_depth_maps",
@@ -68,6 +81,7 @@ READERS = {
         "find_obstacles",
         "measure_data",
         "write_site_page",
+        "try_removals",
     },
     "place_targets": {
         "build_detection_shard",
@@ -76,9 +90,21 @@ READERS = {
         "solve_cover",
         "find_obstacles",
         "measure_data",
+        "measure_tolerance",
+        "summarise_site",
         "write_site_page",
+        "try_removals",
     },
-    "build_surfels": {"render_depth_maps", "find_obstacles", "render_scans"},
+    "gather_objects": {"find_obstacles", "try_removals"},
+    "try_removals": {"summarise_site"},
+    "build_surfels": {
+        "gather_objects",
+        "try_removals",
+        "render_depth_maps",
+        "find_obstacles",
+        "render_scans",
+        "measure_tolerance",
+    },
     "render_depth_maps": {"build_detection_shard", "measure_data"},
     "build_detection_shard": {
         "check_coverage",
@@ -86,6 +112,7 @@ READERS = {
         "find_obstacles",
         "measure_data",
         "write_site_page",
+        "try_removals",
     },
     "check_coverage": {
         "densify_candidates",
@@ -102,17 +129,21 @@ READERS = {
         "find_obstacles",
         "measure_data",
         "write_site_page",
+        "try_removals",
     },
     "solve_cover": {
         "find_obstacles",
         "render_scans",
         "measure_data",
+        "measure_tolerance",
         "summarise_site",
         "write_site_page",
+        "try_removals",
     },
-    "find_obstacles": {"write_site_page"},
+    "find_obstacles": {"try_removals", "write_site_page"},
     "render_scans": {"measure_data", "write_site_page"},
     "measure_data": {"summarise_site"},
+    "measure_tolerance": {"summarise_site", "write_site_page"},
     "summarise_site": {"write_site_page"},
     "write_site_page": {"write_report"},
     "write_report": set(),
@@ -252,8 +283,8 @@ def test_a_new_sensor_makes_nothing_stale(copy_of_finished):
 
 def test_one_sensor_changed_renders_that_sensor_alone(copy_of_finished):
     path = copy_of_finished.folder / "config/sensors.yaml"
-    before, name, rest = path.read_text().partition("  OS-64:")
-    path.write_text(before + name + rest.replace("range_m: 120", "range_m: 110", 1))
+    before, name, rest = path.read_text().partition("  OS1-32: {like: OS1-64")
+    path.write_text(f"{before}{name}, range_m: 110{rest}")
     result = copy_of_finished.snakemake("-n")
     rendered = [
         line
@@ -262,7 +293,7 @@ def test_one_sensor_changed_renders_that_sensor_alone(copy_of_finished):
         if "output:" in line and "round-0/depth/" in line
     ]
     assert rendered
-    assert all("/OS-64/" in line for line in rendered)
+    assert all("/OS1-32/" in line for line in rendered)
 
 
 def test_a_renamed_site_file_with_other_cloud_content_is_noticed(copy_of_finished):

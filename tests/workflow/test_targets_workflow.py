@@ -18,7 +18,7 @@ settings:
 TOGETHER = """\
   plans: [os-64]
   own_plans:
-    together: {title: OS-64 together, sensors: [OS-64], availability: 0.8}
+    together: {title: OS-64 together, sensors: [OS1-64], availability: 0.8}
 settings:
   shards: 2
   conditions: {aadt: 8000, truck_share: 0.1, availability: 0.5}

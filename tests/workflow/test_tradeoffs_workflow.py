@@ -47,7 +47,7 @@ studies:
 
 ONE_SENSOR = """\
   own_plans:
-    one: {title: The most for one sensor, sensors: [OS-32], budget: {sensors: 1}, on_request: true}
+    one: {title: The most for one sensor, sensors: [OS1-32], budget: {sensors: 1}, on_request: true}
 settings:
 """
 

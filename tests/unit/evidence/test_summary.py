@@ -31,6 +31,7 @@ def solution(plan, **changes):
         "covered_targets": 9,
         "uncoverable_targets": 1,
         "excluded": ["t3"],
+        "proven_area_m2": 7.5,
         "reductions": {"rows": 4},
     } | changes
 
@@ -107,6 +108,7 @@ def test_summary_holds_the_keys_that_checks_rely_on(folder):
                 "candidates": 30,
                 "uncoverable_targets": 1,
                 "seconds_cpu": 5.0,
+                "proven_area_m2": 7.5,
             },
             "late": {
                 "status": "time_limit",
@@ -119,6 +121,7 @@ def test_summary_holds_the_keys_that_checks_rely_on(folder):
                 "candidates": 30,
                 "uncoverable_targets": 1,
                 "seconds_cpu": 4.0,
+                "proven_area_m2": 7.5,
             },
         },
     }

@@ -132,7 +132,7 @@ class TestPage:
         assert cloud["colour"]["count"] == 3 * 4000
 
     def test_only_sensors_of_the_detections_are_listed(self, tiny):
-        assert list(tiny["sensors"]) == sorted(["VLP-16", "Puck-32C", "OS-32", "OS-64", "OS-128"])
+        assert list(tiny["sensors"]) == sorted(["VLP-16", "VLP-32C", "OS1-32", "OS1-64", "OS1-128"])
 
     def test_scene_alone(self, pages):
         page = read_json(pages[1])

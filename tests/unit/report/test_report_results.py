@@ -21,6 +21,7 @@ from roadsight.report.site.gaps import (
     OUT_OF_SIGHT,
     TOO_FEW,
     gaps_of,
+    objects_in_the_way,
     obstacles_of,
 )
 from roadsight.report.site.sights import bearing_deg, longitudes_latitudes, sights_of
@@ -236,7 +237,10 @@ class TestData:
         assert "Only 40 targets" in texts
         assert "Only 3 candidate positions" in texts
         assert "90" in texts
-        assert "fewer than 25 points" in texts
+        assert "hatched on the map" in texts
+        assert not data_cautions(500, 50, 2000.0, SETTINGS, 1990.0)
+        (thin,) = data_cautions(500, 50, 2000.0, SETTINGS, 940.0)
+        assert "53" in thin.text
 
     def test_pavement_of_no_area(self):
         assert data_cautions(500, 50, 0.0, SETTINGS) == []
@@ -254,3 +258,23 @@ class TestData:
         frame = {"crs_wkt": "PROJCRS[]", "notes": []}
         sensors = {"A": {"cost": 1.0}, "B": {"cost": 3.0}}
         assert scene_cautions(frame, True, None, {"digitised"}, sensors) == []
+
+
+class TestObjects:
+    def test_each_object_says_what_was_saved_without_it_if_that_was_tried(self):
+        objects = [{"name": n, "kind": "tree", "targets": 9, "sensors": 2} for n in ("one", "two")]
+        saved = {"sensors": 4, "sensors_before": 5, "more_targets": 0, "kind": "sign"}
+        removals = [{"object": n, "hidden_targets": 3, **saved} for n in ("two", "three")]
+        one, two, three = objects_in_the_way(objects, removals)
+        assert (one["without"], two["without"], three["without"]) == (None, *removals)
+        assert (two["sensors"], three["sensors"], three["targets"]) == (2, None, 3)
+
+
+def test_what_stages_told_is_said_once():
+    told = {"measured": 0.4, "limit": 0.9}
+    doubts = [
+        {"code": "noisy_ground", "severity": "doubt", "message": "noisy ground"},
+        {"code": "few_targets", "severity": "doubt", "message": "the page says this itself"},
+    ]
+    (found,) = told_cautions([doubt | told for doubt in doubts])
+    assert (found.level, found.text) == ("warning", "Noisy ground: 0.4 (limit 0.9).")

@@ -102,7 +102,7 @@ def test_a_plan_is_read_again_when_it_changes_and_told_when_broken(layouts, fold
     with pytest.raises(InputError, match="no candidates any more"):
         layouts.of("tiny", "os-32")
     path.write_text(before)
-    shard = folder / "results/tiny/placement/round-0/detection/OS-64/0.parquet"
+    shard = folder / "results/tiny/placement/round-0/detection/OS1-64/0.parquet"
     shard.rename(shard.with_suffix(".away"))
     with pytest.raises(InputError, match="is not there yet"):
         layouts.of("tiny", "os-64")

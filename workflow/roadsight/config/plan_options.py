@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -71,6 +71,9 @@ class PlanOptions(Section):
     )
     curve: int | None = Field(
         default=None, ge=2, le=200, description="points of a curve of coverage against cost"
+    )
+    robust: Literal["tolerance"] | None = Field(
+        default=None, description="tolerance: what a sensor counts for, it sees as it may stand"
     )
     alternatives: bool = Field(
         default=False, description="say which positions are interchangeable, how unique the answer"

@@ -23,7 +23,8 @@ from roadsight.config.poles_schema import (
     Voxels,
 )
 from roadsight.config.poses import Poses
-from roadsight.config.sensing import Lidar, Targets
+from roadsight.config.sensing import Lidar, Targets, Tolerance
+from roadsight.placement.candidates.mounting import Mounting
 
 
 class Scene(Section):
@@ -136,6 +137,9 @@ class Coverage(Section):
 
     rounds: int = Field(default=1, ge=0, le=5, description="rounds of denser candidates near gaps")
     radius_m: Metres = Field(default=30.0, description="new candidates stand this near a gap, m")
+    felled: int = Field(
+        default=1, ge=0, le=20, description="objects tried without, those that hide most; 0: none"
+    )
     shards: Count = Field(default=2, description="shards of each round of denser candidates")
     uncoverable: Literal["error", "exclude"] = Field(
         default="error",
@@ -170,6 +174,7 @@ class Settings(Section):
     pavement: Pavement = Pavement()
     edges: Edges = Edges()
     candidates: Candidates = Candidates()
+    mounting: Mounting = Mounting()
     poses: Poses = Poses()
     targets: Targets = Targets()
     lidar: Lidar = Lidar()
@@ -180,6 +185,7 @@ class Settings(Section):
     )
     coverage: Coverage = Coverage()
     cover: Cover = Cover()
+    tolerance: Tolerance = Tolerance()
     voxels: Voxels = Voxels()
     road_edges: RoadEdges = RoadEdges()
     terrain_mesh: TerrainMesh = TerrainMesh()

@@ -16,14 +16,13 @@ class Targets(Section):
     """Pole-like targets on the pavement."""
 
     cell_size_m: Metres = Field(default=1.0, description="grid of targets, m")
-    min_points: Count = Field(
-        default=25, description="pavement points that a cell needs to carry a target"
+    min_points: Count | Literal["local"] = Field(
+        default="local",
+        description="pavement points that a cell needs to carry a target; local: by density",
     )
-    inset_m: float = Field(
-        default=0.0,
-        ge=-10,
-        le=10,
-        description="targets keep this far inside the outline, m; negative: outside",
+    inset_m: Annotated[float, Field(ge=-10, le=10)] | Literal["local"] = Field(
+        default="local",
+        description="targets keep this far inside the outline, m; local: a spacing of points",
     )
     kind: Literal["cylinder", "pedestrian", "car", "truck", "deer", "box"] = Field(
         default="cylinder",
@@ -60,6 +59,14 @@ class Targets(Section):
         if not 0.001 <= curve[0] <= 10 or not -10 <= curve[1] <= 10:
             raise ValueError("needs a from 0.001 to 10, and b from -10 to 10")
         return curve
+
+
+class Tolerance(Section):
+    """How far sensors may stand from their plan: each is looked at alone."""
+
+    move_m: Metres = Field(default=0.2, description="to each side, forward, back, up, down, m")
+    turn_deg: float = Field(default=1.0, gt=0, le=45, description="about each axis, degrees")
+    other_height_m: Metres = Field(default=0.5, description="another mast, lower or higher, m")
 
 
 class Lidar(Section):

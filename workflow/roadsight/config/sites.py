@@ -11,6 +11,9 @@ from pyproj.exceptions import CRSError
 from roadsight.base.section import Count, Name, Section
 from roadsight.config.plans import Plan
 
+ObjectName = Annotated[str, Field(pattern=r"^[a-z]+[+-]\d+[+-]\d+(-\d+)?$")]
+"""Kind and place of an object in the way, such as tree+115+140 (`placement/sight/objects.py`)."""
+
 Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
 
 
@@ -51,6 +54,9 @@ class Sample(Section):
     )
     grade: float = Field(default=0.018, ge=-0.12, le=0.12, description="highway: rise over run")
     tunnel: bool = Field(default=True, description="highway: whether it ends in a tunnel")
+    overhead: bool = Field(
+        default=False, description="highway: wires, a canopy and a gantry hang over its edges"
+    )
     length_m: float = Field(default=250.0, gt=0, le=3000, description="length of road, m")
     relief: float = Field(
         default=1.0, ge=0, le=2, description="rural: heights against the usual; 0 is level"
@@ -116,6 +122,12 @@ class PlacementInputs(Section):
     )
     mounts: str | None = Field(
         default=None, description="existing poles that may carry sensors: points, height_m"
+    )
+    remove: list[ObjectName] = Field(
+        default=[], description="objects that are taken away first, by their names in objects.gpkg"
+    )
+    cabinets: str | None = Field(
+        default=None, description="cabinets with power and fibre: points, for the cost of cables"
     )
     plans: list[str] | None = Field(
         default=None, description="plans to solve; all of them if absent"

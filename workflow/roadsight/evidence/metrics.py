@@ -13,6 +13,8 @@ from roadsight.evidence.placement_metrics import (
     beams_wrong,
     dem_rmse_m,
     detections_wrong,
+    lost_if_dark,
+    lost_if_shorter,
     lost_to_a_failure,
     mean_distance_m,
     pavement_f1,
@@ -135,6 +137,7 @@ _EXACT = "exact truth of the generated scene"
 _FINEST = "the study's reference level"
 """What a measure without a truth is compared with."""
 _PLAN = ("placement/{plan}/solution.json",)
+_DATA = ("placement/{plan}/data.json",)
 """Files, below a site's results, that measures of plans read."""
 _VALIDATION = ("poles/validation.json",)
 """Those of measures of poles."""
@@ -229,6 +232,24 @@ METRICS: dict[str, Metric] = {
         "all targets",
         lost_to_a_failure,
         _PLAN,
+    ),
+    "lost_if_dark": Metric(
+        "Seen targets lost if they are dark (10 %)",
+        "share",
+        "placement",
+        0.0,
+        "the plan's own detections",
+        lost_if_dark,
+        _DATA,
+    ),
+    "lost_if_shorter": Metric(
+        "Seen targets lost with a third less range",
+        "share",
+        "placement",
+        0.0,
+        "the plan's own detections",
+        lost_if_shorter,
+        _DATA,
     ),
     "edge_error_m": Metric(
         "Distance of found from true road edges",

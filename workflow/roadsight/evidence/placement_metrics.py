@@ -132,6 +132,20 @@ def lost_to_a_failure(results: Results) -> float:
     return max((one["only"] for one in solution["sensors"]), default=0) / solution["targets"]
 
 
+def lost_if_dark(results: Results) -> float:
+    """Share of the seen targets that the plan would lose if they reflected 10 %."""
+    return float(_data(results)["margins"]["dark"]["share"])
+
+
+def lost_if_shorter(results: Results) -> float:
+    """Share of the seen targets that the plan would lose with a third less range."""
+    return float(_data(results)["margins"]["shorter"]["share"])
+
+
+def _data(results: Results) -> dict:
+    return dict(read_json(results.folder / "placement" / results.plan / "data.json"))
+
+
 def sensor_positions_m(results: Results) -> list[list[float]]:
     """Where the chosen sensors stand, local metres."""
     return [[float(one[axis]) for axis in "xyz"] for one in _solution(results)["sensors"]]

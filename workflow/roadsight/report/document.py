@@ -125,6 +125,9 @@ def _scene(page: _Page) -> dict[str, Any]:
         "asked": _has(page, "options"),
         "sight": _has(page, "availability"),
         "shared": _has(page, "data"),
+        "examined": _has(page, "proven_share"),
+        "tolerance": _has(page, "tolerance"),
+        "unexamined": bool(page["layers"].get("unexamined")),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
         **_cloud(page),
         **_evidence(page),
@@ -240,6 +243,7 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
         cards.append(("Pavement F1 score", f1, "against the reference"))
     if not page["plans"]:
         return cards
+    cards = [*_proven_card(page), *cards]
     candidates = page["layers"]["candidates"]
     positions = candidates["heights"]["count"]
     cards.append(("Targets", wording.number(len(page["layers"]["targets"]["names"])), "to be seen"))
@@ -248,6 +252,19 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     best = best_plan(page["plans"])
     value = wording.counted(len(best["sensors"]), "sensor")
     return [*cards, ("Fewest sensors", value, best["title"])]
+
+
+def _proven_card(page: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """What the proof of the plan shown first is about; nothing where nobody measured."""
+    best = best_plan(page["plans"])
+    if "proven_share" not in best:
+        return []
+    proven_m2, whole_m2 = round(best["proven_area_m2"]), round(page["pavement_area_m2"])
+    remark = (
+        f"{wording.quantity('area_m2', proven_m2)} of"
+        f" {wording.quantity('area_m2', whole_m2)} of pavement, {best['title']}"
+    )
+    return [("Proven in sight", wording.percent(best["proven_share"]), remark)]
 
 
 def _sections(
@@ -261,7 +278,8 @@ def _sections(
         asked = [("options", "Plan options")] if _has(page, "options") else []
         seen = [("sight", "In sight past traffic")] if _has(page, "availability") else []
         data = [("data", "Hand-over and data")] if _has(page, "data") else []
-        results[1:1] = [*asked, *seen, *data]
+        ways = [("tolerance", "Tolerance")] if _has(page, "tolerance") else []
+        results[1:1] = [*asked, *seen, *data, *ways]
         found = [("plans", "Plans compared"), *views, *results] if page["plans"] else views
     if poles is not None:
         found += poles["sections"]

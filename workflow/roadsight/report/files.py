@@ -42,6 +42,7 @@ TEMPLATES = (
     "options.html.j2",
     "sight.html.j2",
     "data.html.j2",
+    "tolerance.html.j2",
     "gaps.html.j2",
     "evidence.html.j2",
     "effects.html.j2",

@@ -14,7 +14,8 @@ wildcard_constraints:
 def told_doubts(wildcards):
     """Files in which stages tell what their answers rest on; a stage that tells adds its own."""
     given = given_lists(wildcards)
-    return [f"results/{wildcards.site}/doubts/match_inputs.json"] if given else []
+    matched = [f"results/{wildcards.site}/doubts/match_inputs.json"] if given else []
+    return [*matched, *placement_only(placement_doubts)(wildcards)]
 
 
 def given_lists(wildcards):
@@ -36,6 +37,7 @@ def given_lists(wildcards):
             ("polygons of the monitored area", own.tma, None),
             ("zones", own.zones, None),
             ("existing poles", own.mounts, None),
+            ("cabinets", own.cabinets, None),
             ("known polygons", site.truth.pavement, site.truth.pavement_crs),
         ):
             add_named("places", what, path, crs)

@@ -47,9 +47,12 @@ rule summarise_site:
         validation=pole_validation,
         camera_scores=camera_scores,
         coverage=placement_only(last_coverage),
+        pavement=pavement_points,
         solutions=placement_only(plan_solutions),
         timings=placement_only(plan_timings),
         data=placement_only(plan_data),
+        tolerances=placement_only(plan_tolerances),
+        removals=placement_only(plan_removals),
         doubts=told_doubts,
         code=sources("summarise_site"),
     output:
@@ -70,7 +73,7 @@ rule summarise_site:
         " --frame {input.frame} --profile {input.profile}"
         " --effects {input.effects}"
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
-        " --timings {input.timings} --data {input.data} --frames {input.frames} --cameras {input.cameras}"
+        " --pavement {input.pavement} --timings {input.timings} --data {input.data} --tolerances {input.tolerances} --removals {input.removals} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
         " --camera-scores {input.camera_scores} --doubts {input.doubts}"
         " --out {output.summary} > {log} 2>&1"
@@ -85,11 +88,13 @@ rule write_site_page:
         pavement=rules.extract_pavement.output.pavement,
         edges=rules.build_edges.output.edges,
         targets=placement_only(site_targets),
+        unexamined=placement_only(unexamined_pavement),
         candidates=placement_only(all_candidates),
         detections=placement_only(all_detections),
         coverage=placement_only(last_coverage),
         solutions=placement_only(plan_solutions),
         layers=placement_only(plan_layers),
+        tolerances=placement_only(plan_tolerance_layers),
         obstacles=placement_only(plan_obstacles),
         scans=placement_only(plan_scans),
         code=sources("write_site_page"),
@@ -114,9 +119,10 @@ rule write_site_page:
         " --title={params.title:q} --plans {params.plans:q} --sensors {params.sensors_file:q}"
         " --summary {input.summary} --frame {input.frame} --cloud {input.cloud}"
         " --dem {input.dem} --pavement {input.pavement} --edges {input.edges}"
-        " --targets {input.targets} --candidates {input.candidates}"
+        " --targets {input.targets} --unexamined {input.unexamined} --candidates {input.candidates}"
         " --detections {input.detections} --coverage {input.coverage}"
         " --solutions {input.solutions} --layers {input.layers}"
+        " --tolerances {input.tolerances}"
         " --obstacles {input.obstacles} --scans {input.scans}"
         " --out {output.page} > {log} 2>&1"
 

@@ -17,11 +17,18 @@ rule solve_cover:
         forbidden=plan_file("forbidden"),
         mandatory=plan_file("mandatory"),
         poles=plan_file("poles"),
+        zones=beside_site("placement.zones"),
+        cabinets=beside_site("placement.cabinets"),
+        surfels=if_robust(lambda wildcards: [seen_surfels(wildcards)]),
+        tilts=if_robust(only_if("mount_tilt", tilts_of_all_rounds)),
+        air=if_robust(air_of_site),
+        reflectivity=if_robust(placement_effect("reflectivity", "reflectivity.json")),
         code=sources("solve_cover"),
     output:
         solution="results/{site}/placement/{plan}/solution.json",
         layers="results/{site}/placement/{plan}/solution.gpkg",
         timing="results/{site}/placement/{plan}/timing.json",
+        doubts="results/{site}/doubts/solve_cover/{plan}.json",
     log:
         log_of("solve_cover", "{plan}"),
     benchmark:
@@ -29,6 +36,8 @@ rule solve_cover:
     conda:
         ENVIRONMENT
     params:
+        zones=layered_site("placement.zones"),
+        cabinets=layered_site("placement.cabinets"),
         areas=layered_plan_file("areas"),
         forbidden=layered_plan_file("forbidden"),
         mandatory=layered_plan_file("mandatory"),
@@ -41,6 +50,8 @@ rule solve_cover:
         time_limit_s=setting("cover.time_limit_s"),
         gap=setting("cover.gap"),
         uncoverable=setting("coverage.uncoverable"),
+        mounting=mounting_rules,
+        robust=robust_arguments,
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.placement.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
@@ -51,8 +62,10 @@ rule solve_cover:
         " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"
         " --areas {params.areas:q} --forbidden {params.forbidden:q}"
         " --mandatory {params.mandatory:q} --poles {params.poles:q}"
+        " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
+        " --surfels {input.surfels} --tilts {input.tilts} --air {input.air} --reflectivity {input.reflectivity} {params.robust}"
         " --solution {output.solution} --layers {output.layers}"
-        " --timing {output.timing} > {log} 2>&1"
+        " --timing {output.timing} --doubts {output.doubts} > {log} 2>&1"
 
 
 rule find_obstacles:
@@ -62,13 +75,16 @@ rule find_obstacles:
         targets=rules.place_targets.output.targets,
         candidates=all_candidates,
         detections=plan_detections,
-        surfels=rules.build_surfels.output.surfels,
+        surfels=seen_surfels,
         dem=rules.build_dem.output.dem,
         frame=rules.ingest_cloud.output.frame,
         rain=placement_effect("rain", "rain.json"),
         fog=placement_effect("fog", "fog.json"),
         reflectivity=placement_effect("reflectivity", "reflectivity.json"),
         lanes=placement_effect("moving_vehicles", "lanes.parquet"),
+        objects=rules.gather_objects.output.members,
+        zones=beside_site("placement.zones"),
+        cabinets=beside_site("placement.cabinets"),
         code=sources("find_obstacles"),
     output:
         obstacles="results/{site}/placement/{plan}/obstacles.gpkg",
@@ -82,23 +98,27 @@ rule find_obstacles:
         mem_mb=megabytes(250),
         runtime=minutes(),
     params:
+        zones=layered_site("placement.zones"),
+        cabinets=layered_site("placement.cabinets"),
         sensors_file=CONFIG.sensors_file,
         sensors=plan_costs,
         height_m=target_height,
+        mounting=mounting_rules,
     shell:
         "python -m roadsight.stages.placement.find_obstacles --solution {input.solution}"
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
         " --candidates {input.candidates} --detections {input.detections}"
         " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
-        " --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
+        " --objects {input.objects} --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
+        " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
         " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
 
 
 rule render_scans:
     input:
         solution=rules.solve_cover.output.solution,
-        surfels=rules.build_surfels.output.surfels,
+        surfels=seen_surfels,
         frame=rules.ingest_cloud.output.frame,
         tilts=only_if("mount_tilt", tilts_of_all_rounds),
         rain=placement_effect("rain", "rain.json"),
@@ -179,3 +199,96 @@ rule measure_data:
         " --azimuth-stride {params.azimuth_stride}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"
         " --out {output.data} --layers {output.layers} > {log} 2>&1"
+
+
+rule measure_tolerance:
+    input:
+        solution=rules.solve_cover.output.solution,
+        targets=rules.place_targets.output.targets,
+        surfels=seen_surfels,
+        frame=rules.ingest_cloud.output.frame,
+        tilts=only_if("mount_tilt", tilts_of_all_rounds),
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        decided=after_profile("partial_hits", "curvature_refraction"),
+        code=sources("measure_tolerance"),
+    output:
+        tolerance="results/{site}/placement/{plan}/tolerance.json",
+        layers="results/{site}/placement/{plan}/tolerance.gpkg",
+    log:
+        log_of("measure_tolerance", "{plan}"),
+    benchmark:
+        benchmark_of("measure_tolerance", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        sensors_file=CONFIG.sensors_file,
+        sensors=site_sensors_seeing,
+        settings=change_arguments,
+        partial_hits=decision_on("partial_hits"),
+        curvature=decision_on("curvature_refraction"),
+    shell:
+        "python -m roadsight.stages.placement.measure_tolerance --solution {input.solution}"
+        " --targets {input.targets} --surfels {input.surfels} --frame {input.frame}"
+        " --sensors-file {params.sensors_file:q} {params.settings}"
+        " --tilts {input.tilts} --air {input.rain} {input.fog}"
+        " --reflectivity {input.reflectivity}"
+        " --partial-hits {params.partial_hits} --curvature {params.curvature}"
+        " --out {output.tolerance} --layers {output.layers} > {log} 2>&1"
+
+
+rule try_removals:
+    input:
+        solution=rules.solve_cover.output.solution,
+        obstacles=rules.find_obstacles.output.obstacles,
+        objects=rules.gather_objects.output.members,
+        targets=rules.place_targets.output.targets,
+        candidates=all_candidates,
+        detections=plan_detections,
+        surfels=seen_surfels,
+        frame=rules.ingest_cloud.output.frame,
+        tilts=only_if("mount_tilt", tilts_of_all_rounds),
+        rain=placement_effect("rain", "rain.json"),
+        fog=placement_effect("fog", "fog.json"),
+        reflectivity=placement_effect("reflectivity", "reflectivity.json"),
+        zones=beside_site("placement.zones"),
+        cabinets=beside_site("placement.cabinets"),
+        decided=after_profile("partial_hits", "curvature_refraction"),
+        code=sources("try_removals"),
+    output:
+        removals="results/{site}/placement/{plan}/removals.json",
+    log:
+        log_of("try_removals", "{plan}"),
+    benchmark:
+        benchmark_of("try_removals", "{plan}")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        zones=layered_site("placement.zones"),
+        cabinets=layered_site("placement.cabinets"),
+        sensors_file=CONFIG.sensors_file,
+        sensors=plan_costs,
+        felled=setting("coverage.felled"),
+        time_limit_s=setting("cover.time_limit_s"),
+        mounting=mounting_rules,
+        settings=change_arguments,
+        partial_hits=decision_on("partial_hits"),
+        curvature=decision_on("curvature_refraction"),
+    shell:
+        "python -m roadsight.stages.placement.try_removals --solution {input.solution}"
+        " --obstacles {input.obstacles} --objects {input.objects} --targets {input.targets}"
+        " --candidates {input.candidates} --detections {input.detections}"
+        " --surfels {input.surfels} --frame {input.frame} --costs {params.sensors:q}"
+        " --sensors-file {params.sensors_file:q} --felled {params.felled} {params.settings}"
+        " --time-limit-s {params.time_limit_s} --tilts {input.tilts} --air {input.rain} {input.fog}"
+        " --reflectivity {input.reflectivity} --zones {params.zones:q}"
+        " --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
+        " --partial-hits {params.partial_hits} --curvature {params.curvature}"
+        " --out {output.removals} > {log} 2>&1"

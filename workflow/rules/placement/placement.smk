@@ -14,7 +14,7 @@ rule place_candidates:
         dem=rules.build_dem.output.dem,
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
-        zones=beside_site("placement.zones"),
+        ground=rules.build_dem.output.ground,
         mounts=beside_site("placement.mounts"),
         decided=after_profile("overhead_cover"),
         code=sources("place_candidates"),
@@ -30,7 +30,6 @@ rule place_candidates:
         mem_mb=megabytes(60),
         runtime=minutes(),
     params:
-        zones=layered_site("placement.zones"),
         mounts=layered_site("placement.mounts"),
         spacing_m=setting("candidates.spacing_m"),
         height_min_m=setting("candidates.height_min_m"),
@@ -46,7 +45,7 @@ rule place_candidates:
         " --cloud {input.cloud} --frame {input.frame} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --zones {params.zones:q} --mounts {params.mounts:q} --arm-m {params.arm_m}"
+        " --ground {input.ground} --mounts {params.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"
 
@@ -56,10 +55,12 @@ rule place_targets:
         pavement=rules.extract_pavement.output.points,
         outline=rules.extract_pavement.output.pavement,
         frame=rules.ingest_cloud.output.frame,
-        edges=edges_of_boxes,
+        edges=edges_of_targets,
         code=sources("place_targets"),
     output:
         targets="results/{site}/placement/targets.parquet",
+        unexamined="results/{site}/placement/unexamined.gpkg",
+        doubts="results/{site}/doubts/place_targets.json",
     log:
         log_of("place_targets"),
     benchmark:
@@ -70,17 +71,48 @@ rule place_targets:
         cell_size_m=setting("targets.cell_size_m"),
         min_points=setting("targets.min_points"),
         inset_m=setting("targets.inset_m"),
+        width_m=target_width,
+        box=target_box,
     shell:
         "python -m roadsight.stages.placement.place_targets --pavement {input.pavement}"
-        " --outline {input.outline} --frame {input.frame} --edges {input.edges} --inset-m {params.inset_m}"
+        " --outline {input.outline} --frame {input.frame} --edges {input.edges} --inset-m={params.inset_m}"
         " --cell-size-m {params.cell_size_m} --min-points {params.min_points}"
-        " --out {output.targets} > {log} 2>&1"
+        " --width-m {params.width_m} {params.box}"
+        " --unexamined {output.unexamined} --doubts {output.doubts} --out {output.targets} > {log} 2>&1"
+
+
+rule gather_objects:
+    input:
+        surfels=rules.build_surfels.output.surfels,
+        dem=rules.build_dem.output.dem,
+        frame=rules.ingest_cloud.output.frame,
+        code=sources("gather_objects"),
+    output:
+        objects="results/{site}/placement/objects.gpkg",
+        members="results/{site}/placement/objects.parquet",
+        left="results/{site}/placement/surfels_left.parquet",
+    log:
+        log_of("gather_objects"),
+    benchmark:
+        benchmark_of("gather_objects")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(250),
+        runtime=minutes(),
+    params:
+        removed=site_field("placement.remove"),
+    shell:
+        "python -m roadsight.stages.placement.gather_objects --site {wildcards.site}"
+        " --surfels {input.surfels} --dem {input.dem} --frame {input.frame}"
+        " --remove {params.removed:q} --objects {output.objects} --members {output.members}"
+        " --left {output.left} > {log} 2>&1"
 
 
 rule render_depth_maps:
     input:
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
-        surfels=rules.build_surfels.output.surfels,
+        surfels=seen_surfels,
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
         network=depth_network,
@@ -110,6 +142,8 @@ rule render_depth_maps:
         curvature=decision_on("curvature_refraction"),
         min_cell_points=setting("lidar.min_cell_points"),
         neighbours=setting("lidar.neighbours"),
+        panorama=panorama_flag,
+        kept="results/{site}/placement/kept/round-{round}/depth/{sensor}/{shard}.parquet",
     shell:
         "python -m roadsight.stages.placement.render_depth_maps --candidates {input.candidates}"
         " --shard {wildcards.shard} --shards {params.shards}"
@@ -118,6 +152,7 @@ rule render_depth_maps:
         " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
         " --network {input.network:q}"
         " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
+        " {params.panorama} --kept {params.kept}"
         " --tilts {input.tilts} --curvature {params.curvature} --out {output.depth} > {log} 2>&1"
 
 
@@ -154,6 +189,7 @@ rule build_detection_shard:
         azimuth_stride=setting("lidar.azimuth_stride"),
         partial_hits=decision_on("partial_hits"),
         curvature=decision_on("curvature_refraction"),
+        kept="results/{site}/placement/kept/round-{round}/detection/{sensor}/{shard}.parquet",
     shell:
         "python -m roadsight.stages.placement.build_detection_shard --depth {input.depth}"
         " --candidates {input.candidates} --targets {input.targets}"
@@ -163,7 +199,7 @@ rule build_detection_shard:
         " --tilts {input.tilts} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"
-        " --out {output.detection} > {log} 2>&1"
+        " --kept {params.kept} --out {output.detection} > {log} 2>&1"
 
 
 rule check_coverage:
@@ -171,6 +207,9 @@ rule check_coverage:
         targets=rules.place_targets.output.targets,
         candidates=candidates_up_to_round,
         detections=detections_up_to_round,
+        frame=rules.ingest_cloud.output.frame,
+        zones=in_last_round(beside_site("placement.zones")),
+        cabinets=in_last_round(beside_site("placement.cabinets")),
         code=sources("check_coverage"),
     output:
         coverage="results/{site}/placement/round-{round}/coverage.json",
@@ -182,9 +221,13 @@ rule check_coverage:
         ENVIRONMENT
     params:
         plans=plan_sensors,
+        zones=in_last_round(layered_site("placement.zones")),
+        cabinets=in_last_round(layered_site("placement.cabinets")),
+        mounting=in_last_round(mounting_rules, otherwise="{}"),
     shell:
         "python -m roadsight.stages.placement.check_coverage --targets {input.targets}"
-        " --candidates {input.candidates} --detections {input.detections}"
+        " --candidates {input.candidates} --detections {input.detections} --frame {input.frame}"
+        " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
         " --plans {params.plans:q} --out {output.coverage} > {log} 2>&1"
 
 
@@ -198,7 +241,7 @@ rule densify_candidates:
         dem=rules.build_dem.output.dem,
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
-        zones=beside_site("placement.zones"),
+        ground=rules.build_dem.output.ground,
         mounts=beside_site("placement.mounts"),
         decided=after_profile("overhead_cover"),
         code=sources("densify_candidates"),
@@ -213,8 +256,8 @@ rule densify_candidates:
     conda:
         ENVIRONMENT
     params:
-        zones=layered_site("placement.zones"),
         mounts=layered_site("placement.mounts"),
+        plans=plan_sensors,
         radius_m=setting("coverage.radius_m"),
         spacing_m=setting("candidates.spacing_m"),
         height_min_m=setting("candidates.height_min_m"),
@@ -229,9 +272,9 @@ rule densify_candidates:
         " --round {wildcards.round} --coverage {input.coverage} --targets {input.targets}"
         " --candidates {input.candidates} --edges {input.edges} --pavement {input.pavement}"
         " --dem {input.dem} --cloud {input.cloud} --frame {input.frame}"
-        " --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
+        " --plans {params.plans:q} --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --zones {params.zones:q} --mounts {params.mounts:q} --arm-m {params.arm_m}"
+        " --ground {input.ground} --mounts {params.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"

@@ -85,7 +85,7 @@ rule measure_reflectivity:
         mem_mb=megabytes(60),
     params:
         sensors_file=CONFIG.sensors_file,
-        definitions=site_sensors,
+        definitions=site_sensors_seeing,
         sensors=sensor_names,
         target_reflectivity=setting("conditions.target_reflectivity"),
     shell:

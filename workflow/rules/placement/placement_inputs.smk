@@ -3,6 +3,7 @@
 from roadsight.base.validation import check_path
 from roadsight.io.vector.layer_names import split_layer
 from roadsight.placement.sensors.light import wavelength_nm
+from roadsight.placement.sensors.sensors import what_it_sees
 
 
 def plans_of(site):
@@ -16,6 +17,25 @@ def sensors_of(site):
     )
 
 
+def mounting_rules(wildcards):
+    """Rules of mounting as JSON."""
+    rules = SITES[wildcards.site].settings.mounting
+    return NamedValue("mounting", rules.model_dump_json())
+
+
+def in_last_round(value, otherwise=()):
+    """What only the last coverage check looks at: zones and rules come after all detections.
+
+    Rounds before it find gaps of all candidates, so that a zone renders nothing.
+    """
+
+    def found(wildcards):
+        last = rounds_of(wildcards.site)[-1]
+        return value(wildcards) if int(wildcards.round) == last else otherwise or []
+
+    return found
+
+
 def placement_results():
     return [
         f"results/{site}/placement/{plan}/{file}"
@@ -27,8 +47,8 @@ def placement_results():
 
 
 def sensor_definition(wildcards):
-    """Everything that the sensors file says of the rule's sensor."""
-    return SENSORS[wildcards.sensor].to_dict()
+    """What the sensors file says of the rule's sensor, without its cost: prices render nothing."""
+    return what_it_sees(SENSORS[wildcards.sensor])
 
 
 def rounds_of(site):
@@ -160,8 +180,18 @@ plan_solutions = per_plan("solution.json")
 plan_layers = per_plan("solution.gpkg")
 plan_timings = per_plan("timing.json")
 plan_data = per_plan("data.json")
+plan_tolerances = per_plan("tolerance.json")
+plan_tolerance_layers = per_plan("tolerance.gpkg")
+plan_removals = per_plan("removals.json")
 plan_obstacles = per_plan("obstacles.gpkg")
 plan_scans = per_plan("scans.laz")
+
+
+def placement_doubts(wildcards):
+    """Files in which the placement stages tell what their answers rest on."""
+    folder = f"results/{wildcards.site}/doubts"
+    plans = [f"{folder}/solve_cover/{plan}.json" for plan in plans_of(wildcards.site)]
+    return [f"{folder}/place_targets.json", *plans]
 
 
 def plan_titles(wildcards):
@@ -170,6 +200,16 @@ def plan_titles(wildcards):
 
 def site_targets(wildcards):
     return f"results/{wildcards.site}/placement/targets.parquet"
+
+
+def unexamined_pavement(wildcards):
+    return f"results/{wildcards.site}/placement/unexamined.gpkg"
+
+
+def pavement_points(wildcards):
+    """Points of the pavement, where a site asks for it; they say its area."""
+    found = f"results/{wildcards.site}/scene/pavement.parquet"
+    return [found] if has_scene_page(wildcards.site) else []
 
 
 def all_detections(wildcards):
@@ -188,8 +228,13 @@ def site_sensors(wildcards):
     return {name: SENSORS[name].to_dict() for name in sensors_of(wildcards.site)}
 
 
+def site_sensors_seeing(wildcards):
+    """The same without their costs."""
+    return {name: what_it_sees(SENSORS[name]) for name in sensors_of(wildcards.site)}
+
+
 def site_sensors_json(wildcards):
-    """The same as JSON, for the record."""
+    """Definitions of the site's sensors as JSON, for the record."""
     return json.dumps(site_sensors(wildcards), sort_keys=True)
 
 
@@ -263,3 +308,84 @@ def lanes_of_plan(wildcards):
     if plans_of(wildcards.site)[wildcards.plan].availability is None:
         return []
     return placement_effect("moving_vehicles", "lanes.parquet")(wildcards)
+
+
+def seen_surfels(wildcards):
+    """Surfels of the scene that sensors look at, without the objects that the site removes."""
+    resolved = SITES[wildcards.site]
+    if resolved.site.placement.remove:
+        clearly(refuse_removal, resolved)
+        return f"results/{wildcards.site}/placement/surfels_left.parquet"
+    return f"results/{wildcards.site}/scene/surfels.parquet"
+
+
+def is_robust(wildcards):
+    return plans_of(wildcards.site)[wildcards.plan].robust is not None
+
+
+def if_robust(files):
+    """Inputs of covers that hold with tolerance."""
+    return lambda wildcards: files(wildcards) if is_robust(wildcards) else []
+
+
+def air_of_site(wildcards):
+    """What rain and fog take out of beams, where they are simulated."""
+    return [
+        *placement_effect("rain", "rain.json")(wildcards),
+        *placement_effect("fog", "fog.json")(wildcards),
+    ]
+
+
+def change_arguments(wildcards):
+    """How targets are seen, and how far sensors may stand from their plan, as arguments."""
+    found = SITES[wildcards.site].settings
+    change, targets = found.tolerance, found.targets
+    text = (
+        f"--move-m {change.move_m} --turn-deg {change.turn_deg}"
+        f" --other-height-m {change.other_height_m} --radius-m {targets.radius_m}"
+        f" --height-m {target_height(wildcards)} {target_box(wildcards)}"
+        f" --min-beams {min_beams_of(wildcards.site)}"
+        f" --azimuth-stride {found.lidar.azimuth_stride}"
+    )
+    return NamedValue("changes", text)
+
+
+def robust_arguments(wildcards):
+    """Arguments of a cover that holds with tolerance; nothing for others."""
+    if not is_robust(wildcards):
+        return ""
+    posed = [
+        s
+        for s in plans_of(wildcards.site)[wildcards.plan].sensors
+        if is_posed(wildcards.site, s)
+    ]
+    clearly(refuse_posed, wildcards, posed)
+    effects = (
+        f" --partial-hits {decision_on('partial_hits')(wildcards)}"
+        f" --curvature {decision_on('curvature_refraction')(wildcards)}"
+    )
+    return NamedValue(
+        "robust",
+        f"--robust --sensors-file {CONFIG.sensors_file} {change_arguments(wildcards)}{effects}",
+    )
+
+
+def refuse_posed(wildcards, posed):
+    if posed:
+        raise InputError(
+            "robust: tolerance is for spinning LiDARs as mounted",
+            where=f"site {wildcards.site}, plan {wildcards.plan}",
+            found=", ".join(posed),
+            hint="leave robust or these sensors out",
+        )
+
+
+def refuse_removal(resolved):
+    """Only surfels are gathered to objects."""
+    if resolved.settings.lidar.model != "surfel":
+        raise InputError(
+            "objects can only be removed from surfels",
+            where=f"{resolved.file}: placement.remove",
+            found=f"lidar.model: {resolved.settings.lidar.model}",
+            allowed="lidar.model: surfel",
+        )

@@ -72,3 +72,8 @@ def stride_of_map(wildcards):
 def tilts_of_map(wildcards):
     """Panoramas are levelled, however the mount leans."""
     return tilts_of_round(wildcards) if wildcards.sensor in SENSORS else []
+
+
+def panorama_flag(wildcards):
+    """Said of a map that no sensor's own candidates limit."""
+    return "" if wildcards.sensor in SENSORS else "--panorama"

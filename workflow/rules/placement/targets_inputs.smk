@@ -45,7 +45,16 @@ def least_beams(wildcards):
     return NamedValue("targets.min_beams", min_beams_of(wildcards.site))
 
 
-def edges_of_boxes(wildcards):
-    """Edges along which targets stand, where they are boxes."""
-    boxed = box_of(wildcards.site) is not None
-    return [f"results/{wildcards.site}/placement/edges.gpkg"] if boxed else []
+def edges_of_targets(wildcards):
+    """Edges along which targets stand, where they are boxes, or that bound the road."""
+    site = SITES[wildcards.site].site
+    needed = box_of(wildcards.site) is not None or site.placement.edges is not None
+    return [f"results/{wildcards.site}/placement/edges.gpkg"] if needed else []
+
+
+def target_width(wildcards):
+    """Width of a target, whatever its kind: the lesser side of a box."""
+    box = box_of(wildcards.site)
+    targets = SITES[wildcards.site].settings.targets
+    width_m = 2 * targets.radius_m if box is None else min(box.length_m, box.width_m)
+    return NamedValue("targets.width_m", width_m)

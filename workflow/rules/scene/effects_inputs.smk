@@ -30,7 +30,7 @@ def sensor_as_used(site, name):
     """Definition of a sensor with the pixels that a site asks of cameras."""
     pixels = min_pixels_of(site) if kind_of(name) == "camera" else None
     asked = {} if pixels is None else {"min_pixels": pixels}
-    return SENSORS[name].to_dict() | asked
+    return what_it_sees(SENSORS[name]) | asked
 
 
 @lru_cache(maxsize=None)

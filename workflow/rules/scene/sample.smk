@@ -30,11 +30,15 @@ rule generate_sample:
         tunnel=lambda wildcards: (
             "yes" if SITES[wildcards.site].site.sample.tunnel else "no"
         ),
+        overhead=lambda wildcards: NamedValue(
+            "sample.overhead",
+            "yes" if SITES[wildcards.site].site.sample.overhead else "no",
+        ),
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.scene.generate_sample --scene {params.scene} --seed {params.seed}"
         " --points {params.points} --length-m {params.length_m} --radius-m {params.radius_m}"
-        " --grade {params.grade} --tunnel {params.tunnel}"
+        " --grade {params.grade} --tunnel {params.tunnel} --overhead {params.overhead}"
         " --cloud {output.cloud} --truth {output.truth} --edges {output.edges} > {log} 2>&1"
 
 

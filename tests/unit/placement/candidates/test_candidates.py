@@ -232,7 +232,7 @@ class TestStack:
         points = np.array([[0, 0, z] for z in np.arange(0, 12, 0.4)])
         stacked = stack_candidates(table, points, points[:, 2], SETTINGS)
         assert len(stacked) == 0
-        assert set(stacked) == {*table, "height_m", "z", "candidate"}
+        assert set(stacked) == {*table, "height_m", "z", "candidate", "wall_m"}
 
     def test_the_order_of_the_points_does_not_matter(self, rng):
         table = positions(("a", 0.0, 0.0, 0.0, 0.0, "a", 0.0, "edge"))

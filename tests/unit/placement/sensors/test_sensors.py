@@ -10,6 +10,7 @@ from roadsight.placement.sensors.sensors import (
     load_sensor,
     load_sensors,
     panorama_name,
+    what_it_sees,
 )
 
 CAMERA = "kind: camera, range_m: 9, columns_px: 640, rows_px: 480, min_pixels: 20"
@@ -26,11 +27,11 @@ def write(tmp_path, text):
 def test_published_sensors_match_table_5(project):
     sensors = load_sensors(project / "config" / "sensors.yaml")
     table = {
-        "VLP-16": (16, -15, 15, 2.0, 100),
-        "Puck-32C": (32, -25, 15, 1.29, 200),
-        "OS-32": (32, -22.5, 22.5, 1.45, 120),
-        "OS-64": (64, -22.5, 22.5, 0.72, 120),
-        "OS-128": (128, -22.5, 22.5, 0.35, 120),
+        "table5-VLP-16": (16, -15, 15, 2.0, 100),
+        "table5-Puck-32C": (32, -25, 15, 1.29, 200),
+        "table5-OS-32": (32, -22.5, 22.5, 1.45, 120),
+        "table5-OS-64": (64, -22.5, 22.5, 0.72, 120),
+        "table5-OS-128": (128, -22.5, 22.5, 0.35, 120),
     }
     for name, (channels, low, high, step, range_m) in table.items():
         sensor = sensors[name]
@@ -41,12 +42,80 @@ def test_published_sensors_match_table_5(project):
 
 
 def test_real_channel_table_is_dense_around_the_horizon(project):
-    sensor = load_sensor(project / "config" / "sensors.yaml", "Puck-32C-channels")
+    sensor = load_sensor(project / "config" / "sensors.yaml", "VLP-32C")
     steps = np.diff(sensor.elevation_deg)
     assert sensor.rows == 32
     assert steps.min() == pytest.approx(1 / 3, abs=0.001)
     assert steps.max() == pytest.approx(9.361)
     assert np.sum(np.abs(sensor.elevation_deg) < 4.1) >= 20
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "turns_hz", "points_per_s"),
+    [
+        ("VLP-16", 1800, 10, 300_000),
+        ("VLP-32C", 1800, 10, 600_000),
+        ("OS1-32", 2048, 10, 655_360),
+        ("OS1-64", 2048, 10, 1_310_720),
+        ("OS1-128", 2048, 10, 2_621_440),
+        ("OS1-128-1024x20", 1024, 20, 2_621_440),
+        ("OS1-64-512x20", 512, 20, 1_310_720),
+    ],
+)
+def test_products_send_no_more_points_than_they_can(project, name, columns, turns_hz, points_per_s):
+    sensor = load_sensors(project / "config/sensors.yaml")[name]
+    assert (sensor.columns, sensor.rotation_hz) == (columns, turns_hz)
+    assert sensor.points_per_s == points_per_s
+    assert sensor.rows * sensor.columns * sensor.rotation_hz <= points_per_s
+    assert sensor.source
+    assert 0 < sensor.range_min_m < (sensor.range_10_m or sensor.range_m) <= sensor.range_m
+
+
+def test_old_names_are_those_of_table_5(project):
+    sensors = load_sensors(project / "config/sensors.yaml")
+    for name in ("Puck-32C", "OS-32", "OS-64", "OS-128"):
+        assert sensors[name] == sensors[f"table5-{name}"]
+
+
+def test_a_product_with_more_points_than_it_sends_is_refused(tmp_path):
+    product = "{range_m: 120, elevation_min_deg: -22.5, elevation_max_deg: 22.5, channels: 128"
+    path = write(tmp_path, f"sensors: {{A: {product}, rotation_hz: 10, points_per_s: 2621440}}}}")
+    with pytest.raises(InputError, match=r"sensor A.*4,608,000 points a second, more than the 2,6"):
+        load_sensors(path)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("A: {like: B}", "like: no such sensor"),
+        ("A: {like: B}, B: {like: A}", "like: a circle"),
+        (
+            "A: {range_m: 9, elevations_deg: [1], azimuth_step_deg: 1, columns_per_turn: 9}",
+            "not both",
+        ),
+        ("A: {range_m: 9, range_min_m: 9, elevations_deg: [1]}", "range_min_m"),
+    ],
+)
+def test_wrong_products_end_in_one_message(tmp_path, text, message):
+    with pytest.raises(InputError, match=message):
+        load_sensors(write(tmp_path, f"sensors: {{{text}}}"))
+
+
+def test_a_sensor_like_another_may_say_the_same_in_another_way(tmp_path):
+    base = (
+        "A: {range_m: 9, azimuth_step_deg: 1, elevation_min_deg: 0, elevation_max_deg: 1,"
+        " channels: 2}"
+    )
+    path = write(
+        tmp_path, f"sensors: {{{base}, B: {{like: A, columns_per_turn: 90, elevations_deg: [5]}}}}"
+    )
+    assert load_sensors(path)["B"].shape == (1, 90)
+
+
+def test_a_price_changes_nothing_that_is_seen():
+    cheap, dear = (Sensor(elevations_deg=(0, 1), range_m=50, cost=cost) for cost in (1, 2))
+    assert what_it_sees(cheap) == what_it_sees(dear)
+    assert what_it_sees(cheap) != what_it_sees(Sensor(elevations_deg=(0, 1), range_m=51))
 
 
 def test_beams_run_through_the_centres_of_their_cells():

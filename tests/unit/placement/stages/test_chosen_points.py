@@ -11,8 +11,11 @@ import pytest
 from roadsight.base.errors import InputError
 from roadsight.io.records.detections import read_detections
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.stages.placement.chosen_points import points_by_height
-from roadsight.stages.placement.detection_inputs import add_sight_arguments, read_shaped_targets
+from roadsight.stages.placement.shared.chosen_points import points_by_height
+from roadsight.stages.placement.shared.detection_inputs import (
+    add_sight_arguments,
+    read_shaped_targets,
+)
 from tests.unit.placement.stages.test_pose_stages import detect, road  # noqa: F401 (a fixture)
 
 

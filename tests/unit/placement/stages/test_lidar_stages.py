@@ -196,3 +196,66 @@ def test_same_inputs_same_bytes(site):
     for prefix in ("", "seen-"):
         first, second = ((site / f"{prefix}{n}.parquet").read_bytes() for n in ("first", "second"))
         assert first == second
+
+
+class TestSmallChanges:
+    """A candidate that did not change is taken over, with the bytes that it would have anyhow."""
+
+    def run(self, site, capsys, caplog, kept=True, **candidates):
+        caplog.clear()
+        caplog.set_level("INFO")
+        depth = ("--kept", str(site / "kept/depth.parquet")) if kept else ()
+        seen = ("--kept", str(site / "kept/seen.parquet")) if kept else ()
+        assert render(site, "now.parquet", *depth, **candidates) == 0
+        assert detect(site, "now.parquet", "seen-now.parquet", *seen, **candidates) == 0
+        found = [record.getMessage() for record in caplog.records]
+        counts = [text.split(" ")[0] for text in found if "those of an earlier run" in text]
+        both = tuple((site / name).read_bytes() for name in ("now.parquet", "seen-now.parquet"))
+        return [int(count) for count in counts], both
+
+    def test_one_candidate_moved_renders_one(self, site, capsys, caplog):
+        table = read_table(site / "candidates.parquet")
+        assert self.run(site, capsys, caplog)[0] == [0, 0]
+        again, same = self.run(site, capsys, caplog)
+        assert again == [8, 8]
+        moved = table.copy()
+        moved.loc[3, "x"] += 0.5
+        write_table(site / "moved.parquet", moved)
+        counts, found = self.run(site, capsys, caplog, candidates="moved")
+        assert counts == [7, 7]
+        _, fresh = self.run(site, capsys, caplog, kept=False, candidates="moved")
+        assert found == fresh
+        assert found != same
+
+    def test_another_cloud_or_setting_takes_over_nothing(self, site, capsys, caplog):
+        depth = ("--kept", str(site / "kept/other.parquet"))
+        assert render(site, "now.parquet", *depth) == 0
+        caplog.clear()
+        caplog.set_level("INFO")
+        assert render(site, "now.parquet", *depth, "--curvature", "simulate") == 0
+        assert "0 of 8 maps are those of an earlier run" in caplog.text
+
+    def test_a_damaged_file_is_not_taken_over(self, site, capsys, caplog):
+        depth = ("--kept", str(site / "kept/bad.parquet"))
+        assert render(site, "now.parquet", *depth) == 0
+        whole = (site / "now.parquet").read_bytes()
+        kept = site / "kept/bad.parquet"
+        kept.unlink()
+        kept.write_bytes(whole[:300] + b"x" * 60 + whole[360:])
+        caplog.clear()
+        caplog.set_level("INFO")
+        assert render(site, "now.parquet", *depth) == 0
+        assert "0 of 8 maps" in caplog.text
+        assert (site / "now.parquet").read_bytes() == whole
+
+    def test_denser_candidates_are_rendered_for_the_sensors_with_the_gap(self, site):
+        table = read_table(site / "candidates.parquet")
+        table["for_sensors"] = ["tiny", "", "other", "tiny other", "", "", "other", ""]
+        write_table(site / "meant.parquet", table)
+        assert render(site, "meant-maps.parquet", candidates="meant") == 0
+        assert [name for name, _ in DepthMaps(site / "meant-maps.parquet")] == ["e-s0", "e-s3"]
+        assert detect(site, "meant-maps.parquet", "m.parquet", candidates="meant") == 0
+        assert set(read_detections([site / "m.parquet"])["candidate"]) <= {"e-s0", "e-s3"}
+        everything = ("--panorama",)
+        assert render(site, "meant-all.parquet", *everything, candidates="meant") == 0
+        assert len(DepthMaps(site / "meant-all.parquet")) == 8

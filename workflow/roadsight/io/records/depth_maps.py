@@ -94,7 +94,11 @@ class DepthMapWriter(WholeFile):
         if range_m.shape != (self._info.rows, self._info.columns):
             raise ValueError(f"depth map of shape {range_m.shape} in a file of {self._info}")
         steps = _encode(range_m, self._info.step_m)
-        self._pending.append((candidate, self._compressor.compress(steps.tobytes())))
+        self.append_stored(candidate, self._compressor.compress(steps.tobytes()))
+
+    def append_stored(self, candidate: str, stored: bytes) -> None:
+        """Add a map as another file of the same kind stores it (`DepthMaps.stored`)."""
+        self._pending.append((candidate, stored))
         if len(self._pending) == _MAPS_IN_GROUP:
             self._flush()
 
@@ -163,6 +167,37 @@ class DepthMaps:
                 for row in rows.to_pylist():
                     yield row["candidate"], self._decode(row["steps"])
         except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
+            raise self._damaged(error) from error
+
+    def candidates(self) -> list[str]:
+        """Candidates in the order of their maps.
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        try:
+            return [str(name) for name in self._file.read(["candidate"])["candidate"].to_pylist()]
+        except (OSError, pa.ArrowException, ValueError) as error:
+            raise self._damaged(error) from error
+
+    def stored(self, candidates: Iterable[str]) -> Iterator[tuple[str, bytes]]:
+        """Maps of these candidates as the file stores them, group by group.
+
+        Raises
+        ------
+        InputError : the file is damaged.
+        """
+        wanted = pa.array(sorted(candidates), pa.string())
+        try:
+            for group in range(self._file.num_row_groups):
+                names = self._file.read_row_group(group, ["candidate"], use_threads=False)
+                if not pc.any(pc.is_in(names["candidate"], wanted)).as_py():
+                    continue
+                rows = self._file.read_row_group(group, use_threads=False)
+                for row in rows.filter(pc.is_in(rows["candidate"], wanted)).to_pylist():
+                    yield row["candidate"], row["steps"]
+        except (OSError, pa.ArrowException, ValueError) as error:
             raise self._damaged(error) from error
 
     def _decode(self, content: pa.Buffer | bytes) -> Floats32:

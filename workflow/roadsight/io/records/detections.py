@@ -33,14 +33,26 @@ def write_detections(
     write_table(path, detections[[*_COLUMNS, *optional]], about)
 
 
-def read_seen_targets(path: str | os.PathLike[str]) -> tuple[str, pd.Index]:
+def read_seen_targets(
+    path: str | os.PathLike[str], allowed: set[str] | None = None
+) -> tuple[str, pd.Index]:
     """Sensor of one file and the targets that it sees from anywhere, each once.
+
+    Parameters
+    ----------
+    allowed : only from these candidates, in whatever pose; None: from all of them.
 
     Raises
     ------
     InputError : as `read_detections`.
     """
-    targets = read_table(path, ["target"])["target"]
+    if allowed is None:
+        targets = read_table(path, ["target"])["target"]
+    else:
+        table = read_table(path, ["candidate", "target"]).astype({"candidate": "category"})
+        places = table["candidate"].cat.categories.astype(str)
+        free = np.array([name.partition("@")[0] in allowed for name in places], bool)
+        targets = table["target"][free[table["candidate"].cat.codes.to_numpy()]]
     return _sensor_of(path), pd.Index(targets.unique().astype(str))
 
 

@@ -16,14 +16,27 @@ _POSE = ["x", "y", "z", "yaw_deg"]
 _NORMAL = ["normal_x", "normal_y", "normal_z"]
 
 
-def read_poses(path: str | os.PathLike[str]) -> dict[str, Floats]:
+FOR_SENSORS = "for_sensors"
+"""Column of denser candidates: names of the sensors whose gaps they are for, blanks between."""
+
+
+def read_poses(path: str | os.PathLike[str], sensor: str | None = None) -> dict[str, Floats]:
     """Pose (4,) of each candidate in the table's order: x, y, z in local metres and yaw in degrees.
+
+    Parameters
+    ----------
+    sensor : only candidates that are for this sensor; None: all.
 
     Raises
     ------
     InputError : the table cannot be read, a pose is not finite, or two candidates share a name.
     """
-    frame = read_table(path, ["candidate", *_POSE])
+    frame = read_table(path)
+    if sensor is not None and FOR_SENSORS in frame:
+        meant = [sensor in str(names).split() for names in frame[FOR_SENSORS]]
+        frame = frame[np.array(meant, bool)]
+    if missing := {"candidate", *_POSE} - set(frame):
+        frame = read_table(path, sorted(missing))  # says what it lacks
     poses = frame[_POSE].to_numpy(np.float64)
     if not np.isfinite(poses).all():
         raise InputError("a candidate's pose is not finite", where=str(path))

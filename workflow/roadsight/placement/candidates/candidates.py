@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from shapely import MultiPolygon
 
 from roadsight.base.arrays import Floats
+from roadsight.placement.candidates.solid import REACH_M, Surroundings
 
 _ROOF_SHARE = 0.6
 """Of the cells of a position's plan, the share that a roof covers: more than a crown or a gantry
@@ -131,8 +132,9 @@ def stack_candidates(
     obstacles_xyz_m: Floats,
     obstacle_heights_m: Floats,
     settings: HeightSettings,
+    around_xyz_m: Floats | None = None,
 ) -> pd.DataFrame:
-    """Candidates at every free height of every position.
+    """Candidates at every free height of every position, none in or above solid matter.
 
     Parameters
     ----------
@@ -140,17 +142,21 @@ def stack_candidates(
         station_m, mount; and top_m, where a pole ends (NaN: anywhere).
     obstacles_xyz_m : (n, 3) all points of the scene near the edges, local metres.
     obstacle_heights_m : (n,) their heights above ground.
+    around_xyz_m : (m, 3) points within `solid.REACH_M` of the positions, thinned at will; where
+        they are given, roofs wider than the search radius and walls all around count as well.
 
     Returns
     -------
-    the columns of ``positions`` and candidate (str), z, height_m; NaN ground drops a position.
+    the columns of ``positions`` and candidate (str), z, height_m, wall_m (plan distance of the
+    nearest point beside the sensor, at most 2 m); NaN ground drops a position.
     """
     positions = positions[np.isfinite(positions["ground_z_m"])].reset_index(drop=True)
     tree = cKDTree(obstacles_xyz_m[:, :2])
     xy = positions[["x", "y"]].to_numpy()
     near = tree.query_ball_point(xy, settings.search_radius_m, return_sorted=True)
+    surroundings = _surroundings(xy, positions["ground_z_m"].to_numpy(np.float64), around_xyz_m)
     tops = positions.get("top_m", pd.Series(np.nan, positions.index)).to_numpy(np.float64)
-    rows, heights = [], []
+    rows, heights, walls = [], [], []
     for row, index in enumerate(near):
         point_heights = obstacle_heights_m[index]
         offsets = obstacles_xyz_m[index][:, :2] - xy[row]
@@ -159,13 +165,30 @@ def stack_candidates(
             free = free[free <= tops[row]]
         if settings.roofs:
             free = free[free < roof_height_m(offsets, point_heights, settings)]
+            free = free[free < surroundings[row].roof_m(settings.height_min_m)]
+        enclosed, wall_m = surroundings[row].walled(free)
+        if settings.roofs:
+            free, wall_m = free[~enclosed], wall_m[~enclosed]
         rows += [row] * len(free)
         heights.append(free)
+        walls.append(wall_m)
     stacked = positions.iloc[rows].reset_index(drop=True)
     stacked["height_m"] = np.concatenate(heights) if heights else np.empty(0)
+    stacked["wall_m"] = np.concatenate(walls) if walls else np.empty(0)
     stacked["z"] = stacked["ground_z_m"] + stacked["height_m"]
     stacked["candidate"] = [
         f"{key}-h{height:05.2f}"
         for key, height in zip(stacked["key"], stacked["height_m"], strict=True)
     ]
     return stacked
+
+
+def _surroundings(xy_m: Floats, ground_z_m: Floats, points_m: Floats | None) -> list[Surroundings]:
+    """What lies within two metres of each position (n, 2); nothing where nobody looked."""
+    if points_m is None or not len(points_m):
+        return [Surroundings(np.empty((0, 2)), np.empty(0))] * len(xy_m)
+    near = cKDTree(points_m[:, :2]).query_ball_point(xy_m, REACH_M, return_sorted=True)
+    return [
+        Surroundings(points_m[index][:, :2] - place, points_m[index][:, 2] - ground)
+        for index, place, ground in zip(near, xy_m, ground_z_m, strict=True)
+    ]

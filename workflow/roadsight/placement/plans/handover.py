@@ -62,10 +62,11 @@ def data_rates(sensor: AnySensor, frames_hz: float) -> dict[str, float]:
 
     Parameters
     ----------
-    frames_hz : turns of spinning LiDARs and frames of cameras in a second.
+    frames_hz : turns of spinning LiDARs that state none, and frames of cameras, in a second.
     """
     if isinstance(sensor, Sensor):
-        return {"points_per_s": sensor.rows * sensor.columns * frames_hz}
+        turns_hz = frames_per_s(sensor, frames_hz)
+        return {"points_per_s": sensor.rows * sensor.columns * turns_hz}
     if isinstance(sensor, Rosette):
         return {"points_per_s": sensor.points_per_s}
     if isinstance(sensor, Camera):
@@ -77,4 +78,6 @@ def frames_per_s(sensor: AnySensor, frames_hz: float) -> float:
     """How many simulated scans a sensor makes in a second; 0 where they are no points."""
     if isinstance(sensor, Rosette):
         return 1 / sensor.frame_s
-    return frames_hz if isinstance(sensor, Sensor) else 0.0
+    if isinstance(sensor, Sensor):
+        return frames_hz if sensor.rotation_hz is None else sensor.rotation_hz
+    return 0.0

@@ -26,6 +26,7 @@ __all__ = [
     "load_sensor",
     "load_sensors",
     "panorama_name",
+    "what_it_sees",
 ]
 
 AnySensor = Sensor | AimedSensor
@@ -66,10 +67,54 @@ def load_sensors(path: str | os.PathLike[str]) -> dict[str, AnySensor]:
         )
     if not content["sensors"]:
         raise InputError("defines no sensor", where=str(path))
+    given = content["sensors"]
     return {
-        _checked_name(name, path): define_sensor(definition, f"{path}, sensor {name}")
-        for name, definition in content["sensors"].items()
+        _checked_name(name, path): define_sensor(
+            _resolved(name, given, str(path)), f"{path}, sensor {name}"
+        )
+        for name in given
     }
+
+
+def _resolved(name: object, given: dict[Any, Any], path: str) -> Any:
+    """Definition of a sensor with the keys of the one that it is like.
+
+    Raises
+    ------
+    InputError : it is like a sensor that is not there, or in a circle like itself.
+    """
+    chain, keys = [name], given[name]
+    while isinstance(keys, dict) and "like" in keys:
+        like = keys["like"]
+        if like not in given or like in chain:
+            raise InputError(
+                "like: a circle of sensors" if like in given else "like: no such sensor",
+                where=f"{path}, sensor {name}",
+                found=repr(like),
+                hint=nearest(str(like), [str(known) for known in given if known != name]),
+            )
+        chain.append(like)
+        own = {key: value for key, value in keys.items() if key != "like"}
+        base = given[like]
+        if not isinstance(base, dict):
+            return own
+        # One way of saying the step replaces the other, and so do the ways of saying the channels.
+        base = {key: value for key, value in base.items() if not _replaced(key, own)}
+        keys = base | own
+    return keys
+
+
+_INSTEAD = (
+    ({"azimuth_step_deg"}, {"columns_per_turn"}),
+    ({"elevations_deg"}, {"elevation_min_deg", "elevation_max_deg", "channels"}),
+)
+"""Keys of a spinning LiDAR that say the same in two ways."""
+
+
+def _replaced(key: str, own: dict[str, Any]) -> bool:
+    """Whether keys that a sensor states itself stand in place of one of the sensor it is like."""
+    ways = [*_INSTEAD, *((other, one) for one, other in _INSTEAD)]
+    return any(key in one and other & own.keys() for one, other in ways)
 
 
 def load_sensor(path: str | os.PathLike[str], name: str) -> Sensor:
@@ -93,6 +138,20 @@ def load_sensor(path: str | os.PathLike[str], name: str) -> Sensor:
             allowed="a sensor of kind spinning",
         )
     return sensor
+
+
+_NOT_SEEN = frozenset({"cost", "price", "source", "points_per_s", "rotation_hz"})
+"""Keys of a definition that no depth map and no detection depends on."""
+
+
+def what_it_sees(sensor: AnySensor) -> dict[str, Any]:
+    """Definition of a sensor without its cost and what else does not change what it sees.
+
+    The points a second of a solid-state LiDAR do.
+    """
+    kept = {"points_per_s"} if isinstance(sensor, Rosette) else set()
+    dropped = _NOT_SEEN - kept
+    return {key: value for key, value in sensor.to_dict().items() if key not in dropped}
 
 
 def panorama_name(step_deg: float, range_m: float) -> str:

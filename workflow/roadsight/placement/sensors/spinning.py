@@ -19,6 +19,9 @@ from roadsight.base.errors import InputError
 _MAX_BEAMS = 20_000_000
 """Beams of a sensor; more is a slip of a step, and its depth maps would not fit into memory."""
 
+_POINTS_ROUNDING = 1e-3
+"""Share by which points a second may exceed their limit: a step rounded to three digits."""
+
 Elevation = Annotated[float, Field(ge=-90, le=90, allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Share = Annotated[float, Field(gt=0, le=1, allow_inf_nan=False)]
@@ -37,11 +40,17 @@ class Sensor(BaseModel):
     azimuth_min_deg: float = Field(-180.0, ge=-360, le=360, description="right limit, deg")
     azimuth_max_deg: float = Field(180.0, ge=-360, le=360, description="left limit, deg")
     azimuth_step_deg: Positive = Field(0.1, description="horizontal angular resolution, deg")
+    columns_per_turn: int | None = Field(
+        None, ge=1, description="measurements of a channel in a turn, instead of azimuth_step_deg"
+    )
+    rotation_hz: Positive | None = Field(None, description="turns a second")
+    points_per_s: Positive | None = Field(None, description="most points a second of the product")
     elevation_min_deg: Elevation | None = Field(None, description="lowest channel, deg")
     elevation_max_deg: Elevation | None = Field(None, description="highest channel, deg")
     channels: int | None = Field(None, ge=1, description="number of evenly spread channels")
     elevations_deg: tuple[Elevation, ...] | None = Field(None, description="channel table, deg")
     range_m: float = Field(gt=0, le=5000, description="detection range, m")
+    range_min_m: float = Field(0.0, ge=0, le=5000, description="least range that is measured, m")
     range_reflectivity: Share = Field(0.8, description="target reflectivity at that range, 0 to 1")
     range_10_m: Positive | None = Field(None, description="range at 10 % target reflectivity, m")
     divergence_mrad: tuple[Positive, Positive] | None = Field(
@@ -53,11 +62,31 @@ class Sensor(BaseModel):
     wavelength_nm: float = Field(905.0, ge=300, le=2000, description="wavelength, nm")
     cost: float = Field(1.0, ge=0, le=1e9, description="cost of placing one (paper: 1)")
     price: float | None = Field(None, ge=0, description="list price, any currency, for the report")
+    source: str = Field("", description="data sheet or manual of the figures, with its revision")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _step_of_columns(cls, given: Any) -> Any:
+        """The step that so many columns a turn make."""
+        if not isinstance(given, dict) or given.get("columns_per_turn") is None:
+            return given
+        columns = given["columns_per_turn"]
+        step = given.get("azimuth_step_deg")
+        if not isinstance(columns, int) or columns < 1:
+            return given
+        if step is not None and step != 360 / columns:
+            raise ValueError("give either azimuth_step_deg or columns_per_turn, not both")
+        return given | {"azimuth_step_deg": 360 / columns}
 
     @model_validator(mode="after")
     def _consistent(self) -> Sensor:
         self._check_azimuths()
         self._check_elevations()
+        self._check_points()
+        if self.range_min_m >= self.range_m:
+            raise ValueError(
+                f"range_min_m ({self.range_min_m:g}) must be below range_m ({self.range_m:g})"
+            )
         if self.rows * self.columns > _MAX_BEAMS:
             raise ValueError(f"{self.rows * self.columns} beams are more than {_MAX_BEAMS}")
         return self
@@ -74,6 +103,19 @@ class Sensor(BaseModel):
             raise ValueError(
                 f"azimuth_step_deg ({self.azimuth_step_deg:g}) must divide the field of view"
                 f" ({span:g} deg) into whole cells"
+            )
+
+    def _check_points(self) -> None:
+        """A product sends no more points than its sheet says."""
+        if self.points_per_s is None or self.rotation_hz is None:
+            return
+        points = self.rows * self.columns * self.rotation_hz
+        if points > self.points_per_s * (1 + _POINTS_ROUNDING):
+            raise ValueError(
+                f"{self.rows} channels x {self.columns} columns x {self.rotation_hz:g} turns are"
+                f" {points:,.0f} points a second, more than the {self.points_per_s:,.0f} of"
+                " points_per_s: fewer columns_per_turn (a larger azimuth_step_deg) or a lower"
+                " rotation_hz"
             )
 
     def _check_elevations(self) -> None:
@@ -158,7 +200,8 @@ class Sensor(BaseModel):
                 found=stride,
                 allowed=f"a divisor of {self.columns}",
             )
-        return self.model_copy(update={"azimuth_step_deg": self.azimuth_cell_deg * stride})
+        step = {"azimuth_step_deg": self.azimuth_cell_deg * stride, "columns_per_turn": None}
+        return self.model_copy(update=step)
 
     def to_dict(self) -> dict[str, Any]:
         """Definition as plain values; equal definitions give equal depth maps."""

@@ -103,6 +103,47 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
     return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
 
 
+OBJECT_NEAR_M = 0.6
+"""A hit is of the object whose nearest surfel is no farther: half a cube and a surfel's size."""
+
+
+def by_object(lines: pd.DataFrame, members: pd.DataFrame) -> pd.DataFrame:
+    """Obstacles gathered to objects: what each object hides.
+
+    Parameters
+    ----------
+    lines : as `group_obstacles` takes them. members : surfels of objects, columns x, y, z, object.
+
+    Returns
+    -------
+    object, x, y, z (mean of the hits), sight_lines, targets and sensors (distinct); the greatest
+    first.
+    """
+    hits = lines[lines["blocked_share"] > 0]
+    place = [f"obstacle_{axis}" for axis in "xyz"]
+    names = ["object", "x", "y", "z", "sight_lines", "targets", "sensors"]
+    if hits.empty or members.empty:
+        return pd.DataFrame(columns=names)
+    tree = cKDTree(members[["x", "y", "z"]].to_numpy(np.float64))
+    distance_m, near = tree.query(
+        hits[place].to_numpy(np.float64), distance_upper_bound=OBJECT_NEAR_M
+    )
+    found = np.isfinite(distance_m)
+    hits = hits[found].assign(object=members["object"].astype(str).to_numpy()[near[found]])
+    groups = hits.groupby("object", sort=True)
+    table = pd.DataFrame(
+        {
+            "x": groups["obstacle_x"].mean(),
+            "y": groups["obstacle_y"].mean(),
+            "z": groups["obstacle_z"].mean(),
+            "sight_lines": groups.size(),
+            "targets": groups["target"].nunique(),
+            "sensors": groups["candidate"].nunique(),
+        }
+    ).reset_index()
+    return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)
+
+
 def pairs_in_range(sensors: pd.DataFrame, targets: pd.DataFrame, range_m: Floats) -> pd.DataFrame:
     """All sensor-target pairs no further apart than the sensor's range.
 

@@ -26,11 +26,13 @@ class Sight:
     max_range_m : range from which targets return.
     footprints : whether beams have the sensor's divergence.
     curved : whether beams rise above the level (`rise_m`).
+    min_range_m : targets that come nearer than this do not count: part of them is not measured.
     """
 
     max_range_m: float
     footprints: bool = False
     curved: bool = False
+    min_range_m: float = 0.0
 
 
 def count_beams(
@@ -53,6 +55,35 @@ def count_beams(
     tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame; None: levelled.
     """
     targets_xyz_m = _as_met(targets_xyz_m, position_m, sight)
+    hits = _counted(range_m, sensor, position_m, yaw_deg, targets_xyz_m, size_m, sight, tilt)
+    if sight.min_range_m > 0:
+        hits[_nearest_m(targets_xyz_m, position_m, size_m) < sight.min_range_m] = 0
+    return hits
+
+
+def _nearest_m(feet_m: Floats, position_m: ArrayLike, size_m: tuple[float, float] | Box) -> Floats:
+    """Least distance (n,) at which a target may begin: a cylinder around it holds all of it."""
+    place = np.asarray(position_m, np.float64)
+    if isinstance(size_m, Box):
+        radius_m, height_m = np.hypot(size_m.length_m, size_m.width_m) / 2, size_m.height_m
+    else:
+        radius_m, height_m = size_m
+    beside = np.maximum(np.hypot(*(feet_m[:, :2] - place[:2]).T) - radius_m, 0.0)
+    above = np.maximum(place[2] - feet_m[:, 2] - height_m, 0.0)
+    below = np.maximum(feet_m[:, 2] - place[2], 0.0)
+    return np.asarray(np.hypot(beside, above + below))
+
+
+def _counted(
+    range_m: Floats32,
+    sensor: Sensor,
+    position_m: ArrayLike,
+    yaw_deg: float,
+    targets_xyz_m: Floats,
+    size_m: tuple[float, float] | Box,
+    sight: Sight,
+    tilt: Floats | None,
+) -> Ints32 | Floats:
     if isinstance(size_m, Box):
         pose = (position_m, yaw_deg, tilt)
         limits = (sight.max_range_m, sight.footprints)

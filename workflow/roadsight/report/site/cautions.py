@@ -7,14 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from roadsight.placement.plans.plan_doubts import EXAMINED_SHARE, FEW_POSITIONS, FEW_TARGETS, SAID
 from roadsight.report.site.options_view import goal_text
 from roadsight.report.wording import counted, number, percent
-
-# Below these, one target or position more or less can change the number of sensors.
-_FEW_TARGETS = 100
-_FEW_POSITIONS = 10
-_PAVEMENT_WITH_TARGETS = 0.9
-"""A smaller share of the pavement with targets is warned of."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +81,7 @@ def data_cautions(
     positions: int | None,
     pavement_area_m2: float,
     settings: dict[str, Any],
+    examined_m2: float | None = None,
 ) -> list[Caution]:
     """Cautions where a result rests on too little data.
 
@@ -93,28 +89,31 @@ def data_cautions(
     ----------
     targets, positions : counts; None where a site has no placement.
     settings : all settings of the site.
+    examined_m2 : pavement that targets stand for; else a cell for each target.
     """
     found = []
-    if targets is not None and targets < _FEW_TARGETS:
+    if targets is not None and targets < FEW_TARGETS:
         text = f"Only {counted(targets, 'target')}: the number of sensors rests on little data."
         found.append(Caution("warning", text))
-    if positions is not None and positions < _FEW_POSITIONS:
+    if positions is not None and positions < FEW_POSITIONS:
         text = f"Only {counted(positions, 'candidate position')}: there is little to choose from."
         found.append(Caution("warning", text))
     cell_m2 = settings["targets"]["cell_size_m"] ** 2
-    share = 1.0 if targets is None else targets * cell_m2 / max(pavement_area_m2, cell_m2)
-    if share < _PAVEMENT_WITH_TARGETS:
-        least = counted(settings["targets"]["min_points"], "point")
+    if examined_m2 is None and targets is not None:
+        examined_m2 = targets * cell_m2
+    share = 1.0 if examined_m2 is None else examined_m2 / max(pavement_area_m2, cell_m2)
+    if share < EXAMINED_SHARE:
         text = (
-            f"{percent(1 - share)} of the pavement carries no target, because its cells hold fewer "
-            f"than {least} or lie on its outline: whether sensors see it is not known."
+            f"{percent(1 - share)} of the pavement carries no target, because the cloud is too thin"
+            " there or it lies at the road's edge: whether sensors see it is not known. It is"
+            " hatched on the map."
         )
         found.append(Caution("warning", text))
     return found
 
 
 def told_cautions(doubts: Sequence[dict[str, Any]]) -> list[Caution]:
-    """What stages told: doubts as warnings, notes as notes.
+    """What stages told: doubts as warnings, notes as notes; not what pages say in their own words.
 
     Parameters
     ----------
@@ -122,6 +121,8 @@ def told_cautions(doubts: Sequence[dict[str, Any]]) -> list[Caution]:
     """
     found = []
     for doubt in doubts:
+        if doubt["code"] in SAID:
+            continue
         text = str(doubt["message"])
         if doubt["measured"] is not None and not doubt["code"].startswith("raised_"):
             text += f": {doubt['measured']}"

@@ -46,6 +46,17 @@ def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
     }
 
 
+def margins_view(plan: dict[str, Any]) -> dict[str, str] | None:
+    """What a plan would lose to dark targets and to a shorter range; None where nobody measured."""
+    found = plan.get("data", {}).get("margins")
+    if found is None:
+        return None
+    return {
+        name: f"{number(part['lost'])} ({percent(part['share'])})" if part["lost"] else "none"
+        for name, part in found.items()
+    }
+
+
 def _probable(found: dict[str, Any] | None) -> list[tuple[str, str]]:
     """How likely targets are found; nothing where no sensor of the plan has a curve."""
     if found is None or not found["targets"]:

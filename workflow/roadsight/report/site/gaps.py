@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import geopandas as gpd
@@ -83,4 +83,28 @@ def obstacles_of(features: gpd.GeoDataFrame) -> list[dict[str, Any]]:
             **{key: _known(record[key]) for key in _NUMBERS},
         }
         for (x, y), record in zip(xy, columns, strict=True)
+    ]
+
+
+def objects_in_the_way(
+    objects: Sequence[dict[str, Any]], removals: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Objects with what a plan would save without them; ``without`` is None where nobody tried.
+
+    Parameters
+    ----------
+    objects : name, kind, targets and sensors of the greatest. removals : object, sensors,
+        sensors_before and more_targets of those that were tried.
+    """
+    tried = {row["object"]: row for row in removals}
+    listed = {entry["name"] for entry in objects}
+    # What was tried is told even where greater objects fill the list.
+    further = [
+        {"name": row["object"], "kind": row["kind"], "targets": row["hidden_targets"]}
+        for row in removals
+        if row["object"] not in listed
+    ]
+    return [
+        {"sensors": None, **entry, "without": tried.get(entry["name"])}
+        for entry in [*objects, *further]
     ]

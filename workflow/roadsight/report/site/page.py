@@ -21,7 +21,7 @@ from roadsight.report.site.cautions import (
     scene_cautions,
     told_cautions,
 )
-from roadsight.report.site.gaps import gaps_of, obstacles_of
+from roadsight.report.site.gaps import gaps_of, objects_in_the_way, obstacles_of
 from roadsight.report.site.layers import (
     CloudSample,
     candidate_layer,
@@ -33,6 +33,7 @@ from roadsight.report.site.layers import (
 )
 from roadsight.report.site.options_view import goal_proven
 from roadsight.report.site.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
+from roadsight.report.site.tolerance_view import lost_classes
 
 FORMAT = "roadsight.page/1"
 """Of the page's content; the report refuses others."""
@@ -90,6 +91,7 @@ class PlanResult:
     returns_xyz_m, returns_sensor : (n, 3) and (n,) sample of what the sensors would see, and the
         number of the sensor, from 0.
     in_sight : (n,) share of the time in which each target is in sight, None without traffic.
+    lost_share : (n,) share of the changes of a sensor that lose each target.
     """
 
     title: str
@@ -100,6 +102,7 @@ class PlanResult:
     returns_xyz_m: NDArray
     returns_sensor: NDArray
     in_sight: NDArray | None
+    lost_share: NDArray | None = None
 
 
 @dataclass(frozen=True)
@@ -111,6 +114,7 @@ class Placement:
     targets : columns target, x, y, z. rounds : candidates of each round.
     detections : columns sensor, candidate, target of the chosen sensors at least.
     sensors : definitions by name of the sensors that plans may use. plans : solved plans, in order.
+    unexamined : polygons of the pavement that no target stands for.
     """
 
     targets: pd.DataFrame
@@ -118,6 +122,7 @@ class Placement:
     detections: pd.DataFrame
     sensors: dict[str, dict[str, Any]]
     plans: Sequence[PlanResult]
+    unexamined: gpd.GeoDataFrame | None = None
 
 
 def build_page(
@@ -140,9 +145,11 @@ def build_page(
     if placement is not None:
         layers["candidates"] = candidate_layer(placement.rounds)
         layers["targets"] = target_layer(placement.targets)
+        if placement.unexamined is not None:
+            layers["unexamined"] = polygon_layer(placement.unexamined)
         results = summary["placement"]
         plans = [
-            _plan(plan, placement, scene.frame, results[plan.solution["plan"]])
+            _plan(plan, placement, scene, results[plan.solution["plan"]])
             for plan in placement.plans
         ]
     return {
@@ -159,15 +166,17 @@ def build_page(
 
 
 def _plan(
-    plan: PlanResult, placement: Placement, frame: Frame, result: dict[str, Any]
+    plan: PlanResult, placement: Placement, scene: Scene, result: dict[str, Any]
 ) -> dict[str, Any]:
     """One plan's result with what its sensors see."""
-    solution = plan.solution
+    solution, frame = plan.solution, scene.frame
     sights = sights_of(solution["sensors"], placement.detections, placement.targets)
     costs = [placement.sensors[name]["cost"] for name in solution["sensor_types"]]
     at_least = int(solution["at_least"])
     kept = ("sensor_types", "status", "objective", "bound", "gap", "reductions")
     options = solution.get("options")
+    # Masts and cables may cost a part of a sensor.
+    costs += [entry["cost"] for entry in solution["sensors"] if "cost" in entry]
     whole = all(float(cost).is_integer() for cost in costs)
     if options is None:
         proven = is_proven(solution["status"], solution["objective"], solution["bound"], whole)
@@ -182,12 +191,16 @@ def _plan(
         **({"data": result["data"]} if "data" in result else {}),
         "at_least": at_least,
         "proven": proven,
+        **_proven_for(solution, scene),
         "targets": len(placement.targets),
         "excluded": len(solution["excluded"]),
         "sensors": _sensors(solution["sensors"], sights, frame),
         "seen": [pack(sights.seen_by(n), "u4") for n in range(len(solution["sensors"]))],
         "histogram": sights.histogram.tolist(),
         **({} if plan.in_sight is None else _in_sight(plan.in_sight)),
+        "objects": objects_in_the_way(result.get("objects", []), result.get("removals", [])),
+        **({"tolerance": result["tolerance"]} if "tolerance" in result else {}),
+        **({} if plan.lost_share is None else lost_classes(plan.lost_share)),
         **({"availability": solution["availability"]} if "availability" in solution else {}),
         "gaps": gaps_of(
             placement.targets,
@@ -202,6 +215,18 @@ def _plan(
             **pack_points(plan.returns_xyz_m),
             "sensor": pack(plan.returns_sensor, "u2"),
         },
+    }
+
+
+def _proven_for(solution: dict[str, Any], scene: Scene) -> dict[str, Any]:
+    """Pavement that the plan provably sees, and its share; nothing where nobody measured."""
+    area_m2 = solution.get("proven_area_m2")
+    if area_m2 is None:
+        return {}
+    whole_m2 = float(scene.pavement.geometry.area.sum())
+    return {
+        "proven_area_m2": area_m2,
+        "proven_share": min(area_m2 / whole_m2, 1.0) if whole_m2 > 0 else 0.0,
     }
 
 
@@ -250,7 +275,10 @@ def _cautions(
         positions = len(pd.unique(pd.concat([table["key"] for table in placement.rounds])))
     area_m2 = float(scene.pavement.geometry.area.sum())
     found = told_cautions(summary.get("warnings", [])) + plan_cautions(plans)
-    found += data_cautions(targets, positions, area_m2, summary["settings"])
+    examined_m2 = None
+    if placement is not None and "area_m2" in placement.targets:
+        examined_m2 = float(placement.targets["area_m2"].sum())
+    found += data_cautions(targets, positions, area_m2, summary["settings"], examined_m2)
     found += scene_cautions(
         scene.about,
         summary["scene"].get("pavement_scores") is not None,

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from roadsight.geometry.frames import Frame
-from roadsight.report.site.data_view import data_view
+from roadsight.report.site.data_view import data_view, margins_view
 from roadsight.report.site.options_view import is_soft, options_view
 from roadsight.report.site.sight_view import sight_view
+from roadsight.report.site.tolerance_view import tolerance_view
 from roadsight.report.wording import number
 
 
@@ -33,6 +34,8 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
             "asked": options_view(plan),
             "sight": sight_view(plan),
             "shared": data_view(plan),
+            "margins": margins_view(plan),
+            "tolerances": tolerance_view(plan),
             "covered": plan["targets"] - len(plan["gaps"]),
             "most_seen": max([1, *plan["histogram"]]),
             "reduced": _reductions(plan["reductions"]),

@@ -36,6 +36,8 @@ def summarise_site(arguments: argparse.Namespace) -> None:
         },
         "effects": {effect.pop("effect"): effect for effect in read_json(arguments.effects)},
     }
+    for path in arguments.pavement:
+        summary["pavement_area_m2"] = read_about(path)["area_m2"]
     if arguments.solutions:
         coverage = read_json(arguments.coverage[0])
         summary["sensors"] = json.loads(arguments.sensors)
@@ -45,6 +47,13 @@ def summarise_site(arguments: argparse.Namespace) -> None:
             summary["placement"][solution["plan"]] = _plan(solution, coverage["candidates"])
         for path in arguments.data:
             summary["placement"][Path(path).parent.name]["data"] = read_json(path)
+        for path in arguments.tolerances:
+            found = read_json(path)
+            summary["placement"][found["plan"]]["tolerance"] = found
+        for path in arguments.removals:
+            found = read_json(path)
+            own = {"objects": found["objects"], "removals": found["rows"]}
+            summary["placement"][found["plan"]] |= own
     if arguments.poles:
         summary["poles"] = _poles(arguments)
     told = [Doubt.from_dict(one) for path in arguments.doubts for one in read_json(path)]
@@ -104,6 +113,7 @@ def _plan(solution: dict[str, Any], candidates: int) -> dict[str, Any]:
         "candidates": candidates,
         "uncoverable_targets": solution["uncoverable_targets"],
         "seconds_cpu": solution["seconds_cpu"],
+        "proven_area_m2": solution.get("proven_area_m2"),
         **({"availability": solution["availability"]} if "availability" in solution else {}),
         **({"options": _options(solution["options"])} if "options" in solution else {}),
     }
@@ -131,8 +141,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--sensors", default="{}", help="definitions of the sensors as JSON")
     for name in ("frames", "poles", "validation", "camera-scores"):
         parser.add_argument(f"--{name}", nargs="?")
-    shards, tables = ("cameras", "sightings"), ("given", "scores", "traffic", "coverage")
-    for name in (*shards, *tables, "solutions", "timings", "data", "doubts"):
+    shards = ("cameras", "sightings", "solutions", "timings", "data", "tolerances", "removals")
+    tables = ("given", "scores", "traffic", "coverage", "pavement", "doubts")
+    for name in (*shards, *tables):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 

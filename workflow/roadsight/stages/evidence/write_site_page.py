@@ -99,9 +99,16 @@ def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
             coverage[solution["plan"]]["uncovered"],
             frame,
             _in_sight(solution, layers, targets["target"], frame),
+            _lost(lost, targets["target"], frame),
             *of_plan,
         )
-        for solution, layers, *of_plan in zip(solutions, arguments.layers, *files, strict=True)
+        for solution, layers, lost, *of_plan in zip(
+            solutions,
+            arguments.layers,
+            arguments.tolerances or [None] * len(solutions),
+            *files,
+            strict=True,
+        )
     ]
     return Placement(
         targets,
@@ -109,6 +116,7 @@ def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
         detections[detections["candidate"].isin(chosen)],
         {name: _shown(definitions[name]) for name in names},
         plans,
+        read_layer(arguments.unexamined, "unexamined", frame) if arguments.unexamined else None,
     )
 
 
@@ -125,6 +133,7 @@ def _plan(
     uncovered: Sequence[str],
     frame: Frame,
     shares: Floats | None,
+    lost: Floats | None,
     obstacles: str,
     scans: str,
 ) -> PlanResult:
@@ -146,6 +155,7 @@ def _plan(
         returns_xyz_m,
         returns_sensor,
         shares,
+        lost,
     )
 
 
@@ -165,6 +175,14 @@ def _in_sight(
     if "availability" not in solution:
         return None
     shares = read_layer(layers, "targets", frame).set_index("target")["availability"]
+    return shares.reindex(targets).fillna(0.0).to_numpy(np.float64)
+
+
+def _lost(layers: str | None, targets: pd.Series, frame: Frame) -> Floats | None:
+    """Share of the changes (n,) that lose each target; None where nobody looked."""
+    if layers is None:
+        return None
+    shares = read_layer(layers, "targets", frame).set_index("target")["lost_share"]
     return shares.reindex(targets).fillna(0.0).to_numpy(np.float64)
 
 
@@ -188,8 +206,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--title", default="", help="name of the site for people")
     parser.add_argument("--sensors", help="definitions of the sensors; needed with --solutions")
     parser.add_argument("--plans", nargs="*", default=[], metavar="NAME=TITLE")
+    parser.add_argument("--unexamined", nargs="?", help="pavement that no target stands for")
     per_site = ("targets", "candidates", "detections", "coverage")
-    for name in (*per_site, "solutions", "layers", "obstacles", "scans"):
+    for name in (*per_site, "solutions", "layers", "tolerances", "obstacles", "scans"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, write_site_page, argv)
 

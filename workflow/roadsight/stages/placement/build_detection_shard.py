@@ -5,24 +5,23 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from collections.abc import Iterator
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.io.records.depth_maps import DepthMaps
-from roadsight.io.records.detections import write_detections
+from roadsight.io.records.detections import read_detections, write_detections
+from roadsight.io.records.kept import Kept, key_of, key_of_step
 from roadsight.io.records.lanes import read_traffic
 from roadsight.io.records.poses import read_poses, read_tilts
-from roadsight.placement.sensors.sensors import Sensor, load_sensor
+from roadsight.placement.sensors.sensors import Sensor, load_sensor, what_it_sees
 from roadsight.placement.sight.lanes import free_shares
-from roadsight.placement.sight.shapes import Box, Shape
+from roadsight.placement.sight.shapes import Box
 from roadsight.placement.sight.sight import count_beams
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.detection_inputs import (
+from roadsight.stages.placement.shared.detection_inputs import (
     add_detection_arguments,
     read_shaped_targets,
     said_of_shape,
@@ -40,16 +39,39 @@ def build_detection_shard(arguments: argparse.Namespace) -> None:
     """Write a row for each target seen, by candidate and then by target."""
     targets, feet_m, shape = read_shaped_targets(arguments)
     traffic = read_traffic(arguments.lanes[0]) if arguments.lanes else None
+    stride = arguments.azimuth_stride
+    sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(stride)
+    maps, poses = _depth_maps(arguments, sensor), read_poses(arguments.candidates)
+    tilts = read_tilts(arguments.tilts)
+    keys = _keys(arguments, maps, poses, tilts)
+    kept = Kept(arguments.kept, _step(arguments, sensor) if arguments.kept else "")
+    known = kept.names(keys)
+    log.info("%d of %d candidates are those of an earlier run", len(known), len(keys))
+    old = _earlier(kept, known, targets["target"])
+    size_m = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
+    sight = sight_of(arguments, arguments.sensor, sensor)
+    new = maps.only(set(keys) - known) if known else iter(maps)
     names, hits, free = [], [], []
-    for name, position_m, beams in _hits(arguments, feet_m, shape):
+    for name in logged(list(keys), len(keys), log, "candidates"):
+        names.append(name)
+        if name in known:
+            hits.append(old[name]["hits"])
+            if traffic is not None:
+                free.append(old[name]["availability"].to_numpy())
+            continue
+        found, depth = next(new)
+        if found != name:
+            raise InputError("holds its maps in another order", where=arguments.depth)
+        *place, yaw_deg = poses[name]
+        pose = (np.array(place), yaw_deg)
+        beams = stride * count_beams(depth, sensor, *pose, feet_m, size_m, sight, tilts.get(name))
         seen = np.flatnonzero(beams > arguments.min_beams)
         if traffic is not None:
             middles = feet_m[seen, :3] + np.array([0.0, 0.0, shape.height_m / 2])
-            shares = free_shares(traffic.lanes, position_m, middles)
+            shares = free_shares(traffic.lanes, pose[0], middles)
             often = shares >= traffic.availability
             seen = seen[often]
             free.append(shares[often])
-        names.append(name)
         counts = np.ceil(beams[seen]).astype(np.int32)
         hits.append(pd.Series(np.minimum(counts, _MOST_HITS), index=seen))
     detections = _table(names, hits, targets["target"])
@@ -58,30 +80,54 @@ def build_detection_shard(arguments: argparse.Namespace) -> None:
     log.info("%d candidates, %d targets, %d seen", len(names), len(targets), len(detections))
     about = said_of_shape(arguments, shape)
     write_detections(arguments.out, detections, {"sensor": arguments.sensor, **about})
+    kept.keep(arguments.out, keys)
 
 
-def _hits(
-    arguments: argparse.Namespace, feet_m: Floats, shape: Shape
-) -> Iterator[tuple[str, Floats, NDArray]]:
-    """Candidates in the order of their depth maps, where they are, and their beams on targets."""
-    stride = arguments.azimuth_stride
-    sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(stride)
-    poses = read_poses(arguments.candidates)
-    size_m = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
-    tilts = read_tilts(arguments.tilts)
-    sight = sight_of(arguments, arguments.sensor, sensor)
-    maps = _depth_maps(arguments, sensor)
-    for name, depth in logged(maps, len(maps), log, "candidates"):
+def _keys(
+    arguments: argparse.Namespace,
+    maps: DepthMaps,
+    poses: dict[str, Floats],
+    tilts: dict[str, Floats],
+) -> dict[str, str]:
+    """Key of what each candidate's row rests on: map, pose and tilt; in the maps' order."""
+    keys = {}
+    for name in maps.candidates():
         if name not in poses:
             raise InputError(
                 f"has depth maps of the unknown candidate {name!r}",
                 where=arguments.depth,
                 hint=f"render it again for {arguments.candidates}",
             )
-        *position_m, yaw_deg = poses[name]
-        pose = (np.array(position_m), yaw_deg)
-        beams = count_beams(depth, sensor, *pose, feet_m, size_m, sight, tilts.get(name))
-        yield name, pose[0], stride * beams
+        keys[name] = ""
+    if arguments.kept:
+        for name, stored in maps.stored(keys):
+            tilt = tilts.get(name)
+            leaning = None if tilt is None else tilt.tolist()
+            keys[name] = key_of(stored, poses[name].tolist(), leaning)
+    return keys
+
+
+def _step(arguments: argparse.Namespace, sensor: Sensor) -> str:
+    """Key of all that the rows of a shard rest on, beside the candidates and their maps."""
+    files = [arguments.targets, *arguments.air, *arguments.reflectivity, *arguments.lanes]
+    names = ("radius_m", "height_m", "box", "min_beams", "azimuth_stride", "partial_hits")
+    settings = [getattr(arguments, name) for name in (*names, "curvature")]
+    return key_of_step(files, arguments.sensor, what_it_sees(sensor), settings)
+
+
+def _earlier(kept: Kept, known: set[str], targets: pd.Series) -> dict[str, pd.DataFrame]:
+    """Rows of an earlier run by candidate, with the numbers of their targets as index."""
+    empty = pd.DataFrame({"hits": np.empty(0, np.int32), "availability": np.empty(0)})
+    rows = dict.fromkeys(known, empty)
+    if not known:
+        return rows
+    table = read_detections([kept.path])
+    number = pd.Series(np.arange(len(targets)), index=targets.astype(str))
+    table.index = number.reindex(table["target"].astype(str)).to_numpy()
+    for name, part in table.groupby(table["candidate"].astype(str), sort=False):
+        if name in rows:
+            rows[str(name)] = part
+    return rows
 
 
 def _table(names: list[str], hits: list[pd.Series], targets: pd.Series) -> pd.DataFrame:
@@ -117,6 +163,7 @@ def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_detection_arguments(parser)
+    parser.add_argument("--kept", help="rows of an earlier run, taken over where nothing changed")
     parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
     return run_stage(parser, build_detection_shard, argv)
 

@@ -24,7 +24,7 @@ from roadsight.placement.sight.lanes import free_shares
 from roadsight.placement.sight.posed import Panorama
 from roadsight.placement.sight.shapes import Shape
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.detection_inputs import (
+from roadsight.stages.placement.shared.detection_inputs import (
     add_detection_arguments,
     read_shaped_targets,
     said_of_shape,
@@ -92,6 +92,7 @@ def _often(
 def _panoramas(arguments: argparse.Namespace) -> Iterator[tuple[str, Panorama]]:
     """Candidates in the order of their panoramas."""
     maps, poses = DepthMaps(arguments.depth), read_poses(arguments.candidates)
+    meant = read_poses(arguments.candidates, arguments.sensor)
     beams = load_sensor(arguments.sensors, maps.info.sensor)
     for name, depth in logged(maps, len(maps), log, "candidates"):
         if name not in poses:
@@ -100,6 +101,8 @@ def _panoramas(arguments: argparse.Namespace) -> Iterator[tuple[str, Panorama]]:
                 where=arguments.depth,
                 hint=f"render it again for {arguments.candidates}",
             )
+        if name not in meant:
+            continue  # a denser candidate for the gaps of other sensors
         *position_m, yaw_deg = poses[name]
         yield name, Panorama(depth, beams, np.array(position_m), float(yaw_deg))
 

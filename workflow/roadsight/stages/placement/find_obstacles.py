@@ -10,6 +10,7 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from scipy.spatial import cKDTree
 
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
@@ -24,16 +25,23 @@ from roadsight.placement.sensors.light import contrast_range_m, range_in_air_m
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, Camera, Radar, load_sensors
 from roadsight.placement.sight.gap_reasons import hidden_too_often, refine_reasons
+from roadsight.placement.sight.objects import kind_of_name
 from roadsight.placement.sight.obstacles import (
+    OBJECT_NEAR_M,
     Cast,
     blocked_sight_lines,
+    by_object,
     explain_gaps,
     group_obstacles,
     pairs_in_range,
 )
 from roadsight.stages.command import run_stage
+from roadsight.stages.placement.shared.allowed import add_allowed_arguments, allowed_candidates
 
 log = logging.getLogger("find_obstacles")
+
+STRAY = "stray returns"
+"""Kind of obstacles above the ground that belong to no object: too few surfels for one."""
 
 _GROUND_M = 0.3
 """Obstacles lower than this above the terrain model are told as ground: a bank, a crest."""
@@ -51,25 +59,58 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
         reach_m = lidar.cast(origin_m, directions)
         return np.where(np.isinf(reach_m), 0.0, reach_m)
 
-    obstacles = _obstacles(arguments, solution, targets, sensors, cast)
+    lines = _blocked(arguments, solution, targets, sensors, cast)
+    obstacles = group_obstacles(lines)
     dem = read_raster(arguments.dem, frame)
     ground = dem.sample(obstacles["x"].to_numpy(), obstacles["y"].to_numpy())
     obstacles["height_m"] = obstacles["z"] - ground
     obstacles["kind"] = np.where(obstacles["height_m"] < _GROUND_M, "ground", "object")
-    gaps = _gaps(arguments, targets, sensors, cast)
+    gaps = _gaps(arguments, targets, sensors, cast, frame)
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
-    layers = {"obstacles": _points(obstacles), "uncovered": _points(gaps)}
+    objects = _objects(arguments, lines)
+    _name_obstacles(arguments, obstacles)
+    layers = {
+        "obstacles": _points(obstacles),
+        "uncovered": _points(gaps),
+        "objects": _points(objects),
+    }
     write_layers(arguments.out, layers, frame, dict.fromkeys(layers, "Point Z"))
 
 
-def _obstacles(
+def _objects(arguments: argparse.Namespace, lines: pd.DataFrame) -> pd.DataFrame:
+    """Objects with what they hide from the chosen sensors, the greatest first."""
+    members = read_table(arguments.objects) if arguments.objects else pd.DataFrame()
+    table = by_object(lines, members).rename(columns={"object": "name"})
+    table["kind"] = [kind_of_name(name) for name in table["name"]]
+    numbers = ["x", "y", "z", "sight_lines", "targets", "sensors"]
+    return table.astype(dict.fromkeys(numbers, np.float64))
+
+
+def _name_obstacles(arguments: argparse.Namespace, obstacles: pd.DataFrame) -> None:
+    """Say of obstacles above the ground what kind of object they belong to."""
+    if not arguments.objects or obstacles.empty:
+        return
+    members = read_table(arguments.objects)
+    above = (obstacles["kind"] != "ground").to_numpy()
+    if members.empty:
+        obstacles.loc[above, "kind"] = STRAY
+        return
+    tree = cKDTree(members[["x", "y", "z"]].to_numpy(np.float64))
+    distance_m, near = tree.query(obstacles[["x", "y", "z"]].to_numpy(np.float64))
+    names = members["object"].astype(str).to_numpy()[near]
+    known = above & (distance_m <= OBJECT_NEAR_M)
+    obstacles.loc[above & ~known, "kind"] = STRAY
+    obstacles.loc[known, "kind"] = [kind_of_name(name) for name in names[known]]
+
+
+def _blocked(
     arguments: argparse.Namespace,
     solution: dict,
     targets: pd.DataFrame,
     sensors: dict[str, AnySensor],
     cast: Cast,
 ) -> pd.DataFrame:
-    """Obstacles on the sight lines of chosen sensors to targets that they do not see."""
+    """Sight lines of chosen sensors to targets that they do not see, and where they end."""
     chosen = pd.DataFrame(solution["sensors"], columns=["candidate", "sensor", "x", "y", "z"])
     ranges = np.array([sensors[name].range_m for name in chosen["sensor"]])
     pairs = pairs_in_range(chosen, targets, ranges)
@@ -79,7 +120,7 @@ def _obstacles(
     keys = pd.MultiIndex.from_frame(pairs[["candidate", "target"]])
     hidden = ~keys.isin(pd.MultiIndex.from_frame(seen[["candidate", "target"]]))
     pairs = pairs[hidden].reset_index(drop=True)
-    return group_obstacles(pairs.join(blocked_sight_lines(pairs, arguments.target_height_m, cast)))
+    return pairs.join(blocked_sight_lines(pairs, arguments.target_height_m, cast))
 
 
 def _in_view(
@@ -107,11 +148,14 @@ def _gaps(
     targets: pd.DataFrame,
     sensors: dict[str, AnySensor],
     cast: Cast,
+    frame: Frame,
 ) -> pd.DataFrame:
     """Targets that no candidate of the plan sees."""
     uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
     names = read_json(arguments.solution)["sensor_types"]
     candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    candidates = candidates[allowed_candidates(arguments, candidates, frame)[0]]
+    candidates = candidates.reset_index(drop=True)
     range_m = max(sensors[name].range_m for name in names)
     gaps = targets[targets["target"].isin(uncovered)].reset_index(drop=True)
     gaps = explain_gaps(gaps, candidates, range_m, arguments.target_height_m, cast)
@@ -171,6 +215,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
     parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
     parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    parser.add_argument("--objects", nargs="?", help="surfels of the objects of the scene")
+    add_allowed_arguments(parser)
     parser.add_argument("--target-height-m", type=float, default=0.6)
     return run_stage(parser, find_obstacles, argv)
 

@@ -13,7 +13,7 @@ import pandas as pd
 import shapely
 from numpy.typing import NDArray
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import Bools, Floats
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json
@@ -27,6 +27,7 @@ from roadsight.placement.plans.handover import (
     overlaps,
     stations_m,
 )
+from roadsight.placement.plans.margins import distances_m, margins, ranges_m
 from roadsight.placement.sensors.sensors import load_sensors
 from roadsight.placement.sight.heights import height_columns, heights_of_plan
 from roadsight.placement.sight.probability import (
@@ -38,8 +39,12 @@ from roadsight.placement.sight.probability import (
 )
 from roadsight.scene.pavement.outline import inside
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.chosen_points import points_by_height
-from roadsight.stages.placement.detection_inputs import add_sight_arguments, read_shaped_targets
+from roadsight.stages.placement.shared.chosen_points import points_by_height
+from roadsight.stages.placement.shared.detection_inputs import (
+    add_sight_arguments,
+    read_shaped_targets,
+    sight_of,
+)
 
 log = logging.getLogger("measure_data")
 
@@ -55,6 +60,7 @@ def measure_data(arguments: argparse.Namespace) -> None:
     hits = _hits(arguments.detections, chosen, targets["target"])
     seen = hits > 0
     times_seen = seen.sum(axis=0, dtype=np.int64)
+    lost, if_dark, if_shorter = _margins(arguments, chosen, seen, feet_m, shape.height_m)
     edges = list(read_layer(arguments.edges, "edges", frame).geometry)
     along = stations_m(edges, targets[["x", "y"]].to_numpy(np.float64))
     at = stations_m(edges, chosen[["x", "y"]].to_numpy(np.float64))
@@ -70,6 +76,7 @@ def measure_data(arguments: argparse.Namespace) -> None:
     shared = float(np.mean([pair["length_m"] for pair in pairs])) if pairs else None
     content = {
         **handover(times_seen),
+        "margins": lost,
         "probability": _probability(arguments, chosen, hits),
         "heights": heights_of_plan(on_targets, times_seen > 0, shape.height_m),
         "mean_overlap_m": shared,
@@ -84,7 +91,12 @@ def measure_data(arguments: argparse.Namespace) -> None:
     points = gpd.points_from_xy(table["x"], table["y"], table["z"])
     layer = gpd.GeoDataFrame(table.drop(columns=["x", "y", "z"]), geometry=points)
     feet = gpd.GeoDataFrame(
-        {"target": targets["target"].astype(str), "sensors": times_seen}
+        {
+            "target": targets["target"].astype(str),
+            "sensors": times_seen,
+            "seen_dark": if_dark.astype(np.int32),
+            "seen_shorter": if_shorter.astype(np.int32),
+        }
         | dict(height_columns(on_targets)),
         geometry=gpd.points_from_xy(*feet_m[:, :3].T),
     )
@@ -94,6 +106,22 @@ def measure_data(arguments: argparse.Namespace) -> None:
         totals["points_per_s"],
         totals["road_points_per_s"],
     )
+
+
+def _margins(
+    arguments: argparse.Namespace,
+    chosen: pd.DataFrame,
+    seen: Bools,
+    feet_m: Floats,
+    height_m: float,
+) -> tuple[dict[str, Any], Bools, Bools]:
+    """What dark targets and a third less range would lose, from the plan's own detections."""
+    sensors = load_sensors(arguments.sensors)
+    kinds = [sensors[name] for name in chosen["sensor"]]
+    names = zip(chosen["sensor"], kinds, strict=True)
+    reach_m = [sight_of(arguments, name, kind).max_range_m for name, kind in names]
+    places = chosen[["x", "y", "z"]].to_numpy(np.float64).reshape(-1, 3)
+    return margins(seen, distances_m(places, feet_m, height_m), *ranges_m(kinds, reach_m))
 
 
 def _hits(paths: list[str], chosen: pd.DataFrame, targets: pd.Series) -> NDArray[np.uint16]:

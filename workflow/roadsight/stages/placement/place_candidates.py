@@ -5,10 +5,12 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from dataclasses import dataclass
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+import shapely
 from scipy.spatial import cKDTree
 from shapely import MultiPolygon
 
@@ -18,20 +20,27 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.tables import write_table
+from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.vector.mount_files import read_mounts
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_polygons
 from roadsight.placement.candidates.candidates import HeightSettings, stack_candidates
 from roadsight.placement.candidates.positions import positions_along
-from roadsight.placement.candidates.sites_for_sensors import outside_zones, positions_on_poles
+from roadsight.placement.candidates.sites_for_sensors import (
+    POLE,
+    outside_zones,
+    positions_on_poles,
+)
+from roadsight.placement.candidates.solid import REACH_M, has_measured_ground
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("place_candidates")
 
+_AROUND_M = 0.2
+"""Cubes to which the surroundings of positions are thinned: a fraction of a wall's thickness."""
 COLUMNS = [
     *("candidate", "key", "edge", "mount", "station_m"),
-    *("x", "y", "z", "height_m", "ground_z_m", "yaw_deg"),
+    *("x", "y", "z", "height_m", "ground_z_m", "yaw_deg", "offset_m", "wall_m"),
 ]
 
 
@@ -42,10 +51,11 @@ def place_candidates(arguments: argparse.Namespace) -> None:
     positions = allowed_positions(
         positions_along(edges, pavement, arguments.spacing_m), pavement, arguments, frame
     )
-    candidates = candidates_at(positions, arguments, frame, arguments.height_step_m)
+    candidates = candidates_at(positions, arguments, frame, arguments.height_step_m, pavement)
     if candidates.empty:
         raise InputError(
-            "no candidate: every position along the edges is obstructed or off the terrain model",
+            "no candidate: every position along the edges is obstructed, without measured ground or"
+            " off the terrain model",
             where=f"site {arguments.site}",
             found=f"{len(positions)} positions",
             hint="move the edges (edges.offset_m, placement.edges), make the zones without sensors"
@@ -81,9 +91,13 @@ def read_road(arguments: argparse.Namespace, frame: Frame) -> tuple[gpd.GeoDataF
 
 
 def candidates_at(
-    positions: pd.DataFrame, arguments: argparse.Namespace, frame: Frame, height_step_m: float
+    positions: pd.DataFrame,
+    arguments: argparse.Namespace,
+    frame: Frame,
+    height_step_m: float,
+    pavement: MultiPolygon,
 ) -> pd.DataFrame:
-    """Candidates at every free height of the given positions."""
+    """Candidates at every free height of the given positions, where a mast can be built."""
     settings = HeightSettings(
         arguments.height_min_m,
         arguments.height_max_m,
@@ -94,27 +108,67 @@ def candidates_at(
     )
     dem = read_raster(arguments.dem, frame)
     positions = positions.assign(
-        ground_z_m=dem.sample(positions["x"].to_numpy(), positions["y"].to_numpy())
+        ground_z_m=dem.sample(positions["x"].to_numpy(), positions["y"].to_numpy()),
+        offset_m=_off_pavement_m(positions, pavement),
     )
     xy = positions[["x", "y"]].to_numpy()
-    points = _points_near(arguments.cloud, xy, settings.search_radius_m)
+    near = _points_near(arguments, xy, settings.search_radius_m)
+    if near.ground_xy_m is not None:
+        standing = (positions["mount"] == POLE).to_numpy()
+        built = standing | has_measured_ground(xy, near.ground_xy_m)
+        log.info("%d of %d positions have no measured ground", (~built).sum(), len(built))
+        positions, xy = positions[built].reset_index(drop=True), xy[built]
+    points = near.xyz_m
     # Heights are above the ground at the position itself, where the pole would stand.
-    nearest = cKDTree(xy).query(points[:, :2])[1] if len(points) else np.empty(0, int)
-    heights = points[:, 2] - positions["ground_z_m"].to_numpy()[nearest]
-    return stack_candidates(positions, points, heights, settings)
+    nearest = cKDTree(xy).query(points[:, :2])[1] if len(points) and len(xy) else []
+    heights = points[:, 2] - positions["ground_z_m"].to_numpy()[np.asarray(nearest, np.int64)]
+    return stack_candidates(positions, points, heights, settings, near.around_xyz_m)
 
 
-def _points_near(cloud_path: str, xy_m: Floats, radius_m: float) -> Floats:
-    """All points of the cloud within a plan distance of any position, (n, 3)."""
-    cloud = CloudTiles(cloud_path)
+def _off_pavement_m(positions: pd.DataFrame, pavement: MultiPolygon) -> Floats:
+    """Distance of each position from the pavement, 0 on it; infinite where there is none."""
+    places = shapely.points(positions[["x", "y"]].to_numpy(np.float64))
+    if pavement.is_empty:
+        return np.full(len(positions), np.inf)
+    return np.asarray(shapely.distance(places, pavement))
+
+
+@dataclass(frozen=True)
+class _Near:
+    """Points near positions: those that obstruct them, thinned ones around, ground if known."""
+
+    xyz_m: Floats
+    around_xyz_m: Floats
+    ground_xy_m: Floats | None
+
+
+def _points_near(arguments: argparse.Namespace, xy_m: Floats, radius_m: float) -> _Near:
+    """Points of the cloud within plan distances of any position."""
+    cloud = CloudTiles(arguments.cloud)
+    labels = read_table(arguments.ground)["ground"].to_numpy() if arguments.ground else None
     tree = cKDTree(xy_m)
-    parts = [np.empty((0, 3))]
-    for number in range(len(cloud.tiles)):
+    starts = np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
+    parts, rings, grounds = [np.empty((0, 3))], [np.empty((0, 3))], [np.empty((0, 2))]
+    for number, tile in enumerate(cloud.tiles):
         xyz = stack_xyz(cloud.read(("x", "y", "z"), [number])).astype(np.float64)
         # A hair more, so that points at the radius itself are kept.
-        distance, _ = tree.query(xyz[:, :2], distance_upper_bound=radius_m * (1 + 1e-9))
-        parts.append(xyz[np.isfinite(distance)])
-    return np.concatenate(parts)
+        reach_m = max(radius_m, REACH_M) * (1 + 1e-9)
+        distance, _ = tree.query(xyz[:, :2], distance_upper_bound=reach_m)
+        parts.append(xyz[distance <= radius_m * (1 + 1e-9)])
+        around = np.isfinite(distance)
+        rings.append(_thinned(xyz[around]))
+        if labels is not None:
+            ground = labels[starts[number] : starts[number] + tile.rows] & around
+            grounds.append(xyz[ground][:, :2])
+    known = None if labels is None else np.concatenate(grounds)
+    return _Near(np.concatenate(parts), np.concatenate(rings), known)
+
+
+def _thinned(xyz_m: Floats) -> Floats:
+    """The first point of each cube of 0.2 m: enough to show walls and roofs."""
+    cells = np.floor(xyz_m / _AROUND_M).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return xyz_m[np.sort(first)]
 
 
 def add_candidate_arguments(parser: argparse.ArgumentParser) -> None:
@@ -129,6 +183,7 @@ def add_candidate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gap-factor", type=float, default=2.0)
     parser.add_argument("--zones", nargs="?", help="polygons in which no sensor may stand")
     parser.add_argument("--mounts", nargs="?", help="existing poles that may carry sensors")
+    parser.add_argument("--ground", nargs="?", help="which points are ground; unknown if absent")
     parser.add_argument("--arm-m", type=float, default=0.75, help="from a pole to its sensor")
     parser.add_argument("--overhead-cover", choices=["simulate", "skip"], default="simulate")
 

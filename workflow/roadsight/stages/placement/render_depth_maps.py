@@ -15,13 +15,19 @@ from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.shards import shard_of
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.images.depth_networks import network_for
-from roadsight.io.records.depth_maps import DepthMapInfo, DepthMapWriter, range_step_m
+from roadsight.io.records.depth_maps import (
+    DepthMapInfo,
+    DepthMaps,
+    DepthMapWriter,
+    range_step_m,
+)
+from roadsight.io.records.kept import Kept, key_of, key_of_step
 from roadsight.io.records.poses import read_poses, read_tilts
 from roadsight.io.records.surfels import read_surfels
 from roadsight.placement.depth.models import MODELS, model_of_points
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.rays import as_seen_from
-from roadsight.placement.sensors.sensors import Sensor, load_sensor
+from roadsight.placement.sensors.sensors import Sensor, load_sensor, what_it_sees
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
@@ -34,23 +40,65 @@ Render = Callable[[Sensor, ArrayLike, float, Tilt], Floats32]
 def render_depth_maps(arguments: argparse.Namespace) -> None:
     """Write the depth maps of the shard's candidates, in their order."""
     sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(arguments.azimuth_stride)
+    # A panorama serves all sensors in poses, so that no candidate is for it alone.
+    only = None if arguments.panorama else arguments.sensor
     poses = {
         name: pose
-        for name, pose in read_poses(arguments.candidates).items()
+        for name, pose in read_poses(arguments.candidates, only).items()
         if shard_of(name, arguments.shards) == arguments.shard
     }
+    tilts = read_tilts(arguments.tilts)
+    keys = {
+        name: key_of(pose.tolist(), None if (tilt := tilts.get(name)) is None else tilt.tolist())
+        for name, pose in poses.items()
+    }
+    kept = Kept(arguments.kept, _step(arguments, sensor) if arguments.kept else "")
     info = DepthMapInfo(
         arguments.sensor, arguments.model, *sensor.shape, range_step_m(sensor.range_m)
     )
     with DepthMapWriter(arguments.out, info) as writer:
         if not poses:
             log.info("no candidate in shard %d of %d", arguments.shard, arguments.shards)
-            return
-        render = _renderer(arguments, sensor, np.stack(list(poses.values())))
-        tilts = read_tilts(arguments.tilts)
-        what = f"{arguments.sensor} depth maps"
-        for name, (*position_m, yaw_deg) in logged(poses.items(), len(poses), log, what):
-            writer.append(name, render(sensor, position_m, yaw_deg, tilts.get(name)))
+        else:
+            _write(arguments, sensor, poses, tilts, writer, kept, kept.names(keys))
+    kept.keep(arguments.out, keys)
+
+
+def _write(
+    arguments: argparse.Namespace,
+    sensor: Sensor,
+    poses: dict[str, Floats],
+    tilts: dict[str, Floats],
+    writer: DepthMapWriter,
+    kept: Kept,
+    known: set[str],
+) -> None:
+    """Maps in the order of their candidates: those that an earlier run made, and new ones."""
+    log.info("%d of %d maps are those of an earlier run", len(known), len(poses))
+    stored = DepthMaps(kept.path).stored(known) if known else iter(())
+    waiting: dict[str, bytes] = {}
+    render = None
+    what = f"{arguments.sensor} depth maps"
+    for name, (*position_m, yaw_deg) in logged(poses.items(), len(poses), log, what):
+        if name in known:
+            while name not in waiting:
+                found, content = next(stored)
+                waiting[found] = content
+            writer.append_stored(name, waiting.pop(name))
+            continue
+        if render is None:
+            missing = [pose for other, pose in poses.items() if other not in known]
+            render = _renderer(arguments, sensor, np.stack(missing))
+        writer.append(name, render(sensor, position_m, yaw_deg, tilts.get(name)))
+
+
+def _step(arguments: argparse.Namespace, sensor: Sensor) -> str:
+    """Key of all that the maps of a shard rest on, beside where each candidate stands."""
+    cloud = [arguments.surfels]
+    if arguments.model != "surfel":
+        cloud = [arguments.cloud, *filter(None, (arguments.traffic, arguments.network))]
+    names = ("model", "azimuth_stride", "min_cell_points", "neighbours", "curvature")
+    return key_of_step(cloud, what_it_sees(sensor), [getattr(arguments, name) for name in names])
 
 
 def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: Floats) -> Render:
@@ -94,6 +142,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--min-cell-points", type=int, default=5)
     parser.add_argument("--neighbours", type=int, default=10)
     parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
+    parser.add_argument("--panorama", action="store_true", help="it serves all sensors")
+    parser.add_argument("--kept", help="maps of an earlier run, taken over where nothing changed")
     parser.add_argument("--curvature", choices=["simulate", "skip"], default="skip")
     parser.add_argument("--out", required=True)
     return run_stage(parser, render_depth_maps, argv)

@@ -55,6 +55,8 @@ def render_scans(arguments: argparse.Namespace) -> None:
         sensor, position = sensors[place["sensor"]], np.array([place[axis] for axis in "xyz"])
         tilt = tilts.get(place.get("position", place["candidate"]))
         returns = _scan(lidar, sensor, position, place, tilt)
+        if isinstance(sensor, Sensor):
+            returns = returns[np.linalg.norm(returns - position, axis=1) >= sensor.range_min_m]
         parts.append(returns[heard(place["sensor"], sensor, returns, position)])
         log.info("%s at %s: %d returns", place["sensor"], place["candidate"], len(parts[-1]))
     source = np.repeat(np.arange(len(parts)), [len(part) for part in parts])

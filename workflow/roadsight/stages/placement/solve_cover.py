@@ -12,23 +12,31 @@ import numpy as np
 import pandas as pd
 from scipy import sparse
 
+from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.detections import read_detections
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.candidates.siting import needs_by_area
-from roadsight.placement.plans.choices import choices_of, posed_candidates
+from roadsight.placement.plans.choices import posed_candidates
 from roadsight.placement.plans.plan_answer import Answer, answer
+from roadsight.placement.plans.plan_doubts import plan_doubts
 from roadsight.placement.plans.plan_problem import Asked, pose
-from roadsight.placement.sight.coverage import availability, detection_matrix, times_seen
+from roadsight.placement.plans.tolerance import solve_with_tolerance
+from roadsight.placement.sight.coverage import availability, times_seen
+from roadsight.placement.sight.detection import MIN_BEAMS
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.result import WITHIN_GAP
 from roadsight.stages.command import run_stage
-from roadsight.stages.placement.cover_inputs import FILES, read_asked
-from roadsight.stages.placement.level_cover import cover_at_level, described
+from roadsight.stages.doubts import tell
+from roadsight.stages.placement.shared.allowed import add_allowed_arguments
+from roadsight.stages.placement.shared.changed_sight import ChangedSight, add_change_arguments
+from roadsight.stages.placement.shared.cover_inputs import FILES, read_asked
+from roadsight.stages.placement.shared.detection_inputs import add_sight_arguments
+from roadsight.stages.placement.shared.level_cover import cover_at_level, described
+from roadsight.stages.placement.shared.plan_choices import read_choices
 
 log = logging.getLogger("solve_cover")
 
@@ -36,18 +44,21 @@ log = logging.getLogger("solve_cover")
 def solve_cover(arguments: argparse.Namespace) -> None:
     """Write the solution, its layers for GIS, and the solver's timing."""
     frame = Frame.from_dict(read_json(arguments.frame))
-    costs = {name: float(cost) for name, _, cost in (s.partition("=") for s in arguments.sensors)}
-    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    plan = read_choices(arguments, arguments.sensors, frame)
+    candidates, detections, choices = plan.candidates, plan.detections, plan.choices
     targets = read_table(arguments.targets)
     uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
     wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
     asked = read_asked(arguments, frame)
     _check_uncovered(arguments, targets, uncovered, asked)
-    detections = read_detections(arguments.detections)
-    choices = choices_of(costs, candidates, detections)
-    pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]])
-    matrix = detection_matrix(detections, pairs, pd.Index(wanted["target"]))
+    matrix = plan.matrix(wanted["target"])
     answered = levelled = None
+    robust: dict[str, Any] = {}
+    if arguments.robust:
+        matrix, wanted, beyond, robust = _with_tolerance(
+            arguments, asked, matrix, choices, candidates, wanted
+        )
+        uncovered = [*uncovered, *beyond]
     if arguments.availability is not None:
         levelled = cover_at_level(arguments, detections, choices, candidates, wanted)
         cover = levelled.cover
@@ -62,6 +73,8 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(arguments, cover, sensors, targets, uncovered)
+    content |= robust
+    content |= _proven_area(wanted, content["at_least"])
     if levelled is not None:
         wanted["availability"], content["availability"] = levelled.shares, levelled.record
         content["at_least"] = 1  # the level says how often, not how many sensors
@@ -75,10 +88,82 @@ def solve_cover(arguments: argparse.Namespace) -> None:
         layers |= _option_layers(answered, candidates, choices)
         layers["sensors"] = _points(sensors)
     write_layers(arguments.layers, layers, frame, dict.fromkeys(layers, "Point Z"))
+    _tell(arguments, content, candidates)
     write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
     write_json(arguments.solution, content)
     found = (arguments.plan, len(sensors), cover.objective, cover.bound, cover.status)
     log.info("%s: %d sensors, cost %g, bound %g, %s", *found)
+
+
+def _tell(arguments: argparse.Namespace, content: dict[str, Any], candidates: pd.DataFrame) -> None:
+    """Say what the plan rests on."""
+    if arguments.doubts:
+        positions = int(candidates["key"].nunique()) if "key" in candidates else len(candidates)
+        where = f"site {arguments.site}, plan {arguments.plan}"
+        tell(plan_doubts(content, positions), arguments.doubts, where, log)
+
+
+def _with_tolerance(
+    arguments: argparse.Namespace,
+    asked: Asked | None,
+    matrix: sparse.csr_matrix,
+    choices: pd.DataFrame,
+    candidates: pd.DataFrame,
+    wanted: pd.DataFrame,
+) -> tuple[sparse.csr_matrix, pd.DataFrame, list[str], dict[str, Any]]:
+    """The matrix of what sensors see with tolerance, its targets, and those that none sees so."""
+    sight = ChangedSight(arguments)
+    column = pd.Index(sight.targets["target"]).get_indexer(wanted["target"])
+    beyond: list[str] = []
+
+    def look(row: int) -> Bools:
+        choice = choices.iloc[row]
+        place = candidates.iloc[choice["position"]].to_dict()
+        return sight.keeps(place | {"sensor": choice["sensor"]})[column]
+
+    def solve(current: sparse.csr_matrix) -> Ints | None:
+        seen = np.asarray(current.sum(axis=0)).ravel() > 0
+        if not seen.all() and arguments.uncoverable != "exclude":
+            return None
+        if asked is not None:
+            posed = pose(asked, current, choices, candidates, wanted)
+            found = answer(asked, posed, choices, candidates, *_limits(arguments)).cover.chosen
+            return np.asarray(found, np.int64)
+        problem = CoverProblem(
+            current[:, seen],
+            choices["cost"].to_numpy(),
+            groups=choices["position"].to_numpy(),
+            at_least=arguments.at_least,
+        )
+        limit_s, seed, gap = _limits(arguments)
+        cover = solve_cover_problem(problem, WorkLimit(limit_s), seed=seed, gap=gap)
+        return None if not len(cover.chosen) else np.asarray(cover.chosen, np.int64)
+
+    reduced, known, rounds, exact = solve_with_tolerance(matrix, solve, look)
+    seen = np.asarray(reduced.sum(axis=0)).ravel() > 0
+    if not seen.all() and arguments.uncoverable != "exclude":
+        raise InputError(
+            f"{int((~seen).sum())} of {len(seen)} targets are seen by no candidate with tolerance",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            found=f"moved by {arguments.move_m:g} m, turned by {arguments.turn_deg:g} degrees,"
+            f" masts {arguments.other_height_m:g} m lower or higher",
+            hint="narrow the tolerance, densify the candidates, leave robust out, or leave these"
+            " targets out with coverage.uncoverable: exclude",
+        )
+    if solve(reduced) is None:
+        raise InputError(
+            "no set of sensors sees everything with tolerance",
+            where=f"site {arguments.site}, plan {arguments.plan}",
+            hint="narrow the tolerance, lower cover.at_least, or leave robust out",
+        )
+    beyond = [str(name) for name in wanted["target"][~seen]]
+    log.info("tolerance: %d candidates looked at in %d covers", known.sum(), rounds)
+    record = {"looked_at": int(known.sum()), "rounds": rounds, "exact": exact}
+    record |= {"beyond": len(beyond)}
+    kept = wanted[seen].reset_index(drop=True)
+    # Rows that were left out because the rounds ran out may have been part of a better cover.
+    status = {} if exact else {"status": "time_limit"}
+    return reduced[:, seen], kept, beyond, {"robust": record, **status}
 
 
 def _cheapest(
@@ -209,6 +294,7 @@ def _sensor_table(
     chosen = choices.iloc[rows]
     table = posed_candidates(chosen, candidates)
     table.insert(1, "sensor", chosen["sensor"].tolist())
+    table["cost"] = chosen["cost"].to_numpy(np.float64)
     seen = matrix[rows].astype(np.int64)
     once = np.asarray(seen.sum(axis=0)).ravel() == 1
     table["targets"] = np.asarray(seen.sum(axis=1)).ravel()
@@ -242,6 +328,15 @@ def _content(
     }
 
 
+def _proven_area(targets: pd.DataFrame, at_least: int) -> dict[str, float]:
+    """Pavement whose targets are seen as often as asked for; nothing where none says its own."""
+    if "area_m2" not in targets:
+        return {}
+    needed = targets.get("needed", at_least)
+    enough = targets["sensors"] >= np.maximum(needed, 1)
+    return {"proven_area_m2": float(targets.loc[enough, "area_m2"].sum())}
+
+
 def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
     columns = table.drop(columns=[c for c in ("x", "y", "z", "native") if c in table])
     return gpd.GeoDataFrame(
@@ -263,10 +358,19 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", nargs="*", default=[], help="file of the option")
     parser.add_argument("--availability", type=float, help="how often targets must be in sight")
     parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
+    parser.add_argument("--doubts", help="JSON with what the plan rests on")
+    parser.add_argument("--robust", action="store_true", help="sensors count with tolerance")
+    parser.add_argument("--surfels", nargs="?", help="the scene; needed with --robust")
+    parser.add_argument("--sensors-file", help="needed with --robust")
+    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
+    parser.add_argument("--azimuth-stride", type=int, default=1)
+    add_sight_arguments(parser)
+    add_change_arguments(parser)
     parser.add_argument("--target-height-m", type=float, default=0.6)
     parser.add_argument("--time-limit-s", type=float, default=300.0)
     parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")
     parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")
+    add_allowed_arguments(parser)
     parser.add_argument("--seed", type=int, default=1)
     return run_stage(parser, solve_cover, argv)
 

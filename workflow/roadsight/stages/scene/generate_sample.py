@@ -34,6 +34,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--radius-m", type=float, default=600.0, help="of the curve to the left")
     parser.add_argument("--grade", type=float, default=0.018, help="rise over run")
     parser.add_argument("--tunnel", choices=["yes", "no"], default="yes", help="at its end")
+    parser.add_argument("--overhead", choices=["yes", "no"], default="no", help="wires, roofs")
     parser.add_argument("--cloud", required=True, help="LAZ to write; every point unclassified")
     parser.add_argument("--truth", required=True, help="GeoPackage to write")
     parser.add_argument("--edges", required=True, help="GeoJSON to write")
@@ -48,6 +49,7 @@ def generate_sample(arguments: argparse.Namespace) -> None:
         arguments.radius_m,
         arguments.grade,
         arguments.tunnel == "yes",
+        arguments.overhead == "yes",
     )
     frame = highway.frame()
     scan_rng, click_rng = np.random.default_rng(arguments.seed).spawn(2)

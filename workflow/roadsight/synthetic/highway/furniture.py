@@ -44,6 +44,36 @@ def add_furniture(road: Roadside, section: CrossSection, open_m: float, end_m: f
     add_building(road, BUILDING_SHARE * open_m)
 
 
+_WIRE_M = 8.0
+"""Height of the wires above the road: between the lowest and the highest place of a sensor."""
+_CANOPY_M = 5.2
+"""Height of the canopy's underside above the road."""
+_BEAM_M = 6.2
+"""Height of the gantry's beam above the road."""
+
+
+def add_overhead(road: Roadside, open_m: float) -> None:
+    """What hangs over both edges of the open road: wires, a canopy, a gantry across all lanes."""
+    wires = road.new("wires", "steel", TruthClass.STRUCTURE)
+    for shift in (-0.4, 0.4):
+        station = 0.30 * open_m + shift
+        plane = road.plane_m(station) + _WIRE_M
+        road.box(wires, station, 0.0, (plane - 0.02, plane + 0.02), (0.02, 16.0))
+    canopy = road.new("canopy", "concrete", TruthClass.STRUCTURE)
+    station = 0.50 * open_m
+    plane = road.plane_m(station) + _CANOPY_M
+    for side in (-1.0, 1.0):
+        road.box(canopy, station, side * _POST_OFFSET_M, (plane, plane + 0.25), (4.0, 2.6))
+        road.post(canopy, station - 3.8, side * (_POST_OFFSET_M + 2.4), _CANOPY_M + 0.5, 0.12)
+        road.post(canopy, station + 3.8, side * (_POST_OFFSET_M + 2.4), _CANOPY_M + 0.5, 0.12)
+    gantry = road.new("gantry", "steel", TruthClass.STRUCTURE)
+    station = 0.75 * open_m
+    plane = road.plane_m(station) + _BEAM_M
+    road.box(gantry, station, 0.0, (plane, plane + 0.8), (0.4, 15.0))
+    for side in (-1.0, 1.0):
+        road.post(gantry, station, side * 14.8, _BEAM_M + 0.8, 0.2)
+
+
 def add_median_barrier(road: Roadside, section: CrossSection, open_m: float) -> None:
     """Concrete barrier on the median, 0.9 m above the strip, from the start to the tunnel."""
     barrier = road.new("median_barrier", "concrete", TruthClass.BARRIER)

@@ -16,7 +16,7 @@ from roadsight.synthetic.casting.alignment import Alignment, to_road
 from roadsight.synthetic.casting.materials import MATERIAL_NAMES, TruthClass
 from roadsight.synthetic.casting.scene import Scene, SceneBuilder
 from roadsight.synthetic.casting.terrain import Terrain
-from roadsight.synthetic.highway.furniture import add_furniture
+from roadsight.synthetic.highway.furniture import add_furniture, add_overhead
 from roadsight.synthetic.highway.highway_ground import (
     CrossSection,
     highway_terrain,
@@ -103,6 +103,7 @@ def build_highway(
     radius_m: float = _RADIUS_M,
     grade: float = _GRADE,
     tunnel: bool = True,
+    overhead: bool = False,
 ) -> Highway:
     """Build the sample site; the same arguments give the same site.
 
@@ -110,6 +111,7 @@ def build_highway(
     ----------
     radius_m : of the curve to the left. grade : rise over run.
     tunnel : whether the road ends in a tunnel.
+    overhead : whether wires, a canopy and a gantry hang over its edges.
 
     Raises
     ------
@@ -138,5 +140,7 @@ def build_highway(
     builder.add_ground(terrain, "grass")
     road = Roadside(builder.terrain, builder)
     add_furniture(road, section, tunnel_start, length_m)
+    if overhead:
+        add_overhead(road, min(tunnel_start, length_m))
     add_vegetation(road, tunnel_start, plant_rng)
     return Highway(length_m, tunnel_start, section, builder.build(), tuple(road.poles))

@@ -27,7 +27,8 @@ function readPlan(plan, targets) {
   const names = [...new Set(plan.sensors.map((sensor) => sensor.sensor))].sort();
   const models = plan.sensors.map((sensor) => names.indexOf(sensor.sensor) % 3);
   const inSight = plan.in_sight ? unpack(plan.in_sight) : null;
-  return { ...plan, seen, times, models, inSight };
+  const lost = plan.lost ? unpack(plan.lost) : null;
+  return { ...plan, seen, times, models, inSight, lost };
 }
 
 function readSite(content) {
@@ -39,6 +40,7 @@ function readSite(content) {
     cell_size_m: content.cell_size_m,
     relief: { ...layers.relief, shade: unpack(layers.relief.shade) },
     pavement: layers.pavement.map((rings) => rings.map(unpack)),
+    unexamined: (layers.unexamined ?? []).map((rings) => rings.map(unpack)),
     edges: layers.edges.map((edge) => ({ ...edge, xy: unpack(edge.xy) })),
     candidates: layers.candidates && {
       xy: unpack(layers.candidates.xy),

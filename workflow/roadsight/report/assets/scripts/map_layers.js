@@ -11,6 +11,7 @@ function drawMap(map) {
   context.fillRect(0, 0, map.width, map.height);
   if (layers.relief) drawRelief(map);
   if (layers.pavement) drawPavement(map);
+  if (layers.unexamined) drawUnexamined(map);
   if (layers.edges) drawEdges(map);
   if (layers.candidates && map.site.candidates) drawCandidates(map);
   if (plan) {
@@ -60,17 +61,40 @@ function trace(map, xy) {
   }
 }
 
+function tracePolygons(map, polygons) {
+  map.context.beginPath();
+  for (const rings of polygons) {
+    for (const ring of rings) {
+      trace(map, ring);
+      map.context.closePath();
+    }
+  }
+}
+
+// Pavement that no target stands for: the proof says nothing of it.
+function drawUnexamined(map) {
+  const { context } = map;
+  if (!map.site.unexamined.length) return;
+  context.save();
+  tracePolygons(map, map.site.unexamined);
+  context.clip("evenodd");
+  context.strokeStyle = map.colour("edge");
+  context.lineWidth = 1;
+  context.globalAlpha = 0.8;
+  context.beginPath();
+  for (let x = -map.height; x < map.width; x += 6) {
+    context.moveTo(x, map.height);
+    context.lineTo(x + map.height, 0);
+  }
+  context.stroke();
+  context.restore();
+}
+
 function drawPavement(map) {
   const { context } = map;
   context.fillStyle = map.colour("pavement");
   context.globalAlpha = 0.85;
-  context.beginPath();
-  for (const rings of map.site.pavement) {
-    for (const ring of rings) {
-      trace(map, ring);
-      context.closePath();
-    }
-  }
+  tracePolygons(map, map.site.pavement);
   context.fill("evenodd");
   context.globalAlpha = 1;
 }
@@ -110,7 +134,7 @@ function drawTargets(map, plan) {
   const size = Math.min(Math.max(map.scale * site.cell_size_m * 0.8, 1.6), 12);
   const lit = state.sensor === null ? null : new Set(plan.seen[state.sensor]);
   const spots = Array.from({ length: MOST_SEEN + 1 }, () => []);
-  const classes = state.targetsBy === "sight" && plan.inSight;
+  const classes = { sight: plan.inSight, lost: plan.lost }[state.targetsBy];
   plan.times.forEach((times, i) => spots[classes ? classes[i] : bucketOf(times)].push(i));
   spots.reverse().forEach((members, order) => {
     const bucket = MOST_SEEN - order;

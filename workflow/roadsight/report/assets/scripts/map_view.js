@@ -3,7 +3,7 @@
 class MapView extends PlanCanvas {
   constructor(canvas, site, state, tooltip) {
     super(canvas, site, state, tooltip);
-    this.layers = { relief: true, pavement: true, edges: true, candidates: true, targets: true, obstacles: true, sensors: true };
+    this.layers = { relief: true, pavement: true, unexamined: true, edges: true, candidates: true, targets: true, obstacles: true, sensors: true };
     this.recolour();
   }
 

@@ -21,7 +21,7 @@ from roadsight.placement.sight.heights import BANDS
 from roadsight.placement.sight.posed import Panorama
 from roadsight.placement.sight.shapes import Shape
 from roadsight.placement.sight.sight import beams_by_height
-from roadsight.stages.placement.detection_inputs import sight_of
+from roadsight.stages.placement.shared.detection_inputs import sight_of
 
 
 class _Place(NamedTuple):

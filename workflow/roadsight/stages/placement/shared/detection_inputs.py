@@ -53,7 +53,8 @@ def sight_of(arguments: argparse.Namespace, name: str, sensor: AnySensor) -> Sig
         clear_m = read_json(path)["target_range_m"][name]
     wide = isinstance(sensor, Sensor | Rosette) and sensor.divergence_mrad is not None
     wide = wide and arguments.partial_hits == "simulate"
-    return Sight(float(range_in_air_m(clear_m, air)), wide, curved)
+    near_m = sensor.range_min_m if isinstance(sensor, Sensor) else 0.0
+    return Sight(float(range_in_air_m(clear_m, air)), wide, curved, near_m)
 
 
 def read_shaped_targets(

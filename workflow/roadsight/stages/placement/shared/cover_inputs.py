@@ -33,6 +33,9 @@ def read_asked(arguments: argparse.Namespace, frame: Frame) -> Asked | None:
     if not arguments.options:
         return None
     options = json.loads(arguments.options)
+    options.pop("robust", None)  # what sensors count for is settled before the plan is posed
+    if not options:
+        return None
     crs = {name: options.get(name, {}).get("crs") for name in FILES}
     zones, fixed, poles = arguments.forbidden, arguments.mandatory, arguments.poles
     asked = Asked(

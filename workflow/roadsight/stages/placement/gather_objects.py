@@ -1,0 +1,94 @@
+"""Things beside the road as objects, and the scene without those that a site removes."""
+
+from __future__ import annotations
+
+import argparse
+import logging
+import sys
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from roadsight.base.errors import InputError, nearest
+from roadsight.geometry.frames import Frame
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.surfels import read_surfels, write_surfels
+from roadsight.io.records.tables import write_table
+from roadsight.io.vector.vectors import write_layers
+from roadsight.placement.sight.objects import objects_of
+from roadsight.scene.surfels.surfels import Surfels
+from roadsight.stages.command import run_stage
+
+log = logging.getLogger("gather_objects")
+
+_LISTED = 12
+"""No more objects than these are listed in a message."""
+
+
+def gather_objects(arguments: argparse.Namespace) -> None:
+    """Write the objects, which surfels are theirs, and the surfels that are left.
+
+    Objects that are removed stay in the layer, marked so, and own no surfels.
+    """
+    frame = Frame.from_dict(read_json(arguments.frame))
+    surfels = read_surfels(arguments.surfels)
+    dem = read_raster(arguments.dem, frame)
+    ground = dem.sample(surfels.centre_m[:, 0], surfels.centre_m[:, 1])
+    height_m = surfels.centre_m[:, 2].astype(np.float64) - ground
+    row, objects = objects_of(surfels.centre_m, surfels.normal, height_m)
+    removed = _removed(arguments, objects)
+    objects["removed"] = objects["name"].isin(removed).astype(np.int32)
+    gone = np.isin(row, np.flatnonzero(objects["removed"]))
+    left = Surfels(surfels.centre_m[~gone], surfels.normal[~gone], surfels.half_m[~gone])
+    write_surfels(arguments.left, left, {"removed": sorted(removed)})
+    centres = pd.DataFrame(surfels.centre_m, columns=["x", "y", "z"])
+    stays = (row >= 0) & ~gone
+    part = centres[stays].reset_index(drop=True)
+    part["object"] = pd.Categorical(objects["name"].to_numpy()[row[stays]])
+    write_table(arguments.members, part)
+    layer = gpd.GeoDataFrame(
+        objects.drop(columns=["x", "y", "z"]),
+        geometry=gpd.points_from_xy(objects["x"], objects["y"], objects["z"]),
+    )
+    write_layers(arguments.objects, {"objects": layer}, frame, {"objects": "Point Z"})
+    kinds = ", ".join(f"{n} {kind}" for kind, n in objects["kind"].value_counts().items())
+    log.info("%d objects (%s); %d removed", len(objects), kinds, len(removed))
+
+
+def _removed(arguments: argparse.Namespace, objects: pd.DataFrame) -> set[str]:
+    """Names of the objects that the site removes.
+
+    Raises
+    ------
+    InputError : there is no object of such a name.
+    """
+    known = [str(name) for name in objects["name"]]
+    for name in arguments.remove:
+        if name not in known:
+            close = nearest(name, known)
+            few = close.startswith("did you mean") or len(known) <= _LISTED
+            raise InputError(
+                "no object of the scene has this name",
+                where=f"site {arguments.site}: placement.remove",
+                found=name,
+                hint=f"{close}; "
+                * few
+                + f"the {len(known)} objects are named in the layer objects of"
+                f" {arguments.objects} once the site has run without this entry",
+            )
+    return set(arguments.remove)
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("site", "surfels", "dem", "frame", "objects", "members", "left"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--remove", nargs="*", default=[], help="names of objects")
+    return run_stage(parser, gather_objects, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""What several stages of the placement chapter share: inputs, choices, sight."""

@@ -1,0 +1,99 @@
+"""What a sensor sees that does not stand exactly as planned: rendered anew from the surfels."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from roadsight.base.arrays import Bools, Floats
+from roadsight.base.errors import InputError
+from roadsight.io.records.poses import read_tilts
+from roadsight.io.records.surfels import read_surfels
+from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.plans.tolerance import Change, changes
+from roadsight.placement.sensors.poses import AS_MOUNTED, Turn, local_from_sensor
+from roadsight.placement.sensors.sensors import Sensor, load_sensors
+from roadsight.placement.sight.shapes import Box
+from roadsight.placement.sight.sight import count_beams
+from roadsight.stages.placement.shared.detection_inputs import read_shaped_targets, sight_of
+
+
+def add_change_arguments(parser: argparse.ArgumentParser) -> None:
+    """How far sensors may be from their plan."""
+    parser.add_argument("--move-m", type=float, default=0.2)
+    parser.add_argument("--turn-deg", type=float, default=1.0)
+    parser.add_argument("--other-height-m", type=float, default=0.5)
+
+
+class ChangedSight:
+    """Sights of sensors in the scene.
+
+    Parameters
+    ----------
+    arguments : those of `add_sight_arguments` and `add_change_arguments`, sensors, surfels,
+        targets, min_beams and azimuth_stride.
+    """
+
+    def __init__(self, arguments: argparse.Namespace) -> None:
+        self._arguments = arguments
+        self._lidar = SurfelLidar(read_surfels(arguments.surfels))
+        self._sensors = load_sensors(arguments.sensors_file)
+        self._tilts = read_tilts(arguments.tilts)
+        self.targets, self._feet_m, shape = read_shaped_targets(arguments)
+        self._size_m: Any = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
+        self.changes = changes(arguments.move_m, arguments.turn_deg, arguments.other_height_m)
+
+    def can_change(self, sensor: str) -> bool:
+        """Whether a sensor is a spinning LiDAR; others are judged from panoramas."""
+        return isinstance(self._sensors[sensor], Sensor)
+
+    def sees(
+        self, place: Mapping[str, Any], change: Change | None, lidar: SurfelLidar | None = None
+    ) -> Bools:
+        """Targets (n,) that a sensor sees from a place: sensor, candidate, x, y, z, yaw_deg.
+
+        Parameters
+        ----------
+        lidar : another scene.
+
+        Raises
+        ------
+        InputError : the sensor is no spinning LiDAR.
+        """
+        whole = self._sensors[place["sensor"]]
+        if not isinstance(whole, Sensor):
+            raise InputError("tolerance is measured of spinning LiDARs only", found=place["sensor"])
+        stride = self._arguments.azimuth_stride
+        sensor = whole.thinned(stride)
+        position = np.array([place[axis] for axis in "xyz"], np.float64)
+        yaw_deg = float(place["yaw_deg"])
+        tilt = self._tilts.get(str(place["candidate"]))
+        if change is not None:
+            level = local_from_sensor(yaw_deg, AS_MOUNTED)
+            position = position + level @ np.array(change.shift_m)
+            yaw_deg += change.turn.yaw_deg
+            tilt = self._tilted(yaw_deg, change, tilt)
+        curved = self._arguments.curvature == "simulate"
+        scene = self._lidar if lidar is None else lidar
+        depth_m = scene.depth_map(sensor, position, yaw_deg, tilt, curved)
+        sight = sight_of(self._arguments, place["sensor"], whole)
+        pose = (position, yaw_deg)
+        beams = count_beams(depth_m, sensor, *pose, self._feet_m, self._size_m, sight, tilt)
+        return np.asarray(stride * beams > self._arguments.min_beams)
+
+    @staticmethod
+    def _tilted(yaw_deg: float, change: Change, tilt: Floats | None) -> Floats | None:
+        turn = Turn(0.0, change.turn.pitch_deg, change.turn.roll_deg)
+        if turn == AS_MOUNTED:
+            return tilt
+        return local_from_sensor(yaw_deg, turn, tilt) @ local_from_sensor(yaw_deg, AS_MOUNTED).T
+
+    def keeps(self, place: Mapping[str, Any]) -> Bools:
+        """Targets (n,) that a sensor sees under every change."""
+        kept = np.ones(len(self.targets), bool)
+        for change in self.changes:
+            kept &= self.sees(place, change)
+        return kept
