@@ -1,5 +1,6 @@
 """Helpers of all other files: resolved settings, stage sources, and what each site asks for."""
 
+import importlib.util
 import json
 import os
 import re
@@ -17,12 +18,16 @@ from roadsight.io.records.checksums import CachedChecksums
 from roadsight.io.records.sources import stage_sources
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
+from snakemake_logger_plugin_roadsight.stopping import let_stops_through
 
 prepare_environment()
+let_stops_through()
 
 LOCK = "envs/requirements.lock"
+PAPER_ASSETS = ["workflow/roadsight/report/assets/paper/report.typ"]
 REPORT_ASSETS = sorted(
-    str(path) for path in Path("workflow/roadsight/report/assets").rglob("*.*")
+    {str(path) for path in Path("workflow/roadsight/report/assets").rglob("*.*")}
+    - set(PAPER_ASSETS)
 )
 ENVIRONMENT = "../../../envs/roadsight.yaml"
 
@@ -227,6 +232,48 @@ def evidence_pages():
 
 def site_pages():
     return [f"results/{site}/page.json" for site in ASKED_SITES if has_scene_page(site)]
+
+
+def own_site_page(wildcards):
+    """Page of the scene and the placement, where the site has one."""
+    return (
+        [f"results/{wildcards.site}/page.json"]
+        if has_scene_page(wildcards.site)
+        else []
+    )
+
+
+def printed_reports():
+    """The sites' reports on paper; without the engine that sets them, this is said and no more."""
+    if importlib.util.find_spec("typst") is None:
+        print("no report.pdf: the package typst is not installed", file=sys.stderr)
+        return []
+    return [
+        f"results/{site}/report.pdf"
+        for site in ASKED_SITES
+        if has_scene_page(site) or wants(site, "poles")
+    ]
+
+
+def scene_page_only(file):
+    """A result of the scene, where the site asks for pavement and edges."""
+    return lambda wildcards: (
+        [file.format(site=wildcards.site)] if has_scene_page(wildcards.site) else []
+    )
+
+
+def handovers():
+    """What GIS, CAD and crews take along."""
+    found = []
+    for site in ASKED_SITES:
+        if has_scene_page(site) or wants(site, "poles"):
+            found += [
+                f"results/{site}/gis/{site}.{kind}"
+                for kind in ("gpkg", "qgs", "kml", "dxf")
+            ]
+        if wants(site, "placement"):
+            found.append(f"results/{site}/stakeout.csv")
+    return found
 
 
 def summaries():

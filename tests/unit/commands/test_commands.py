@@ -221,7 +221,7 @@ def test_init_writes_a_site_file(sample, tmp_path, capsys):
     assert content["site"] == "my_road"
     assert content["crs"] == "auto"
     assert content["clouds"] == [str(sample / "cloud.laz")]
-    assert capsys.readouterr().out == f"wrote {out}\n"
+    assert capsys.readouterr().out.startswith(f"wrote {out}\n")
 
 
 @pytest.mark.parametrize("verb", COMMANDS)

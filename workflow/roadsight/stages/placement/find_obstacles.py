@@ -67,8 +67,6 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
     obstacles["kind"] = np.where(obstacles["height_m"] < _GROUND_M, "ground", "object")
     gaps = _gaps(arguments, targets, sensors, cast, frame)
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
-    place = ["obstacle_x", "obstacle_y", "obstacle_z"]
-    gaps[place] = frame.to_native(gaps[place].to_numpy(np.float64))
     objects = _objects(arguments, lines)
     _name_obstacles(arguments, obstacles)
     layers = {
