@@ -24,6 +24,7 @@ from roadsight.io.cloud.cloud_scan import CloudScan, Contents, kept_chunks, scan
 from roadsight.io.cloud.las_header import CloudHeader
 from roadsight.io.cloud.repeated import check_copies
 from roadsight.io.records.atomic import atomic_path
+from roadsight.placement.candidates.targets import points_needed
 from roadsight.scene.profile import CELL_M, density, merge_counts
 
 _DATA_VARIABLE = "ROADSIGHT_DATA"
@@ -126,7 +127,10 @@ def doubts(density_m2: float | None) -> list[str]:
     ----------
     density_m2 : median of points per m2 where there are any; None if not known in metres.
     """
-    needed = Settings().targets.min_points
+    targets = Settings().targets
+    needed = targets.min_points
+    if needed == "local":
+        needed = points_needed(2 * targets.radius_m, targets.cell_size_m)
     if density_m2 is None or density_m2 >= needed:
         return []
     return [
