@@ -29,7 +29,9 @@ from roadsight.poles.calibration.calibration import Mount
 DenseLoader = Callable[[Floats, Floats], DenseTask]
 """Makes the task of one image from expected unknowns (6,) and their covariance (6, 6)."""
 IMAGES = 12
-"""Images that tell the mount: they see it 30 times better than one image's own sway needs."""
+"""Images that tell the mount: what it is known by is their own sway, over the root of 12."""
+SPREAD = Spread(roll_deg=0.7)
+"""What changes from image to image: the road's bank is left to the roll."""
 _AIMS_DEG = (np.arange(-4.0, 4.1, 1.0), np.arange(-4.0, 4.1, 1.0), np.arange(-4.0, 4.1, 2.0))
 """Yaw, pitch and roll that are tried: a blur of 16 px is 1.3 degrees at 720 px."""
 _AIMS_M = (-0.6, 0.0, 0.6)
@@ -40,11 +42,9 @@ _PLAN_PX = (8.0, 4.0, 4.0, 2.0, 2.0)
 """Blurs of the joint rounds; before each the images see the cloud anew."""
 _STEPS = 8
 """Steps of a round at most."""
-_INDEPENDENT = 0.05
-"""Share of what images tell that is independent between them: neighbours see the same scene, with
-the same errors of the map. With all of it the principal point of a free lens ran off by 40 px on
-one street; a held lens is not sensitive to it."""
-_FEWEST = 3
+_GAIN = 0.5
+"""Log-likelihood that a step must gain to be followed by another."""
+FEWEST = 3
 """Images below which a drive has no mount of its own."""
 
 
@@ -61,12 +61,12 @@ def calibrate_dense(
     ------
     InputError : fewer than three images.
     """
-    if len(loaders) < _FEWEST:
+    if len(loaders) < FEWEST:
         raise InputError(
             "too few images of the drive to find how its camera is mounted",
             where="camera calibration",
             found=len(loaders),
-            allowed=f"at least {_FEWEST}",
+            allowed=f"at least {FEWEST}",
         )
     expected, variance = prior.mean[:SIZE], np.diag(prior.covariance)[:SIZE]
     own = spread.vector()[:SIZE]
@@ -128,8 +128,8 @@ def _joint(
             total, right = known.copy(), np.zeros(SIZE)
             for (_, slope, normal), own in zip(parts, images, strict=True):
                 left = pull @ np.linalg.inv(normal + pull)
-                total += _INDEPENDENT * (pull - left @ pull)
-                right += _INDEPENDENT * (left @ (normal @ own + slope))
+                total += pull - left @ pull
+                right += left @ (normal @ own + slope)
             new = np.linalg.solve(total, right)
             turned = np.array(
                 [
@@ -146,7 +146,7 @@ def _joint(
                     mean, images = trial
                     break
                 length *= 0.5
-            if before - after < 0.5 * _INDEPENDENT:
+            if before - after < _GAIN:
                 break
     return mean, np.asarray(np.linalg.inv(total), np.float64), images
 
@@ -165,5 +165,5 @@ def _cost(
     for task, samples, own in zip(tasks, seen, images, strict=True):
         apart = own - mean
         gain = evaluate(task, samples, blur_px, own, False)[0]
-        cost += _INDEPENDENT * (0.5 * float(apart @ pull @ apart) - gain)
+        cost += 0.5 * float(apart @ pull @ apart) - gain
     return cost

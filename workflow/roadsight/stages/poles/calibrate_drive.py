@@ -21,7 +21,13 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.pose import Spread
 from roadsight.poles.calibration.calibration import Loader, Mount, calibrate, find_focal, weak_mount
-from roadsight.poles.calibration.calibration_dense import IMAGES, calibrate_dense, with_lens
+from roadsight.poles.calibration.calibration_dense import (
+    FEWEST,
+    IMAGES,
+    SPREAD,
+    calibrate_dense,
+    with_lens,
+)
 from roadsight.poles.calibration.calibration_landmarks import with_landmarks
 from roadsight.poles.calibration.calibration_table import (
     DriveCalibration,
@@ -110,15 +116,14 @@ def _densely(
     scene: DenseScene,
 ) -> DriveCalibration:
     """Calibration of a drive with a known lens, from photographs and cloud."""
-    spread, (prior, problem) = Spread(), known
+    spread, (prior, problem) = SPREAD, known
     mount, chosen = prior, _evenly(places, min(arguments.images, IMAGES))
-    try:
-        if problem:
-            raise InputError(problem)
+    if len(chosen) < FEWEST:
+        problem = problem or f"{len(chosen)} images do not tell how the camera is mounted"
+    if problem:
+        log.warning("%s: %s", key[0], problem)
+    else:
         mount, _ = calibrate_dense([scene.loader(place) for place in chosen], prior, spread)
-    except InputError as error:
-        log.warning("%s: %s", key[0], error)
-        problem = str(error)
     model = DriftModel(arguments.gps_sigma_m, arguments.gps_length_m, arguments.gps_own_m)
     drift = Drift(np.empty(0), np.empty((0, 2)), np.empty((0, 2, 2)), model)
     return DriveCalibration(key, mount, spread, drift, {}, problem)
