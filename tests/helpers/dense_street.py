@@ -1,4 +1,4 @@
-"""A street of blocks with painted lines: its cloud, and photographs and classes of it by ray casting.
+"""A street of blocks with painted lines: its cloud, and photographs of it by ray casting.
 
 Everything is exact: places without noise, pinholes without distortion, classes without errors.
 """

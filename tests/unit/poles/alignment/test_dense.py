@@ -104,7 +104,7 @@ def test_an_empty_cloud_is_told(seen):
 
 def test_large_images_are_looked_at_small(street, cloud, found):
     factor = 2
-    lens = GivenLens(*((np.array([LENS.focal_px, LENS.cx_px + 0.5, LENS.cy_px + 0.5]) * factor)))
+    lens = GivenLens(*(np.array([LENS.focal_px, LENS.cx_px + 0.5, LENS.cy_px + 0.5]) * factor))
     lens = replace(lens, cx_px=lens.cx_px - 0.5, cy_px=lens.cy_px - 0.5)
     grey, classes = street.photograph(TRUE, lens, (SIZE[0] * factor, SIZE[1] * factor))
     evidence = ImageEvidence(grey, classes)

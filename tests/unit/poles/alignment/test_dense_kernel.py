@@ -21,9 +21,7 @@ def scene(count: int = 400):
     ahead = random.uniform(5, 30, count)
     side, up = random.uniform(-8, 8, count), random.uniform(-1.5, 2, count)
     east, north = np.sin(POSE[3]), np.cos(POSE[3])
-    xyz = POSE[:3] + np.column_stack(
-        [ahead * east + side * north, ahead * north - side * east, up]
-    )
+    xyz = POSE[:3] + np.column_stack([ahead * east + side * north, ahead * north - side * east, up])
     v, u = np.indices(SHAPE)
     waves = [np.sin(u / 25.0) * np.cos(v / 20.0), np.cos(u / 31.0 + v / 17.0)]
     return np.ascontiguousarray(xyz), np.array(waves, np.float32)

@@ -43,9 +43,7 @@ def seen(cloud, pose=POSE):
 
 def test_the_nearest_return_wins_a_cell(street):
     rows, columns = (int(np.ceil(size / 3)) for size in SIZE)
-    depth, number, uvz, cell = nearest_returns(
-        street.xyz_m, TURN, POSE[:3], PIXELS, rows, columns
-    )
+    depth, number, uvz, cell = nearest_returns(street.xyz_m, TURN, POSE[:3], PIXELS, rows, columns)
     slow = np.full((rows, columns), np.inf)
     for i, (x, y, z) in enumerate((street.xyz_m - POSE[:3]) @ TURN.T):
         if not 2 <= z <= 80:

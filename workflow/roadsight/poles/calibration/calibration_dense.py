@@ -2,7 +2,8 @@
 
 A common yaw, pitch, roll and height is sought that fits some of the images best, coarsely. Then the
 drive's mean and the images' own small deviations from it are found together: those of an image are
-taken out of its linearised misfit exactly, and what is left adds up over the images.
+taken out of its linearised misfit exactly, and what is left adds up over the images. At last each
+image is searched by itself about that mean, and the median of those that stand out is the mount.
 """
 
 from __future__ import annotations
@@ -18,11 +19,14 @@ from roadsight.base.errors import InputError
 from roadsight.poles.alignment.dense import (
     DenseTask,
     Samples,
+    align_dense,
     common_sigma,
     evaluate,
     gather,
+    moved,
 )
 from roadsight.poles.alignment.dense_kernel import SIZE
+from roadsight.poles.alignment.dense_verdict import DenseLimits
 from roadsight.poles.alignment.pose import FOCAL, Spread
 from roadsight.poles.calibration.calibration import Mount
 
@@ -73,6 +77,7 @@ def calibrate_dense(
     tasks = [load(expected, np.diag(variance + own**2)) for load in loaders]
     start = _aimed(tasks, np.diag(1.0 / variance))
     mean, covariance, images = _joint(tasks, start, np.diag(1.0 / variance), np.diag(1.0 / own**2))
+    mean, covariance = _confirmed(tasks, mean, covariance, own)
     covariance = covariance + np.diag(common_sigma(tasks[0].lens) ** 2)
     found = prior.mean.copy()
     found[:SIZE] = expected + mean
@@ -149,6 +154,34 @@ def _joint(
             if before - after < _GAIN:
                 break
     return mean, np.asarray(np.linalg.inv(total), np.float64), images
+
+
+def _confirmed(
+    tasks: Sequence[DenseTask], mean: Floats, covariance: Floats, own: Floats
+) -> tuple[Floats, Floats]:
+    """Mean (6,) and covariance (6, 6) from the images' own searches; as they were without any.
+
+    The joint rounds only descend: on a real street they ended 1.2 m behind where all images found
+    themselves.
+
+    Parameters
+    ----------
+    own : standard deviation (6,) of what changes from image to image.
+    """
+    found = []
+    for task in tasks:
+        about = replace(task, pose=moved(task.pose, mean), covariance=np.diag(own**2))
+        fit = align_dense(about)
+        if fit.lead >= DenseLimits().lead:
+            found.append(mean + fit.offsets)
+    if len(found) < FEWEST:
+        return mean, covariance
+    offsets = np.array(found)
+    middle = np.median(offsets, axis=0)
+    scatter = 1.4826 * np.median(np.abs(offsets - middle), axis=0)
+    # Of a median, in place of a mean; few images scatter less than they should by chance.
+    sigma = 1.2533 * np.maximum(scatter, 0.5 * own) / np.sqrt(len(found))
+    return middle, np.diag(sigma**2)
 
 
 def _cost(
