@@ -32,6 +32,8 @@ rule calibrate_drive:
         benchmark_of("calibrate_drive")
     conda:
         ENVIRONMENT
+    resources:
+        mem_mb=camera_memory,
     params:
         options=flags("calibration"),
         sides=some_flags("sightings", "left_yaw_deg", "right_yaw_deg"),
@@ -77,6 +79,8 @@ rule align_cameras:
         benchmark_of("align_cameras", "{shard}")
     conda:
         ENVIRONMENT
+    resources:
+        mem_mb=camera_memory,
     params:
         shards=setting("shards"),
         options=flags("alignment", "landmarks", "ties"),

@@ -96,6 +96,11 @@ def dense_digest(wildcards):
     return image_digest()(wildcards) if is_dense(wildcards) else ""
 
 
+def camera_memory(wildcards, attempt):
+    """Fields of a dozen photographs and the cloud around them took 1.5 GB."""
+    return attempt * (2500 if is_dense(wildcards) else 1000)
+
+
 def dense_options(wildcards):
     """Options of the dense alignment that are no files of the workflow."""
     lens = intrinsics_option(wildcards)
