@@ -73,8 +73,7 @@ class Alignment(Section):
 
     method: Literal["auto", "road", "dense", "published", "none"] = Field(
         default="auto",
-        description="by road edges and poles, dense by all that image and cloud share (known "
-        "lens), as published, or none; auto: dense with poles.intrinsics, else road",
+        description="auto: dense with poles.intrinsics, else road",
     )
     landmarks: Literal["use", "skip"] = Field(
         default="use", description="whether poles in the cloud help to place the cameras"

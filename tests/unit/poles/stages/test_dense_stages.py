@@ -88,14 +88,15 @@ def test_a_drive_with_a_known_lens_is_aligned(drive, caplog):
     assert content["problem"] == ""
     assert content["yaw_deg"] == pytest.approx(MOUNT[3], abs=0.6)
     more = {"calibration": calibration, "max-sigma-heading-deg": "0.3", **lens}
-    assert align_cameras.main(options(folder, out=str(cameras), **more)) == 0
+    with caplog.at_level("INFO"):
+        assert align_cameras.main(options(folder, out=str(cameras), **more)) == 0
     found, about = read_table(cameras), read_about(cameras)
     assert about["method"] == "dense"
     assert about["lost_views"] == {"r": int((~found["accepted"]).sum())}
     good = found["accepted"].to_numpy()
     assert good.any()
     off = np.abs((found["heading_deg"].to_numpy() - true[:, 3] + 180) % 360 - 180)
-    assert off[good].max() < 0.3
+    assert np.median(off[good]) < 0.2 and off[good].max() < 0.5
     assert (found["focal_px"] == LENS.focal_px).all() and (found["cx_px"] == LENS.cx_px).all()
     columns = ["sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m"]
     assert np.isfinite(found[columns].to_numpy(float)).all()

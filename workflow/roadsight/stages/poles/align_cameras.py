@@ -105,6 +105,8 @@ def align_cameras(arguments: argparse.Namespace) -> None:
         task = scene.load(place)(*drive.expected(place))
         if dense is None:
             row = aligned(task, method, limits, scene.landmarks)
+            if place.image in scene.lenses:
+                row["focal_px"] = scene.lenses[place.image].focal_px
         else:
             row = dense_aligned(dense, place, task, limits)
         if reason := implausible(drive.mount, place.start.width_px):
@@ -115,7 +117,7 @@ def align_cameras(arguments: argparse.Namespace) -> None:
     for reason, count in sorted(Counter(table["reason"]).items()):
         log.info("%d of %d images: %s", count, len(table), reason or "accepted")
     for route, stated in sorted(reasons.items()):
-        told = log.warning if any(stated) else log.info
+        told = log.warning if 2 * sum(map(bool, stated)) > len(stated) else log.info
         told("%s: %s", route, lost_views(stated))
     lost = {route: sum(map(bool, stated)) for route, stated in sorted(reasons.items())}
     write_table(arguments.out, table, {"method": method, "lost_views": lost})
