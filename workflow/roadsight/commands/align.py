@@ -14,6 +14,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.sighting_tables import write_csv
 from roadsight.io.records.tables import read_table
+from roadsight.stages.poles.dense_inputs import METHODS
 
 _COLUMNS = {"heading_deg": "heading_grid_deg", "focal_px": "fx_px"}
 """Columns that the verb's table names otherwise than the workflow's."""
@@ -40,7 +41,11 @@ _WRITTEN = (
 def add_parser(verbs: argparse._SubParsersAction) -> None:
     """Add the verb."""
     parser = verbs.add_parser("align", help="find the pose of every camera of a videolog")
-    parser.add_argument("videolog", metavar="VIDEOLOG", help="CSV: image, latitude, longitude, ...")
+    parser.add_argument(
+        "videolog",
+        metavar="VIDEOLOG",
+        help="CSV: image, latitude, longitude (x, y with --crs local)",
+    )
     add_cloud_arguments(parser)
     parser.add_argument("--masks", help="folder of label images; a small network if absent")
     parser.add_argument(
@@ -50,7 +55,17 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--hfov-deg", type=float, default=0.0, help="field of view, if known")
     parser.add_argument("--baseline", help="registered cameras, JSON")
-    parser.add_argument("--method", choices=("ours", "published", "none"), default="ours")
+    parser.add_argument(
+        "--intrinsics",
+        help="known lens, CSV: fx_px, cx_px, cy_px, one row for all images or one for each image",
+    )
+    parser.add_argument(
+        "--method",
+        choices=METHODS,
+        default="auto",
+        help="dense: all that photograph and cloud share, needs --intrinsics, auto takes it then; "
+        "road: road edges and poles; as published; or the track alone",
+    )
     parser.add_argument(
         "--max-sigma-heading-deg",
         type=float,

@@ -166,19 +166,28 @@ class Chain:
             "pole_axes": "pole_axes.parquet",
             "columns": "columns.parquet",
         }
+        lens = ["--intrinsics", arguments.intrinsics] if arguments.intrinsics else []
+        dense = {"cloud": "cloud.parquet", "masks": "masks.zip"}
+        shared = ["--method", arguments.method, "--photographs", arguments.images, *lens]
         known = ["--hfov-deg", str(arguments.hfov_deg)]
         known += ["--baseline", arguments.baseline] if arguments.baseline else []
         known += ["--start", "landmarks"] if self._street else []
         self._run(
-            "calibrate_drive", *known, **inputs, matches="matches.parquet", out="calibration.json"
+            "calibrate_drive",
+            *known,
+            *shared,
+            **inputs,
+            **dense,
+            matches="matches.parquet",
+            out="calibration.json",
         )
         limits = ["--max-sigma-heading-deg", str(arguments.max_sigma_heading_deg)]
         self._run(
             "align_cameras",
-            "--method",
-            arguments.method,
+            *shared,
             *limits,
             **inputs,
+            **dense,
             calibration="calibration.json",
             out="cameras.parquet",
         )

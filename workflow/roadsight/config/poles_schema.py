@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from roadsight.base.section import Count, Degrees, LasClass, Metres, Positive, Section
 
@@ -71,9 +71,9 @@ class ImageEdges(Section):
 class Alignment(Section):
     """Poles: camera poses by road alignment."""
 
-    method: Literal["ours", "published", "none"] = Field(
-        default="ours",
-        description="robust least squares, Nelder-Mead as published, or the track alone",
+    method: Literal["auto", "road", "dense", "published", "none"] = Field(
+        default="auto",
+        description="auto: dense with poles.intrinsics, else road",
     )
     landmarks: Literal["use", "skip"] = Field(
         default="use", description="whether poles in the cloud help to place the cameras"
@@ -89,6 +89,12 @@ class Alignment(Section):
     max_sigma_heading_deg: Positive = Field(
         default=0.15, description="less certain headings are rejected, degrees"
     )
+
+    @field_validator("method", mode="before")
+    @classmethod
+    def _former_name(cls, value: Any) -> Any:
+        """The road method was called ours when it was the only one of our own."""
+        return "road" if value == "ours" else value
 
 
 class Calibration(Section):

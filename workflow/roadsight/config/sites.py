@@ -188,6 +188,20 @@ class Lens(Section):
     focal_px: float = Field(gt=0, description="focal length that they belong to, px")
 
 
+class KnownLens(Section):
+    """Lens of all images of a videolog, px; without distortion unless poles.lenses states it."""
+
+    fx_px: float = Field(gt=0, description="focal length")
+    fy_px: float | None = Field(default=None, gt=0, description="the same down the image")
+    cx_px: float = Field(description="principal point, column; pixel centres are whole numbers")
+    cy_px: float = Field(description="principal point, row")
+    width_px: int | None = Field(default=None, gt=0, description="size of the images, if stated")
+    height_px: int | None = Field(default=None, gt=0, description="the same")
+    sigma_fx_px: float = Field(default=0.0, ge=0, description="one standard deviation of fx_px")
+    sigma_cx_px: float = Field(default=0.0, ge=0, description="one standard deviation of cx_px")
+    sigma_cy_px: float = Field(default=0.0, ge=0, description="one standard deviation of cy_px")
+
+
 class PolesInputs(Section):
     """The videolog of the pole job."""
 
@@ -212,7 +226,10 @@ class PolesInputs(Section):
     cameras: str | None = Field(
         default=None, description="camera poses that come with the videolog, CSV"
     )
-    intrinsics: str | None = Field(default=None, description="their lens, CSV, if not with them")
+    intrinsics: str | KnownLens | None = Field(
+        default=None,
+        description="known lens: fx_px, cx_px, cy_px, or a CSV of them; it then holds",
+    )
     lenses: list[Lens] = Field(default=[], description="radial distortion; measured if absent")
 
 

@@ -101,6 +101,30 @@ rule truth_depth:
         " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
 
 
+rule truth_alignment:
+    input:
+        files=truth_files("alignment"),
+        code=sources("truth_alignment"),
+    output:
+        figures="results/truth/alignment/{dataset}.json",
+    log:
+        "logs/truth/alignment-{dataset}.log",
+    benchmark:
+        "results/truth/benchmarks/alignment-{dataset}.tsv"
+    wildcard_constraints:
+        dataset=truth_datasets("alignment"),
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=4000,
+    params:
+        sha256=truth_checksums("alignment"),
+        missing=truth_missing("alignment"),
+    shell:
+        "python -m roadsight.stages.evidence.truth_alignment --dataset {wildcards.dataset}"
+        " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
+
+
 rule truth_sightings:
     input:
         files=truth_files("sightings"),

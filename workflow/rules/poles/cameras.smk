@@ -18,6 +18,11 @@ rule calibrate_drive:
         columns=landmark_columns,
         matches=tied_points,
         baseline=beside_site("poles.baseline"),
+        cloud=dense_only(rules.ingest_cloud.output.cloud),
+        photographs=dense_photographs,
+        masks=dense_masks,
+        drive=dense_drive,
+        intrinsics=intrinsics_file,
         code=sources("calibrate_drive"),
     output:
         calibration="results/{site}/poles/calibration.json",
@@ -27,10 +32,15 @@ rule calibrate_drive:
         benchmark_of("calibrate_drive")
     conda:
         ENVIRONMENT
+    resources:
+        mem_mb=camera_memory,
     params:
         options=flags("calibration"),
         sides=some_flags("sightings", "left_yaw_deg", "right_yaw_deg"),
         shared=flags("alignment", *ALIGNMENT_ONLY),
+        method=some_flags("alignment", "method"),
+        dense=dense_options,
+        images_sha256=dense_digest,
         curvature=decision_on("sight_curvature"),
     shell:
         "python -m roadsight.stages.poles.calibrate_drive --frames {input.frames}"
@@ -38,7 +48,8 @@ rule calibrate_drive:
         " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
         " --pole-axes {input.pole_axes} --columns {input.columns}"
         " --matches {input.matches} --baseline {input.baseline:q} {params.options} {params.sides} {params.shared}"
-        " --curvature {params.curvature}"
+        " {params.method} {params.dense} --cloud {input.cloud} --masks {input.masks}"
+        " --drive {input.drive} --curvature {params.curvature}"
         " --out {output.calibration} > {log} 2>&1"
 
 
@@ -54,6 +65,11 @@ rule align_cameras:
         pole_axes=landmark_axes,
         columns=landmark_columns,
         calibration=rules.calibrate_drive.output.calibration,
+        cloud=dense_only(rules.ingest_cloud.output.cloud),
+        photographs=dense_photographs,
+        masks=dense_masks,
+        drive=dense_drive,
+        intrinsics=intrinsics_file,
         code=sources("align_cameras"),
     output:
         cameras=ensure("results/{site}/poles/cameras/{shard}.parquet", non_empty=True),
@@ -63,11 +79,15 @@ rule align_cameras:
         benchmark_of("align_cameras", "{shard}")
     conda:
         ENVIRONMENT
+    resources:
+        mem_mb=camera_memory,
     params:
         shards=setting("shards"),
         options=flags("alignment", "landmarks", "ties"),
         corrections=corrections_file,
         corrected=shard_corrections,
+        dense=dense_options,
+        images_sha256=dense_digest,
         curvature=decision_on("sight_curvature"),
     shell:
         "python -m roadsight.stages.poles.align_cameras --frames {input.frames}"
@@ -75,6 +95,7 @@ rule align_cameras:
         " --frame {input.frame} --dem {input.dem} --terrain {input.terrain}"
         " --pole-axes {input.pole_axes} --columns {input.columns}"
         " --calibration {input.calibration} --corrections {params.corrections:q}"
+        " {params.dense} --cloud {input.cloud} --masks {input.masks} --drive {input.drive}"
         " --curvature {params.curvature} {params.options} --shard {wildcards.shard}"
         " --shards {params.shards} --out {output.cameras} > {log} 2>&1"
 
@@ -87,7 +108,7 @@ rule use_given_cameras:
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
         cameras=cameras_of_videolog,
-        intrinsics=beside_site("poles.intrinsics"),
+        intrinsics=intrinsics_file,
         code=sources("use_given_cameras"),
     output:
         cameras=ensure(

@@ -48,6 +48,69 @@ def cameras_of_videolog(wildcards):
     return beside_site("poles.cameras")(wildcards)
 
 
+def known_lens(site):
+    """Numbers of the site's known lens, the path of their table, or None."""
+    return SITES[site].site.poles.intrinsics
+
+
+def intrinsics_file(wildcards):
+    """Table of known lenses, where the site names one."""
+    stated = known_lens(wildcards.site)
+    return [SITES[wildcards.site].beside(stated)] if isinstance(stated, str) else []
+
+
+def intrinsics_option(wildcards):
+    """Known lenses as the stages take them: a path, or a row as JSON; empty without any."""
+    stated = known_lens(wildcards.site)
+    if stated is None or isinstance(stated, str):
+        return (intrinsics_file(wildcards) or [""])[0]
+    return stated.model_dump_json(exclude_none=True)
+
+
+def is_dense(wildcards):
+    """Whether cameras are aligned with all that photographs and cloud share."""
+    method = SITES[wildcards.site].setting("alignment.method")
+    return method == "dense" or (
+        method == "auto" and known_lens(wildcards.site) is not None
+    )
+
+
+def dense_only(path):
+    """An input of the dense alignment alone."""
+    return lambda wildcards: [path] if is_dense(wildcards) else []
+
+
+def dense_photographs(wildcards):
+    return rendered_images(wildcards) if is_dense(wildcards) else []
+
+
+def dense_masks(wildcards):
+    return all_masks(wildcards) if is_dense(wildcards) else []
+
+
+def dense_drive(wildcards):
+    return distorting_drive(wildcards) if is_dense(wildcards) else []
+
+
+def dense_digest(wildcards):
+    return image_digest()(wildcards) if is_dense(wildcards) else ""
+
+
+def camera_memory(wildcards, attempt):
+    """Fields of a dozen photographs and the cloud around them took 1.5 GB."""
+    return attempt * (2500 if is_dense(wildcards) else 1000)
+
+
+def dense_options(wildcards):
+    """Options of the dense alignment that are no files of the workflow."""
+    lens = intrinsics_option(wildcards)
+    parts = ["--intrinsics", shlex.quote(lens)] if lens else []
+    if is_dense(wildcards):
+        parts += ["--photographs", shlex.quote(str(images_path(wildcards)))]
+        parts += ["--lenses", shlex.quote(given_lenses(wildcards))]
+    return " ".join(parts)
+
+
 def stage_options(*parts):
     """Options of a stage that another stage runs, as one text."""
     return lambda wildcards: " ".join(part(wildcards) for part in parts)

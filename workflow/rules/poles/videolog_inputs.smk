@@ -191,5 +191,12 @@ all_depths = all_without_distortion("depth")
 
 def given_lenses(wildcards):
     """Lenses of the site file as JSON."""
-    lenses = SITES[wildcards.site].site.poles.lenses
-    return json.dumps([lens.model_dump() for lens in lenses])
+    return json.dumps(lenses_of(SITES[wildcards.site].site.poles))
+
+
+def lenses_of(poles):
+    """Distortion that a site states: a known lens without any has none, and none is sought."""
+    stated = [lens.model_dump() for lens in poles.lenses]
+    if poles.intrinsics is not None and not poles.cameras:
+        stated.append({"route": None, "k1": 0.0, "k2": 0.0, "focal_px": 1000.0})
+    return stated

@@ -41,7 +41,7 @@ def given_to_poles(site):
     baseline = resolved.beside(poles.baseline)
     return {
         "posed_share": posed_share_of(resolved),
-        "lenses": [lens.model_dump() for lens in poles.lenses],
+        "lenses": lenses_of(poles),
         "baseline": clearly(read_baselines, baseline) if baseline else {},
     }
 

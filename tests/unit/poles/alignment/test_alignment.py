@@ -174,7 +174,7 @@ def test_order_of_pixels_does_not_matter(bed, fits, rng):
 
 def test_nothing_to_see_keeps_the_expected_pose(bed, tasks):
     empty = ImageEdges.from_pixels(np.empty((0, 2)), [], [])
-    row = aligned(replace(tasks[0], seen=empty), "ours", Limits())
+    row = aligned(replace(tasks[0], seen=empty), "road", Limits())
     assert not row["accepted"] and row["reason"] == "too few edges in the image"
     pose = pose_of(tasks[0].start, tasks[0].mean)
     assert (row["x"], row["heading_deg"]) == (pose.x_m, pose.heading_deg)
@@ -184,7 +184,7 @@ def test_nothing_to_see_keeps_the_expected_pose(bed, tasks):
 
 def test_a_pose_carries_its_condition_number(bed, tasks, fits):
     empty = ImageEdges.from_pixels(np.empty((0, 2)), [], [])
-    unaligned = aligned(replace(tasks[0], seen=empty), "ours", Limits())
+    unaligned = aligned(replace(tasks[0], seen=empty), "road", Limits())
     assert unaligned["condition"] == pytest.approx(1.0)
     found = [condition(fit[0], task) for fit, task in zip(fits, tasks, strict=True)]
     assert min(found) > 10 and np.isfinite(found).all()
@@ -192,7 +192,7 @@ def test_a_pose_carries_its_condition_number(bed, tasks, fits):
 
 def test_everything_behind_the_camera_is_refused(tasks):
     start = replace(tasks[0].start, heading_deg=tasks[0].start.heading_deg + 180.0)
-    row = aligned(replace(tasks[0], start=start), "ours", Limits())
+    row = aligned(replace(tasks[0], start=start), "road", Limits())
     assert not row["accepted"]
     assert np.isfinite([row["x"], row["heading_deg"], row["sigma_heading_deg"]]).all()
 
@@ -202,7 +202,7 @@ def test_other_edges_are_refused(bed, tasks, rng):
     for task in tasks[:4]:
         uv = rng.uniform([0, 0], [bed.width_px, bed.height_px], (600, 2))
         seen = ImageEdges.from_pixels(uv, rng.choice([-1, 1], 600), rng.random(600) < 0.5)
-        assert not aligned(replace(task, seen=seen), "ours", Limits())["accepted"]
+        assert not aligned(replace(task, seen=seen), "road", Limits())["accepted"]
 
 
 def test_one_side_alone_is_known_and_less_certain(bed, tasks, fits):

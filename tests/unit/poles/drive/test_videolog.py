@@ -346,3 +346,31 @@ def test_a_real_track_in_north_carolina(data, wkt):
         np.abs(np.diff(wrap_deg(np.diff(ok[name])))) for name in ("heading_deg", "heading_raw_deg")
     )
     assert np.percentile(wobble, 90) < 0.8 * np.percentile(rough, 90)
+
+
+def test_a_local_system_has_x_and_y_instead_of_degrees(site):
+    folder, table = site
+    plain = run(folder, table)
+    frame = frame_of(None)
+    write_json(folder / "frame.json", frame.to_dict())
+    write_raster(folder / "dem.tif", np.full((40, 400), 7.0), frame, 0.0, 40.0, 1.0)
+    native = frame.to_native(plain[["x", "y"]].to_numpy(float))
+    local = table.drop(columns=["latitude", "longitude"])
+    local = local.assign(x=native[:, 0], y=native[:, 1], z=0.0)
+    found = run(folder, local)
+    columns = ["x", "y", "z_road", "heading_deg", "step_m"]
+    np.testing.assert_allclose(found[columns], plain[columns], atol=1e-4)
+    assert (found["status"] == "ok").all()
+    assert found[["latitude", "longitude"]].isna().all(axis=None)
+
+
+def test_places_outside_a_local_cloud_are_one_message(site, capsys):
+    folder, table = site
+    frame = frame_of(None)
+    write_json(folder / "frame.json", frame.to_dict())
+    write_raster(folder / "dem.tif", np.full((40, 400), 7.0), frame, 0.0, 40.0, 1.0)
+    away = table.drop(columns=["latitude", "longitude"]).assign(x=5.0, y=6.0)
+    run(folder, away, code=2)
+    told = capsys.readouterr().err
+    assert "no image was taken near the cloud" in told and "those of the cloud" in told
+    assert "x 5.0" in told and "latitude" not in told

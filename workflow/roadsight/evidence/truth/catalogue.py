@@ -75,6 +75,7 @@ def _street(name: str, *patterns: str) -> tuple[str, ...]:
 
 
 _CLOUD = ("frames.laz", "labels.npz", "poses.csv")
+_PHOTOGRAPHS = ("truth_cameras.csv", "images/*.jpg", "masks/*.png", "road_masks/*.png")
 
 AREAS: dict[str, Area] = {
     "ground": Area(
@@ -129,6 +130,20 @@ AREAS: dict[str, Area] = {
             "within_0.5m_20_to_40m": Metric("%"),
             "within_0.5m_40_to_90m": Metric("%"),
             "too_near_over_too_far": Metric("ratio", goal="<3", each="<3"),
+        },
+    ),
+    "alignment": Area(
+        title="Cameras of single photographs with a known lens, started 2 degrees and 1 m off",
+        peer="road edges and pole axes",
+        datasets={f"street_{name}": _street(name, *_CLOUD, *_PHOTOGRAPHS) for name in STREETS},
+        metrics={
+            "within_0.2deg": Metric("%", goal=">90"),
+            "median_deg": Metric("deg", goal="<0.1"),
+            "accepted": Metric("%"),
+            "accepted_within_0.2deg": Metric("%", goal=">98"),
+            # Of a normal error 68 and 95 %.
+            "within_1_sigma": Metric("%", goal=">60"),
+            "within_2_sigma": Metric("%", goal=">90"),
         },
     ),
     "sightings": Area(

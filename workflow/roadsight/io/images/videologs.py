@@ -24,8 +24,8 @@ log = logging.getLogger(__name__)
 _SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 _ALIASES = {
     "image": ("image", "image_name", "filename", "file", "name", "photo"),
-    "latitude": ("latitude", "lat", "y"),
-    "longitude": ("longitude", "lon", "long", "lng", "x"),
+    "latitude": ("latitude", "lat", "y", "y_m", "northing", "northing_m"),
+    "longitude": ("longitude", "lon", "long", "lng", "x", "x_m", "easting", "easting_m"),
     "route": ("route", "route_id", "routeid", "road"),
     "sequence": ("sequence", "seq", "frame", "frame_number", "order", "number"),
     "measure": (
@@ -198,7 +198,8 @@ def read_videolog_table(path: str | os.PathLike[str], source: ImageSource) -> pd
     Returns
     -------
     columns image, route, left_image, right_image (str; "" if none), latitude, longitude (float,
-    NaN where missing or no number), sequence (float, the row where none is given)
+    NaN where missing or no number; y and x of a local system), sequence (float, the row where none
+    is given)
 
     Raises
     ------

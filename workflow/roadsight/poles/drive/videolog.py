@@ -59,12 +59,14 @@ class Site:
     to_local : function of latitude and longitude (n,), degrees, that gives x, y (n, 2), metres.
     covers : function of x, y (n, 2): whether the cloud is there. road_height : function of x, y
         (n, 2): height of the road, NaN where unknown. extent : the cloud's place, in words.
+    is_local : whether the table has y and x of the cloud's local system instead of degrees.
     """
 
     to_local: Callable[[ArrayLike, ArrayLike], Floats]
     covers: Callable[[Floats], Bools]
     road_height: Callable[[Floats], Floats]
     extent: str = ""
+    is_local: bool = False
 
 
 def build_frames(table: pd.DataFrame, site: Site, settings: TrackSettings) -> pd.DataFrame:
@@ -143,9 +145,12 @@ def locate(frames: pd.DataFrame, site: Site) -> tuple[Floats, NDArray[np.object_
     InputError : as `build_frames`.
     """
     latitude, longitude = (frames[c].to_numpy(float) for c in ("latitude", "longitude"))
-    given = np.isfinite(latitude) & np.isfinite(longitude) & ((latitude != 0) | (longitude != 0))
+    given = np.isfinite(latitude) & np.isfinite(longitude)
+    # In degrees, 0, 0 is what a receiver without a fix writes; a local system begins there.
+    if not site.is_local:
+        given &= (latitude != 0) | (longitude != 0)
     xy = _places(site, latitude, longitude, given)
-    swapped = _places(site, longitude, latitude, given)
+    swapped = _places(site, longitude, latitude, given & (not site.is_local))
     inside = _covered(site, xy)
     inside_swapped = _covered(site, swapped) & ~inside
     if given.any() and not inside.any():
@@ -158,7 +163,9 @@ def locate(frames: pd.DataFrame, site: Site) -> tuple[Floats, NDArray[np.object_
 
 def _places(site: Site, latitude: Floats, longitude: Floats, given: Bools) -> Floats:
     """Places x, y (n, 2); NaN where the coordinates cannot be any."""
-    possible = given & (np.abs(latitude) <= 90) & (np.abs(longitude) <= 360)
+    possible = given.copy()
+    if not site.is_local:
+        possible &= (np.abs(latitude) <= 90) & (np.abs(longitude) <= 360)
     xy = np.full((len(latitude), 2), np.nan)
     xy[possible] = site.to_local(latitude[possible], longitude[possible])
     xy[~np.isfinite(xy).all(axis=1)] = np.nan
@@ -183,12 +190,13 @@ def _nowhere(frames: pd.DataFrame, site: Site, swapped: bool) -> None:
             allowed=site.extent or None,
             hint="exchange the names of the two columns",
         )
+    system = "those of the cloud" if site.is_local else "WGS 84 degrees"
     raise InputError(
         "no image was taken near the cloud",
         where="videolog",
-        found=found,
+        found=found.replace("latitude", "y").replace("longitude", "x") if site.is_local else found,
         allowed=site.extent or None,
-        hint="check the cloud's CRS and the coordinates, which must be WGS 84 degrees",
+        hint=f"check the cloud's CRS and the coordinates, which must be {system}",
     )
 
 

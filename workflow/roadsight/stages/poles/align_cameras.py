@@ -14,10 +14,14 @@ import pandas as pd
 from roadsight.base.errors import InputError
 from roadsight.base.matches import tell_named
 from roadsight.base.shards import shard_of
+from roadsight.geometry.cameras import compass_deg
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
+from roadsight.poles.alignment.dense import PITCH as DENSE_PITCH
+from roadsight.poles.alignment.dense import SIZE, YAW, align_dense
+from roadsight.poles.alignment.dense_verdict import DenseLimits, dense_doubt, lost_views
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
 from roadsight.poles.alignment.landmarks import LandmarkNoise
@@ -39,11 +43,15 @@ from roadsight.poles.calibration.calibration import implausible
 from roadsight.poles.calibration.calibration_table import DriveCalibration, from_content
 from roadsight.stages.command import run_stage
 from roadsight.stages.poles.alignment_inputs import AlignmentScene, add_arguments, read_scene
+from roadsight.stages.poles.dense_inputs import (
+    DenseScene,
+    add_dense_arguments,
+    method_of,
+    turned_axes,
+)
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("align_cameras")
-METHODS = ("ours", "published", "none")
-"""Ours, that of the second paper, and none: the expected pose."""
 TEXTS = ("image", "reason")
 """Columns of the table that hold texts."""
 BY_HAND = GivenSigma(heading_deg=0.1, pitch_deg=0.1, lateral_m=0.2, along_m=0.5)
@@ -86,21 +94,34 @@ def align_cameras(arguments: argparse.Namespace) -> None:
     )
     own = [p for p in scene.places if shard_of(p.image, arguments.shards) == arguments.shard]
     by_hand = read_corrections(arguments)
-    rows = []
+    method = method_of(arguments.method, bool(scene.lenses))
+    dense = DenseScene(arguments, scene.lenses) if method == "dense" else None
+    rows: list[dict[str, Any]] = []
+    reasons: dict[str, list[str]] = {}
     for place in logged(own, len(own), log, "images"):
         if place.image in by_hand:
             rows.append({"image": place.image, **corrected(scene, place, by_hand[place.image])})
             continue
         drive = _drive(drives, place)
         task = scene.load(place)(*drive.expected(place))
-        row = aligned(task, arguments.method, limits, scene.landmarks)
+        if dense is None:
+            row = aligned(task, method, limits, scene.landmarks)
+            if place.image in scene.lenses:
+                row["focal_px"] = scene.lenses[place.image].focal_px
+        else:
+            row = dense_aligned(dense, place, task, limits)
         if reason := implausible(drive.mount, place.start.width_px):
             row |= {"accepted": False, "reason": reason}
         rows.append({"image": place.image, **row})
+        reasons.setdefault(place.route, []).append(str(row["reason"]))
     table = pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(dict.fromkeys(TEXTS, str))
     for reason, count in sorted(Counter(table["reason"]).items()):
         log.info("%d of %d images: %s", count, len(table), reason or "accepted")
-    write_table(arguments.out, table, {"method": arguments.method})
+    for route, stated in sorted(reasons.items()):
+        told = log.warning if 2 * sum(map(bool, stated)) > len(stated) else log.info
+        told("%s: %s", route, lost_views(stated))
+    lost = {route: sum(map(bool, stated)) for route, stated in sorted(reasons.items())}
+    write_table(arguments.out, table, {"method": method, "lost_views": lost})
 
 
 def read_corrections(arguments: argparse.Namespace) -> dict[str, pd.Series]:
@@ -140,7 +161,7 @@ def aligned(
     limits: Limits,
     noise: LandmarkNoise | None = None,
 ) -> dict[str, Any]:
-    """Pose, uncertainty and verdict of one image, by one of `METHODS`.
+    """Pose, uncertainty and verdict of one image by the method road, published or none.
 
     An image without an alignment keeps the expected pose.
     """
@@ -149,7 +170,7 @@ def aligned(
     zero = np.zeros_like(expected), np.zeros(len(expected))
     fit = Fit(task.mean, expected, 0.0, nothing, *zero)
     reason = "" if method == "none" else too_little(task, limits)
-    if method == "ours" and not reason:
+    if method == "road" and not reason:
         fits = locate(task, noise)
         reason = doubt(task, fits, limits)
         fit = fits[0]
@@ -157,6 +178,45 @@ def aligned(
         unknowns, rms_px = nelder_mead(task.start, task.seen, task.there, task.mean)
         fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
     return _row(task, fit, reason)
+
+
+def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -> dict[str, Any]:
+    """Pose, uncertainty and verdict of one image with a known lens.
+
+    An image whose pose is not used keeps the expected one.
+    """
+    expected = np.asarray(np.linalg.inv(task.information), np.float64)
+    own = scene.task(place, task.mean[:SIZE], expected[:SIZE, :SIZE])
+    fit = align_dense(own)
+    reason = dense_doubt(own, fit, DenseLimits.of(limits))
+    pose, covariance = (own.pose, own.covariance) if reason else (fit.pose, fit.covariance)
+    # Along and across are those of the track, as everywhere, and not of the camera's view.
+    back = turned_axes(place.start.heading_deg - own.pose[YAW])
+    along, lateral, _, yaw, pitch, _ = np.sqrt(np.diag(back @ covariance @ back.T))
+    spread = covariance / np.outer(own.sigma, own.sigma)
+    variances = np.linalg.eigvalsh(0.5 * (spread + spread.T))
+    return {
+        **dict(zip(("x", "y", "z"), map(float, pose[:3]), strict=True)),
+        "heading_deg": float(compass_deg(pose[YAW])),
+        "pitch_deg": float(pose[DENSE_PITCH]),
+        "roll_deg": float(pose[DENSE_PITCH + 1]),
+        "focal_px": own.lens.focal_px,
+        "cx_px": own.lens.cx_px,
+        "cy_px": own.lens.cy_px,
+        "width_px": place.start.width_px,
+        "height_px": place.start.height_px,
+        "sigma_heading_deg": float(yaw),
+        "sigma_pitch_deg": float(pitch),
+        "sigma_lateral_m": float(lateral),
+        "sigma_along_m": float(along),
+        "condition": float(variances[-1] / max(variances[0], 1e-300)),
+        "residual_px": float("nan"),
+        "edge_points": fit.samples,
+        "landmarks": 0,
+        "one_sided": False,
+        "accepted": not reason,
+        "reason": reason,
+    }
 
 
 def _row(task: Task, fit: Fit, reason: str) -> dict[str, Any]:
@@ -189,10 +249,10 @@ def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_arguments(parser)
+    add_dense_arguments(parser)
     limits = Limits()
     parser.add_argument("--calibration", required=True)
     parser.add_argument("--corrections", nargs="?", help="poses of images set by a person, CSV")
-    parser.add_argument("--method", choices=METHODS, default="ours")
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--max-residual-px", type=float, default=limits.residual_px)

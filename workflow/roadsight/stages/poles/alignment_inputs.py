@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.io.images.intrinsics import read_intrinsics
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 from roadsight.io.records.terrains import read_terrain
 from roadsight.placement.sensors.earth import rise_m
+from roadsight.poles.alignment.dense import GivenLens
 from roadsight.poles.alignment.drive import (
     Place,
     Reach,
@@ -74,6 +76,7 @@ class AlignmentScene:
     columns: PoleColumns
     landmarks: LandmarkNoise
     curved: bool = False
+    lenses: Mapping[str, GivenLens] = field(default_factory=dict)
 
     def edges_of(self, place: Place) -> tuple[ImageEdges, NearEdges]:
         """Road edges in one image, and those of the cloud that it may show."""
@@ -156,8 +159,9 @@ def read_scene(arguments: argparse.Namespace) -> AlignmentScene:
     landmarks = replace(
         LandmarkNoise(), axis_px=arguments.axis_px, farthest_m=arguments.landmark_farthest_m
     )
+    lenses = known_lenses(getattr(arguments, "lens_table", None), places)
     return AlignmentScene(
-        places,
+        [with_centre(place, lenses) for place in places],
         edges,
         pixels,
         reach,
@@ -167,7 +171,29 @@ def read_scene(arguments: argparse.Namespace) -> AlignmentScene:
         _landmark_columns(arguments.columns),
         landmarks,
         arguments.curvature == "simulate",
+        lenses,
     )
+
+
+def known_lenses(source: str | None, places: list[Place]) -> dict[str, GivenLens]:
+    """Lens of each image where the site gives them; none without a source.
+
+    Raises
+    ------
+    InputError : as `read_intrinsics`.
+    """
+    if not source:
+        return {}
+    sizes = [(p.image, p.start.width_px, p.start.height_px) for p in places]
+    return read_intrinsics(source, sizes)
+
+
+def with_centre(place: Place, lenses: Mapping[str, GivenLens]) -> Place:
+    """The same place with the known principal point of its image."""
+    if place.image not in lenses:
+        return place
+    lens = lenses[place.image]
+    return replace(place, start=replace(place.start, cx_px=lens.cx_px, cy_px=lens.cy_px))
 
 
 def _pole_axes(paths: list[str]) -> dict[str, pd.DataFrame]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
@@ -14,11 +15,19 @@ from roadsight.base.errors import InputError
 from roadsight.io.images.baselines import read_baselines
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table
-from roadsight.poles.alignment.drift import DriftModel
+from roadsight.poles.alignment.dense import GivenLens
+from roadsight.poles.alignment.drift import Drift, DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.pose import Spread
 from roadsight.poles.calibration.calibration import Loader, Mount, calibrate, find_focal, weak_mount
+from roadsight.poles.calibration.calibration_dense import (
+    FEWEST,
+    IMAGES,
+    SPREAD,
+    calibrate_dense,
+    with_lens,
+)
 from roadsight.poles.calibration.calibration_landmarks import with_landmarks
 from roadsight.poles.calibration.calibration_table import (
     DriveCalibration,
@@ -32,10 +41,14 @@ from roadsight.poles.calibration.calibration_upright import aimed
 from roadsight.poles.images.stitching import ViewOffsets
 from roadsight.stages.command import run_stage
 from roadsight.stages.poles.alignment_inputs import add_arguments, read_scene
+from roadsight.stages.poles.dense_inputs import DenseScene, add_dense_arguments, method_of
 
 log = logging.getLogger("calibrate_drive")
+_Item = TypeVar("_Item")
 _FEW = 12
 """Images that tell the focal length roughly: all are aligned anew for each of 14 focal lengths."""
+_SURE_LENS = 1e-4
+"""Least standard deviation of the logarithm of a known focal length; zero has no inverse."""
 
 
 def calibrate_drives(arguments: argparse.Namespace) -> None:
@@ -43,36 +56,97 @@ def calibrate_drives(arguments: argparse.Namespace) -> None:
     scene = read_scene(arguments)
     baselines = read_baselines(arguments.baseline) if arguments.baseline else {}
     shared = _shared_points(arguments.matches)
+    method = method_of(arguments.method, bool(scene.lenses))
+    dense = DenseScene(arguments, scene.lenses) if method == "dense" else None
     drives: dict[Key, list[tuple[Place, Loader]]] = {}
     for place, load in scene.loaders():
         key = place.route, place.start.width_px, place.start.height_px
         drives.setdefault(key, []).append((place, load))
     content = []
     for key, images in sorted(drives.items(), key=lambda item: item[0]):
-        calibration = _calibrated(key, images, arguments, baselines, scene.landmarks, shared)
+        given = [scene.lenses[p.image] for p, _ in images if p.image in scene.lenses]
+        prior = _prior(key, arguments, baselines, given)
+        if dense is not None:
+            calibration = _densely(key, [p for p, _ in images], arguments, prior, dense)
+        else:
+            known = bool(given) or arguments.hfov_deg or _baseline(key, baselines)
+            focal = None if known else _FEW
+            calibration = _calibrated(key, images, arguments, prior, focal, scene.landmarks, shared)
+            mount = _lens_held(calibration.mount, given)
+            calibration = replace(calibration, mount=mount)
         log.info("%s %d x %d: %s", *key, _summary(calibration))
         content.append(to_content(calibration))
     write_json(arguments.out, {"drives": content})
+
+
+def _baseline(key: Key, baselines: dict[str, Any]) -> dict[str, Any] | None:
+    found: dict[str, Any] | None = baselines.get(f"{key[1]}x{key[2]}", baselines.get("all"))
+    return found
+
+
+def _prior(
+    key: Key, arguments: argparse.Namespace, baselines: dict[str, Any], given: list[GivenLens]
+) -> tuple[Mount, str]:
+    """What is known of a drive's mount beforehand, and what is wrong with its baseline."""
+    prior, baseline = weak_mount(arguments.hfov_deg or None, key[1]), _baseline(key, baselines)
+    problem = ""
+    if baseline is not None:
+        try:
+            prior = baseline_mount(baseline, prior, key[1])
+        except InputError as error:
+            problem = str(error)
+    return _lens_held(prior, given), problem
+
+
+def _lens_held(mount: Mount, given: list[GivenLens]) -> Mount:
+    """Mount with the known lens, if there is one: no calibration may touch it."""
+    if not given:
+        return mount
+    focal = np.log([lens.focal_px for lens in given])
+    # Images may have lenses of their own: the drive's spread holds all of them.
+    sigma = max(_SURE_LENS, float(np.ptp(focal)))
+    return with_lens(mount, float(np.exp(np.median(focal))), sigma)
+
+
+def _densely(
+    key: Key,
+    places: list[Place],
+    arguments: argparse.Namespace,
+    known: tuple[Mount, str],
+    scene: DenseScene,
+) -> DriveCalibration:
+    """Calibration of a drive with a known lens, from photographs and cloud."""
+    spread, (prior, problem) = SPREAD, known
+    mount, chosen = prior, _evenly(places, min(arguments.images, IMAGES))
+    if len(chosen) < FEWEST:
+        problem = problem or f"{len(chosen)} images do not tell how the camera is mounted"
+    if problem:
+        log.warning("%s: %s", key[0], problem)
+    else:
+        mount, _ = calibrate_dense([scene.loader(place) for place in chosen], prior, spread)
+    model = DriftModel(arguments.gps_sigma_m, arguments.gps_length_m, arguments.gps_own_m)
+    drift = Drift(np.empty(0), np.empty((0, 2)), np.empty((0, 2, 2)), model)
+    return DriveCalibration(key, mount, spread, drift, {}, problem)
 
 
 def _calibrated(
     key: Key,
     images: list[tuple[Place, Loader]],
     arguments: argparse.Namespace,
-    baselines: dict[str, Any],
+    known: tuple[Mount, str],
+    focal_images: int | None,
     noise: LandmarkNoise,
     shared: Shared,
 ) -> DriveCalibration:
+    """Calibration from road edges; the focal length is sought on some images if on any."""
     places, loaders = [p for p, _ in images], [load for _, load in images]
-    spread = Spread()
-    chosen = _evenly(loaders, arguments.images)
-    prior, problem = weak_mount(arguments.hfov_deg or None, key[1]), ""
-    baseline = baselines.get(f"{key[1]}x{key[2]}", baselines.get("all"))
+    spread, (prior, problem) = Spread(), known
+    mount, chosen = prior, _evenly(loaders, arguments.images)
     try:
-        if baseline is not None:
-            prior = baseline_mount(baseline, prior, key[1])
-        elif not arguments.hfov_deg:
-            prior = find_focal(_evenly(loaders, _FEW), prior, spread, key[1])
+        if problem:
+            raise InputError(problem)
+        if focal_images:
+            prior = find_focal(_evenly(loaders, focal_images), prior, spread, key[1])
         if arguments.start == "landmarks":
             prior = aimed(prior, loaders, noise, spread)
         mount, _ = calibrate(chosen, prior, spread)
@@ -99,9 +173,9 @@ def _shared_points(paths: list[str]) -> Shared:
     }
 
 
-def _evenly(loaders: list[Loader], count: int) -> list[Loader]:
-    index = np.unique(np.linspace(0, len(loaders) - 1, min(count, len(loaders))).round())
-    return [loaders[int(number)] for number in index]
+def _evenly(items: list[_Item], count: int) -> list[_Item]:
+    index = np.unique(np.linspace(0, len(items) - 1, min(count, len(items))).round())
+    return [items[int(number)] for number in index]
 
 
 def _summary(calibration: DriveCalibration) -> str:
@@ -115,6 +189,7 @@ def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     add_arguments(parser)
+    add_dense_arguments(parser)
     help_ = 'JSON by image size, {"2000x1200": {...}}, or "all"'
     parser.add_argument("--baseline", nargs="?", help=help_)
     parser.add_argument("--matches", nargs="*", default=[], help="tables of shared points")

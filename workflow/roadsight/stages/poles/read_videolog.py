@@ -67,6 +67,9 @@ def read_videolog(arguments: argparse.Namespace) -> None:
         arguments.heading_images, arguments.standing_m, arguments.jump_m, arguments.jump_factor
     )
     frames = build_frames(table, _site(arguments, frame), settings)
+    if frame.crs_wkt is None:
+        # What was read under these names are places in the local system.
+        frames[["latitude", "longitude"]] = np.nan
     _tell(table, frames, source)
     write_table(arguments.out, frames[COLUMNS], {"settings": vars(settings)})
 
@@ -116,7 +119,7 @@ def _side(source: ImageSource, name: str) -> str:
 
 
 def _site(arguments: argparse.Namespace, frame: Frame) -> Site:
-    north, cloud = SiteNorth(frame), CloudTiles(arguments.cloud)
+    cloud = CloudTiles(arguments.cloud)
     bounds = np.array([tile.bounds_m for tile in cloud.tiles])
     tree = shapely.STRtree(shapely.box(bounds[:, 0], bounds[:, 1], bounds[:, 3], bounds[:, 4]))
 
@@ -125,11 +128,25 @@ def _site(arguments: argparse.Namespace, frame: Frame) -> Site:
         return np.isin(np.arange(len(xy)), near)
 
     corners = np.array([bounds[:, :2].min(axis=0), bounds[:, 3:5].max(axis=0)])
-    (south, top), (west, east) = north.to_geographic(corners)
-    extent = f"latitude {south:.5f} to {top:.5f}, longitude {west:.5f} to {east:.5f}"
+    to_local, extent = _coordinates(frame, corners)
     dem = read_raster(arguments.dem, frame)
     view = read_top(arguments.top, frame) if arguments.top else None
-    return Site(north.to_local, covers, road_heights(dem.sample, view), extent)
+    heights = road_heights(dem.sample, view)
+    return Site(to_local, covers, heights, extent, frame.crs_wkt is None)
+
+
+def _coordinates(
+    frame: Frame, corners_m: Floats
+) -> tuple[Callable[[ArrayLike, ArrayLike], Floats], str]:
+    """Function of the table's coordinates (see `Site`), and the cloud's extent in words."""
+    if frame.crs_wkt is None:
+        (west, south), (east, north) = frame.to_native(corners_m)[:, :2]
+        extent = f"x {west:.1f} to {east:.1f}, y {south:.1f} to {north:.1f}"
+        return lambda y, x: frame.to_local(np.column_stack([x, y])), extent
+    geographic = SiteNorth(frame)
+    (south, top), (west, east) = geographic.to_geographic(corners_m)
+    extent = f"latitude {south:.5f} to {top:.5f}, longitude {west:.5f} to {east:.5f}"
+    return geographic.to_local, extent
 
 
 def road_heights(

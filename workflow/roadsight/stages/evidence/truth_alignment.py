@@ -1,0 +1,18 @@
+"""Cameras of photographs with a known lens on real data, one data set at a time."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from roadsight.evidence.truth.alignment import measure_alignment
+from roadsight.stages.evidence.truth_stage import truth_main
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line."""
+    return truth_main(__doc__, measure_alignment, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
