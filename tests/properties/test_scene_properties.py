@@ -8,12 +8,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from roadsight.geometry.frames import Frame
-from roadsight.scene.grids import Grid, lowest_per_cell
+from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 from roadsight.scene.surfels.thinning import column_means
-from roadsight.scene.terrain.ground import GroundSettings, coarse_at, coarse_ground, ground_mask
+from roadsight.scene.terrain.coarse import coarse_ground
+from roadsight.scene.terrain.ground import ground_mask
+from roadsight.scene.terrain.ground_settings import GroundSettings
+from roadsight.scene.terrain.lowest import lowest_supported
 
 # Cells are binary fractions and points lie on a binary raster, so that moving them is exact.
 SETTINGS = GroundSettings(pillar_width_m=0.25, coarse_cell_m=1.0)
@@ -35,8 +38,8 @@ def street(seed, n=2500):
 def label(xyz):
     x, y, z = xyz.T
     grid = Grid.around(x, y, SETTINGS.coarse_cell_m)
-    surface, slope = coarse_ground(lowest_per_cell(grid, x, y, z), SETTINGS)
-    return ground_mask(x, y, z, *coarse_at(grid, surface, slope, x, y), SETTINGS)
+    coarse = coarse_ground(grid, lowest_supported(grid, x, y, z), SETTINGS)
+    return ground_mask(x, y, z, coarse, SETTINGS)
 
 
 def describe(xyz, k=10):

@@ -10,7 +10,7 @@ from roadsight.base.errors import InputError
 from roadsight.commands.memory import (
     add_cloud_arguments,
     check_output,
-    ground_of,
+    labelled_ground,
     load_cloud,
     pavement_of,
 )
@@ -32,7 +32,9 @@ def run(arguments: argparse.Namespace) -> None:
     """Write layers ``edges`` and ``pavement`` in the cloud's CRS."""
     check_output(arguments, ".gpkg")
     cloud = load_cloud(arguments)
-    outline, ground = pavement_of(cloud, ground_of(cloud), arguments.intensity, arguments.seed)
+    outline, ground = pavement_of(
+        cloud, labelled_ground(cloud), arguments.intensity, arguments.seed
+    )
     found = outline_edges(outline, ground.xyz_m, OutlineSettings())
     if not found:
         raise InputError("the pavement has no edge long enough to trace", where=arguments.cloud)

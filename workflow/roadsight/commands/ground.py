@@ -7,17 +7,19 @@ import argparse
 from roadsight.commands.memory import (
     add_cloud_arguments,
     check_output,
-    ground_of,
+    labelled_ground,
     labels_of,
     load_cloud,
 )
 from roadsight.io.cloud.clouds import write_laz
+from roadsight.stages.scene.build_dem import add_ground_arguments, ground_settings_of
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
     """Add the verb."""
     parser = verbs.add_parser("ground", help="label ground points (class 2)")
     add_cloud_arguments(parser)
+    add_ground_arguments(parser)
     parser.add_argument("-o", "--out", required=True, help="LAZ or LAS file to write")
     parser.set_defaults(run=run)
 
@@ -26,7 +28,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground labels, all other dimensions kept."""
     check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
-    labels = labels_of(cloud, ground_of(cloud), None)
+    labels = labels_of(cloud, labelled_ground(cloud, ground_settings_of(arguments)), None)
     write_laz(
         arguments.out, cloud.xyz_m, cloud.frame, {**cloud.native.dims, "classification": labels}
     )

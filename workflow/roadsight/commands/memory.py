@@ -23,10 +23,9 @@ from roadsight.scene.pavement.outline import (
     pavement_settings_for,
 )
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
-from roadsight.scene.profile import count_cells, density
-from roadsight.scene.spacing import plan_spacing_m, uses_intensity
-from roadsight.scene.terrain.ground import GroundSettings, ground_settings_for
-from roadsight.scene.terrain.terrain import label_ground
+from roadsight.scene.spacing import uses_intensity
+from roadsight.scene.terrain.ground_settings import GroundSettings
+from roadsight.scene.whole import ground_of, spacing_of
 from roadsight.stages.scene.ingest_cloud import UNITS, survey
 
 log = logging.getLogger("roadsight")
@@ -51,9 +50,7 @@ class MemoryCloud:
     @property
     def spacing_m(self) -> float:
         """Spacing of evenly spread points of this density."""
-        classes = np.zeros(len(self.xyz_m), np.uint8)
-        cells = count_cells(self.xyz_m, classes)
-        return plan_spacing_m(density(cells.column, cells.row, cells.count)["median"])
+        return spacing_of(self.xyz_m)
 
 
 def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
@@ -96,14 +93,14 @@ def load_cloud(arguments: argparse.Namespace) -> MemoryCloud:
     return MemoryCloud(native, site.frame, site.frame.to_local(native.xyz))
 
 
-def ground_of(cloud: MemoryCloud) -> Bools:
-    """Ground labels in the file's order."""
-    west, south = cloud.xyz_m[:, :2].min(axis=0)
-    east, north = cloud.xyz_m[:, :2].max(axis=0) + 1e-3
-    bounds = (float(west), float(south), float(east), float(north))
-    settings = ground_settings_for(cloud.spacing_m, GroundSettings())
-    # One tile that holds everything, so the labels keep the file's order.
-    _, mask = next(label_ground(lambda halo: iter([(bounds, cloud.xyz_m)]), bounds, settings))
+def labelled_ground(cloud: MemoryCloud, settings: GroundSettings | None = None) -> Bools:
+    """Ground labels in the file's order.
+
+    Raises
+    ------
+    InputError : the cloud has no ground.
+    """
+    mask = ground_of(cloud.xyz_m, settings)
     if not mask.any():
         raise InputError("no ground found", where=str(cloud.native.header.path))
     return mask

@@ -7,7 +7,7 @@ import argparse
 from roadsight.commands.memory import (
     add_cloud_arguments,
     check_output,
-    ground_of,
+    labelled_ground,
     labels_of,
     load_cloud,
     pavement_of,
@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground and road labels, all other dimensions kept."""
     check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
-    ground = ground_of(cloud)
+    ground = labelled_ground(cloud)
     outline, _ = pavement_of(cloud, ground, arguments.intensity, arguments.seed)
     labels = labels_of(cloud, ground, outline)
     write_laz(

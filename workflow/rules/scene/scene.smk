@@ -81,6 +81,7 @@ rule build_dem:
         coarse_cell_m=setting("ground.coarse_cell_m"),
         max_object_width_m=setting("ground.max_object_width_m"),
         slope=setting("ground.slope"),
+        coarse_tolerance_m=setting("ground.coarse_tolerance_m"),
         dem_cell_m=setting("ground.dem_cell_m"),
         dem_fill_m=setting("ground.dem_fill_m"),
     shell:
@@ -90,6 +91,7 @@ rule build_dem:
         " --height-threshold-m {params.height_threshold_m}"
         " --coarse-cell-m {params.coarse_cell_m}"
         " --max-object-width-m {params.max_object_width_m} --slope {params.slope}"
+        " --coarse-tolerance-m {params.coarse_tolerance_m}"
         " --dem-cell-m {params.dem_cell_m} --dem-fill-m {params.dem_fill_m}"
         " --dem {output.dem} --ground {output.ground} > {log} 2>&1"
 

@@ -8,16 +8,15 @@ import numpy as np
 from rasterio.fill import fillnodata
 
 from roadsight.base.arrays import Bools, Floats, Floats32
-from roadsight.scene.grids import Grid, lowest_per_cell
-from roadsight.scene.terrain.ground import GroundSettings, coarse_at, coarse_ground, ground_mask
+from roadsight.scene.grids import Grid
+from roadsight.scene.terrain.coarse import CoarseGround, coarse_ground
+from roadsight.scene.terrain.ground import ground_mask
+from roadsight.scene.terrain.ground_settings import GroundSettings, reach_m
+from roadsight.scene.terrain.lowest import lowest_supported
 
 Bounds = tuple[float, float, float, float]
 Tiles = Callable[[float], Iterator[tuple[Bounds, Floats]]]
 """Function of a halo in metres that yields (core bounds, (n, 3) points of core and halo)."""
-
-_HALO_PILLARS = 8
-"""Pillars around a tile whose points are read with it: more than the filter over pillars looks to
-either side, because gaps are filled from beyond them."""
 
 
 def label_ground(
@@ -33,17 +32,39 @@ def label_ground(
     ------
     (n, 3) points of a tile's core and (n,) whether they are ground.
     """
-    grid = Grid.over(*bounds_m, settings.coarse_cell_m)
-    lowest = np.full(grid.shape, np.nan)
-    for _, points in tiles(0.0):
-        np.fmin(lowest, lowest_per_cell(grid, *points.T), out=lowest)
-    surface, slope = coarse_ground(lowest, settings)
-    for core, points in tiles(_HALO_PILLARS * settings.pillar_width_m):
+    coarse = coarse_of_tiles(tiles, bounds_m, settings)
+    for core, points in tiles(reach_m(settings)):
         x, y, z = points.T
-        mask = ground_mask(x, y, z, *coarse_at(grid, surface, slope, x, y), settings)
+        mask = ground_mask(x, y, z, coarse, settings)
         west, south, east, north = core
         own = (x >= west) & (x < east) & (y >= south) & (y < north)
         yield points[own], mask[own]
+
+
+def coarse_of_tiles(tiles: Tiles, bounds_m: Bounds, settings: GroundSettings) -> CoarseGround:
+    """Coarse ground surface of the whole cloud.
+
+    A tile is read with one cell around it, so that it knows all points of each cell it touches.
+    """
+    cell = settings.coarse_cell_m
+    grid = Grid.over(*bounds_m, cell)
+    lowest = np.full(grid.shape, np.nan)
+    for (west, south, east, north), points in tiles(cell):
+        x, y, z = points.T
+        if len(x) == 0:
+            continue
+        own = (x >= west) & (x < east) & (y >= south) & (y < north)
+        part = Grid.around(x, y, cell)
+        found = lowest_supported(part, x, y, z)
+        column, row = part.indices(x[own], y[own])
+        touched = np.zeros(part.shape, bool)
+        touched[row, column] = True
+        rows, columns = np.nonzero(touched)
+        at_row, at_column = rows + part.south - grid.south, columns + part.west - grid.west
+        inside = (at_row >= 0) & (at_row < grid.rows) & (at_column >= 0)
+        inside &= at_column < grid.columns
+        lowest[at_row[inside], at_column[inside]] = found[rows[inside], columns[inside]]
+    return coarse_ground(grid, lowest, settings)
 
 
 class TerrainModel:

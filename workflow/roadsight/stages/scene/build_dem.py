@@ -16,7 +16,7 @@ from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
 from roadsight.scene.spacing import plan_spacing_m
-from roadsight.scene.terrain.ground import GroundSettings, ground_settings_for
+from roadsight.scene.terrain.ground_settings import GroundSettings, ground_settings_for
 from roadsight.scene.terrain.terrain import TerrainModel, label_ground
 from roadsight.stages.command import run_stage
 
@@ -32,9 +32,7 @@ def build_dem(arguments: argparse.Namespace) -> None:
     west, south = corners[:, :2].min(axis=0).tolist()
     east, north = corners[:, 3:5].max(axis=0).tolist()
     bounds = (west, south, east, north)
-    names = ("pillar_width_m", "height_threshold_m", "coarse_cell_m", "max_object_width_m", "slope")
-    settings = GroundSettings(**{name: getattr(arguments, name) for name in names})
-    settings = ground_settings_for(spacing_m, settings)
+    settings = ground_settings_for(spacing_m, ground_settings_of(arguments))
     terrain = TerrainModel(bounds, max(arguments.dem_cell_m, spacing_m))
     labels = []
     for points, mask in label_ground(
@@ -61,6 +59,44 @@ def build_dem(arguments: argparse.Namespace) -> None:
     )
 
 
+_HELP = {
+    "pillar_width_m": "width of the finest pillar, m; doubled where points are sparse",
+    "height_threshold_m": "points higher than this above their pillar's ground are off-ground, m",
+    "coarse_cell_m": "cell of the coarse ground surface, m",
+    "max_object_width_m": "widest object that is not ground (a building), m",
+    "slope": "slope, rise over run, that is kept without help from the ground beside it",
+    "coarse_tolerance_m": "how far from the coarse surface a pillar's ground may lie, m",
+}
+"""Settings of the ground filter, as options of the stage and of the verb ``ground``."""
+
+
+def add_ground_arguments(parser: argparse.ArgumentParser) -> None:
+    """All settings of the ground filter as options, with their defaults."""
+    for name, text in _HELP.items():
+        option = f"--{name.replace('_', '-')}"
+        default = getattr(GroundSettings(), name)
+        parser.add_argument(option, type=float, default=default, help=f"{text} ({default})")
+
+
+def ground_settings_of(arguments: argparse.Namespace) -> GroundSettings:
+    """Settings of the ground filter from parsed options.
+
+    Raises
+    ------
+    InputError : one of them is not above zero.
+    """
+    given = {name: getattr(arguments, name) for name in _HELP}
+    for name, value in given.items():
+        if not 0 < value < float("inf"):
+            raise InputError(
+                "is no setting of the ground filter",
+                where=f"--{name.replace('_', '-')}",
+                found=value,
+                allowed="a number above 0",
+            )
+    return GroundSettings(**given)
+
+
 def _check(ground: np.ndarray, site: str) -> None:
     share = float(ground.mean())
     log.info("%.1f %% of %d points are ground", 100 * share, len(ground))
@@ -79,11 +115,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("site", "cloud", "frame", "profile", "dem", "ground"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--pillar-width-m", type=float, default=0.2)
-    parser.add_argument("--height-threshold-m", type=float, default=0.1)
-    parser.add_argument("--coarse-cell-m", type=float, default=1.0)
-    parser.add_argument("--max-object-width-m", type=float, default=30.0)
-    parser.add_argument("--slope", type=float, default=0.2)
+    add_ground_arguments(parser)
     parser.add_argument("--dem-cell-m", type=float, default=0.5)
     parser.add_argument("--dem-fill-m", type=float, default=20.0)
     return run_stage(parser, build_dem, argv)
