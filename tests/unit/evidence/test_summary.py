@@ -78,6 +78,7 @@ def test_summary_holds_the_keys_that_checks_rely_on(folder):
     assert code == 0
     assert json.loads(path.read_text()) == {
         "site": "here",
+        "warnings": [],
         "version": __version__,
         "seed": 7,
         "inputs": {
@@ -164,3 +165,14 @@ def test_what_was_withheld_is_counted_by_its_reason(folder):
         "sightings": {"too far": 1},
         "poles": {weak: 2},
     }
+
+
+def test_what_stages_told_is_gathered_gravest_first(folder):
+    told = {"message": "m", "measured": 0.1, "limit": None}
+    note, doubt = ({"code": c, "severity": c} | told for c in ("note", "doubt"))
+    write_json(folder / "one.json", [note])
+    write_json(folder / "two.json", [note, doubt])
+    paths = [str(folder / f"{name}.json") for name in ("one", "two")]
+    code, path = summarise(folder, "--doubts", *paths)
+    assert code == 0
+    assert json.loads(path.read_text())["warnings"] == [doubt, note]

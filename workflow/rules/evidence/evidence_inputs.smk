@@ -11,6 +11,11 @@ wildcard_constraints:
     job="placement|poles",
 
 
+def told_doubts(wildcards):
+    """Files in which stages tell what their answers rest on; a stage that tells adds its own."""
+    return [rules.build_dem.output.doubts.format(site=wildcards.site)]
+
+
 def level_name(wildcards):
     return list(STUDIES[wildcards.study].levels)[int(wildcards.level)]
 

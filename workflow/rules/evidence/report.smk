@@ -23,6 +23,7 @@ rule summarise_site:
         solutions=placement_only(plan_solutions),
         timings=placement_only(plan_timings),
         data=placement_only(plan_data),
+        doubts=told_doubts,
         code=sources("summarise_site"),
     output:
         summary="results/{site}/summary.json",
@@ -44,7 +45,7 @@ rule summarise_site:
         " --scores {input.scores} --traffic {input.traffic} --coverage {input.coverage} --solutions {input.solutions}"
         " --timings {input.timings} --data {input.data} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
-        " --camera-scores {input.camera_scores}"
+        " --camera-scores {input.camera_scores} --doubts {input.doubts}"
         " --out {output.summary} > {log} 2>&1"
 
 

@@ -66,6 +66,7 @@ rule build_dem:
     output:
         dem="results/{site}/scene/dem.tif",
         ground="results/{site}/scene/ground.parquet",
+        doubts="results/{site}/doubts/build_dem.json",
     log:
         log_of("build_dem"),
     benchmark:
@@ -93,7 +94,7 @@ rule build_dem:
         " --max-object-width-m {params.max_object_width_m} --slope {params.slope}"
         " --coarse-tolerance-m {params.coarse_tolerance_m}"
         " --dem-cell-m {params.dem_cell_m} --dem-fill-m {params.dem_fill_m}"
-        " --dem {output.dem} --ground {output.ground} > {log} 2>&1"
+        " --dem {output.dem} --ground {output.ground} --doubts {output.doubts} > {log} 2>&1"
 
 
 rule cluster_fpfh:

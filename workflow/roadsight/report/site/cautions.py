@@ -113,6 +113,24 @@ def data_cautions(
     return found
 
 
+def told_cautions(doubts: Sequence[dict[str, Any]]) -> list[Caution]:
+    """What stages told: doubts as warnings, notes as notes.
+
+    Parameters
+    ----------
+    doubts : ``warnings`` of the summary.
+    """
+    found = []
+    for doubt in doubts:
+        text = str(doubt["message"])
+        if doubt["measured"] is not None and not doubt["code"].startswith("raised_"):
+            text += f": {doubt['measured']}"
+            text += "" if doubt["limit"] is None else f" (limit {doubt['limit']})"
+        level: Literal["warning", "note"] = "note" if doubt["severity"] == "note" else "warning"
+        found.append(Caution(level, f"{text[:1].upper()}{text[1:].rstrip('.')}."))
+    return found
+
+
 def scene_cautions(
     frame: dict[str, Any],
     scored: bool,

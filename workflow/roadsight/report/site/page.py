@@ -19,6 +19,7 @@ from roadsight.report.site.cautions import (
     is_proven,
     plan_cautions,
     scene_cautions,
+    told_cautions,
 )
 from roadsight.report.site.gaps import gaps_of, obstacles_of
 from roadsight.report.site.layers import (
@@ -248,7 +249,7 @@ def _cautions(
         targets = len(placement.targets)
         positions = len(pd.unique(pd.concat([table["key"] for table in placement.rounds])))
     area_m2 = float(scene.pavement.geometry.area.sum())
-    found = plan_cautions(plans)
+    found = told_cautions(summary.get("warnings", [])) + plan_cautions(plans)
     found += data_cautions(targets, positions, area_m2, summary["settings"])
     found += scene_cautions(
         scene.about,

@@ -24,8 +24,8 @@ from roadsight.scene.terrain.ground_settings import ROUGHNESS_PER_SPACING, Groun
 from roadsight.scene.terrain.recovery import recover
 
 _PIT_SHARE = 0.2
-"""A cell is multipath if it lies below four fifths of those around, by more than ground departs from
-a plane."""
+"""A cell is multipath if it lies below four fifths of those around, by more than ground departs
+from a plane."""
 _PIT_PASSES = 2
 """Pits beside pits are found once those are gone."""
 _PIT_HALVES = (2, 4, 8, 16)

@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from roadsight import __version__
+from roadsight.base.doubts import Doubt, by_severity
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.checksums import sha256
 from roadsight.io.records.tables import read_about, read_table
@@ -46,6 +47,8 @@ def summarise_site(arguments: argparse.Namespace) -> None:
             summary["placement"][Path(path).parent.name]["data"] = read_json(path)
     if arguments.poles:
         summary["poles"] = _poles(arguments)
+    told = [Doubt.from_dict(one) for path in arguments.doubts for one in read_json(path)]
+    summary["warnings"] = [doubt.to_dict() for doubt in by_severity(told)]
     write_json(arguments.out, summary)
 
 
@@ -129,7 +132,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("frames", "poles", "validation", "camera-scores"):
         parser.add_argument(f"--{name}", nargs="?")
     shards, tables = ("cameras", "sightings"), ("given", "scores", "traffic", "coverage")
-    for name in (*shards, *tables, "solutions", "timings", "data"):
+    for name in (*shards, *tables, "solutions", "timings", "data", "doubts"):
         parser.add_argument(f"--{name}", nargs="*", default=[])
     return run_stage(parser, summarise_site, argv)
 
