@@ -61,6 +61,15 @@ def data() -> Path:
     return Path(folder)
 
 
+@pytest.fixture
+def cases() -> Path:
+    """Folder of awkward files of users; the test is skipped where there is none."""
+    folder = os.environ.get("ROADSIGHT_CASES")
+    if not folder or not Path(folder).is_dir():
+        pytest.skip("ROADSIGHT_CASES is not set: the awkward files are needed")
+    return Path(folder)
+
+
 @dataclass(frozen=True)
 class GroundScene:
     """Points whose ground is known: xyz_m (n, 3), ground (n,), and the surface's formula."""

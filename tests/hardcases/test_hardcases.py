@@ -18,6 +18,7 @@ CASES = all_cases()
 NO_NUMERICS = {
     "alignment_inputs": "reads what two stages share",
     "chosen_points": "part of measure_data: counts by the kernels of build_detection_shard",
+    "doubts": "tells what others measured",
     "command": "shared by all stages",
     "compare_components": "runs other stages",
     "cover_inputs": "reads what a plan's options name",
@@ -37,7 +38,7 @@ NO_NUMERICS = {
     "use_given_cameras": "takes poses as they are",
 }
 """Stages without a case, and why."""
-SHOWN_OR_GENERATED = ("audit_", "generate_", "write_")
+SHOWN_OR_GENERATED = ("audit_", "generate_", "truth_", "write_")
 """How names of stages begin that compare, generate or show results."""
 
 
@@ -58,7 +59,7 @@ def test_the_verdict_does_not_hang_on_the_seed(seed):
 
 def test_every_stage_that_computes_has_a_case(project):
     folder = project / "workflow/roadsight/stages"
-    stages = {path.stem for path in folder.glob("*.py")} - {"__init__"}
+    stages = {path.stem for path in folder.rglob("*.py")} - {"__init__"}
     covered = {case.stage for case in CASES}
     assert covered <= stages
     assert covered.isdisjoint(NO_NUMERICS)

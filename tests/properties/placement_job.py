@@ -137,7 +137,7 @@ class PlacementJob:
                     pavement="pavement.gpkg", points="points")  # fmt: skip
         self._stage("build_edges", *site, frame="frame", pavement="pavement.gpkg",
                     clusters="clusters", digitised="edges.csv", out="edges.gpkg")  # fmt: skip
-        self._stage("build_surfels", cloud="cloud", profile="profile", out="surfels")
+        self._stage("build_surfels", cloud="cloud", out="surfels")
 
     def _placement(self) -> None:
         site, sensor = ("--site", "street"), ("--sensor", SENSOR, "--sensors", SENSORS)

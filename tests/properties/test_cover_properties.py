@@ -28,18 +28,18 @@ def cost(matrix, costs, **rest):
 
 @settings(max_examples=40, deadline=None)
 @given(problems())
-def test_order_of_rows_and_columns(case):
+def test_order_of_choices_and_targets(case):
     matrix, costs, rng = case
-    rows, columns = (rng.permutation(size) for size in matrix.shape)
-    assert cost(matrix[rows][:, columns], costs[rows]) == cost(matrix, costs)
+    choices, targets = (rng.permutation(size) for size in matrix.shape)
+    assert cost(matrix[choices][:, targets], costs[choices]) == cost(matrix, costs)
 
 
 @settings(max_examples=40, deadline=None)
 @given(problems())
-def test_repeated_rows_and_columns(case):
+def test_repeated_choices_and_targets(case):
     matrix, costs, rng = case
-    rows, columns = (np.append(np.arange(s), rng.integers(0, s, 5)) for s in matrix.shape)
-    assert cost(matrix[rows][:, columns], costs[rows]) == cost(matrix, costs)
+    choices, targets = (np.append(np.arange(s), rng.integers(0, s, 5)) for s in matrix.shape)
+    assert cost(matrix[choices][:, targets], costs[choices]) == cost(matrix, costs)
 
 
 @settings(max_examples=40, deadline=None)
@@ -67,7 +67,7 @@ def test_bounds_enclose_the_optimum_at_any_time(case):
 
 @settings(max_examples=40, deadline=None)
 @given(problems())
-def test_reductions_leave_no_row_that_another_replaces(case):
+def test_reductions_leave_no_choice_that_another_replaces(case):
     matrix, costs, _ = case
     for part in reduce_problem(CoverProblem(sparse.csr_matrix(matrix), costs)).parts:
         dense = part.by_choice.toarray() > 0

@@ -31,13 +31,13 @@ def slow_value(deployment, chosen):
     seen = deployment.problem.matrix.toarray() > 0
     need = deployment.problem.at_least
 
-    def covered(rows):
-        enough = (seen[rows].sum(axis=0) >= need) & (need > 0)
+    def covered(taken):
+        enough = (seen[taken].sum(axis=0) >= need) & (need > 0)
         return deployment.weights[enough].sum()
 
     value = covered(chosen)
     if deployment.keep:
-        left = [covered(chosen[chosen != row]) for row in chosen]
+        left = [covered(chosen[chosen != one]) for one in chosen]
         value = min([value, *(part / deployment.keep for part in left)])
     return value
 
@@ -164,19 +164,19 @@ def test_budgets_below_the_cheapest_cover_never_claim_to_see_everything(seed):
 @pytest.mark.parametrize("goal", ["cover", "budget", "price"])
 @settings(max_examples=20, deadline=None)
 @given(seed=seeds)
-def test_replacements_are_all_rows_that_keep_the_answer_as_good(goal, seed):
+def test_replacements_are_all_choices_that_keep_the_answer_as_good(goal, seed):
     deployment = posed(np.random.default_rng(seed), goal)
     cover = solve_deployment(deployment).cover
     if cover.status == "infeasible":
         return
     chosen, cost = cover.chosen, deployment.cost
     found = replacements(deployment, chosen)
-    for row, others in zip(chosen, found, strict=True):
-        rest = chosen[chosen != row]
+    for one, others in zip(chosen, found, strict=True):
+        rest = chosen[chosen != one]
         expected = [
             other
             for other in np.setdiff1d(np.arange(len(cost)), chosen)
-            if cost[other] == pytest.approx(cost[row])
+            if cost[other] == pytest.approx(cost[one])
             and slow_objective(deployment, np.sort(np.append(rest, other)))
             <= cover.objective + 1e-7
         ]
@@ -197,15 +197,15 @@ def test_most_different_answer_shares_as_few_places_as_any(goal, seed):
     mine = place[cover.chosen]
     value = slow_value(deployment, cover.chosen)
     cost = deployment.cost[cover.chosen].sum()
-    rows = {
+    shared = {
         tuple(chosen): np.isin(place[chosen], mine).sum()
         for chosen in subsets(len(place))
         if np.isfinite(slow_objective(deployment, chosen))
         and deployment.cost[chosen].sum() <= cost + 1e-7
         and (goal == "cover" or slow_value(deployment, chosen) >= value - 1e-7)
     }
-    assert tuple(found.chosen) in rows
-    assert np.isin(place[found.chosen], mine).sum() == min(rows.values())
+    assert tuple(found.chosen) in shared
+    assert np.isin(place[found.chosen], mine).sum() == min(shared.values())
     assert found.least_shared <= found.shared
 
 

@@ -161,15 +161,15 @@ SETTINGS = [
     ("hazard: {aadt: 900}", after("rate_hazard")),
 ]
 MODULES = [
-    ("poles/lanes.py", after("trace_image_edges")),
+    ("poles/images/lanes.py", after("trace_image_edges")),
     ("poles/triangulate/packing.py", after("triangulate_poles")),
-    ("poles/hazard.py", after("rate_hazard")),
-    ("scene/tin.py", after("build_terrain")),
-    ("poles/plumb_line.py", after("profile_drive")),
-    ("poles/straightening.py", after("write_poles_page")),
+    ("poles/risk/hazard.py", after("rate_hazard")),
+    ("scene/terrain/tin.py", after("build_terrain")),
+    ("poles/images/plumb_line.py", after("profile_drive")),
+    ("poles/images/straightening.py", after("write_poles_page")),
     ("effects/quantities_poles.py", after("plan_effects")),
     ("poles/alignment/published.py", after("align_cameras")),
-    ("synthetic/rendering_look.py", after("render_videolog")),
+    ("synthetic/rendering/rendering_look.py", after("render_videolog")),
     ("commands/triangulate.py", set()),
 ]
 
@@ -224,7 +224,7 @@ def test_editing_a_module_re_runs_its_users_only(copy_of_road, module, expected)
 
 
 def test_skipped_landmarks_are_not_in_the_dag(copy_of_road):
-    remark(copy_of_road, "stages/trace_pole_axes.py")
+    remark(copy_of_road, "stages/poles/trace_pole_axes.py")
     assert "trace_pole_axes" in copy_of_road.stale_rules()
     jobs = jobs_after(copy_of_road, "alignment: {landmarks: skip}")
     assert "calibrate_drive" in jobs
@@ -232,7 +232,7 @@ def test_skipped_landmarks_are_not_in_the_dag(copy_of_road):
 
 
 def test_skipped_ties_are_not_in_the_dag(copy_of_road):
-    remark(copy_of_road, "stages/match_images.py")
+    remark(copy_of_road, "stages/poles/match_images.py")
     assert "match_images" in copy_of_road.stale_rules()
     jobs = jobs_after(copy_of_road, "alignment: {ties: skip}")
     assert "calibrate_drive" in jobs
@@ -260,7 +260,7 @@ def test_decisions_are_measured_and_told(finished_road):
 
 
 def test_skipped_terrain_is_not_triangulated(copy_of_road):
-    remark(copy_of_road, "scene/tin.py")
+    remark(copy_of_road, "scene/terrain/tin.py")
     assert "build_terrain" in copy_of_road.stale_rules()
     jobs = jobs_after(copy_of_road, "effects: {terrain_occlusion: skip}")
     assert "calibrate_drive" in jobs
@@ -277,7 +277,7 @@ def test_skipped_side_views_are_not_segmented(copy_of_road):
     copy_of_road.edit(SITE, "  shards: 2\n", "  shards: 2\n  effects: {side_views: skip}\n")
     result = copy_of_road.snakemake("-n", "-p")
     told = result.stdout + result.stderr
-    commands = [line for line in told.splitlines() if "stages.segment_images" in line]
+    commands = [line for line in told.splitlines() if "stages.poles.segment_images" in line]
     assert len(commands) == 2
     assert all("--views front --" in command for command in commands)
 

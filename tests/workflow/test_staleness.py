@@ -179,13 +179,13 @@ SETTINGS = [
     ("title: Sixty", "title: Seventy", after("write_site_page")),
 ]
 MODULES = [
-    ("scene/fpfh.py", after("cluster_fpfh")),
+    ("scene/pavement/fpfh.py", after("cluster_fpfh")),
     ("effects/quantities.py", after("plan_effects")),
-    ("scene/pavement.py", after("extract_pavement")),
-    ("placement/obstacles.py", after("find_obstacles")),
+    ("scene/pavement/outline.py", after("extract_pavement")),
+    ("placement/sight/obstacles.py", after("find_obstacles")),
     ("evidence/pavement_scores.py", after("score_pavement")),
-    ("placement/candidates.py", after("place_candidates", "densify_candidates")),
-    ("synthetic/highway.py", after("generate_sample")),
+    ("placement/candidates/candidates.py", after("place_candidates", "densify_candidates")),
+    ("synthetic/highway/highway.py", after("generate_sample")),
     ("commands/ground.py", set()),
     # The report explains each setting in the schema's words; nothing else reads the schema.
     ("config/schema.py", {"write_report"}),

@@ -24,7 +24,7 @@ LOCK = "envs/requirements.lock"
 REPORT_ASSETS = sorted(
     str(path) for path in Path("workflow/roadsight/report/assets").rglob("*.*")
 )
-ENVIRONMENT = "../../envs/roadsight.yaml"
+ENVIRONMENT = "../../../envs/roadsight.yaml"
 
 
 def clearly(function, *arguments):
@@ -131,6 +131,20 @@ def beside_site(path):
     return files
 
 
+def layered_site(path, otherwise=None):
+    """The same as an argument of a stage: with the layer that the site file names."""
+
+    def files(wildcards):
+        content = SITES[wildcards.site].site
+        for part in path.split("."):
+            content = getattr(content, part)
+        if content is None or content == "sample":
+            return (otherwise or beside_site(path))(wildcards)
+        return [SITES[wildcards.site].layered(content)]
+
+    return files
+
+
 def million_points(input):
     """Size of a stage's cloud in million points; 4 where there is none yet."""
     cloud = getattr(input, "cloud", None)
@@ -217,6 +231,38 @@ def site_pages():
 
 def summaries():
     return [f"results/{site}/summary.json" for site in ASKED_SITES]
+
+
+def site_extent(wildcards):
+    """The site's extent as ``kind=value``; a polygon is given by its file."""
+    resolved = SITES[wildcards.site]
+    extent = resolved.site.extent
+    if extent is None:
+        return NamedValue("extent", "")
+    kind, _, value = extent.stated.partition("=")
+    if kind == "polygon":
+        value = resolved.beside(value)
+    return NamedValue("extent", f"{kind}={value}")
+
+
+def extent_crs(wildcards):
+    """CRS of the extent's file if it names none."""
+    site = SITES[wildcards.site].site
+    if site.extent is None:
+        return ""
+    return (
+        site.extent.polygon_crs if site.extent.polygon else site.placement.edges_crs
+    ) or ""
+
+
+def extent_files(wildcards):
+    """Files that decide what belongs to the site: its polygon, edges, or videolog."""
+    extent = SITES[wildcards.site].site.extent
+    if extent is None or extent.box is not None:
+        return []
+    if extent.polygon is not None:
+        return beside_site("extent.polygon")(wildcards)
+    return (edges_file if extent.edges_m else videolog_file)(wildcards)
 
 
 def edges_file(wildcards):

@@ -50,7 +50,7 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "placement": {"edges": None, "tma": None},
     }
     for part in (
-        "499 points, 1 withheld or noise left out",
+        "499 points, 1 withheld, noise or synthetic left out",
         "2 ground 60.1%, 6 building 20.0%, 26 not a common class 19.8%",
         "auto takes ETRS89 / UTM zone 32N from the header",
         "here metre; z assumed to be in metre",

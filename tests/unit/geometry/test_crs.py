@@ -13,7 +13,6 @@ from roadsight.geometry.crs import (
     horizontal,
     linear_units,
     parse_crs,
-    stated_crs,
     unit_name,
     with_linear_unit,
 )
@@ -27,6 +26,7 @@ from roadsight.geometry.location import (
 )
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import reprojection, site_frame
+from roadsight.geometry.stated import stated_crs
 
 US_FOOT = 1200 / 3937
 RALEIGH_M = (638750.0, 221750.0)  # NAD83 / North Carolina

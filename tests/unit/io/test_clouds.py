@@ -135,7 +135,7 @@ def test_scan_leaves_noise_and_withheld_out(tmp_path):
     assert contents.classes == {1: 1, 2: 2, 6: 1}
     np.testing.assert_allclose(scan.lower, xyz[0])
     np.testing.assert_allclose(scan.upper, xyz[7])
-    kept = np.concatenate([chunk.xyz for chunk, _, _ in kept_chunks(path, None, 3)])
+    kept = np.concatenate([chunk.xyz for chunk, *_ in kept_chunks(path, None, 3)])
     np.testing.assert_allclose(kept, xyz[[0, 5, 6, 7]])
     assert not contents.intense
     assert len(scan.sha256) == 64

@@ -156,7 +156,7 @@ def test_names_the_targets_that_nobody_covers():
     assert cover.uncoverable.tolist() == [1, 3]
 
 
-def test_one_row_of_a_group_counts_once_for_what_can_be_covered():
+def test_one_choice_of_a_group_counts_once_for_what_can_be_covered():
     cover = solve_cover_problem(CoverProblem([[1], [1]], groups=[7, 7], at_least=2))
     assert cover.uncoverable.tolist() == [0]
 
@@ -168,29 +168,29 @@ def test_groups_can_contradict_each_other_with_every_target_coverable():
 
 
 @pytest.mark.parametrize("shape", [(0, 0), (3, 0)])
-def test_no_targets_need_no_rows(shape):
+def test_no_targets_need_no_choices(shape):
     cover = solve_cover_problem(CoverProblem(sparse.csr_matrix(shape)))
     assert (cover.status, cover.objective, cover.gap) == ("optimal", 0.0, 0.0)
 
 
-def test_no_rows_cover_no_targets():
+def test_no_choices_cover_no_targets():
     assert solve_cover_problem(CoverProblem(sparse.csr_matrix((0, 2)))).uncoverable.size == 2
 
 
-def test_mandatory_rows_are_taken_even_if_useless():
+def test_mandatory_choices_are_taken_even_if_useless():
     cover = solve_cover_problem(CoverProblem([[1, 1], [0, 0]], mandatory=[1]))
     assert cover.chosen.tolist() == [0, 1]
 
 
-def test_of_equal_rows_the_lowest_is_taken():
+def test_of_equal_choices_the_lowest_is_taken():
     cover = solve_cover_problem(CoverProblem(np.ones((4, 3))))
     assert cover.chosen.tolist() == [0]
 
 
-def test_a_dominated_row_stays_where_several_are_needed_or_groups_forbid_the_other():
+def test_a_dominated_choice_stays_where_several_are_needed_or_groups_forbid_the_other():
     twice = solve_cover_problem(CoverProblem([[1, 1], [1, 1], [1, 0]], at_least=[2, 1]))
     assert twice.objective == 2
-    # Row 1 covers more than row 2, but its group is needed for row 0.
+    # Choice 1 covers more than choice 2, but its group is needed for choice 0.
     grouped = CoverProblem([[1, 0, 0], [0, 1, 1], [0, 1, 0], [0, 0, 1]], groups=[0, 0, -1, -1])
     assert solve_cover_problem(grouped).chosen.tolist() == [0, 2, 3]
 
@@ -269,7 +269,7 @@ def test_budget_refuses(budget):
         maximise_coverage(CoverProblem([[1]]), budget)
 
 
-def test_budget_refuses_mandatory_rows_that_do_not_fit():
+def test_budget_refuses_mandatory_choices_that_do_not_fit():
     with pytest.raises(InputError):
         maximise_coverage(CoverProblem([[1], [1]], mandatory=[0, 1]), 1)
 

@@ -20,33 +20,33 @@ from roadsight.setcover.cover.enumeration import enumerate_covers
 from roadsight.setcover.cover.enumeration_kernels import _lowest, _ones, affordable_pairs
 from roadsight.setcover.cover.local_search import LocalSearch, greedy_cover
 
-ROWS, TARGETS = 11, 24
+CHOICES, TARGETS = 11, 24
 
 
 def instance(seed, kind="plain"):
     """Random instance of one of some kinds, unreduced."""
     rng = np.random.default_rng(seed)
-    matrix = rng.random((ROWS, TARGETS)) < rng.uniform(0.25, 0.5)
-    matrix[rng.integers(0, ROWS, TARGETS), np.arange(TARGETS)] = True
-    need, group = np.ones(TARGETS, np.int32), np.full(ROWS, -1)
+    matrix = rng.random((CHOICES, TARGETS)) < rng.uniform(0.25, 0.5)
+    matrix[rng.integers(0, CHOICES, TARGETS), np.arange(TARGETS)] = True
+    need, group = np.ones(TARGETS, np.int32), np.full(CHOICES, -1)
     if kind == "twice":
         need = np.minimum(rng.integers(1, 3, TARGETS), matrix.sum(axis=0)).astype(np.int32)
     if kind == "groups":
-        group = np.sort(rng.integers(0, 5, ROWS))
+        group = np.sort(rng.integers(0, 5, CHOICES))
     costs = kind in ("costs", "fractions")
-    cost = rng.integers(2, 7, ROWS).astype(float) if costs else np.ones(ROWS)
+    cost = rng.integers(2, 7, CHOICES).astype(float) if costs else np.ones(CHOICES)
     cost *= 0.37 if kind == "fractions" else 1.0
-    rows = sparse.csr_matrix(matrix)
-    return Instance(rows, cost, need, group.astype(np.int64), np.arange(ROWS), kind != "fractions")
+    by_choice, group = sparse.csr_matrix(matrix), group.astype(np.int64)
+    return Instance(by_choice, cost, need, group, np.arange(CHOICES), kind != "fractions")
 
 
 def everything():
-    return Node(np.ones(ROWS, bool), np.zeros(ROWS, bool))
+    return Node(np.ones(CHOICES, bool), np.zeros(CHOICES, bool))
 
 
 def every_choice():
-    """All sets of rows, (2^ROWS, ROWS)."""
-    return np.array(list(itertools.product([0, 1], repeat=ROWS)))
+    """All sets of choices, (2^CHOICES, CHOICES)."""
+    return np.array(list(itertools.product([0, 1], repeat=CHOICES)))
 
 
 def cheapest(part, node):
@@ -74,7 +74,7 @@ def of_duals(part, node, dual):
     cost = reduced_costs(matrix.indptr, matrix.indices, part.cost, dual)
     bound = dual @ part.need + cost[node.fixed].sum()
     bound += np.minimum(cost[node.alive & ~node.fixed], 0).sum()
-    return Solution(float(bound), np.full(ROWS, 0.4), cost, dual, True)
+    return Solution(float(bound), np.full(CHOICES, 0.4), cost, dual, True)
 
 
 def check(part, node, solution, least):
@@ -119,10 +119,10 @@ def test_it_holds_for_any_duals_and_below_any_node(kind):
     tried = 0
     for seed in range(25):
         part, rng = instance(seed, kind), np.random.default_rng(seed)
-        fixed = np.zeros(ROWS, bool)
-        fixed[rng.integers(0, ROWS, rng.integers(0, 3))] = True
+        fixed = np.zeros(CHOICES, bool)
+        fixed[rng.integers(0, CHOICES, rng.integers(0, 3))] = True
         mates = np.isin(part.group, part.group[fixed & (part.group >= 0)])
-        node = Node(fixed | ((rng.random(ROWS) < 0.9) & ~mates), fixed)
+        node = Node(fixed | ((rng.random(CHOICES) < 0.9) & ~mates), fixed)
         least = cheapest(part, node)
         if np.isfinite(least):
             tried += 1
@@ -131,13 +131,13 @@ def test_it_holds_for_any_duals_and_below_any_node(kind):
     assert tried > 5
 
 
-def test_what_fixed_rows_cover_needs_no_others():
+def test_what_fixed_choices_cover_needs_no_others():
     part = instance(3)
-    node = Node(np.ones(ROWS, bool), np.ones(ROWS, bool))
+    node = Node(np.ones(CHOICES, bool), np.ones(CHOICES, bool))
     node.fixed[0] = part.by_choice[1:].toarray().any(axis=0).sum() < TARGETS
     answer = enumerate_covers(part, node, of_duals(part, node, np.zeros(TARGETS)), 20.0, np.inf)
     assert not answer.excluded  # nothing can join, and nothing was looked at
-    free = replace(node, fixed=node.fixed & (np.arange(ROWS) > 0))
+    free = replace(node, fixed=node.fixed & (np.arange(CHOICES) > 0))
     answer = enumerate_covers(part, free, of_duals(part, free, np.zeros(TARGETS)), 20.0, np.inf)
     np.testing.assert_array_equal(answer.cover[1:], True)
 
@@ -152,7 +152,7 @@ def test_without_work_nothing_is_said():
     assert enumerate_covers(part, everything(), solution, least - 0.5, 1.0).excluded
 
 
-@pytest.mark.parametrize("limit", ["_MOST_ROWS", "_MOST_WORDS"])
+@pytest.mark.parametrize("limit", ["_MOST_CHOICES", "_MOST_WORDS"])
 def test_large_instances_are_left_alone(monkeypatch, limit):
     monkeypatch.setattr(enumeration, limit, 5)
     part = instance(5)
@@ -164,12 +164,12 @@ def test_large_instances_are_left_alone(monkeypatch, limit):
 def test_pairs_are_those_whose_prices_stay_within_the_slack(kind):
     for seed in range(5):
         part, node = instance(seed, kind), everything()
-        solution, rows = solved(part, node, 2), np.arange(ROWS)
+        solution, every = solved(part, node, 2), np.arange(CHOICES)
         slack = 0.4
-        prices, left = enumeration._prices(part, solution, rows, rows[:0], slack)
+        prices, left = enumeration._prices(part, solution, every, every[:0], slack)
         assert left == slack
         bits = affordable_pairs(prices, part.group, slack)
-        for i, j in itertools.product(rows, rows):
+        for i, j in itertools.product(every, every):
             both = prices.value[:, i] + prices.value[:, j]
             price = prices.reduced[[i, j]].sum() + prices.dual @ (
                 np.maximum(both - prices.low, 0)
@@ -185,7 +185,7 @@ def test_pairs_are_those_whose_prices_stay_within_the_slack(kind):
 def test_what_a_cover_costs_above_the_bound_it_pays():
     part, node = instance(2), everything()
     solution = solved(part, node, 2)
-    prices, _ = enumeration._prices(part, solution, np.arange(ROWS), np.empty(0, np.int64), 1.0)
+    prices, _ = enumeration._prices(part, solution, np.arange(CHOICES), np.empty(0, np.int64), 1.0)
     for x in every_choice():
         if (x @ part.by_choice.toarray() >= 1).all():
             over = prices.value @ x - prices.low

@@ -52,10 +52,10 @@ def relaxed(part):
 
 
 def proven_by(part, dual):
-    """Lagrangian bound of duals, row by row."""
-    rows = part.by_choice.toarray()
+    """Lagrangian bound of duals, choice by choice."""
+    covers = part.by_choice.toarray() > 0
     spare = [
-        min(price - dual[row > 0].sum(), 0) for price, row in zip(part.cost, rows, strict=True)
+        min(price - dual[these].sum(), 0) for price, these in zip(part.cost, covers, strict=True)
     ]
     return sum(spare) + dual @ part.need
 

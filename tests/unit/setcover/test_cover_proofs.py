@@ -8,7 +8,7 @@ from scipy import sparse
 
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from roadsight.setcover.common.balas_ng_cuts import _descend, balas_ng_cuts
-from roadsight.setcover.common.constraints import Row, distinct, stacked
+from roadsight.setcover.common.constraints import Constraint, distinct, stacked
 from roadsight.setcover.common.deadline import Deadline, WorkLimit
 from roadsight.setcover.common.parity_cuts import parity_cuts
 from roadsight.setcover.common.reductions import reduce_problem
@@ -26,7 +26,7 @@ def relaxed(matrix, at_least=1):
 
 
 def ring(size, width):
-    """Each row covers some targets in turn on a ring."""
+    """Each choice covers some targets in turn on a ring."""
     away = (np.arange(size) - np.arange(size)[:, None]) % size
     return sparse.csr_matrix(away < width)
 
@@ -100,21 +100,18 @@ def test_no_whole_cover_breaks_a_cut(most, parity):
     assert sharper > 15
 
 
-def tight_rows(relaxation, solution):
-    """Rows of the targets that a solution covers exactly."""
+def tight_constraints(relaxation, solution):
+    """Constraints of the targets that a solution covers exactly."""
     seen = relaxation.instance.by_choice.T @ solution.x
     tight = np.flatnonzero(np.abs(seen - 1) < 1e-7)
-    columns = relaxation.instance.by_target
-    return [
-        Row(columns[:, [t]].indices.astype(np.int32), np.ones(columns[:, [t]].nnz), 1.0)
-        for t in tight
-    ]
+    covered_by = [relaxation.instance.by_target[:, [t]].indices.astype(np.int32) for t in tight]
+    return [Constraint(index, np.ones(len(index)), 1.0) for index in covered_by]
 
 
 @pytest.mark.parametrize(("separate", "rounding"), [(balas_ng_cuts, 1e-12), (parity_cuts, 0.0)])
 def test_each_cut_is_broken_by_the_solution_it_was_made_for(separate, rounding):
     relaxation, _, solution = relaxed(random_matrix(np.random.default_rng(3)))
-    cuts, work_s = separate(tight_rows(relaxation, solution), solution.x)
+    cuts, work_s = separate(tight_constraints(relaxation, solution), solution.x)
     assert len(cuts) > 3
     assert work_s > 0
     missing = [cut.low - cut.value @ solution.x[cut.index] for cut in cuts]
@@ -124,20 +121,20 @@ def test_each_cut_is_broken_by_the_solution_it_was_made_for(separate, rounding):
 
 
 def left_side(pattern, x, chosen):
-    """Shares of the columns in some of the chosen rows, and once more of those in all of them."""
+    """Shares of what covers some of the chosen targets, and once more of what covers them all."""
     inside = pattern[:, chosen]
     return x @ inside.any(axis=1) + x @ inside.all(axis=1)
 
 
-def test_descents_end_where_no_single_row_helps():
+def test_descents_end_where_no_single_target_helps():
     rng = np.random.default_rng(1)
     away = rng.random((300, 1, 2)) - rng.random((2000, 2))
     matrix = sparse.csr_matrix(np.hypot(*away.transpose(2, 0, 1)) < 0.15)
     matrix = matrix[:, np.asarray(matrix.sum(axis=0)).ravel() > 1]
     relaxation, _, solution = relaxed(matrix)
     support = np.flatnonzero(solution.x > 1e-9)
-    rows = stacked(tight_rows(relaxation, solution), len(solution.x))[:, support].toarray()
-    pattern, x = np.ascontiguousarray(rows[distinct(rows > 0)].T), solution.x[support]
+    tight = stacked(tight_constraints(relaxation, solution), len(solution.x))[:, support].toarray()
+    pattern, x = np.ascontiguousarray(tight[distinct(tight > 0)].T), solution.x[support]
     pairs = np.array(list(itertools.combinations(range(pattern.shape[1]), 2)))
     sets, left, moves = _descend(pattern, x, pairs)
     assert moves > 0
@@ -145,9 +142,9 @@ def test_descents_end_where_no_single_row_helps():
     assert not np.take_along_axis(sets, pairs, axis=1)[grown].all()
     for chosen, least in zip(sets[grown], left[grown], strict=True):
         assert least == pytest.approx(left_side(pattern > 0, x, chosen))
-        for row in range(len(chosen)):
+        for target in range(len(chosen)):
             other = chosen.copy()
-            other[row] = not other[row]
+            other[target] = not other[target]
             if other.sum() > 2:
                 assert left_side(pattern > 0, x, other) > least - 2e-4
 

@@ -17,7 +17,7 @@ from roadsight.setcover.plans.master import Master, Relaxed
 
 
 def test_a_price_on_coverage_changes_no_complete_answer():
-    """Where all must be seen, what coverage is worth is a constant, free rows or not."""
+    """Where all must be seen, what coverage is worth is a constant, free choices or not."""
     rng = np.random.default_rng(3)
     for _ in range(25):
         seen = sparse.csr_matrix(rng.random((9, 14)) < 0.4)

@@ -1,4 +1,4 @@
-"""Covers at a joint probability: every answer against trying all sets of rows."""
+"""Covers at a joint probability: every answer against trying all sets of choices."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ def random_problem(rng, choices=9, targets=12, level=0.95, priced=True):
     return JointProblem(sparse.csr_matrix(gain), need, costs, groups), share
 
 
-def every_set(problem, allowed=lambda rows: True):
+def every_set(problem, allowed=lambda chosen: True):
     """Cost of the cheapest set, by trying all; infinite where there is none."""
     best = np.inf
     choices = len(problem.costs)
     for size in range(choices + 1):
-        for rows in itertools.combinations(range(choices), size):
-            chosen = np.array(rows, np.int64)
+        for some in itertools.combinations(range(choices), size):
+            chosen = np.array(some, np.int64)
             groups = problem.groups[chosen]
             if len(set(groups.tolist())) < len(groups):
                 continue
@@ -57,24 +57,24 @@ def test_answers_are_the_cheapest(seed):
 
 
 @pytest.mark.parametrize("seed", range(12))
-def test_an_oracle_of_dependent_rows_is_obeyed(seed):
-    """Rows come in pairs that are hidden together: of a pair, only the better one counts."""
+def test_an_oracle_of_dependent_choices_is_obeyed(seed):
+    """Choices come in pairs that are hidden together: of a pair, only the better one counts."""
     rng = np.random.default_rng(100 + seed)
     problem, share = random_problem(rng, choices=8, targets=4, level=0.85)
     pair = np.arange(8) // 2
 
-    def seen(rows):
+    def seen(chosen):
         hidden = np.ones(4)
-        for number in set(pair[rows].tolist()):
-            hidden *= 1 - share[rows[pair[rows] == number]].max(axis=0)
+        for number in set(pair[chosen].tolist()):
+            hidden *= 1 - share[chosen[pair[chosen] == number]].max(axis=0)
         return 1 - hidden
 
-    def oracle(rows):
-        short = np.flatnonzero(seen(rows) < 0.85 - 1e-9)
+    def oracle(chosen):
+        short = np.flatnonzero(seen(chosen) < 0.85 - 1e-9)
         everything = [np.flatnonzero(share[:, t] > 0) for t in short]
-        return [rest for e in everything if len(rest := np.setdiff1d(e, rows))]
+        return [rest for e in everything if len(rest := np.setdiff1d(e, chosen))]
 
-    best = every_set(problem, lambda rows: (seen(rows) >= 0.85 - 1e-9).all())
+    best = every_set(problem, lambda chosen: (seen(chosen) >= 0.85 - 1e-9).all())
     cover = solve_joint(problem, oracle=oracle)
     if np.isfinite(best):
         assert cover.status == "optimal"
@@ -82,7 +82,7 @@ def test_an_oracle_of_dependent_rows_is_obeyed(seed):
         assert (seen(cover.chosen) >= 0.85 - 1e-9).all()
 
 
-def test_of_no_group_more_than_one_row():
+def test_of_no_group_more_than_one_choice():
     gain = sparse.csr_matrix(np.array([[1.0], [1.0], [1.0]]))
     problem = JointProblem(gain, np.array([2.0]), np.ones(3), np.array([0, 0, 1]))
     assert sorted(problem.groups[solve_joint(problem).chosen]) == [0, 1]
@@ -107,7 +107,7 @@ def test_sums_between_two_tolerances_are_settled():
     assert (cover.status, cover.objective, cover.bound) == ("optimal", 3, 3)
 
 
-def test_certain_rows_are_capped():
+def test_certain_choices_are_capped():
     gain = sparse.csr_matrix(np.array([[np.inf, 0.1], [0.1, 50.0]]))
     problem = JointProblem(gain, np.array([2.0, 3.0]), np.ones(2), np.arange(2))
     assert problem.gain.max() == 3.0
@@ -131,7 +131,7 @@ def test_negative_gains_and_needs_are_refused():
         JointProblem(sparse.csr_matrix([[1.0]]), np.zeros(1), np.ones(1), np.zeros(1, int))
 
 
-def test_least_number_counts_the_best_rows_of_groups():
+def test_least_number_counts_the_best_choices_of_groups():
     share = np.array([0.6, 0.5, 0.3, 1.0])
     assert least_number(share, np.array([0, 1, 2, 3])) == 2
     assert least_number(share, np.array([0, 0, 1, 3])) == 2  # 0.6 and 0.3 are all there is

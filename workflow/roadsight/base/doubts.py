@@ -54,9 +54,7 @@ def refuse(doubts: Iterable[Doubt], where: str) -> None:
     """
     for doubt in doubts:
         if doubt.severity == "refused":
-            raise InputError(
-                doubt.message, where=where, found=doubt.measured, allowed=doubt.limit
-            )
+            raise InputError(doubt.message, where=where, found=doubt.measured, allowed=doubt.limit)
 
 
 _RANK = {"refused": 0, "doubt": 1, "note": 2}

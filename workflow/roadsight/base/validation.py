@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import date
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,6 +14,9 @@ _LONGEST_NAME = 255
 """Bytes of one part of a path (NAME_MAX of Linux)."""
 _LONGEST_PATH = 4095
 """Bytes of a whole path (PATH_MAX of Linux, less the null that ends it)."""
+
+_MISREAD = int | float | date
+"""What YAML makes of names such as 171500, 0123, 2024-05-01, no and null without quotes."""
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -61,7 +65,17 @@ def _message(model: type[BaseModel], error: ValidationError, where: str) -> Inpu
     if first["type"] == "missing":
         return InputError(f"key {field!r} is missing", where=where)
     shown = None if isinstance(first["input"], dict) else repr(first["input"])
-    return InputError(f"{field or 'file'}: {message}", where=where, found=shown)
+    hint = ""
+    if first["type"] == "string_type" and isinstance(first["input"], _MISREAD | None):
+        hint = f'put it in quotes: "..." (YAML reads it as a {_kind(first["input"])})'
+    return InputError(f"{field or 'file'}: {message}", where=where, found=shown, hint=hint)
+
+
+def _kind(value: object) -> str:
+    """What YAML takes a word without quotes for."""
+    if value is None or isinstance(value, bool):
+        return "yes, no or nothing"
+    return "date" if isinstance(value, date) else "number"
 
 
 def _keys(model: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:

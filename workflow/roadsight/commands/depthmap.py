@@ -13,15 +13,13 @@ from roadsight.commands.memory import MemoryCloud, add_cloud_arguments, check_ou
 from roadsight.io.images.depth_networks import network_for
 from roadsight.io.records.atomic import atomic_path
 from roadsight.placement.depth.models import MODELS, model_of_points
-from roadsight.placement.depth.surfel_lidar import SurfelLidar
+from roadsight.placement.depth.surfel_lidar import lidar_of_points
 from roadsight.placement.sensors.sensors import Sensor, load_sensor
-from roadsight.scene.surfels.surfels import build_surfels
-from roadsight.scene.surfels.voxel_moments import sum_moments
 
 _SENSORS = Path(__file__).parents[3] / "config" / "sensors.yaml"
 _NETWORK = Path(__file__).parents[3] / "resources" / "models" / "depth_unet.onnx"
-_SURFEL_M = 0.1
-"""Edge of the cells that surfels are fitted in, or the points' spacing where that is wider."""
+_MARGIN_M = 10.0
+"""Points so far beyond the sensor's range still help to tell the surfaces at its end."""
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -90,6 +88,5 @@ def _depth(
     if arguments.model != "surfel":
         model = model_of_points(arguments.model, network_for(arguments.model, arguments.network))
         return model(cloud.xyz_m, sensor, position_m, yaw_deg)
-    edge_m = max(_SURFEL_M, cloud.spacing_m)
-    surfels = build_surfels(sum_moments(cloud.xyz_m, edge_m))
-    return SurfelLidar(surfels).depth_map(sensor, position_m, yaw_deg)
+    near = np.linalg.norm(cloud.xyz_m - position_m, axis=1) <= sensor.range_m + _MARGIN_M
+    return lidar_of_points(cloud.xyz_m[near]).depth_map(sensor, position_m, yaw_deg)

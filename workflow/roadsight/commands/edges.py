@@ -10,7 +10,7 @@ from roadsight.base.errors import InputError
 from roadsight.commands.memory import (
     add_cloud_arguments,
     check_output,
-    labelled_ground,
+    ground_labels,
     load_cloud,
     pavement_of,
 )
@@ -32,10 +32,8 @@ def run(arguments: argparse.Namespace) -> None:
     """Write layers ``edges`` and ``pavement`` in the cloud's CRS."""
     check_output(arguments, ".gpkg")
     cloud = load_cloud(arguments)
-    outline, ground = pavement_of(
-        cloud, labelled_ground(cloud), arguments.intensity, arguments.seed
-    )
-    found = outline_edges(outline, ground.xyz_m, OutlineSettings())
+    road = pavement_of(cloud, ground_labels(cloud), arguments)
+    found = outline_edges(road.outline, road.surface_m, OutlineSettings())
     if not found:
         raise InputError("the pavement has no edge long enough to trace", where=arguments.cloud)
     lines = [spline_line(line) for _, line in found]
@@ -48,7 +46,7 @@ def run(arguments: argparse.Namespace) -> None:
         },
         geometry=lines,
     )
-    parts = list(outline.geoms)
+    parts = list(road.outline.geoms)
     pavement = gpd.GeoDataFrame({"area_m2": [part.area for part in parts]}, geometry=parts)
     write_layers(arguments.out, {"edges": edges, "pavement": pavement}, cloud.frame)
     print(f"{len(edges)} edges, {edges['length_m'].sum():.0f} m: {arguments.out}")

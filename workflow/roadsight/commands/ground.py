@@ -7,11 +7,11 @@ import argparse
 from roadsight.commands.memory import (
     add_cloud_arguments,
     check_output,
-    labelled_ground,
+    ground_labels,
     labels_of,
     load_cloud,
+    write_labelled,
 )
-from roadsight.io.cloud.clouds import write_laz
 from roadsight.stages.scene.build_dem import add_ground_arguments, ground_settings_of
 
 
@@ -28,8 +28,6 @@ def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground labels, all other dimensions kept."""
     check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
-    labels = labels_of(cloud, labelled_ground(cloud, ground_settings_of(arguments)), None)
-    write_laz(
-        arguments.out, cloud.xyz_m, cloud.frame, {**cloud.native.dims, "classification": labels}
-    )
+    labels = labels_of(cloud, ground_labels(cloud, ground_settings_of(arguments)))
+    write_labelled(arguments.out, cloud, labels)
     print(f"{(labels == 2).sum()} of {len(labels)} points are ground: {arguments.out}")

@@ -20,6 +20,7 @@ from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import centre_of, site_frame
 from roadsight.io.cloud.cloud_scan import CloudScan, Contents, kept_chunks, scan_cloud
 from roadsight.io.cloud.las_header import CloudHeader
+from roadsight.io.cloud.repeated import check_copies
 from roadsight.io.records.atomic import atomic_path
 from roadsight.scene.profile import CELL_M, density, merge_counts
 
@@ -86,6 +87,7 @@ def run(arguments: argparse.Namespace) -> None:
     path = arguments.out or Path("config/sites", f"{name}.yaml")
     if path.exists() and not arguments.force:
         raise InputError("exists already", where=str(path), hint="choose another, or add --force")
+    check_copies(arguments.clouds)
     contents = Contents()
     scans = [scan_cloud(cloud, take=contents.take) for cloud in arguments.clouds]
     findings, unit_m = find_keys(scans)
@@ -94,6 +96,9 @@ def run(arguments: argparse.Namespace) -> None:
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     print(f"wrote {path}")
+    for header in (scan.header for scan in scans):
+        for note in (*header.notes, *header.stated.notes):
+            print(f"{header.path.name}: {note}")
     for key, finding in findings.items():
         if finding.required:
             print(f"fill in {key}: {finding.comment}")
@@ -171,7 +176,7 @@ def site_text(
 {found}
 
 # Name of the site: its results go to results/{name}.
-site: {name}
+site: {json.dumps(name)}
 # LAS or LAZ files: relative to this file, absolute, or with ${{VARIABLE}} from the environment.
 clouds:
 {paths}
@@ -208,9 +213,9 @@ def describe_clouds(
         f"{c} {_CLASS_NAMES.get(c, 'not a common class')} {n / total:.1%}"
         for c, n in sorted(contents.classes.items())
     )
-    dropped = sum(scan.withheld + scan.noise for scan in scans)
+    dropped = sum(scan.withheld + scan.noise + scan.synthetic for scan in scans)
     return [
-        f"{total} points, {dropped} withheld or noise left out.",
+        f"{total} points, {dropped} withheld, noise or synthetic left out.",
         f"Extent {size} {unit}; as stored x {lower[0]:.2f} to {upper[0]:.2f}, "
         f"y {lower[1]:.2f} to {upper[1]:.2f}, z {lower[2]:.2f} to {upper[2]:.2f}.",
         f"Density {_density(scans, length):.2f} points per {square} where there are any (median).",
@@ -224,7 +229,7 @@ def _density(scans: Sequence[CloudScan], unit_m: float) -> float:
     """Median density of occupied ground, in points per m2."""
     places, count = np.empty((2, 0), np.int64), np.empty(0, np.int64)
     for scan in scans:
-        for chunk, _, _ in kept_chunks(scan.header.path):
+        for chunk, *_ in kept_chunks(scan.header.path):
             cells = np.floor(chunk.xyz[:, 1::-1].T * unit_m / CELL_M).astype(np.int64)
             cells, chunk_count = merge_counts(cells, np.ones(len(chunk), np.int64))
             places, count = merge_counts(np.hstack([places, cells]), np.append(count, chunk_count))

@@ -8,25 +8,29 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from shapely import MultiPolygon
 
-from roadsight.base.arrays import Bools, Bytes, Floats
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
-from roadsight.io.cloud.clouds import NativeCloud, read_laz
-from roadsight.scene.pavement.describe import GroundDescription, describe_ground
-from roadsight.scene.pavement.outline import (
-    PavementSettings,
-    inside,
-    outline_pavement,
-    pavement_settings_for,
+from roadsight.io.cloud.clouds import NativeCloud, read_laz, write_laz
+from roadsight.io.cloud.point_filter import (
+    OVERLAP_CLASS,
+    OVERLAPS,
+    key_steps,
+    noisy,
+    point_keys,
 )
-from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
-from roadsight.scene.spacing import uses_intensity
 from roadsight.scene.terrain.ground_settings import GroundSettings
-from roadsight.scene.whole import ground_of, spacing_of
-from roadsight.stages.scene.ingest_cloud import UNITS, survey
+from roadsight.scene.whole import (
+    FoundRoad,
+    ground_of,
+    published_road,
+    road_of,
+    scans_tell,
+    spacing_of,
+)
+from roadsight.stages.scene.ingest_cloud import UNITS, notes_of, survey
 
 log = logging.getLogger("roadsight")
 
@@ -40,12 +44,21 @@ class MemoryCloud:
 
     Parameters
     ----------
-    native : as read, all dimensions. frame : its local frame. xyz_m : (n, 3) local metres.
+    native : as read, all dimensions. frame : its local frame.
+    all_xyz_m : (n, 3) local metres. taken : numbers (k,) of the points that take part.
+    like : (n,) the point that each one equals, itself where there is none before it.
     """
 
     native: NativeCloud
     frame: Frame
-    xyz_m: Floats
+    all_xyz_m: Floats
+    taken: Ints
+    like: Ints
+
+    @property
+    def xyz_m(self) -> Floats:
+        """Points (k, 3) that take part, local metres."""
+        return self.all_xyz_m[self.taken]
 
     @property
     def spacing_m(self) -> float:
@@ -61,6 +74,12 @@ def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--units", choices=UNITS, default="auto", help="unit of x and y")
     parser.add_argument("--vertical-units", choices=UNITS, default="auto", help="unit of z")
+    parser.add_argument(
+        "--overlap",
+        choices=OVERLAPS,
+        default="use",
+        help="points of overlapping flight lines; noise, withheld and synthetic ones never count",
+    )
 
 
 def check_output(arguments: argparse.Namespace, *suffixes: str) -> None:
@@ -89,16 +108,63 @@ def load_cloud(arguments: argparse.Namespace) -> MemoryCloud:
         log.warning("%s names no CRS: read as local coordinates", arguments.cloud)
         units = "metre" if arguments.units == "auto" else arguments.units
         choice = UnitChoice("local", units, arguments.vertical_units)
-    site, _, _ = survey([arguments.cloud], choice)
-    return MemoryCloud(native, site.frame, site.frame.to_local(native.xyz))
+    site, scans, _ = survey([arguments.cloud], choice, overlap=arguments.overlap)
+    for note in notes_of(site, scans):
+        log.warning("%s", note)
+    if native.header.left_out:
+        log.warning("fields that no record describes are left out of %s", arguments.cloud)
+    counts = takes_part(native, arguments.overlap)
+    like = _first_like(native, counts)
+    repeated = int(np.count_nonzero(like != np.arange(len(like))))
+    if repeated:
+        log.warning("%d points are there twice and count once", repeated)
+    taken = np.flatnonzero(counts & (like == np.arange(len(like))))
+    return MemoryCloud(native, site.frame, site.frame.to_local(native.xyz), taken, like)
 
 
-def labelled_ground(cloud: MemoryCloud, settings: GroundSettings | None = None) -> Bools:
-    """Ground labels in the file's order.
+def takes_part(native: NativeCloud, overlap: str) -> Bools:
+    """Points (n,) that take part, by the same filter as `kept_chunks`."""
+    dims = native.dims
+    left_out = noisy(np.asarray(dims["classification"]))
+    left_out |= np.asarray(dims["withheld"], bool) | np.asarray(dims["synthetic"], bool)
+    if overlap == "leave_out":
+        flagged = dims.get("overlap")
+        left_out |= (
+            np.asarray(dims["classification"]) == OVERLAP_CLASS
+            if flagged is None
+            else np.asarray(flagged, bool)
+        )
+    return ~left_out
+
+
+def _first_like(native: NativeCloud, counts: Bools) -> Ints:
+    """Number (n,) of the first point that takes part and equals each one."""
+    like, rows = np.arange(len(native.xyz)), np.flatnonzero(counts)
+    dims = native.dims
+    keys = point_keys(
+        native.xyz,
+        key_steps(native.header.scale),
+        dims.get("gps_time"),
+        np.asarray(dims["return_number"]),
+        np.asarray(dims["intensity"]),
+    )[rows]
+    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
+    like[rows] = rows[first[inverse]]
+    return like
+
+
+def write_labelled(path: str, cloud: MemoryCloud, labels: Bytes) -> None:
+    """Write the cloud with other classes, everything else as it was."""
+    dims = {**cloud.native.dims, "classification": labels}
+    write_laz(path, cloud.all_xyz_m, cloud.frame, dims, cloud.native.header.carried)
+
+
+def ground_labels(cloud: MemoryCloud, settings: GroundSettings | None = None) -> Bools:
+    """Ground labels (k,) of the points that take part, in the file's order.
 
     Raises
     ------
-    InputError : the cloud has no ground.
+    InputError : nothing lies near a plausible ground.
     """
     mask = ground_of(cloud.xyz_m, settings)
     if not mask.any():
@@ -106,42 +172,39 @@ def labelled_ground(cloud: MemoryCloud, settings: GroundSettings | None = None) 
     return mask
 
 
-def pavement_of(
-    cloud: MemoryCloud, ground: Bools, intensity_choice: str, seed: int
-) -> tuple[MultiPolygon, GroundDescription]:
-    """Outline of the pavement and the thinned ground that it was found on."""
-    spacing_m = cloud.spacing_m
-    column_m = max(0.1, spacing_m)
-    intensity = np.asarray(cloud.native.dims["intensity"], np.float64)[ground]
-    description = describe_ground(cloud.xyz_m[ground], intensity, column_m, neighbours=10)
-    rng = np.random.default_rng(seed)
-    count = len(description.variation)
-    rows = np.sort(rng.choice(count, min(_SAMPLE, count), replace=False))
-    use = uses_intensity(intensity_choice, spacing_m) and len(np.unique(intensity)) > 1
-    model = fit_smoothness(
-        description.histograms[rows],
-        description.variation[rows],
-        description.intensity[rows] if use else None,
-        1.5,
-        seed,
-    )
-    smooth = is_smooth(model, description.histograms, description.variation, description.intensity)
-    settings = pavement_settings_for(column_m, PavementSettings())
+def pavement_of(cloud: MemoryCloud, ground: Bools, arguments: argparse.Namespace) -> FoundRoad:
+    """Pavement by the way that the verb asks for, or that the cloud allows.
+
+    Raises
+    ------
+    InputError : no pavement is found.
+    """
+    scan = np.asarray(cloud.native.dims["point_source_id"], np.int64)[cloud.taken]
+    method = arguments.method
+    if method == "auto":
+        method = "surface" if scans_tell(cloud.xyz_m, scan) else "published"
+        log.info("pavement by method %s", method)
+    intensity = np.asarray(cloud.native.dims["intensity"], np.float64)[cloud.taken]
     try:
-        return outline_pavement(description.xyz_m, smooth, settings), description
+        if method == "surface":
+            use = None if arguments.intensity == "ignore" else intensity
+            return road_of(cloud.xyz_m, use, scan)[0]
+        return published_road(cloud.xyz_m, ground, intensity, arguments.intensity, arguments.seed)
     except InputError as error:
         raise InputError(str(error), where=str(cloud.native.header.path)) from error
 
 
-def labels_of(cloud: MemoryCloud, ground: Bools, pavement: MultiPolygon | None) -> Bytes:
+def labels_of(cloud: MemoryCloud, ground: Bools, road: Bools | None = None) -> Bytes:
     """Classification: the file's own where it is neither ground nor road, 2 ground, 11 road.
 
     The file's own ground and road labels give way to what was found; they become 1, unclassified.
+    Points that take no part keep their class; one that is there twice is labelled twice.
     """
     labels = np.asarray(cloud.native.dims["classification"], np.uint8).copy()
-    labels[np.isin(labels, (2, 11))] = 1
-    labels[ground] = 2
-    if pavement is not None:
-        x, y, _ = cloud.xyz_m.T
-        labels[ground & inside(pavement, x, y)] = 11
-    return labels
+    own = labels[cloud.taken]
+    own[np.isin(own, (2, 11))] = 1
+    own[ground] = 2
+    if road is not None:
+        own[road] = 11
+    labels[cloud.taken] = own
+    return labels[cloud.like]

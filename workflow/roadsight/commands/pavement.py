@@ -7,12 +7,12 @@ import argparse
 from roadsight.commands.memory import (
     add_cloud_arguments,
     check_output,
-    labelled_ground,
+    ground_labels,
     labels_of,
     load_cloud,
     pavement_of,
+    write_labelled,
 )
-from roadsight.io.cloud.clouds import write_laz
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -27,6 +27,13 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
 def add_pavement_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of the pavement search."""
     parser.add_argument(
+        "--method",
+        choices=["auto", "surface", "published"],
+        default="auto",
+        help="surface: a surface that runs on until a kerb or grass ends it; published: FPFH and "
+        "k-means; auto: surface where the file tells scans of a vehicle apart",
+    )
+    parser.add_argument(
         "--intensity",
         choices=["auto", "use", "ignore"],
         default="auto",
@@ -39,13 +46,11 @@ def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground and road labels, all other dimensions kept."""
     check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
-    ground = labelled_ground(cloud)
-    outline, _ = pavement_of(cloud, ground, arguments.intensity, arguments.seed)
-    labels = labels_of(cloud, ground, outline)
-    write_laz(
-        arguments.out, cloud.xyz_m, cloud.frame, {**cloud.native.dims, "classification": labels}
-    )
+    ground = ground_labels(cloud)
+    found = pavement_of(cloud, ground, arguments)
+    labels = labels_of(cloud, ground, found.points)
+    write_labelled(arguments.out, cloud, labels)
     print(
-        f"{outline.area:.0f} m2 of pavement in {len(outline.geoms)} parts,"
+        f"{found.outline.area:.0f} m2 of pavement in {len(found.outline.geoms)} parts,"
         f" {(labels == 11).sum()} points: {arguments.out}"
     )

@@ -9,6 +9,7 @@ from dataclasses import replace
 from roadsight.base.errors import InputError
 from roadsight.io.records.sighting_tables import read_sightings, write_csv
 from roadsight.poles.triangulate.geographic import triangulate_geographic, triangulate_published
+from roadsight.poles.triangulate.nothing import looks_exchanged, reasons_for_none
 from roadsight.poles.triangulate.published import PUBLISHED_DISTANCE
 from roadsight.poles.triangulate.rays import TriangulationSettings
 
@@ -65,8 +66,16 @@ def run(arguments: argparse.Namespace) -> None:
         poles = triangulate_published(sightings, own, arguments.seed)
     else:
         poles = triangulate_geographic(sightings, settings)
+    if not len(poles) and looks_exchanged(sightings, settings):
+        raise InputError(
+            "lat and lon look exchanged: there are poles the other way round only",
+            where=arguments.sightings,
+            hint="swap the two columns",
+        )
     write_csv(arguments.out, poles)
     print(f"{len(poles)} poles from {len(sightings)} sightings: {arguments.out}")
+    if not len(poles):
+        print("no pole: " + "; ".join(reasons_for_none(sightings, settings)))
 
 
 def _settings(arguments: argparse.Namespace) -> TriangulationSettings:

@@ -16,6 +16,7 @@ from roadsight.config.plans import Plan, check_sensors, load_plans
 from roadsight.config.schema import Config, Settings
 from roadsight.config.sites import Site
 from roadsight.effects.catalogue import check_names, load_catalogue
+from roadsight.io.vector.layer_names import split_layer
 
 SITES = Path("config/sites")
 """Where sites are that are named without a path."""
@@ -46,7 +47,11 @@ class ResolvedSite:
 
     def beside(self, path: str | None) -> str | None:
         """Path of a file that the site file names, relative to it, with variables replaced."""
-        return None if path is None else str(_located(path, self.file))
+        return None if path is None else str(_located(split_layer(path)[0], self.file))
+
+    def layered(self, path: str) -> str:
+        """The same with the layer that the site file names, ``file.gpkg|layername=edges``."""
+        return str(_located(path, self.file))
 
 
 def load_config(content: dict[str, Any], where: str = "config/config.yaml") -> Config:

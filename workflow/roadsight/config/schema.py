@@ -32,6 +32,9 @@ class Scene(Section):
     tile_size_m: Metres = Field(
         default=50.0, description="side of a storage tile; bounds the memory, m"
     )
+    overlap: Literal["use", "leave_out"] = Field(
+        default="use", description="points that are flagged as overlap of flight lines"
+    )
 
 
 class Ground(Section):

@@ -74,7 +74,7 @@ class Lidar(Section):
         description="unet, unet_mask: network that refines preliminary depth maps",
     )
     surfel_size_m: Metres = Field(
-        default=0.1, description="voxel of a surfel, m; at least point spacing"
+        default=0.1, description="finest voxel of a surfel, m; larger where points are sparse"
     )
     mounting: Literal["levelled", "normal"] = Field(
         default="levelled", description="sensors stand upright, or normal to the road"

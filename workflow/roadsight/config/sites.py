@@ -40,6 +40,42 @@ class Sample(Section):
     k2: float = Field(default=0.0, ge=-1, le=1, description="rural: the same, second coefficient")
 
 
+class Extent(Section):
+    """Part of the clouds that a site is about; one of these."""
+
+    box: list[float] | None = Field(
+        default=None,
+        min_length=4,
+        max_length=4,
+        description="west, south, east, north in the clouds' coordinates",
+    )
+    polygon: str | None = Field(default=None, description="polygon file, e.g. GeoJSON")
+    polygon_crs: str | None = Field(default=None, description="its CRS if the file names none")
+    edges_m: float | None = Field(
+        default=None, gt=0, le=10_000, description="distance from placement.edges, m"
+    )
+    track_m: float | None = Field(
+        default=None, gt=0, le=10_000, description="distance from the videolog's positions, m"
+    )
+
+    @model_validator(mode="after")
+    def _one(self) -> Extent:
+        if sum(value is not None for value in self._kinds().values()) != 1:
+            raise ValueError("give one of box, polygon, edges_m, track_m")
+        return self
+
+    def _kinds(self) -> dict[str, Any]:
+        names = ("box", "polygon", "edges_m", "track_m")
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def stated(self) -> str:
+        """As the stage takes it: ``kind=value``."""
+        kind, value = next((k, v) for k, v in self._kinds().items() if v is not None)
+        shown = ",".join(f"{part!r}" for part in value) if kind == "box" else f"{value}"
+        return f"{kind}={shown}"
+
+
 class PlacementInputs(Section):
     """What a user may give the placement job instead of having it found."""
 
@@ -174,6 +210,9 @@ class Site(Section):
     units: Unit = Field(default="auto", description="horizontal unit of the coordinates")
     vertical_units: Unit = Field(default="auto", description="vertical unit of the coordinates")
     target_crs: str | None = Field(default=None, description="reproject to this CRS on reading")
+    extent: Extent | None = Field(
+        default=None, description="part of the clouds that counts; all of them if absent"
+    )
     jobs: list[Literal["scene", "placement", "poles"]] = Field(
         default=["placement"],
         min_length=1,

@@ -1,12 +1,11 @@
 """CRS and the units of their axes.
 
-`roadsight.geometry.reference` decides which CRS a site is in, `roadsight.geometry.location` whether
-its coordinates can be in it.
+`roadsight.geometry.stated` reads what a header states, `roadsight.geometry.reference` decides which
+CRS a site is in, `roadsight.geometry.location` whether its coordinates can be in it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,19 +17,8 @@ from roadsight.base.errors import InputError
 METRES_PER_UNIT = {"metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}
 """Metres in one unit of each name that a site file may state."""
 
-_EPSG_UNITS = {9001: "metre", 9002: "foot", 9003: "us-survey-foot"}
-"""EPSG codes of units, as GeoTIFF keys name them."""
 _AGREEMENT_M = 0.01
 """CRSs that put a place no farther apart mean the same: clouds are less accurate than that."""
-_USER_DEFINED = 32767
-"""Value of a GeoTIFF key that says: no EPSG code, the definition follows in other keys."""
-
-# Numbers of the GeoTIFF keys that a LAS header may hold.
-_GEOGRAPHIC = 2048
-_PROJECTED = 3072
-_LINEAR_UNIT = 3076
-_VERTICAL_CRS = 4096
-_VERTICAL_UNIT = 4099
 
 
 @dataclass(frozen=True)
@@ -42,11 +30,13 @@ class StatedCrs:
     crs : CRS, or None if the header names none that can be used.
     vertical_unit_m : metres in one unit of z, or None if the header does not say.
     problem : why a CRS record that is there cannot be used; empty otherwise.
+    notes : contradictions within the header and how they were decided, one sentence each.
     """
 
     crs: CRS | None = None
     vertical_unit_m: float | None = None
     problem: str = ""
+    notes: tuple[str, ...] = ()
 
 
 def unit_name(metres: float) -> str:
@@ -73,54 +63,6 @@ def parse_crs(text: str, where: str) -> CRS:
             found=repr(text if len(text) <= 60 else text[:57] + "..."),
             allowed="an EPSG code such as EPSG:25832, or WKT; for a cloud also local",
         ) from error
-
-
-def stated_crs(wkt: str | None, geo_keys: Mapping[int, int]) -> StatedCrs:
-    """CRS that LAS records state; WKT is preferred to GeoTIFF keys.
-
-    Parameters
-    ----------
-    wkt : text of the WKT record, or None.
-    geo_keys : GeoTIFF keys with a value of their own (not in another record).
-    """
-    if wkt:
-        try:
-            crs = CRS.from_wkt(wkt)
-        except CRSError:
-            return StatedCrs(problem="its WKT record cannot be read")
-        if crs.is_engineering:
-            return StatedCrs(problem=f"its WKT record describes the local system {crs.name!r}")
-        up = [axis for axis in crs.axis_info if axis.direction == "up"]
-        return StatedCrs(crs, up[0].unit_conversion_factor if up else None)
-    return _from_geo_keys(geo_keys) if geo_keys else StatedCrs()
-
-
-def _from_geo_keys(geo_keys: Mapping[int, int]) -> StatedCrs:
-    """CRS with an EPSG code that GeoTIFF keys name, in the linear unit that they name."""
-    vertical_unit_m = _vertical_unit(geo_keys)
-    code = geo_keys.get(_PROJECTED, geo_keys.get(_GEOGRAPHIC, 0))
-    if code in (0, _USER_DEFINED):
-        return StatedCrs(None, vertical_unit_m, "its GeoTIFF keys name no EPSG code")
-    try:
-        crs = CRS.from_epsg(code)
-    except CRSError:
-        return StatedCrs(None, vertical_unit_m, f"its GeoTIFF keys name the unknown EPSG:{code}")
-    unit = _EPSG_UNITS.get(geo_keys.get(_LINEAR_UNIT, 0))
-    if unit is not None and crs.is_projected:
-        crs = with_linear_unit(crs, unit)
-    return StatedCrs(crs, vertical_unit_m)
-
-
-def _vertical_unit(geo_keys: Mapping[int, int]) -> float | None:
-    """Metres in one unit of z by the vertical GeoTIFF keys."""
-    unit = _EPSG_UNITS.get(geo_keys.get(_VERTICAL_UNIT, 0))
-    if unit is not None:
-        return METRES_PER_UNIT[unit]
-    try:
-        vertical = CRS.from_epsg(geo_keys.get(_VERTICAL_CRS, 0))
-    except CRSError:
-        return None
-    return vertical.axis_info[0].unit_conversion_factor if vertical.is_vertical else None
 
 
 def horizontal(crs: CRS) -> CRS:

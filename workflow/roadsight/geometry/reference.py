@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 from pyproj import CRS
@@ -81,7 +82,7 @@ def resolve(
     InputError : no CRS to be found, clouds that contradict each other, a CRS that has no lengths,
         or a vertical unit that must be stated.
     """
-    notes: list[str] = []
+    notes = [f"{Path(name).name}: {note}" for name, cloud in stated for note in cloud.notes]
     header = _common_statement(stated, centre)
     if choice.crs == "local":
         return _local_reference(header, choice)

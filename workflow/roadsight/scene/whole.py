@@ -6,25 +6,53 @@ For verbs, notebooks and checks on real data, which take one cloud and keep its 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
+from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.scene.grids import sample_bilinear
+from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.pavement.outline import (
+    PavementSettings,
+    inside,
+    outline_pavement,
+    pavement_settings_for,
+    trace_cells,
+)
+from roadsight.scene.pavement.road_surface import (
+    RoadSettings,
+    RoadSurface,
+    find_road,
+    road_points,
+)
+from roadsight.scene.pavement.scan_levels import scanner_positions
+from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.profile import count_cells, density
-from roadsight.scene.spacing import plan_spacing_m
+from roadsight.scene.spacing import plan_spacing_m, uses_intensity
 from roadsight.scene.terrain.ground_settings import GroundSettings, ground_settings_for
-from roadsight.scene.terrain.terrain import Bounds, label_ground
+from roadsight.scene.terrain.terrain import Bounds, coarse_of_tiles, label_ground
+
+_LARGEST_TILE_M = 500.0
+"""A cloud longer or wider than this is labelled in tiles of half of it: fine pillars of more fill
+gigabytes."""
+_COLUMN_M = 0.1
+"""Columns to which ground is thinned before its features are computed, or the spacing if wider."""
+_SAMPLE = 100_000
+"""Columns on which k-means is fitted; the rest are classified by its centres."""
+_INTENSITY_WEIGHT = 1.5
+"""Of intensity against the whole histogram (docs/decisions/005)."""
+_FEWEST_SCANS = 2
+"""One scan has no registration to level, but its blind disc alone is a weak sign of a road."""
+_SURE_SCANS = 0.5
+"""Share of scans with a blind disc from which the cloud was scanned from a vehicle in it."""
 
 
 def spacing_of(xyz_m: Floats) -> float:
     """Spacing of evenly spread points of the cloud's median density."""
     cells = count_cells(xyz_m, np.zeros(len(xyz_m), np.uint8))
     return plan_spacing_m(density(cells.column, cells.row, cells.count)["median"])
-
-
-_LARGEST_TILE_M = 500.0
-"""A cloud longer or wider than this is labelled in tiles of half of it: fine pillars of more fill
-gigabytes."""
 
 
 def ground_of(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
@@ -35,10 +63,8 @@ def ground_of(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
     xyz_m : (n, 3) local metres.
     """
     settings = ground_settings_for(spacing_of(xyz_m), settings or GroundSettings())
-    west, south = xyz_m[:, :2].min(axis=0)
-    # Half-open tiles hold their greatest coordinates only if they end beyond.
-    east, north = xyz_m[:, :2].max(axis=0) + 1e-3
-    bounds = (float(west), float(south), float(east), float(north))
+    bounds = _bounds(xyz_m)
+    west, south, east, north = bounds
     widest = max(east - west, north - south)
     side_m = widest if widest <= _LARGEST_TILE_M else _LARGEST_TILE_M / 2
     parts = _parts(xyz_m, side_m)
@@ -52,6 +78,14 @@ def ground_of(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
     for (_, own), (_, found) in zip(parts, label_ground(tiles, bounds, settings), strict=True):
         mask[own] = found
     return mask
+
+
+def _bounds(xyz_m: Floats) -> Bounds:
+    """West, south, east, north of a half-open tile that holds all points."""
+    west, south = xyz_m[:, :2].min(axis=0)
+    # Half-open tiles hold their greatest coordinates only if they end beyond.
+    east, north = xyz_m[:, :2].max(axis=0) + 1e-3
+    return float(west), float(south), float(east), float(north)
 
 
 def _parts(xyz_m: Floats, side_m: float) -> list[tuple[Bounds, Ints]]:
@@ -72,3 +106,112 @@ def _near(xyz_m: Floats, core: Bounds, halo_m: float) -> Ints:
     near = (x >= core[0] - halo_m) & (x < core[2] + halo_m)
     near &= (y >= core[1] - halo_m) & (y < core[3] + halo_m)
     return np.flatnonzero(near)
+
+
+def near_ground(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
+    """Points (n,) up to some decimetres from the coarse ground: a road is sought among them."""
+    settings = ground_settings_for(spacing_of(xyz_m), settings or GroundSettings())
+    bounds = _bounds(xyz_m)
+    coarse = coarse_of_tiles(lambda _: iter([(bounds, xyz_m)]), bounds, settings)
+    x, y, z = xyz_m.T
+    rise = z - sample_bilinear(coarse.grid, coarse.surface_m, x, y)
+    tilt = sample_bilinear(coarse.grid, coarse.slope, x, y)
+    return np.abs(rise) < settings.coarse_tolerance_m + tilt * settings.coarse_cell_m
+
+
+@dataclass(frozen=True)
+class FoundRoad:
+    """Pavement of a cloud.
+
+    Parameters
+    ----------
+    outline : its polygons, local metres. points : (n,) which points lie on it.
+    surface_m : (k, 3) places on it, for the heights of its edges.
+    """
+
+    outline: MultiPolygon
+    points: Bools
+    surface_m: Floats
+
+
+def scans_tell(xyz_m: Floats, scan: Ints | None) -> bool:
+    """Whether scans are told apart and their scanner drove through the cloud.
+
+    Their blind discs then say where the road is, and their registration can be levelled.
+    """
+    if scan is None or len(np.unique(scan)) < _FEWEST_SCANS:
+        return False
+    near = near_ground(xyz_m)
+    _, sure = scanner_positions(xyz_m[near], scan[near])
+    return bool(len(sure)) and float(sure.mean()) >= _SURE_SCANS
+
+
+def road_of(
+    xyz_m: Floats,
+    intensity: Floats | None,
+    scan: Ints | None,
+    track_xy: Floats | None = None,
+    settings: RoadSettings | None = None,
+) -> tuple[FoundRoad, RoadSurface]:
+    """Road as a surface that runs on until a kerb, grass or a wall ends it.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres. intensity, scan : (n,) or None. track_xy : (k, 2) where a vehicle
+        drove, or None.
+
+    Raises
+    ------
+    InputError : no smooth ground is wide enough for a road.
+    """
+    settings = settings or RoadSettings()
+    near = np.flatnonzero(near_ground(xyz_m))
+    surface = find_road(
+        xyz_m[near],
+        None if intensity is None else intensity[near],
+        None if scan is None else scan[near],
+        track_xy,
+        settings,
+    )
+    points = np.zeros(len(xyz_m), bool)
+    points[near] = road_points(surface, xyz_m[near], settings)
+    row, column = np.nonzero(surface.road)
+    x, y = surface.grid.centres(column, row)
+    places = np.column_stack([x, y, surface.height_m[row, column]])
+    outline = trace_cells(surface.grid, surface.road | surface.bridged, PavementSettings())
+    return FoundRoad(outline, points, places), surface
+
+
+def published_road(
+    xyz_m: Floats, ground: Bools, intensity: Floats, intensity_choice: str = "auto", seed: int = 1
+) -> FoundRoad:
+    """Road as the connected smooth ground by FPFH and k-means (paper 1, section 2.2).
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres. ground : (n,) ground labels. intensity : (n,).
+    intensity_choice : "use", "ignore" or "auto" by the spacing.
+
+    Raises
+    ------
+    InputError : nothing smooth, too little of it, or nothing but fragments.
+    """
+    spacing_m = spacing_of(xyz_m)
+    column_m = max(_COLUMN_M, spacing_m)
+    description = describe_ground(xyz_m[ground], intensity[ground], column_m, neighbours=10)
+    rng = np.random.default_rng(seed)
+    count = len(description.variation)
+    rows = np.sort(rng.choice(count, min(_SAMPLE, count), replace=False))
+    use = uses_intensity(intensity_choice, spacing_m) and len(np.unique(intensity[ground])) > 1
+    model = fit_smoothness(
+        description.histograms[rows],
+        description.variation[rows],
+        description.intensity[rows] if use else None,
+        _INTENSITY_WEIGHT,
+        seed,
+    )
+    smooth = is_smooth(model, description.histograms, description.variation, description.intensity)
+    settings = pavement_settings_for(column_m, PavementSettings())
+    outline = outline_pavement(description.xyz_m, smooth, settings)
+    x, y, _ = xyz_m.T
+    return FoundRoad(outline, ground & inside(outline, x, y), description.xyz_m)

@@ -7,7 +7,11 @@ OUTPUTS          results/hardcases/: hardcases.csv, index.html
 
 rule run_hardcases:
     input:
-        assets=[path for path in REPORT_ASSETS if path.endswith((".css", "hardcases.html.j2"))],
+        assets=[
+            path
+            for path in REPORT_ASSETS
+            if path.endswith((".css", "hardcases.html.j2"))
+        ],
         code=sources("run_hardcases"),
     output:
         table="results/hardcases/hardcases.csv",

@@ -11,12 +11,12 @@ rule truth_ground:
         code=sources("truth_ground"),
     output:
         figures="results/truth/ground/{dataset}.json",
-    wildcard_constraints:
-        dataset=truth_datasets("ground"),
     log:
         "logs/truth/ground-{dataset}.log",
     benchmark:
         "results/truth/benchmarks/ground-{dataset}.tsv"
+    wildcard_constraints:
+        dataset=truth_datasets("ground"),
     conda:
         ENVIRONMENT
     resources:
@@ -35,12 +35,12 @@ rule truth_pavement:
         code=sources("truth_pavement"),
     output:
         figures="results/truth/pavement/{dataset}.json",
-    wildcard_constraints:
-        dataset=truth_datasets("pavement"),
     log:
         "logs/truth/pavement-{dataset}.log",
     benchmark:
         "results/truth/benchmarks/pavement-{dataset}.tsv"
+    wildcard_constraints:
+        dataset=truth_datasets("pavement"),
     conda:
         ENVIRONMENT
     resources:
@@ -59,12 +59,12 @@ rule truth_edges:
         code=sources("truth_edges"),
     output:
         figures="results/truth/edges/{dataset}.json",
-    wildcard_constraints:
-        dataset=truth_datasets("edges"),
     log:
         "logs/truth/edges-{dataset}.log",
     benchmark:
         "results/truth/benchmarks/edges-{dataset}.tsv"
+    wildcard_constraints:
+        dataset=truth_datasets("edges"),
     conda:
         ENVIRONMENT
     resources:
@@ -83,12 +83,12 @@ rule truth_depth:
         code=sources("truth_depth"),
     output:
         figures="results/truth/depth/{dataset}.json",
-    wildcard_constraints:
-        dataset=truth_datasets("depth"),
     log:
         "logs/truth/depth-{dataset}.log",
     benchmark:
         "results/truth/benchmarks/depth-{dataset}.tsv"
+    wildcard_constraints:
+        dataset=truth_datasets("depth"),
     conda:
         ENVIRONMENT
     resources:
@@ -107,12 +107,12 @@ rule truth_sightings:
         code=sources("truth_sightings"),
     output:
         figures="results/truth/sightings/{dataset}.json",
-    wildcard_constraints:
-        dataset=truth_datasets("sightings"),
     log:
         "logs/truth/sightings-{dataset}.log",
     benchmark:
         "results/truth/benchmarks/sightings-{dataset}.tsv"
+    wildcard_constraints:
+        dataset=truth_datasets("sightings"),
     conda:
         ENVIRONMENT
     resources:
@@ -131,12 +131,12 @@ rule truth_cover:
         code=sources("truth_cover"),
     output:
         figures="results/truth/cover/{dataset}.json",
-    wildcard_constraints:
-        dataset=truth_datasets("cover"),
     log:
         "logs/truth/cover-{dataset}.log",
     benchmark:
         "results/truth/benchmarks/cover-{dataset}.tsv"
+    wildcard_constraints:
+        dataset=truth_datasets("cover"),
     conda:
         ENVIRONMENT
     resources:

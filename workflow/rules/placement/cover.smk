@@ -29,6 +29,10 @@ rule solve_cover:
     conda:
         ENVIRONMENT
     params:
+        areas=layered_plan_file("areas"),
+        forbidden=layered_plan_file("forbidden"),
+        mandatory=layered_plan_file("mandatory"),
+        poles=layered_plan_file("poles"),
         sensors=plan_costs,
         options=plan_options,
         at_least=setting("cover.at_least"),
@@ -45,8 +49,8 @@ rule solve_cover:
         " --at-least {params.at_least} {params.availability} --lanes {input.lanes}"
         " --target-height-m {params.height_m} --time-limit-s {params.time_limit_s} --gap {params.gap}"
         " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"
-        " --areas {input.areas:q} --forbidden {input.forbidden:q}"
-        " --mandatory {input.mandatory:q} --poles {input.poles:q}"
+        " --areas {params.areas:q} --forbidden {params.forbidden:q}"
+        " --mandatory {params.mandatory:q} --poles {params.poles:q}"
         " --solution {output.solution} --layers {output.layers}"
         " --timing {output.timing} > {log} 2>&1"
 

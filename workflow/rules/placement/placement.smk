@@ -30,6 +30,8 @@ rule place_candidates:
         mem_mb=megabytes(60),
         runtime=minutes(),
     params:
+        zones=layered_site("placement.zones"),
+        mounts=layered_site("placement.mounts"),
         spacing_m=setting("candidates.spacing_m"),
         height_min_m=setting("candidates.height_min_m"),
         height_max_m=setting("candidates.height_max_m"),
@@ -44,7 +46,7 @@ rule place_candidates:
         " --cloud {input.cloud} --frame {input.frame} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --zones {input.zones:q} --mounts {input.mounts:q} --arm-m {params.arm_m}"
+        " --zones {params.zones:q} --mounts {params.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"
 
@@ -211,6 +213,8 @@ rule densify_candidates:
     conda:
         ENVIRONMENT
     params:
+        zones=layered_site("placement.zones"),
+        mounts=layered_site("placement.mounts"),
         radius_m=setting("coverage.radius_m"),
         spacing_m=setting("candidates.spacing_m"),
         height_min_m=setting("candidates.height_min_m"),
@@ -228,6 +232,6 @@ rule densify_candidates:
         " --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
         " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
         " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --zones {input.zones:q} --mounts {input.mounts:q} --arm-m {params.arm_m}"
+        " --zones {params.zones:q} --mounts {params.mounts:q} --arm-m {params.arm_m}"
         " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"

@@ -1,6 +1,7 @@
 """Helpers of the placement rules: plans, sensors, rounds and shards."""
 
 from roadsight.base.validation import check_path
+from roadsight.io.vector.layer_names import split_layer
 from roadsight.placement.sensors.light import wavelength_nm
 
 
@@ -123,6 +124,16 @@ def plan_options(wildcards):
 
 def plan_file(option):
     """File that an option of the plan names, as a list of inputs."""
+
+    def files(wildcards):
+        found = plans_of(wildcards.site)[wildcards.plan].file_of(option)
+        return [] if found is None else [split_layer(found)[0]]
+
+    return files
+
+
+def layered_plan_file(option):
+    """The same as an argument: with the layer that the plan names."""
 
     def files(wildcards):
         found = plans_of(wildcards.site)[wildcards.plan].file_of(option)

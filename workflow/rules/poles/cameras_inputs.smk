@@ -1,6 +1,7 @@
 """Helpers of the rules on cameras: aligned or given ones, and what the alignment rests on."""
 
 from roadsight.io.images.camera_tables import corrections_of_shard
+from roadsight.io.images.videolog_files import check_corrections
 
 
 def aligns(wildcards):
@@ -73,8 +74,20 @@ def shard_corrections(wildcards):
     path = resolved.beside(resolved.site.poles.corrections)
     if path is None:
         return []
+    clearly(corrections_checked, wildcards.site, path)
     shards = resolved.settings.shards
     return clearly(corrections_of_shard, path, int(wildcards.shard), shards)
+
+
+@lru_cache(maxsize=None)
+def corrections_checked(site, path):
+    """Refuse corrections of which none is about an image."""
+    resolved = SITES[site]
+    if resolved.site.sample:
+        return
+    images = resolved.beside(resolved.site.poles.images)
+    table = resolved.beside(resolved.site.poles.videolog) or images
+    check_corrections(table, images, path)
 
 
 def corrections_file(wildcards):

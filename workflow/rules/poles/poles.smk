@@ -115,11 +115,12 @@ rule validate_poles:
     conda:
         ENVIRONMENT
     params:
+        truth=layered_site("truth.poles", known_poles),
         truth_crs=site_field("truth.poles_crs"),
         truth_kind=known_pole_kind,
         options=flags("validation", "components"),
     shell:
         "python -m roadsight.stages.poles.validate_poles --poles {input.poles}"
-        " --truth {input.truth:q} --truth-crs={params.truth_crs:q} --truth-kind={params.truth_kind:q} --frame {input.frame}"
+        " --truth {params.truth:q} --truth-crs={params.truth_crs:q} --truth-kind={params.truth_kind:q} --frame {input.frame}"
         " --frames {input.frames} --edges {input.edges} {params.options}"
         " --out {output.validation} > {log} 2>&1"

@@ -77,6 +77,7 @@ rule segment_images:
     params:
         images=shard_images_path,
         images_sha256=image_digest("masks"),
+        models_sha256=models_digest(mask_models),
         masks=mask_options,
         views=used_views,
         shards=setting("shards"),
@@ -107,6 +108,7 @@ rule estimate_depth:
     params:
         images=shard_images_path,
         images_sha256=image_digest("depth"),
+        models_sha256=models_digest(depth_models),
         source=depth_source,
         kind=depth_kind,
         views=used_views,

@@ -3,6 +3,7 @@
 import shlex
 
 from roadsight.base.texts import read_yaml
+from roadsight.io.images.external_weights import weight_files
 from roadsight.io.images.videolog_files import files_by_shard
 
 
@@ -122,10 +123,17 @@ def model_files(manifests):
 
 
 def networks_of(manifest):
-    """The network that a manifest names; label maps name none."""
+    """The network that a manifest names, and its weights; label maps name none."""
     name = os.path.expandvars(str((read_yaml(manifest) or {}).get("file", "")))
     network = Path(manifest).parent / name
-    return [str(network)] if network.is_file() else []
+    if not network.is_file():
+        return []
+    return [str(file) for file in (network, *weight_files(network))]
+
+
+def models_digest(models):
+    """Checksum of manifests, networks and the weights beside them."""
+    return lambda wildcards: CHECKSUMS.of_all(models(wildcards))
 
 
 def mask_models(wildcards):

@@ -9,6 +9,7 @@ OUTPUTS          results/{site}/scene/: cloud, frame, profile, DEM, ground, pave
 rule ingest_cloud:
     input:
         clouds=cloud_files,
+        extent=extent_files,
         code=sources("ingest_cloud"),
     output:
         cloud="results/{site}/scene/cloud.parquet",
@@ -28,12 +29,16 @@ rule ingest_cloud:
         units=site_field("units"),
         vertical_units=site_field("vertical_units"),
         target_crs=site_field("target_crs"),
+        extent=site_extent,
+        extent_crs=extent_crs,
         tile_size_m=setting("scene.tile_size_m"),
+        overlap=setting("scene.overlap"),
     shell:
         "RAYON_NUM_THREADS={threads} python -m roadsight.stages.scene.ingest_cloud --site {wildcards.site}"
         " --crs={params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
-        " --target-crs={params.target_crs:q} --tile-size-m {params.tile_size_m}"
-        " --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
+        " --target-crs={params.target_crs:q} --extent={params.extent:q} --extent-files {input.extent:q}"
+        " --extent-crs={params.extent_crs:q} --tile-size-m {params.tile_size_m}"
+        " --overlap {params.overlap} --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
 
 
 checkpoint profile_scene:
@@ -151,6 +156,7 @@ rule extract_pavement:
         mem_mb=megabytes(100),
         runtime=minutes(),
     params:
+        tma=layered_site("placement.tma"),
         cluster_distance_m=setting("pavement.cluster_distance_m"),
         vote_radius_m=setting("pavement.vote_radius_m"),
         outline_cell_m=setting("pavement.outline_cell_m"),
@@ -160,7 +166,7 @@ rule extract_pavement:
     shell:
         "python -m roadsight.stages.scene.extract_pavement --site {wildcards.site}"
         " --cloud {input.cloud} --frame {input.frame} --ground {input.ground}"
-        " --clusters {input.clusters} --tma {input.tma:q}"
+        " --clusters {input.clusters} --tma {params.tma:q}"
         " --cluster-distance-m {params.cluster_distance_m}"
         " --vote-radius-m {params.vote_radius_m} --outline-cell-m {params.outline_cell_m}"
         " --closing-m {params.closing_m} --smallest-hole-m2 {params.smallest_hole_m2}"
@@ -184,6 +190,7 @@ rule build_edges:
     conda:
         ENVIRONMENT
     params:
+        edges=layered_site("placement.edges", edges_file),
         edges_crs=site_field("placement.edges_crs"),
         offset_m=setting("edges.offset_m"),
         knot_spacing_m=setting("edges.knot_spacing_m"),
@@ -191,7 +198,7 @@ rule build_edges:
     shell:
         "python -m roadsight.stages.scene.build_edges --site {wildcards.site} --frame {input.frame}"
         " --pavement {input.pavement} --clusters {input.clusters}"
-        " --digitised {input.edges:q} --digitised-crs={params.edges_crs:q}"
+        " --digitised {params.edges:q} --digitised-crs={params.edges_crs:q}"
         " --offset-m {params.offset_m}"
         " --knot-spacing-m {params.knot_spacing_m} --shortest-m {params.shortest_m}"
         " --out {output.edges} > {log} 2>&1"
@@ -214,6 +221,7 @@ rule score_pavement:
     conda:
         ENVIRONMENT
     params:
+        truth=layered_site("truth.pavement", pavement_truth),
         truth_crs=site_field("truth.pavement_crs"),
         reach_m=site_field("truth.reach_m"),
         truth_layer=lambda wildcards: (
@@ -222,6 +230,6 @@ rule score_pavement:
     shell:
         "python -m roadsight.stages.scene.score_pavement --cloud {input.cloud} --frame {input.frame}"
         " --ground {input.ground} --pavement {input.pavement}"
-        " --truth {input.truth:q} --truth-crs={params.truth_crs:q}"
+        " --truth {params.truth:q} --truth-crs={params.truth_crs:q}"
         " --truth-layer {params.truth_layer} --reach-m {params.reach_m}"
         " --out {output.scores} > {log} 2>&1"

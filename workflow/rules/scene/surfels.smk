@@ -34,7 +34,6 @@ rule mark_traffic:
 rule build_surfels:
     input:
         cloud=rules.ingest_cloud.output.cloud,
-        profile=rules.profile_scene.output.profile,
         traffic=traffic_mask,
         code=sources("build_surfels"),
     output:
@@ -51,5 +50,5 @@ rule build_surfels:
     params:
         surfel_size_m=setting("lidar.surfel_size_m"),
     shell:
-        "python -m roadsight.stages.scene.build_surfels --cloud {input.cloud} --profile {input.profile}"
+        "python -m roadsight.stages.scene.build_surfels --cloud {input.cloud}"
         " --traffic {input.traffic} --surfel-size-m {params.surfel_size_m} --out {output.surfels} > {log} 2>&1"

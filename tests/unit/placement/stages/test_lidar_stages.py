@@ -64,7 +64,7 @@ def site(tmp_path_factory):
     write_table(folder / "candidates.parquet", candidates)
     write_table(folder / "none.parquet", candidates.iloc[:0])
     paths = {name: str(folder / f"{name}.parquet") for name in ("cloud", "pavement", "surfels")}
-    surfels = ["--cloud", paths["cloud"], "--profile", str(folder / "profile.json")]
+    surfels = ["--cloud", paths["cloud"]]
     assert build_surfels.main([*surfels, "--out", paths["surfels"]]) == 0
     targets = str(folder / "targets.parquet")
     frame = Frame((0.0, 0.0, 0.0))

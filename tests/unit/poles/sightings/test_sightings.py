@@ -179,6 +179,9 @@ def test_what_is_dropped_says_why():
     assert reasons == {0: "", 1: "", 2: "too far"}
     low, low_depth = rendered([place(350.0, 20.0)], height_m=2.0)
     assert measure_view(CAMERA, low, low_depth, evidence)["reason"].tolist() == ["too low"]
+    column = PoleColumns(place(350.0, 20.0)[None], np.array([9.0]), np.array([0.1]))
+    in_cloud = Evidence(level, column, np.empty((0, 3)))
+    assert measure_view(CAMERA, low, low_depth, in_cloud)["reason"].tolist() == [""]
     rule = SightingSettings(height_rule="none")
     assert measure_view(CAMERA, low, low_depth, evidence, rule)["reason"].tolist() == [""]
     published = SightingSettings(height_rule="published")

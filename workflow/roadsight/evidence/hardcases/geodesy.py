@@ -8,7 +8,7 @@ from pyproj import CRS, Geod, Proj, Transformer
 
 from roadsight.base.errors import InputError
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
-from roadsight.geometry.crs import linear_units, parse_crs, stated_crs
+from roadsight.geometry.crs import linear_units, parse_crs
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.location import (
     area_of_use,
@@ -17,6 +17,7 @@ from roadsight.geometry.location import (
     utm_code,
 )
 from roadsight.geometry.north import SiteNorth
+from roadsight.geometry.stated import stated_crs
 from roadsight.poles.drive.videolog import OK, Site, locate
 from roadsight.poles.risk.validation import geodesic_m
 

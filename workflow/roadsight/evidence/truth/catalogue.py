@@ -128,7 +128,7 @@ AREAS: dict[str, Area] = {
             "within_0.5m_to_20m": Metric("%"),
             "within_0.5m_20_to_40m": Metric("%"),
             "within_0.5m_40_to_90m": Metric("%"),
-            "too_near_over_too_far": Metric("ratio", goal="<3"),
+            "too_near_over_too_far": Metric("ratio", goal="<3", each="<3"),
         },
     ),
     "sightings": Area(

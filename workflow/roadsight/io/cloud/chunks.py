@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.io.cloud.las_header import COLOURS, CloudHeader
+from roadsight.io.cloud.point_filter import OVERLAP_CLASS
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,8 @@ class Chunk:
     classification, return_number, number_of_returns : uint8, shape (n,); 0 where not recorded.
     withheld : points that their producer asks to leave out, bool, shape (n,).
     colour : red, green, blue as stored, uint16, shape (n, 3), or None.
+    synthetic, overlap : points that were not measured, and of overlapping flight lines, (n,).
+    time : GPS time (n,), or None where it was not asked for or is not recorded.
     """
 
     xyz: Floats
@@ -32,6 +35,9 @@ class Chunk:
     number_of_returns: Bytes
     withheld: Bools
     colour: NDArray[np.uint16] | None
+    synthetic: Bools
+    overlap: Bools
+    time: Floats | None = None
 
     def __len__(self) -> int:
         return len(self.xyz)
@@ -48,19 +54,31 @@ class Chunk:
             self.number_of_returns[mask],
             self.withheld[mask],
             None if self.colour is None else self.colour[mask],
+            self.synthetic[mask],
+            self.overlap[mask],
+            None if self.time is None else self.time[mask],
         )
 
 
-def chunk_of(points: laspy.ScaleAwarePointRecord, header: CloudHeader) -> Chunk:
-    """What a `Chunk` holds of decoded points."""
+def chunk_of(
+    points: laspy.ScaleAwarePointRecord, header: CloudHeader, times: bool = False
+) -> Chunk:
+    """What a `Chunk` holds of decoded points; their GPS times where they are asked for."""
+    names = set(points.point_format.dimension_names)
+    classes = np.asarray(points.classification, np.uint8)
+    flagged = "overlap" in names
+    timed = times and "gps_time" in names
     return Chunk(
         xyz=native_xyz(points, header),
         intensity=np.asarray(points.intensity, np.uint16),
-        classification=np.asarray(points.classification, np.uint8),
+        classification=classes,
         return_number=np.asarray(points.return_number, np.uint8),
         number_of_returns=np.asarray(points.number_of_returns, np.uint8),
         withheld=np.asarray(points.withheld, bool),
         colour=_colour(points) if header.coloured else None,
+        synthetic=np.asarray(points.synthetic, bool),
+        overlap=np.asarray(points.overlap, bool) if flagged else classes == OVERLAP_CLASS,
+        time=np.asarray(points.gps_time, np.float64) if timed else None,
     )
 
 

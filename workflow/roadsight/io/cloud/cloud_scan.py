@@ -9,15 +9,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roadsight.base.arrays import Bools, Floats
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.chunks import Chunk
 from roadsight.io.cloud.clouds import CHUNK_POINTS, iter_chunks, read_header
 from roadsight.io.cloud.las_header import CloudHeader
+from roadsight.io.cloud.point_filter import noisy
 from roadsight.io.records.checksums import sha256
-
-NOISE_CLASSES = (7, 18)
-"""ASPRS classes of low and high noise."""
 
 Move = Callable[[Floats], Floats]
 
@@ -31,9 +29,10 @@ class CloudScan:
     Parameters
     ----------
     header : what its header says.
-    points : points that are neither withheld nor noise.
+    points : points that take part.
     lower, upper : least and greatest native x, y, z of these points, shape (3,).
     withheld, noise : points left out as withheld, and as noise but not withheld.
+    synthetic, overlap : further points left out as not measured, and by choice.
     brightest : greatest red, green or blue; 0 without colour.
     sha256 : of the file.
     """
@@ -46,6 +45,8 @@ class CloudScan:
     noise: int
     brightest: int
     sha256: str
+    synthetic: int = 0
+    overlap: int = 0
 
 
 class Contents:
@@ -69,38 +70,45 @@ class Contents:
 
 
 def kept_chunks(
-    path: str | os.PathLike[str], move: Move | None = None, chunk_points: int = CHUNK_POINTS
-) -> Iterator[tuple[Chunk, int, int]]:
-    """Stream the points that are neither withheld nor noise, in file order.
+    path: str | os.PathLike[str],
+    move: Move | None = None,
+    chunk_points: int = CHUNK_POINTS,
+    overlap: str = "use",
+    times: bool = False,
+) -> Iterator[tuple[Chunk, int, int, int, int]]:
+    """Stream the points that take part, in file order.
+
+    Points that are withheld, noise or synthetic do not, nor those of overlapping flight lines
+    where ``overlap`` is ``leave_out``.
 
     Parameters
     ----------
-    move : reprojection of native x, y, z, or None.
+    move : reprojection of native x, y, z, or None. times : as `iter_chunks`.
 
     Yields
     ------
-    points that stay, number of withheld points, number of noise points that are not withheld
+    points that stay, and the numbers of points left out: withheld, noise, synthetic, overlap; a
+    point counts with the first of these that it is
 
     Raises
     ------
     InputError : the cloud cannot be read, or a point cannot be reprojected.
     """
-    for chunk in iter_chunks(path, chunk_points):
-        noisy = _noisy(chunk)
-        kept = chunk.select(~(chunk.withheld | noisy))
+    for chunk in iter_chunks(path, chunk_points, times):
+        kept, counts = np.ones(len(chunk), bool), []
+        reasons = [chunk.withheld, noisy(chunk.classification), chunk.synthetic]
+        if overlap == "leave_out":
+            reasons.append(chunk.overlap)
+        for reason in reasons:
+            counts.append(int(np.count_nonzero(kept & reason)))
+            kept &= ~reason
+        chosen = chunk.select(kept)
         if move is not None:
-            kept = replace(kept, xyz=move(kept.xyz))
-            if not np.isfinite(kept.xyz).all():
+            chosen = replace(chosen, xyz=move(chosen.xyz))
+            if not np.isfinite(chosen.xyz).all():
                 raise InputError("has points that cannot be reprojected", where=str(path))
-        yield kept, int(np.count_nonzero(chunk.withheld)), int(np.count_nonzero(noisy))
-
-
-def _noisy(chunk: Chunk) -> Bools:
-    """Points of a chunk (n,) that are noise but not withheld."""
-    noisy = np.zeros(len(chunk), bool)
-    for cls in NOISE_CLASSES:
-        noisy |= chunk.classification == cls
-    return noisy & ~chunk.withheld
+        withheld, noise, synthetic, *more = counts
+        yield chosen, withheld, noise, synthetic, sum(more)
 
 
 def scan_cloud(
@@ -108,6 +116,7 @@ def scan_cloud(
     move: Move | None = None,
     chunk_points: int = CHUNK_POINTS,
     take: Take | None = None,
+    overlap: str = "use",
 ) -> CloudScan:
     """Read all points of a cloud once and keep what ingest has to know beforehand.
 
@@ -117,28 +126,36 @@ def scan_cloud(
 
     Raises
     ------
-    InputError : as `kept_chunks`, or every point is withheld or noise.
+    InputError : as `kept_chunks`, or no point takes part.
     """
     lower, upper = np.full(3, np.inf), np.full(3, -np.inf)
-    points = withheld = noise = brightest = 0
-    for chunk, chunk_withheld, chunk_noise in kept_chunks(path, move, chunk_points):
-        withheld, noise, points = (
-            withheld + chunk_withheld,
-            noise + chunk_noise,
-            points + len(chunk),
-        )
+    points = brightest = 0
+    left_out = np.zeros(4, np.int64)
+    for chunk, *counts in kept_chunks(path, move, chunk_points, overlap):
+        left_out += counts
+        points += len(chunk)
         lower = np.minimum(lower, chunk.xyz.min(axis=0, initial=np.inf))
         upper = np.maximum(upper, chunk.xyz.max(axis=0, initial=-np.inf))
         if chunk.colour is not None:
             brightest = max(brightest, int(chunk.colour.max(initial=0)))
         if take is not None:
             take(path, chunk)
+    withheld, noise, synthetic, in_overlap = left_out.tolist()
     if points == 0:
         raise InputError(
-            "holds no points but noise and withheld ones",
+            "holds no points but noise, withheld and synthetic ones",
             where=str(path),
-            found=f"{withheld} withheld, {noise} noise",
+            found=f"{withheld} withheld, {noise} noise, {synthetic} synthetic",
         )
     return CloudScan(
-        read_header(path), points, lower, upper, withheld, noise, brightest, sha256(path)
+        read_header(path),
+        points,
+        lower,
+        upper,
+        withheld,
+        noise,
+        brightest,
+        sha256(path),
+        synthetic,
+        in_overlap,
     )

@@ -21,8 +21,15 @@ from pyproj.exceptions import CRSError
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.carried import Carried, ExtraField, carry
 from roadsight.io.cloud.chunks import Chunk, chunk_of, native_xyz
-from roadsight.io.cloud.las_header import COLOURS, CloudHeader, check_structure, cloud_header
+from roadsight.io.cloud.las_header import (
+    COLOURS,
+    CloudHeader,
+    check_structure,
+    cloud_header,
+    counted,
+)
 from roadsight.io.cloud.laz_chunks import are_apart, check_layers
 from roadsight.io.records.atomic import atomic_path
 
@@ -38,6 +45,16 @@ _LAZ_DATE = date(2000, 1, 1)
 """A fixed date of creation, so that the same points give the same bytes."""
 _DEGREES_PER_SCAN_ANGLE = 0.006
 """Unit of the scan angle in point formats 6 to 10 (LAS 1.4)."""
+_WAVEFORM = (
+    "wavepacket_index",
+    "wavepacket_offset",
+    "wavepacket_size",
+    "return_point_wave_location",
+    "x_t",
+    "y_t",
+    "z_t",
+)
+"""Fields that lead to waveforms, which are not carried along."""
 _ALL_LAYERS = DecompressionSelection.all()
 _CHUNK_LAYERS = (
     DecompressionSelection.base()
@@ -60,7 +77,8 @@ class NativeCloud:
     Parameters
     ----------
     xyz : native coordinates, shape (n, 3), float64.
-    dims : every other dimension by its LAS name, each of length n.
+    dims : every other dimension by its LAS name, each of length n, (n, k) where a field has k
+        values; without bytes that no record describes (`CloudHeader.left_out`).
     header : what its header says.
     """
 
@@ -96,19 +114,26 @@ def read_extent(path: str | os.PathLike[str]) -> Floats:
         return np.rint((stated - header.offset) / header.scale) * header.scale + header.offset
 
 
-def iter_chunks(path: str | os.PathLike[str], chunk_points: int = CHUNK_POINTS) -> Iterator[Chunk]:
+def iter_chunks(
+    path: str | os.PathLike[str], chunk_points: int = CHUNK_POINTS, times: bool = False
+) -> Iterator[Chunk]:
     """Stream a cloud in file order, at most ``chunk_points`` points at a time.
+
+    Parameters
+    ----------
+    times : whether GPS times come along, which take time to decode.
 
     Raises
     ------
     InputError : as `read_header`, or the points end early or cannot be decoded.
     """
     at_once = chunk_points * max(_DECODED_POINTS // chunk_points, 1)
-    with _open(path, _CHUNK_LAYERS) as reader:
+    layers = _CHUNK_LAYERS | DecompressionSelection.GPS_TIME if times else _CHUNK_LAYERS
+    with _open(path, layers) as reader:
         header = cloud_header(Path(path), reader.header)
         for points in _decoded(path, reader, at_once):
             for start in range(0, len(points), chunk_points):
-                yield chunk_of(points[start : start + chunk_points], header)
+                yield chunk_of(points[start : start + chunk_points], header, times)
 
 
 def read_laz(path: str | os.PathLike[str]) -> NativeCloud:
@@ -121,7 +146,8 @@ def read_laz(path: str | os.PathLike[str]) -> NativeCloud:
     with _open(path) as reader:
         header = cloud_header(Path(path), reader.header)
         parts = list(_decoded(path, reader, _DECODED_POINTS))
-        names = [n for n in reader.header.point_format.dimension_names if n not in "XYZ"]
+        left_out = ("X", "Y", "Z", *header.left_out)
+        names = [n for n in reader.header.point_format.dimension_names if n not in left_out]
         dims = {name: np.concatenate([np.asarray(part[name]) for part in parts]) for name in names}
         return NativeCloud(
             np.concatenate([native_xyz(part, header) for part in parts]), dims, header
@@ -133,6 +159,7 @@ def write_laz(
     xyz_m: ArrayLike,
     frame: Frame,
     dims: Mapping[str, ArrayLike] | None = None,
+    carried: Carried | None = None,
 ) -> None:
     """Write points as LAZ 1.4 in the native CRS and units, to 0.001 of a native unit.
 
@@ -141,8 +168,9 @@ def write_laz(
     Parameters
     ----------
     xyz_m : local metres, shape (n, 3).
-    dims : further dimensions by name, each of length n; names that LAS 1.4 does not know become
-        extra dimensions of their own type.
+    dims : further dimensions by name, each of length n, or (n, 2) or (n, 3); names that LAS 1.4
+        does not know become extra dimensions of their own type.
+    carried : what the writer of the points' cloud knew beside them.
 
     Raises
     ------
@@ -156,10 +184,19 @@ def write_laz(
             "cannot be written: a coordinate is not finite or too far from the origin",
             where=str(path),
         )
-    las = laspy.LasData(_new_header(frame, offset, dims or {}))
+    carried = carried or Carried()
+    given = (dims or {}).items()
+    fields = {name: np.asarray(values) for name, values in given if name not in _WAVEFORM}
+    las = laspy.LasData(_new_header(frame, offset, fields, carried))
     las.x, las.y, las.z = xyz.T
-    for name, values in (dims or {}).items():
-        las[_las_name(name)] = _las_values(name, np.asarray(values))
+    for name, values in fields.items():
+        stored = _las_values(name, values)
+        description = carried.extra.get(name, ExtraField())
+        if description.scales is None or description.offsets is None:
+            las[_las_name(name)] = stored
+        else:
+            steps = (values - description.offsets) / description.scales
+            las.points.array[name] = np.rint(steps.reshape(las.points.array[name].shape))
     with atomic_path(path) as temporary:
         las.write(str(temporary), do_compress=True, laz_backend=laspy.LazBackend.Lazrs)
 
@@ -179,6 +216,7 @@ def _open(
             laz_backend=laspy.LazBackend.Lazrs,
             decompression_selection=layers,
         ) as reader:
+            reader.header.point_count = counted(Path(path))[0]
             check_layers(Path(path), reader.header)
             yield reader
     except (InputError, KeyboardInterrupt, SystemExit, GeneratorExit):
@@ -214,21 +252,36 @@ def _decoded(
         )
 
 
-def _new_header(frame: Frame, offset: Floats, dims: Mapping[str, ArrayLike]) -> laspy.LasHeader:
+def _new_header(
+    frame: Frame, offset: Floats, dims: Mapping[str, NDArray], carried: Carried
+) -> laspy.LasHeader:
     """LAS 1.4 header with a fixed date, the CRS, and the extra dimensions that ``dims`` need."""
-    header = laspy.LasHeader(version="1.4", point_format=7 if set(COLOURS) <= set(dims) else 6)
+    coloured = set(COLOURS) <= set(dims)
+    point_format = (8 if "nir" in dims else 7) if coloured else 6
+    header = laspy.LasHeader(version="1.4", point_format=point_format)
     header.creation_date = _LAZ_DATE
     header.system_identifier = header.generating_software = "roadsight"
     header.scales, header.offsets = np.full(3, _LAZ_SCALE), offset
-    header.global_encoding.wkt = True
     if frame.crs_wkt is not None:
         header.vlrs.append(WktCoordinateSystemVlr(_las_wkt(CRS.from_wkt(frame.crs_wkt))))
+    carry(header, carried)
+    header.global_encoding.wkt = True
     known = set(header.point_format.dimension_names)
     for name, values in dims.items():
-        if _las_name(name) not in known:
-            header.add_extra_dim(
-                laspy.ExtraBytesParams(name, _las_values(name, np.asarray(values)).dtype)
+        if _las_name(name) in known:
+            continue
+        description = carried.extra.get(name, ExtraField())
+        kind = _las_values(name, values).dtype if description.dtype is None else description.dtype
+        count = values.shape[1] if values.ndim > 1 else 1
+        header.add_extra_dim(
+            laspy.ExtraBytesParams(
+                name,
+                np.dtype((kind, (count,))) if count > 1 else kind,
+                description.description,
+                description.offsets,
+                description.scales,
             )
+        )
     return header
 
 

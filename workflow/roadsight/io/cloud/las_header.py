@@ -7,7 +7,7 @@ so counts and offsets are checked before it sees them.
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
 
@@ -16,12 +16,28 @@ import numpy as np
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.geometry.crs import StatedCrs, stated_crs
+from roadsight.geometry.crs import StatedCrs
+from roadsight.geometry.stated import stated_crs
+from roadsight.io.cloud.carried import Carried, carried_of
 
 SUFFIXES = (".las", ".laz")
 COLOURS = ("red", "green", "blue")
 _WKT_RECORD = 2112
 """Number of the record that holds a CRS as WKT (LAS 1.4)."""
+_WKT_2_RECORD = 4224
+"""Number of the record that holds a CRS as WKT 2 (LAS 1.5; PDAL writes it into older files)."""
+_DOUBLES_RECORD = 34736
+"""Number of the record that holds numbers of GeoTIFF keys."""
+_TEXTS_RECORD = 34737
+"""Number of the record that holds texts of GeoTIFF keys."""
+_NEWEST_MINOR = 4
+"""Second number of the newest version that is read, LAS 1.4."""
+_FIRST_LAYERED_FORMAT = 6
+"""Point formats from here on are of LAS 1.4 and have their CRS as WKT."""
+_UNDOCUMENTED = "ExtraBytes"
+"""Name that laspy gives to bytes of a point which no record describes."""
+_LONGEST_VECTOR = 3
+"""Values of an extra dimension that a record can describe."""
 _GEO_KEY_RECORD = 34735
 """Number of the record that holds GeoTIFF keys of the CRS (LAS specification)."""
 _RECORD_HEADER_BYTES = 54
@@ -51,6 +67,8 @@ class CloudHeader:
     scale, offset : native coordinate of LAS integer i is ``i * scale + offset``; shape (3,).
     stated : CRS and vertical unit.
     coloured : whether points have red, green and blue.
+    notes : what contradicts itself in it, and how it was decided; one sentence each.
+    carried : what its writer knew beside the points. left_out : fields of a point without meaning.
     """
 
     path: Path
@@ -59,6 +77,9 @@ class CloudHeader:
     offset: Floats
     stated: StatedCrs
     coloured: bool
+    notes: tuple[str, ...] = ()
+    carried: Carried = field(default_factory=Carried)
+    left_out: tuple[str, ...] = ()
 
 
 def check_structure(path: Path) -> None:
@@ -90,24 +111,88 @@ def _first_problem(path: Path) -> str:  # noqa: PLR0911  # a list of checks
         head = stream.read(_LAS_14_HEADER_BYTES)
         if len(head) < _SHORTEST_HEADER_BYTES or head[:4] != b"LASF":
             return "is no LAS or LAZ file: its header is missing or cut off"
+        if head[24] != 1 or head[25] > _NEWEST_MINOR:
+            return f"is LAS {head[24]}.{head[25]}, and LAS 1.0 to 1.{_NEWEST_MINOR} are read"
         header_bytes, points_at, records = struct.unpack_from("<HII", head, 94)
-        point_format, point_bytes, points = struct.unpack_from("<BHI", head, 104)
+        point_format, point_bytes = struct.unpack_from("<BH", head, 104)
         if not _SHORTEST_HEADER_BYTES <= header_bytes <= points_at <= size:
             return "is damaged or cut off: its points would start outside the file"
         if records * _RECORD_HEADER_BYTES > points_at - header_bytes:
             return f"is damaged: there is no room for the {records} records that it announces"
         if head[25] >= 4 and len(head) == _LAS_14_HEADER_BYTES:
-            extended_at, extended, points = struct.unpack_from("<QIQ", head, 235)
+            extended_at, extended = struct.unpack_from("<QI", head, 235)
             if extended and extended_at + extended * _EXTENDED_RECORD_HEADER_BYTES > size:
                 return "is damaged or cut off: its extended records lie outside the file"
+        points = _count(head, size)[0]
         if point_format & _COMPRESSED:
-            return _chunk_table_problem(stream, points_at, size)
+            return _chunk_table_problem(stream, points_at, size, points)
     if points_at + points * point_bytes > size:
         return f"is cut off: there is no room for the {points} points that it announces"
+    room = _room(head, size)
+    if points == 0 and room:
+        return f"its header says 0 points, but there is room for {room:,}: repair the header"
     return ""
 
 
-def _chunk_table_problem(stream: BinaryIO, points_at: int, size: int) -> str:
+def _count(head: bytes, size: int) -> tuple[int, str]:
+    """Number of points by the first bytes of a file, and a contradiction between its counts.
+
+    LAS 1.4 has a count of 64 bits that counts, and the old one of 32 bits, which is 0 where it
+    cannot hold the number and in point formats from 6 on. Where both are 0, the points of each
+    return count if the file has room for just as many.
+    """
+    old, *returns = struct.unpack_from("<6I", head, 107)
+    new = 0
+    if head[25] >= 4 and len(head) == _LAS_14_HEADER_BYTES:
+        new, *more = struct.unpack_from("<16Q", head, 247)
+        returns = more if any(more) else returns
+    if old == new == 0 and 0 < sum(returns) == _room(head, size):
+        by_return = sum(returns)
+        return by_return, (
+            f"its header says 0 points, and {by_return:,} by their returns, for which there is"
+            " just room: these count"
+        )
+    if head[25] < 4 or len(head) < _LAS_14_HEADER_BYTES:
+        return old, ""
+    if old in (0, new):
+        return new, ""
+    if new == 0:
+        return old, f"its header says 0 points, and {old:,} where older versions do: these count"
+    return new, f"its header says {new:,} points, and {old:,} where older versions do: the first"
+
+
+def _room(head: bytes, size: int) -> int:
+    """Points for which there is room, uncompressed, before whatever follows them."""
+    (points_at,) = struct.unpack_from("<I", head, 96)
+    (point_bytes,) = struct.unpack_from("<H", head, 105)
+    end = size
+    followers: list[int] = []
+    if head[25] >= 3 and len(head) >= 235:
+        followers += struct.unpack_from("<Q", head, 227)
+    if head[25] >= 4 and len(head) == _LAS_14_HEADER_BYTES:
+        followers += struct.unpack_from("<Q", head, 235)
+    for follower in followers:
+        if points_at <= follower < end and follower > 0:
+            end = follower
+    return (end - points_at) // point_bytes if point_bytes else 0
+
+
+def counted(path: Path) -> tuple[int, tuple[str, ...]]:
+    """Points of a file that `check_structure` has passed, and contradictions about their number."""
+    with path.open("rb") as stream:
+        head = stream.read(_LAS_14_HEADER_BYTES)
+    size = path.stat().st_size
+    points, note = _count(head, size)
+    notes = [note] if note else []
+    room = 0 if head[104] & _COMPRESSED else _room(head, size)
+    if room > points:
+        notes.append(
+            f"its header says {points:,} points, but there is room for {room:,}: the first"
+        )
+    return points, tuple(notes)
+
+
+def _chunk_table_problem(stream: BinaryIO, points_at: int, size: int, points: int) -> str:
     """What is wrong with the table of compressed chunks, which ends a LAZ file."""
     if points_at + 8 > size:
         return "is cut off: it ends before its points"
@@ -119,6 +204,8 @@ def _chunk_table_problem(stream: BinaryIO, points_at: int, size: int) -> str:
     chunks = _integer_at(stream, table_at) >> 32 & 0xFFFFFFFF
     if chunks > size // _LEAST_POINT_BYTES + 1:  # each begins with a whole point
         return f"is damaged: its chunk table announces {chunks} chunks"
+    if points == 0 and chunks and table_at > points_at + 8:
+        return f"its header says 0 points, but there are {chunks} compressed chunks of them"
     return ""
 
 
@@ -147,18 +234,65 @@ def cloud_header(path: Path, header: laspy.LasHeader) -> CloudHeader:
             hint="export the cloud again",
         )
     coloured = set(COLOURS) <= set(header.point_format.dimension_names)
-    return CloudHeader(path, header.point_count, scale, offset, _stated(header), coloured)
+    stated = _stated(header)
+    left_out = tuple(
+        dim.name
+        for dim in header.point_format.extra_dimensions
+        if dim.name == _UNDOCUMENTED or dim.num_elements > _LONGEST_VECTOR
+    )
+    notes = counted(path)[1]
+    return CloudHeader(
+        path,
+        header.point_count,
+        scale,
+        offset,
+        stated,
+        coloured,
+        notes,
+        carried_of(header),
+        left_out,
+    )
 
 
 def _stated(header: laspy.LasHeader) -> StatedCrs:
     """CRS records of a header, ordinary or extended."""
-    records = [r for r in [*header.vlrs, *(header.evlrs or [])] if r.user_id == "LASF_Projection"]
-    wkt, keys = None, {}
-    for record in records:
-        data = record.record_data_bytes()
-        if record.record_id == _WKT_RECORD:
-            wkt = data.decode("utf-8", errors="replace").rstrip("\0").strip() or wkt
-        elif record.record_id == _GEO_KEY_RECORD:
-            entries = np.frombuffer(data[8 : len(data) // 8 * 8], "<u2").reshape(-1, 4)
-            keys = {int(key): int(value) for key, tag, _, value in entries if tag == 0}
-    return stated_crs(wkt, keys)
+    contents: dict[int, list[bytes]] = {}
+    for record in [*header.vlrs, *(header.evlrs or [])]:
+        if record.user_id.rstrip("\0") == "LASF_Projection":
+            contents.setdefault(record.record_id, []).append(record.record_data_bytes())
+    texts = {}
+    for number in (_WKT_RECORD, _WKT_2_RECORD):
+        plain = [
+            d.decode("utf-8", "replace").rstrip("\0").strip() for d in contents.get(number, [])
+        ]
+        texts[number] = list(dict.fromkeys(text for text in plain if text))
+    if repeated := [number for number, told in texts.items() if len(told) > 1]:
+        both = " and ".join(text[:60] for text in texts[repeated[0]])
+        return StatedCrs(problem=f"it holds different records {repeated[0]}: {both}")
+    middle = (np.asarray(header.mins) + np.asarray(header.maxs)) / 2
+    return stated_crs(
+        next(iter(texts[_WKT_RECORD]), None),
+        _geo_keys(contents),
+        wkt_2=next(iter(texts[_WKT_2_RECORD]), None),
+        wkt_bit=bool(header.global_encoding.wkt),
+        only_wkt=header.point_format.id >= _FIRST_LAYERED_FORMAT,
+        centre=(float(middle[0]), float(middle[1])),
+    )
+
+
+def _geo_keys(contents: dict[int, list[bytes]]) -> dict[int, int | float | str]:
+    """GeoTIFF keys with their values, which stand in the key or in two other records."""
+    directory = contents.get(_GEO_KEY_RECORD, [b""])[-1]
+    doubles = contents.get(_DOUBLES_RECORD, [b""])[-1]
+    numbers = np.frombuffer(doubles[: len(doubles) // 8 * 8], "<f8")
+    letters = contents.get(_TEXTS_RECORD, [b""])[-1].decode("latin-1")
+    keys: dict[int, int | float | str] = {}
+    entries = np.frombuffer(directory[8 : len(directory) // 8 * 8], "<u2").reshape(-1, 4)
+    for key, place, count, value in entries.tolist():
+        if place == 0:
+            keys[key] = value
+        elif place == _DOUBLES_RECORD and value < len(numbers) and np.isfinite(numbers[value]):
+            keys[key] = float(numbers[value])
+        elif place == _TEXTS_RECORD:
+            keys[key] = letters[value : value + count].rstrip("|\0")
+    return keys

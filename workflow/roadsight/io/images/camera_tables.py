@@ -12,6 +12,7 @@ import pandas as pd
 from roadsight.base.errors import InputError
 from roadsight.base.shards import shard_of
 from roadsight.geometry.frames import Frame
+from roadsight.io.records.text_tables import read_cells
 
 _ANGLES = {"heading_grid_deg": "heading_deg", "pitch_deg": "pitch_deg", "roll_deg": "roll_deg"}
 _LENS = ("focal_px", "cx_px", "cy_px")
@@ -82,10 +83,7 @@ def corrections_of_shard(path: str | os.PathLike[str], shard: int, shards: int) 
 
 
 def _read(path: str | os.PathLike[str]) -> pd.DataFrame:
-    try:
-        return pd.read_csv(path)
-    except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read as CSV ({error})", where=os.fspath(path)) from error
+    return read_cells(path)
 
 
 def _column(table: pd.DataFrame, pattern: str, path: str | os.PathLike[str]) -> str:

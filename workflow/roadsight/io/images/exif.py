@@ -1,10 +1,17 @@
-"""JPEG and PNG images from their bytes: size, place and completeness without decoding; pixels."""
+"""Images from their bytes: size, place, time and completeness without decoding; pixels.
+
+JPEG, PNG, TIFF and WebP. The orientation that EXIF states is applied here, to sizes and pixels of
+images, labels and depth alike, and nowhere else.
+"""
 
 from __future__ import annotations
 
 import math
 import struct
+import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import cv2
 import numpy as np
@@ -24,8 +31,20 @@ _BARE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
 """JPEG markers without a length and content."""
 _ORIENTATION = 0x0112
 """EXIF tag: how the image is to be turned; from 5 on, by a quarter."""
+_WIDTH, _HEIGHT = 0x0100, 0x0101
+"""TIFF tags: columns and rows."""
+_STRIPS, _STRIP_BYTES, _TILES, _TILE_BYTES = 0x0111, 0x0117, 0x0144, 0x0145
+"""TIFF tags: places and lengths of the pixels' parts."""
+_EXIF_IFD = 0x8769
+"""EXIF tag: place of the directory of capture."""
+_TAKEN, _DIGITISED, _TAKEN_PARTS, _DIGITISED_PARTS = 0x9003, 0x9004, 0x9291, 0x9292
+"""EXIF tags: DateTimeOriginal, DateTimeDigitized, and their parts of a second."""
+_TIFF = {b"II*\0": "<", b"MM\0*": ">"}
+"""First bytes of a TIFF, and the order of its bytes."""
 _GPS_IFD = 0x8825
 """EXIF tag: place of the directory of GPS tags."""
+_PALETTE = 3
+"""Kind of a PNG whose pixels are places in a palette."""
 _TYPE_BYTES = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8}
 """Length of a value of each TIFF type."""
 
@@ -39,6 +58,7 @@ class ImageFacts:
     width_px, height_px : as it is shown, turned as its EXIF orientation says.
     latitude, longitude : WGS 84 degrees, or None.
     complete : whether its end is there.
+    orientation : of EXIF, 1 to 8. time_s : of capture, seconds from 1970 on the camera's clock.
     """
 
     width_px: int
@@ -46,10 +66,12 @@ class ImageFacts:
     latitude: float | None = None
     longitude: float | None = None
     complete: bool = True
+    orientation: int = 1
+    time_s: float | None = None
 
 
 def image_facts(content: bytes) -> ImageFacts:
-    """Facts of a JPEG or PNG image.
+    """Facts of a JPEG, PNG, TIFF or WebP image.
 
     Raises
     ------
@@ -57,24 +79,143 @@ def image_facts(content: bytes) -> ImageFacts:
     """
     try:
         if content.startswith(_PNG):
-            width, height = struct.unpack(">II", content[16:24])
-            return ImageFacts(width, height, complete=content.rfind(b"IEND") > 24)
+            size = struct.unpack(">II", content[16:24])
+            exif = next((data for kind, data in _png_chunks(content) if kind == b"eXIf"), b"")
+            return _facts(size, exif, content.rfind(b"IEND") > 24)
         if content.startswith(_JPEG):
             return _jpeg_facts(content)
+        if content[:4] in _TIFF:
+            return _tiff_facts(content)
+        if content[:4] == b"RIFF" and content[8:12] == b"WEBP":
+            return _webp_facts(content)
     except (struct.error, IndexError) as error:
         raise ValueError("it ends before its size") from error
-    raise ValueError("it is neither JPEG nor PNG")
+    raise ValueError("it is neither JPEG, PNG, TIFF nor WebP")
 
 
 def decoded_image(content: bytes, flags: int) -> Numbers | None:
-    """Pixels of an image as OpenCV reads it by ``flags``; None if it is none or beyond 268 Mpx."""
+    """Pixels of an image as OpenCV reads it by ``flags``; None if it is none or beyond 268 Mpx.
+
+    It is turned as its orientation says. With ``IMREAD_UNCHANGED``, a PNG of fewer than 8 bits or
+    with a palette gives the numbers that are stored.
+    """
     try:
         facts = image_facts(content)
         if facts.width_px * facts.height_px > _MOST_PIXELS:
             return None
-        return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
-    except (ValueError, cv2.error):
+        factor = 1
+        if content[:4] in _TIFF:
+            content = _upright_tiff(content)
+        elif flags == cv2.IMREAD_UNCHANGED and content.startswith(_PNG):
+            content, factor = _plain_png(content)
+        if flags != cv2.IMREAD_UNCHANGED:
+            flags |= cv2.IMREAD_IGNORE_ORIENTATION
+        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    except (ValueError, cv2.error, struct.error, IndexError):
         return None
+    if pixels is None:
+        return None
+    return turned(pixels if factor == 1 else pixels // factor, facts.orientation)
+
+
+def turned(pixels: Numbers, orientation: int) -> Numbers:
+    """Pixels (rows, columns, ...) as stored, turned and mirrored as an EXIF orientation says."""
+    if orientation >= 5:
+        pixels = np.swapaxes(pixels, 0, 1)
+    if orientation in (3, 4, 7, 8):
+        pixels = pixels[::-1]
+    if orientation in (2, 3, 6, 7):
+        pixels = pixels[:, ::-1]
+    return np.ascontiguousarray(pixels)
+
+
+def _facts(size: tuple[int, int], exif: bytes, complete: bool) -> ImageFacts:
+    """Facts by width and height as stored and the EXIF directory."""
+    orientation, latitude, longitude, time_s = _exif_facts(exif)
+    shown = size[::-1] if orientation >= 5 else size
+    return ImageFacts(*shown, latitude, longitude, complete, orientation, time_s)
+
+
+def _png_chunks(content: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """Kind and data of the chunks of a PNG, as far as they are there."""
+    at = len(_PNG)
+    while at + 8 <= len(content):
+        (length,) = struct.unpack_from(">I", content, at)
+        yield content[at + 4 : at + 8], content[at + 8 : at + 8 + length]
+        at += 12 + length
+
+
+def _plain_png(content: bytes) -> tuple[bytes, int]:
+    """A PNG whose decoded pixels are multiples of the stored numbers, and the factor.
+
+    Decoders stretch 1, 2 and 4 bits to 0 to 255 and look colours up in the palette, which is
+    therefore taken out.
+    """
+    chunks = list(_png_chunks(content))
+    header = dict(chunks).get(b"IHDR", b"")
+    if len(header) < 13:
+        return content, 1
+    depth, kind = header[8], header[9]
+    if kind == _PALETTE:
+        header = header[:9] + bytes([0]) + header[10:]
+    elif kind != 0 or depth >= 8:
+        return content, 1
+    parts = [_PNG]
+    for name, data in chunks:
+        if name in (b"PLTE", b"tRNS", b"bKGD", b"hIST", b"sBIT"):
+            continue
+        content_of = header if name == b"IHDR" else data
+        check = struct.pack(">I", zlib.crc32(name + content_of))
+        parts.append(struct.pack(">I", len(content_of)) + name + content_of + check)
+    return b"".join(parts), 255 // (2**depth - 1) if depth < 8 else 1
+
+
+def _tiff_facts(content: bytes) -> ImageFacts:
+    order = _TIFF[content[:4]]
+    entries = _directory(content, order, struct.unpack_from(order + "I", content, 4)[0])
+    if not (entries.get(_WIDTH) and entries.get(_HEIGHT)):
+        raise ValueError("it has no size")
+    places = entries.get(_STRIPS) or entries.get(_TILES) or []
+    lengths = entries.get(_STRIP_BYTES) or entries.get(_TILE_BYTES) or []
+    ends = [int(at + size) for at, size in zip(places, lengths, strict=False)]
+    size = (int(entries[_WIDTH][0]), int(entries[_HEIGHT][0]))
+    return _facts(size, content, bool(ends) and max(ends) <= len(content))
+
+
+def _upright_tiff(content: bytes) -> bytes:
+    """The same TIFF without its orientation, which decoders apply in ways of their own."""
+    order = _TIFF[content[:4]]
+    (start,) = struct.unpack_from(order + "I", content, 4)
+    (count,) = struct.unpack_from(order + "H", content, start)
+    data = bytearray(content)
+    for number in range(count):
+        at = start + 2 + 12 * number
+        if struct.unpack_from(order + "H", content, at)[0] == _ORIENTATION:
+            struct.pack_into(order + "H", data, at + 8, 1)
+    return bytes(data)
+
+
+def _webp_facts(content: bytes) -> ImageFacts:
+    """Facts of the chunks of a RIFF file."""
+    at, size, exif = 12, None, b""
+    while at + 8 <= len(content):
+        kind = content[at : at + 4]
+        (length,) = struct.unpack_from("<I", content, at + 4)
+        data = content[at + 8 : at + 8 + length]
+        if kind == b"VP8X":
+            size = tuple(1 + int.from_bytes(data[k : k + 3], "little") for k in (4, 7))
+        elif kind == b"VP8 " and size is None:
+            size = tuple(side & 0x3FFF for side in struct.unpack_from("<HH", data, 6))
+        elif kind == b"VP8L" and size is None:
+            bits = int.from_bytes(data[1:5], "little")
+            size = ((bits & 0x3FFF) + 1, (bits >> 14 & 0x3FFF) + 1)
+        elif kind == b"EXIF":
+            exif = data.removeprefix(b"Exif\0\0")
+        at += 8 + length + length % 2
+    if size is None:
+        raise ValueError("it has no size")
+    whole = len(content) >= struct.unpack_from("<I", content, 4)[0] + 8
+    return _facts((size[0], size[1]), exif, whole)
 
 
 def _jpeg_facts(content: bytes) -> ImageFacts:
@@ -100,25 +241,46 @@ def _jpeg_facts(content: bytes) -> ImageFacts:
         at += 2 + length
     if size is None:
         raise ValueError("it has no size")
-    turned, latitude, longitude = _exif_facts(exif)
     # Within a scan 0xFF is always followed by 0 or a restart, so that this can only be its end.
     complete = content.rfind(b"\xff\xd9") > at
-    return ImageFacts(*(size[::-1] if turned else size), latitude, longitude, complete)
+    return _facts(size, exif, complete)
 
 
-def _exif_facts(tiff: bytes) -> tuple[bool, float | None, float | None]:
-    """Whether the image lies on its side, latitude and longitude; damaged EXIF says nothing."""
+def _exif_facts(tiff: bytes) -> tuple[int, float | None, float | None, float | None]:
+    """Orientation, latitude, longitude and time of capture; damaged EXIF says nothing."""
     try:
         order = {b"II": "<", b"MM": ">"}[tiff[:2]]
         entries = _directory(tiff, order, struct.unpack(order + "I", tiff[4:8])[0])
-        turned = int((entries.get(_ORIENTATION) or [1])[0]) >= 5
-    except (KeyError, struct.error, ValueError):
-        return False, None, None
+        orientation = int((entries.get(_ORIENTATION) or [1])[0])
+    except (KeyError, struct.error, ValueError, OverflowError):
+        return 1, None, None, None
+    orientation = orientation if 1 <= orientation <= 8 else 1
+    time_s = _capture_s(tiff, order, entries)
     try:
         gps = _directory(tiff, order, int(entries[_GPS_IFD][0]))
-        return turned, _degrees(gps[2], gps[1], "S"), _degrees(gps[4], gps[3], "W")
-    except (KeyError, IndexError, struct.error, ValueError, ZeroDivisionError):
-        return turned, None, None
+        latitude, longitude = _degrees(gps[2], gps[1], "S"), _degrees(gps[4], gps[3], "W")
+    except (KeyError, IndexError, struct.error, ValueError, ZeroDivisionError, OverflowError):
+        return orientation, None, None, time_s
+    return orientation, latitude, longitude, time_s
+
+
+def _capture_s(tiff: bytes, order: str, entries: dict[int, list[float]]) -> float | None:
+    """Seconds from 1970 on the camera's clock, with parts of a second; None without a time."""
+    try:
+        exif = _directory(tiff, order, int(entries[_EXIF_IFD][0]))
+    except (KeyError, IndexError, struct.error, ValueError, OverflowError):
+        return None
+    for tag, parts in ((_TAKEN, _TAKEN_PARTS), (_DIGITISED, _DIGITISED_PARTS)):
+        text = "".join(chr(int(code)) for code in exif.get(tag, [])).rstrip("\0 ")
+        digits = "".join(chr(int(code)) for code in exif.get(parts, [])).strip("\0 ")
+        try:
+            moment = datetime.strptime(text[:19], "%Y:%m:%d %H:%M:%S").replace(tzinfo=UTC)
+        except ValueError:
+            continue
+        return moment.timestamp() + (
+            float(f"0.{digits}") if digits.isascii() and digits.isdigit() else 0.0
+        )
+    return None
 
 
 def _directory(tiff: bytes, order: str, start: int) -> dict[int, list[float]]:

@@ -13,8 +13,8 @@ import onnxruntime
 from roadsight.base.errors import InputError
 from roadsight.base.texts import read_yaml
 from roadsight.base.validation import check_path, validated
+from roadsight.io.images.external_weights import network_sha256, weight_files
 from roadsight.io.images.sessions import open_session
-from roadsight.io.records.checksums import sha256
 from roadsight.poles.images.manifest import LabelMap, Manifest
 
 _FLOAT = "tensor(float)"
@@ -62,7 +62,10 @@ def open_model(path: str | os.PathLike[str], threads: int = 1) -> Model:
         raise InputError(
             "file is missing", where=where, found=str(file), hint="see docs/poles/models.md"
         )
-    if manifest.sha256 is not None and (found := sha256(file)) != manifest.sha256:
+    if (
+        manifest.sha256 is not None
+        and (found := network_sha256(file, weight_files(file))) != manifest.sha256
+    ):
         raise InputError(
             f"{file.name} is another file than this manifest is for",
             where=where,

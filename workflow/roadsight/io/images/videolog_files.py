@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import logging
 import os
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
+from roadsight.base.matches import tell_matches
 from roadsight.base.shards import shard_of
 from roadsight.io.images.camera_tables import posed_images
-from roadsight.io.images.videologs import ImageSource, read_videolog_table
+from roadsight.io.images.videologs import ImageSource, read_videolog_table, recorded_path
+
+log = logging.getLogger(__name__)
 
 
 def files_by_shard(
@@ -33,7 +37,7 @@ def files_by_shard(
     for row in read_videolog_table(table, source).to_dict("records"):
         shard = shard_of(row["image"], shards)
         for name in (row["image"], row["left_image"], row["right_image"]):
-            owner.setdefault(PurePosixPath(name).stem, set()).add(shard)
+            owner.setdefault(recorded_path(name).stem, set()).add(shard)
     found: list[set[Path]] = [set() for _ in range(shards)]
     for folder in map(Path, folders):
         files = (
@@ -44,6 +48,19 @@ def files_by_shard(
             for shard in range(shards) if shared else owner.get(file.stem, ()):
                 found[shard].add(file)
     return [sorted(files) for files in found]
+
+
+def check_corrections(table: str | os.PathLike[str], images: str, corrections: str) -> None:
+    """Say how many corrections are about an image of the videolog.
+
+    Raises
+    ------
+    InputError : none is, or one of the tables cannot be read.
+    """
+    known = set(read_videolog_table(table, ImageSource(images))["image"])
+    named = posed_images(corrections)
+    what = "corrections are about an image of the videolog"
+    tell_matches(log, what, len(named & known), len(named), corrections)
 
 
 def posed_share(table: str | os.PathLike[str], images: str, cameras: str) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import re
 import zipfile
@@ -15,14 +16,27 @@ import pandas as pd
 from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.images.exif import ImageFacts, decoded_image, image_facts
+from roadsight.io.records.text_tables import read_cells
+from roadsight.poles.drive.order import drive_order, seconds_of
 
-_SUFFIXES = (".jpg", ".jpeg", ".png")
+log = logging.getLogger(__name__)
+
+_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 _ALIASES = {
     "image": ("image", "image_name", "filename", "file", "name", "photo"),
     "latitude": ("latitude", "lat", "y"),
     "longitude": ("longitude", "lon", "long", "lng", "x"),
     "route": ("route", "route_id", "routeid", "road"),
-    "sequence": ("sequence", "seq", "frame", "order", "mile_post", "milepost"),
+    "sequence": ("sequence", "seq", "frame", "frame_number", "order", "number"),
+    "measure": (
+        *("milepost", "mile_post", "mile", "mp", "measure", "chainage", "station", "stationing"),
+        *("km", "kilometre", "kilometer", "distance", "distance_m", "log_mile"),
+    ),
+    "time": (
+        *("time", "timestamp", "time_stamp", "datetime", "date_time", "capture_time", "captured"),
+        *("captured_at", "gps_time", "gpstime", "utc", "utc_time", "time_utc", "unix_time"),
+        *("epoch", "time_s", "gps_seconds", "date_taken", "datetimeoriginal", "capturetime"),
+    ),
     "left_image": ("left_image", "left"),
     "right_image": ("right_image", "right"),
 }
@@ -72,6 +86,8 @@ class ImageSource:
     def find(self, name: str) -> str:
         """Full name of the image that a table calls ``name``: with or without folder and suffix.
 
+        Of a path on the computer that recorded it, the last parts are enough.
+
         Returns
         -------
         the name, or "" if there is no such image or more than one
@@ -80,11 +96,13 @@ class ImageSource:
         ------
         InputError : the name leads out of the folder.
         """
-        _check_inside(name, self.path)
-        plain = PurePosixPath(name.replace("\\", "/"))
+        plain = recorded_path(name)
+        _check_inside(str(plain) if name else "", self.path)
         if str(plain) in self._files or str(plain) in self._zips:
             return str(plain)
-        for key in (str(plain), plain.name, plain.stem):
+        parts = plain.parts
+        shorter = ["/".join(parts[start:]) for start in range(1, len(parts))]
+        for key in (str(plain), *shorter, plain.stem):
             found = self._by_key.get(key.lower(), [])
             if len(found) == 1:
                 return found[0]
@@ -191,12 +209,7 @@ def read_videolog_table(path: str | os.PathLike[str], source: ImageSource) -> pd
 
 def _from_csv(path: Path) -> pd.DataFrame:
     """Columns under their own names, text stripped, whatever the aliases and their case."""
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError("cannot be read", where=str(path), found=error.strerror) from error
-    except ValueError as error:
-        raise InputError(f"is no CSV table ({error})", where=str(path)) from error
+    table = read_cells(path)
     table.columns = table.columns.str.strip().str.lower().str.replace(" ", "_")
     found = {
         name: next((alias for alias in aliases if alias in table), None)
@@ -215,13 +228,21 @@ def _from_csv(path: Path) -> pd.DataFrame:
         text = pd.Series(default, index=table.index) if alias is None else table[alias]
         return text.str.strip()
 
-    rows = np.arange(len(table), dtype=float)
-    sequence = pd.to_numeric(column("sequence", ""), errors="coerce").to_numpy(float)
+    sequence, is_measure = np.arange(len(table), dtype=float), False
+    for name in ("sequence", "measure"):
+        if found[name] is not None:
+            numbers = pd.to_numeric(column(name, ""), errors="coerce").to_numpy(float)
+            sequence, is_measure = numbers, name == "measure"
+            break
+    time = np.full(len(table), np.nan) if found["time"] is None else seconds_of(column("time", ""))
+    route = column("route", _ONE_ROUTE).replace("", _ONE_ROUTE)
+    sequence, reasons = drive_order(route, sequence, time, is_measure)
+    _tell_order(reasons)
     return pd.DataFrame(
         {
             "image": column("image", ""),
-            "route": column("route", _ONE_ROUTE).replace("", _ONE_ROUTE),
-            "sequence": rows if found["sequence"] is None else sequence,
+            "route": route,
+            "sequence": sequence,
             "latitude": pd.to_numeric(column("latitude", ""), errors="coerce").astype(float),
             "longitude": pd.to_numeric(column("longitude", ""), errors="coerce").astype(float),
             "left_image": column("left_image", ""),
@@ -230,8 +251,17 @@ def _from_csv(path: Path) -> pd.DataFrame:
     )
 
 
+def _tell_order(reasons: dict[str, str]) -> None:
+    for reason in dict.fromkeys(reasons.values()):
+        routes = [name for name, why in reasons.items() if why == reason]
+        if reason == "falling measure":
+            log.warning("driven against the measure, which falls: route %s", ", ".join(routes))
+        else:
+            log.info("ordered by %s: %d routes", reason, len(routes))
+
+
 def _from_exif(source: ImageSource) -> pd.DataFrame:
-    """Images in the order of their names, one route for each folder."""
+    """Images by time of capture, or else of names, one route for each folder."""
     rows = []
     for number, name in enumerate(source.names()):
         try:
@@ -248,25 +278,16 @@ def _from_exif(source: ImageSource) -> pd.DataFrame:
                 "longitude": np.nan if facts.longitude is None else facts.longitude,
                 "left_image": "",
                 "right_image": "",
+                "time": np.nan if facts.time_s is None else facts.time_s,
             }
         )
-    return pd.DataFrame(rows)
-
-
-def _lookup(names: Iterable[str]) -> dict[str, list[str]]:
-    """Names by what a table may call them: full name, file name, stem; capitals do not matter."""
-    table: dict[str, list[str]] = {}
-    keys: tuple[Callable[[PurePosixPath], str], ...] = (str, lambda p: p.name, lambda p: p.stem)
-    for name in names:
-        for key in dict.fromkeys(key(PurePosixPath(name)).lower() for key in keys):
-            table.setdefault(key, []).append(name)
-    return table
-
-
-def _check_inside(name: str, where: Path) -> None:
-    path = PurePosixPath(name.replace("\\", "/"))
-    if not name or path.is_absolute() or ".." in path.parts or re.match(r"[A-Za-z]:", name):
-        raise InputError("an image's name leads out of the folder", where=str(where), found=name)
+    if not rows:
+        return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    sequence, time = (table[name].to_numpy(float) for name in ("sequence", "time"))
+    table["sequence"], reasons = drive_order(table["route"], sequence, time, False)
+    _tell_order(reasons)
+    return table.drop(columns="time")
 
 
 def read_positions(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
@@ -282,3 +303,29 @@ def read_positions(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
     if not len(placed):
         raise InputError("has no image with a position", where=str(path))
     return placed["latitude"].to_numpy(float), placed["longitude"].to_numpy(float)
+
+
+def _lookup(names: Iterable[str]) -> dict[str, list[str]]:
+    """Names by what a table may call them: full name, file name, stem; capitals do not matter."""
+    table: dict[str, list[str]] = {}
+    keys: tuple[Callable[[PurePosixPath], str], ...] = (str, lambda p: p.name, lambda p: p.stem)
+    for name in names:
+        for key in dict.fromkeys(key(PurePosixPath(name)).lower() for key in keys):
+            table.setdefault(key, []).append(name)
+    return table
+
+
+def recorded_path(name: str) -> PurePosixPath:
+    r"""An image's name as a relative path: that of a recording computer without what leads there.
+
+    ``C:\data\run 1\p.jpg``, ``\\server\run 1\p.jpg`` and ``/data/run 1/p.jpg`` become
+    ``data/run 1/p.jpg`` or ``server/run 1/p.jpg``; nothing outside the folder is ever opened.
+    """
+    plain = re.sub(r"^[A-Za-z]:", "", name.replace("\\", "/"))
+    return PurePosixPath(re.sub(r"/+", "/", plain).lstrip("/"))
+
+
+def _check_inside(name: str, where: Path) -> None:
+    path = PurePosixPath(name.replace("\\", "/"))
+    if not name or path.is_absolute() or ".." in path.parts or re.match(r"[A-Za-z]:", name):
+        raise InputError("an image's name leads out of the folder", where=str(where), found=name)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,6 +10,7 @@ import pandas as pd
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import atomic_path
+from roadsight.io.records.text_tables import read_cells
 
 _NEEDED = {"lat": (-90.0, 90.0), "lon": (-180.0, 360.0), "bearing": (-360.0, 720.0)}
 """Columns that a table must have, with the least and greatest value; both ways of counting angles
@@ -61,12 +61,7 @@ def read_text_table(path: str | os.PathLike[str]) -> pd.DataFrame:
     ------
     InputError : the file cannot be read, is no CSV table or is empty.
     """
-    try:
-        table = pd.read_csv(Path(path), dtype=str, keep_default_na=False, encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError("cannot be read", where=str(path), found=error.strerror) from error
-    except ValueError as error:
-        raise InputError(f"is no CSV table ({error})", where=str(path)) from error
+    table = read_cells(path)
     table.columns = table.columns.str.strip().str.lower()
     return table
 

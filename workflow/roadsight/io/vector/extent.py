@@ -16,7 +16,7 @@ from roadsight.io.images.videologs import read_positions
 from roadsight.io.vector.vectors import read_lines, read_polygons
 
 Within = Callable[[Floats], Bools]
-"""Which of native x, y, z (n, 3) lie in the extent (n,)."""
+"""Which places (n, 2), local metres, lie in the extent (n,)."""
 
 
 def read_extent(
@@ -29,7 +29,7 @@ def read_extent(
     kind : ``box`` (native west, south, east, north), ``polygon`` (file), ``edges_m`` or
         ``track_m`` (distance in metres from digitised edges, or from a videolog's positions).
     value : as the site file has it. files : edges or videolog for the last two.
-    frame : CRS and units of the native coordinates; its origin does not matter.
+    frame : local frame of the site.
     crs : of a file that names none.
 
     Raises
@@ -50,9 +50,8 @@ def read_extent(
         area = shapely.buffer(_lines(kind, where, frame, files, crs), float(value))
     shapely.prepare(area)
 
-    def within(xyz: Floats) -> Bools:
-        local = frame.to_local(xyz[:, :2])
-        return np.asarray(shapely.contains_xy(area, local[:, 0], local[:, 1]))
+    def within(xy_m: Floats) -> Bools:
+        return np.asarray(shapely.contains_xy(area, xy_m[:, 0], xy_m[:, 1]))
 
     return within
 

@@ -12,6 +12,7 @@ from pyproj import CRS
 from shapely import LineString
 
 from roadsight.base.errors import InputError
+from roadsight.io.records.text_tables import read_cells
 
 
 def read_line_table(path: Path) -> tuple[gpd.GeoDataFrame, CRS | None]:
@@ -47,12 +48,7 @@ def read_line_table(path: Path) -> tuple[gpd.GeoDataFrame, CRS | None]:
 
 def _table(path: Path) -> pd.DataFrame:
     """Cells of the file as text."""
-    try:
-        table = pd.read_csv(path, dtype=str, keep_default_na=False, encoding="utf-8-sig")
-    except OSError as error:
-        raise InputError("cannot be read", where=str(path), found=error.strerror) from error
-    except ValueError as error:
-        raise InputError(f"is no CSV table ({error})", where=str(path)) from error
+    table = read_cells(path)
     table.columns = table.columns.str.strip().str.lower()
     if len(table) == 0:
         raise InputError("holds no vertices", where=str(path))

@@ -17,6 +17,7 @@ from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import horizontal, parse_crs
 from roadsight.geometry.frames import Frame
+from roadsight.io.vector.layer_names import split_layer
 from roadsight.io.vector.line_tables import read_line_table
 
 _GEOJSON = (".geojson", ".json")
@@ -27,6 +28,10 @@ _OTHER = (".gpkg", ".shp", ".fgb", ".sqlite", ".gml", ".kml")
 """Formats whose files name their CRS where they have one."""
 _NATIVE = ("local", "native")
 """Words for the cloud's own coordinates."""
+_NO_DATA = (-9999.0, -99999.0, -32768.0, -32767.0)
+"""Heights that stand for no data in common formats."""
+_NO_HEIGHT_M = 1e30
+"""Heights beyond are the least or greatest numbers of a type, which stand for no data too."""
 _WGS84 = CRS.from_epsg(4326)
 
 Mapping = Callable[[Floats], Floats]
@@ -38,20 +43,30 @@ def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.
     Parameters
     ----------
     default_crs : CRS of a file that names none; the site's own if None, but longitude and latitude
-        for GeoJSON, as its standard says. ``local`` stands for the site's own coordinates.
+        for GeoJSON, as its standard says. ``local`` stands for the site's own coordinates. A CRS
+        that says that there is none (undefined, engineering) counts as none.
 
     Raises
     ------
     InputError : the file is missing, of another kind, empty, has features without geometry or with
         coordinates that are no numbers, or its CRS is unknown or leads outside the site's.
     """
-    features, stated = _load(path)
+    file, layer = split_layer(path)
+    path = Path(file)
+    features, stated = _load(path, layer)
+    if stated is not None and _is_undefined(stated):
+        if default_crs is None:
+            stated = _WGS84 if stated.is_geographic else None
+            default_crs = "local"
+        else:
+            stated = None
     if len(features) == 0:
         raise InputError("holds no features", where=str(path))
-    geometries = features.geometry.to_numpy()
-    for number, geometry in enumerate(geometries, start=1):
-        if geometry is None or geometry.is_empty:
+    geometries = features.geometry.to_numpy().copy()
+    for number, stored in enumerate(geometries, start=1):
+        if stored is None or stored.is_empty:
             raise InputError("has no geometry", where=f"{path}, feature {number}")
+        geometry = geometries[number - 1] = with_known_heights(stored)
         coordinates = shapely.get_coordinates(geometry, include_z=geometry.has_z)
         if not np.isfinite(coordinates).all():
             raise InputError(
@@ -64,6 +79,23 @@ def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.
     native = _to_native(path, stated, frame)
     local = map_coordinates(geometries, lambda xyz: frame.to_local(native(xyz)))
     return gpd.GeoDataFrame(features.drop(columns=features.geometry.name), geometry=local)
+
+
+def _is_undefined(crs: CRS) -> bool:
+    """Whether a CRS says that there is none, as QGIS and R write it into a GeoPackage."""
+    return crs.is_engineering or crs.name.lower().startswith(("undefined", "unknown cartesian"))
+
+
+def with_known_heights(geometry: shapely.Geometry) -> shapely.Geometry:
+    """A geometry as stored, without its heights where they mean that none were digitised.
+
+    They are 0 throughout, or one of them is a number that stands for no data.
+    """
+    if not geometry.has_z:
+        return geometry
+    z = shapely.get_coordinates(geometry, include_z=True)[:, 2]
+    unknown = np.isnan(z) | (np.abs(z) >= _NO_HEIGHT_M) | np.isin(z, _NO_DATA)
+    return shapely.force_2d(geometry) if unknown.any() or not z.any() else geometry
 
 
 def map_coordinates(geometries: NDArray, mapping: Mapping) -> NDArray:
@@ -97,10 +129,11 @@ def read_features(path: Path, layer: str | None = None) -> gpd.GeoDataFrame:
         where=str(path),
         found=", ".join(layers) or None,
         allowed=layer or "a file with one layer",
+        hint=f"name it: {path.name}|layername={layers[0]}" if layers else "",
     )
 
 
-def _load(path: Path) -> tuple[gpd.GeoDataFrame, CRS | None]:
+def _load(path: Path, layer: str | None = None) -> tuple[gpd.GeoDataFrame, CRS | None]:
     """Features and the CRS that the file itself names."""
     suffix = path.suffix.lower()
     if suffix in _TABLE:
@@ -111,7 +144,7 @@ def _load(path: Path) -> tuple[gpd.GeoDataFrame, CRS | None]:
             where=str(path),
             allowed=", ".join((*_GEOJSON, *_TABLE, *_OTHER)),
         )
-    features = read_features(path)
+    features = read_features(path, layer)
     if suffix in _GEOJSON and not _names_crs(path):
         return features, None
     return features, features.crs

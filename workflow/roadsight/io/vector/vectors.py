@@ -99,9 +99,9 @@ def read_lines(
     """Digitised lines of a user in local metres.
 
     Reads GeoJSON, GeoPackage, Shapefile and other GDAL vector files, and CSV tables with one vertex
-    a row (see `roadsight.io.vector.line_tables`), in any CRS. Repeated vertices are dropped; a
-    height of 0 throughout means that none was digitised; parts that do not join become lines of
-    their own, ``name.1`` and so on.
+    a row (see `roadsight.io.vector.line_tables`), in any CRS. Repeated vertices are dropped;
+    heights of 0 throughout, as stored, or of no data mean that none were digitised; parts
+    that do not join become lines of their own, ``name.1`` and so on.
 
     Parameters
     ----------
@@ -200,8 +200,6 @@ def _parts(
 ) -> Iterator[tuple[str, shapely.LineString]]:
     """Joined parts of a line feature, named and checked."""
     _check_type(geometry, ("LineString", "MultiLineString"), where)
-    if geometry.has_z and not shapely.get_coordinates(geometry, include_z=True)[:, 2].any():
-        geometry = shapely.force_2d(geometry)
     joined = shapely.line_merge(geometry) if geometry.geom_type == "MultiLineString" else geometry
     parts = shapely.get_parts(joined)
     for number, part in enumerate(parts, start=1):

@@ -1,4 +1,9 @@
-"""Depth maps by casting one ray per beam at surfels with Embree."""
+"""Depth maps by casting one ray per beam at surfels with Embree.
+
+A surfel stops every beam that meets it. That is right for surfaces, and wrong for what beams pass
+in part: twigs, meshes, layers that registration has spread. Where a cloud was scanned from about
+the place of the sensor, its samples tell the share of beams that passed, and vote (`View`).
+"""
 
 from __future__ import annotations
 
@@ -8,15 +13,22 @@ from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats, Floats32
+from roadsight.placement.depth.votes import View, VoteSettings, seen_from_here
 from roadsight.placement.sensors.earth import rise_m
 from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.sensors import Sensor
+from roadsight.scene.surfels.local import build_local_surfels
+from roadsight.scene.surfels.samples import Samples, build_samples
 from roadsight.scene.surfels.surfels import Surfels
+from roadsight.scene.surfels.voxel_moments import coarsen, sum_moments
 
 _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 """Corners of a square about its middle, in half edges, in turn."""
 _TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 """The two triangles that it is made of, by its corners."""
+SURFEL_M = 0.1
+"""Edge of the finest voxels: finer ones gain nothing on a cloud of 3.7 million points a 250 m
+(docs/decisions/011-surfels.md)."""
 _FARTHEST_M = 1e6
 """Limit of rays without any: rays need a finite one, and no site is so large."""
 
@@ -27,9 +39,16 @@ class SurfelLidar:
     Parameters
     ----------
     surfels : in the local frame. Without any surfel nothing ever returns.
+    samples : of the same cloud; they correct the first surfels where they can tell. None: surfels
+        alone.
+    votes : how samples vote.
     """
 
-    def __init__(self, surfels: Surfels) -> None:
+    def __init__(
+        self, surfels: Surfels, samples: Samples | None = None, votes: VoteSettings | None = None
+    ) -> None:
+        self._samples = samples
+        self._votes = votes or VoteSettings()
         self._origin_m = np.zeros(3)
         self._scene = None
         if len(surfels):
@@ -44,7 +63,7 @@ class SurfelLidar:
     def cast(
         self, origins_m: ArrayLike, directions: ArrayLike, max_range_m: float = np.inf
     ) -> Floats32:
-        """Ranges (n,) of the first surfels along rays, infinite where there is none.
+        """Ranges (n,) at which rays return, infinite where nothing stops them.
 
         Parameters
         ----------
@@ -53,14 +72,34 @@ class SurfelLidar:
         max_range_m : surfels at this range or farther do not count.
         """
         directions = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
-        limit_m = np.full(len(directions), min(max_range_m, _FARTHEST_M), np.float32)
+        limit_m = min(max_range_m, _FARTHEST_M)
+        range_m = self._first_surfels(origins_m, directions, limit_m)
+        if self._scene is None or self._samples is None or len(directions) == 0:
+            return range_m
+        places, member = np.unique(
+            np.asarray(origins_m, np.float64).reshape(-1, 3), axis=0, return_inverse=True
+        )
+        for number, place_m in enumerate(places):
+            if not seen_from_here(self._samples, place_m, limit_m, self._votes):
+                continue
+            view = View(self._samples, place_m, limit_m, self._votes)
+            rays = slice(None) if len(places) == 1 else np.flatnonzero(member.ravel() == number)
+            range_m[rays] = view.ranges(directions[rays], range_m[rays])
+        range_m[range_m >= limit_m] = np.inf
+        return range_m
+
+    def _first_surfels(
+        self, origins_m: ArrayLike, directions: Floats32, max_range_m: float
+    ) -> Floats32:
+        """Ranges (n,) of the first surfels, infinite where there is none."""
+        limit_m = np.full(len(directions), max_range_m, np.float32)
         if self._scene is None or len(directions) == 0:
             return np.full_like(limit_m, np.inf)
         origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
         origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
         range_m = self._scene.run(origins, directions, dists=limit_m.copy(), query="DISTANCE")
         range_m[range_m >= limit_m] = np.inf
-        return range_m
+        return np.asarray(range_m, np.float32)
 
     def depth_map(
         self,
@@ -83,6 +122,17 @@ class SurfelLidar:
             range_m = self.cast(position_m, risen(directions, range_m), sensor.range_m)
         range_m[np.isinf(range_m)] = 0.0
         return range_m.reshape(sensor.shape)
+
+
+def lidar_of_points(xyz_m: Floats, surfel_size_m: float = SURFEL_M) -> SurfelLidar:
+    """Surfels of a cloud that is in memory, and samples that vote where it was scanned from here.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres. surfel_size_m : edge of the finest voxels; samples have half of it.
+    """
+    fine = sum_moments(xyz_m, surfel_size_m / 2)
+    return SurfelLidar(build_local_surfels(coarsen(fine)), build_samples(fine))
 
 
 def risen(directions: Floats32, range_m: Floats32) -> Floats32:

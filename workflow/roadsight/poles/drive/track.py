@@ -5,11 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roadsight.base.arrays import Floats, Ints
+from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.geometry.cameras import azimuth_deg, compass_deg
 
 STANDING_M = 0.5
 """Steps below this are standing still: their direction is noise."""
+WANDERING_M = 10.0
+"""Side of the square within which a standing camera's positions wander: GPS noise of 2 to 3 m."""
 _ROUNDS = 5
 """Fits of each parabola, each with weights from the one before."""
 
@@ -62,6 +64,43 @@ def headings_deg(
     # A place of a stop that is not its first one came with the node's arrival.
     arrived = np.where(node_of > 0, node_of - (np.arange(len(xy)) != nodes[node_of]), 0)
     return smooth[node_of], raw[arrived]
+
+
+def wandering(xy_m: ArrayLike, half_window: int = 3) -> Bools:
+    """Places (n,) around which a camera stood or wandered, so that its track has no direction.
+
+    Within a few metres, the way from first to last of the places around is less than half of the
+    way along them: steps are the noise of positions.
+    """
+    xy = np.asarray(xy_m, np.float64).reshape(-1, 2)
+    reach = max(half_window, 2)
+    if _wanders(xy):
+        return np.ones(len(xy), bool)
+    parts = [xy[max(0, k - reach) : k + reach + 1] for k in range(len(xy))]
+    return np.array([_wanders(part) for part in parts], bool)
+
+
+def _wanders(xy: Floats) -> bool:
+    """Whether places (n, 2), four or more, lie within a few metres and lead nowhere."""
+    if len(xy) < 4 or np.ptp(xy, axis=0).max() >= WANDERING_M:
+        return False
+    way = np.hypot(*np.diff(xy, axis=0).T).sum()
+    return bool(np.hypot(*(xy[-1] - xy[0])) < 0.5 * way)
+
+
+def turning_back(xy_m: ArrayLike, standing_m: float = STANDING_M) -> tuple[int, int]:
+    """How many of the places that moved turn back by more than 120 degrees, and how many there are.
+
+    Only tracks longer than where a camera may wander are looked at.
+    """
+    xy = np.asarray(xy_m, np.float64).reshape(-1, 2)
+    nodes = xy[moving(xy, standing_m)]
+    if len(nodes) < 4 or np.ptp(nodes, axis=0).max() < 2 * WANDERING_M:
+        return 0, max(len(nodes) - 2, 0)
+    step = np.diff(nodes, axis=0)
+    step /= np.linalg.norm(step, axis=1, keepdims=True)
+    back = (step[:-1] * step[1:]).sum(axis=1) < -0.5
+    return int(back.sum()), len(back)
 
 
 def _tangents_deg(xy: Floats, half_window: int) -> Floats:

@@ -15,11 +15,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
-from roadsight.poles.drive.track import headings_deg, moving, steps_m
+from roadsight.poles.drive.track import (
+    headings_deg,
+    moving,
+    steps_m,
+    turning_back,
+    wandering,
+)
 
 OK = "ok"
 _FEW = 2
 """Places in a row that may be strays; more of them are a drive of their own."""
+_MOST = 0.4
+"""Share of places at which a track in random order turns back: about half; a drive at almost none.
+"""
 _RARE_SIZE = 20
 """A size with fewer images than this, and less than a fifth of the usual size's, is not
 calibrated."""
@@ -210,6 +219,7 @@ def _along(route: pd.DataFrame, settings: TrackSettings) -> pd.DataFrame:
     located = np.flatnonzero(route["_located"])
     xy = route[["x", "y"]].to_numpy()
     drives, stray_m = split_drives(xy[located], settings)
+    _check_direction(xy[located], route["route"].iloc[0], settings)
     status = np.full(len(route), OK, object)
     for row, gap_m in zip(located, stray_m, strict=True):
         if gap_m > 0:
@@ -217,14 +227,34 @@ def _along(route: pd.DataFrame, settings: TrackSettings) -> pd.DataFrame:
     for drive in drives:
         rows = located[drive]
         smooth, raw = headings_deg(xy[rows], settings.half_window, settings.standing_m)
+        lost = wandering(xy[rows], settings.half_window)
+        smooth, raw = np.where(lost, np.nan, smooth), np.where(lost, np.nan, raw)
         columns = ["heading_deg", "heading_raw_deg", "step_m"]
         route.loc[route.index[rows], columns] = np.column_stack([smooth, raw, steps_m(xy[rows])])
         still = np.append(False, (np.diff(xy[rows], axis=0) == 0).all(axis=1))
         status[rows[still]] = "same position as the image before"
-        if np.isnan(smooth).any():
+        status[rows[lost & (status[rows] == OK)]] = "the camera stood or wandered"
+        if (unknown := np.isnan(smooth) & ~lost).any():
             only = "the only image of its route" if len(rows) == 1 else "the vehicle never moved"
-            status[rows] = only
+            status[rows[unknown]] = only
     return route.assign(status=merged(route["status"], status))
+
+
+def _check_direction(xy: Floats, route: str, settings: TrackSettings) -> None:
+    """Refuse an order in which the track turns back at most images.
+
+    Raises
+    ------
+    InputError : it does.
+    """
+    back, count = turning_back(xy, settings.standing_m)
+    if count > 1 and back > _MOST * count:
+        raise InputError(
+            "the track turns back at most images, so their order is not that of the drive",
+            where=f"videolog, route {route}",
+            found=f"{back} of {count} places",
+            hint="give a column time or sequence, or images with EXIF DateTimeOriginal",
+        )
 
 
 def split_drives(xy_m: Floats, settings: TrackSettings) -> tuple[list[Ints], Floats]:

@@ -233,10 +233,14 @@ def _judged(
     lower = table["v_foot"] - table["v_min"]
     table["height_m"] = lower * table["depth_m"] / camera.intrinsics.focal_px
     distances = table[["depth_m", "height_m"]].to_numpy(np.float64)
-    table["reason"] = [
+    in_cloud = table["depth_lidar_m"].notna().to_numpy() & (settings.height_rule == "metric")
+    reasons = [
         one.reason or _why_not(depth, height, one, camera, settings)
         for one, (depth, height) in zip(found, distances, strict=True)
     ]
+    # The cloud's column is tall enough: only the part that the mask shows is low.
+    pairs = zip(reasons, in_cloud, strict=True)
+    table["reason"] = ["" if known and why == "too low" else why for why, known in pairs]
     table["kept"] = table["reason"] == ""
     return table
 

@@ -133,12 +133,29 @@ def vote(grid: Grid, x: Floats, y: Floats, smooth: Bools, radius_m: float) -> Bo
 
 
 def _trace(grid: Grid, xyz_m: Floats, settings: PavementSettings) -> Polygon | MultiPolygon:
-    """Outline of one surface: raster, closing, small holes filled, staircase smoothed."""
+    """Outline of one surface given by its points."""
+    filled = np.zeros(grid.shape, dtype=bool)
+    column, row = grid.indices(xyz_m[:, 0], xyz_m[:, 1])
+    filled[row, column] = True
+    return _polygons(grid, filled, settings)
+
+
+def trace_cells(grid: Grid, cells: Bools, settings: PavementSettings) -> MultiPolygon:
+    """Outline of surfaces given by cells (rows, columns) of a grid, largest first; crumbs dropped.
+
+    The grid's own cell size counts, and closings are two cells wide at least.
+    """
+    cell_m = grid.cell_size_m
+    own = replace(settings, outline_cell_m=cell_m, closing_m=max(2 * cell_m, settings.closing_m))
+    parts = _multi(_polygons(grid, cells, own)).geoms
+    return MultiPolygon([part for part in parts if part.area >= settings.smallest_hole_m2])
+
+
+def _polygons(grid: Grid, cells: Bools, settings: PavementSettings) -> Polygon | MultiPolygon:
+    """Cells as polygons: closing, small holes filled, staircase smoothed."""
     cell = settings.outline_cell_m
     reach = max(1, round(settings.closing_m / 2 / cell))
-    filled = np.zeros((grid.rows + 4 * reach, grid.columns + 4 * reach), dtype=bool)
-    column, row = grid.indices(xyz_m[:, 0], xyz_m[:, 1])
-    filled[row + 2 * reach, column + 2 * reach] = True
+    filled = np.pad(cells, 2 * reach)
     disc = np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1]) <= reach
     filled = ndimage.binary_closing(filled, disc)
     x0, y0 = ((edge - 2 * reach) * cell for edge in (grid.west, grid.south))

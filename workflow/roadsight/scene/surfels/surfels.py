@@ -54,32 +54,37 @@ class Surfels:
         return len(self.half_m)
 
 
-def build_surfels(voxels: VoxelMoments) -> Surfels:
+def build_surfels(voxels: VoxelMoments, own: Bools | None = None) -> Surfels:
     """Surfels of a cloud given by its moments in the finest voxels.
 
     Planes come from 3 x 3 x 3 voxels; where these hold too few points, or points on one line only,
     from voxels twice as large, and so on. Empty voxels amid a flat neighbourhood are filled. What
     is no surface at any size (wires, twigs, stray points) becomes small crossed squares. At last
     patches that agree merge.
+
+    Parameters
+    ----------
+    own : (n,) voxels that become surfels; the others only help to find their planes. None: all.
     """
-    by_size, thin = _fit_patches(voxels)
+    by_size, thin = _fit_patches(voxels, own)
     by_size += [no_patches()] * (_MERGE_DOUBLINGS + 1 - len(by_size))
     parts, merged = [_thin_surfels(thin, voxels)], no_patches()
-    for doubling, own in enumerate(by_size):
-        size_m, patches = voxels.edge_m * 2**doubling, join([merged, own])
+    for doubling, part in enumerate(by_size):
+        size_m, patches = voxels.edge_m * 2**doubling, join([merged, part])
         if doubling < len(by_size) - 1:
             merged, patches = merge_coplanar(patches, size_m, _MERGE * voxels.edge_m)
         centre, normal = centres_and_normals(patches, size_m)
         half_m = np.full(len(centre), size_m / 2 + _OVERLAP * voxels.edge_m)
         parts.append(_as_surfels(centre, normal, half_m))
-    return _concatenate(parts)
+    return concatenate(parts)
 
 
-def _fit_patches(voxels: VoxelMoments) -> tuple[list[Patches], Ints]:
+def _fit_patches(voxels: VoxelMoments, own: Bools | None) -> tuple[list[Patches], Ints]:
     """Patches of each size, finest first, and keys of the finest voxels that carry none."""
     finest, cells = voxels.keys, unpack_keys(voxels.keys)
     points = cells + 0.5 + voxels.moments[:, 1:4] / voxels.moments[:, :1]
-    pending, by_size, thin = np.arange(len(finest)), [], []
+    pending = np.arange(len(finest)) if own is None else np.flatnonzero(own)
+    by_size, thin = [], []
     doublings = max(round(np.log2(_COARSEST_M / voxels.edge_m)), 2)
     for level in range(doublings + 1):
         flat = _FLAT * _FLATTER**level
@@ -153,7 +158,7 @@ def _thin_surfels(keys: Ints, voxels: VoxelMoments) -> Surfels:
     lone = np.repeat((cells[~linear] + own) * voxels.edge_m, 3, axis=0)
     normal = np.tile(np.eye(3), (len(own), 1))
     half_m = np.full(len(lone), _LONE_HALF * voxels.edge_m)
-    return _concatenate([lines, _as_surfels(lone, normal, half_m)])
+    return concatenate([lines, _as_surfels(lone, normal, half_m)])
 
 
 def _line_surfels(cells: NDArray[np.floating], planes: Planes, voxels: VoxelMoments) -> Surfels:
@@ -176,7 +181,8 @@ def _as_surfels(centre_m: NDArray, normal: NDArray, half_m: NDArray) -> Surfels:
     return Surfels(*(part.astype(np.float32) for part in (centre_m, normal, half_m)))
 
 
-def _concatenate(parts: list[Surfels]) -> Surfels:
+def concatenate(parts: list[Surfels]) -> Surfels:
+    """Surfels of several lists, one after the other."""
     return Surfels(
         np.concatenate([part.centre_m for part in parts]),
         np.concatenate([part.normal for part in parts]),

@@ -13,28 +13,45 @@ from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.setcover.common.constraints import Row, common_shares, distinct, stacked
+from roadsight.setcover.common.constraints import Constraint, common_shares, distinct, stacked
 
-_PARTNERS, _CUTS, _LONGEST = 5, 60, 20
-_BROKEN, _EVEN, _APART = 0.02, 1e-4, 0.05
-_MOST_MOVES, _STEPS = 3e9, 6  # entries of the shares' matrix that all descents may look at
-_MOVE_S, _READ_S = 3e-10, 1.5e-7  # work, measured: by such an entry, and by entry of the rows
+_PARTNERS = 5
+"""Descents begin at each target with so many others; more of them take time."""
+_CUTS = 60
+"""Most cuts of a round; 100 were tried and did not pay."""
+_LONGEST = 20
+"""Most targets of a set: longer cuts have more entries, and the relaxation's steps take longer."""
+_BROKEN = 0.02
+"""Least that a cut is broken by, of its right side of 2: less hardly moves the bound."""
+_EVEN = 1e-4
+"""A step of a descent must gain this. The first may lose as much, since pairs begin level, and the
+rounding of sums must not let a descent go in circles."""
+_APART = 0.05
+"""Least distance of a pair's common share from 0 and 1: one nearer is next to decided already."""
+_MOST_MOVES = 3e9
+"""Entries of the pattern that all descents of a round may look at, about a second of work."""
+_STEPS = 6
+"""Steps of a descent, about: by them and `_MOST_MOVES` it is told how many pairs can begin."""
+_MOVE_S = 3e-10
+"""Work by entry that a descent looks at, in seconds, measured."""
+_READ_S = 1.5e-7
+"""Work by entry of the constraints, in seconds, measured."""
 
 
-def balas_ng_cuts(sources: list[Row], x: Floats) -> tuple[list[Row], float]:
+def balas_ng_cuts(sources: list[Constraint], x: Floats) -> tuple[list[Constraint], float]:
     """Cuts that a solution breaks, the most broken first, and the work in seconds.
 
     Parameters
     ----------
-    sources : rows that hold for all covers and that x meets exactly; only those of targets that
-        are asked for once are used. x : (m,) shares.
+    sources : constraints that hold for all covers and that x meets exactly; only those of targets
+        that are asked for once are used. x : (m,) shares.
     """
-    sources = [row for row in sources if row.low == 1 and row.value.max() == 1]
+    sources = [one for one in sources if one.low == 1 and one.value.max() == 1]
     support = np.flatnonzero(x > 1e-9)
     if not sources or not len(support):
         return [], 0.0
-    rows = stacked(sources, len(x)).astype(bool)
-    pattern = rows[:, support].toarray()
+    matrix = stacked(sources, len(x)).astype(bool)
+    pattern = matrix[:, support].toarray()
     kept = distinct(pattern)
     pattern, share = pattern[kept], x[support]
     pairs = _pairs(common_shares(pattern, share), pattern.size)
@@ -44,12 +61,12 @@ def balas_ng_cuts(sources: list[Row], x: Floats) -> tuple[list[Row], float]:
         if left[k] > 2 - _BROKEN or len(found) == _CUTS:
             break
         found.setdefault(sets[k].tobytes(), kept[sets[k]])
-    cuts = [_cut(rows[chosen].sum(axis=0), len(chosen)) for chosen in found.values()]
-    return cuts, _MOVE_S * moves + _READ_S * rows.nnz
+    cuts = [_cut(matrix[chosen].sum(axis=0), len(chosen)) for chosen in found.values()]
+    return cuts, _MOVE_S * moves + _READ_S * matrix.nnz
 
 
 def _pairs(common: Floats, entries: int) -> Ints:
-    """Pairs of rows to start from, (p, 2): those that share about half a choice."""
+    """Pairs of targets to start from, (p, 2): those that share about half a choice."""
     uneven = np.round(np.abs(common - 0.5), 9)
     np.fill_diagonal(uneven, np.inf)
     near = np.argsort(uneven, axis=1, kind="stable")[:, :_PARTNERS]
@@ -62,24 +79,25 @@ def _pairs(common: Floats, entries: int) -> Ints:
     return pairs
 
 
-def _cut(count: NDArray[np.integer], size: int) -> Row:
-    """Cut of a set of rows, given how many of them each choice is in."""
+def _cut(count: NDArray[np.integer], size: int) -> Constraint:
+    """Cut of a set of targets, given how many of them each choice covers."""
     count = np.asarray(count).ravel()
     index = np.flatnonzero(count)
-    return Row(index.astype(np.int32), np.where(count[index] == size, 2.0, 1.0), 2.0)
+    return Constraint(index.astype(np.int32), np.where(count[index] == size, 2.0, 1.0), 2.0)
 
 
 @njit(cache=True)
 def _descend(pattern: Floats, x: Floats, pairs: Ints) -> tuple[Bools, Floats, float]:
-    """From each pair of rows down to where no row that joins or leaves lessens the left side.
+    """From each pair of targets down to where none that joins or leaves lessens the left side.
 
-    ``pattern`` has columns first, (columns, rows), and is 1 where a row has a column. Returns the
-    sets (pairs, rows), their left sides, and how many entries were looked at.
+    ``pattern`` has choices first, (choices, targets), and is 1 where a choice covers a target; its
+    targets are the constraints that cuts are made of. Returns the sets (pairs, targets), their left
+    sides, and how many entries were looked at.
     """
-    rows = pattern.shape[1]
-    sets = np.zeros((len(pairs), rows), np.bool_)
+    targets = pattern.shape[1]
+    sets = np.zeros((len(pairs), targets), np.bool_)
     left = np.full(len(pairs), 2.0)
-    joins, leaves = np.zeros(rows), np.zeros(rows)
+    joins, leaves = np.zeros(targets), np.zeros(targets)
     moves = 0.0
     for s in range(len(pairs)):
         member, count = sets[s], pattern[:, pairs[s, 0]] + pattern[:, pairs[s, 1]]
@@ -88,10 +106,10 @@ def _descend(pattern: Floats, x: Floats, pairs: Ints) -> tuple[Bools, Floats, fl
         while size < _LONGEST:
             moves += _try(pattern, x, count, size, joins, leaves)
             best, least = -1, left[s] + (_EVEN if size == 2 else -_EVEN)
-            for r in range(rows):
-                total = leaves[r] if member[r] else joins[r]
+            for t in range(targets):
+                total = leaves[t] if member[t] else joins[t]
                 if total < least:
-                    best, least = r, total
+                    best, least = t, total
             if best < 0:
                 break
             step = -1 if member[best] else 1
@@ -106,9 +124,10 @@ def _descend(pattern: Floats, x: Floats, pairs: Ints) -> tuple[Bools, Floats, fl
 def _try(
     pattern: Floats, x: Floats, count: Floats, size: int, joins: Floats, leaves: Floats
 ) -> float:
-    """Left sides once each row joins or leaves a set; how many entries were looked at.
+    """Left sides once each target joins or leaves a set; how many entries were looked at.
 
-    ``count`` tells how many rows of the set each column is in. Rows leave sets of more than three.
+    ``count`` tells how many targets of the set each choice covers. Targets leave sets of more than
+    three.
     """
     joins[:], leaves[:] = 0.0, 0.0
     some = nearly_all = moves = 0.0
@@ -119,13 +138,13 @@ def _try(
             nearly_all += x[i]
         if count[i] == 0 or count[i] == size:
             moves += len(joins)
-            for r in range(len(joins)):
-                joins[r] += x[i] * pattern[i, r]
+            for t in range(len(joins)):
+                joins[t] += x[i] * pattern[i, t]
         if size > 3 and (count[i] == 1 or count[i] == size - 1):
             moves += len(joins)
-            for r in range(len(joins)):
-                leaves[r] -= x[i] * pattern[i, r]
-    for r in range(len(joins)):
-        joins[r] += some
-        leaves[r] += some + nearly_all if size > 3 else np.inf
+            for t in range(len(joins)):
+                leaves[t] -= x[i] * pattern[i, t]
+    for t in range(len(joins)):
+        joins[t] += some
+        leaves[t] += some + nearly_all if size > 3 else np.inf
     return moves

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 _MANY = 2**31 - 1
+"""Most steps that are allowed at once: the largest limit that solvers take as 32-bit integer."""
 
 
 class Deadline:

@@ -12,9 +12,9 @@ Bits = NDArray[np.uint64]
 
 
 @njit(cache=True)
-def pack_bits(start: Ints32, index: Ints32, columns: int) -> Bits:
-    """Bit matrix (rows, words of 64 columns) of a CSR pattern."""
-    bits = np.zeros((len(start) - 1, (columns + 63) // 64), np.uint64)
+def pack_bits(start: Ints32, index: Ints32, members: int) -> Bits:
+    """Bits (sets, words of 64 members) of sets in CSR form: targets by choice, or the reverse."""
+    bits = np.zeros((len(start) - 1, (members + 63) // 64), np.uint64)
     for i in range(len(start) - 1):
         for p in range(start[i], start[i + 1]):
             bits[i, index[p] >> 6] |= np.uint64(1) << np.uint64(index[p] & 63)
@@ -38,7 +38,7 @@ def drop_implied_targets(
     bits: Bits,
     need: Ints32,
 ) -> Bools:
-    """Targets to keep: those that no kept target with fewer rows and as great a need implies.
+    """Targets to keep: those that no kept target with fewer choices and as great a need implies.
 
     ``start, index`` is the matrix by target, ``choice_*`` by choice, ``bits`` packed by target.
     Of equal targets the lowest number stays.
@@ -51,10 +51,10 @@ def drop_implied_targets(
             continue
         rarest = index[start[i]]
         for p in range(start[i], start[i + 1]):
-            row = index[p]
-            width = choice_start[row + 1] - choice_start[row]
+            choice = index[p]
+            width = choice_start[choice + 1] - choice_start[choice]
             if width < choice_start[rarest + 1] - choice_start[rarest]:
-                rarest = row
+                rarest = choice
         size_i = start[i + 1] - start[i]
         for q in range(choice_start[rarest], choice_start[rarest + 1]):
             j = choice_index[q]
@@ -72,7 +72,7 @@ def drop_implied_targets(
 def residual_needs(
     start: Ints32, index: Ints32, need: Ints32, alive: Bools, fixed: Bools
 ) -> tuple[Ints32, Ints32]:
-    """How often each target is still to be covered, and by how many free rows it can be."""
+    """How often each target is still to be covered, and by how many free choices it can be."""
     left = need.copy()
     free = np.zeros(len(need), np.int32)
     for i in range(len(start) - 1):
@@ -100,13 +100,14 @@ def drop_dominated_choices(
     fixed: Bools,
     extra: Bools,
 ) -> int:
-    """Switch off rows that others replace at no greater cost; returns how many.
+    """Switch off choices that others replace at no greater cost; returns how many.
 
-    Row i goes if a row j of its own group covers all that i still covers, or if k such rows
-    outside all groups do, k being the greatest need left among the targets of i: with fewer, all
-    of them may be taken beside i. A row j of another group cannot stand in, since its group may be
-    taken. Rows go one at a time, the highest number first, so of equal rows the lowest stay.
-    ``extra`` (constraints, rows): further sets of which a row must stay a member.
+    Choice i goes if a choice j of its own group covers all that i still covers, or if k such
+    choices outside all groups do. k is the greatest need left among the targets of i: were they
+    fewer, all of them might be taken beside i. A choice of another group cannot stand in, because
+    its group may be taken. Choices go one at a time, the highest number first, so that of equal
+    ones the lowest stay. ``extra`` (constraints, choices): further sets of which whatever stands
+    in for a member must be one.
     """
     mask = np.zeros(bits.shape[1], np.uint64)
     for t in range(len(left)):
@@ -141,7 +142,7 @@ def drop_dominated_choices(
 def _rarest_open(
     i: int, start: Ints32, index: Ints32, left: Ints32, free: Ints32
 ) -> tuple[int, int]:
-    """Open target of row i with the fewest free rows (-1: none), and the greatest need left."""
+    """Open target of choice i with the fewest free choices (-1: none), the greatest need left."""
     rarest = -1
     wanted = 1
     for p in range(start[i], start[i + 1]):
@@ -163,7 +164,7 @@ def _is_member(extra: Bools, i: int) -> bool:
 
 @njit(cache=True)
 def _stands_in(bits: Bits, i: int, j: int, mask: Bits, extra: Bools) -> bool:
-    """Whether row j covers all that i covers within ``mask`` and is in all its extra sets."""
+    """Whether choice j covers all that i covers in ``mask`` and is in all its extra sets."""
     for k in range(extra.shape[0]):
         if extra[k, i] and not extra[k, j]:
             return False
@@ -182,11 +183,12 @@ def propagate(
     fixed: Bools,
     extra: Bools,
 ) -> tuple[bool, Ints32, Ints32]:
-    """Fix rows without alternative and switch off group mates, until nothing changes.
+    """Fix choices without alternative and switch off group mates, until nothing changes.
 
     Returns
     -------
-    feasible so far, needs left (n,), free rows of each target (n,); alive, fixed change in place.
+    feasible so far, needs left (n,), free choices of each target (n,); alive, fixed change in
+    place.
     """
     while True:
         if not _close_groups(group, alive, fixed):
@@ -198,9 +200,9 @@ def propagate(
                 return False, left, free
             if left[t] > 0 and left[t] == free[t]:
                 for q in range(target_start[t], target_start[t + 1]):
-                    row = target_index[q]
-                    changed = changed or (alive[row] and not fixed[row])
-                    fixed[row] = fixed[row] or alive[row]
+                    choice = target_index[q]
+                    changed = changed or (alive[choice] and not fixed[choice])
+                    fixed[choice] = fixed[choice] or alive[choice]
         for k in range(extra.shape[0]):
             state = _fix_last_member(extra[k], alive, fixed)
             if state < 0:
@@ -212,8 +214,8 @@ def propagate(
 
 @njit(cache=True)
 def _close_groups(group: Ints, alive: Bools, fixed: Bools) -> bool:
-    """Switch off the mates of fixed rows; False where two rows of a group are fixed."""
-    taken = np.zeros(len(group), np.bool_)  # indexed by group: there are no more than rows
+    """Switch off the mates of fixed choices; False where two of a group are fixed."""
+    taken = np.zeros(len(group), np.bool_)  # indexed by group: there are no more than choices
     for i in range(len(group)):
         if fixed[i] and group[i] >= 0:
             if taken[group[i]]:
@@ -227,7 +229,7 @@ def _close_groups(group: Ints, alive: Bools, fixed: Bools) -> bool:
 
 @njit(cache=True)
 def _fix_last_member(members: Bools, alive: Bools, fixed: Bools) -> int:
-    """Take the only free row of a set: 1 if there was one, 0 if nothing to do, -1 if none left."""
+    """Take a set's only free choice: 1 if there was one, 0 if nothing to do, -1 if none left."""
     free = 0
     last = -1
     for i in range(len(members)):
@@ -244,7 +246,7 @@ def _fix_last_member(members: Bools, alive: Bools, fixed: Bools) -> int:
 
 @njit(cache=True)
 def coverage(start: Ints32, index: Ints32, x: Floats, targets: int) -> Floats:
-    """Sum of the shares x of the rows that cover each column."""
+    """Sum of the shares x of the choices that cover each target."""
     total = np.zeros(targets)
     for i in range(len(x)):
         if x[i] > 1e-9:
@@ -260,7 +262,7 @@ def reduced_costs(
     cost: Floats,
     dual: Floats,
 ) -> Floats:
-    """Costs of the rows less the duals of the columns that they cover."""
+    """Costs of the choices less the duals of the targets that they cover."""
     reduced = cost.copy()
     for i in range(len(cost)):
         for p in range(start[i], start[i + 1]):

@@ -15,13 +15,18 @@ from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
 
 _DECIMALS = 6
+"""Costs with more decimals have no common step: their cover is proven to 1e-7 of its cost."""
 _LARGEST_UNIT = 2.0**50
+"""Costs of more units than this have no step: 64-bit floats hold whole numbers up to 2**53, and
+sums of several costs must be among them."""
 
 
 class CoverProblem:
-    """Minimise the cost of rows that cover each column often enough.
+    """Minimise the cost of choices that cover each target often enough.
 
-    minimise ``sum c_i x_i`` subject to ``sum_i a_ij x_i >= at_least_j`` for each column j and
+    Rows of the matrix are the choices, columns the targets.
+
+    minimise ``sum c_i x_i`` subject to ``sum_i a_ij x_i >= at_least_j`` for each target j and
     ``sum_{i in g} x_i <= 1`` for each group g, x binary (Eqs. 5 to 7 of the placement paper).
 
     Parameters
@@ -32,7 +37,7 @@ class CoverProblem:
     groups : (choices,) whole numbers, at most one choice of a group is taken; negative = no group;
         None = no groups.
     at_least : how often each target is covered: one number or (targets,); 0 = not at all.
-    mandatory, forbidden : row numbers that must, must not be taken.
+    mandatory, forbidden : numbers of choices that must, must not be taken.
 
     Raises
     ------
@@ -55,14 +60,14 @@ class CoverProblem:
         self.at_least = _whole("at_least", at_least, targets)
         if (self.at_least < 0).any():
             raise InputError("is negative", where="at_least", found=self.at_least.min(), allowed=0)
-        self.mandatory = _row_mask("mandatory", mandatory, choices)
-        self.forbidden = _row_mask("forbidden", forbidden, choices)
+        self.mandatory = _choice_mask("mandatory", mandatory, choices)
+        self.forbidden = _choice_mask("forbidden", forbidden, choices)
         both = np.flatnonzero(self.mandatory & self.forbidden)
         if len(both):
             raise InputError("is both mandatory and forbidden", where="row", found=both[0])
 
     def changed(self, **parts: ArrayLike | None) -> CoverProblem:
-        """The same with another matrix, other ``costs``, ``at_least`` or rows.
+        """The same with another matrix, other ``costs``, ``at_least`` or choices.
 
         ``parts`` are arguments as those of the constructor.
         """
@@ -79,15 +84,15 @@ class CoverProblem:
 
 @dataclass(frozen=True)
 class Instance:
-    """Working form of a problem: costs in objective steps, rows that keep their first number.
+    """Working form of a problem: costs in objective steps, choices that keep their first number.
 
     Parameters
     ----------
     by_choice : (m, n) CSR, sorted indices.
     cost : (m,) in units of the objective step.
     need : (n,) at least 1.
-    group : (m,) -1 where the row is alone in its group.
-    choice : (m,) row number in the problem.
+    group : (m,) -1 where the choice is alone in its group.
+    choice : (m,) its number in the problem.
     integral : costs are whole numbers of steps.
     """
 
@@ -108,27 +113,28 @@ class Instance:
         """Numbers of choices and targets."""
         return self.by_choice.shape
 
-    def select(self, rows: Bools, columns: Bools) -> Instance:
-        """Instance of the rows and columns of two masks."""
-        targets = np.flatnonzero(columns)
-        if rows.all():
-            matrix = self.by_target[:, targets].tocsr()  # takes time by what stays alone
+    def select(self, choices: Bools, targets: Bools) -> Instance:
+        """Instance of the choices and targets of two masks."""
+        number = np.flatnonzero(targets)
+        if choices.all():
+            matrix = self.by_target[:, number].tocsr()  # takes time by what stays alone
         else:
-            matrix = self.by_choice[np.flatnonzero(rows)][:, targets].tocsr()
+            matrix = self.by_choice[np.flatnonzero(choices)][:, number].tocsr()
         matrix.sort_indices()
         return replace(
             self,
             by_choice=matrix,
-            cost=self.cost[rows],
-            need=self.need[columns],
-            group=alone_to_none(self.group[rows]),
-            choice=self.choice[rows],
+            cost=self.cost[choices],
+            need=self.need[targets],
+            group=alone_to_none(self.group[choices]),
+            choice=self.choice[choices],
         )
 
     def goal(self, best: float) -> float:
         """Largest bound that still allows a cover cheaper than ``best``, in steps."""
         if not np.isfinite(best):
             return np.inf
+        # One step less where costs are whole; bounds may be rounded by a millionth of a step.
         return best - 1 + 1e-6 if self.integral else best - 1e-7 * max(1.0, best)
 
     def round_up(self, bound: float) -> float:
@@ -149,18 +155,16 @@ def clean_matrix(matrix: Any) -> sparse.csr_matrix:
         raise InputError("is not 2-D", where="matrix", found=f"shape {matrix.shape}")
     if matrix.dtype.kind not in "biuf":
         raise InputError("is not numeric", where="matrix", found=f"type {matrix.dtype}")
-    rows = sparse.csr_matrix(matrix, copy=True)
-    if not np.isfinite(rows.data).all() or (rows.data < 0).any():
+    clean = sparse.csr_matrix(matrix, copy=True)
+    if not np.isfinite(clean.data).all() or (clean.data < 0).any():
         raise InputError(
             "has entries that are negative or not finite", where="matrix", allowed="0 or more"
         )
-    rows.sum_duplicates()
-    rows.eliminate_zeros()
-    rows.sort_indices()
-    return sparse.csr_matrix(
-        (np.ones(rows.nnz, np.int8), rows.indices.astype(np.int32), rows.indptr.astype(np.int32)),
-        shape=rows.shape,
-    )
+    clean.sum_duplicates()
+    clean.eliminate_zeros()
+    clean.sort_indices()
+    index, start = clean.indices.astype(np.int32), clean.indptr.astype(np.int32)
+    return sparse.csr_matrix((np.ones(clean.nnz, np.int8), index, start), shape=clean.shape)
 
 
 def objective_step(costs: Floats) -> float:
@@ -219,8 +223,8 @@ def _whole(name: str, values: ArrayLike, length: int) -> Ints:
     return np.broadcast_to(array, (length,)).astype(np.int64)
 
 
-def _row_mask(name: str, rows: ArrayLike, choices: int) -> Bools:
-    numbers = np.asarray(rows).reshape(-1)
+def _choice_mask(name: str, values: ArrayLike, choices: int) -> Bools:
+    numbers = np.asarray(values).reshape(-1)
     mask = np.zeros(choices, bool)
     if not len(numbers):
         return mask

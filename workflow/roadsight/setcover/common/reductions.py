@@ -1,4 +1,4 @@
-"""Smaller instances with the same optimum: forced rows, dominance, components."""
+"""Smaller instances with the same optimum: forced choices, dominance, components."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from roadsight.setcover.common.problem import (
 )
 
 MAX_BITS = 2**33
-"""Largest rows x columns for which dominance is searched (1 GiB of bits)."""
+"""Most choices x targets for which dominance is searched: 1 GiB of bits."""
 
 
 @dataclass
@@ -34,11 +34,11 @@ class Reduced:
     Parameters
     ----------
     parts : instances that can be solved one by one.
-    taken : rows of the problem that every remaining solution takes.
+    taken : choices of the problem that every remaining solution takes.
     step : cost of one objective step; the objective is whole in it where ``parts`` are integral.
-    uncoverable : targets that too few rows can cover, sorted.
-    counts : numbers of rows and columns before and after each step.
-    feasible : False where the mandatory and forced rows already contradict the groups.
+    uncoverable : targets that too few choices can cover, sorted.
+    counts : numbers of choices ("rows") and targets ("columns") before and after each step.
+    feasible : False where the mandatory and forced choices already contradict the groups.
     """
 
     parts: list[Instance]
@@ -66,32 +66,32 @@ def reduce_problem(problem: CoverProblem) -> Reduced:
 
 
 def uncoverable_targets(problem: CoverProblem) -> Ints:
-    """Targets that too few rows can cover, a group counting once; sorted."""
+    """Targets that too few choices can cover, a group counting once; sorted."""
     number = alone_to_none(problem.groups)
     alone = number < 0
     number[alone] = number.max(initial=-1) + 1 + np.arange(alone.sum())
     entries = problem.matrix.tocoo()
-    open_rows = ~problem.forbidden[entries.row]
+    allowed = ~problem.forbidden[entries.row]
     seen = sparse.csr_matrix(
-        (np.ones(open_rows.sum()), (entries.col[open_rows], number[entries.row[open_rows]])),
+        (np.ones(allowed.sum()), (entries.col[allowed], number[entries.row[allowed]])),
         shape=(problem.matrix.shape[1], number.max(initial=0) + 1),
     )
     return np.flatnonzero(np.diff(seen.indptr) < problem.at_least).astype(np.int64)
 
 
 def _first_instance(problem: CoverProblem, step: float) -> Instance:
-    """Rows that may be taken and columns that ask for something."""
-    columns = np.flatnonzero(problem.at_least > 0)
-    rows = np.flatnonzero(~problem.forbidden)
-    matrix = problem.matrix[rows][:, columns].tocsr()
+    """Choices that may be taken and targets that ask for something."""
+    targets = np.flatnonzero(problem.at_least > 0)
+    choices = np.flatnonzero(~problem.forbidden)
+    matrix = problem.matrix[choices][:, targets].tocsr()
     matrix.sort_indices()
-    cost = problem.costs[rows] / (step or 1.0)
+    cost = problem.costs[choices] / (step or 1.0)
     return Instance(
         matrix,
         np.round(cost) if step else cost,
-        problem.at_least[columns].astype(np.int32),
-        alone_to_none(problem.groups[rows]),
-        rows.astype(np.int64),
+        problem.at_least[targets].astype(np.int32),
+        alone_to_none(problem.groups[choices]),
+        choices.astype(np.int64),
         step > 0,
     )
 
@@ -117,7 +117,7 @@ def shrink(instance: Instance, mandatory: Bools) -> tuple[Instance, Ints, bool]:
 
 
 def _drop_dominated(instance: Instance) -> Instance:
-    """Without implied targets, then without replaceable rows."""
+    """Without implied targets, then without replaceable choices."""
     choices, targets = instance.shape
     if choices * targets > MAX_BITS or 0 in instance.shape:
         useful = np.diff(instance.by_choice.indptr) > 0
@@ -145,17 +145,18 @@ def _drop_dominated(instance: Instance) -> Instance:
 
 
 def split_components(instance: Instance) -> list[Instance]:
-    """Instances that share no target and no group, in the order of their first row."""
+    """Instances that share no target and no group, in the order of their first choice."""
     choices, targets = instance.shape
     if not targets:
         return []
     entries = instance.by_choice.tocoo()
     grouped = np.flatnonzero(instance.group >= 0)
     first = choices + targets
-    row = np.concatenate([entries.row, grouped])
-    column = np.concatenate([entries.col + choices, instance.group[grouped] + first])
+    # A graph of choices, targets and groups, numbered in this order.
+    one = np.concatenate([entries.row, grouped])
+    other = np.concatenate([entries.col + choices, instance.group[grouped] + first])
     size = first + int(instance.group.max(initial=-1)) + 1
-    links = sparse.coo_matrix((np.ones(len(row)), (row, column)), shape=(size, size))
+    links = sparse.coo_matrix((np.ones(len(one)), (one, other)), shape=(size, size))
     _, label = connected_components(links, directed=False)
     numbers = np.unique(label[choices:first])
     order = np.argsort([np.argmax(label[:choices] == number) for number in numbers])
@@ -169,5 +170,5 @@ def arrays(
     instance: Instance,
 ) -> tuple[Ints32, Ints32, Ints32, Ints32]:
     """Starts and indices by choice, then by target, as the kernels take them."""
-    rows, columns = instance.by_choice, instance.by_target
-    return rows.indptr, rows.indices, columns.indptr, columns.indices
+    choices, targets = instance.by_choice, instance.by_target
+    return choices.indptr, choices.indices, targets.indptr, targets.indices

@@ -10,20 +10,35 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 from roadsight.setcover.common.balas_ng_cuts import balas_ng_cuts
-from roadsight.setcover.common.constraints import Row
+from roadsight.setcover.common.constraints import Constraint
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.kernels import coverage, reduced_costs
 from roadsight.setcover.common.parity_cuts import parity_cuts
 from roadsight.setcover.common.problem import Instance
 
 FIRST_TARGETS = 300
-ADDED_TARGETS, COMPARED_TARGETS = 60, 400
-MOST_ROWS = 400
-_TOLERANCE, _LOOSE = 1e-6, 0.02
-# Work in seconds, measured: an iteration by the root of the entries of the linear program, setting
-# one up and reading the instance by entry.
-_ITERATION_S, _RUN_S, _READ_S = 4e-7, 2.5e-8, 3e-9
+"""Targets to begin with, those that the fewest choices cover. Once more than so many constraints
+are in, slack targets leave."""
+ADDED_TARGETS = 60
+"""Most targets that join at once, the most broken ones: more of them make fewer, longer rounds."""
+COMPARED_TARGETS = 400
+"""So many broken targets, evenly spaced, are compared before the most broken of them join:
+neighbours say the same."""
+MOST_CONSTRAINTS = 400
+"""Constraints of a linear program that all stay from node to node; of more, slack targets leave."""
+_TOLERANCE = 1e-6
+"""What breaks a constraint, and what makes it slack: ten times the solver's own tolerance."""
+_LOOSE = 0.02
+"""Targets that are seen by this more than they need leave while the relaxation is solved: 1,088
+constraints became 365 on the hardest corridor, and the simplex method's steps take time by them."""
+_ITERATION_S = 4e-7
+"""Work of an iteration by the root of the entries of the linear program, in seconds, measured."""
+_RUN_S = 2.5e-8
+"""Work of setting a linear program up by its entries, in seconds, measured."""
+_READ_S = 3e-9
+"""Work of reading the instance by its entries, in seconds, measured."""
 _TARGET, _BRANCH, _GROUP, _CUT = 0, 1, 2, 3
+"""Kinds of constraint."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +47,7 @@ class Node:
 
     Parameters
     ----------
-    alive, fixed : (m,) rows that may be taken, that are taken (fixed rows are alive).
+    alive, fixed : (m,) choices that may be taken, that are taken (fixed ones are alive).
     path : numbers of the branch constraints (`Relaxation.add_branch`) that hold.
     """
 
@@ -48,7 +63,7 @@ class Solution:
     Parameters
     ----------
     bound : Lagrangian bound of the duals, in steps: valid whatever the solver's tolerances.
-    x : (m,) share of each row.
+    x : (m,) share of each choice.
     reduced_cost : (m,) of the same duals.
     target_dual : (n,) dual of each target, 0 where it is not in the relaxation.
     complete : False where the goal or the time limit stopped it: only ``bound`` is meant then.
@@ -60,7 +75,7 @@ class Solution:
     reduced_cost: Floats
     target_dual: Floats
     complete: bool
-    priced: tuple[tuple[Row, float], ...] = ()
+    priced: tuple[tuple[Constraint, float], ...] = ()
 
     def exceeds(self, goal: float) -> bool:
         """Whether nothing cheap enough is left: the bound is too high, or nothing is feasible."""
@@ -81,7 +96,7 @@ def quiet_highs(**options: bool | int | float | str) -> highspy.Highs:
 
 
 class Relaxation:
-    """Relaxation by row generation: targets and groups enter when violated.
+    """Relaxation that grows: constraints of targets and groups enter when violated.
 
     Costs never change, so the last basis is dual feasible at every node and the dual simplex goes
     on from it. ``work_s`` is what all of it took so far, in seconds.
@@ -91,20 +106,20 @@ class Relaxation:
         self.instance = instance
         self.choices, self.targets = instance.shape
         self.branches: list[Ints32] = []
-        self.cuts: dict[int, Row] = {}
+        self.cuts: dict[int, Constraint] = {}
         self._cuts_made, self.work_s = 0, 0.0
         self._kind = np.empty(0, np.int8)
         self._number = np.empty(0, np.int64)
-        self._columns = np.arange(self.choices, dtype=np.int32)
+        self._variables = np.arange(self.choices, dtype=np.int32)
         self._highs = quiet_highs(presolve="off", simplex_strategy=1)
         self._highs.addVars(self.choices, np.zeros(self.choices), np.ones(self.choices))
-        self._highs.changeColsCost(self.choices, self._columns, instance.cost)
+        self._highs.changeColsCost(self.choices, self._variables, instance.cost)
         rare = np.argsort(np.diff(instance.by_target.indptr), kind="stable")
-        self._add_rows(_TARGET, np.sort(rare[:FIRST_TARGETS]))
+        self._add(_TARGET, np.sort(rare[:FIRST_TARGETS]))
 
-    def add_branch(self, rows: Ints32) -> int:
-        """Number of the new constraint that one of ``rows`` is taken."""
-        self.branches.append(rows.astype(np.int32))
+    def add_branch(self, choices: Ints32) -> int:
+        """Number of the new constraint that one of ``choices`` is taken."""
+        self.branches.append(choices.astype(np.int32))
         return len(self.branches) - 1
 
     def members(self, path: tuple[int, ...]) -> Bools:
@@ -126,6 +141,7 @@ class Relaxation:
             solution = self._read(node)
             if solution.bound > goal or not solution.complete or deadline.passed():
                 return replace(solution, complete=False)
+            # Only where the bound has risen, or the same targets could leave and join for ever.
             if solution.bound > risen + _TOLERANCE and len(self._kind) > FIRST_TARGETS:
                 risen = solution.bound
                 self._delete(self._slack(np.array(self._highs.getSolution().row_value)) > _LOOSE)
@@ -133,7 +149,7 @@ class Relaxation:
                 return solution
 
     def _run(self, deadline: Deadline) -> None:
-        """Solve with the rows of the moment, within the limit."""
+        """Solve with the constraints of the moment, within the limit."""
         entries = self._highs.getNumNz()
         iteration_s = _ITERATION_S * entries**0.5
         self._highs.setOptionValue(
@@ -158,9 +174,9 @@ class Relaxation:
         raw = self._highs.getSolution()
         value, dual = np.array(raw.row_value), np.array(raw.row_dual)
         sources = np.flatnonzero((self._kind == _TARGET) | (self._kind == _CUT))
-        rows = [self._row(self._kind[k], self._number[k]) for k in sources]
-        excess = value[sources] - np.array([row.low for row in rows])
-        tight = [row for row, e in zip(rows, excess, strict=True) if e <= _TOLERANCE]
+        constraints = [self._constraint(self._kind[k], self._number[k]) for k in sources]
+        excess = value[sources] - np.array([one.low for one in constraints])
+        tight = [one for one, e in zip(constraints, excess, strict=True) if e <= _TOLERANCE]
         cuts, work_s = balas_ng_cuts(tight, solution.x)
         deadline.spend(work_s)
         if parity or not cuts:
@@ -176,7 +192,7 @@ class Relaxation:
         numbers = np.arange(self._cuts_made, self._cuts_made + len(cuts))
         self.cuts |= dict(zip(numbers.tolist(), cuts, strict=True))
         self._cuts_made += len(cuts)
-        self._add_rows(_CUT, numbers)
+        self._add(_CUT, numbers)
         return self.solve(node, goal, deadline)
 
     def targets_inside(self) -> Ints:
@@ -184,8 +200,8 @@ class Relaxation:
         return self._number[self._kind == _TARGET]
 
     def purge(self, solution: Solution) -> None:
-        """Leave out slack targets once there are too many rows."""
-        if len(self._kind) <= MOST_ROWS:
+        """Leave out slack targets once there are too many constraints."""
+        if len(self._kind) <= MOST_CONSTRAINTS:
             return
         slack = self._slack(np.array(self._highs.getSolution().row_value)) > _TOLERANCE
         target = self._kind == _TARGET
@@ -193,7 +209,7 @@ class Relaxation:
         self._delete(slack)
 
     def _slack(self, value: Floats) -> Floats:
-        """By how much targets are seen more than they need, given each row's value; else 0."""
+        """By how much targets are seen more than they need, by constraints' values; else 0."""
         target = self._kind == _TARGET
         slack = np.zeros(len(target))
         slack[target] = value[target] - self.instance.need[self._number[target]]
@@ -208,6 +224,7 @@ class Relaxation:
         x, dual = np.array(raw.col_value), np.array(raw.row_dual)
         if len(dual) != len(self._kind) or not np.isfinite(dual).all():
             return self._stopped(0.0)
+        # Duals of the right sign give a bound that holds, whatever the solver's tolerances.
         dual = np.where(self._kind == _GROUP, np.minimum(dual, 0.0), np.maximum(dual, 0.0))
         target_dual = np.zeros(self.targets)
         target = self._kind == _TARGET
@@ -216,15 +233,15 @@ class Relaxation:
         cost = reduced_costs(by_choice.indptr, by_choice.indices, self.instance.cost, target_dual)
         bound = float((target_dual * self.instance.need).sum())
         others = np.flatnonzero(~target & (dual != 0))
-        rows = [self._row(self._kind[k], self._number[k]) for k in others]
-        for row, price in zip(rows, dual[others], strict=True):
-            cost[row.index] -= price * row.value
-            bound += price * row.low
+        constraints = [self._constraint(self._kind[k], self._number[k]) for k in others]
+        for one, price in zip(constraints, dual[others], strict=True):
+            cost[one.index] -= price * one.value
+            bound += price * one.low
         bound += cost[node.fixed].sum()
         bound += np.minimum(cost[node.alive & ~node.fixed], 0.0).sum()
         optimal = self._highs.getModelStatus() == highspy.HighsModelStatus.kOptimal
         priced = tuple(
-            (row, price) for row, price in zip(rows, dual[others], strict=True) if price > 0
+            (one, price) for one, price in zip(constraints, dual[others], strict=True) if price > 0
         )
         return Solution(float(bound), x, cost, target_dual, optimal, priced)
 
@@ -243,20 +260,20 @@ class Relaxation:
         load = np.bincount(group[grouped], x[grouped], minlength=1)
         load[self._number[self._kind == _GROUP]] = 0.0
         crowded = np.flatnonzero(load > 1 + _TOLERANCE)
-        self._add_rows(_TARGET, bad)
-        self._add_rows(_GROUP, crowded)
+        self._add(_TARGET, bad)
+        self._add(_GROUP, crowded)
         return bool(len(bad) or len(crowded))
 
     def _enter(self, node: Node) -> None:
         """Bounds and branch constraints of a node."""
         low = node.fixed.astype(np.float64)
-        self._highs.changeColsBounds(self.choices, self._columns, low, node.alive.astype(float))
+        self._highs.changeColsBounds(self.choices, self._variables, low, node.alive.astype(float))
         branch = self._kind == _BRANCH
         self._delete(branch & ~np.isin(self._number, node.path))
         present = self._number[self._kind == _BRANCH]
-        self._add_rows(_BRANCH, np.setdiff1d(np.array(node.path, np.int64), present))
+        self._add(_BRANCH, np.setdiff1d(np.array(node.path, np.int64), present))
 
-    def _row(self, kind: int, number: int) -> Row:
+    def _constraint(self, kind: int, number: int) -> Constraint:
         if kind == _CUT:
             return self.cuts[number]
         if kind == _BRANCH:
@@ -267,24 +284,24 @@ class Relaxation:
         index = by_target.indices[by_target.indptr[number] : by_target.indptr[number + 1]]
         return _counted(index, float(self.instance.need[number]))
 
-    def _add_rows(self, kind: int, numbers: Ints) -> None:
+    def _add(self, kind: int, numbers: Ints) -> None:
         if not len(numbers):
             return
-        rows = [self._row(kind, number) for number in numbers]
-        start = np.cumsum([0] + [len(row.index) for row in rows])
-        bound = np.array([row.low for row in rows])
-        low = np.full(len(rows), -np.inf) if kind == _GROUP else bound
-        high = bound if kind == _GROUP else np.full(len(rows), np.inf)
+        constraints = [self._constraint(kind, number) for number in numbers]
+        start = np.cumsum([0] + [len(one.index) for one in constraints])
+        bound = np.array([one.low for one in constraints])
+        low = np.full(len(constraints), -np.inf) if kind == _GROUP else bound
+        high = bound if kind == _GROUP else np.full(len(constraints), np.inf)
         self._highs.addRows(
-            len(rows),
+            len(constraints),
             low,
             high,
             start[-1],
             start[:-1].astype(np.int32),
-            np.concatenate([row.index for row in rows]),
-            np.concatenate([row.value for row in rows]),
+            np.concatenate([one.index for one in constraints]),
+            np.concatenate([one.value for one in constraints]),
         )
-        self._kind = np.append(self._kind, np.full(len(rows), kind, np.int8))
+        self._kind = np.append(self._kind, np.full(len(constraints), kind, np.int8))
         self._number = np.append(self._number, numbers)
 
     def _delete(self, gone: Bools) -> None:
@@ -293,6 +310,6 @@ class Relaxation:
             self._kind, self._number = self._kind[~gone], self._number[~gone]
 
 
-def _counted(index: NDArray[np.integer], low: float) -> Row:
-    """So many of some rows."""
-    return Row(index.astype(np.int32), np.ones(len(index)), low)
+def _counted(index: NDArray[np.integer], low: float) -> Constraint:
+    """So many of some choices."""
+    return Constraint(index.astype(np.int32), np.ones(len(index)), low)

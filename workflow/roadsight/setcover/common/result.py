@@ -16,20 +16,20 @@ INFEASIBLE = "infeasible"
 
 @dataclass(frozen=True)
 class Cover:
-    """Chosen rows and how far they are proven.
+    """What is chosen, and how far it is proven.
 
     Parameters
     ----------
     status : "optimal" (proven), "within_gap" (proven as far as was asked for), "time_limit" (not
         proven) or "infeasible".
-    chosen : sorted row numbers; empty where nothing feasible was found.
-    objective : cost of the chosen rows, or covered weight for a budget; infinite (cover) where
+    chosen : sorted numbers of choices; empty where nothing feasible was found.
+    objective : cost of what is chosen, or covered weight for a budget; infinite (cover) where
         nothing feasible was found.
     bound : proven lower bound of the cost, or upper bound of the covered weight.
     gap : distance of objective and bound over the larger of the two; 0 where both are 0.
     seconds_cpu : CPU seconds of this process.
-    uncoverable : targets that too few rows can cover, sorted.
-    reductions : numbers of rows and columns before and after each step.
+    uncoverable : targets that too few choices can cover, sorted.
+    reductions : numbers of choices ("rows") and targets ("columns") before and after each step.
     lp_bound : bound of the linear relaxation, in cost; None where it was not needed.
     nodes : nodes of the search tree.
     """

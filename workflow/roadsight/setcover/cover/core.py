@@ -19,7 +19,10 @@ from roadsight.setcover.cover.local_search import LocalSearch
 from roadsight.setcover.cover.search import Outcome
 
 _LARGEST_SHARE = 0.5
+"""Share of all targets that is still a core: with more of them the proof is hardly easier, and may
+have to begin again once other targets join."""
 _STEPS = 2_000
+"""Steps of local search after a cover of the core that leaves targets open, which join it."""
 
 SolvePart = Callable[[Instance, Deadline, float], Outcome]
 """Outcome of an instance: its best cover, or any that costs less than a ceiling."""

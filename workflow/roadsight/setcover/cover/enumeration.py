@@ -1,9 +1,9 @@
 """Covers that cost no more than asked, found or excluded by what the duals leave.
 
-Whatever a cover costs above the bound of a relaxation, it pays in reduced costs of its rows and in
-constraints with a dual that it meets by more than they ask for (complementary slackness). Where
-little is left to pay, few rows go together. So rows are tried one after the other, those of the
-target that fewest of them cover first, and a row is out as soon as it is too dear beside those
+Whatever a cover costs above the bound of a relaxation, it pays in reduced costs of its choices and
+in constraints with a dual that it meets by more than they ask for (complementary slackness). Where
+little is left to pay, few choices go together. So choices are tried one after the other, those of
+the target that fewest of them cover first, and one is out as soon as it is too dear beside those
 that are taken. No linear program is solved on the way.
 """
 
@@ -25,12 +25,23 @@ from roadsight.setcover.cover.enumeration_kernels import (
     Prices,
     Targets,
     affordable_pairs,
-    enumerate_rows,
+    enumerate_choices,
 )
 
-_MOST_ROWS, _MOST_WORDS = 4_096, 2**23
-_PRICED, _TIGHT, _TOLERANCE = 1e-9, 0.02, 1e-7
-_MOVE_S, _ENTRY_S = 2e-9, 1e-8  # work, measured: a word or entry looked at, one set up
+_MOST_CHOICES = 4_096
+"""Pairs of more choices would take more than 2 MiB of bits."""
+_MOST_WORDS = 2**23
+"""Most words of 64 bits that targets and depths may take: 64 MiB."""
+_PRICED = 1e-9
+"""Targets of a dual above this have a price."""
+_TIGHT = 0.02
+"""Targets that the shares cover by less than this above their need are looked at before others."""
+_TOLERANCE = 1e-7
+"""Room for rounding in slack and money: a cover of exactly the goal must be found."""
+_MOVE_S = 2e-9
+"""Work by word or entry that is looked at, in seconds, measured."""
+_ENTRY_S = 1e-8
+"""Work by entry that is set up, in seconds, measured."""
 
 
 @dataclass(frozen=True)
@@ -62,66 +73,66 @@ def enumerate_covers(
     """
     slack = goal - solution.bound + _TOLERANCE * max(1.0, abs(goal))
     dear = np.maximum(solution.reduced_cost, 0.0) > slack
-    rows = np.flatnonzero(node.alive & ~node.fixed & ~dear)
+    choices = np.flatnonzero(node.alive & ~node.fixed & ~dear)
     fixed = np.flatnonzero(node.fixed)
     money = goal - float(instance.cost[fixed].sum()) + _TOLERANCE
-    depths = 2 + int(np.searchsorted(np.sort(instance.cost[rows]).cumsum(), money, "right"))
-    if not _is_small(instance, len(rows), depths):
+    depths = 2 + int(np.searchsorted(np.sort(instance.cost[choices]).cumsum(), money, "right"))
+    if not _is_small(instance, len(choices), depths):
         return Enumeration(False, None, 0.0)
-    rows = rows[np.argsort(-solution.x[rows], kind="stable")]
-    prices, slack = _prices(instance, solution, rows, fixed, slack)
-    targets = _targets(instance, solution, rows, fixed)
+    choices = choices[np.argsort(-solution.x[choices], kind="stable")]
+    prices, slack = _prices(instance, solution, choices, fixed, slack)
+    targets = _targets(instance, solution, choices, fixed)
     work_s = _ENTRY_S * (prices.value.size + 2 * len(targets.target))
-    pairs = affordable_pairs(prices, instance.group[rows], slack)
-    answer, taken, moves = enumerate_rows(
+    pairs = affordable_pairs(prices, instance.group[choices], slack)
+    answer, taken, moves = enumerate_choices(
         prices, targets, pairs, slack, money, depths, (most_work_s - work_s) / _MOVE_S
     )
     cover = None
     if answer == FOUND:
         cover = node.fixed.copy()
-        cover[rows[taken]] = True
+        cover[choices[taken]] = True
     return Enumeration(answer == EXCLUDED, cover, work_s + _MOVE_S * moves)
 
 
-def _is_small(instance: Instance, rows: int, depths: int) -> bool:
+def _is_small(instance: Instance, choices: int, depths: int) -> bool:
     """Whether bits of all targets, and needs and prices at all depths, find room."""
-    words = (rows + 63) // 64 * instance.shape[1] + depths * (rows + instance.shape[1])
-    return 0 < rows <= _MOST_ROWS and words <= _MOST_WORDS
+    words = (choices + 63) // 64 * instance.shape[1] + depths * (choices + instance.shape[1])
+    return 0 < choices <= _MOST_CHOICES and words <= _MOST_WORDS
 
 
 def _prices(
     instance: Instance,
     solution: Solution,
-    rows: Ints,
+    choices: Ints,
     fixed: Ints,
     slack: float,
 ) -> tuple[Prices, float]:
-    """What rows use of the slack, and what fixed rows leave of it.
+    """What choices use of the slack, and what fixed ones leave of it.
 
-    Constraints that the fixed rows meet make each row that is in them dearer, whatever else is
-    taken.
+    Constraints that the fixed choices meet make each choice that is in them dearer, whatever else
+    is taken.
     """
     priced = np.flatnonzero(solution.target_dual > _PRICED)
-    more = [row for row, _ in solution.priced]
+    more = [one for one, _ in solution.priced]
     every = sparse.vstack(
         [instance.by_target[:, priced].T, stacked(more, instance.shape[0])], format="csr"
     ).astype(np.float64)
     dual = np.concatenate([solution.target_dual[priced], [price for _, price in solution.priced]])
-    low = np.concatenate([instance.need[priced], [row.low for row in more]])
+    low = np.concatenate([instance.need[priced], [one.low for one in more]])
     low = low - np.asarray(every[:, fixed].sum(axis=1)).ravel()
-    met, value = low <= 0, every[:, rows].toarray()
+    met, value = low <= 0, every[:, choices].toarray()
     slack += float(dual[met] @ low[met])
-    reduced = np.maximum(solution.reduced_cost[rows], 0.0)
+    reduced = np.maximum(solution.reduced_cost[choices], 0.0)
     beyond = np.maximum(value - np.maximum(low, 0.0)[:, None], 0.0)
     reduced += (dual[:, None] * beyond).sum(axis=0)
-    left = every[~met][:, rows]
-    bits = pack_bits(left.indptr, left.indices, len(rows))
-    by_row = left.T.tocsr()
+    left = every[~met][:, choices]
+    bits = pack_bits(left.indptr, left.indices, len(choices))
+    by_choice = left.T.tocsr()
     prices = Prices(
-        instance.cost[rows],
+        instance.cost[choices],
         reduced,
-        by_row.indptr,
-        by_row.indices,
+        by_choice.indptr,
+        by_choice.indices,
         value[~met],
         bits,
         low[~met],
@@ -133,21 +144,21 @@ def _prices(
 def _targets(
     instance: Instance,
     solution: Solution,
-    rows: Ints,
+    choices: Ints,
     fixed: Ints,
 ) -> Targets:
-    """What rows cover of the targets that are open, those that the shares cover least first."""
+    """What choices cover of the targets that are open, those that the shares cover least first."""
     need = instance.need - np.asarray(instance.by_choice[fixed].sum(axis=0, dtype=np.int32)).ravel()
     spare = instance.by_choice.T @ solution.x - instance.need
     is_open = np.flatnonzero(need > 0)
     is_open = is_open[np.argsort(spare[is_open], kind="stable")]
-    covers = instance.by_choice[rows][:, is_open].tocsr()
+    covers = instance.by_choice[choices][:, is_open].tocsr()
     covered_by = covers.T.tocsr()
     first = int(np.searchsorted(spare[is_open], _TIGHT, "right"))
     return Targets(
         covers.indptr,
         covers.indices,
-        pack_bits(covered_by.indptr, covered_by.indices, len(rows)),
+        pack_bits(covered_by.indptr, covered_by.indices, len(choices)),
         need[is_open].astype(np.int32),
         first,
     )

@@ -1,4 +1,4 @@
-"""Compiled search for sets of rows that stay within a slack, see `enumeration`."""
+"""Compiled search for sets of choices that stay within a slack, see `enumeration`."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ UNDECIDED, EXCLUDED, FOUND = 0, 1, 2
 
 
 class Prices(NamedTuple):
-    """What rows use of the slack.
+    """What choices use of the slack.
 
     Parameters
     ----------
-    cost : (n,) cost of each row. reduced : (n,) its reduced cost, at least 0.
-    start, constraint : constraints of each row, CSR (n, constraints).
-    value, bits : (constraints, n) how much of each constraint a row is, and where it is above 0.
+    cost : (n,) cost of each choice. reduced : (n,) its reduced cost, at least 0.
+    start, constraint : constraints of each choice, CSR (n, constraints).
+    value, bits : (constraints, n) how much of each constraint a choice is, and where that is above
+        0.
     low, dual : (constraints,) what each asks for, above 0, and the price of each unit above it.
     """
 
@@ -35,11 +36,12 @@ class Prices(NamedTuple):
 
 
 class Targets(NamedTuple):
-    """What rows cover.
+    """What choices cover.
 
     Parameters
     ----------
-    start, target : targets of each row, CSR (n, targets). bits : (targets, words) rows of each.
+    start, target : targets of each choice, CSR (n, targets). bits : (targets, words) choices of
+        each.
     need : (targets,) how often each is still to be covered.
     first : so many of them are looked at before the others.
     """
@@ -52,7 +54,7 @@ class Targets(NamedTuple):
 
 
 class _Stack(NamedTuple):
-    """State at each depth: rows that may be taken, what they would use, and those left to try."""
+    """State at each depth: choices that may be taken, what they would use, those left to try."""
 
     alive: Bits
     price: Floats
@@ -67,15 +69,15 @@ class _Stack(NamedTuple):
 
 @njit(cache=True)
 def affordable_pairs(prices: Prices, group: Ints, slack: float) -> Bits:
-    """Bits (n, words) of the rows that each row can be taken together with."""
+    """Bits (n, words) of the choices that each choice can be taken together with."""
     count = len(prices.reduced)
     bits = np.zeros((count, (count + 63) // 64), np.uint64)
     for i in range(count):
         price = prices.reduced[i] + prices.reduced
         for p in range(prices.start[i], prices.start[i + 1]):
-            r = prices.constraint[p]
-            spare = prices.low[r] - prices.value[r, i]
-            _charge(price, prices, r, prices.bits[r], prices.low[r], spare)
+            c = prices.constraint[p]
+            spare = prices.low[c] - prices.value[c, i]
+            _charge(price, prices, c, prices.bits[c], prices.low[c], spare)
         for j in range(count):
             apart = j != i and (group[i] < 0 or group[i] != group[j])
             if apart and price[j] <= slack:
@@ -84,14 +86,16 @@ def affordable_pairs(prices: Prices, group: Ints, slack: float) -> Bits:
 
 
 @njit(cache=True)
-def _charge(price: Floats, prices: Prices, r: int, rows: Bits, before: float, spare: float) -> int:
-    """Make rows dearer by what they are of a constraint beyond the spare room that is left.
+def _charge(
+    price: Floats, prices: Prices, c: int, choices: Bits, before: float, spare: float
+) -> int:
+    """Make choices dearer by what they are of constraint c beyond the spare room that is left.
 
-    ``before`` is the room that there was. Returns how many rows there are.
+    ``before`` is the room that there was. Returns how many choices there are.
     """
-    value, dual, count = prices.value[r], prices.dual[r], 0
-    for w in range(len(rows)):
-        rest = rows[w]
+    value, dual, count = prices.value[c], prices.dual[c], 0
+    for w in range(len(choices)):
+        rest = choices[w]
         while rest:
             k = w * 64 + _lowest(rest)
             rest &= rest - np.uint64(1)
@@ -106,7 +110,7 @@ def _beyond(value: float, spare: float) -> float:
 
 
 @njit(cache=True)
-def enumerate_rows(
+def enumerate_choices(
     prices: Prices,
     targets: Targets,
     pairs: Bits,
@@ -115,33 +119,33 @@ def enumerate_rows(
     depths: int,
     most_moves: float,
 ) -> tuple[int, Ints, float]:
-    """Rows that cover all targets within slack and money, or that there are none.
+    """Choices that cover all targets within slack and money, or that there are none.
 
     Parameters
     ----------
-    depths : more than rows that can be paid, by two at least.
+    depths : more than choices that can be paid, by two at least.
 
     Returns
     -------
-    one of the answers above, the rows that were found, words and entries looked at
+    one of the answers above, the choices that were found, words and entries looked at
     """
     stack = _new_stack(prices, targets, pairs, slack, money, depths)
-    _drop_dear_rows(stack, prices, 0)
+    _drop_dear(stack, prices, 0)
     depth, moves = 0, _choose_target(stack, targets, 0)
     while depth >= 0:
         if stack.target[depth] < 0:
             return FOUND, stack.taken[:depth].copy(), moves
         if moves > most_moves:
             return UNDECIDED, stack.taken[:0].copy(), moves
-        row = _next_row(stack, depth)
-        if row < 0:
+        choice = _next_choice(stack, depth)
+        if choice < 0:
             depth -= 1
             continue
         depth += 1
-        moves += _take(stack, prices, targets, pairs, depth, row)
+        moves += _take(stack, prices, targets, pairs, depth, choice)
         if stack.money[depth] < 2 * prices.cost.min():
             moves += _keep_those_that_cover_all(stack, targets, depth)
-        _drop_dear_rows(stack, prices, depth)
+        _drop_dear(stack, prices, depth)
         moves += _choose_target(stack, targets, depth)
     return EXCLUDED, stack.taken[:0].copy(), moves
 
@@ -171,7 +175,7 @@ def _new_stack(
 
 @njit(cache=True)
 def _choose_target(stack: _Stack, targets: Targets, depth: int) -> float:
-    """Set the open target with the fewest rows, -1 where none is open; its rows are to be tried.
+    """Set the open target with the fewest choices (-1: none is open), which are to be tried.
 
     Returns the words looked at.
     """
@@ -213,8 +217,8 @@ def _lowest(word: np.uint64) -> int:
 
 
 @njit(cache=True)
-def _next_row(stack: _Stack, depth: int) -> int:
-    """Take the next row off those that are left to try, -1 where they are too few."""
+def _next_choice(stack: _Stack, depth: int) -> int:
+    """Take the next choice off those that are left to try, -1 where they are too few."""
     branch, left = stack.branch[depth], 0
     for word in branch:
         left += _ones(word)
@@ -231,39 +235,39 @@ def _next_row(stack: _Stack, depth: int) -> int:
 
 @njit(cache=True)
 def _take(
-    stack: _Stack, prices: Prices, targets: Targets, pairs: Bits, depth: int, row: int
+    stack: _Stack, prices: Prices, targets: Targets, pairs: Bits, depth: int, choice: int
 ) -> float:
-    """State at a depth, with a row more than at the one before; words and entries looked at."""
+    """State at a depth, with a choice more than above it; words and entries looked at."""
     above = depth - 1
-    stack.taken[above] = row
-    stack.slack[depth] = stack.slack[above] - stack.price[above, row]
-    stack.money[depth] = stack.money[above] - prices.cost[row]
-    stack.alive[depth] = stack.alive[above] & pairs[row]
+    stack.taken[above] = choice
+    stack.slack[depth] = stack.slack[above] - stack.price[above, choice]
+    stack.money[depth] = stack.money[above] - prices.cost[choice]
+    stack.alive[depth] = stack.alive[above] & pairs[choice]
     stack.need[depth] = stack.need[above]
-    need, start, end = stack.need[depth], targets.start[row], targets.start[row + 1]
+    need, start, end = stack.need[depth], targets.start[choice], targets.start[choice + 1]
     for p in range(start, end):
         need[targets.target[p]] -= 1
-    return end - start + len(need) // 8 + _charge_others(stack, prices, depth, row)
+    return end - start + len(need) // 8 + _charge_others(stack, prices, depth, choice)
 
 
 @njit(cache=True)
-def _charge_others(stack: _Stack, prices: Prices, depth: int, row: int) -> float:
-    """Make the rows that can be taken after a row dearer; words and entries looked at."""
+def _charge_others(stack: _Stack, prices: Prices, depth: int, choice: int) -> float:
+    """Make what can be taken after a choice dearer; words and entries looked at."""
     stack.spare[depth], stack.price[depth] = stack.spare[depth - 1], stack.price[depth - 1]
     spare, alive = stack.spare[depth], stack.alive[depth]
     price, moves = stack.price[depth], 0
-    for p in range(prices.start[row], prices.start[row + 1]):
-        r = prices.constraint[p]
-        before = spare[r]
-        spare[r] -= prices.value[r, row]
-        rows = alive & prices.bits[r]
-        moves += len(alive) + _charge(price, prices, r, rows, before, spare[r])
+    for p in range(prices.start[choice], prices.start[choice + 1]):
+        c = prices.constraint[p]
+        before = spare[c]
+        spare[c] -= prices.value[c, choice]
+        others = alive & prices.bits[c]
+        moves += len(alive) + _charge(price, prices, c, others, before, spare[c])
     return float(moves)
 
 
 @njit(cache=True)
-def _drop_dear_rows(stack: _Stack, prices: Prices, depth: int) -> None:
-    """Switch off rows that are too dear beside those that are taken."""
+def _drop_dear(stack: _Stack, prices: Prices, depth: int) -> None:
+    """Switch off choices that are too dear beside those that are taken."""
     alive, price, cost = stack.alive[depth], stack.price[depth], prices.cost
     slack, money = stack.slack[depth], stack.money[depth]
     for w in range(len(alive)):
@@ -277,7 +281,7 @@ def _drop_dear_rows(stack: _Stack, prices: Prices, depth: int) -> None:
 
 @njit(cache=True)
 def _keep_those_that_cover_all(stack: _Stack, targets: Targets, depth: int) -> float:
-    """Where one more row can be paid, it has to cover all that is open; words looked at."""
+    """Where one more choice can be paid, it has to cover all that is open; words looked at."""
     alive, need, bits = stack.alive[depth], stack.need[depth], targets.bits
     moves = 0.0
     for t in range(targets.first):

@@ -1,4 +1,4 @@
-"""Moves of rows into and out of a cover, compiled: greedy, and with weights on hard targets."""
+"""Moves of choices into and out of a cover, compiled: greedy, and with weights on hard targets."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from roadsight.base.arrays import Bools, Floats, Ints, Ints32
 _State = namedtuple(
     "_State", "inside member place score ready stamp count weight open spot occupant sizes"
 )
-"""Search state: ``score`` is the weight gained by adding a row, or lost by removing it; ``sizes``
-holds the numbers of members and of open targets."""
+"""Search state: ``score`` is the weight gained by adding a choice, or lost by removing it;
+``sizes`` holds the numbers of members and of open targets."""
 
 
 @njit(cache=True)
 def _new_state(start, index, need, group):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    rows, targets = len(start) - 1, len(need)
+    choices, targets = len(start) - 1, len(need)
     return _State(
-        np.zeros(rows, np.bool_),
-        np.empty(rows, np.int32),
-        np.empty(rows, np.int32),
+        np.zeros(choices, np.bool_),
+        np.empty(choices, np.int32),
+        np.empty(choices, np.int32),
         (start[1:] - start[:-1]).astype(np.int64),
-        np.ones(rows, np.bool_),
-        np.zeros(rows, np.int64),
+        np.ones(choices, np.bool_),
+        np.zeros(choices, np.int64),
         np.zeros(targets, np.int32),
         np.ones(targets, np.int64),
         np.arange(targets).astype(np.int32),
@@ -36,19 +36,19 @@ def _new_state(start, index, need, group):  # type: ignore[no-untyped-def]  # no
 
 
 @njit(cache=True)
-def _add(row, start, index, tstart, tindex, need, group, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    state.inside[row] = True
-    state.member[state.sizes[0]] = row
-    state.place[row] = state.sizes[0]
+def _add(choice, start, index, tstart, tindex, need, group, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    state.inside[choice] = True
+    state.member[state.sizes[0]] = choice
+    state.place[choice] = state.sizes[0]
     state.sizes[0] += 1
-    if group[row] >= 0:
-        state.occupant[group[row]] = row
-    state.score[row] = 0
-    for p in range(start[row], start[row + 1]):
+    if group[choice] >= 0:
+        state.occupant[group[choice]] = choice
+    state.score[choice] = 0
+    for p in range(start[choice], start[choice + 1]):
         t = index[p]
         state.count[t] += 1
         if state.count[t] <= need[t]:
-            state.score[row] += state.weight[t]
+            state.score[choice] += state.weight[t]
         if state.count[t] == need[t]:
             state.sizes[1] -= 1
             last = state.open[state.sizes[1]]
@@ -57,27 +57,27 @@ def _add(row, start, index, tstart, tindex, need, group, state):  # type: ignore
         if need[t] <= state.count[t] <= need[t] + 1:
             for q in range(tstart[t], tstart[t + 1]):
                 other = tindex[q]
-                if other == row or state.inside[other] == (state.count[t] == need[t]):
+                if other == choice or state.inside[other] == (state.count[t] == need[t]):
                     continue
                 state.score[other] -= state.weight[t]
                 state.ready[other] = True
 
 
 @njit(cache=True)
-def _remove(row, start, index, tstart, tindex, need, group, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    state.inside[row] = False
+def _remove(choice, start, index, tstart, tindex, need, group, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    state.inside[choice] = False
     state.sizes[0] -= 1
     last = state.member[state.sizes[0]]
-    state.member[state.place[row]] = last
-    state.place[last] = state.place[row]
-    if group[row] >= 0:
-        state.occupant[group[row]] = -1
-    state.score[row] = 0
-    for p in range(start[row], start[row + 1]):
+    state.member[state.place[choice]] = last
+    state.place[last] = state.place[choice]
+    if group[choice] >= 0:
+        state.occupant[group[choice]] = -1
+    state.score[choice] = 0
+    for p in range(start[choice], start[choice + 1]):
         t = index[p]
         state.count[t] -= 1
         if state.count[t] < need[t]:
-            state.score[row] += state.weight[t]
+            state.score[choice] += state.weight[t]
         if state.count[t] == need[t] - 1:
             state.open[state.sizes[1]] = t
             state.spot[t] = state.sizes[1]
@@ -85,16 +85,16 @@ def _remove(row, start, index, tstart, tindex, need, group, state):  # type: ign
         if need[t] - 1 <= state.count[t] <= need[t]:
             for q in range(tstart[t], tstart[t + 1]):
                 other = tindex[q]
-                if other == row or state.inside[other] == (state.count[t] == need[t] - 1):
+                if other == choice or state.inside[other] == (state.count[t] == need[t] - 1):
                     continue
                 state.score[other] += state.weight[t]
                 state.ready[other] = True
-    state.ready[row] = False
+    state.ready[choice] = False
 
 
 @njit(cache=True)
 def _better(a, b, cost, state, sign):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Row a before b: more (sign 1) or less (-1) weight per cost, then the longest at rest."""
+    """Choice a before b: more (sign 1) or less (-1) weight per cost, then the longest at rest."""
     if b < 0:
         return True
     first, second = sign * state.score[a] * cost[b], sign * state.score[b] * cost[a]
@@ -107,9 +107,9 @@ def _better(a, b, cost, state, sign):  # type: ignore[no-untyped-def]  # noqa: A
 def _cheapest_loss(tabu, cost, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     best = -1
     for k in range(state.sizes[0]):
-        row = state.member[k]
-        if row != tabu and _better(row, best, cost, state, -1):
-            best = row
+        choice = state.member[k]
+        if choice != tabu and _better(choice, best, cost, state, -1):
+            best = choice
     return best
 
 
@@ -124,28 +124,28 @@ def fill(
     group: Ints,
     inside: Bools,
 ) -> bool:
-    """Take rows by weight gained per cost, then drop superfluous ones; False where it got stuck.
+    """Take choices by weight gained per cost, then drop superfluous ones; False if it got stuck.
 
-    ``start, index`` is the matrix by row, ``t...`` by target; ``inside`` (m,) takes the result.
+    ``start, index`` is the matrix by choice, ``t...`` by target; ``inside`` (m,) takes the result.
     """
     state = _new_state(start, index, need, group)
     while state.sizes[1] > 0:
         best = -1
-        for row in range(len(cost)):
-            if state.inside[row] or state.score[row] == 0:
+        for choice in range(len(cost)):
+            if state.inside[choice] or state.score[choice] == 0:
                 continue
-            if group[row] >= 0 and state.occupant[group[row]] >= 0:
+            if group[choice] >= 0 and state.occupant[group[choice]] >= 0:
                 continue
-            if _better(row, best, cost, state, 1):
-                best = row
+            if _better(choice, best, cost, state, 1):
+                best = choice
         if best < 0:
             return False
         _add(best, start, index, tstart, tindex, need, group, state)
     while state.sizes[0] > 0:
-        row = _cheapest_loss(-1, cost, state)
-        if state.score[row] > 0:
+        choice = _cheapest_loss(-1, cost, state)
+        if state.score[choice] > 0:
             break
-        _remove(row, start, index, tstart, tindex, need, group, state)
+        _remove(choice, start, index, tstart, tindex, need, group, state)
     inside[:] = state.inside
     return True
 
@@ -167,37 +167,37 @@ def exchange(
 ) -> tuple[Bools, bool, int]:
     """Members, whether they cover all at a cost of at most ``goal``, steps used.
 
-    A step takes out the rows that lose least until the rest is cheap enough, and covers open
+    A step takes out the choices that lose least until the rest is cheap enough, and covers open
     targets, drawn at random, as long as the goal allows; what stays open weighs one more.
 
     Parameters
     ----------
-    start, index : the matrix by row. tstart, tindex : by target. first : (m,) rows to begin with.
+    start, index : the matrix by choice. tstart, tindex : by target. first : (m,) to begin with.
     weight : (n,) of the targets, changed. steps : at most so many.
     """
     state = _new_state(start, index, need, group)
     state.weight[:] = weight
-    for row in range(len(cost)):
-        state.score[row] = 0
-        for p in range(start[row], start[row + 1]):
-            state.score[row] += weight[index[p]]
+    for choice in range(len(cost)):
+        state.score[choice] = 0
+        for p in range(start[choice], start[choice + 1]):
+            state.score[choice] += weight[index[p]]
     total = 0.0
-    for row in range(len(cost)):
-        if first[row]:
-            _add(row, start, index, tstart, tindex, need, group, state)
-            total += cost[row]
+    for choice in range(len(cost)):
+        if first[choice]:
+            _add(choice, start, index, tstart, tindex, need, group, state)
+            total += cost[choice]
     tabu = -1
     for step in range(1, steps + 1):
         if state.sizes[1] == 0 and total <= goal:
             return state.inside.copy(), True, step
-        row = _cheapest_loss(tabu, cost, state)
-        while row >= 0:
-            _remove(row, start, index, tstart, tindex, need, group, state)
-            state.stamp[row] = step
-            total -= cost[row]
+        choice = _cheapest_loss(tabu, cost, state)
+        while choice >= 0:
+            _remove(choice, start, index, tstart, tindex, need, group, state)
+            state.stamp[choice] = step
+            total -= cost[choice]
             if total <= goal and state.sizes[1] > 0:
                 break
-            row = _cheapest_loss(tabu, cost, state)
+            choice = _cheapest_loss(tabu, cost, state)
         while state.sizes[1] > 0:
             t = state.open[rng.integers(0, state.sizes[1])]
             best = _best_ready(t, tstart, tindex, cost, total, goal, state)
@@ -213,7 +213,7 @@ def exchange(
             total += cost[best]
             tabu = best
             if mate >= 0:
-                break  # two rows of one group could replace each other for ever
+                break  # two choices of one group could replace each other for ever
         _weigh_open(tstart, tindex, state)
     weight[:] = state.weight
     return state.inside.copy(), state.sizes[1] == 0 and total <= goal, steps
@@ -221,20 +221,20 @@ def exchange(
 
 @njit(cache=True)
 def _best_ready(t, tstart, tindex, cost, total, goal, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Affordable row over target t that gains most; -1: none."""
+    """Affordable choice over target t that gains most; -1: none."""
     best = -1
     for q in range(tstart[t], tstart[t + 1]):
-        row = tindex[q]
-        if not state.ready[row] or state.inside[row] or total + cost[row] > goal:
+        choice = tindex[q]
+        if not state.ready[choice] or state.inside[choice] or total + cost[choice] > goal:
             continue
-        if _better(row, best, cost, state, 1):
-            best = row
+        if _better(choice, best, cost, state, 1):
+            best = choice
     return best
 
 
 @njit(cache=True)
 def _weigh_open(tstart, tindex, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Open targets weigh one more, for members too: a target may need several rows."""
+    """Open targets weigh one more, for members too: a target may need several."""
     for k in range(state.sizes[1]):
         t = state.open[k]
         state.weight[t] += 1

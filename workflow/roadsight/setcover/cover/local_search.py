@@ -11,14 +11,26 @@ from roadsight.setcover.common.reductions import arrays
 from roadsight.setcover.cover.exchanges import exchange, fill
 
 FIRST_STEPS = 2_000
-_SPARE_STEPS, MOST_SPARE = 4_000, 50
+"""Steps of a search where the bound leaves one choice to spare at most."""
+_SPARE_STEPS = 4_000
+"""Steps more for each further choice that the bound leaves."""
+MOST_SPARE = 50
+"""Choices that the bound leaves beyond this make a search no longer."""
 _CHUNK = 2_000
-_NEW_TARGETS, _NEW_SHARE = 50, 1 / 50
-_STEP_S, _ENTRY_S = 2.5e-6, 3e-10  # work of a step, measured: fixed, and by entry of the matrix
+"""Steps between two looks at the limit."""
+_NEW_TARGETS = 50
+"""Most open targets that join at once, unless the share below is more."""
+_NEW_SHARE = 1 / 50
+"""Most open targets that join at once, as a share of all: the fewer join, the more trials a long
+road takes before all that matter are in."""
+_STEP_S = 2.5e-6
+"""Fixed work of a step, in seconds, measured."""
+_ENTRY_S = 3e-10
+"""Work of a step by entry of the matrix, in seconds, measured."""
 
 
 def greedy_cover(instance: Instance) -> Bools | None:
-    """Rows by weight gained per cost, then without the superfluous ones; None if it got stuck."""
+    """Choices by weight gained per cost, without the superfluous ones; None if it got stuck."""
     inside = np.zeros(instance.shape[0], bool)
     done = fill(*arrays(instance), instance.cost, instance.need, instance.group, inside)
     return inside if done else None
@@ -78,7 +90,7 @@ class LocalSearch:
         return 0
 
     def _chunk(self, part: Instance, steps: int, deadline: Deadline) -> tuple[int, bool]:
-        """Steps used, and whether more targets became active."""
+        """Steps used (a target that joins counts as one), and whether targets joined."""
         weight = self._weight[self.active]
         goal = self.instance.goal(self.cost)
         self._trial, found, used = exchange(
@@ -127,10 +139,12 @@ def search_while_it_pays(
     apart: float = 0.0,
     most_spare: int = MOST_SPARE,
 ) -> None:
-    """Search the longer, the more rows the bound leaves, and again after each find.
+    """Search the longer, the more choices the bound leaves, and again after each find.
 
-    It pays as long as a cheaper cover may cost more than so many rows above the bound.
-    ``most_spare``: so many of the rows that the bound leaves make it longer at most.
+    Parameters
+    ----------
+    apart : it pays while a cheaper cover may cost more than so many mean costs above the bound.
+    most_spare : so many of the choices that the bound leaves make it longer at most.
     """
     instance = local.instance
     enough = instance.round_up(bound)

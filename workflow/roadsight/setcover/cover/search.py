@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from roadsight.base.arrays import Bools, Ints32
-from roadsight.setcover.common.branching import divide
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.kernels import drop_dominated_choices, pack_bits, propagate
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.reductions import MAX_BITS, arrays
 from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
 from roadsight.setcover.common.result import is_within
+from roadsight.setcover.common.tree import BestFirst, is_settled, tighten
+from roadsight.setcover.cover.branching import divide
 from roadsight.setcover.cover.closing import Closing
 from roadsight.setcover.cover.local_search import LocalSearch
 
 _WHOLE = 1e-6
+"""Shares nearer than this to a whole number are whole: ten times the solver's own tolerance."""
 _FIRST_RETRY = 32
+"""Nodes of a tree before local search is tried again: smaller trees end soon by themselves."""
 _STEPS_PER_NODE = 400
-_ENTRY_S = 4e-9  # work of a propagation by entry of the matrix, measured
+"""Steps of local search by node of the tree, each time the tree has doubled. More of them take
+work from the proof, fewer leave the tree to refute covers that local search would have found."""
+_ENTRY_S = 4e-9
+"""Work of a propagation by entry of the matrix, in seconds, measured."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +39,8 @@ class Outcome:
     nodes: int
 
 
-class Search:
-    """Best bound first, the deepest of equals first.
+class Search(BestFirst):
+    """Tree over the relaxation of an instance.
 
     With whole costs all nodes of one rounded-up bound are equal, so that the search goes deep until
     that cost is refuted or reached, and its bound rises step by step: it is proven at any time.
@@ -49,20 +55,25 @@ class Search:
         gap: float = 0.0,
         ceiling: float = np.inf,
     ) -> None:
+        super().__init__(gap)
         self.relaxation, self.local = relaxation, local
-        self.gap, self.ceiling = gap, ceiling
+        self.ceiling = ceiling
         self.instance: Instance = relaxation.instance
-        self.nodes = 0
         self._closing = Closing(relaxation, local, gap, ceiling)
         choices, targets = self.instance.shape
-        rows = self.instance.by_choice
+        matrix = self.instance.by_choice
         small = choices * targets <= MAX_BITS
-        self._bits = pack_bits(rows.indptr, rows.indices, targets) if small else None
+        self._bits = pack_bits(matrix.indptr, matrix.indices, targets) if small else None
 
     @property
     def cost(self) -> float:
         """Cost that a cover must go below to count, in steps."""
         return min(self.local.cost, self.ceiling)
+
+    @property
+    def goal(self) -> float:
+        """Largest bound that still allows a cover that counts, in steps."""
+        return self.instance.goal(self.cost)
 
     @property
     def best(self) -> Bools | None:
@@ -75,44 +86,35 @@ class Search:
 
     def run(self, root: Solution, deadline: Deadline) -> Outcome:
         """Search below the root, whose relaxation is solved."""
-        start = self._tighten(self._everything(), root)
-        queue = [(self.instance.round_up(root.bound), 0, 0, start)]
-        pushed = 0
-        while queue:
-            key, depth, _, node = queue[0]
-            if key > self.instance.goal(self.cost):
-                break
-            below = self.cost < self.ceiling < np.inf
-            if below or deadline.passed() or is_within(self.gap, self.cost, key):
-                return Outcome(self.best, key, self.nodes)
-            heapq.heappop(queue)
-            bound, children = self._expand(node, deadline)
-            if children is None:
-                return Outcome(self.best, key, self.nodes)
-            key = max(key, self.instance.round_up(bound))
-            self._search_again(queue[0][0] if queue else key, deadline)
-            for child in children:
-                pushed += 1
-                heapq.heappush(queue, (key, depth - 1, -pushed, child))
-        return Outcome(self.best, self.cost, self.nodes)
+        start = tighten(self._everything(), root.bound, root.reduced_cost, self.goal)
+        bound = self.prove(start, self.round_up(root.bound), deadline)
+        return Outcome(self.best, self.cost if bound is None else bound, self.nodes)
 
-    def _search_again(self, bound: float, deadline: Deadline) -> None:
+    def round_up(self, bound: float) -> float:
+        """Bound lifted to the next possible cost, in steps."""
+        return self.instance.round_up(bound)
+
+    def is_enough(self, bound: float, deadline: Deadline) -> bool:
+        """Whether a cover below the ceiling is found, the gap is reached, or work is out."""
+        below = self.cost < self.ceiling < np.inf
+        return below or deadline.passed() or is_within(self.gap, self.cost, bound)
+
+    def cut_short(self, bound: float, below: float, waiting: Sequence[float]) -> float:
+        """Bound of the node before it was expanded: its relaxation was not solved to the end."""
+        return bound
+
+    def between(self, bound: float, deadline: Deadline) -> None:
         """Look for a better cover again each time the tree has doubled."""
         if self.nodes < _FIRST_RETRY or self.nodes & (self.nodes - 1):
             return
         enough = bound if np.isinf(self.ceiling) else self.instance.goal(self.ceiling)
         self.local.run(self.nodes * _STEPS_PER_NODE, enough, deadline)
 
-    def _everything(self) -> Node:
-        alive = np.ones(self.instance.shape[0], bool)
-        return Node(alive, ~alive)
-
-    def _expand(self, node: Node, deadline: Deadline) -> tuple[float, tuple[Node, ...] | None]:
-        """Bound and children of a node; None for children where time ran out."""
-        self.nodes += 1
+    def expand(self, node: Node, deadline: Deadline) -> tuple[float, tuple[Node, ...] | None]:
+        """Bound and children of a node; None for children where work ran out."""
         node = Node(node.alive.copy(), node.fixed.copy(), node.path)
         while True:
-            goal = self.instance.goal(self.cost)
+            goal = self.goal
             deadline.spend(_ENTRY_S * self.instance.by_choice.nnz)
             left = self._propagate(node)
             if left is None or self.instance.cost[node.fixed].sum() > goal:
@@ -127,10 +129,9 @@ class Search:
                 return solution.bound, None
             if self._takes(solution):
                 return solution.bound, ()
-            tighter = self._tighten(node, solution)
-            changed = (tighter.alive != node.alive).sum() + (tighter.fixed != node.fixed).sum()
-            node = tighter
-            if changed <= 0.05 * node.alive.sum():
+            before = node
+            node = tighten(before, solution.bound, solution.reduced_cost, self.goal)
+            if is_settled(before, node):
                 break
         return self._divide(node, solution, deadline)
 
@@ -139,13 +140,17 @@ class Search:
     ) -> tuple[float, tuple[Node, ...]]:
         """Bound and children of a node that only cuts can refute."""
         solution = self._closing.strengthen(node, solution, deadline)
-        if solution.exceeds(self.instance.goal(self.cost)) or self._takes(solution):
+        if solution.exceeds(self.goal) or self._takes(solution):
             return solution.bound, ()
         self.relaxation.purge(solution)
         return solution.bound, divide(self.relaxation, node, solution)
 
+    def _everything(self) -> Node:
+        alive = np.ones(self.instance.shape[0], bool)
+        return Node(alive, ~alive)
+
     def _propagate(self, node: Node) -> Ints32 | None:
-        """Needs left after forced rows; None where the node is infeasible. Changes the node."""
+        """Needs left after forced choices; None where the node is infeasible. Changes the node."""
         instance = self.instance
         extra = self.relaxation.members(node.path)
         feasible, left, free = propagate(
@@ -178,12 +183,3 @@ class Search:
         if whole and float(self.instance.cost[chosen].sum()) < self.cost:
             self.local.best = chosen
         return bool(whole)
-
-    def _tighten(self, node: Node, solution: Solution) -> Node:
-        """Fix rows whose other value costs more than the goal by the reduced costs alone."""
-        goal = self.instance.goal(self.cost)
-        free = node.alive & ~node.fixed
-        dear = free & (solution.bound + np.maximum(solution.reduced_cost, 0) > goal)
-        needed = free & (solution.bound - np.minimum(solution.reduced_cost, 0) > goal)
-        both = dear & needed
-        return Node(node.alive & ~dear | both, node.fixed | (needed & ~both), node.path)

@@ -41,11 +41,12 @@ def solve_cover_problem(
 ) -> Cover:
     """Cheapest cover, proven, or the best one found within the limit.
 
-    Reductions, linear relaxation by row generation, greedy and local search, then a search tree
-    over the relaxation. The answer depends on the seed alone, also where a `WorkLimit` is reached,
-    but not where a limit by the clock (a number of seconds) is. Costs that are no multiples of a
-    common step (up to six decimals) are proven to 1e-7 of the objective. With ``gap``, each part of
-    the problem is left as soon as its cover is proven to cost at most that share too much.
+    Reductions, a linear relaxation that targets join as they are violated, greedy and local search,
+    cuts and enumeration, then a search tree over the relaxation. The answer depends on the seed
+    alone, also where a `WorkLimit` is reached, but not where a limit by the clock (a number of
+    seconds) is. Costs that are no multiples of a common step (up to six decimals) are proven to
+    1e-7 of the objective. With ``gap``, each part of the problem is left as soon as its cover is
+    proven to cost at most that share too much.
     """
     start = time.process_time()
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
@@ -168,13 +169,12 @@ def _enough(instance: Instance, best: Bools | None, bound: float, gap: float) ->
 
 
 def _simple_bound(instance: Instance) -> float:
-    """Each target pays the least share of cost that one of its rows asks of its targets."""
-    rows = instance.by_choice
-    share = instance.cost / np.maximum(np.diff(rows.indptr), 1)
-    columns = instance.by_target
-    if not columns.nnz:
+    """Each target pays the least share of cost that one of its choices asks of its targets."""
+    share = instance.cost / np.maximum(np.diff(instance.by_choice.indptr), 1)
+    by_target = instance.by_target
+    if not by_target.nnz:
         return 0.0
-    least = np.minimum.reduceat(share[columns.indices], columns.indptr[:-1])
+    least = np.minimum.reduceat(share[by_target.indices], by_target.indptr[:-1])
     return float((least * instance.need).sum())
 
 

@@ -1,9 +1,9 @@
-"""Covers in which several rows together must give each target enough.
+"""Covers in which several choices together must give each target enough.
 
 Minimise ``sum c_i x_i`` subject to ``sum_i min(g_ij, d_j) x_i >= d_j`` for each target j, at most
-one row of a group, x binary. With g = -log(1 - p) and d = -log(1 - level) independent rows see a
-target with probability ``level``. What is not a sum, such as rows that are not independent, enters
-as cuts, found by an oracle at each answer: one row of a set must be taken.
+one choice of a group, x binary. With g = -log(1 - p) and d = -log(1 - level) independent choices
+see a target with probability ``level``. What is not a sum, such as choices that are not
+independent, enters as cuts, found by an oracle at each answer: one choice of a set must be taken.
 """
 
 from __future__ import annotations
@@ -33,23 +33,30 @@ from roadsight.setcover.joint.joint_problem import (
 )
 
 Oracle = Callable[[Ints], list[Ints]]
-"""Sets of rows of which an answer needs one more; none where the sorted rows will do."""
+"""Sets of choices of which an answer needs one more; none where the sorted choices will do."""
 
-_FIRST, _ADDED = 250, 80
-# Sums that the solver lets pass must pass here as well, or it would be asked the same again.
+_FIRST = 250
+"""Targets to begin with, those that have the least to spare."""
+_ADDED = 80
+"""Most targets that join after a round, those that lack most."""
 _SOLVED_TO = TOLERANCE / 100
-# Nodes of a solver's tree in a second of the limit, about, and nodes that a round costs at least.
-_NODES_PER_S, _NODES_OF_ROUND = 40, 10
-# The clock stops only what has gone wrong: answers must not depend on how busy a machine is.
+"""Tolerance of the solver. Sums that it lets pass must pass here as well, or it would be asked the
+same again."""
+_NODES_PER_S = 40
+"""Nodes of a solver's tree in a second of the limit, about."""
+_NODES_OF_ROUND = 10
+"""Nodes that a round costs at least: setting it up and its root take time as well."""
 _CLOCK_FACTOR = 20
+"""The clock stops at so many limits, and only what has gone wrong: answers must not depend on how
+busy a machine is."""
 
 
 def solve_joint(
     problem: JointProblem, limit_s: float = 300.0, gap: float = 0.0, oracle: Oracle | None = None
 ) -> Cover:
-    """Cheapest rows, proven, or the best ones found within the limit.
+    """Cheapest choices, proven, or the best ones found within the limit.
 
-    Row generation around HiGHS: only violated targets and cuts are constraints, so that its dual
+    Rounds around HiGHS: only violated targets and cuts are constraints, so that its dual
     bound is one of the whole problem at any time. Answers are mended greedily into ones that are
     allowed. The limit counts nodes of the solver's trees, about as many as it does in so much time;
     the clock stops a solve only at twenty times the limit.
@@ -166,50 +173,50 @@ class _Joint:
         return highs
 
     def _offer(self, chosen: Ints) -> None:
-        """Mend rows into an answer that is allowed, and keep it if it is the best."""
+        """Mend choices into an answer that is allowed, and keep it if it is the best."""
         mended = self._mended(chosen)
         if mended is not None and self._cost(mended) < self._cost(self.best):
             self.best = mended
 
     def _mended(self, chosen: Ints) -> Ints | None:
-        """Rows with the most for their cost added until nothing lacks, then needless ones out."""
+        """Choices with the most for their cost added till nothing lacks, then needless ones out."""
         problem = self.problem
-        rows = [int(row) for row in chosen]
+        taken = [int(choice) for choice in chosen]
         given = problem.given(chosen)
         while True:
             lack = np.maximum(problem.need * (1 - TOLERANCE) - given, 0.0)
-            helps = self._help(np.array(rows, np.int64), lack)
+            helps = self._help(np.array(taken, np.int64), lack)
             if helps is None:
                 break
             helps = helps / problem.costs
-            helps[np.isin(problem.groups, problem.groups[rows])] = 0.0
-            row = int(np.argmax(helps))
-            if helps[row] <= 0:
+            helps[np.isin(problem.groups, problem.groups[taken])] = 0.0
+            choice = int(np.argmax(helps))
+            if helps[choice] <= 0:
                 return None
-            rows.append(row)
-            given = problem.given(np.array(rows, np.int64))
-        for row in sorted(rows, key=lambda r: (-problem.costs[r], r)):
-            fewer = np.array(sorted(set(rows) - {row}), np.int64)
+            taken.append(choice)
+            given = problem.given(np.array(taken, np.int64))
+        for choice in sorted(taken, key=lambda one: (-problem.costs[one], one)):
+            fewer = np.array(sorted(set(taken) - {choice}), np.int64)
             short = problem.need * (1 - TOLERANCE) - problem.given(fewer)
             if short.max(initial=-1.0) <= 0 and not self.oracle(fewer):
-                rows = fewer.tolist()
-        return np.array(sorted(rows), np.int64)
+                taken = fewer.tolist()
+        return np.array(sorted(taken), np.int64)
 
-    def _help(self, rows: Ints, lack: Floats) -> Floats | None:
-        """What each row adds (choices,); None where nothing lacks."""
+    def _help(self, taken: Ints, lack: Floats) -> Floats | None:
+        """What each choice adds (choices,); None where nothing lacks."""
         short = np.flatnonzero(lack > 0)
         if len(short):
             part = self.problem.gain[:, short].copy()
             part.data = np.minimum(part.data, lack[short][part.indices])
             return np.asarray(part @ (1 / self.problem.need[short])).ravel()
-        found = self.oracle(np.sort(rows))
+        found = self.oracle(np.sort(taken))
         if not found:
             return None
         self.cuts += found
         return np.bincount(np.concatenate(found), minlength=len(self.problem.costs)).astype(float)
 
-    def _cost(self, rows: Ints | None) -> float:
-        return math.inf if rows is None else math.fsum(self.problem.costs[rows])
+    def _cost(self, taken: Ints | None) -> float:
+        return math.inf if taken is None else math.fsum(self.problem.costs[taken])
 
     def _up(self, bound: float) -> float:
         return math.ceil(bound - 1e-6) if self.whole and math.isfinite(bound) else bound

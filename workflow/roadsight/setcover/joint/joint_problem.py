@@ -1,4 +1,4 @@
-"""Covers in which several rows together must give each target enough: what is asked."""
+"""Covers in which several choices together must give each target enough: what is asked."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ TOLERANCE = 1e-7
 
 @dataclass(frozen=True)
 class JointProblem:
-    """Rows, what they give, and what targets need.
+    """Choices, what they give, and what targets need.
 
     Parameters
     ----------
     gain : (choices, targets) sparse, 0 or more; entries above the need count as the need.
     need : (targets,) positive. costs : (choices,) positive.
-    groups : (choices,) at most one row of each.
+    groups : (choices,) at most one choice of each.
 
     Raises
     ------
@@ -45,11 +45,11 @@ class JointProblem:
         object.__setattr__(self, "gain", capped)
 
     def given(self, chosen: Ints) -> Floats:
-        """What chosen rows give each target (targets,)."""
+        """What chosen choices give each target (targets,)."""
         return np.asarray(self.gain[chosen].sum(axis=0)).ravel()
 
     def reachable(self) -> Bools:
-        """Targets (targets,) to which the best rows of all groups together give enough."""
+        """Targets (targets,) to which the best choices of all groups together give enough."""
         best = best_of_groups(self.gain, self.groups)
         return np.asarray(best.sum(axis=0)).ravel() >= self.need * (1 - TOLERANCE)
 
@@ -59,22 +59,22 @@ def best_of_groups(gain: sparse.csr_matrix, groups: Ints) -> sparse.csr_matrix:
     table = gain.tocoo()
     group = np.unique(groups, return_inverse=True)[1].reshape(-1)[table.row]
     order = np.lexsort((-table.data, table.col, group))
-    group, column, data = group[order], table.col[order], table.data[order]
+    group, target, data = group[order], table.col[order], table.data[order]
     first = np.ones(len(group), bool)
-    first[1:] = (group[1:] != group[:-1]) | (column[1:] != column[:-1])
+    first[1:] = (group[1:] != group[:-1]) | (target[1:] != target[:-1])
     size = (int(group.max(initial=-1)) + 1, gain.shape[1])
-    return sparse.csr_matrix((data[first], (group[first], column[first])), shape=size)
+    return sparse.csr_matrix((data[first], (group[first], target[first])), shape=size)
 
 
 def least_number(share: Floats, groups: Ints) -> int:
-    """How many rows a target needs at least of those that are not enough alone; 1 for none.
+    """How many choices a target needs at least of those that are not enough alone; 1 for none.
 
     With r of them, ``sum_alone r x_i + sum_others x_i >= r`` holds for every answer, and cuts off
     more of the relaxation than the gains themselves.
 
     Parameters
     ----------
-    share : (k,) of the need that each row gives. groups : (k,) of which one row at most is taken.
+    share : (k,) of the need that each choice gives. groups : (k,) of which one at most is taken.
     """
     others = share < 1 - TOLERANCE
     best: dict[int, float] = {}

@@ -1,4 +1,4 @@
-"""How unique an answer is: what can replace a row, and how different another answer can be."""
+"""How unique an answer is: what can replace a choice, and how different others can be."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Different:
 
     Parameters
     ----------
-    chosen : its sorted rows. shared : how many of them stand at a place of the first answer.
+    chosen : its sorted choices. shared : how many of them stand at a place of the first answer.
     least_shared : proven: in every such answer at least so many do.
     """
 
@@ -31,38 +31,38 @@ class Different:
 
 
 def replacements(deployment: Deployment, chosen: Ints) -> list[Ints]:
-    """For each chosen row the sorted others that could replace it alone, as cheap and as good.
+    """For each choice taken the sorted others that could replace it alone, as cheap and as good.
 
-    Mandatory rows have none. ``chosen`` must be an allowed answer.
+    Mandatory ones have none. ``chosen`` must be an allowed answer.
     """
-    return [_replacing(deployment, chosen, int(row)) for row in chosen]
+    return [_replacing(deployment, chosen, int(choice)) for choice in chosen]
 
 
-def _replacing(deployment: Deployment, chosen: Ints, row: int) -> Ints:
+def _replacing(deployment: Deployment, chosen: Ints, choice: int) -> Ints:
     problem = deployment.problem
-    if problem.mandatory[row]:
+    if problem.mandatory[choice]:
         return np.empty(0, np.int64)
-    rest = chosen[chosen != row]
+    rest = chosen[chosen != choice]
     mask = np.zeros(len(problem.costs), np.int32)
     mask[rest] = 1
     count = np.asarray(problem.matrix[rest].sum(axis=0, dtype=np.int64)).ravel()
     lost = (count == problem.at_least - 1) & (problem.at_least > 0)
-    lost_by_row = lost & (np.asarray(problem.matrix[[row]].todense()).ravel() > 0)
+    lost_by_it = lost & (np.asarray(problem.matrix[[choice]].todense()).ravel() > 0)
     crowded = deployment.exclusive.T @ (deployment.exclusive @ mask > 0) > 0
     cost, charge = np.asarray(deployment.cost), np.asarray(deployment.charge)
     left = deployment.spendable - charge[rest].sum()
     fits = (mask == 0) & ~problem.forbidden & ~crowded & (charge <= left)
-    fits &= np.abs(cost - cost[row]) <= 1e-9 * max(1.0, cost[row])
+    fits &= np.abs(cost - cost[choice]) <= 1e-9 * max(1.0, cost[choice])
     weight = np.asarray(deployment.weights)
-    needed = lost_by_row.astype(np.float64) if deployment.complete else np.where(lost, weight, 0.0)
+    needed = lost_by_it.astype(np.float64) if deployment.complete else np.where(lost, weight, 0.0)
     gain = problem.matrix @ needed
     if deployment.complete or not deployment.keep:
-        fits &= gain >= gain[row] - 1e-9 * max(1.0, gain[row])
-    fits[row] = False
+        fits &= gain >= gain[choice] - 1e-9 * max(1.0, gain[choice])
+    fits[choice] = False
     found = np.flatnonzero(fits)
     if deployment.keep:
         goal = deployment.objective(chosen) + 1e-9
-        as_good = [deployment.objective(np.sort(np.append(rest, r))) <= goal for r in found]
+        as_good = [deployment.objective(np.sort(np.append(rest, one))) <= goal for one in found]
         found = found[np.array(as_good, bool)] if len(found) else found
     return found.astype(np.int64)
 
@@ -80,7 +80,7 @@ def most_different(
 
     Parameters
     ----------
-    place : (choices,) number of the place of each row, such as one for all heights of a pole.
+    place : (choices,) number of the place of each choice, such as one for all heights of a pole.
     """
     shared = np.isin(place, place[chosen])
     plain = deployment.complete and not deployment.keep and not len(deployment.cliques)

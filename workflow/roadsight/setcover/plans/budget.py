@@ -22,10 +22,10 @@ def maximise_coverage(
     weights: ArrayLike | None = None,
     time_limit_s: float | None = None,
 ) -> Cover:
-    """Rows within a budget that cover the greatest weight of targets.
+    """Choices within a budget that cover the greatest weight of targets.
 
     maximise ``sum w_j y_j`` subject to ``y_j <= sum_i a_ij x_i``, ``sum c_i x_i <= budget`` and at
-    most one row of a group. ``at_least`` is not used: a target counts once it is covered once.
+    most one choice of a group. ``at_least`` is not used: a target counts once it is covered once.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def maximise_coverage(
 
     Raises
     ------
-    InputError : the budget or a weight is not usable, or the mandatory rows do not fit.
+    InputError : the budget or a weight is not usable, or the mandatory choices do not fit.
     """
     start = time.process_time()
     once = problem.changed(at_least=1)
@@ -52,7 +52,7 @@ def budgeted(problem: CoverProblem, budget: float, weights: Floats | None) -> De
 
     Raises
     ------
-    InputError : the budget or a weight is not usable, or the mandatory rows do not fit.
+    InputError : the budget or a weight is not usable, or the mandatory choices do not fit.
     """
     if not (np.isfinite(budget) and budget >= 0):
         raise InputError("is not usable", where="budget", found=budget, allowed="0 or more")

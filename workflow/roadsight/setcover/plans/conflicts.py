@@ -1,4 +1,4 @@
-"""Rows that stand too near each other, as few sets of which at most one is taken."""
+"""Choices that stand too near each other, as few sets of which at most one is taken."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ def spacing_cliques(xy_m: Floats, spacing_m: float) -> tuple[Ints, ...]:
     places, member = np.unique(np.asarray(xy_m, np.float64), axis=0, return_inverse=True)
     member = member.reshape(-1)
     order = np.argsort(member, kind="stable")
-    rows_at = np.split(order, np.cumsum(np.bincount(member, minlength=len(places)))[:-1])
+    choices_at = np.split(order, np.cumsum(np.bincount(member, minlength=len(places)))[:-1])
     near = _neighbours(places, spacing_m)
     cliques = _edge_cliques(near)
-    lonely = [{p} for p in range(len(places)) if not near[p] and len(rows_at[p]) > 1]
+    lonely = [{p} for p in range(len(places)) if not near[p] and len(choices_at[p]) > 1]
     sets = [*cliques, *lonely]
-    return tuple(np.sort(np.concatenate([rows_at[p] for p in sorted(s)])) for s in sets)
+    return tuple(np.sort(np.concatenate([choices_at[p] for p in sorted(s)])) for s in sets)
 
 
 def _neighbours(places: Floats, spacing_m: float) -> list[set[int]]:

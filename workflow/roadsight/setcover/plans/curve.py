@@ -23,8 +23,8 @@ class CurvePoint:
 
     Parameters
     ----------
-    budget : what the charges may add up to. spent : what they do. chosen : sorted rows.
-    value : weight that is covered (guaranteed, where a share must be kept), 0 for no rows.
+    budget : what the charges may add up to. spent : what they do. chosen : sorted choices.
+    value : weight that is covered (guaranteed, where a share must be kept), 0 for no choices.
     bound : no deployment within the budget covers more. status : as of a cover.
     """
 
@@ -47,18 +47,18 @@ def coverage_curve(
 ) -> list[CurvePoint]:
     """Points for increasing budgets; values and bounds never fall.
 
-    Each budget starts from the rows and the cuts of the one before, which is less work than to
+    Each budget starts from the choices and the cuts of the one before, which is less work than to
     solve each by itself: cuts on coverage hold for any budget. Budgets that cannot pay for the
-    mandatory rows have no point.
+    mandatory choices have no point.
 
     Parameters
     ----------
-    deployment : its budget, worth, cost and floor are replaced. known : rows to begin with.
+    deployment : its budget, worth, cost and floor are replaced. known : choices to begin with.
     full : no smaller budget than this sees everything, as is known from elsewhere.
 
     Raises
     ------
-    InputError : no budget pays for the mandatory rows.
+    InputError : no budget pays for the mandatory choices.
     """
     deadline = limit if isinstance(limit, Deadline) else Deadline(limit)
     choices = len(deployment.problem.costs)

@@ -1,4 +1,4 @@
-"""Deployments with proof: the best rows for everything that a plan asks for."""
+"""Deployments with proof: the best choices for everything that a plan asks for."""
 
 from __future__ import annotations
 
@@ -29,7 +29,10 @@ from roadsight.setcover.plans.master import Master
 from roadsight.setcover.plans.tree import Tree
 
 _STEPS = 2_000
-_COVER_SHARES = 3  # of the work goes into the cover without the rest, which bounds it
+"""Trials of the greedy search between two covers that are not proven."""
+_COVER_SHARES = 3
+"""The cover without further conditions, which bounds the answer, has one of so many shares of the
+work."""
 
 
 @dataclass(frozen=True)
@@ -51,16 +54,17 @@ def solve_deployment(
     starts: Iterable[Ints] = (),
     pool: list[Cut] | None = None,
 ) -> Deployed:
-    """Best rows, proven, or the best ones found within the limit.
+    """Best choices, proven, or the best ones found within the limit.
 
     Where every target must be seen, the cover without the further conditions is solved first: it
     bounds the answer and is one where it meets them. The rest is branch and cut: cuts in the space
-    of rows, a greedy search that takes out and fills again, and a tree that divides by whether two
-    targets share a row. The answer depends on the seed alone, as that of `solve_cover_problem`.
+    of choices, a greedy search that takes out and fills again, and a tree that divides by whether
+    two targets share a choice. The answer depends on the seed alone, as that of
+    `solve_cover_problem` does.
 
     Parameters
     ----------
-    starts : sorted rows to begin with; those that are not allowed are mended.
+    starts : sorted choices to begin with; those that are not allowed are mended.
     pool : cuts of a deployment that differs in budget, worth or floor alone.
     """
     start = time.process_time()
@@ -73,9 +77,9 @@ def solve_deployment(
         floor = _by_cover(deployment, builder, deadline, seed, gap)
         if math.isinf(floor):
             return Deployed(_infeasible(start), [])
-    for rows in starts:
-        builder.offer(rows)
-        builder.build(rows)
+    for chosen in starts:
+        builder.offer(chosen)
+        builder.build(chosen)
     builder.build(np.empty(0, np.int64))
     proof, nodes, pool = floor, 0, pool or []
     if floor <= deployment.goal(builder.value):
@@ -88,10 +92,11 @@ def solve_deployment(
 def solve_costly_cover(
     problem: CoverProblem, limit: Deadline, seed: int = 1, gap: float = 0.0
 ) -> Cover:
-    """Cheapest cover where many rows differ in cost, as `solve_cover_problem` finds it.
+    """Cheapest cover where many choices differ in cost, as `solve_cover_problem` finds it.
 
-    Where half of the work does not prove it, the cover of the fewest rows and what a greedy search
-    makes of both are tried as well: costs that differ a little from place to place lead astray.
+    Where half of the work does not prove it, the cover of the fewest choices and what a greedy
+    search makes of both are tried as well: costs that differ a little from place to place lead
+    astray.
     """
     start = time.process_time()
     cover = solve_cover_problem(problem, limit.part(2), seed, gap)
@@ -99,8 +104,8 @@ def solve_costly_cover(
         return cover
     ones = problem.changed(costs=None)
     builder = Builder(Cuts(Deployment(problem)), np.random.default_rng(seed))
-    for rows in (cover.chosen, solve_cover_problem(ones, limit.part(2), seed).chosen):
-        builder.offer(rows)
+    for chosen in (cover.chosen, solve_cover_problem(ones, limit.part(2), seed).chosen):
+        builder.offer(chosen)
     builder.improve(_STEPS, cover.bound, limit)
     if builder.best is None or builder.value >= cover.objective:
         return cover
@@ -120,7 +125,7 @@ def solve_costly_cover(
 def _by_cover(
     deployment: Deployment, builder: Builder, deadline: Deadline, seed: int, gap: float
 ) -> float:
-    """Bound by the cheapest cover, whose rows are a start; infinite where there is none."""
+    """Bound by the cheapest cover, whose choices are a start; infinite where there is none."""
     problem, cost = deployment.problem, np.asarray(deployment.cost)
     least = -deployment.worth * deployment.total
     if not (cost > 0).all():
@@ -152,7 +157,7 @@ def _assemble(
     # Of a price, objectives count from the full coverage down, so that gaps are those of costs.
     shift = deployment.worth * deployment.total if np.asarray(deployment.cost).any() else 0.0
     near = is_within(gap, value + shift, bound + shift)
-    rows, columns = deployment.problem.matrix.shape
+    choices, targets = deployment.problem.matrix.shape
     return Cover(
         OPTIMAL if proven else WITHIN_GAP if near else TIME_LIMIT,
         np.empty(0, np.int64) if builder.best is None else builder.best,
@@ -160,6 +165,6 @@ def _assemble(
         bound,
         relative_gap(value + shift, bound + shift),
         time.process_time() - start,
-        reductions={"rows": rows, "columns": columns},
+        reductions={"rows": choices, "columns": targets},
         nodes=nodes,
     )

@@ -15,29 +15,34 @@ from roadsight.base.errors import InputError
 from roadsight.setcover.common.problem import CoverProblem, alone_to_none, objective_step
 
 _ROUNDING = 1e-12
+"""Share of a budget that sums of charges may exceed it by: they are rounded."""
 _LEAST_STEP = 1e-3
+"""Common steps of the objective that are smaller, as a share of its largest term, do not count:
+rounding bounds up to them would hardly help."""
 
 
 @dataclass(frozen=True)
 class Deployment:
-    """Choose rows X with ``minimise cost(X) - worth * V(X)``.
+    """Take choices X with ``minimise cost(X) - worth * V(X)``.
 
-    V(X) is the coverage that is guaranteed: the weight of the targets that at least ``at_least_j``
-    rows of X see and, with ``keep`` = r, at most 1/r of what is left when any one row of X fails:
-    ``V = min(f(X), min_i f(X - i) / r)``. Subject to the groups, mandatory and forbidden rows of
-    the problem, ``sum charge_i x_i <= budget``, at most one row of each clique, V >= ``floor`` and,
-    where ``complete``, V = the weight of all targets, each target seen often enough.
+    V(X) is the coverage that is guaranteed. Let f(X) be the weight of the targets that at least
+    ``at_least_j`` choices of X see. V is f(X) and, with ``keep`` = r, at most 1/r of what is left
+    when any one choice of X fails: ``V = min(f(X), min_i f(X - i) / r)``.
+
+    X keeps to the groups, mandatory and forbidden choices of the problem, to
+    ``sum charge_i x_i <= budget``, to at most one choice of each clique and to V >= ``floor``.
+    Where ``complete``, V is the weight of all targets, and each target is seen often enough.
 
     Parameters
     ----------
-    problem : matrix, costs, groups, at_least, mandatory and forbidden rows.
+    problem : matrix, costs, groups, at_least, mandatory and forbidden choices.
     weights : (targets,) 0 or more; None = 1 each.
     complete : every target must be seen, as in a cover.
     worth : what a unit of weight is worth, in cost.
     cost : (choices,) 0 or more, what is minimised; None = the problem's costs.
     charge, budget : (choices,) 0 or more, and what they may add up to.
-    cliques : sets of rows of which at most one is taken.
-    keep : share of V that is left when any one row fails, in [0, 1].
+    cliques : sets of choices of which at most one is taken.
+    keep : share of V that is left when any one choice fails, in [0, 1].
     floor : least V.
 
     Raises
@@ -97,15 +102,15 @@ class Deployment:
 
     @cached_property
     def exclusive(self) -> sparse.csr_matrix:
-        """Cliques and groups, (sets, choices): at most one row of each set."""
+        """Cliques and groups, (sets, choices): at most one choice of each set."""
         group = alone_to_none(self.problem.groups)
         member = np.flatnonzero(group >= 0)
         sets = int(group.max(initial=-1)) + 1
-        row = [group[member], *(np.full(len(c), sets + k) for k, c in enumerate(self.cliques))]
-        column = [member, *self.cliques]
-        rows, columns = np.concatenate(row), np.concatenate(column)
+        cliques = [np.full(len(c), sets + k) for k, c in enumerate(self.cliques)]
+        set_of = np.concatenate([group[member], *cliques])
+        choice = np.concatenate([member, *self.cliques])
         shape = (sets + len(self.cliques), len(group))
-        return sparse.csr_matrix((np.ones(len(rows), np.int32), (rows, columns)), shape=shape)
+        return sparse.csr_matrix((np.ones(len(choice), np.int32), (set_of, choice)), shape=shape)
 
     @cached_property
     def step(self) -> float:
@@ -130,20 +135,20 @@ class Deployment:
         return math.ceil(bound / self.step - 1e-6) * self.step
 
     def guaranteed(self, chosen: Ints) -> float:
-        """V of sorted rows."""
+        """V of sorted choices."""
         need, weights = self.problem.at_least, self.weights
-        rows = self.problem.matrix[chosen]
-        count = np.asarray(rows.sum(axis=0, dtype=np.int64)).ravel()
+        sees = self.problem.matrix[chosen]
+        count = np.asarray(sees.sum(axis=0, dtype=np.int64)).ravel()
         asked = need > 0
         covered = math.fsum(weights[(count >= need) & asked])
         if not self.keep or not len(chosen):
             return covered
         critical = np.where((count == need) & asked, weights, 0.0)
-        lost = (rows @ critical).max(initial=0.0)
+        lost = (sees @ critical).max(initial=0.0)
         return min(covered, max(covered - lost, 0.0) / self.keep)
 
     def objective(self, chosen: Ints) -> float:
-        """Objective of sorted rows; infinite where they are not allowed."""
+        """Objective of sorted choices; infinite where they are not allowed."""
         if self.broken(chosen):
             return math.inf
         value = self.guaranteed(chosen)
@@ -153,7 +158,7 @@ class Deployment:
         return math.fsum(self.cost[chosen]) - self.worth * value
 
     def broken(self, chosen: Ints) -> bool:
-        """Whether rows break the budget, a clique, a group, or what must or must not be taken."""
+        """Whether choices break the budget, a clique, a group, or what must (not) be taken."""
         mask = np.zeros(len(self.problem.costs), np.int32)
         mask[chosen] = 1
         problem = self.problem

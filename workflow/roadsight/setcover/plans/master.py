@@ -12,11 +12,16 @@ from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.relaxation import Node, quiet_highs
 from roadsight.setcover.plans.cuts import Cut, Cuts
 
-MOST_ROWS = 1_200
+MOST_CONSTRAINTS = 1_200
+"""Constraints of the linear program above which slack cuts leave between nodes."""
 _SLACK = 1e-6
-# Work in seconds, measured: an iteration by the root of the entries of the linear program, setting
-# one up by entry, a search for violated cuts by entry of the matrix.
-_ITERATION_S, _RUN_S, _SEARCH_S = 4e-7, 2.5e-8, 3e-9
+"""Distance from a right side, and above the goal, that counts: ten times the solver's tolerance."""
+_ITERATION_S = 4e-7
+"""Work of an iteration by the root of the entries of the linear program, in seconds, measured."""
+_RUN_S = 2.5e-8
+"""Work of setting a linear program up by its entries, in seconds, measured."""
+_SEARCH_S = 3e-9
+"""Work of a search for violated cuts by entry of the matrix, in seconds, measured."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,7 @@ class Relaxed:
     Parameters
     ----------
     bound : Lagrangian bound of the duals: valid whatever the solver's tolerances.
-    x : (m,) share of each row. reduced_cost : (m,) of the same duals.
+    x : (m,) share of each choice. reduced_cost : (m,) of the same duals.
     settled : whether no cut is violated. complete : False where the goal or the limit stopped it.
     """
 
@@ -38,30 +43,30 @@ class Relaxed:
 
 
 class Master:
-    """Relaxation over rows and blocks of targets; cuts enter when violated."""
+    """Relaxation over choices and blocks of targets; cuts enter when violated."""
 
     def __init__(self, cuts: Cuts, pool: list[Cut] | None = None) -> None:
         self.cuts, deployment = cuts, cuts.deployment
-        self.choices, self.columns = cuts.choices, cuts.choices + cuts.blocks
+        self.choices, self.variables = cuts.choices, cuts.choices + cuts.blocks
         self.price = np.concatenate(
             [np.asarray(deployment.cost), np.full(cuts.blocks, -deployment.worth)]
         )
         # What is guaranteed for certain once every target must be seen.
         self.constant = -deployment.worth * deployment.total if deployment.complete else 0.0
         self.branches: list[Cut] = []
-        self._rows: list[Cut] = []
-        self._branch: list[int] = []  # number of the branch that a row is, or -1
+        self._constraints: list[Cut] = []
+        self._branch: list[int] = []  # number of the branch that a constraint is, or -1
         self._high = np.concatenate([np.ones(self.choices), cuts.block_weight[: cuts.blocks]])
-        self._number = np.arange(self.columns, dtype=np.int32)
+        self._number = np.arange(self.variables, dtype=np.int32)
         self._highs = quiet_highs(presolve="off", simplex_strategy=1)
-        self._highs.addVars(self.columns, np.zeros(self.columns), self._high)
-        self._highs.changeColsCost(self.columns, self._number, self.price)
+        self._highs.addVars(self.variables, np.zeros(self.variables), self._high)
+        self._highs.changeColsCost(self.variables, self._number, self.price)
         first = cuts.first()
         self._kept = len(first)
         self.add(first + (pool or []))
 
     def add(self, found: list[Cut], branch: int = -1) -> None:
-        """Add rows."""
+        """Add constraints."""
         if not found:
             return
         start = np.cumsum([0, *(len(cut.index) for cut in found)])
@@ -74,17 +79,19 @@ class Master:
             np.concatenate([cut.index for cut in found]).astype(np.int32),
             np.concatenate([cut.value for cut in found]),
         )
-        self._rows += found
+        self._constraints += found
         self._branch += [branch] * len(found)
 
-    def add_branch(self, rows: Ints32) -> int:
-        """Number of the new constraint that one of ``rows`` is taken."""
-        self.branches.append(Cut(rows.astype(np.int32), np.ones(len(rows)), 1.0))
+    def add_branch(self, choices: Ints32) -> int:
+        """Number of the new constraint that one of ``choices`` is taken."""
+        self.branches.append(Cut(choices.astype(np.int32), np.ones(len(choices)), 1.0))
         return len(self.branches) - 1
 
     def pool(self) -> list[Cut]:
         """Cuts at present that hold for any budget, worth and floor."""
-        blocks = [cut for cut in self._rows if len(cut.index) and cut.index[-1] >= self.choices]
+        blocks = [
+            cut for cut in self._constraints if len(cut.index) and cut.index[-1] >= self.choices
+        ]
         return [cut for cut in blocks if (cut.value < 0).sum() == 1]
 
     def solve(self, node: Node, goal: float, deadline: Deadline, rounds: int) -> Relaxed:
@@ -109,14 +116,14 @@ class Master:
         raise AssertionError("at least one round")
 
     def purge(self) -> None:
-        """Leave out slack cuts once there are too many rows."""
-        if len(self._rows) <= MOST_ROWS:
+        """Leave out slack cuts once there are too many constraints."""
+        if len(self._constraints) <= MOST_CONSTRAINTS:
             return
         raw = self._highs.getSolution()
         value, dual = np.array(raw.row_value), np.array(raw.row_dual)
-        if len(value) != len(self._rows):
+        if len(value) != len(self._constraints):
             return
-        low = np.array([cut.low for cut in self._rows])
+        low = np.array([cut.low for cut in self._constraints])
         slack = (value > low + _SLACK * np.maximum(1, np.abs(low))) & (dual <= 0)
         slack[: self._kept] = False
         self._delete(slack & (np.array(self._branch) < 0))
@@ -130,7 +137,7 @@ class Master:
         self._highs.run()
         iterations = max(self._highs.getInfo().simplex_iteration_count, 0)
         deadline.spend(iteration_s * iterations + _RUN_S * entries)
-        deadline.spend(_SEARCH_S * self.cuts.rows.nnz)
+        deadline.spend(_SEARCH_S * self.cuts.by_choice.nnz)
 
     def _stopped(self, bound: float) -> Relaxed:
         nothing = np.zeros(self.choices)
@@ -139,11 +146,12 @@ class Master:
     def _read(self, node: Node) -> Relaxed:
         raw = self._highs.getSolution()
         x, dual = np.array(raw.col_value), np.array(raw.row_dual)
-        if len(dual) != len(self._rows) or not np.isfinite(dual).all():
+        if len(dual) != len(self._constraints) or not np.isfinite(dual).all():
             return self._stopped(-np.inf)
         reduced, bound = self.price.copy(), self.constant
+        # Without duals of the wrong sign the bound holds, whatever the solver's tolerances.
         for k in np.flatnonzero(dual > 0):
-            cut = self._rows[k]
+            cut = self._constraints[k]
             reduced[cut.index] -= dual[k] * cut.value
             bound += dual[k] * cut.low
         low = np.concatenate([node.fixed, np.zeros(self.cuts.blocks)])
@@ -156,7 +164,7 @@ class Master:
         """Bounds and branch constraints of a node."""
         low = np.concatenate([node.fixed, np.zeros(self.cuts.blocks)]).astype(np.float64)
         high = np.concatenate([node.alive, self._high[self.choices :]]).astype(np.float64)
-        self._highs.changeColsBounds(self.columns, self._number, low, high)
+        self._highs.changeColsBounds(self.variables, self._number, low, high)
         branch = np.array(self._branch, np.int64)
         self._delete((branch >= 0) & ~np.isin(branch, node.path))
         present = set(self._branch)
@@ -167,5 +175,7 @@ class Master:
     def _delete(self, gone: Bools) -> None:
         if gone.any():
             self._highs.deleteRows(int(gone.sum()), np.flatnonzero(gone).astype(np.int32))
-            self._rows = [cut for cut, out in zip(self._rows, gone, strict=True) if not out]
+            self._constraints = [
+                cut for cut, out in zip(self._constraints, gone, strict=True) if not out
+            ]
             self._branch = [b for b, out in zip(self._branch, gone, strict=True) if not out]

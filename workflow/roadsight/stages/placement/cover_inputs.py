@@ -4,15 +4,20 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 
 import geopandas as gpd
 import numpy as np
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.io.records.atomic import read_json
 from roadsight.io.vector.point_tables import attribute_numbers, read_points
+from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_polygons
 from roadsight.placement.plans.plan_problem import Asked
+
+log = logging.getLogger(__name__)
 
 FILES = ("areas", "forbidden", "mandatory", "poles")
 """Options of a plan that name a file, each an argument of the stage."""
@@ -30,7 +35,7 @@ def read_asked(arguments: argparse.Namespace, frame: Frame) -> Asked | None:
     options = json.loads(arguments.options)
     crs = {name: options.get(name, {}).get("crs") for name in FILES}
     zones, fixed, poles = arguments.forbidden, arguments.mandatory, arguments.poles
-    return Asked(
+    asked = Asked(
         options,
         options.get("at_least", arguments.at_least),
         f"site {arguments.site}, plan {arguments.plan}",
@@ -42,6 +47,18 @@ def read_asked(arguments: argparse.Namespace, frame: Frame) -> Asked | None:
         else None,
         arguments.uncoverable == "exclude",
     )
+    about = read_json(arguments.frame)
+    for what, features in (
+        ("areas", asked.areas),
+        ("forbidden places", asked.zones),
+        ("mandatory places", asked.fixed),
+        ("poles of the plan", asked.poles),
+    ):
+        if features is not None:
+            has_shape = isinstance(features, gpd.GeoDataFrame)
+            shapes = features.geometry if has_shape else features[["x", "y"]]
+            tell_near(log, what, shapes.to_numpy(), about, asked.where)
+    return asked
 
 
 def _areas(path: str, frame: Frame, crs: str | None) -> gpd.GeoDataFrame:

@@ -20,6 +20,7 @@ from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.mount_files import read_mounts
+from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_polygons
 from roadsight.placement.candidates.candidates import HeightSettings, stack_candidates
 from roadsight.placement.candidates.positions import positions_along
@@ -60,11 +61,14 @@ def allowed_positions(
     """Positions along the edges and on existing poles, without those in zones for no sensor."""
     if arguments.mounts:
         poles = read_mounts(arguments.mounts, frame)
+        places = poles[["x", "y"]].to_numpy(np.float64)
+        tell_near(log, "existing poles", places, read_json(arguments.frame), arguments.mounts)
         hung = positions_on_poles(poles, pavement, arguments.arm_m)
         positions = pd.concat([positions, hung], ignore_index=True)
     if not arguments.zones:
         return positions
     zones = list(read_polygons(arguments.zones, frame).geometry)
+    tell_near(log, "zones", np.array(zones, object), read_json(arguments.frame), arguments.zones)
     free = outside_zones(positions[["x", "y"]].to_numpy(np.float64), zones)
     log.info("%d of %d positions lie in zones without sensors", (~free).sum(), len(positions))
     return positions[free].reset_index(drop=True)

@@ -14,6 +14,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Ints
+from roadsight.base.matches import tell_matches
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
@@ -75,7 +76,7 @@ def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFram
         return poles.assign(decided="")
     decisions = read_decisions(path, frame)
     decided, rows = apply_decisions(poles, decisions)
-    log.info("%d decisions of a person on poles", int((rows >= 0).sum()))
+    tell_matches(log, "decisions are about a pole", int((rows >= 0).sum()), len(rows), path)
     for name in decisions.loc[rows < 0, "pole"]:
         log.warning("no pole is left that the decision on %s is about", name or "one of them")
     return decided

@@ -18,6 +18,7 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer
 from roadsight.poles.risk.scenarios import RouteTracks, ScenarioSettings, classify_places
 from roadsight.poles.risk.validation import (
@@ -52,6 +53,8 @@ def validate_poles(arguments: argparse.Namespace) -> None:
     poles = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
     frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
     truth = read_points(arguments.truth, frame, arguments.truth_crs)
+    places = truth[["x", "y"]].to_numpy(np.float64)
+    tell_near(log, "known poles", places, read_json(arguments.frame), arguments.truth)
     if arguments.truth_kind:
         truth = truth[truth["kind"] == arguments.truth_kind].reset_index(drop=True)
     cameras_m = frames[["x", "y"]].dropna().to_numpy(np.float64)

@@ -9,26 +9,32 @@ from __future__ import annotations
 
 import argparse
 import logging
+import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.crs import METRES_PER_UNIT, unit_name
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import Reprojection, SiteFrame, centre_of, reprojection, site_frame
+from roadsight.io.cloud.chunks import Chunk
 from roadsight.io.cloud.cloud_scan import CloudScan, Take, kept_chunks, scan_cloud
 from roadsight.io.cloud.clouds import CHUNK_POINTS, read_extent, read_header
+from roadsight.io.cloud.point_filter import OVERLAPS
+from roadsight.io.cloud.repeated import RepeatedSample, check_copies, first_ones, steps_of
 from roadsight.io.cloud.tile_draft import TileDraft, colour_shift, is_coloured, tile_columns
 from roadsight.io.cloud.tile_writer import TileWriter
 from roadsight.io.cloud.tiles import Tile
 from roadsight.io.records.atomic import write_json
+from roadsight.io.vector.extent import Within
+from roadsight.io.vector.extent import read_extent as read_site_extent
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger(__name__)
@@ -45,6 +51,8 @@ def ingest(
     cloud_path: Path,
     frame_path: Path,
     chunk_points: int = CHUNK_POINTS,
+    overlap: str = "use",
+    extent: Callable[[Frame], Within] | None = None,
 ) -> None:
     """Read ``clouds``, check them and write the tiled cloud and its frame.
 
@@ -55,27 +63,56 @@ def ingest(
     target_crs : CRS to reproject to on the way in, or None.
     tile_size_m : edge of a tile, whole metres, so that tiles are made of whole cells.
     chunk_points : points looked at together; the result does not depend on it.
+    overlap : whether points of overlapping flight lines take part, see `kept_chunks`.
+    extent : gives, in the site's frame, which places belong to the site; None: all.
 
     Raises
     ------
-    InputError : a cloud cannot be read, or CRS and units are missing, contradictory or impossible.
+    InputError : a cloud cannot be read, CRS and units are missing, contradictory or impossible, or
+        the extent holds no point.
     """
     _check_arguments(clouds, tile_size_m)
-    promised, coloured = (None, False) if target_crs else _promised(clouds, choice)
+    moved = target_crs or extent is not None
+    promised, coloured = (None, False) if moved else _promised(clouds, choice)
     with TileDraft(cloud_path, tile_size_m, promised, coloured) as draft:
-        site, scans, move = survey(clouds, choice, target_crs, chunk_points, draft.take)
-        for note in site.reference.notes:
+        sample = RepeatedSample(steps_of(clouds))
+
+        def take(path: str | os.PathLike[str], chunk: Chunk) -> None:
+            sample.take(path, chunk)
+            draft.take(path, chunk)
+
+        site, scans, move = survey(clouds, choice, target_crs, chunk_points, take, overlap)
+        for note in notes_of(site, scans):
             log.warning("%s", note)
-        tiles = draft.finish(site.frame, scans)
+        first: list[Bools | None] = [None] * len(clouds)
+        if sample.share:
+            first = list(first_ones(clouds, cloud_path.parent, overlap))
+        repeated = sum(int(np.count_nonzero(~ones)) for ones in first if ones is not None)
+        if repeated:
+            told = "clouds overlap, or hold copies: %d points are there twice and count once"
+            log.warning(told, repeated)
+        tiles = None if repeated else draft.finish(site.frame, scans)
+    outside = 0
+    within = None if extent is None else extent(site.frame)
     if tiles is None:
-        log.info("reading again: the points differ from what the headers say, or are moved")
+        log.info("reading again: the points differ from what the headers say, or are not all kept")
         with TileWriter(cloud_path, tile_size_m, is_coloured(scans)) as writer:
-            for scan in scans:
-                shift = colour_shift(scan.brightest)
-                for chunk, _, _ in kept_chunks(scan.header.path, move, chunk_points):
-                    writer.append(tile_columns(chunk, site.frame, shift))
+            for scan, ones in zip(scans, first, strict=True):
+                shift, done = colour_shift(scan.brightest), 0
+                for chunk, *_ in kept_chunks(scan.header.path, move, chunk_points, overlap):
+                    part = None if ones is None else ones[done : done + len(chunk)]
+                    done += len(chunk)
+                    kept = chunk if part is None else chunk.select(part)
+                    if within is not None:
+                        inside = within(site.frame.to_local(kept.xyz[:, :2]))
+                        outside += int(np.count_nonzero(~inside))
+                        kept = kept.select(inside)
+                    writer.append(tile_columns(kept, site.frame, shift))
+            _check_extent(outside, scans, repeated)
             tiles = writer.finish()
-    write_json(frame_path, describe(site, scans, tiles, tile_size_m))
+    if outside:
+        log.info("the extent leaves %d points out", outside)
+    write_json(frame_path, describe(site, scans, tiles, tile_size_m, repeated, outside))
     log.info("%d points in %d tiles", sum(tile.rows for tile in tiles), len(tiles))
 
 
@@ -85,6 +122,7 @@ def survey(
     target_crs: str | None = None,
     chunk_points: int = CHUNK_POINTS,
     take: Take | None = None,
+    overlap: str = "use",
 ) -> tuple[SiteFrame, list[CloudScan], Reprojection | None]:
     """First pass: what the clouds hold, the frame they share and the way into its CRS.
 
@@ -96,20 +134,32 @@ def survey(
     ------
     InputError : as `ingest`.
     """
-    scans = [scan_cloud(cloud, None, chunk_points, take) for cloud in clouds]
+    scans = [scan_cloud(cloud, None, chunk_points, take, overlap) for cloud in clouds]
     stated = [(str(scan.header.path), scan.header.stated) for scan in scans]
     centre, units_stated = centre_of(*_corners(scans)), choice.units != "auto"
     reference, move = resolve(stated, centre, choice), None
     if target_crs:
         reference, move = reprojection(reference, target_crs, centre, units_stated)
-        scans = [scan_cloud(cloud, move, chunk_points) for cloud in clouds]
+        scans = [scan_cloud(cloud, move, chunk_points, None, overlap) for cloud in clouds]
         units_stated = True
     where = ", ".join(str(cloud) for cloud in clouds)
     return site_frame(reference, *_corners(scans), where, units_stated), scans, move
 
 
+def notes_of(site: SiteFrame, scans: Sequence[CloudScan]) -> list[str]:
+    """Assumptions and contradictions of a site and of the headers of its clouds."""
+    headers = [scan.header for scan in scans]
+    of_headers = [f"{header.path.name}: {note}" for header in headers for note in header.notes]
+    return [*site.reference.notes, *of_headers]
+
+
 def describe(
-    site: SiteFrame, scans: Sequence[CloudScan], tiles: Sequence[Tile], tile_size_m: float
+    site: SiteFrame,
+    scans: Sequence[CloudScan],
+    tiles: Sequence[Tile],
+    tile_size_m: float,
+    repeated: int = 0,
+    outside: int = 0,
 ) -> dict[str, Any]:
     """Content of ``scene/frame.json``."""
     corners = np.array([tile.bounds_m for tile in tiles])
@@ -123,18 +173,35 @@ def describe(
         "unit": unit_name(site.frame.unit_m),
         "vertical_unit": unit_name(site.frame.vertical_unit_m),
         "location": None if site.location is None else asdict(site.location),
-        "notes": list(site.reference.notes),
+        "notes": notes_of(site, scans),
         "inputs": {str(scan.header.path): scan.sha256 for scan in scans},
         "dropped": {
             "withheld": sum(scan.withheld for scan in scans),
             "noise": sum(scan.noise for scan in scans),
+            "synthetic": sum(scan.synthetic for scan in scans),
+            "overlap": sum(scan.overlap for scan in scans),
+            "repeated": repeated,
+            "outside": outside,
         },
     }
+
+
+def _check_extent(outside: int, scans: Sequence[CloudScan], repeated: int) -> None:
+    """Refuse an extent that misses the clouds, before they become a site without points."""
+    if outside and outside == sum(scan.points for scan in scans) - repeated:
+        (west, south, _), (east, north, _) = _corners(scans)
+        raise InputError(
+            "holds no point of the clouds",
+            where="extent",
+            allowed=f"part of x {west:.10g} to {east:.10g}, y {south:.10g} to {north:.10g}",
+            hint="give it in the clouds' coordinates, or a file that names its CRS",
+        )
 
 
 def _check_arguments(clouds: Sequence[Path], tile_size_m: float) -> None:
     if repeated := sorted({str(cloud) for cloud in clouds if clouds.count(cloud) > 1}):
         raise InputError("the same cloud is listed twice", where=repeated[0])
+    check_copies(clouds)
     if not (tile_size_m >= 1 and float(tile_size_m).is_integer()):
         raise InputError(
             "tiles must be made of whole metres",
@@ -173,6 +240,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--vertical-units", choices=UNITS, default="auto")
     parser.add_argument("--target-crs", nargs="?", help="reproject to this projected CRS")
     parser.add_argument("--tile-size-m", type=float, default=50.0)
+    parser.add_argument("--overlap", choices=OVERLAPS, default="use")
+    parser.add_argument("--extent", nargs="?", help="KIND=VALUE, see `read_extent`")
+    parser.add_argument("--extent-files", nargs="*", type=Path, default=[])
+    parser.add_argument("--extent-crs", nargs="?", help="of extent files that name none")
     parser.add_argument("--cloud", type=Path, required=True, help="tiled cloud to write")
     parser.add_argument("--frame", type=Path, required=True, help="frame to write")
     parser.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD")
@@ -188,9 +259,20 @@ def _run(arguments: argparse.Namespace) -> None:
             arguments.tile_size_m,
             arguments.cloud,
             arguments.frame,
+            overlap=arguments.overlap,
+            extent=_extent(arguments),
         )
     except InputError as error:
         raise InputError(str(error), where=f"site {arguments.site}") from error
+
+
+def _extent(arguments: argparse.Namespace) -> Callable[[Frame], Within] | None:
+    """How the site's extent is found once its frame is known."""
+    if not arguments.extent:
+        return None
+    kind, _, value = arguments.extent.partition("=")
+    files, crs = arguments.extent_files, arguments.extent_crs
+    return lambda frame: read_site_extent(kind, value, frame, files, crs)
 
 
 if __name__ == "__main__":

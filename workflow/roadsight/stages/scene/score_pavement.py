@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import math
 import sys
 
@@ -14,8 +15,11 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table
+from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_polygons
 from roadsight.stages.command import run_stage
+
+log = logging.getLogger(__name__)
 
 
 def score_pavement(arguments: argparse.Namespace) -> None:
@@ -27,6 +31,8 @@ def score_pavement(arguments: argparse.Namespace) -> None:
         if arguments.truth_layer
         else read_polygons(arguments.truth, frame, arguments.truth_crs or None)
     )
+    about = read_json(arguments.frame)
+    tell_near(log, "known polygons", polygons.geometry.to_numpy(), about, arguments.truth)
     true = shapely.union_all(polygons.geometry.to_numpy())
     xyz = stack_xyz(CloudTiles(arguments.cloud).read(("x", "y", "z")))
     ground = xyz[read_table(arguments.ground)["ground"].to_numpy()].astype(np.float64)

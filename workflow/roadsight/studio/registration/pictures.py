@@ -5,11 +5,11 @@ from __future__ import annotations
 from functools import lru_cache
 
 import cv2
-import numpy as np
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.lens import RadialLens
+from roadsight.io.images.exif import decoded_image
 from roadsight.io.records.atomic import read_json
 from roadsight.poles.drive.drive_lenses import Key, lens_of, with_given
 from roadsight.poles.images.straightening import source_places, straightened
@@ -45,7 +45,7 @@ def without_distortion(content: bytes, lens: RadialLens) -> bytes:
     ------
     InputError : it is no image.
     """
-    image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_COLOR)
+    image = decoded_image(content, cv2.IMREAD_COLOR)
     if image is None:
         raise InputError("is no image that can be read", where="picture")
     turned = straightened(image, _places(lens, image.shape[1], image.shape[0]), smooth=True)

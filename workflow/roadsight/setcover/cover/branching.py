@@ -1,4 +1,4 @@
-"""Division of a node: do two targets share a sensor or not."""
+"""Division of a node: do two targets share a choice or not."""
 
 from __future__ import annotations
 
@@ -8,36 +8,33 @@ from scipy import sparse
 from roadsight.base.arrays import Ints32
 from roadsight.setcover.common.problem import Instance
 from roadsight.setcover.common.relaxation import Node, Relaxation, Solution
+from roadsight.setcover.common.tree import choices_of_both, divide_by_choice, divide_by_choices
 
 _PAIRED_TARGETS = 80
+"""So many targets of the highest duals are compared in pairs. The bound rises by the duals, so that
+pairs of others promise less; a larger number takes time by its square."""
 _FRACTION = 1e-3
+"""Pairs whose common share is nearer to a whole number than this count as decided: what is left may
+be the solver's tolerance, and a division by it changes next to nothing."""
 
 
 def divide(relaxation: Relaxation, node: Node, solution: Solution) -> tuple[Node, Node]:
     """Two nodes that share out all covers of ``node``.
 
     Neighbouring candidates are nearly equal, so forbidding one changes little. Instead two targets
-    are chosen that rows with a fractional total share cover together: either no such row is taken,
-    or at least one is (the rule of Ryan and Foster for partitioning, here for covering). Where no
-    two targets are divided, one row is.
+    are taken whose common choices have a fractional share in total: either none of these choices is
+    taken, or at least one is (the rule of Ryan and Foster for partitioning, here for covering).
+    Where there are no such targets, the node is divided by one choice.
     """
-    rows = _shared_rows(relaxation.instance, node, solution)
-    if rows is None:
-        row = int(np.argmax(np.minimum(solution.x, 1 - solution.x) * (node.alive & ~node.fixed)))
-        without, fixed = node.alive.copy(), node.fixed.copy()
-        without[row], fixed[row] = False, True
-        return Node(without, node.fixed, node.path), Node(node.alive, fixed, node.path)
-    without = node.alive.copy()
-    without[rows] = False
-    branch = relaxation.add_branch(rows)
-    return (
-        Node(without, node.fixed, node.path),
-        Node(node.alive, node.fixed, (*node.path, branch)),
-    )
+    choices = _shared_choices(relaxation.instance, node, solution)
+    if choices is None:
+        nearness = np.minimum(solution.x, 1 - solution.x) * (node.alive & ~node.fixed)
+        return divide_by_choice(node, int(np.argmax(nearness)))
+    return divide_by_choices(node, choices, relaxation.add_branch(choices))
 
 
-def _shared_rows(instance: Instance, node: Node, solution: Solution) -> Ints32 | None:
-    """Free rows that cover both of the two targets whose division promises most."""
+def _shared_choices(instance: Instance, node: Node, solution: Solution) -> Ints32 | None:
+    """Free choices that cover both of the two targets whose division promises most."""
     tight = np.flatnonzero(solution.target_dual > 1e-9)
     dual = solution.target_dual[tight]
     order = np.argsort(-dual, kind="stable")[:_PAIRED_TARGETS]
@@ -53,7 +50,4 @@ def _shared_rows(instance: Instance, node: Node, solution: Solution) -> Ints32 |
         return None
     score = np.where(fraction < _FRACTION, -1.0, fraction * np.minimum(dual[first], dual[second]))
     best = int(np.argmax(score))
-    start, index = instance.by_target.indptr, instance.by_target.indices
-    one, two = (index[start[t] : start[t + 1]] for t in (tight[first[best]], tight[second[best]]))
-    shared = np.intersect1d(one, two)
-    return shared[free[shared]].astype(np.int32)
+    return choices_of_both(instance.by_target, tight[first[best]], tight[second[best]], free)

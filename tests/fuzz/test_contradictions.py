@@ -1,0 +1,69 @@
+"""Files that contradict themselves give the answer of the clean file, a note, or one message."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from roadsight.base.errors import InputError
+from roadsight.io.cloud.clouds import read_header, read_laz
+from roadsight.io.records.sighting_tables import read_sightings
+from tests.fuzz.contradictions import KINDS, clean_cloud, contradicted_cloud, table
+
+FEW, MANY = 8, 10_000
+
+
+def compare_clouds(folder, kind, numbers):
+    for number in numbers:
+        rng = np.random.default_rng(number)
+        path, code = clean_cloud(folder / "a.las", rng)
+        clean = read_laz(path).xyz
+        point_format = path.read_bytes()[104]
+        contradicted_cloud(path, kind, rng)
+        header = read_header(path)
+        np.testing.assert_array_equal(read_laz(path).xyz, clean)
+        told = [header.stated.problem, *header.stated.notes, *header.notes]
+        if kind == "stale keys, no bit":
+            found = None if header.stated.crs is None else header.stated.crs.to_epsg()
+            assert (found is None) == (point_format == 6)
+            assert found != code
+        else:
+            assert header.stated.crs.to_epsg() == code
+        assert any(told) == (kind != "one part"), (number, kind)
+
+
+def compare_tables(folder, numbers):
+    for number in numbers:
+        clean, written = table(np.random.default_rng(number))
+        (folder / "clean.csv").write_text(clean)
+        (folder / "other.csv").write_bytes(written)
+        pd.testing.assert_frame_equal(
+            read_sightings(folder / "other.csv"), read_sightings(folder / "clean.csv")
+        )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_few_clouds(tmp_path, kind):
+    compare_clouds(tmp_path, kind, range(FEW))
+
+
+def test_some_tables(tmp_path):
+    compare_tables(tmp_path, range(60))
+
+
+def test_keys_of_a_table_are_not_guessed(tmp_path):
+    (tmp_path / "a.csv").write_text("lat,lon,bearing\n1,2,3,4\n")
+    with pytest.raises(InputError, match="more cells"):
+        read_sightings(tmp_path / "a.csv")
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("kind", KINDS)
+def test_many_clouds(tmp_path, kind):
+    compare_clouds(tmp_path, kind, range(MANY))
+
+
+@pytest.mark.full
+def test_many_tables(tmp_path):
+    compare_tables(tmp_path, range(MANY))

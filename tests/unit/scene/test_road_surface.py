@@ -1,0 +1,182 @@
+"""The road as a surface that runs on until a kerb, grass or a wall ends it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roadsight.base.errors import InputError
+from roadsight.scene.pavement.ground_raster import cell_means, local_planes, window_planes
+from roadsight.scene.pavement.road_surface import RoadSettings, find_road, road_points
+from roadsight.scene.pavement.scan_levels import level_scans, scanner_positions
+from roadsight.scene.pavement.surface_growth import grow
+
+HALF_ROAD_M = 4.0
+KERB_M = 0.12
+LENGTH_M = 50.0
+
+
+def street(rng, layer_m=0.0, kerb_m=KERB_M, scans=6, per_m2=60):
+    """Points, intensity, scan and truth of a crowned street with kerbs, walks and lawns.
+
+    Each scan has a blind disc of 3 m around its vehicle, and registration errors of ``layer_m``.
+    """
+    count = int(LENGTH_M * 24 * per_m2)
+    x = rng.uniform(0, LENGTH_M, count)
+    y = rng.uniform(-12, 12, count)
+    road = np.abs(y) < HALF_ROAD_M
+    lawn = np.abs(y) > 7.0
+    z = 0.01 * x - 0.02 * np.minimum(np.abs(y), HALF_ROAD_M) + np.where(road, 0.0, kerb_m)
+    z += np.where(lawn, rng.normal(0.04, 0.04, count), rng.normal(0, 0.004, count))
+    scan = rng.integers(0, scans, count)
+    vehicle = np.linspace(15, 35, scans)[scan]
+    seen = np.hypot(x - vehicle, y - 1.8) > 2.5
+    thin = rng.random(count) < np.clip(8.0 / np.maximum(np.hypot(x - vehicle, y - 1.8), 2.5), 0, 1)
+    z += rng.normal(0, layer_m, scans)[scan] + rng.normal(0, layer_m / 30, scans)[scan] * (x - 25)
+    keep = seen & thin
+    xyz = np.column_stack([x, y, z])[keep]
+    tone = np.where(lawn, 60.0, np.where(road, 25.0, 35.0)) * rng.uniform(0.8, 1.2, count)
+    return xyz, tone[keep], scan[keep], road[keep]
+
+
+def f1(found, truth):
+    return 2 * (found & truth).sum() / (found.sum() + truth.sum())
+
+
+@pytest.mark.parametrize("layer_m", [0.0, 0.01, 0.03, 0.05])
+def test_a_street_ends_at_its_kerbs_whatever_the_registration(rng, layer_m):
+    xyz, tone, scan, road = street(rng, layer_m)
+    surface = find_road(xyz, tone, scan)
+    assert surface.seeded_by == "scans"
+    assert f1(road_points(surface, xyz, RoadSettings()), road) > 0.93
+
+
+def test_a_track_seeds_the_road_where_scans_are_not_told_apart(rng):
+    xyz, tone, _, road = street(rng)
+    track = np.column_stack([np.linspace(5, 45, 10), np.full(10, 1.8)])
+    surface = find_road(xyz, tone, None, track)
+    assert surface.seeded_by == "track" and surface.parts == 1
+    assert f1(road_points(surface, xyz, RoadSettings()), road) > 0.93
+
+
+def test_points_far_away_change_nothing(rng):
+    xyz, tone, scan, _ = street(rng)
+    x, y = rng.uniform(200, 260, (2, 30_000))
+    far = np.column_stack([x, y, rng.normal(0, 0.2, len(x))])
+    alone = road_points(find_road(xyz, tone, scan), xyz, RoadSettings())
+    both = find_road(
+        np.concatenate([xyz, far]),
+        np.concatenate([tone, np.full(len(far), 30.0)]),
+        np.concatenate([scan, np.zeros(len(far), np.int64)]),
+    )
+    every = np.concatenate([xyz, far])
+    found = road_points(both, every, RoadSettings())[: len(xyz)]
+    assert (found == alone).mean() > 0.99
+
+
+def test_too_little_ground_is_refused():
+    with pytest.raises(InputError, match="too little ground"):
+        find_road(np.zeros((5, 3)))
+
+
+def test_rough_ground_is_no_road(rng):
+    x, y = rng.uniform(0, 30, (2, 30_000))
+    xyz = np.column_stack([x, y, rng.normal(0, 0.3, len(x))])
+    with pytest.raises(InputError, match="no road found"):
+        find_road(xyz)
+
+
+class TestScans:
+    def test_offsets_and_tilts_are_removed(self, rng):
+        xyz, _, scan, road = street(rng, layer_m=0.0)
+        shift = rng.normal(0, 0.05, 6)
+        tilt = rng.normal(0, 0.002, 6)
+        moved = xyz.copy()
+        moved[:, 2] += shift[scan] + tilt[scan] * (xyz[:, 0] - xyz[:, 0].mean())
+        levelled, _ = level_scans(moved, scan)
+        # A tilt that all scans share cannot be told from the street's own.
+        design = np.column_stack([np.ones(len(xyz)), xyz[:, :2]])[road]
+        off = (levelled - xyz[:, 2])[road]
+        off -= design @ np.linalg.lstsq(design, off, rcond=None)[0]
+        apart = [off[scan[road] == one].mean() for one in range(6)]
+        assert np.ptp(apart) < 0.004
+
+    def test_one_scan_keeps_its_heights(self, rng):
+        xyz = rng.normal(size=(500, 3))
+        levelled, shifts = level_scans(xyz, np.zeros(500, np.int64))
+        assert np.array_equal(levelled, xyz[:, 2]) and not shifts.any()
+
+    def test_scanners_stand_in_their_blind_discs(self, rng):
+        xyz, _, scan, _ = street(rng, per_m2=200)
+        places, sure = scanner_positions(xyz, scan)
+        truth = np.column_stack([np.linspace(15, 35, 6), np.full(6, 1.8)])
+        assert sure.all()
+        assert np.hypot(*(places - truth).T).max() < 1.0
+
+    def test_a_strip_without_blind_disc_has_no_scanner(self, rng):
+        xyz = np.column_stack([rng.uniform(0, 40, (40_000, 2)), np.zeros(40_000)])
+        _, sure = scanner_positions(xyz, rng.integers(0, 2, len(xyz)))
+        assert not sure.any()
+
+
+class TestRaster:
+    def test_windows_recover_a_plane_through_gaps(self, rng):
+        x, y = rng.uniform(0, 20, (2, 4000))
+        z = 100 + 0.1 * x - 0.05 * y
+        cells = cell_means(np.column_stack([x, y, z]), np.ones(len(x)), 0.5)
+        height, east, north, residual, _, _ = window_planes(
+            cells.weight, cells.height_m, cells.across, cells.up, 3.0
+        )
+        inner = (slice(8, -8), slice(8, -8))
+        column, row = np.meshgrid(np.arange(cells.grid.columns), np.arange(cells.grid.rows))
+        east_m, north_m = cells.grid.centres(column, row)
+        expected = 100 + 0.1 * east_m - 0.05 * north_m
+        assert np.abs(height - expected)[inner].max() < 0.02
+        assert np.abs(east / 0.5 - 0.1)[inner].max() < 0.01
+        assert np.abs(north / 0.5 + 0.05)[inner].max() < 0.01
+        assert residual[inner].max() < 0.05
+
+    def test_sparse_cells_take_a_larger_scale(self, rng):
+        dense = rng.uniform(0, 10, (5000, 2))
+        sparse = rng.uniform(0, 10, (300, 2)) + np.array([10.0, 0.0])
+        xy = np.concatenate([dense, sparse])
+        cells = cell_means(np.column_stack([xy, np.zeros(len(xy))]), np.ones(len(xy)), 0.25)
+        planes = local_planes(cells, (1.5, 2.5, 4.0, 6.5), 0.005)
+        west = planes.scale_m[:, 4:30][planes.known[:, 4:30]]
+        east = planes.scale_m[:, 50:70][planes.known[:, 50:70]]
+        assert np.median(west) < np.median(east)
+
+
+def growth(height, seed, step=0.02):
+    """Growth over heights (rows, columns) with nothing else to end it."""
+    shape = height.shape
+    nothing = np.zeros(shape)
+    return grow(
+        seed,
+        np.ones(shape, bool),
+        np.zeros(shape, bool),
+        height,
+        nothing,
+        nothing,
+        np.zeros((*shape, 1)),
+        np.array([4.0]),
+        np.array([0.1]),
+        np.full(shape, step),
+        nothing,
+        1.0,
+        6.0,
+        3,
+        2,
+        0.3,
+    )
+
+
+def test_growth_stops_at_a_step_and_at_a_gap_narrower_than_a_vehicle():
+    height = np.zeros((60, 60))
+    height[:, 30:] = 0.1
+    seed = np.zeros((60, 60), bool)
+    seed[28:33, 8:13] = True
+    grown = growth(height, seed)
+    assert grown[5:55, 5:26].all() and not grown[:, 31:].any()
+    height[28:31, 28:32] = np.linspace(0, 0.1, 4)
+    assert not growth(height, seed)[:, 36:].any()

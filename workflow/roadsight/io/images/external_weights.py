@@ -1,0 +1,33 @@
+"""Files beside a network that hold its weights: ONNX leaves large ones out of its own file."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterable
+from pathlib import Path
+
+_LOCATION = re.compile(rb"\x0a\x08location\x12([\x01-\x7f])", re.DOTALL)
+"""Key of an entry of a tensor's external data, and the length of the file's name that follows."""
+
+
+def weight_files(network: Path) -> list[Path]:
+    """Files of weights that a network names and that lie beside it or below, sorted."""
+    content = network.read_bytes()
+    names = set()
+    for found in _LOCATION.finditer(content):
+        name = content[found.end() : found.end() + found[1][0]]
+        names.add(name.decode("utf-8", "replace"))
+    usable = [name for name in names if ".." not in Path(name).parts and "\0" not in name]
+    files = [network.parent / name for name in usable if not Path(name).is_absolute()]
+    return sorted(file for file in files if file.is_file())
+
+
+def network_sha256(network: Path, weights: Iterable[Path]) -> str:
+    """SHA-256 of a network's file and, one after the other, of the weights beside it."""
+    digest = hashlib.sha256()
+    for file in (network, *weights):
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

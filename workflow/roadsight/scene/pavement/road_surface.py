@@ -1,0 +1,452 @@
+"""The carriageway in a cloud: a smooth surface that runs on until a kerb, grass or a wall ends it.
+
+Ground cells are joined to a seed as long as they continue its plane in height, rise, intensity and
+roughness, each compared with its own spread nearby. Heights are means over many points, so that the
+thickness of the layer averages out, and scans are levelled on each other first. Seeds come from
+where a vehicle drove (given, or seen in the cloud as the blind disc below each scan), else from the
+widest smooth ground.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy import ndimage
+
+from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.errors import InputError
+from roadsight.scene.grids import Grid, fill_gaps
+from roadsight.scene.pavement.ground_raster import (
+    CellMeans,
+    LocalPlanes,
+    cell_means,
+    local_planes,
+    smooth,
+    window_planes,
+)
+from roadsight.scene.pavement.scan_levels import level_scans, scanner_positions
+from roadsight.scene.pavement.surface_growth import grow
+
+
+@dataclass(frozen=True)
+class RoadSettings:
+    """Settings of the road surface; lengths in metres.
+
+    Parameters
+    ----------
+    cell_m : smallest cell; `cell_for` widens it with the spacing.
+    step_m : height by which a cell may leave the plane of the surface before it.
+    rise : change of slope over one cell's window that ends the surface, rise over run.
+    window_m : standard deviation of the window in which the surface's plane is fitted.
+    narrowest_m : narrower passages are not driven through.
+    steepest : ground steeper than this, rise over run, is no road.
+    gap_m : widest gap without points that the surface is carried over.
+    tone_ratio, tone_spreads : change of intensity that is never an edge, as a share, and how many
+        spreads of the road's own intensity are.
+    rough_ratio, rough_spreads : the same for roughness.
+    edge_reach_m, edge_step_m : the last cells before an edge are taken when they lie this near the
+        surface's plane, in plan and in height.
+    point_m, point_spreads : a point belongs to the road up to this height from its surface, or this
+        many times the layer's spread.
+    smallest_m2, smallest_share : separate surfaces found without a track are kept above both, the
+        share of the largest one's area.
+    roughest_m : a surface about which points spread more within a cell is no road. Pavement spreads
+        by 0.4 to 0.7 cm in levelled scans; unlevelled ones may add 5 cm.
+    """
+
+    cell_m: float = 0.2
+    step_m: float = 0.02
+    rise: float = 0.1
+    window_m: float = 1.2
+    narrowest_m: float = 1.6
+    steepest: float = 0.15
+    gap_m: float = 6.0
+    tone_ratio: float = 0.1
+    tone_spreads: float = 4.0
+    rough_ratio: float = 0.25
+    rough_spreads: float = 4.0
+    edge_reach_m: float = 0.8
+    edge_step_m: float = 0.025
+    point_m: float = 0.08
+    point_spreads: float = 2.5
+    smallest_m2: float = 100.0
+    smallest_share: float = 0.2
+    roughest_m: float = 0.08
+
+
+@dataclass(frozen=True)
+class RoadSurface:
+    """The road as cells of a grid.
+
+    Parameters
+    ----------
+    grid, road : cells (rows, columns) that are road and hold or lie between points.
+    bridged : cells without points that the surface was carried over.
+    height_m : height of the surface. levelled_m : (n,) heights of the input's points with the
+        scans' offsets removed. layer_m : spread of the points about the surface within a cell.
+    level_m : largest height error of a scan that was removed. seeded_by : "track", "scans" or
+        "ground". open_share : share of the outline that no step, grass or tone was seen at.
+    unsure_share : area that a third more or less tolerance adds or takes, over the road's area.
+    parts : connected surfaces. cell_points : median number of points in a road cell.
+    """
+
+    grid: Grid
+    road: Bools
+    bridged: Bools
+    height_m: Floats
+    levelled_m: Floats
+    layer_m: float
+    level_m: float
+    seeded_by: str
+    open_share: float
+    unsure_share: float
+    parts: int
+    cell_points: float
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """What the growth looks at, all (rows, columns)."""
+
+    cells: CellMeans
+    planes: LocalPlanes
+    measured: Bools
+    blank: Bools
+    looks: Floats
+    step_m: Floats
+    bridge_m: Floats
+
+
+def cell_for(xyz_m: Floats, settings: RoadSettings) -> float:
+    """Cell that holds two points where points are dense, at least the smallest cell.
+
+    The spacing is the one that a quarter of the points have or beat, so that sparse points
+    elsewhere do not coarsen the road.
+    """
+    if len(xyz_m) == 0:
+        return settings.cell_m
+    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], 1.0)
+    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+    dense = float(np.percentile(np.bincount(cell)[cell], 75))
+    wanted = 1.5 * dense**-0.5  # two points a cell: fewer leave every other cell empty
+    return max(settings.cell_m, round(wanted / 0.05) * 0.05)
+
+
+def find_road(
+    xyz_m: Floats,
+    intensity: Floats | None = None,
+    scan: Ints | None = None,
+    track_xy: Floats | None = None,
+    settings: RoadSettings | None = None,
+) -> RoadSurface:
+    """Road surface among points near the ground.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) points up to some decimetres from the ground, local metres.
+    intensity : (n,) or None. scan : (n,) number of the scan or strip, or None.
+    track_xy : (k, 2) positions where a vehicle drove, in order, or None.
+
+    Raises
+    ------
+    InputError : too few points, or no smooth ground that is wide enough for a road.
+    """
+    settings = settings or RoadSettings()
+    if len(xyz_m) < 100:
+        raise InputError(
+            "too little ground for a road", found=f"{len(xyz_m)} points", allowed="at least 100"
+        )
+    scan = np.zeros(len(xyz_m), np.int64) if scan is None else scan
+    levelled, shifts = level_scans(xyz_m, scan)
+    points = np.column_stack([xyz_m[:, :2], levelled])
+    tones = np.zeros(len(points)) if intensity is None else intensity.astype(np.float64)
+    ground = _describe(points, tones, cell_for(xyz_m, settings), settings)
+    seeds, seeded_by = _seeds(ground, xyz_m, scan, track_xy, settings)
+    grown = _grow_all(ground, seeds, seeded_by, settings)
+    if not grown.any():
+        raise InputError("no road found: no smooth ground wide enough", hint="give a track")
+    road, height = _to_the_edge(ground, grown & ground.measured, settings)
+    more, less = (
+        _grow_from(ground, grown & _inner(seeds, grown), settings, factor) for factor in (1.3, 0.7)
+    )
+    inside = ground.cells.count[road]
+    layer_m = _layer_m(ground.cells, road)
+    if layer_m > settings.roughest_m:
+        raise InputError(
+            "no road found: even the smoothest surface is too rough for one",
+            found=f"points spread by {100 * layer_m:.0f} cm about it",
+            allowed=f"up to {100 * settings.roughest_m:.0f} cm",
+            hint="give a track, or the pavement as a polygon (placement.tma)",
+        )
+    return RoadSurface(
+        grid=ground.cells.grid,
+        road=road,
+        bridged=grown & ground.blank & _enclosed(road | (grown & ground.blank), road),
+        height_m=height,
+        levelled_m=levelled,
+        layer_m=layer_m,
+        level_m=float(np.abs(shifts[:, 0]).max()) if len(shifts) else 0.0,
+        seeded_by=seeded_by,
+        open_share=_open_share(ground, road, settings),
+        unsure_share=float((more ^ less)[ground.measured].sum() / max(int(road.sum()), 1)),
+        parts=int(ndimage.label(road | grown)[1]),
+        cell_points=float(np.median(inside[inside > 0])) if (inside > 0).any() else 0.0,
+    )
+
+
+def _layer_m(cells: CellMeans, road: Bools) -> float:
+    """Typical spread of the points of a road cell; of three points at least."""
+    spread = cells.variance_m2[road & (cells.count >= 3)]
+    return float(np.sqrt(np.median(spread))) if spread.size else 0.0
+
+
+def road_points(surface: RoadSurface, xyz_m: Floats, settings: RoadSettings) -> Bools:
+    """Which of the points (n, 3) given to `find_road` lie on its surface."""
+    cell = surface.grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+    allowed = max(settings.point_m, settings.point_spreads * surface.layer_m)
+    off = np.abs(surface.levelled_m - surface.height_m.ravel()[cell])
+    return surface.road.ravel()[cell] & (off < allowed)
+
+
+_SCALES_CELLS = (1.5, 2.5, 4.0, 6.5, 10.0)
+"""Each 1.6 times the last; 0.3 to 2 m at the finest cell."""
+_NEAR_M = 0.6
+"""A cell this near to a point is measured if its plane is known."""
+_STEP_WINDOW_M = 3.0
+"""The slope of the street around a kerb: the median of a lane's width."""
+
+
+def _describe(points: Floats, tones: Floats, cell_m: float, settings: RoadSettings) -> _Ground:
+    cells = cell_means(points, tones, cell_m)
+    # Half a centimetre: a quarter of the step that counts, so that chance steps are four spreads.
+    planes = local_planes(cells, _SCALES_CELLS, error_m=settings.step_m / 4)
+    occupied = cells.count > 0
+    near = ndimage.distance_transform_edt(~occupied) * cell_m <= max(_NEAR_M, 1.5 * cell_m)
+    step = _step_m(planes, cell_m)
+    measured = planes.known & near
+    # A cell without ground that is fit for a road is an obstacle, not a gap to be bridged.
+    away = ndimage.distance_transform_edt(~measured) * cell_m
+    blank = ~measured & (away <= settings.gap_m / 2)
+    looks = np.stack([_tone(cells), _roughness(planes, cells)], axis=-1)
+    depth = ndimage.distance_transform_edt(blank) * cell_m
+    wide = ndimage.maximum_filter(depth, size=2 * round(1.0 / cell_m) + 1)
+    # Along a gap the crossfall changes by about 1 %; the gap is twice as wide as it is deep.
+    bridge = 0.01 * 2 * wide
+    measured = measured & (np.hypot(planes.east, planes.north) < settings.steepest)
+    return _Ground(cells, planes, measured, blank, looks, step, bridge)
+
+
+def _tone(cells: CellMeans) -> Floats:
+    """Logarithm of the intensity without thin bright marks; NaN where unknown or all alike.
+
+    Of the smoothed intensity around a cell the lower third is taken: paint is bright and narrow.
+    """
+    occupied = cells.count > 0
+    typical = float(np.median(cells.intensity[occupied]))
+    if typical <= 0.0 or np.ptp(cells.intensity[occupied]) == 0.0:
+        return np.full(cells.count.shape, np.nan)
+    weight = cells.weight
+    total = smooth(weight, 1.5)
+    # A tenth of the typical value keeps the logarithm from blowing up the darkest returns.
+    value = smooth(weight * np.log(cells.intensity + 0.1 * typical), 1.5)
+    known = total > 0.3
+    tone = np.where(known, value / np.maximum(total, 1e-9), np.nan)
+    lower = ndimage.percentile_filter(fill_gaps(tone), 35, size=5, mode="nearest")
+    return np.where(known, lower, np.nan)
+
+
+def _roughness(planes: LocalPlanes, cells: CellMeans) -> Floats:
+    """Logarithm of the residual about the local planes; NaN where unknown."""
+    known = planes.known.astype(np.float64)
+    square = ndimage.uniform_filter(np.where(planes.known, planes.residual_m**2, 0.0), 5)
+    square /= np.maximum(ndimage.uniform_filter(known, 5), 1e-6)
+    # A tenth of a millimetre: below it a surface is as flat as any.
+    return np.where(planes.known, 0.5 * np.log(np.maximum(square, 0.0) + 1e-8), np.nan)
+
+
+def _step_m(planes: LocalPlanes, cell_m: float) -> Floats:
+    """Height of the step in each window: slope beyond the street's, over the blurred step's width.
+
+    A step of height h seen through a Gaussian of width s has slope h / (s sqrt(2 pi)).
+    """
+    size = 2 * round(_STEP_WINDOW_M / 2 / cell_m) + 1
+    parts = []
+    for slope in (planes.east, planes.north):
+        filled = fill_gaps(np.where(planes.known, slope, np.nan))
+        parts.append(slope - ndimage.median_filter(filled, size=size, mode="nearest"))
+    return np.hypot(*parts) * planes.scale_m * np.sqrt(2 * np.pi)
+
+
+def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: float = 1.0) -> Bools:
+    cell_m, planes = ground.cells.grid.cell_size_m, ground.planes
+    step = factor * settings.step_m
+    # A height that is itself unsure may be off by two of its errors, but never by half a kerb.
+    allowed = np.minimum(np.hypot(step, 2 * planes.error_m), 1.5 * step)
+    return grow(
+        seed & ground.measured,
+        ground.measured | ground.blank,
+        ground.blank,
+        planes.height_m,
+        planes.east * cell_m,
+        planes.north * cell_m,
+        ground.looks,
+        np.array([settings.tone_spreads, settings.rough_spreads]),
+        np.array([settings.tone_ratio, settings.rough_ratio]),
+        allowed,
+        ground.bridge_m,
+        settings.rise * cell_m,
+        max(settings.window_m / cell_m, 3.0),
+        max(2, round(0.6 / cell_m)),
+        max(1, round(settings.narrowest_m / 2 / cell_m)),
+        0.3,
+    )
+
+
+def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSettings) -> Bools:
+    """Surface of the seeds; without a track, surfaces from ever smaller seeds as well."""
+    if seeded_by != "ground":
+        return _grow_from(ground, seeds, settings)
+    area = ground.cells.grid.cell_size_m**2
+    free = _smooth_ground(ground, settings)
+    total = np.zeros_like(free)
+    largest = 0.0
+    for _ in range(_MOST_PARTS):
+        free = _large_enough(free, settings.smallest_m2 / 4 / area)
+        seed = _widest(ground, free, settings)
+        if not seed.any():
+            break
+        part = _grow_from(ground, seed, settings)
+        size = float((part & ground.measured).sum() * area)
+        if size >= max(settings.smallest_m2, settings.smallest_share * largest):
+            total |= part
+            largest = max(largest, size)
+        free &= ~ndimage.binary_dilation(part | seed, iterations=2)
+    return total
+
+
+_MOST_PARTS = 50
+"""Surfaces tried; a site of some hectares has a dozen."""
+
+
+def _large_enough(area: Bools, fewest_cells: float) -> Bools:
+    """Connected parts with that many cells."""
+    label, _ = ndimage.label(area)
+    large = np.bincount(label.ravel()) >= fewest_cells
+    large[0] = False
+    return large[label]
+
+
+def opened(area: Bools, radius: float) -> Bools:
+    """Opening of a raster by a disc of a radius in cells."""
+    core = ndimage.distance_transform_edt(np.pad(area, 1))[1:-1, 1:-1] > radius
+    if not core.any():
+        return np.zeros_like(area)
+    return ndimage.distance_transform_edt(~core) <= radius
+
+
+def _smooth_ground(ground: _Ground, settings: RoadSettings) -> Bools:
+    """Ground that is flat over a lane's half width or more."""
+    cell_m = ground.cells.grid.cell_size_m
+    flat = ground.measured & (ground.step_m < 0.6 * settings.step_m)
+    return opened(flat, max(1.0, 1.0 / cell_m)) & flat
+
+
+def _widest(ground: _Ground, free: Bools, settings: RoadSettings) -> Bools:
+    """Disc of 1 m where free ground is widest and holds most points."""
+    cell_m = ground.cells.grid.cell_size_m
+    width = np.minimum(ndimage.distance_transform_edt(free) * cell_m, 3.0)
+    density = ndimage.gaussian_filter(np.where(free, ground.cells.count, 0.0), 2.0 / cell_m)
+    score = np.where(free & (width >= 0.5), width * np.sqrt(density), 0.0)
+    seed = np.zeros_like(free)
+    if score.max() > 0.0:
+        row, column = np.unravel_index(int(np.argmax(score)), score.shape)
+        reach = max(1, round(1.0 / cell_m))
+        rows = slice(max(0, row - reach), row + reach + 1)
+        columns = slice(max(0, column - reach), column + reach + 1)
+        seed[rows, columns] = free[rows, columns]
+    return seed
+
+
+_HALF_LANE_M = 1.75
+"""Half a lane beside the driven line is lane."""
+_AHEAD_M = 5.0
+"""The road goes on beyond the first and last position by more than a blind disc."""
+
+
+def _seeds(
+    ground: _Ground,
+    xyz_m: Floats,
+    scan: Ints,
+    track_xy: Floats | None,
+    settings: RoadSettings,
+) -> tuple[Bools, str]:
+    by = "track"
+    if track_xy is None or len(track_xy) == 0:
+        by = "scans"
+        track_xy, sure = scanner_positions(xyz_m, scan)
+        if not len(track_xy) or len(np.unique(scan)) < 2 or sure.mean() < 0.5:
+            return np.zeros_like(ground.measured), "ground"
+        track_xy = track_xy[sure]
+    line = driven_line(track_xy[:, :2])
+    grid = ground.cells.grid
+    flat = ground.measured & (ground.cells.count > 0) & (ground.step_m < settings.step_m)
+    row, column = np.nonzero(flat)
+    x, y = grid.centres(column, row)
+    near = shapely.dwithin(line, shapely.points(x, y), _HALF_LANE_M)
+    seed = np.zeros_like(flat)
+    seed[row[near], column[near]] = True
+    seed = opened(ndimage.binary_closing(seed), 2.0) & ground.measured
+    return (seed, by) if seed.any() else (seed, "ground")
+
+
+def driven_line(xy_m: Floats) -> shapely.Geometry:
+    """Line through positions in order, straight on for some metres at both ends."""
+    ends = []
+    for first, other in ((xy_m[0], xy_m[min(3, len(xy_m) - 1)]), (xy_m[-1], xy_m[-4:][0])):
+        ahead = first - other
+        length = float(np.hypot(*ahead))
+        ends.append(first + (_AHEAD_M * ahead / length if length > 0.1 else 0.0))
+    return shapely.linestrings(np.vstack([ends[0], xy_m, ends[1]]))
+
+
+def _inner(seeds: Bools, grown: Bools) -> Bools:
+    """Seeds to repeat a growth from: the given ones, else the surface far from its edge."""
+    if seeds.any():
+        return seeds
+    depth = ndimage.distance_transform_edt(grown)
+    return depth >= 0.6 * depth.max()
+
+
+def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[Bools, Floats]:
+    """The road with the cells up to its edge, and the height of its surface.
+
+    Windows blur a step, so that the growth stops before it; the surface is carried on from the road
+    alone, and a cell belongs while its own mean lies on it.
+    """
+    cells, cell_m = ground.cells, ground.cells.grid.cell_size_m
+    weight = np.where(road, cells.weight, 0.0)
+    sigma = max(1.0 / cell_m, 3.0)
+    height, _, _, _, total, _ = window_planes(weight, cells.height_m, cells.across, cells.up, sigma)
+    away = ndimage.distance_transform_edt(~road) * cell_m
+    near = (away <= max(settings.edge_reach_m, 1.5 * cell_m)) & (total > 0.05)
+    near &= ground.measured & (np.abs(ground.planes.height_m - height) < settings.edge_step_m)
+    return opened(road | near, 2.0) | road, height
+
+
+def _enclosed(area: Bools, road: Bools) -> Bools:
+    """Cells of holes in the road: not connected to the outside without crossing it."""
+    return ndimage.binary_fill_holes(road) & ~road & area
+
+
+def _open_share(ground: _Ground, road: Bools, settings: RoadSettings) -> float:
+    """Share of the outline's cells next to which no step was seen within half a metre."""
+    cell_m = ground.cells.grid.cell_size_m
+    rim = road & ~ndimage.binary_erosion(road)
+    if not rim.any():
+        return 1.0
+    step = np.where(ground.measured, ground.step_m, 0.0)
+    size = 2 * max(1, round(0.5 / cell_m)) + 1
+    seen = ndimage.maximum_filter(step, size=size) >= 1.5 * settings.step_m
+    return float(1.0 - seen[rim].mean())
