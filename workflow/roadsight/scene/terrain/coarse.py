@@ -108,8 +108,8 @@ def low_outliers(lowest_m: Floats, deep_m: Floats) -> Bools:
 def pits_of(height: Floats, deep: Floats, halves: Ints, enough: int, share: float) -> Bools:
     """Cells with fewer than a share of the known cells around nearly as low or lower.
 
-    The middle half of the others must lie within the depth of a pit: the ground that is seen
-    between trees or roofs is no pit.
+    The middle half of the others must lie within the depth of a pit, as they are or about their
+    plane: the ground that is seen between trees or roofs is no pit, but one on a slope is.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def pits_of(height: Floats, deep: Floats, halves: Ints, enough: int, share: floa
     """
     rows, columns = height.shape
     out = np.zeros((rows, columns), np.bool_)
-    others = np.empty((2 * halves[-1] + 1) ** 2)
+    others = np.empty((3, (2 * halves[-1] + 1) ** 2))
     for i in range(rows):
         for j in range(columns):
             if np.isnan(height[i, j]):
@@ -132,16 +132,38 @@ def pits_of(height: Floats, deep: Floats, halves: Ints, enough: int, share: floa
                         if height[a, b] <= limit:
                             low += 1
                         elif height[a, b] > limit:
-                            others[n] = height[a, b]
+                            others[0, n], others[1, n], others[2, n] = b - j, a - i, height[a, b]
                             n += 1
                 if low + n < enough:
                     continue
                 out[i, j] = low < share * (low + n)
-                if out[i, j]:
-                    around = np.sort(others[:n])
-                    out[i, j] = around[(3 * n) // 4] - around[n // 4] <= deep[i, j]
+                if out[i, j] and _middle_half(others[2, :n]) > deep[i, j]:
+                    out[i, j] = _middle_half(_off_plane(others[:, :n])) <= deep[i, j]
                 break
     return out
+
+
+@njit(cache=True)
+def _middle_half(values: Floats) -> float:
+    """Width of the middle half of values."""
+    order = np.sort(values)
+    n = len(order)
+    return order[(3 * n) // 4] - order[n // 4]
+
+
+@njit(cache=True)
+def _off_plane(points: Floats) -> Floats:
+    """Heights (n,) of points (3, n) above their plane of least squares."""
+    n = points.shape[1]
+    centred = points.copy()
+    for axis in range(3):
+        centred[axis] -= points[axis].mean()
+    x, y, z = centred[0], centred[1], centred[2]
+    # Cells in a line give no cross slope.
+    xx, xy, yy = (x * x).sum() + 0.1 * n, (x * y).sum(), (y * y).sum() + 0.1 * n
+    xz, yz = (x * z).sum(), (y * z).sum()
+    det = xx * yy - xy * xy
+    return z - (xz * yy - yz * xy) / det * x - (yz * xx - xz * xy) / det * y
 
 
 def fill_smoothly(values: Floats, known: Bools) -> Floats:

@@ -12,7 +12,7 @@ from numba import njit
 
 from roadsight.base.arrays import Floats, Ints
 from roadsight.scene.grids import Grid
-from roadsight.scene.terrain.repeats import first_of_each
+from roadsight.scene.terrain.cells import flat_cells
 
 _GAP_M = 1.0
 """Height without points that parts mirror images from the road; kerbs and ditches have less."""
@@ -30,24 +30,24 @@ def lowest_supported(grid: Grid, x: Floats, y: Floats, z: Floats) -> Floats:
     ----------
     x, y, z : (n,) all points of the cells in question; points without a height do not count.
     """
-    finite = np.isfinite(z)
-    x, y, z = x[finite], y[finite], z[finite]
-    once = first_of_each(x, y, z) == np.arange(len(x))
-    return _lowest(grid.flat(x, y)[once], z[once], grid.rows * grid.columns).reshape(grid.shape)
+    cell = flat_cells(grid, x, y)
+    return _lowest(cell, z, grid.rows * grid.columns).reshape(grid.shape)
 
 
 @njit(cache=True)
 def _lowest(cell: Ints, z: Floats, cells: int) -> Floats:
     """Lowest supported height of each cell, NaN for none."""
     start = np.zeros(cells + 1, np.int64)
-    for c in cell:
-        start[c + 1] += 1
+    for i in range(len(z)):
+        if np.isfinite(z[i]):
+            start[cell[i] + 1] += 1
     start = np.cumsum(start)
     fill = start[:-1].copy()
-    heights = np.empty(len(z))
+    heights = np.empty(start[-1])
     for i in range(len(z)):
-        heights[fill[cell[i]]] = z[i]
-        fill[cell[i]] += 1
+        if np.isfinite(z[i]):
+            heights[fill[cell[i]]] = z[i]
+            fill[cell[i]] += 1
     out = np.full(cells, np.nan)
     for c in range(cells):
         own = heights[start[c] : start[c + 1]]
