@@ -64,15 +64,12 @@ def ground_of(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
     """
     settings = ground_settings_for(spacing_of(xyz_m), settings or GroundSettings())
     bounds = _bounds(xyz_m)
-    west, south, east, north = bounds
-    widest = max(east - west, north - south)
-    side_m = widest if widest <= _LARGEST_TILE_M else _LARGEST_TILE_M / 2
-    parts = _parts(xyz_m, side_m)
+    parts = _parts(xyz_m, bounds)
     mask = np.zeros(len(xyz_m), bool)
 
     def tiles(halo_m: float) -> Iterator[tuple[Bounds, Floats]]:
-        for core, own in parts:
-            yield core, xyz_m[own if len(parts) == 1 else _near(xyz_m, core, halo_m)]
+        for core, _ in parts:
+            yield core, xyz_m if len(parts) == 1 else xyz_m[_near(xyz_m, core, halo_m)]
 
     # Cores are yielded in the cloud's order, as `parts` holds them.
     for (_, own), (_, found) in zip(parts, label_ground(tiles, bounds, settings), strict=True):
@@ -88,16 +85,27 @@ def _bounds(xyz_m: Floats) -> Bounds:
     return float(west), float(south), float(east), float(north)
 
 
-def _parts(xyz_m: Floats, side_m: float) -> list[tuple[Bounds, Ints]]:
-    """Half-open square tiles with points, and the indices of each one's points."""
-    west, south = xyz_m[:, :2].min(axis=0)
-    tile = np.floor((xyz_m[:, :2] - (west, south)) / (side_m + 1e-3)).astype(np.int64)
-    found = []
-    for column, row in np.unique(tile, axis=0).tolist():
-        at_x, at_y = west + column * (side_m + 1e-3), south + row * (side_m + 1e-3)
-        core = (float(at_x), float(at_y), float(at_x + side_m + 1e-3), float(at_y + side_m + 1e-3))
-        found.append((core, _near(xyz_m, core, 0.0)))
-    return [(core, own) for core, own in found if len(own)]
+def _parts(xyz_m: Floats, bounds_m: Bounds) -> list[tuple[Bounds, Ints | slice]]:
+    """Half-open tiles with points, and which points each one holds, in their order."""
+    west, south, east, north = bounds_m
+    if max(east - west, north - south) <= _LARGEST_TILE_M:
+        return [(bounds_m, slice(None))]
+    x_edges, y_edges = _edges(west, east), _edges(south, north)
+    column = np.searchsorted(x_edges, xyz_m[:, 0], "right") - 1
+    row = np.searchsorted(y_edges, xyz_m[:, 1], "right") - 1
+    tile = row * len(x_edges) + column
+    order = np.argsort(tile, kind="stable")
+    found: list[tuple[Bounds, Ints | slice]] = []
+    for own in np.split(order, np.flatnonzero(np.diff(tile[order])) + 1):
+        j, i = column[own[0]], row[own[0]]
+        ends = float(x_edges[j + 1]), float(y_edges[i + 1])
+        found.append(((float(x_edges[j]), float(y_edges[i]), *ends), own))
+    return found
+
+
+def _edges(first: float, last: float) -> Floats:
+    """Edges of equal tiles of at most half the largest one's side."""
+    return np.linspace(first, last, int(np.ceil(2 * (last - first) / _LARGEST_TILE_M)) + 1)
 
 
 def _near(xyz_m: Floats, core: Bounds, halo_m: float) -> Ints:
