@@ -23,6 +23,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 from scipy import ndimage
+from scipy.special import ndtri
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.scene.grids import Grid
@@ -34,6 +35,7 @@ from roadsight.scene.terrain.ground_settings import (
     around_pillars,
     pillar_reach_m,
     pillar_widths_m,
+    steady_pillars,
 )
 
 _SLOPE_SCALAR = 1.25
@@ -44,6 +46,8 @@ _OBJECT_TOP_M = 0.75
 """Points from the kerb's height up to this prove an object that stands in the pillar."""
 _ENOUGH_POINTS = 10
 """Counts per pillar beyond this say no more: a wall has thousands of points."""
+_STRAYS = 0.02
+"""Share of a layer's points that its noise throws beyond its end: they prove no object."""
 _CLEAN_SHARE = 0.2
 """Share of points above from which a pillar is no pattern for its neighbours."""
 _OBJECT_SHARE = 0.4
@@ -54,14 +58,22 @@ _NARROW_LEAST_M = 0.02
 _WIDE_SIGMAS = 3.0
 """... and elsewhere."""
 _LAYER_M = 0.25
-"""Thickest layer whose noise is measured: five sigmas of 5 cm."""
+"""Layer above the lowest point whose spread is measured first: five sigmas of 5 cm."""
+_LEAST_LAYER_M = 0.1
+"""Roughness of a road and grass: the middle is taken of at least so thick a layer."""
+_LAYER_MARGIN = 1.3
+"""Noise that fills that layer is measured once more, in one so much thicker than it seems: 8 cm
+seem to be 6."""
+_LAYER_SIGMAS = 4.0
+"""Least thickness of the layer above its lowest point."""
+_ABOVE_MIDDLE_SIGMAS = 2.5
+"""The layer ends so far above its middle; with 40 points to a pillar the lowest lies 2.2 below."""
 _AROUND_PERCENTILE = 25
 """Percentile of the lowest points around: below the middle, since objects are above the ground."""
 _SPREAD_PERCENTILE = 15
 """Grass and objects only add to a spread: the low ones show the noise itself."""
-_LOW_BY_CHANCE = 0.6
-"""Standard errors of a spread that this percentile lies below the noise: on flat planes with 5 and
-8 cm of noise, 2.1 and 3.0 % of the points are lost instead of 4.5 and 10.6 %."""
+_LOW_BY_CHANCE = 0.65
+"""Standard errors of a spread that this percentile lies below the noise; measured on flat planes."""
 _SPREAD_POINTS = 4
 """Points in a pillar that can tell its spread."""
 
@@ -122,7 +134,8 @@ def _pillar_level(
     cells = grid.rows * grid.columns
     count = np.bincount(flat, near, minlength=cells).reshape(grid.shape)
     area = box_sum((count > 0).astype(np.float64), 1) * grid.cell_size_m**2
-    spacing = np.sqrt(area / np.maximum(box_sum(count, 1), 1e-9))
+    near_count = box_sum(count.astype(np.float64), 1)
+    spacing = np.sqrt(area / np.maximum(near_count, 1e-9))
     widths = np.array(pillar_widths_m(settings))
     level = np.searchsorted(widths, 2 * spacing * (1 - 1e-12))
     level[area == 0] = len(widths)
@@ -153,14 +166,14 @@ def pillar_mask(
     half = around_pillars(width_m)
     around = window_percentile(lowest, half, _AROUND_PERCENTILE)
     around = np.where(np.isnan(around), 0.0, around)
-    sigma = _layer_sigma_m(flat, rise_m, tilt, lowest, half)
+    sigma, thick = _layer_sigma_m(flat, rise_m, tilt, lowest, half, steady_pillars(width_m))
     agrees = np.abs(lowest - around) <= base_m + 3 * sigma + 2 * tilt_of
     level = np.where(agrees, lowest, around)
-    share = _object_share(flat, rise_m, level, tilt, np.maximum(base_m, 4 * sigma))
+    share = _object_share(flat, rise_m, level, tilt, np.maximum(base_m, thick))
     clean = agrees & (share < _CLEAN_SHARE)
     pattern = _mean_around(level, clean, 1)
     pattern = np.where(np.isnan(pattern), level, pattern)
-    middle = _layer_middle_m(flat, rise_m, tilt, pattern, clean, sigma)
+    middle = _layer_middle_m(flat, rise_m, tilt, pattern, clean, thick)
     highest = ndimage.maximum_filter(np.where(clean, level, -np.inf), 3, mode="nearest")
     wide = np.maximum(base_m, _WIDE_SIGMAS * sigma)
     narrow = np.minimum(wide, np.maximum(_NARROW_LEAST_M, _NARROW_SIGMAS * sigma))
@@ -184,13 +197,31 @@ def _lowest_and_tilt(
     return lowest.reshape(rows, columns), largest.reshape(rows, columns)
 
 
-def _layer_sigma_m(flat: Ints, rise: Floats, tilt: Floats, lowest: Floats, half: int) -> Floats:
-    """Noise of the ground's layer: a low percentile of the pillars' spreads around.
+def _layer_sigma_m(
+    flat: Ints, rise: Floats, tilt: Floats, lowest: Floats, half: int, far: int
+) -> tuple[Floats, Floats]:
+    """Noise of the ground's layer and its thickness above the lowest point, each (rows, columns).
 
-    Grass and objects only add to a pillar's spread, so that the low ones show the noise itself;
-    but of the spreads of few points, the low ones are low by chance as well.
+    Grass and objects only add to a pillar's spread, so that a low percentile of those around shows
+    the noise itself; but of the spreads of few points, the low ones are low by chance as well.
+    A layer too thick for the first measurement is noise only where all pillars around, ``far`` of
+    them, say so; a hedge ends sooner.
     """
-    count, total, square = _layer_moments(flat, rise, tilt, lowest, _LAYER_M)
+    layer_m = np.full(lowest.shape, _LAYER_M)
+    sigma, thick = _spread_m(flat, rise, tilt, lowest, layer_m, half)
+    steady = ndimage.minimum_filter(np.where(sigma > 0, thick, np.inf), 2 * far + 1, mode="nearest")
+    more = np.isfinite(steady) & (steady > _LAYER_M)
+    if more.any():
+        layer_m[more] = _LAYER_MARGIN * steady[more]
+        sigma, thick = _spread_m(flat, rise, tilt, lowest, layer_m, half)
+    return sigma, thick
+
+
+def _spread_m(
+    flat: Ints, rise: Floats, tilt: Floats, lowest: Floats, layer_m: Floats, half: int
+) -> tuple[Floats, Floats]:
+    """Noise and thickness of the layer, as far as it lies within one of ``layer_m``."""
+    count, total, square = _layer_moments(flat, rise, tilt, lowest, layer_m)
     mean = total / np.maximum(count, 1)
     # The largest of a few points is no outlier here: the plain sigma, with n - 1.
     variance = (square - count * mean**2) / np.maximum(count - 1, 1)
@@ -198,21 +229,26 @@ def _layer_sigma_m(flat: Ints, rise: Floats, tilt: Floats, lowest: Floats, half:
     spread = np.where(tells, np.sqrt(np.maximum(variance, 0)), np.nan)
     sigma = window_percentile(spread, half, _SPREAD_PERCENTILE)
     points = _mean_around(count, tells, half)
-    chance = 1 - _LOW_BY_CHANCE / np.sqrt(2 * (points - 1))
-    return np.where(np.isnan(sigma), 0.0, sigma / np.where(np.isnan(points), 1.0, chance))
+    points = np.where(np.isnan(points), np.inf, points)
+    sigma /= 1 - _LOW_BY_CHANCE / np.sqrt(2 * (points - 1))
+    sigma = np.where(np.isnan(sigma), 0.0, sigma)
+    # Expected lowest of n normal values (Blom 1958), below their middle.
+    depth = ndtri(1 - 0.625 / (np.minimum(points, 1e6) + 0.25))
+    return sigma, sigma * np.maximum(_LAYER_SIGMAS, _ABOVE_MIDDLE_SIGMAS + depth)
 
 
 @njit(cache=True)
 def _layer_moments(
-    flat: Ints, rise: Floats, tilt: Floats, lowest: Floats, layer_m: float
+    flat: Ints, rise: Floats, tilt: Floats, lowest: Floats, layer_m: Floats
 ) -> tuple[Floats, Floats, Floats]:
     """Number, sum and sum of squares of heights above the lowest, each (rows, columns)."""
     count, total, square = np.zeros(lowest.shape), np.zeros(lowest.shape), np.zeros(lowest.shape)
     level, n, s, q = lowest.ravel(), count.ravel(), total.ravel(), square.ravel()
+    thick = layer_m.ravel()
     for k in range(len(flat)):
         cell = flat[k]
         above = rise[k] - level[cell]
-        if above >= 0 and above <= layer_m + tilt[k]:
+        if above >= 0 and above <= thick[cell] + tilt[k]:
             n[cell] += 1
             s[cell] += above
             q[cell] += above * above
@@ -221,8 +257,9 @@ def _layer_moments(
 
 def _object_share(flat: Ints, rise: Floats, level: Floats, tilt: Floats, layer_m: Floats) -> Floats:
     """Share of the low points of a pillar and its eight neighbours that stand above a kerb."""
-    count = _low_and_high(flat, rise, level, tilt, layer_m, _KERB_M, _OBJECT_TOP_M)
-    low, high = (box_sum(np.minimum(c, _ENOUGH_POINTS), 1) for c in count)
+    low, high = _low_and_high(flat, rise, level, tilt, layer_m, _KERB_M, _OBJECT_TOP_M)
+    high = np.maximum(high - _STRAYS * low, 0)
+    low, high = (box_sum(np.minimum(c, _ENOUGH_POINTS), 1) for c in (low, high))
     return high / np.maximum(low + high, 1)
 
 
@@ -257,10 +294,10 @@ def _mean_around(values: Floats, chosen: Bools, half: int) -> Floats:
 
 
 def _layer_middle_m(
-    flat: Ints, rise: Floats, tilt: Floats, pattern: Floats, clean: Bools, sigma: Floats
+    flat: Ints, rise: Floats, tilt: Floats, pattern: Floats, clean: Bools, thick_m: Floats
 ) -> Floats:
     """Middle of the layer above the pattern of lowest points."""
-    thick = np.where(clean, np.maximum(0.1, 4 * sigma), np.nan)
+    thick = np.where(clean, np.maximum(_LEAST_LAYER_M, thick_m), np.nan)
     count, total = (box_sum(c, 2) for c in _layer_mean(flat, rise, tilt, pattern, thick))
     return total / np.maximum(count, 1)
 
