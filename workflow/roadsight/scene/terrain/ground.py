@@ -73,7 +73,7 @@ _AROUND_PERCENTILE = 25
 _SPREAD_PERCENTILE = 15
 """Grass and objects only add to a spread: the low ones show the noise itself."""
 _LOW_BY_CHANCE = 0.65
-"""Standard errors of a spread that this percentile lies below the noise; measured on flat planes."""
+"""Standard errors of a spread that this percentile lies below the noise, on flat planes."""
 _SPREAD_POINTS = 4
 """Points in a pillar that can tell its spread."""
 
