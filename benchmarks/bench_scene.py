@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from bench_measure import Size, measured, row
 from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.describe import describe_ground
-from roadsight.scene.terrain.ground import GroundSettings
+from roadsight.scene.terrain.ground_settings import GroundSettings
 from roadsight.scene.terrain.terrain import label_ground
 
 NEIGHBOURS = 10

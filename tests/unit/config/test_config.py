@@ -65,7 +65,7 @@ class TestDefaultFile:
 
     def test_ranges_choices_and_units_are_told(self):
         text = render_config()
-        assert "point spacing where larger [> 0, <= 1000]\n  pillar_width_m: 0.2\n" in text
+        assert "doubled where points are sparse [> 0, <= 1000]\n  pillar_width_m: 0.2\n" in text
         assert "[surfel | hybrid | preliminary | unet | unet_mask]\n  model: surfel" in text
 
 

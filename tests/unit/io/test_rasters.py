@@ -124,3 +124,15 @@ def test_bad_rasters_are_one_message(tmp_path):
     (tmp_path / "cut.tif").write_bytes(data[: len(data) // 2])
     with pytest.raises(InputError, match="cannot be read"):
         read_raster(tmp_path / "cut.tif", frame)
+
+
+def test_filled_cells_are_told_from_measured_ones(tmp_path):
+    frame, values = Frame((500.0, 600.0, 10.0)), np.array([[1.0, 2.0], [3.0, np.nan]])
+    measured = np.array([[True, False], [True, False]])
+    write_raster(tmp_path / "two.tif", values, frame, 0.0, 2.0, 1.0, measured=measured)
+    write_raster(tmp_path / "one.tif", values, frame, 0.0, 2.0, 1.0)
+    x, y = [0.5, 1.5, 0.5, 1.5, 2.5], [1.5, 1.5, 0.5, 0.5, 0.5]
+    two, one = (read_raster(tmp_path / f"{name}.tif", frame) for name in ("two", "one"))
+    assert two.is_measured(x, y).tolist() == [True, False, True, False, False]
+    assert one.is_measured(x, y).tolist() == [True, True, True, False, False]
+    np.testing.assert_array_equal(two.values, one.values)

@@ -12,12 +12,14 @@ from roadsight.commands.memory import (
     load_cloud,
     write_labelled,
 )
+from roadsight.stages.scene.build_dem import add_ground_arguments, ground_settings_of
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
     """Add the verb."""
     parser = verbs.add_parser("ground", help="label ground points (class 2)")
     add_cloud_arguments(parser)
+    add_ground_arguments(parser)
     parser.add_argument("-o", "--out", required=True, help="LAZ or LAS file to write")
     parser.set_defaults(run=run)
 
@@ -26,6 +28,6 @@ def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground labels, all other dimensions kept."""
     check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
-    labels = labels_of(cloud, ground_labels(cloud))
+    labels = labels_of(cloud, ground_labels(cloud, ground_settings_of(arguments)))
     write_labelled(arguments.out, cloud, labels)
     print(f"{(labels == 2).sum()} of {len(labels)} points are ground: {arguments.out}")

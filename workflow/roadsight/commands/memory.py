@@ -21,6 +21,7 @@ from roadsight.io.cloud.point_filter import (
     noisy,
     point_keys,
 )
+from roadsight.scene.terrain.ground_settings import GroundSettings
 from roadsight.scene.whole import (
     FoundRoad,
     ground_of,
@@ -165,14 +166,14 @@ def write_labelled(path: str, cloud: MemoryCloud, labels: Bytes) -> None:
     write_laz(path, cloud.all_xyz_m, cloud.frame, dims, cloud.native.header.carried)
 
 
-def ground_labels(cloud: MemoryCloud) -> Bools:
+def ground_labels(cloud: MemoryCloud, settings: GroundSettings | None = None) -> Bools:
     """Ground labels (k,) of the points that take part, in the file's order.
 
     Raises
     ------
     InputError : nothing lies near a plausible ground.
     """
-    mask = ground_of(cloud.xyz_m)
+    mask = ground_of(cloud.xyz_m, settings)
     if not mask.any():
         raise InputError("no ground found", where=str(cloud.native.header.path))
     return mask

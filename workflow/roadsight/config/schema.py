@@ -43,7 +43,7 @@ class Ground(Section):
 
     pillar_width_m: Metres = Field(
         default=0.2,
-        description="width of a pillar, m; raised to twice the point spacing where larger",
+        description="width of the finest pillar, m; doubled where points are sparse",
     )
     height_threshold_m: Metres = Field(
         default=0.1,
@@ -51,9 +51,17 @@ class Ground(Section):
     )
     coarse_cell_m: Metres = Field(default=1.0, description="cell of the coarse ground surface, m")
     max_object_width_m: Metres = Field(
-        default=30.0, description="widest object that is not ground (a building), m"
+        default=40.0, description="widest object that is not ground (a building), m"
     )
-    slope: float = Field(default=0.2, gt=0, le=2, description="steepest ground, rise over run")
+    slope: float = Field(
+        default=0.12,
+        gt=0,
+        le=2,
+        description="slope, rise over run, kept without help from the ground beside it",
+    )
+    coarse_tolerance_m: Metres = Field(
+        default=0.2, description="how far from the coarse surface a pillar's ground may lie, m"
+    )
     dem_cell_m: Metres = Field(default=0.5, description="cell of the terrain model, m")
     dem_fill_m: Metres = Field(default=20.0, description="gaps are filled up to this distance, m")
 

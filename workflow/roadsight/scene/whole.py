@@ -5,13 +5,14 @@ For verbs, notebooks and checks on real data, which take one cloud and keep its 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.scene.grids import Grid, lowest_per_cell
+from roadsight.scene.grids import sample_bilinear
 from roadsight.scene.pavement.describe import describe_ground
 from roadsight.scene.pavement.outline import (
     PavementSettings,
@@ -30,14 +31,12 @@ from roadsight.scene.pavement.scan_levels import scanner_positions
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.profile import count_cells, density
 from roadsight.scene.spacing import plan_spacing_m, uses_intensity
-from roadsight.scene.terrain.ground import (
-    GroundSettings,
-    coarse_at,
-    coarse_ground,
-    ground_settings_for,
-)
-from roadsight.scene.terrain.terrain import label_ground
+from roadsight.scene.terrain.ground_settings import GroundSettings, ground_settings_for
+from roadsight.scene.terrain.terrain import Bounds, coarse_of_tiles, label_ground
 
+_LARGEST_TILE_M = 500.0
+"""A cloud longer or wider than this is labelled in tiles of half of it: fine pillars of more fill
+gigabytes."""
 _COLUMN_M = 0.1
 """Columns to which ground is thinned before its features are computed, or the spacing if wider."""
 _SAMPLE = 100_000
@@ -64,22 +63,68 @@ def ground_of(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
     xyz_m : (n, 3) local metres.
     """
     settings = ground_settings_for(spacing_of(xyz_m), settings or GroundSettings())
-    west, south = xyz_m[:, :2].min(axis=0)
-    east, north = xyz_m[:, :2].max(axis=0) + 1e-3
-    bounds = (float(west), float(south), float(east), float(north))
-    # One tile that holds everything, so that labels keep the cloud's order.
-    _, mask = next(label_ground(lambda halo: iter([(bounds, xyz_m)]), bounds, settings))
+    bounds = _bounds(xyz_m)
+    parts = _parts(xyz_m, bounds)
+    mask = np.zeros(len(xyz_m), bool)
+
+    def tiles(halo_m: float) -> Iterator[tuple[Bounds, Floats]]:
+        for core, _ in parts:
+            yield core, xyz_m if len(parts) == 1 else xyz_m[_near(xyz_m, core, halo_m)]
+
+    # Cores are yielded in the cloud's order, as `parts` holds them.
+    for (_, own), (_, found) in zip(parts, label_ground(tiles, bounds, settings), strict=True):
+        mask[own] = found
     return mask
+
+
+def _bounds(xyz_m: Floats) -> Bounds:
+    """West, south, east, north of a half-open tile that holds all points."""
+    west, south = xyz_m[:, :2].min(axis=0)
+    # Half-open tiles hold their greatest coordinates only if they end beyond.
+    east, north = xyz_m[:, :2].max(axis=0) + 1e-3
+    return float(west), float(south), float(east), float(north)
+
+
+def _parts(xyz_m: Floats, bounds_m: Bounds) -> list[tuple[Bounds, Ints | slice]]:
+    """Half-open tiles with points, and which points each one holds, in their order."""
+    west, south, east, north = bounds_m
+    if max(east - west, north - south) <= _LARGEST_TILE_M:
+        return [(bounds_m, slice(None))]
+    x_edges, y_edges = _edges(west, east), _edges(south, north)
+    column = np.searchsorted(x_edges, xyz_m[:, 0], "right") - 1
+    row = np.searchsorted(y_edges, xyz_m[:, 1], "right") - 1
+    tile = row * len(x_edges) + column
+    order = np.argsort(tile, kind="stable")
+    found: list[tuple[Bounds, Ints | slice]] = []
+    for own in np.split(order, np.flatnonzero(np.diff(tile[order])) + 1):
+        j, i = column[own[0]], row[own[0]]
+        ends = float(x_edges[j + 1]), float(y_edges[i + 1])
+        found.append(((float(x_edges[j]), float(y_edges[i]), *ends), own))
+    return found
+
+
+def _edges(first: float, last: float) -> Floats:
+    """Edges of equal tiles of at most half the largest one's side."""
+    return np.linspace(first, last, int(np.ceil(2 * (last - first) / _LARGEST_TILE_M)) + 1)
+
+
+def _near(xyz_m: Floats, core: Bounds, halo_m: float) -> Ints:
+    """Indices of the points of a tile and its halo, in their order."""
+    x, y = xyz_m[:, 0], xyz_m[:, 1]
+    near = (x >= core[0] - halo_m) & (x < core[2] + halo_m)
+    near &= (y >= core[1] - halo_m) & (y < core[3] + halo_m)
+    return np.flatnonzero(near)
 
 
 def near_ground(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
     """Points (n,) up to some decimetres from the coarse ground: a road is sought among them."""
     settings = ground_settings_for(spacing_of(xyz_m), settings or GroundSettings())
+    bounds = _bounds(xyz_m)
+    coarse = coarse_of_tiles(lambda _: iter([(bounds, xyz_m)]), bounds, settings)
     x, y, z = xyz_m.T
-    grid = Grid.around(x, y, settings.coarse_cell_m)
-    surface, slope = coarse_ground(lowest_per_cell(grid, x, y, z), settings)
-    coarse_m, tilt = coarse_at(grid, surface, slope, x, y)
-    return np.abs(z - coarse_m) < settings.coarse_tolerance_m + tilt * settings.coarse_cell_m
+    rise = z - sample_bilinear(coarse.grid, coarse.surface_m, x, y)
+    tilt = sample_bilinear(coarse.grid, coarse.slope, x, y)
+    return np.abs(rise) < settings.coarse_tolerance_m + tilt * settings.coarse_cell_m
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,8 @@ def told_doubts(wildcards):
     """Files in which stages tell what their answers rest on; a stage that tells adds its own."""
     given = given_lists(wildcards)
     matched = [f"results/{wildcards.site}/doubts/match_inputs.json"] if given else []
-    return [*matched, *placement_only(placement_doubts)(wildcards)]
+    ground = rules.build_dem.output.doubts.format(site=wildcards.site)
+    return [ground, *matched, *placement_only(placement_doubts)(wildcards)]
 
 
 def given_lists(wildcards):

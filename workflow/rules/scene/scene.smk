@@ -72,6 +72,7 @@ rule build_dem:
     output:
         dem="results/{site}/scene/dem.tif",
         ground="results/{site}/scene/ground.parquet",
+        doubts="results/{site}/doubts/build_dem.json",
     log:
         log_of("build_dem"),
     benchmark:
@@ -87,6 +88,7 @@ rule build_dem:
         coarse_cell_m=setting("ground.coarse_cell_m"),
         max_object_width_m=setting("ground.max_object_width_m"),
         slope=setting("ground.slope"),
+        coarse_tolerance_m=setting("ground.coarse_tolerance_m"),
         dem_cell_m=setting("ground.dem_cell_m"),
         dem_fill_m=setting("ground.dem_fill_m"),
     shell:
@@ -96,8 +98,9 @@ rule build_dem:
         " --height-threshold-m {params.height_threshold_m}"
         " --coarse-cell-m {params.coarse_cell_m}"
         " --max-object-width-m {params.max_object_width_m} --slope {params.slope}"
+        " --coarse-tolerance-m {params.coarse_tolerance_m}"
         " --dem-cell-m {params.dem_cell_m} --dem-fill-m {params.dem_fill_m}"
-        " --dem {output.dem} --ground {output.ground} > {log} 2>&1"
+        " --dem {output.dem} --ground {output.ground} --doubts {output.doubts} > {log} 2>&1"
 
 
 rule cluster_fpfh:

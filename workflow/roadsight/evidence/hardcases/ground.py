@@ -13,10 +13,10 @@ from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster, write_raster
-from roadsight.scene.grids import Grid, lowest_per_cell
+from roadsight.scene.grids import Grid
 from roadsight.scene.profile import mean_spacing_m
-from roadsight.scene.terrain.ground import GroundSettings, coarse_at, coarse_ground, ground_mask
 from roadsight.scene.traffic import Columns, is_traffic
+from roadsight.scene.whole import ground_of
 
 
 def _lowest_in_pillar(xyz: Numbers, width_m: float = 0.2, above_m: float = 0.1) -> Numbers:
@@ -30,11 +30,7 @@ def _lowest_in_pillar(xyz: Numbers, width_m: float = 0.2, above_m: float = 0.1) 
 
 def _ground(xyz: Numbers) -> Numbers:
     """Ground by the stage's own filter."""
-    settings = GroundSettings()
-    x, y, z = xyz.T
-    grid = Grid.around(x, y, settings.coarse_cell_m)
-    surface, slope = coarse_ground(lowest_per_cell(grid, x, y, z), settings)
-    return ground_mask(x, y, z, *coarse_at(grid, surface, slope, x, y), settings)
+    return ground_of(xyz)
 
 
 def _street(rng: np.random.Generator, side_m: float = 30.0) -> Numbers:

@@ -9,16 +9,20 @@ import sys
 import numpy as np
 import pandas as pd
 
+from roadsight.base.arrays import Bools, Floats32
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
+from roadsight.scene.grids import Grid
 from roadsight.scene.spacing import plan_spacing_m
-from roadsight.scene.terrain.ground import GroundSettings, ground_settings_for
+from roadsight.scene.terrain.ground_doubts import ClassAgreement, ground_doubts, raised_settings
+from roadsight.scene.terrain.ground_settings import GroundSettings, ground_settings_for
 from roadsight.scene.terrain.terrain import TerrainModel, label_ground
 from roadsight.stages.command import run_stage
+from roadsight.stages.doubts import tell
 
 log = logging.getLogger("build_dem")
 
@@ -32,9 +36,8 @@ def build_dem(arguments: argparse.Namespace) -> None:
     west, south = corners[:, :2].min(axis=0).tolist()
     east, north = corners[:, 3:5].max(axis=0).tolist()
     bounds = (west, south, east, north)
-    names = ("pillar_width_m", "height_threshold_m", "coarse_cell_m", "max_object_width_m", "slope")
-    settings = GroundSettings(**{name: getattr(arguments, name) for name in names})
-    settings = ground_settings_for(spacing_m, settings)
+    asked = ground_settings_of(arguments)
+    settings = ground_settings_for(spacing_m, asked)
     terrain = TerrainModel(bounds, max(arguments.dem_cell_m, spacing_m))
     labels = []
     for points, mask in label_ground(
@@ -51,14 +54,79 @@ def build_dem(arguments: argparse.Namespace) -> None:
     ground = np.concatenate(labels)
     _check(ground, arguments.site)
     write_table(arguments.ground, pd.DataFrame({"ground": ground}), {"settings": vars(settings)})
+    heights_m = terrain.heights_m(arguments.dem_fill_m)
+    if arguments.doubts:
+        doubts = ground_doubts(
+            float(ground.mean()),
+            terrain.filled_share(),
+            terrain.noise_m(),
+            _agreement(cloud, ground, terrain.grid, heights_m),
+        )
+        doubts += raised_settings(
+            {"coarse_cell_m": asked.coarse_cell_m, "dem_cell_m": arguments.dem_cell_m},
+            {"coarse_cell_m": settings.coarse_cell_m, "dem_cell_m": terrain.grid.cell_size_m},
+        )
+        tell(doubts, arguments.doubts, f"site {arguments.site}", log)
     write_raster(
         arguments.dem,
-        terrain.heights_m(arguments.dem_fill_m)[::-1],
+        heights_m[::-1],
         frame,
         west_m=terrain.grid.west_m,
         north_m=terrain.grid.north_m,
         cell_size_m=terrain.grid.cell_size_m,
+        measured=terrain.measured[::-1],
     )
+
+
+def _agreement(cloud: CloudTiles, ground: Bools, grid: Grid, heights_m: Floats32) -> ClassAgreement:
+    """The file's classes beside ours, tile by tile; heights from the south row on."""
+    found, start = ClassAgreement(), 0
+    if "classification" not in cloud.columns:
+        return found
+    for _, part in cloud.iter_tiles(0.0, ("x", "y", "z", "classification")):
+        end = start + len(part["z"])
+        below_m = heights_m.ravel()[grid.flat(part["x"], part["y"])]
+        found.add(part["classification"], ground[start:end], part["z"] - below_m)
+        start = end
+    return found
+
+
+_HELP = {
+    "pillar_width_m": "width of the finest pillar, m; doubled where points are sparse",
+    "height_threshold_m": "points higher than this above their pillar's ground are off-ground, m",
+    "coarse_cell_m": "cell of the coarse ground surface, m",
+    "max_object_width_m": "widest object that is not ground (a building), m",
+    "slope": "slope, rise over run, that is kept without help from the ground beside it",
+    "coarse_tolerance_m": "how far from the coarse surface a pillar's ground may lie, m",
+}
+"""Settings of the ground filter, as options of the stage and of the verb ``ground``."""
+
+
+def add_ground_arguments(parser: argparse.ArgumentParser) -> None:
+    """All settings of the ground filter as options, with their defaults."""
+    for name, text in _HELP.items():
+        option = f"--{name.replace('_', '-')}"
+        default = getattr(GroundSettings(), name)
+        parser.add_argument(option, type=float, default=default, help=f"{text} ({default})")
+
+
+def ground_settings_of(arguments: argparse.Namespace) -> GroundSettings:
+    """Settings of the ground filter from parsed options.
+
+    Raises
+    ------
+    InputError : one of them is not above zero.
+    """
+    given = {name: getattr(arguments, name) for name in _HELP}
+    for name, value in given.items():
+        if not 0 < value < float("inf"):
+            raise InputError(
+                "is no setting of the ground filter",
+                where=f"--{name.replace('_', '-')}",
+                found=value,
+                allowed="a number above 0",
+            )
+    return GroundSettings(**given)
 
 
 def _check(ground: np.ndarray, site: str) -> None:
@@ -79,12 +147,9 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("site", "cloud", "frame", "profile", "dem", "ground"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--pillar-width-m", type=float, default=0.2)
-    parser.add_argument("--height-threshold-m", type=float, default=0.1)
-    parser.add_argument("--coarse-cell-m", type=float, default=1.0)
-    parser.add_argument("--max-object-width-m", type=float, default=30.0)
-    parser.add_argument("--slope", type=float, default=0.2)
+    add_ground_arguments(parser)
     parser.add_argument("--dem-cell-m", type=float, default=0.5)
+    parser.add_argument("--doubts", help="JSON with what the ground rests on")
     parser.add_argument("--dem-fill-m", type=float, default=20.0)
     return run_stage(parser, build_dem, argv)
 
