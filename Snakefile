@@ -15,7 +15,7 @@ include: "workflow/rules/evidence/evidence_inputs.smk"
 include: "workflow/rules/scene/effects_inputs.smk"
 include: "workflow/rules/scene/sample_inputs.smk"
 include: "workflow/rules/evidence/audit_inputs.smk"
-include: "workflow/rules/evidence/truth_inputs.smk"
+include: "workflow/rules/truth/truth_inputs.smk"
 include: "workflow/rules/scene/effects.smk"
 include: "workflow/rules/scene/sample.smk"
 include: "workflow/rules/scene/scene.smk"
@@ -35,7 +35,7 @@ include: "workflow/rules/evidence/components.smk"
 include: "workflow/rules/evidence/hardcases.smk"
 include: "workflow/rules/evidence/evidence.smk"
 include: "workflow/rules/evidence/audit.smk"
-include: "workflow/rules/evidence/truth.smk"
+include: "workflow/rules/truth/truth.smk"
 
 
 rule all:

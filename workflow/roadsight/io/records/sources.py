@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[3]
-_CHAPTERS = ("scene", "placement", "poles", "evidence")
+_CHAPTERS = ("scene", "placement", "poles", "evidence", "truth")
 
 
 def stage_module(stage: str) -> str:

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from roadsight.evidence.truth.ground import measure_ground
-from roadsight.stages.evidence.truth_stage import truth_main
+from roadsight.stages.truth.truth_stage import truth_main
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -25,7 +25,7 @@ rule truth_ground:
         sha256=truth_checksums("ground"),
         missing=truth_missing("ground"),
     shell:
-        "python -m roadsight.stages.evidence.truth_ground --dataset {wildcards.dataset}"
+        "python -m roadsight.stages.truth.truth_ground --dataset {wildcards.dataset}"
         " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
 
 
@@ -49,7 +49,7 @@ rule truth_pavement:
         sha256=truth_checksums("pavement"),
         missing=truth_missing("pavement"),
     shell:
-        "python -m roadsight.stages.evidence.truth_pavement --dataset {wildcards.dataset}"
+        "python -m roadsight.stages.truth.truth_pavement --dataset {wildcards.dataset}"
         " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
 
 
@@ -73,7 +73,7 @@ rule truth_edges:
         sha256=truth_checksums("edges"),
         missing=truth_missing("edges"),
     shell:
-        "python -m roadsight.stages.evidence.truth_edges --dataset {wildcards.dataset}"
+        "python -m roadsight.stages.truth.truth_edges --dataset {wildcards.dataset}"
         " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
 
 
@@ -97,7 +97,7 @@ rule truth_depth:
         sha256=truth_checksums("depth"),
         missing=truth_missing("depth"),
     shell:
-        "python -m roadsight.stages.evidence.truth_depth --dataset {wildcards.dataset}"
+        "python -m roadsight.stages.truth.truth_depth --dataset {wildcards.dataset}"
         " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
 
 
@@ -121,7 +121,7 @@ rule truth_alignment:
         sha256=truth_checksums("alignment"),
         missing=truth_missing("alignment"),
     shell:
-        "python -m roadsight.stages.evidence.truth_alignment --dataset {wildcards.dataset}"
+        "python -m roadsight.stages.truth.truth_alignment --dataset {wildcards.dataset}"
         " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
 
 
@@ -145,7 +145,7 @@ rule truth_sightings:
         sha256=truth_checksums("sightings"),
         missing=truth_missing("sightings"),
     shell:
-        "python -m roadsight.stages.evidence.truth_sightings --dataset {wildcards.dataset}"
+        "python -m roadsight.stages.truth.truth_sightings --dataset {wildcards.dataset}"
         " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
 
 
@@ -169,7 +169,7 @@ rule truth_cover:
         sha256=truth_checksums("cover"),
         missing=truth_missing("cover"),
     shell:
-        "python -m roadsight.stages.evidence.truth_cover --dataset {wildcards.dataset}"
+        "python -m roadsight.stages.truth.truth_cover --dataset {wildcards.dataset}"
         " --files {input.files:q} --missing {params.missing:q} --out {output.figures} > {log} 2>&1"
 
 
@@ -188,5 +188,5 @@ rule write_truth:
     conda:
         ENVIRONMENT
     shell:
-        "python -m roadsight.stages.evidence.write_truth --figures {input.figures}"
+        "python -m roadsight.stages.truth.write_truth --figures {input.figures}"
         " --csv {output.csv} --page {output.page} > {log} 2>&1"

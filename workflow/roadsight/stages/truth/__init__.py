@@ -1,0 +1,1 @@
+"""Stages that measure the product on real data: one module an area."""
