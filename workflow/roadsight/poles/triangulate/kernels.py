@@ -23,8 +23,10 @@ _FLATTEST = 1e-14
 """Determinant of the normal matrix (1/m4) below which rays fix no place."""
 _FIRST_GATE = 1.5
 """The gate is this much wider before a place is fitted to its members."""
-_WIDEST_RAD = 1.0
-"""A ray that misses a place by more than this looks elsewhere, whatever its sigma."""
+_PARALLEL = 1e-3
+"""Sine of the angle between rays below which their crossing is nowhere."""
+_LEAST_AHEAD = 0.54
+"""Cosine of the angle (57 degrees) by which a ray may miss a place at all, whatever its sigma."""
 
 
 class Likelihood(NamedTuple):
@@ -32,26 +34,29 @@ class Likelihood(NamedTuple):
 
     Parameters
     ----------
-    camera_m : (n, 2). bearing_rad : (n,) clockwise from north. image : (n,) whole numbers.
+    camera_m : (n, 2). direction : (n, 2), east and north of the bearings, unit length.
+    image : (n,) whole numbers.
     angle_sigma, log_sigma : (n,) of bearing in radians and of the logarithm of distance.
     place_sigma : (n,) of the camera's place each axis, metres.
     log_depth : (n,) logarithm of the distance expected at the measured depth; NaN if unknown.
     stray : (n,) log density of the ray (per radian and per unit of log distance) as a stray.
-    seen : share of images that show a pole, by bins of `BIN_M` of its distance.
+    missed : log of the share of images that do not show a pole, by bins of `BIN_M` of its
+        distance. odds : log of the share that do, less ``missed``.
     new_pole : log density of poles per square metre, less the evidence that is asked for.
     gate : largest chi squared of a member. reach_m : farthest distance.
     base_m : cameras of a pole's rays lie at least so far apart.
     """
 
     camera_m: Floats
-    bearing_rad: Floats
+    direction: Floats
     image: Ints
     angle_sigma: Floats
     log_sigma: Floats
     place_sigma: Floats
     log_depth: Floats
     stray: Floats
-    seen: Floats
+    missed: Floats
+    odds: Floats
     new_pole: float
     gate: float
     reach_m: float
@@ -59,29 +64,35 @@ class Likelihood(NamedTuple):
 
 
 @njit(cache=True)
-def misfit(model: Likelihood, x: float, y: float, i: int) -> tuple[float, float, float]:
+def misfit(
+    model: Likelihood, x: float, y: float, i: int, most: float
+) -> tuple[float, float, float]:
     """Chi squared, log density and distance of ray i if its pole stands at a place.
 
-    Chi squared is -1 where the ray cannot show it. Errors of the camera's place count by distance.
+    Chi squared is -1 where it exceeds ``most`` or the ray cannot show the place. Errors of the
+    camera's place count by distance.
     """
     east, north = x - model.camera_m[i, 0], y - model.camera_m[i, 1]
-    r = np.sqrt(east * east + north * north)
-    if r > model.reach_m or r < NEAREST_M:
+    r2 = east * east + north * north
+    r = np.sqrt(r2)
+    # Most rays look elsewhere: what is cheap is asked first.
+    ahead = east * model.direction[i, 0] + north * model.direction[i, 1]
+    if r > model.reach_m or r < NEAREST_M or ahead < _LEAST_AHEAD * r:
         return -1.0, 0.0, r
-    turn = np.arctan2(east, north) - model.bearing_rad[i]
-    turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
-    if abs(turn) > _WIDEST_RAD:
+    turn = np.arctan2(east * model.direction[i, 1] - north * model.direction[i, 0], ahead)
+    place = model.place_sigma[i] ** 2 / r2
+    across = model.angle_sigma[i] ** 2 + place
+    chi2 = turn * turn / across
+    if chi2 > most:
         return -1.0, 0.0, r
-    place = (model.place_sigma[i] / r) ** 2
-    variance = model.angle_sigma[i] ** 2 + place
-    chi2 = turn * turn / variance
-    density = -0.5 * np.log(2 * np.pi * variance)
-    if not np.isnan(model.log_depth[i]):
-        variance = model.log_sigma[i] ** 2 + place
-        rest = np.log(r) - model.log_depth[i]
-        chi2 += rest * rest / variance
-        density -= 0.5 * np.log(2 * np.pi * variance)
-    return chi2, density - 0.5 * chi2, r
+    if np.isnan(model.log_depth[i]):
+        return chi2, -0.5 * (chi2 + np.log(2 * np.pi * across)), r
+    along = model.log_sigma[i] ** 2 + place
+    rest = 0.5 * np.log(r2) - model.log_depth[i]
+    chi2 += rest * rest / along
+    if chi2 > most:
+        return -1.0, 0.0, r
+    return chi2, -0.5 * (chi2 + np.log(4 * np.pi**2 * across * along)), r
 
 
 @njit(cache=True)
@@ -96,8 +107,8 @@ def settle(model: Likelihood, x: float, y: float, members: Ints) -> tuple[float,
         for i in members:
             east, north = x - model.camera_m[i, 0], y - model.camera_m[i, 1]
             r2 = max(east * east + north * north, NEAREST_M**2)
-            turn = np.arctan2(east, north) - model.bearing_rad[i]
-            turn -= 2 * np.pi * np.round(turn / (2 * np.pi))
+            ahead = east * model.direction[i, 0] + north * model.direction[i, 1]
+            turn = np.arctan2(east * model.direction[i, 1] - north * model.direction[i, 0], ahead)
             place = model.place_sigma[i] ** 2 / r2
             w = 1.0 / (model.angle_sigma[i] ** 2 + place)
             jx, jy = north / r2, -east / r2
@@ -128,11 +139,9 @@ def settle(model: Likelihood, x: float, y: float, members: Ints) -> tuple[float,
 
 
 @njit(cache=True)
-def share_seen(model: Likelihood, r: float) -> float:
-    """Share of images at a distance that show a pole; 0 out of reach."""
-    if r > model.reach_m:
-        return 0.0
-    return model.seen[min(int(r / BIN_M), len(model.seen) - 1)]
+def bin_of(model: Likelihood, r: float) -> int:
+    """Bin of a distance within reach."""
+    return min(int(r / BIN_M), len(model.odds) - 1)
 
 
 @njit(cache=True)
@@ -141,11 +150,10 @@ def speaks(model: Likelihood, x: float, y: float, i: int, widen: float) -> float
 
     Minus infinity beyond the gate, widened by a factor.
     """
-    chi2, density, r = misfit(model, x, y, i)
-    if chi2 < 0.0 or chi2 > model.gate * widen:
+    chi2, density, r = misfit(model, x, y, i, model.gate * widen)
+    if chi2 < 0.0:
         return -np.inf
-    share = share_seen(model, r)
-    return density - model.stray[i] + np.log(share / (1.0 - share))
+    return density - model.stray[i] + model.odds[bin_of(model, r)]
 
 
 @njit(cache=True)
@@ -224,7 +232,9 @@ def evidence(
         if model.image[k] != last:
             last = model.image[k]
             east, north = x - model.camera_m[k, 0], y - model.camera_m[k, 1]
-            total += np.log(1.0 - share_seen(model, np.sqrt(east * east + north * north)))
+            r = np.sqrt(east * east + north * north)
+            if r <= model.reach_m:
+                total += model.missed[bin_of(model, r)]
     return total
 
 
@@ -236,7 +246,7 @@ def pair_seeds(
 
     Returns also the number of pairs that were tried. Partners are -1 where there are fewer.
     """
-    n = len(model.bearing_rad)
+    n = len(model.direction)
     who = np.full((n, partners), -1, np.int64)
     place = np.zeros((n, partners, 2))
     two, tried = np.empty(2, np.int64), 0
@@ -252,9 +262,10 @@ def pair_seeds(
             x, y = _start(model, i, j)
             two[0], two[1] = min(i, j), max(i, j)
             x, y, half = settle(model, x, y, two)
-            chi2, own, _ = misfit(model, x, y, i)
-            other, others, _ = misfit(model, x, y, j)
-            if half == np.inf or chi2 < 0 or other < 0 or chi2 + other > _FIRST_GATE * model.gate:
+            most = _FIRST_GATE * model.gate
+            chi2, own, _ = misfit(model, x, y, i, most)
+            other, others, _ = misfit(model, x, y, j, most)
+            if half == np.inf or chi2 < 0 or other < 0 or chi2 + other > most:
                 continue
             score = own + others + half - model.stray[i] - model.stray[j]
             slot = held
@@ -272,19 +283,19 @@ def pair_seeds(
 @njit(cache=True)
 def _start(model: Likelihood, i: int, j: int) -> tuple[float, float]:
     """First place of a pair: where ray i's depth puts it, or the crossing where that is unknown."""
-    sine, cosine = np.sin(model.bearing_rad[i]), np.cos(model.bearing_rad[i])
     distance = 0.5 * model.reach_m
     if not np.isnan(model.log_depth[i]):
         distance = np.exp(model.log_depth[i])
     else:
-        other_sine, other_cosine = np.sin(model.bearing_rad[j]), np.cos(model.bearing_rad[j])
-        across = sine * other_cosine - cosine * other_sine
-        if abs(across) > 1e-3:
+        here, there = model.direction[i], model.direction[j]
+        sine = here[0] * there[1] - here[1] * there[0]
+        if abs(sine) > _PARALLEL:
             east = model.camera_m[j, 0] - model.camera_m[i, 0]
             north = model.camera_m[j, 1] - model.camera_m[i, 1]
-            distance = (east * other_cosine - north * other_sine) / across
+            distance = (east * there[1] - north * there[0]) / sine
             distance = min(max(distance, 1.0), model.reach_m)
-    return model.camera_m[i, 0] + distance * sine, model.camera_m[i, 1] + distance * cosine
+    x = model.camera_m[i, 0] + distance * model.direction[i, 0]
+    return x, model.camera_m[i, 1] + distance * model.direction[i, 1]
 
 
 @njit(cache=True)

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.packed import pack_rays
+from roadsight.poles.triangulate.listed import choose_listed
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
 POLE_COLUMNS = [
@@ -27,13 +27,14 @@ POLE_COLUMNS = [
 
 
 def triangulate(
-    rays: Rays, settings: TriangulationSettings, method: str = "evidence"
+    rays: Rays, settings: TriangulationSettings, method: str = "packing"
 ) -> tuple[pd.DataFrame, Ints, float]:
     """Poles with their errors.
 
     Parameters
     ----------
-    method : ``evidence``, or ``packing``: the exact choice among all groups, slower and less sure.
+    method : ``packing``: groups by the evidence for them; ``listing``: all groups, by their misfit
+        alone, slower and less sure.
 
     Returns
     -------
@@ -43,8 +44,8 @@ def triangulate(
     pole of each ray : row in ``poles``, -1 for none; shape (n,).
     scale : what depths were multiplied by; 1 if not calibrated.
     """
-    if method == "packing":
-        groups, places, covariances, scale = pack_rays(rays, settings)
+    if method == "listing":
+        groups, places, covariances, scale = choose_listed(rays, settings)
     else:
         found = explain_rays(rays, settings)
         groups, scale = found.groups, found.scale

@@ -26,12 +26,13 @@ _DRIFT_M = 100.0
 """Length over which errors of a receiver stay alike: tens of seconds at the speed of a street."""
 _HEADING_M = 30.0
 """Length over which errors of a heading stay alike: an inertial heading wanders between turns."""
-_LOOSE = 1.5
-"""Standard deviation of the logarithm of a kind's variance about what is stated: a factor of 4.5
-is usual. On simulated streets where bearings are stated 4 times too wide it is found to 20 %."""
-_APART = 0.7
+_LOOSE = (1.5, 1.5, 0.5)
+"""Standard deviations of the logarithm of a variance about what is stated: of places and bearings,
+where a factor of 4.5 is usual, and of depths. Groups are made of depths that agree, so that depths
+that scatter look better than they are."""
+_APART = 1.0
 """As above, of the parts of one kind about each other: the share that is shared, which misfits
-hardly tell, stays within a factor of 2."""
+hardly tell, is known to a factor of 3."""
 _ROUNDS = 8
 """Steps of Fisher scoring at most; it rests after four."""
 _SETTLED = 0.01
@@ -45,10 +46,19 @@ _PARTS = 6
 
 @dataclass(frozen=True)
 class Noise:
-    """Variances, shape (6,): of a camera's place (m2) and bearing (rad2), each alone and shared by
-    near images; of the logarithm of a depth, alone and shared by the rays of a pole."""
+    """Variances of errors, each alone and shared.
+
+    Parameters
+    ----------
+    variances : (6,), of a camera's place (m2) and bearing (rad2), alone and shared by near images;
+        of the logarithm of a depth, alone and shared by the rays of a pole.
+    """
 
     variances: Floats
+
+    def or_wider(self, other: Noise) -> Noise:
+        """The larger of the variances of both."""
+        return Noise(np.maximum(self.variances, other.variances))
 
     @property
     def position_m(self) -> float:
@@ -92,7 +102,7 @@ def stated_noise(settings: TriangulationSettings) -> Noise:
         settings.sigma_depth_ratio,
     )
     share = settings.shared_variance
-    return Noise(np.kron(np.square(stated), [1.0 - share, share]))
+    return Noise(np.kron(np.square(stated), [1.0 - share, share]).astype(np.float64))
 
 
 def fit_noise(
@@ -100,7 +110,8 @@ def fit_noise(
 ) -> Noise:
     """Variances that explain best how rays of groups lie about their places (g, 2)."""
     prior = np.log(stated_noise(settings).variances)
-    tight = np.linalg.inv(np.kron(np.eye(3), _LOOSE**2 + _APART**2 * np.eye(2)))
+    together = np.kron(np.diag(np.square(_LOOSE)), np.ones((2, 2)))
+    tight = np.linalg.inv(together + _APART**2 * np.eye(_PARTS))
     blocks = [
         misfits(rays, members, places[at], settings) for at, members in _by_size(groups, least=2)
     ]
@@ -139,7 +150,7 @@ def place_groups(
     for at, members in _by_size(groups):
         design = _repeated(members.shape[1])
         for _ in range(_PLACINGS):
-            block = misfits(rays, members, placed[at], settings)
+            block = misfits(rays, members, placed[at], settings, cautious=True)
             weights = np.linalg.inv(block.covariance(noise))
             covariance = np.linalg.inv(design.T @ weights @ design)
             pull = design.T @ (weights @ block.rest_m[:, :, None])
@@ -149,12 +160,21 @@ def place_groups(
 
 
 def misfits(
-    rays: Rays, members: Ints, places: Floats, settings: TriangulationSettings
+    rays: Rays,
+    members: Ints,
+    places: Floats,
+    settings: TriangulationSettings,
+    cautious: bool = False,
 ) -> Misfits:
     """Misfits of groups of rays (g, k) about places (g, 2).
 
     Rays of unknown depth have their point beside the place, as uncertain along the ray as poles
     may be far.
+
+    Parameters
+    ----------
+    cautious : an error of the bearing of a ray of unknown depth counts as at half the maximum
+        distance at least, since the place at which the ray ends rests on other rays.
     """
     groups, size = members.shape
     camera = rays.camera_m[members]
@@ -168,13 +188,14 @@ def misfits(
     known = np.isfinite(depth)
     depth = np.where(known, depth, r)
     rest_m = (turn * r)[..., None] * side + (np.log(depth / r) * r)[..., None] * ahead
-    across, along = r[..., None] * side, r[..., None] * ahead
+    lever = np.where(known | (not cautious), r, np.maximum(r, 0.5 * settings.max_distance_m))
+    across, along = lever[..., None] * side, r[..., None] * ahead
 
     turns, depths = rays.sigma_bearing_deg[members], rays.sigma_depth_m[members]
     anchored = rays.anchored[members]
     own_turn = np.where(anchored, np.nan_to_num(np.radians(turns)), np.radians(turns))
     ratio = np.where(anchored, np.nan_to_num(depths), depths) / depth
-    free = (~anchored).astype(float)
+    free, bound = (~anchored).astype(np.float64), anchored.astype(np.float64)
     loose_turn = free * np.isnan(own_turn)
     loose_depth = free * np.isnan(ratio) * known
     stated_depth = np.where(known, np.nan_to_num(ratio), settings.max_distance_m / r)
@@ -194,11 +215,11 @@ def misfits(
     # What is stated is shared by the same share, by rays to one column all of it.
     turn_sigma = np.nan_to_num(own_turn)
     fixed = _spread(((1 - share) * alone + share * heading) * _pairs(free * turn_sigma), across)
-    shared_depth = (1 - share) * alone + share * _pairs(known.astype(float))
+    shared_depth = (1 - share) * alone + share * _pairs(known.astype(np.float64))
     fixed += _spread(shared_depth * _pairs(free * stated_depth), along)
-    fixed += _spread(alone * _pairs(anchored * turn_sigma), across)
-    fixed += _spread(alone * _pairs(anchored * stated_depth), along)
-    column_m = anchored * np.minimum(turn_sigma, stated_depth) * r
+    fixed += _spread(alone * _pairs(bound * turn_sigma), across)
+    fixed += _spread(alone * _pairs(bound * stated_depth), along)
+    column_m = bound * np.minimum(turn_sigma, stated_depth) * r
     fixed += _spread(_pairs(column_m), axes) + _FLOOR_M2 * np.eye(2 * size)
     return Misfits(rest_m.reshape(groups, -1), np.stack(parts), fixed)
 
@@ -227,7 +248,7 @@ def _by_size(groups: Sequence[Ints], least: int = 1) -> list[tuple[Ints, Ints]]:
     """Numbers of the groups of each size, and their rays (g, k)."""
     sizes = np.array([len(members) for members in groups], np.int64)
     found = [np.flatnonzero(sizes == size) for size in np.unique(sizes[sizes >= least])]
-    return [(at, np.stack([groups[number] for number in at])) for at in found]
+    return [(at, np.stack([groups[number] for number in at.tolist()])) for at in found]
 
 
 def _restricted(block: Misfits, noise: Noise) -> tuple[Floats, Floats]:

@@ -31,14 +31,14 @@ class TriangulationSettings:
     calibrate_depth : whether the common scale of the depths is found from the rays themselves.
     gate_chi2 : a sighting further from its pole (chi squared, 2 degrees of freedom) is better left
         alone.
-    pole_cost : of ``packing``: how much the sum of the members' gains must exceed before a pole is
+    pole_cost : of ``listing``: how much the sum of the members' gains must exceed before a pole is
         believed, in units of half a chi squared.
     pole_evidence : how much the log evidence of a pole must exceed before it is believed.
     shared_variance : share of the stated variances of places, bearings and depths that near images
         share; rays correct it as far as they tell.
     max_sigma_m : a pole whose error ellipse is longer is withheld.
     sequence_m : images of one pole lie within this distance along a route (100 ft).
-    beam : of ``packing``: groups that are followed up for each sighting.
+    beam : of ``listing``: groups that are followed up for each sighting.
     """
 
     max_distance_m: float = 40.0
@@ -50,8 +50,8 @@ class TriangulationSettings:
     calibrate_depth: bool = True
     gate_chi2: float = 8.0
     pole_cost: float = 5.0
-    pole_evidence: float = 0.0
-    shared_variance: float = 0.1
+    pole_evidence: float = -0.5
+    shared_variance: float = 0.05
     max_sigma_m: float = 5.0
     sequence_m: float = 30.48
     beam: int = 48

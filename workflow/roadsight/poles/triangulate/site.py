@@ -47,12 +47,12 @@ POLE_COLUMNS = (
 
 _NUMBERS = ("x", "y", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition")
 """Columns of poles that hold real numbers."""
-_METHODS = ("evidence", "packing", "sweep")
+_METHODS = ("packing", "listing", "sweep")
 """Ours, our former, and that of the second paper."""
 
 
 def site_poles(
-    sightings: pd.DataFrame, settings: TriangulationSettings, method: str = "evidence"
+    sightings: pd.DataFrame, settings: TriangulationSettings, method: str = "packing"
 ) -> tuple[pd.DataFrame, Ints, dict[str, float]]:
     """Poles of all kinds.
 
@@ -60,7 +60,7 @@ def site_poles(
     ----------
     sightings : columns `SIGHTING_COLUMNS`, local metres; those not kept are left out. Optionally
         ``anchored``: whether a sighting ends at something of the cloud.
-    method : ``evidence`` (ours), ``packing`` (our former) or ``sweep`` (paper 2).
+    method : ``packing`` (ours), ``listing`` (our former) or ``sweep`` (paper 2).
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Poles as the best set of groups of rays: every group is listed, the choice is exact.
 
 The number of groups grows with the views of a pole and with how densely poles stand, so that 400
-sightings take seconds; `explain` has replaced it. It is kept to compare with.
+sightings take seconds; `explain` has replaced it. It is kept to compare with, as ``listing``.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _SETTLED = 0.01
 """The factor is found when it changes by less than this share."""
 
 
-def pack_rays(
+def choose_listed(
     rays: Rays, settings: TriangulationSettings
 ) -> tuple[list[Ints], Floats, Floats, float]:
     """Groups from west to east, their places (g, 2), covariances (g, 2, 2), and depth scale."""
