@@ -134,15 +134,14 @@ class Triangulation(Section):
 
     method: Literal["packing", "listing", "sweep"] = Field(
         default="packing",
-        description="groups of rays by their evidence, the former choice among all groups,"
-        " or the paper's deterministic sweep",
+        description="rays grouped by evidence, all groups listed, or the paper's sweep",
     )
     max_distance_m: Metres = Field(default=40.0, description="farther sightings are not used, m")
     sigma_position_m: Metres = Field(
         default=0.7, description="error of a camera's position, one axis, m"
     )
     shared_variance: float = Field(
-        default=0.05,
+        default=0.04,
         gt=0,
         lt=1,
         description="share of variances of places, headings, depths that near images share",

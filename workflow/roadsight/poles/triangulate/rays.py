@@ -51,7 +51,7 @@ class TriangulationSettings:
     gate_chi2: float = 8.0
     pole_cost: float = 5.0
     pole_evidence: float = -0.5
-    shared_variance: float = 0.05
+    shared_variance: float = 0.04
     max_sigma_m: float = 5.0
     sequence_m: float = 30.48
     beam: int = 48
