@@ -147,7 +147,7 @@ class Triangulation(Section):
         description="share of variances of places, headings, depths that near images share",
     )
     pole_evidence: float = Field(
-        default=-0.5, ge=-10, le=50, description="log evidence that a pole needs beyond even odds"
+        default=3.0, ge=-10, le=50, description="log evidence that a pole needs beyond even odds"
     )
     pole_cost: Positive = Field(
         default=5.0, description="listing: misfit that a pole must save, half units of chi squared"

@@ -1,6 +1,7 @@
 """Poles by evidence: kernels against slow references, invariance, calibration, linear work."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -330,6 +331,16 @@ def test_views_of_one_column_do_not_average_its_error_out():
         spread = explain_rays(rays, CHOICE).covariance[0]
         sigmas.append(float(np.sqrt(np.linalg.eigvalsh(spread)[1])))
     assert 0.1 <= sigmas[1] <= sigmas[0] <= 0.2
+
+
+def test_hidden_feet_are_found_although_depths_are_stated_precise():
+    poles, rows = simulate(Drive(poles=80, hidden=0.25, depth=0.04), 9)
+    rays, own = rays_and_poles(rows)
+    rays = replace(rays, sigma_depth_m=0.05 * rays.depth_m)
+    groups = [np.flatnonzero(own == n) for n in range(len(poles))]
+    kept = [n for n, group in enumerate(groups) if len(group) > 2]
+    noise = fit_noise(rays, [groups[n] for n in kept], poles[kept], CHOICE)
+    assert 0.12 < noise.hidden_ratio < 0.4
 
 
 def test_anchored_depths_are_not_scaled():

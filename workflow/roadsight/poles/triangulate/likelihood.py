@@ -59,7 +59,8 @@ def likelihood(
     free = ~rays.anchored
     angle = np.where(free, noise.bearing_rad, np.radians(settings.sigma_bearing_deg))
     angle = np.where(np.isnan(rays.sigma_bearing_deg), angle, np.radians(rays.sigma_bearing_deg))
-    ratio = np.where(np.isnan(rays.sigma_depth_m), noise.depth_ratio, _ratio(rays))
+    stated = np.hypot(_ratio(rays), np.where(free, noise.hidden_ratio, 0.0))
+    ratio = np.where(np.isnan(rays.sigma_depth_m), noise.depth_ratio, stated)
     middle, spread = _depths(log_depth[~unknown], settings.max_distance_m)
     used = sum(len(pole.members) for pole in poles)
     count = len(poles) + _LONE * (len(rays) - used) if poles else len(rays) / _RAYS_A_POLE

@@ -71,6 +71,11 @@ class Noise:
         return float(np.sqrt(self.variances[2:4].sum()))
 
     @property
+    def hidden_ratio(self) -> float:
+        """Of the logarithm of a depth, shared by all rays of a pole, stated or not."""
+        return float(np.sqrt(self.variances[5]))
+
+    @property
     def depth_ratio(self) -> float:
         """Of the logarithm of a depth whose sigma is not stated."""
         return float(np.sqrt(self.variances[4:6].sum()))
@@ -210,13 +215,13 @@ def misfits(
         _spread(alone * _pairs(loose_turn), across),
         _spread(heading * _pairs(loose_turn), across),
         _spread(alone * _pairs(loose_depth), along),
-        _spread(_pairs(loose_depth), along),
+        _spread(_pairs(free * known), along),
     ]
-    # What is stated is shared by the same share, by rays to one column all of it.
+    # A stated bearing is shared by the same share, a column by all rays that end at it. What hides
+    # a foot adds to any depth.
     turn_sigma = np.nan_to_num(own_turn)
     fixed = _spread(((1 - share) * alone + share * heading) * _pairs(free * turn_sigma), across)
-    shared_depth = (1 - share) * alone + share * _pairs(known.astype(np.float64))
-    fixed += _spread(shared_depth * _pairs(free * stated_depth), along)
+    fixed += _spread(alone * _pairs(free * stated_depth), along)
     fixed += _spread(alone * _pairs(bound * turn_sigma), across)
     fixed += _spread(alone * _pairs(bound * stated_depth), along)
     column_m = bound * np.minimum(turn_sigma, stated_depth) * r

@@ -33,7 +33,8 @@ class TriangulationSettings:
         alone.
     pole_cost : of ``listing``: how much the sum of the members' gains must exceed before a pole is
         believed, in units of half a chi squared.
-    pole_evidence : how much the log evidence of a pole must exceed before it is believed.
+    pole_evidence : how much the log evidence of a pole must exceed before it is believed; below
+        zero because some poles are seen twice only. A site asks for more.
     shared_variance : share of the stated variances of places, bearings and depths that near images
         share; rays correct it as far as they tell.
     max_sigma_m : a pole whose error ellipse is longer is withheld.
