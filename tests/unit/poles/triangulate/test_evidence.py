@@ -36,7 +36,8 @@ WORLDS = {
     "rough": Drive(place_m=1.2, turn_deg=2.5, depth=0.3, bend_m=200.0),
     "hidden feet": Drive(hidden=0.15, depth=0.1),
 }
-"""Made by another simulator than the one by which constants were chosen."""
+"""Of another simulator than the one in view when constants were chosen; only the share of shared
+errors was chosen with these too, on other seeds."""
 
 
 def model_of(rows, choice=CHOICE):

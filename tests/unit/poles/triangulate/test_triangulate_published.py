@@ -140,7 +140,7 @@ def test_our_method_beats_the_published_one(data, rng):
     assert precision >= 0.80
     assert min(precision_2, recall_2) >= 0.39
     assert precision > np.median(published, axis=0)[3]
-    # At 6 m true association of the poles with two views and more recalls 0.76 to 0.80.
+    # True association of the lights with two views and more recalls 0.76 to 0.80 there.
     assert recall >= np.median(published, axis=0)[4]
     shuffled = sightings.iloc[rng.permutation(len(sightings))]
     pd.testing.assert_frame_equal(triangulate_geographic(shuffled, choice), ours)
