@@ -138,16 +138,25 @@ class Sightings(Section):
 class Triangulation(Section):
     """Poles: places from sightings."""
 
-    method: Literal["packing", "sweep"] = Field(
+    method: Literal["packing", "listing", "sweep"] = Field(
         default="packing",
-        description="best set of disjoint groups of rays, or the paper's deterministic sweep",
+        description="rays grouped by evidence, all groups listed, or the paper's sweep",
     )
     max_distance_m: Metres = Field(default=40.0, description="farther sightings are not used, m")
     sigma_position_m: Metres = Field(
         default=0.7, description="error of a camera's position, one axis, m"
     )
+    shared_variance: float = Field(
+        default=0.04,
+        gt=0,
+        lt=1,
+        description="share of variances of places, headings, depths that near images share",
+    )
+    pole_evidence: float = Field(
+        default=3.0, ge=-10, le=50, description="log evidence that a pole needs beyond even odds"
+    )
     pole_cost: Positive = Field(
-        default=5.0, description="evidence that a pole needs, half units of chi squared"
+        default=5.0, description="listing: misfit that a pole must save, half units of chi squared"
     )
     min_views: int = Field(
         default=3, ge=2, description="views that a pole needs which the cloud does not show"

@@ -242,7 +242,7 @@ def site_table(rows, kind="pole"):
     return pd.DataFrame(columns | {"kept": np.ones(n, bool)})
 
 
-@pytest.mark.parametrize("method", ["packing", "sweep"])
+@pytest.mark.parametrize("method", ["packing", "listing", "sweep"])
 def test_site_keeps_kinds_apart_and_names_images(method):
     _, rows = street(poles=3, noise_deg=0.05, noise_depth=0.02)
     both = pd.concat([site_table(rows), site_table(rows, "sign")], ignore_index=True)

@@ -1,28 +1,17 @@
-"""Poles from rays: calibrate depths, build groups, choose among them, merge, state errors."""
+"""Poles from rays with their errors, and those that are withheld."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.poles.triangulate.groups import Points, build_groups, gains, locate_points
-from roadsight.poles.triangulate.merging import merge_groups, weighted_mean
-from roadsight.poles.triangulate.packing import choose_groups
+from roadsight.poles.triangulate.explain import explain_rays
+from roadsight.poles.triangulate.listed import choose_listed
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
-
-_ROUNDS = 10
-"""Rounds of grouping and scaling at most, should the factor go to and fro."""
-_SETTLED = 0.01
-"""The factor is found when it changes by less than this share."""
-_FEWEST_DEPTHS = 30
-"""Depths that the factor needs, as the median of their ratios."""
-_SCALES = (0.5, 2.0)
-"""Bounds of the factor: beyond, groups rather than depths are wrong."""
-_WELL_CROSSED = 0.1
-"""Least eigenvalue of the rays' normal matrix, a sum of squared sines: below, rays are so parallel
-that bearings alone do not tell the distance."""
 
 POLE_COLUMNS = [
     "x",
@@ -37,21 +26,15 @@ POLE_COLUMNS = [
 ]
 
 
-def group_rays(rays: Rays, settings: TriangulationSettings) -> list[Ints]:
-    """Ray numbers of each pole, poles from west to east and south to north."""
-    levels = build_groups(rays, settings)
-    members = [row for level in levels for row in level.members]
-    if not members:
-        return []
-    gain = np.concatenate([gains(level, settings) for level in levels])
-    chosen = [members[number] for number in choose_groups(members, gain, len(rays))]
-    points = locate_points(rays, settings)
-    merged = merge_groups(rays, points, chosen, settings)
-    return sorted(merged, key=lambda group: tuple(weighted_mean(points, group)[0]))
-
-
-def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints, float]:
+def triangulate(
+    rays: Rays, settings: TriangulationSettings, method: str = "packing"
+) -> tuple[pd.DataFrame, Ints, float]:
     """Poles with their errors.
+
+    Parameters
+    ----------
+    method : ``packing``: groups by the evidence for them; ``listing``: all groups, by their misfit
+        alone, slower and less sure.
 
     Returns
     -------
@@ -61,51 +44,21 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
     pole of each ray : row in ``poles``, -1 for none; shape (n,).
     scale : what depths were multiplied by; 1 if not calibrated.
     """
-    scale = calibrate_depths(rays, settings) if settings.calibrate_depth else 1.0
-    scaled = rays.scaled(scale)
-    groups = group_rays(scaled, settings)
-    points = locate_points(scaled, settings)
+    if method == "listing":
+        groups, places, covariances, scale = choose_listed(rays, settings)
+    else:
+        found = explain_rays(rays, settings)
+        groups, scale = found.groups, found.scale
+        places, covariances = found.place_m, found.covariance
     pole = np.full(len(rays), -1, np.int64)
     for number, members in enumerate(groups):
         pole[members] = number
-    return describe_groups(points, groups, settings), pole, scale
+    return describe_groups(groups, places, covariances, settings), pole, scale
 
 
 def calibrate_depths(rays: Rays, settings: TriangulationSettings) -> float:
-    """Factor that brings the monocular depths to the distances of the crossings.
-
-    Depth networks err by a common factor. Poles with three and more well-crossed views are located
-    by bearings alone, the factor is the median of distance over depth, and poles are grouped anew
-    with it until it settles. Without enough such views it is 1.
-    """
-    scale = 1.0
-    for _ in range(_ROUNDS):
-        scaled = rays.scaled(scale)
-        ratios = [_depth_ratios(rays, members) for members in group_rays(scaled, settings)]
-        found = np.concatenate([*ratios, np.empty(0)])
-        if len(found) < _FEWEST_DEPTHS:
-            return 1.0
-        latest = float(np.clip(np.median(found), *_SCALES))
-        if abs(latest / scale - 1) < _SETTLED:
-            return latest
-        scale = latest
-    return scale
-
-
-def _depth_ratios(rays: Rays, members: Ints) -> Floats:
-    """Distance by bearings alone over depth, of each ray of a well-crossed group."""
-    if len(members) < 3:
-        return np.empty(0)
-    ahead = rays.direction[members]
-    side = np.column_stack([ahead[:, 1], -ahead[:, 0]])
-    normal = side.T @ side
-    if np.linalg.eigvalsh(normal)[0] < _WELL_CROSSED:
-        return np.empty(0)
-    camera = rays.camera_m[members] - rays.camera_m[members[0]]
-    place = np.linalg.solve(normal, side.T @ (side * camera).sum(axis=1))
-    distance = ((place - camera) * ahead).sum(axis=1)
-    ratio = distance / rays.depth_m[members]
-    return ratio[np.isfinite(ratio) & (ratio > 0)]
+    """Factor that brings the monocular depths to the distances of the crossings; 1 if unknown."""
+    return explain_rays(rays, replace(settings, calibrate_depth=True)).scale
 
 
 def error_ellipse(covariance: Floats) -> tuple[Floats, Floats, Floats]:
@@ -126,12 +79,14 @@ def error_ellipse(covariance: Floats) -> tuple[Floats, Floats, Floats]:
 
 
 def describe_groups(
-    points: Points, groups: list[Ints], settings: TriangulationSettings
+    groups: list[Ints], places: Floats, covariances: Floats, settings: TriangulationSettings
 ) -> pd.DataFrame:
-    """Poles of groups of rays with their errors; columns `POLE_COLUMNS`."""
-    found = [weighted_mean(points, members) for members in groups]
-    places = np.array([place for place, _ in found]).reshape(-1, 2)
-    covariances = np.array([covariance for _, covariance in found]).reshape(-1, 2, 2)
+    """Poles of groups of rays with their errors; columns `POLE_COLUMNS`.
+
+    Parameters
+    ----------
+    places : (g, 2), metres. covariances : (g, 2, 2), m2.
+    """
     major, minor, azimuth = error_ellipse(covariances)
     weak = major > settings.max_sigma_m
     columns = [

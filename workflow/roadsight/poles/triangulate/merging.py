@@ -31,7 +31,7 @@ def merge_groups(
     groups = [np.sort(group) for group in groups]
     if len(groups) < 2:
         return groups
-    places, covariances = _places(points, groups)
+    places, covariances = places_of(points, groups)
     pairs, chi2 = _near_pairs(places, covariances, settings)
     near = pairs[chi2 <= SEQUENCE_CHI2]
     graph = csr_array((np.ones(len(near)), near.T), shape=(len(groups), len(groups)))
@@ -47,7 +47,7 @@ def _merge_few(
 ) -> list[Ints]:
     """Groups of one neighbourhood after merging."""
     while len(groups) > 1:
-        places, covariances = _places(points, groups)
+        places, covariances = places_of(points, groups)
         merged = _first_merge(rays, points, groups, places, covariances, settings)
         if merged is None:
             break
@@ -74,7 +74,7 @@ def follows_sequence(rays: Rays, members: Ints, settings: TriangulationSettings)
     return bool((steps_m <= settings.sequence_m).all() and one_way and nearer)
 
 
-def _places(points: Points, groups: list[Ints]) -> tuple[Floats, Floats]:
+def places_of(points: Points, groups: list[Ints]) -> tuple[Floats, Floats]:
     """Weighted mean (n, 2) and covariance (n, 2, 2) of each group."""
     places, covariances = np.empty((len(groups), 2)), np.empty((len(groups), 2, 2))
     for number, members in enumerate(groups):

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Floats, Ints
+from roadsight.base.arrays import Bools, Floats, Ints
 
 FURTHEST_CAMERAS = 1.5
 """Two cameras may pair up to this many times the maximum distance to a pole."""
@@ -31,11 +31,15 @@ class TriangulationSettings:
     calibrate_depth : whether the common scale of the depths is found from the rays themselves.
     gate_chi2 : a sighting further from its pole (chi squared, 2 degrees of freedom) is better left
         alone.
-    pole_cost : how much the sum of the members' gains must exceed before a pole is believed, in
-        units of half a chi squared.
+    pole_cost : of ``listing``: how much the sum of the members' gains must exceed before a pole is
+        believed, in units of half a chi squared.
+    pole_evidence : how much the log evidence of a pole must exceed before it is believed; below
+        zero because some poles are seen twice only. A site asks for more.
+    shared_variance : share of the stated variances of places, bearings and depths that near images
+        share; rays correct it as far as they tell.
     max_sigma_m : a pole whose error ellipse is longer is withheld.
     sequence_m : images of one pole lie within this distance along a route (100 ft).
-    beam : groups that are followed up for each sighting.
+    beam : of ``listing``: groups that are followed up for each sighting.
     """
 
     max_distance_m: float = 40.0
@@ -47,6 +51,8 @@ class TriangulationSettings:
     calibrate_depth: bool = True
     gate_chi2: float = 8.0
     pole_cost: float = 5.0
+    pole_evidence: float = -0.5
+    shared_variance: float = 0.04
     max_sigma_m: float = 5.0
     sequence_m: float = 30.48
     beam: int = 48
@@ -65,6 +71,8 @@ class Rays:
     image : whole number for each image; two rays of one image never show the same pole.
     route, sequence : whole numbers; -1 where unknown.
     row : row of the sighting in the caller's table.
+    anchored : whether the sighting ends at something whose own place is known, such as a column of
+        a cloud: errors of the camera's place, heading and depth scale do not add to its sigmas.
     """
 
     camera_m: Floats
@@ -76,6 +84,7 @@ class Rays:
     route: Ints
     sequence: Ints
     row: Ints
+    anchored: Bools
 
     def __len__(self) -> int:
         return len(self.row)
@@ -91,10 +100,9 @@ class Rays:
         return Rays(*(np.asarray(value)[chosen] for value in vars(self).values()))
 
     def scaled(self, factor: float) -> Rays:
-        """The same rays with all depths times ``factor``."""
-        return replace(
-            self, depth_m=self.depth_m * factor, sigma_depth_m=self.sigma_depth_m * factor
-        )
+        """The same rays with depths times ``factor``, but of those that are anchored."""
+        by = np.where(self.anchored, 1.0, factor)
+        return replace(self, depth_m=self.depth_m * by, sigma_depth_m=self.sigma_depth_m * by)
 
 
 def make_rays(
@@ -106,6 +114,7 @@ def make_rays(
     image: NDArray | None = None,
     route: NDArray | None = None,
     sequence: NDArray | None = None,
+    anchored: NDArray | None = None,
 ) -> Rays:
     """Rays in an order that does not depend on the order of the rows, without exact repeats.
 
@@ -137,6 +146,7 @@ def make_rays(
         route_codes,
         sequences,
         np.arange(n),
+        np.zeros(n, bool) if anchored is None else np.asarray(anchored, bool),
     )
     keys = [sequences, route_codes, labels, sigma_depth, sigma_turn, depth, bearing]
     order = np.lexsort([*map(np.nan_to_num, keys), camera[:, 1], camera[:, 0]])

@@ -9,7 +9,7 @@ from roadsight.base.arrays import Ints
 from roadsight.base.errors import InputError
 from roadsight.poles.triangulate.groups import locate_points
 from roadsight.poles.triangulate.locate import describe_groups, triangulate
-from roadsight.poles.triangulate.merging import merge_groups
+from roadsight.poles.triangulate.merging import merge_groups, places_of
 from roadsight.poles.triangulate.published import swept_poles
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, make_rays
 
@@ -47,8 +47,8 @@ POLE_COLUMNS = (
 
 _NUMBERS = ("x", "y", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition")
 """Columns of poles that hold real numbers."""
-_METHODS = ("packing", "sweep")
-"""Ours, and that of the second paper."""
+_METHODS = ("packing", "listing", "sweep")
+"""Ours, our former, and that of the second paper."""
 
 
 def site_poles(
@@ -58,8 +58,9 @@ def site_poles(
 
     Parameters
     ----------
-    sightings : columns `SIGHTING_COLUMNS`, local metres; those not kept are left out.
-    method : ``packing`` (ours) or ``sweep`` (paper 2).
+    sightings : columns `SIGHTING_COLUMNS`, local metres; those not kept are left out. Optionally
+        ``anchored``: whether a sighting ends at something of the cloud.
+    method : ``packing`` (ours), ``listing`` (our former) or ``sweep`` (paper 2).
 
     Returns
     -------
@@ -80,11 +81,11 @@ def site_poles(
     for kind in sorted(set(sightings["kind"][usable])):
         rows = np.flatnonzero(usable & (sightings["kind"] == kind).to_numpy())
         rays = _rays(sightings.iloc[rows])
-        if method == "packing":
-            poles, own, scales[kind] = triangulate(rays, settings)
-        else:
+        if method == "sweep":
             poles, own = _sweep(rays, settings)
             scales[kind] = 1.0
+        else:
+            poles, own, scales[kind] = triangulate(rays, settings, method)
         pole_of[rows[rays.row[own >= 0]]] = own[own >= 0] + before
         before += len(poles)
         tables.append(poles.assign(kind=kind, id=[f"{kind}-{n:05d}" for n in range(len(poles))]))
@@ -96,6 +97,8 @@ def _rays(sightings: pd.DataFrame) -> Rays:
     names = ("depth_m", "sigma_bearing_deg", "sigma_depth_m", "image", "route", "sequence")
     columns = {name: sightings[name].to_numpy() for name in names}
     places = sightings[["x", "y"]].to_numpy(np.float64)
+    if "anchored" in sightings:
+        columns["anchored"] = sightings["anchored"].to_numpy(bool)
     return make_rays(places, sightings["bearing_grid_deg"].to_numpy(np.float64), **columns)
 
 
@@ -108,7 +111,7 @@ def _sweep(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, I
     pole = np.full(len(rays), -1, np.int64)
     for number, members in enumerate(groups):
         pole[members] = number
-    return describe_groups(points, groups, settings), pole
+    return describe_groups(groups, *places_of(points, groups), settings), pole
 
 
 def _empty() -> pd.DataFrame:

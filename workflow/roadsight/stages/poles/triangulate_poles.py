@@ -46,8 +46,9 @@ def triangulate_poles(arguments: argparse.Namespace) -> None:
     parts = [read_table(path, columns) for path in arguments.sightings]
     sightings = pd.concat(parts, ignore_index=True)
     settings = _settings(arguments)
-    poles, pole_of, scales = site_poles(sightings, settings, arguments.method)
     in_cloud = sightings["depth_lidar_m"].notna().to_numpy()
+    sightings = sightings.assign(anchored=in_cloud)
+    poles, pole_of, scales = site_poles(sightings, settings, arguments.method)
     poles = withhold_thin(poles, pole_of, in_cloud, arguments.min_views)
     if arguments.voxels:
         near = _structures(arguments.voxels)
@@ -154,7 +155,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--voxels", nargs="?", help="withhold poles near road, bridge, building")
     parser.add_argument("--min-views", type=int, default=2, help="of a pole not in the cloud")
     parser.add_argument("--clearance-m", type=float, default=1.524, help="how near; 5 ft")
-    parser.add_argument("--method", choices=("packing", "sweep"), default="packing")
+    parser.add_argument("--method", choices=("packing", "listing", "sweep"), default="packing")
     for name, default in vars(TriangulationSettings()).items():
         flag = f"--{name.replace('_', '-')}"
         if isinstance(default, bool):
