@@ -372,7 +372,11 @@ class ReportSite:
             },
             geometry=gpd.points_from_xy(gaps["x"], gaps["y"], gaps["z"]),
         )
-        layers = {"obstacles": obstacles, "uncovered": explained}
+        objects = gpd.GeoDataFrame(
+            {"name": ["tree-1"], "kind": ["tree"], "targets": [31.0]},
+            geometry=gpd.points_from_xy(*xy[:1].T, self.ground_m(xy[:1]) + 1),
+        )
+        layers = {"obstacles": obstacles, "uncovered": explained, "objects": objects}
         write_layers(self.path("placement", plan, "obstacles.gpkg"), layers, self.frame)
 
     def _summary(self, placed):

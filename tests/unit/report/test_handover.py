@@ -294,7 +294,10 @@ def test_a_plan_without_sensors_has_its_layer(tmp_path):
     square = gpd.GeoDataFrame({"part": [0]}, geometry=[shapely.box(0, 0, 1, 1)])
     edge = gpd.GeoDataFrame({"edge": ["e"]}, geometry=[shapely.LineString([(0, 0), (1, 1)])])
     dem = Raster(np.full((2, 2), 1.0, np.float32), 0.0, 1.0, 0.5)
-    layers = [*plan_layers("p", table, empty, empty, empty), *scene_layers(square, edge, dem)]
+    layers = [
+        *plan_layers("p", table, empty, empty, empty),
+        *scene_layers(square, edge, dem, square),
+    ]
     styled = [StyledLayer(n.name, n.about, n.features, n.geometry, qml(n.style)) for n in layers]
     write_styled(tmp_path / "a.gpkg", styled, FEET)
     assert pyogrio.read_info(tmp_path / "a.gpkg", layer="sensors_p")["features"] == 0

@@ -100,7 +100,7 @@ def run(arguments: argparse.Namespace) -> None:
     density_m2 = None if unit_m is None else _density(scans, unit_m)
     found = describe_clouds(scans, contents, unit_m, density_m2)
     title = arguments.site or arguments.clouds[0].stem
-    text = site_text(name, title, clouds, found, findings)
+    text = site_text(name, clouds, found, findings, title)
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     notes = [
@@ -214,10 +214,10 @@ def _vertical_units(
 
 def site_text(
     name: str,
-    title: str,
     clouds: Sequence[str],
     contents: Sequence[str],
     findings: dict[str, Finding],
+    title: str = "",
 ) -> str:
     """Content of the site file."""
     found = "\n".join(_comment(sentence) for sentence in contents)
@@ -229,7 +229,7 @@ def site_text(
 # Name of the site: its results go to results/{name}.
 site: {json.dumps(name)}
 # Name for people.
-title: {json.dumps(title, ensure_ascii=False)}
+title: {json.dumps(title or name, ensure_ascii=False)}
 # LAS or LAZ files: relative to this file, absolute, or with ${{VARIABLE}} from the environment.
 clouds:
 {paths}

@@ -176,6 +176,7 @@ rule write_handover:
         dem=rules.build_dem.output.dem,
         pavement=scene_page_only(rules.extract_pavement.output.pavement),
         edges=scene_page_only(rules.build_edges.output.edges),
+        unexamined=placement_only(unexamined_pavement),
         solutions=placement_only(plan_solutions),
         layers=placement_only(plan_layers),
         obstacles=placement_only(plan_obstacles),
@@ -199,7 +200,8 @@ rule write_handover:
     shell:
         "python -m roadsight.stages.evidence.write_handover --site {wildcards.site}"
         " --title={params.title:q} --frame {input.frame} --dem {input.dem}"
-        " --pavement {input.pavement} --edges {input.edges} --solutions {input.solutions}"
+        " --pavement {input.pavement} --edges {input.edges}"
+        " --unexamined {input.unexamined} --solutions {input.solutions}"
         " --plan-layers {input.layers} --obstacles {input.obstacles} --poles {input.poles}"
         " --road-edges {input.road_edges} --hazard {input.hazard} --layers {output.layers}"
         " --project {output.project} --kml {output.kml} --drawing {output.drawing} > {log} 2>&1"

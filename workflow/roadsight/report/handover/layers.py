@@ -30,6 +30,7 @@ _RATED = (
     Category("unknown", "unknown", "#64748b"),
 )
 _KEPT = (Category("1", "kept", "#b45309"), Category("0", "withheld", "#cbd5e1"))
+_EDGE = Style("line", "#0f172a", size_mm=0.4)
 SENSOR_STYLE = Style("marker", "#b45309", size_mm=3.4, label="number")
 
 
@@ -127,26 +128,39 @@ def points(table: pd.DataFrame) -> gpd.GeoDataFrame:
     return gpd.GeoDataFrame(table.drop(columns=["x", "y", "z"]), geometry=geometry)
 
 
-def scene_layers(pavement: gpd.GeoDataFrame, edges: gpd.GeoDataFrame, dem: Raster) -> list[Layer]:
-    """Pavement and road edges with the height of the ground."""
-    edge = Style("line", "#0f172a", size_mm=0.4)
+def scene_layers(
+    pavement: gpd.GeoDataFrame,
+    edges: gpd.GeoDataFrame,
+    dem: Raster,
+    unexamined: gpd.GeoDataFrame | None = None,
+) -> list[Layer]:
+    """Road edges, what of the pavement was not examined, and pavement, on the ground."""
+    found = [
+        ("edges", "Lines along which sensors may stand; z is the ground.", edges, _EDGE),
+        (
+            "unexamined",
+            "Pavement for which no target stands: nothing is proven there; z is the ground.",
+            unexamined,
+            Style("fill", "#fca5a5", size_mm=0.2),
+        ),
+        (
+            "pavement",
+            "Pavement on which targets are to be seen; z is the ground.",
+            pavement,
+            Style("fill", "#cbd5e1", size_mm=0.2),
+        ),
+    ]
     return [
         Layer(
-            "pavement",
+            name,
             "Scene",
-            "Pavement on which targets are to be seen; z is the ground.",
-            draped(pavement, dem),
-            Style("fill", "#cbd5e1", size_mm=0.2),
-            "Polygon Z",
-        ),
-        Layer(
-            "edges",
-            "Scene",
-            "Lines along which sensors may stand; z is the ground.",
-            draped(edges, dem),
-            edge,
-            "LineString Z",
-        ),
+            about,
+            draped(features, dem),
+            style,
+            "LineString Z" if style.kind == "line" else "Polygon Z",
+        )
+        for name, about, features, style in found
+        if features is not None
     ]
 
 
@@ -156,6 +170,7 @@ def plan_layers(
     targets: gpd.GeoDataFrame,
     obstacles: gpd.GeoDataFrame,
     uncovered: gpd.GeoDataFrame,
+    objects: gpd.GeoDataFrame | None = None,
 ) -> list[Layer]:
     """Layers of a plan, the sensors on top."""
     group = f"Plan {plan}"
@@ -172,6 +187,18 @@ def plan_layers(
             "What stands in the way of sight lines.",
             obstacles,
             Style("marker", "#7c3aed", size_mm=1.2),
+        ),
+        *(
+            []
+            if objects is None
+            else [
+                (
+                    "objects",
+                    "Objects in the way, by what they hide.",
+                    objects,
+                    Style("marker", "#be185d", size_mm=2.4, label="name"),
+                )
+            ]
         ),
         (
             "targets",

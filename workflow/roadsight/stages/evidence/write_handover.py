@@ -66,7 +66,10 @@ def _scene(arguments: argparse.Namespace, frame: Frame) -> list[Layer]:
         return []
     pavement = read_layer(arguments.pavement, "pavement", frame)
     edges = read_layer(arguments.edges, "edges", frame)
-    return scene_layers(pavement, edges, read_raster(arguments.dem, frame))
+    unexamined = None
+    if arguments.unexamined:
+        unexamined = read_layer(arguments.unexamined, "unexamined", frame)
+    return scene_layers(pavement, edges, read_raster(arguments.dem, frame), unexamined)
 
 
 def _plans(arguments: argparse.Namespace, frame: Frame) -> list[Layer]:
@@ -80,6 +83,7 @@ def _plans(arguments: argparse.Namespace, frame: Frame) -> list[Layer]:
             read_layer(layers, "targets", frame),
             read_layer(obstacles, "obstacles", frame),
             read_layer(obstacles, "uncovered", frame),
+            read_layer(obstacles, "objects", frame),
         )
     return found
 
@@ -106,7 +110,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("site", "frame", "layers", "project", "kml", "drawing"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--title", default="", help="name of the site for people")
-    for name in ("dem", "pavement", "edges", "poles", "road-edges", "hazard"):
+    for name in ("dem", "pavement", "edges", "unexamined", "poles", "road-edges", "hazard"):
         parser.add_argument(f"--{name}", nargs="?", help="of the job that the site asks for")
     for name in ("solutions", "plan-layers", "obstacles"):
         parser.add_argument(f"--{name}", nargs="*", default=[], help="one a plan")
