@@ -71,13 +71,14 @@ def test_classes_are_counted_as_by_hand(seed):
 
 
 @given(seed=SEEDS, flip=SHARES)
-def test_files_that_agree_are_not_doubted_and_ones_of_a_single_class_are(seed, flip):
+def test_files_that_disagree_on_low_plants_are_not_doubted_and_single_classes_are(seed, flip):
     rng = np.random.default_rng(seed)
     ground = rng.random(2000) < 0.5
     above = np.where(ground, 0.0, rng.uniform(3, 20, 2000))
     swapped = ground ^ (rng.random(2000) < 0.1 * flip)
+    beside = np.where(swapped, np.minimum(above, 0.5), above)
     agree, single, silent = ClassAgreement(), ClassAgreement(), ClassAgreement()
-    agree.add(np.where(swapped, 2, 5).astype(np.uint8), ground, above)
+    agree.add(np.where(swapped, 2, 5).astype(np.uint8), ground, beside)
     single.add(np.full(2000, 2, np.uint8), ground, above)
     silent.add(np.ones(2000, np.uint8), ground, above)
     assert not codes(ground_doubts(0.5, 0.0, 0.0, agree), "doubt")
