@@ -68,7 +68,7 @@ lock: ## resolve the dependencies anew (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
 	  --custom-compile-command "make lock" pyproject.toml -o envs/requirements.lock
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
-	  --custom-compile-command "make lock" --extra dev --extra peers --extra slurm --extra cluster -c envs/requirements.lock \
+	  --custom-compile-command "make lock" --extra dev --extra peers -c envs/requirements.lock \
 	  pyproject.toml -o envs/requirements-dev.lock
 
 studio-vendor: ## bundle the studio's JavaScript libraries anew from web/package-lock.json (needs npm)

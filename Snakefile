@@ -42,6 +42,8 @@ rule all:
     default_target: True
     input:
         "results/report.html",
+        printed_reports(),
+        handovers(),
         summaries(),
     localrule: True
 
@@ -85,6 +87,8 @@ rule truth:
 rule report:
     input:
         "results/report.html",
+        printed_reports(),
+        handovers(),
     localrule: True
 
 

@@ -1,7 +1,7 @@
 """The profile for other clusters, with a stand-in for their submit command.
 
 The stand-in starts the script that it is given on this machine and prints a number, as any cluster
-does. Needs the plugin (`pip install 'roadsight[cluster]'`).
+does.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Both jobs on a real SLURM: arrays, a cancelled job, one without memory, a killed controller.
 
-Needs SLURM's programs, the plugin (`pip install 'roadsight[slurm]'`) and, in ROADSIGHT_SLURM, a
+Needs SLURM's programs, the plugin and, in ROADSIGHT_SLURM, a
 folder with ``start.sh``, ``stop.sh`` and ``slurm.conf.in`` that start and stop a throw-away cluster
 under $DIR.
 """

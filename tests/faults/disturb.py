@@ -175,7 +175,7 @@ class Disturbed:
     def start(self) -> Run:
         return Run(
             subprocess.Popen(
-                self.checkout.command("--cores", "2"),
+                self.checkout.command("--cores", "2", "--printshellcmds"),
                 cwd=self.checkout.folder,
                 env=self.checkout.environment() | {"PYTHONUNBUFFERED": "1"},
                 stdout=subprocess.PIPE,

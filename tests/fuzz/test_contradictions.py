@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import logging
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -10,8 +12,13 @@ from roadsight.base.errors import InputError
 from roadsight.io.cloud.clouds import read_header, read_laz
 from roadsight.io.records.sighting_tables import read_sightings
 from tests.fuzz.contradictions import KINDS, clean_cloud, contradicted_cloud, table
+from tests.fuzz.image_contradictions import check_image
+from tests.fuzz.vector_contradictions import check_vector
+from tests.fuzz.videolog_contradictions import check_videolog
 
-FEW, MANY = 8, 10_000
+FEW, SOME, MANY = 8, 200, 10_000
+CHECKS = {"image": check_image, "videolog": check_videolog, "vector": check_vector}
+"""What compares one generated file, by its number, with the clean answer."""
 
 
 def compare_clouds(folder, kind, numbers):
@@ -50,6 +57,23 @@ def test_a_few_clouds(tmp_path, kind):
 
 def test_some_tables(tmp_path):
     compare_tables(tmp_path, range(60))
+
+
+@pytest.mark.parametrize("reader", CHECKS)
+def test_some_files_of_each_reader(tmp_path, reader):
+    for number in range(SOME):
+        CHECKS[reader](tmp_path, number)
+
+
+@pytest.mark.full
+@pytest.mark.parametrize("reader", CHECKS)
+def test_many_files_of_each_reader(tmp_path, reader):
+    logging.disable(logging.WARNING)  # a line for each drive against its measure
+    try:
+        for number in range(MANY):
+            CHECKS[reader](tmp_path, number)
+    finally:
+        logging.disable(logging.NOTSET)
 
 
 def test_keys_of_a_table_are_not_guessed(tmp_path):

@@ -34,7 +34,9 @@ NO_NUMERICS = {
     "render_depth_pairs": "the maps of render_depth_maps, whose cases hold for it",
     "render_videolog": "generates a sample",
     "run_hardcases": "runs this catalogue",
+    "match_inputs": "counts what lies at the site",
     "summarise_site": "collects results",
+    "view_inputs": "counts files",
     "use_given_cameras": "takes poses as they are",
 }
 """Stages without a case, and why."""

@@ -34,6 +34,13 @@ def tensor(name: str, values: np.ndarray) -> bytes:
     return dims + _number(2, kind) + _part(8, name) + _part(9, values.tobytes())
 
 
+def external(name: str, shape: Sequence[int], file: str) -> bytes:
+    """Constant of floats that lies in a file beside the network, from its first byte on."""
+    dims = b"".join(_number(1, n) for n in shape)
+    entry = _part(1, "location") + _part(2, file)
+    return dims + _number(2, FLOAT) + _part(8, name) + _part(13, entry) + _number(14, 1)
+
+
 def value(name: str, shape: Sequence[int | str], kind: int = FLOAT) -> bytes:
     """Input or output; a text is an axis of any length."""
     dims = b"".join(_part(1, _number(1, n) if isinstance(n, int) else _part(2, n)) for n in shape)

@@ -360,7 +360,7 @@ class ReportSite:
         )
         gaps = self.targets[self.targets["target"].isin(uncovered)]
         aside = gaps[["x", "y"]].to_numpy() + np.array([-3, 2])
-        obstacle_x, obstacle_y = self.frame.to_native(aside).T
+        obstacle_x, obstacle_y = aside.T
         explained = gpd.GeoDataFrame(
             {
                 "target": gaps["target"].to_list(),

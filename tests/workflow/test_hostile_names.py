@@ -8,6 +8,7 @@ import shlex
 
 import pytest
 import yaml
+from pyproj import CRS
 
 from tests.helpers.las_files import random_points, wkt_of, write_las
 from tests.workflow.conftest import Checkout
@@ -26,6 +27,8 @@ NAMES = (
     "Straße",
 )
 TEXT = "';touch pwned;$(touch pwned)`touch pwned`\" -x"
+CRS_TEXT = CRS.from_epsg(25832).to_wkt().replace("ETRS89 / UTM zone 32N", TEXT.replace('"', '""'))
+"""A CRS that PROJ knows, by an evil name."""
 
 
 @pytest.fixture
@@ -92,10 +95,10 @@ def test_every_text_of_a_user_is_one_word_of_its_command(checkout):
         title=TEXT,
         settings={"effects": decided(checkout)},
         clouds=["cloud.laz"],
-        crs=TEXT,
-        target_crs=TEXT,
+        crs=CRS_TEXT,
+        target_crs=CRS_TEXT,
         jobs=["placement", "poles"],
-        placement={"edges": evil["edges"], "edges_crs": TEXT, "tma": evil["tma"]},
+        placement={"edges": evil["edges"], "edges_crs": CRS_TEXT, "tma": evil["tma"]},
         poles={
             "videolog": "videolog.csv",
             "images": evil["images"],
@@ -105,9 +108,9 @@ def test_every_text_of_a_user_is_one_word_of_its_command(checkout):
         },
         truth={
             "pavement": evil["truth"],
-            "pavement_crs": TEXT,
+            "pavement_crs": CRS_TEXT,
             "poles": evil["truth"],
-            "poles_crs": TEXT,
+            "poles_crs": CRS_TEXT,
             "poles_kind": TEXT,
             "cameras": evil["truth"],
             "intrinsics": evil["truth"],
@@ -119,8 +122,9 @@ def test_every_text_of_a_user_is_one_word_of_its_command(checkout):
     commands = re.findall(r"python -m roadsight\.stages\..*?2>&1", result.stdout, re.DOTALL)
     words = [word for command in commands for word in shlex.split(command)]
     assert len(commands) > 30
-    assert [word for word in words if "pwned" in word and not word.endswith((" &x", TEXT))] == []
+    whole = (" &x", TEXT, CRS_TEXT)
+    assert [word for word in words if "pwned" in word and not word.endswith(whole)] == []
     for kind, name in evil.items():
         assert any(word.endswith(name) for word in words), kind
-    assert sum(TEXT in word for word in words) >= 6
+    assert sum(TEXT in word or CRS_TEXT in word for word in words) >= 6
     assert no_harm(checkout)

@@ -31,7 +31,9 @@ def test_saved_edges_make_the_edges_and_what_follows_stale(copy_of_finished, mon
     edges = drawn(copy_of_finished, monkeypatch)["edges"]
     edges[0]["points"][1][0] += 0.5
     assert "config/sites/tiny/edges.geojson" in saved(copy_of_finished, monkeypatch, edges=edges)
-    assert copy_of_finished.stale_rules() == with_followers(READERS, "build_edges")
+    assert copy_of_finished.stale_rules() == with_followers(READERS, "build_edges") | {
+        "match_inputs"
+    }
 
 
 def test_saved_zones_make_the_candidates_and_what_follows_stale(copy_of_finished, monkeypatch):
@@ -39,7 +41,7 @@ def test_saved_zones_make_the_candidates_and_what_follows_stale(copy_of_finished
     zone = {"name": "z", "points": [[x, y], [x + 9, y], [x + 9, y + 9], [x, y + 9]]}
     saved(copy_of_finished, monkeypatch, zones=[zone])
     stale = with_followers(READERS, "place_candidates", "densify_candidates")
-    assert copy_of_finished.stale_rules() == stale
+    assert copy_of_finished.stale_rules() == stale | {"match_inputs"}
     saved(copy_of_finished, monkeypatch, zones=[])
     assert copy_of_finished.stale_rules() == set()
 

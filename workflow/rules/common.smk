@@ -1,5 +1,6 @@
 """Helpers of all other files: resolved settings, stage sources, and what each site asks for."""
 
+import importlib.util
 import json
 import os
 import re
@@ -17,12 +18,16 @@ from roadsight.io.records.checksums import CachedChecksums
 from roadsight.io.records.sources import stage_sources
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
+from snakemake_logger_plugin_roadsight.stopping import let_stops_through
 
 prepare_environment()
+let_stops_through()
 
 LOCK = "envs/requirements.lock"
+PAPER_ASSETS = ["workflow/roadsight/report/assets/paper/report.typ"]
 REPORT_ASSETS = sorted(
-    str(path) for path in Path("workflow/roadsight/report/assets").rglob("*.*")
+    {str(path) for path in Path("workflow/roadsight/report/assets").rglob("*.*")}
+    - set(PAPER_ASSETS)
 )
 ENVIRONMENT = "../../../envs/roadsight.yaml"
 
@@ -229,6 +234,48 @@ def site_pages():
     return [f"results/{site}/page.json" for site in ASKED_SITES if has_scene_page(site)]
 
 
+def own_site_page(wildcards):
+    """Page of the scene and the placement, where the site has one."""
+    return (
+        [f"results/{wildcards.site}/page.json"]
+        if has_scene_page(wildcards.site)
+        else []
+    )
+
+
+def printed_reports():
+    """The sites' reports on paper; without the engine that sets them, this is said and no more."""
+    if importlib.util.find_spec("typst") is None:
+        print("no report.pdf: the package typst is not installed", file=sys.stderr)
+        return []
+    return [
+        f"results/{site}/report.pdf"
+        for site in ASKED_SITES
+        if has_scene_page(site) or wants(site, "poles")
+    ]
+
+
+def scene_page_only(file):
+    """A result of the scene, where the site asks for pavement and edges."""
+    return lambda wildcards: (
+        [file.format(site=wildcards.site)] if has_scene_page(wildcards.site) else []
+    )
+
+
+def handovers():
+    """What GIS, CAD and crews take along."""
+    found = []
+    for site in ASKED_SITES:
+        if has_scene_page(site) or wants(site, "poles"):
+            found += [
+                f"results/{site}/gis/{site}.{kind}"
+                for kind in ("gpkg", "qgs", "kml", "dxf")
+            ]
+        if wants(site, "placement"):
+            found.append(f"results/{site}/stakeout.csv")
+    return found
+
+
 def summaries():
     return [f"results/{site}/summary.json" for site in ASKED_SITES]
 
@@ -241,7 +288,7 @@ def site_extent(wildcards):
         return NamedValue("extent", "")
     kind, _, value = extent.stated.partition("=")
     if kind == "polygon":
-        value = resolved.beside(value)
+        value = resolved.layered(value)
     return NamedValue("extent", f"{kind}={value}")
 
 
@@ -263,6 +310,14 @@ def extent_files(wildcards):
     if extent.polygon is not None:
         return beside_site("extent.polygon")(wildcards)
     return (edges_file if extent.edges_m else videolog_file)(wildcards)
+
+
+def layered_extent_files(wildcards):
+    """The edges or the videolog that decide, with the layer that the site file names."""
+    extent = SITES[wildcards.site].site.extent
+    if extent is not None and extent.edges_m:
+        return layered_site("placement.edges", edges_file)(wildcards)
+    return extent_files(wildcards)
 
 
 def edges_file(wildcards):

@@ -1,28 +1,29 @@
-"""Snakemake's logger plugin ``roadsight``: what a run does, as one JSON object a line.
+"""Snakemake's logger plugin ``roadsight``: what a run says to people, and to the studio.
 
-``snakemake --logger roadsight --logger-roadsight-events FILE`` appends to FILE; the usual output
-stays. The studio reads the plan of a dry run and the progress of a run from such files.
+``snakemake --logger roadsight``, as the default profile has it, writes one line a step, with its
+site, the progress and the time that is left. With ``--verbose``, ``--printshellcmds``,
+``--debug-dag`` or ``--dry-run`` Snakemake speaks for itself.
+
+With ``--logger-roadsight-events FILE`` events are appended to FILE, one JSON object a line, and the
+usual output stays. The studio reads the plan of a dry run and the progress of a run from there.
 """
 
-import json
-import time
+import sys
 from dataclasses import dataclass, field
 from logging import WARNING, LogRecord
-from pathlib import Path
 from typing import Any, Optional
 
 from snakemake_interface_logger_plugins.base import LogHandlerBase
+from snakemake_interface_logger_plugins.common import LogEvent
 from snakemake_interface_logger_plugins.settings import LogHandlerSettingsBase
 
-FIELDS = {
-    "run_info": ("stats",),
-    "job_info": ("jobid", "rule_name", "wildcards", "reason", "output", "log", "is_checkpoint"),
-    "job_started": ("jobs",),
-    "job_finished": ("job_id",),
-    "job_error": ("jobid", "rule_name", "log"),
-    "progress": ("done", "total"),
-    "error": ("exception",),
-}
+from snakemake_logger_plugin_roadsight.events import EventsFile
+from snakemake_logger_plugin_roadsight.lines import Steps
+
+_SAID = {LogEvent.JOB_ERROR, LogEvent.GROUP_ERROR, LogEvent.ERROR}
+"""Events that are said as Snakemake says them; of the others, some become lines."""
+_KEPT = ("Nothing to be done",)
+"""Beginnings of the plain messages that are kept."""
 
 
 @dataclass
@@ -30,55 +31,62 @@ class LogHandlerSettings(LogHandlerSettingsBase):
     """Options of the plugin."""
 
     events: Optional[str] = field(  # noqa: UP045  # Snakemake reads this very form
-        default=None, metadata={"help": "File to which events are appended", "required": True}
+        default=None, metadata={"help": "File to which events are appended"}
     )
 
 
-def entry(record: LogRecord) -> dict[str, Any] | None:
-    """What is kept of a record: its time, its event and that event's fields; None: nothing.
-
-    Texts of errors and warnings are kept, too.
-    """
-    event = getattr(record, "event", None)
-    name = "message" if event is None else str(event)
-    if name not in FIELDS and (event is not None or record.levelno < WARNING):
-        return None
-    kept: dict[str, Any] = {"time": record.created, "event": name}
-    kept |= {key: getattr(record, key, None) for key in FIELDS.get(name, ())}
-    if name in ("error", "message"):
-        kept["text"] = record.getMessage()
-    return kept
-
-
 class LogHandler(LogHandlerBase):
-    """Appends events to the file."""
+    """Writes lines to stderr, or events to a file."""
 
     def __post_init__(self) -> None:
-        """Open the file."""
-        assert isinstance(self.settings, LogHandlerSettings)
-        assert self.settings.events is not None
-        self._file = Path(self.settings.events).open("a", encoding="utf-8")  # noqa: SIM115  # until `close`
-        self._write({"time": time.time(), "event": "opened"})
+        """Begin without steps; open the file of events, if one is named."""
+        path = getattr(self.settings, "events", None)
+        self._events = None if path is None else EventsFile(path)
+        self._now_s = 0.0
+        self._steps = Steps(lambda: self._now_s)
 
     def emit(self, record: LogRecord) -> None:
-        """Write a record that says something of the run."""
-        kept = entry(record)
-        if kept is not None:
-            self._write(kept)
+        """Write what a record means, if it means anything."""
+        if self._events is not None:
+            self._events.take(record)
+        elif self.writes_to_stream:
+            lines = self._lines(record)
+            sys.stderr.write("".join(f"{line}\n" for line in lines))
+            sys.stderr.flush()
 
-    def _write(self, kept: dict[str, Any]) -> None:
-        self._file.write(json.dumps(kept, default=_plain) + "\n")
-        self._file.flush()
+    def _lines(self, record: LogRecord) -> list[str]:
+        self._now_s = record.created
+        event = getattr(record, "event", None)
+        about: dict[str, Any] = vars(record)
+        if event in _SAID or (event is None and record.levelno >= WARNING):
+            return [self.format(record)]
+        if event is None:
+            text = record.getMessage()
+            return [text] if text.startswith(_KEPT) else []
+        if event == LogEvent.RUN_INFO:
+            return self._steps.planned(about["stats"])
+        if event == LogEvent.PROGRESS:
+            return self._steps.progressed(about["done"], about["total"])
+        if event == LogEvent.JOB_INFO:
+            self._steps.named(about["jobid"], about["rule_name"], about["wildcards"] or {})
+        elif event == LogEvent.JOB_STARTED:
+            self._steps.started(about["jobs"])
+        elif event == LogEvent.JOB_FINISHED:
+            self._steps.finished(about["job_id"])
+        return []
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the file of events."""
+        if self._events is not None:
+            self._events.close()
         super().close()
 
     @property
     def writes_to_stream(self) -> bool:
-        """No: the usual output stays."""
-        return False
+        """Whether lines stand in for Snakemake's own output."""
+        said = self.common_settings
+        own = said.verbose or said.dryrun or said.printshellcmds or said.debug_dag
+        return self._events is None and not own
 
     @property
     def writes_to_file(self) -> bool:
@@ -87,19 +95,15 @@ class LogHandler(LogHandlerBase):
 
     @property
     def has_filter(self) -> bool:
-        """Records are chosen here."""
-        return True
+        """Events are chosen here; for lines, Snakemake's own filter follows ``--quiet``."""
+        return self._events is not None
 
     @property
     def has_formatter(self) -> bool:
-        """Records are written here."""
-        return True
+        """Errors are worded by Snakemake."""
+        return False
 
     @property
     def needs_rulegraph(self) -> bool:
         """No."""
         return False
-
-
-def _plain(value: Any) -> Any:
-    return dict(value) if hasattr(value, "keys") else str(value)

@@ -42,6 +42,7 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
     text, content = written(out)
     assert content == {
         "site": "my_road_1",
+        "title": "My Road (1)",
         "clouds": [str(cloud)],
         "crs": "auto",
         "units": "auto",
@@ -57,7 +58,7 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "Intensity: yes. Colour: no.",
     ):
         assert part in text
-    assert capsys.readouterr().out == f"wrote {out}\n"
+    assert capsys.readouterr().out.startswith(f"wrote {out}\n")
 
 
 def test_extent_and_density_are_in_metres_whatever_the_unit(tmp_path):
@@ -167,3 +168,30 @@ def test_real_clouds(tmp_path, name, crs):
     _, content = written(out)
     assert content["crs"] == crs
     assert content["clouds"] == [f"${{ROADSIGHT_DATA}}/clouds/{name}.laz"]
+
+
+@pytest.mark.parametrize(
+    ("text", "name"),
+    [("Mühlstraße", "muehlstrasse"), ("MU\u0308HLE", "muehle"), ("Città 2", "citta_2")],
+)
+def test_letters_with_marks_stay_legible(tmp_path, text, name):
+    cloud = write_las(tmp_path / f"{text}.laz", random_points(50), UTM)
+    out = tmp_path / "site.yaml"
+    run(cloud, "-o", out)
+    content = written(out)[1]
+    assert content["site"] == name
+    assert content["title"] == text
+
+
+def test_it_says_what_was_found_and_what_comes_next(tmp_path, capsys):
+    cloud = write_las(tmp_path / "a.laz", random_points(50), UTM)
+    run(cloud, "-o", tmp_path / "site.yaml")
+    said = capsys.readouterr().out
+    assert "50 points" in said and "ETRS89 / UTM zone 32N" in said
+    assert "snakemake -n --config 'sites=[a]'" in said
+    assert "snakemake --cores 2 --config 'sites=[a]'" in said
+    assert "points per m2 are sparse" in said
+
+
+def test_a_dense_cloud_is_not_doubted():
+    assert init.doubts(30.0) == [] and init.doubts(None) == []

@@ -9,7 +9,13 @@ import pytest
 from pyproj import CRS
 
 from roadsight.geometry.frames import Frame
-from roadsight.report.site.cautions import data_cautions, is_proven, plan_cautions, scene_cautions
+from roadsight.report.site.cautions import (
+    data_cautions,
+    is_proven,
+    plan_cautions,
+    scene_cautions,
+    told_cautions,
+)
 from roadsight.report.site.gaps import (
     NOT_CHOSEN,
     OUT_OF_SIGHT,
@@ -190,6 +196,12 @@ class TestProofs:
 
     def test_sound_plans_need_no_caution(self):
         assert plan_cautions([self.plan("A"), self.plan("B")]) == []
+
+    def test_what_stages_told_is_a_caution(self):
+        told = {"code": "few_matches", "severity": "doubt", "measured": 0.5, "limit": 0.8}
+        (caution,) = told_cautions([told | {"message": "only 1 of 2 zones lie at the site"}])
+        assert caution.level == "warning"
+        assert caution.text == "Only 1 of 2 zones lie at the site: 0.5 (limit 0.8)."
 
     def test_unproven_plan_tells_its_bounds(self):
         (caution,) = plan_cautions([self.plan("A", proven=False, bound=5.5)])

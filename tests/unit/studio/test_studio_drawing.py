@@ -7,6 +7,7 @@ import os
 import shutil
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pytest
 import yaml
@@ -54,6 +55,25 @@ def test_what_is_saved_is_loaded(project):
     np.testing.assert_allclose(loaded["zones"][0]["points"], ZONE["points"], atol=1e-3)
     assert loaded["mounts"][0]["height_m"] == 8.5
     assert loaded["own"] == {"edges": True, "zones": True, "mounts": True, "tma": False}
+
+
+def test_layers_of_a_file_are_read_and_stay_named(project):
+    save(project, edges=[EDGE], zones=[ZONE], mounts=[POLE], tma={"remove": [ZONE["points"]]})
+    folder, site = Path("config/sites/tiny"), Path("config/sites/tiny.yaml")
+    content = yaml.safe_load(site.read_text())
+    for name in ("edges", "zones", "mounts", "tma"):
+        gpd.read_file(folder / f"{name}.geojson").to_file("config/sites/all.gpkg", layer=name)
+        (folder / f"{name}.geojson").unlink()
+        content["placement"][name] = f"all.gpkg|layername={name}"
+    site.write_text(yaml.safe_dump(content))
+    before, loaded = Path("config/sites/all.gpkg").read_bytes(), load_drawing(project.site("tiny"))
+    assert loaded["edges"][0]["name"] == "e1" and loaded["zones"][0]["name"] == "z1"
+    assert loaded["mounts"][0]["name"] == "p1" and loaded["area"]
+    save(project, edges=loaded["edges"])
+    named = yaml.safe_load(site.read_text())["placement"]
+    assert named == content["placement"] | {"edges": "tiny/edges.geojson"}
+    assert Path("config/sites/all.gpkg").read_bytes() == before
+    assert load_drawing(project.site("tiny"))["zones"] == loaded["zones"]
 
 
 def states():

@@ -14,7 +14,7 @@ from roadsight.studio.run.earlier import earlier_seconds
 from roadsight.studio.run.progress import progress_of, remaining
 from roadsight.studio.run.run_events import TARGETS, causes, is_own, plan, read_events
 from roadsight.studio.run.snakemake_calls import Order, complaint
-from snakemake_logger_plugin_roadsight import entry
+from snakemake_logger_plugin_roadsight.events import entry
 
 
 def begun(number, rule, time, **more):

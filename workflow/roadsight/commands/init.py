@@ -7,6 +7,7 @@ import json
 import os
 import re
 import textwrap
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from roadsight.base.errors import InputError
+from roadsight.config.schema import Settings
 from roadsight.geometry.crs import StatedCrs, unit_name
 from roadsight.geometry.location import utm_code
 from roadsight.geometry.reference import UnitChoice, resolve
@@ -26,6 +28,8 @@ from roadsight.scene.profile import CELL_M, density, merge_counts
 
 _DATA_VARIABLE = "ROADSIGHT_DATA"
 """Environment variable that names the folder of a user's clouds."""
+_WRITTEN_OUT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ø": "oe", "æ": "ae"})
+"""Letters that names of folders do without, as people who have them write them."""
 _CLASS_NAMES = {
     0: "never classified",
     1: "unclassified",
@@ -92,21 +96,60 @@ def run(arguments: argparse.Namespace) -> None:
     scans = [scan_cloud(cloud, take=contents.take) for cloud in arguments.clouds]
     findings, unit_m = find_keys(scans)
     clouds = [_written(cloud, path) for cloud in arguments.clouds]
-    text = site_text(name, clouds, describe_clouds(scans, contents, unit_m), findings)
+    density_m2 = None if unit_m is None else _density(scans, unit_m)
+    found = describe_clouds(scans, contents, unit_m, density_m2)
+    title = arguments.site or arguments.clouds[0].stem
+    text = site_text(name, title, clouds, found, findings)
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+    notes = [
+        f"{scan.header.path.name}: {note}"
+        for scan in scans
+        for note in (*scan.header.notes, *scan.header.stated.notes)
+    ]
     print(f"wrote {path}")
-    for header in (scan.header for scan in scans):
-        for note in (*header.notes, *header.stated.notes):
-            print(f"{header.path.name}: {note}")
-    for key, finding in findings.items():
-        if finding.required:
-            print(f"fill in {key}: {finding.comment}")
+    _tell("Found", [*found, *notes])
+    _tell("Assumed", [f"{key}: {f.comment}" for key, f in findings.items() if not f.required])
+    _tell("To doubt", doubts(density_m2))
+    missing = {key: finding for key, finding in findings.items() if finding.required}
+    for key, finding in missing.items():
+        print(f"fill in {key}: {finding.comment}")
+    asked = f"--config 'sites=[{name}]'"
+    print(f"{'Then see' if missing else 'See'} what would run:  snakemake -n {asked}")
+    print(f"Run it:  snakemake --cores 2 {asked}")
+
+
+def doubts(density_m2: float | None) -> list[str]:
+    """What the default settings cannot do with the cloud.
+
+    Parameters
+    ----------
+    density_m2 : median of points per m2 where there are any; None if not known in metres.
+    """
+    needed = Settings().targets.min_points
+    if density_m2 is None or density_m2 >= needed:
+        return []
+    return [
+        f"{density_m2:.2g} points per m2 are sparse: a target is placed where a square metre has"
+        f" {needed} (targets.min_points), so most of the pavement would not be examined"
+    ]
+
+
+def _tell(heading: str, sentences: Sequence[str]) -> None:
+    if sentences:
+        print(f"{heading}:")
+        for sentence in sentences:
+            print(textwrap.fill(sentence, 96, initial_indent="  ", subsequent_indent="    "))
 
 
 def site_name(text: str) -> str:
-    """Name of letters, digits, - and _ that the workflow accepts, from any text."""
-    name = re.sub(r"[^a-z0-9_-]+", "_", text.lower()).strip("_-")
+    """Name of letters, digits, - and _ that the workflow accepts, from any text.
+
+    Umlauts are written out (``Mühle`` gives ``muehle``), other accents are left off.
+    """
+    plain = unicodedata.normalize("NFC", text.lower()).translate(_WRITTEN_OUT)
+    plain = unicodedata.normalize("NFKD", plain).encode("ascii", "ignore").decode()
+    name = re.sub(r"[^a-z0-9_-]+", "_", plain).strip("_-")
     if not name:
         raise InputError("has no letter or digit", where="--site", found=repr(text))
     return name
@@ -166,7 +209,11 @@ def _vertical_units(
 
 
 def site_text(
-    name: str, clouds: Sequence[str], contents: Sequence[str], findings: dict[str, Finding]
+    name: str,
+    title: str,
+    clouds: Sequence[str],
+    contents: Sequence[str],
+    findings: dict[str, Finding],
 ) -> str:
     """Content of the site file."""
     found = "\n".join(_comment(sentence) for sentence in contents)
@@ -177,6 +224,8 @@ def site_text(
 
 # Name of the site: its results go to results/{name}.
 site: {json.dumps(name)}
+# Name for people.
+title: {json.dumps(title, ensure_ascii=False)}
 # LAS or LAZ files: relative to this file, absolute, or with ${{VARIABLE}} from the environment.
 clouds:
 {paths}
@@ -195,18 +244,23 @@ placement:
 
 
 def describe_clouds(
-    scans: Sequence[CloudScan], contents: Contents, unit_m: float | None
+    scans: Sequence[CloudScan],
+    contents: Contents,
+    unit_m: float | None,
+    density_m2: float | None,
 ) -> list[str]:
     """Extent, density, classes and other contents, one sentence each.
 
     Parameters
     ----------
     unit_m : metres in one unit of x and y, or None if it is not known.
+    density_m2 : points per m2, None if it is not known.
     """
     lower, upper = _corners(scans)
     length = unit_m or 1.0
     unit = "m" if unit_m else "units of the cloud"
     square = "m2" if unit_m else "square unit"
+    dense = _density(scans, length) if density_m2 is None else density_m2
     size = " x ".join(f"{side:.1f}" for side in (upper - lower)[:2] * length)
     total = contents.classes.total()
     named = ", ".join(
@@ -218,7 +272,7 @@ def describe_clouds(
         f"{total} points, {dropped} withheld, noise or synthetic left out.",
         f"Extent {size} {unit}; as stored x {lower[0]:.2f} to {upper[0]:.2f}, "
         f"y {lower[1]:.2f} to {upper[1]:.2f}, z {lower[2]:.2f} to {upper[2]:.2f}.",
-        f"Density {_density(scans, length):.2f} points per {square} where there are any (median).",
+        f"Density {dense:.2f} points per {square} where there are any (median).",
         f"Classes: {named}.",
         f"Intensity: {'yes' if contents.intense else 'no'}. "
         f"Colour: {'yes' if all(scan.brightest for scan in scans) else 'no'}.",

@@ -13,7 +13,7 @@ from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
-from roadsight.io.cloud.clouds import NativeCloud, read_laz, write_laz
+from roadsight.io.cloud.clouds import WAVEFORM, NativeCloud, read_laz, write_laz
 from roadsight.io.cloud.point_filter import (
     OVERLAP_CLASS,
     OVERLAPS,
@@ -154,7 +154,14 @@ def _first_like(native: NativeCloud, counts: Bools) -> Ints:
 
 
 def write_labelled(path: str, cloud: MemoryCloud, labels: Bytes) -> None:
-    """Write the cloud with other classes, everything else as it was."""
+    """Write the cloud with other classes, everything else but waveforms as it was."""
+    if set(WAVEFORM) & set(cloud.native.dims):
+        log.warning(
+            "waveforms are left out of %s: points name places in the waveform data of %s (.wdp,"
+            " or in the file), which is not written anew; all other fields are kept",
+            path,
+            cloud.native.header.path,
+        )
     dims = {**cloud.native.dims, "classification": labels}
     write_laz(path, cloud.all_xyz_m, cloud.frame, dims, cloud.native.header.carried)
 

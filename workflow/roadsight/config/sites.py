@@ -2,14 +2,37 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
+from pyproj import CRS
+from pyproj.exceptions import CRSError
 
 from roadsight.base.section import Count, Name, Section
 from roadsight.config.plans import Plan
 
 Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
+
+
+def _known(text: str) -> str:
+    """A CRS that PROJ knows, before a cloud is read for hours in one that it does not."""
+    try:
+        CRS.from_user_input(text)
+    except CRSError as error:
+        raise ValueError(
+            f"{text[:60]!r} is no CRS that PROJ knows; give an EPSG code such as EPSG:25832, or WKT"
+        ) from error
+    return text
+
+
+def _known_of_cloud(text: str) -> str:
+    return text if text in ("auto", "local") else _known(text)
+
+
+CrsText = Annotated[str, AfterValidator(_known)]
+"""EPSG code, WKT, or whatever else PROJ reads."""
+CloudCrs = Annotated[str, AfterValidator(_known_of_cloud)]
+"""The same; or auto, the file's own, or local."""
 
 
 class Sample(Section):
@@ -50,7 +73,7 @@ class Extent(Section):
         description="west, south, east, north in the clouds' coordinates",
     )
     polygon: str | None = Field(default=None, description="polygon file, e.g. GeoJSON")
-    polygon_crs: str | None = Field(default=None, description="its CRS if the file names none")
+    polygon_crs: CrsText | None = Field(default=None, description="its CRS if the file names none")
     edges_m: float | None = Field(
         default=None, gt=0, le=10_000, description="distance from placement.edges, m"
     )
@@ -82,7 +105,7 @@ class PlacementInputs(Section):
     edges: str | None = Field(
         default=None, description="digitised edges: GeoJSON, GeoPackage or CSV; automatic if absent"
     )
-    edges_crs: str | None = Field(
+    edges_crs: CrsText | None = Field(
         default=None, description="CRS of the edges if their file names none"
     )
     tma: str | None = Field(
@@ -188,10 +211,12 @@ class Truth(Section):
     intrinsics: str | None = Field(default=None, description="their lens, CSV, if not with them")
     poles: str | None = Field(default=None, description="surveyed poles: CSV or vector file")
     poles_kind: str | None = Field(default=None, description="only those whose `kind` is this")
-    poles_crs: str | None = Field(default=None, description="their CRS if the file names none")
+    poles_crs: CrsText | None = Field(default=None, description="their CRS if the file names none")
 
     pavement: str | None = Field(default=None, description="surveyed road polygons")
-    pavement_crs: str | None = Field(default=None, description="their CRS if the file names none")
+    pavement_crs: CrsText | None = Field(
+        default=None, description="their CRS if the file names none"
+    )
     reach_m: float = Field(
         default=float("inf"), gt=0, description="what lies further from the truth is unknown, m"
     )
@@ -204,12 +229,12 @@ class Site(Section):
     title: str = Field(default="", description="name for people")
     clouds: list[str] = Field(default=[], description="LAS or LAZ files; ${VARIABLE} is replaced")
     sample: Sample | None = Field(default=None, description="generate the cloud instead")
-    crs: str | None = Field(
+    crs: CloudCrs | None = Field(
         default=None, description="auto (the file's own), local, EPSG:nnnn or WKT"
     )
     units: Unit = Field(default="auto", description="horizontal unit of the coordinates")
     vertical_units: Unit = Field(default="auto", description="vertical unit of the coordinates")
-    target_crs: str | None = Field(default=None, description="reproject to this CRS on reading")
+    target_crs: CrsText | None = Field(default=None, description="reproject to this CRS on reading")
     extent: Extent | None = Field(
         default=None, description="part of the clouds that counts; all of them if absent"
     )

@@ -15,7 +15,7 @@ from roadsight.report import wording
 from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES
 from roadsight.report.parameters import figure_rows, setting_groups
 from roadsight.report.poles.poles_page import FORMAT as POLES_FORMAT
-from roadsight.report.poles.poles_view import poles_view
+from roadsight.report.poles.poles_view import poles_cards, poles_view
 from roadsight.report.site.effects import effect_rows
 from roadsight.report.site.page import FORMAT
 from roadsight.report.site.plan_view import best_plan, plan_views
@@ -106,7 +106,7 @@ def _site(page: _Page | None, poles_page: _Page | None, identifier: str) -> dict
         "title": about["title"] or about["summary"]["site"],
         "scene": page is not None,
         "poles": poles,
-        "cards": [*([] if page is None else _cards(page)), *(poles["cards"] if poles else [])],
+        "cards": cards_of(page, poles_page),
         "cautions": _cautions(page, poles_page),
         "sections": _sections(page, poles, bool(about["summary"]["effects"])),
         "effects": effect_rows(about["summary"]["effects"]),
@@ -138,8 +138,9 @@ def _has(page: _Page, key: str) -> bool:
 
 
 def _cautions(page: _Page | None, poles_page: _Page | None) -> list[dict[str, str]]:
-    """Cautions of both jobs, warnings first."""
+    """Cautions of both jobs, warnings first; what both say stands once."""
     found = [caution for given in (page, poles_page) if given for caution in given["cautions"]]
+    found = [caution for number, caution in enumerate(found) if caution not in found[:number]]
     return sorted(found, key=lambda caution: caution["level"] != "warning")
 
 
@@ -220,8 +221,14 @@ def embedded(content: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
+def cards_of(page: _Page | None, poles_page: _Page | None) -> list[tuple[str, str, str]]:
+    """Key figures of a site: name, value, remark."""
+    scene = [] if page is None else _cards(page)
+    return [*scene, *([] if poles_page is None else poles_cards(poles_page))]
+
+
 def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Key figures: name, value, remark."""
+    """Key figures of scene and placement."""
     lengths = [edge["length_m"] for edge in page["layers"]["edges"]]
     cards = [
         ("Pavement", wording.quantity("area_m2", round(page["pavement_area_m2"])), ""),

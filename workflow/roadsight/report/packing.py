@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.base.arrays import Bytes
+from roadsight.base.arrays import Bytes, Floats
 
 _LEVELS = 65535
 """Steps of a coordinate within its span: what 16 bits hold."""
@@ -75,3 +75,15 @@ def to_byte(
         return None
     share = (values.astype(np.float64) - low) / (high - low)
     return np.rint(np.clip(share, 0, 1) * 255).astype(np.uint8)
+
+
+def unpack(packed: dict[str, Any]) -> NDArray:
+    """The flat array that `pack` packed."""
+    data = base64.b64decode(packed["data"])
+    return np.frombuffer(data, f"<{packed['dtype']}", packed["count"])
+
+
+def unpack_points(packed: dict[str, Any]) -> Floats:
+    """Points (n, 3) in local metres that `pack_points` packed."""
+    steps = unpack(packed["xyz"]).reshape(-1, 3).astype(np.float64)
+    return np.array(packed["offset_m"]) + steps * np.array(packed["step_m"])

@@ -20,6 +20,7 @@ _UNITS = {
     "deg": "°",
     "s": "s",
     "mib": "MiB",
+    "kmh": "km/h",
     "share": "%",
     "shares": "%",
 }
@@ -27,6 +28,7 @@ _UNITS = {
 _SHARES = {"accuracy", "precision", "recall", "f1", "area_iou", "outline_found_within_1m"}
 """Values that are shares though their names do not end so."""
 _SPELLING = {
+    "aadt": "AADT",
     "f1": "F1",
     "dem": "DEM",
     "fpfh": "FPFH",

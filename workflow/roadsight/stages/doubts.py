@@ -28,3 +28,8 @@ def tell(
         log.log(_LEVEL[doubt.severity], "%s: %s%s", doubt.severity, doubt.message, found)
     refuse(ordered, where)
     write_json(path, [doubt.to_dict() for doubt in ordered])
+
+
+def keep(doubts: Sequence[Doubt], path: str | os.PathLike[str]) -> None:
+    """Write doubts that are logged already for the summary."""
+    write_json(path, [doubt.to_dict() for doubt in by_severity(doubts)])

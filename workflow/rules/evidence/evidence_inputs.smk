@@ -13,7 +13,89 @@ wildcard_constraints:
 
 def told_doubts(wildcards):
     """Files in which stages tell what their answers rest on; a stage that tells adds its own."""
-    return [rules.build_dem.output.doubts.format(site=wildcards.site)]
+    told = [rules.build_dem.output.doubts.format(site=wildcards.site)]
+    if given_lists(wildcards):
+        told.append(f"results/{wildcards.site}/doubts/match_inputs.json")
+    return told
+
+
+def given_lists(wildcards):
+    """Lists that the user gave, of places, of images and folders, as `match_inputs` takes them."""
+    resolved = SITES[wildcards.site]
+    site, poles, found = resolved.site, resolved.site.poles, []
+
+    def add(kind, what, path, crs=None):
+        found.append(dict(kind=kind, what=what, path=path, crs=crs))
+
+    def add_named(kind, what, path, crs=None):
+        if path is not None and path != "sample":
+            add(kind, what, resolved.layered(path), crs)
+
+    if has_scene_page(wildcards.site):
+        own = site.placement
+        for what, path, crs in (
+            ("edges", own.edges, own.edges_crs),
+            ("polygons of the monitored area", own.tma, None),
+            ("zones", own.zones, None),
+            ("existing poles", own.mounts, None),
+            ("known polygons", site.truth.pavement, site.truth.pavement_crs),
+        ):
+            add_named("places", what, path, crs)
+    if wants(wildcards.site, "placement"):
+        for plan in plans_of(wildcards.site).values():
+            for option, what in PLAN_LISTS.items():
+                features = getattr(plan, option)
+                if features is not None:
+                    add("places", what, features.file, features.crs)
+    if wants(wildcards.site, "poles") and not site.sample:
+        truth = site.truth
+        add_named("places", "known poles", truth.poles, truth.poles_crs)
+        for what, path in (
+            ("corrections", poles.corrections),
+            ("given cameras", poles.cameras),
+            ("known cameras", truth.cameras),
+        ):
+            add_named("images", what, path)
+        for path in named_folders(resolved, "masks"):
+            add("folder", "label images", path)
+        for path in named_folders(resolved, "depth"):
+            add("folder", "depth images", path)
+    return list({(one["kind"], one["path"]): one for one in found}.values())
+
+
+PLAN_LISTS = {
+    "areas": "areas",
+    "forbidden": "forbidden places",
+    "mandatory": "mandatory places",
+    "poles": "poles of the plan",
+}
+
+
+def lists_json(wildcards):
+    return NamedValue("lists", json.dumps(given_lists(wildcards)))
+
+
+def listed_files(wildcards):
+    """Files among the lists, without the layers that they name."""
+    lists = given_lists(wildcards)
+    return [split_layer(one["path"])[0] for one in lists if one["kind"] != "folder"]
+
+
+def listed_images(wildcards):
+    """Checksum of the images and the folders among the lists, empty where there are none."""
+    lists = given_lists(wildcards)
+    if all(one["kind"] != "folder" for one in lists):
+        return ""
+    return image_digest("masks", "depth")(wildcards)
+
+
+def frames_of_lists(wildcards):
+    """Frames of the videolog, where a list is about its images."""
+    lists = given_lists(wildcards)
+    if all(one["kind"] == "places" for one in lists):
+        return []
+    after_profile("side_views")(wildcards)
+    return [pole_frames(wildcards)]
 
 
 def level_name(wildcards):

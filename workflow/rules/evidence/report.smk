@@ -1,8 +1,35 @@
 """What people and checks read: a summary of each site and one report page.
 
 REQUIRED INPUTS  everything a site's jobs produced
-OUTPUTS          results/{site}/summary.json, results/report.html
+OUTPUTS          results/{site}/summary.json, results/{site}/report.pdf, results/report.html,
+                 results/{site}/gis/: {site}.gpkg, .qgs, .kml, .dxf; results/{site}/stakeout.csv
 """
+
+
+rule match_inputs:
+    input:
+        frame=rules.ingest_cloud.output.frame,
+        frames=frames_of_lists,
+        files=listed_files,
+        code=sources("match_inputs"),
+    output:
+        doubts="results/{site}/doubts/match_inputs.json",
+    log:
+        log_of("match_inputs"),
+    benchmark:
+        benchmark_of("match_inputs")
+    conda:
+        ENVIRONMENT
+    params:
+        lists=lists_json,
+        images_sha256=listed_images,
+        views=lambda wildcards: (
+            used_views(wildcards) if frames_of_lists(wildcards) else "front"
+        ),
+    shell:
+        "python -m roadsight.stages.evidence.match_inputs --frame {input.frame}"
+        " --frames {input.frames} --views {params.views} --lists={params.lists:q}"
+        " --doubts {output.doubts} > {log} 2>&1"
 
 
 rule summarise_site:
@@ -114,6 +141,81 @@ rule write_report:
         "python -m roadsight.stages.evidence.write_report --pages {input.pages}"
         " --poles-pages {input.poles_pages} --evidence {params.evidence:q}"
         " --out {output.report} > {log} 2>&1"
+
+
+rule write_pdf:
+    input:
+        page=own_site_page,
+        poles_page=own_poles_page,
+        template=PAPER_ASSETS,
+        code=sources("write_pdf"),
+    output:
+        pdf="results/{site}/report.pdf",
+    log:
+        log_of("write_pdf"),
+    benchmark:
+        benchmark_of("write_pdf")
+    conda:
+        ENVIRONMENT
+    resources:
+        mem_mb=megabytes(100),
+    shell:
+        "python -m roadsight.stages.evidence.write_pdf --page {input.page} --poles-page {input.poles_page}"
+        " --benchmarks results/{wildcards.site}/benchmarks --out {output.pdf} > {log} 2>&1"
+
+
+rule write_handover:
+    input:
+        frame=rules.ingest_cloud.output.frame,
+        dem=rules.build_dem.output.dem,
+        pavement=scene_page_only(rules.extract_pavement.output.pavement),
+        edges=scene_page_only(rules.build_edges.output.edges),
+        solutions=placement_only(plan_solutions),
+        layers=placement_only(plan_layers),
+        obstacles=placement_only(plan_obstacles),
+        poles=poles_only(pole_layers),
+        road_edges=poles_only(road_edge_layers),
+        hazard=poles_only(hazard_tables),
+        code=sources("write_handover"),
+    output:
+        layers="results/{site}/gis/{site}.gpkg",
+        project="results/{site}/gis/{site}.qgs",
+        kml="results/{site}/gis/{site}.kml",
+        drawing="results/{site}/gis/{site}.dxf",
+    log:
+        log_of("write_handover"),
+    benchmark:
+        benchmark_of("write_handover")
+    conda:
+        ENVIRONMENT
+    params:
+        title=site_field("title"),
+    shell:
+        "python -m roadsight.stages.evidence.write_handover --site {wildcards.site}"
+        " --title={params.title:q} --frame {input.frame} --dem {input.dem}"
+        " --pavement {input.pavement} --edges {input.edges} --solutions {input.solutions}"
+        " --plan-layers {input.layers} --obstacles {input.obstacles} --poles {input.poles}"
+        " --road-edges {input.road_edges} --hazard {input.hazard} --layers {output.layers}"
+        " --project {output.project} --kml {output.kml} --drawing {output.drawing} > {log} 2>&1"
+
+
+rule write_stakeout:
+    input:
+        frame=rules.ingest_cloud.output.frame,
+        edges=rules.build_edges.output.edges,
+        solutions=plan_solutions,
+        code=sources("write_stakeout"),
+    output:
+        table="results/{site}/stakeout.csv",
+    log:
+        log_of("write_stakeout"),
+    benchmark:
+        benchmark_of("write_stakeout")
+    conda:
+        ENVIRONMENT
+    shell:
+        "python -m roadsight.stages.evidence.write_stakeout --frame {input.frame}"
+        " --edges {input.edges} --solutions {input.solutions} --out {output.table} > {log} 2>&1"
 
 
 rule write_poles_page:

@@ -152,6 +152,24 @@ def pole_pages():
     ]
 
 
+def own_poles_page(wildcards):
+    """Page of the poles, where the site asks for them."""
+    asked = wants(wildcards.site, "poles")
+    return [f"results/{wildcards.site}/poles/page.json"] if asked else []
+
+
+def pole_layers(wildcards):
+    return [f"results/{wildcards.site}/poles/poles.gpkg"]
+
+
+def road_edge_layers(wildcards):
+    return [f"results/{wildcards.site}/poles/road_edges.gpkg"]
+
+
+def hazard_tables(wildcards):
+    return [f"results/{wildcards.site}/poles/hazard.parquet"]
+
+
 def poles_only(inputs):
     """An input function that gives nothing where a site does not ask for poles."""
     return lambda wildcards: inputs(wildcards) if wants(wildcards.site, "poles") else []

@@ -30,13 +30,14 @@ rule ingest_cloud:
         vertical_units=site_field("vertical_units"),
         target_crs=site_field("target_crs"),
         extent=site_extent,
+        extent_files=layered_extent_files,
         extent_crs=extent_crs,
         tile_size_m=setting("scene.tile_size_m"),
         overlap=setting("scene.overlap"),
     shell:
         "RAYON_NUM_THREADS={threads} python -m roadsight.stages.scene.ingest_cloud --site {wildcards.site}"
         " --crs={params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
-        " --target-crs={params.target_crs:q} --extent={params.extent:q} --extent-files {input.extent:q}"
+        " --target-crs={params.target_crs:q} --extent={params.extent:q} --extent-files {params.extent_files:q}"
         " --extent-crs={params.extent_crs:q} --tile-size-m {params.tile_size_m}"
         " --overlap {params.overlap} --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
 

@@ -21,7 +21,7 @@ from roadsight.poles.images.networks import (
     packed_depth,
     tensor_of,
 )
-from tests.helpers.onnx_bytes import pointwise, queries
+from tests.helpers.onnx_bytes import external, network, node, pointwise, queries, value
 
 ANY = ("height", "width")
 COLOURS = np.eye(3, dtype=np.float32)
@@ -164,6 +164,25 @@ def test_the_file_itself_is_checked(tmp_path):
 )
 def test_malformed_manifests_are_refused(tmp_path, changes, word):
     refused(write(tmp_path, pointwise(COLOURS, ANY), **changes), word)
+
+
+def test_weights_in_a_file_beside_the_network(tmp_path):
+    kernel = external("w", (3, 3, 1, 1), "tiny.onnx.data")
+    ends = value("image", [1, 3, *ANY]), value("logits", [1, 3, *ANY])
+    content = network([node("Conv", ["image", "w"], "logits")], [kernel], [ends[0]], [ends[1]])
+    (tmp_path / "tiny.onnx.data").write_bytes(COLOURS.tobytes())
+    found = run(write(tmp_path, content), three_colours())
+    np.testing.assert_array_equal(
+        found, run(write(tmp_path, pointwise(COLOURS, ANY)), three_colours())
+    )
+    both = hashlib.sha256(content + COLOURS.tobytes()).hexdigest()
+    open_model(write(tmp_path, content, sha256=both))
+    (tmp_path / "tiny.onnx.data").write_bytes(COLOURS[::-1].tobytes())
+    with pytest.raises(InputError, match="another file"):
+        open_model(write(tmp_path, content, sha256=both))
+    (tmp_path / "tiny.onnx.data").unlink()
+    with pytest.raises(InputError, match=r"weights are missing.*tiny\.onnx\.data"):
+        open_model(write(tmp_path, content))
 
 
 def test_size_of_the_input_keeps_the_shape_of_the_image():

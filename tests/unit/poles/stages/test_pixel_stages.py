@@ -201,8 +201,44 @@ def test_masks_come_from_networks_and_from_folders(frames):
     mask = shard.read("a0")
     assert mask[35, 10] == PixelClass.ROAD
     assert (mask[5:30, 30:34] == PixelClass.POLE).all()
-    (frames / "labels/a1.png").unlink()
-    assert segment_images.main(arguments) == 2
+
+
+@pytest.mark.parametrize("stage", ["segment_images", "estimate_depth"])
+def test_images_without_their_label_or_depth_are_left_out_and_named(frames, stage, caplog, capsys):
+    from roadsight.stages.poles import estimate_depth, segment_images
+
+    write_images(frames)
+    (frames / "given").mkdir()
+    (frames / "map.yaml").write_text("labels: 2\nclasses: {1: pole}\n")
+    cv2.imwrite(str(frames / "given/a0.png"), np.eye(40, 60, dtype=np.uint8))
+    source = [str(frames / "given")]
+    source += [str(frames / "map.yaml")] if stage == "segment_images" else []
+    main = {"segment_images": segment_images, "estimate_depth": estimate_depth}[stage].main
+    arguments = ["--frames", str(frames / "frames.parquet"), "--images", str(frames / "images"),
+                 "--out", str(frames / "out.zip"), "--source", *source]  # fmt: skip
+    assert main(arguments) == 0
+    shard = ImageShard(frames / "out.zip")
+    assert (shard.names, shard.about["left_out"]) == (["a0"], ["a1"])
+    assert "only 1 of 2 images have" in caplog.text and "left out: a1.jpg" in caplog.text
+    (frames / "given/a0.png").rename(frames / "given/b0.png")
+    (frames / "out.zip").unlink()
+    assert main(arguments) == 2
+    assert "none of 2 images have" in capsys.readouterr().err
+    assert not (frames / "out.zip").exists()
+
+
+def test_steps_behind_go_on_without_images_that_were_left_out(frames):
+    with ImageShardWriter(frames / "masks.zip") as shard:
+        shard.write("a0", straight_road())
+    base = ["--frames", str(frames / "frames.parquet"), "--masks", str(frames / "masks.zip")]
+    assert trace_image_edges.main([*base, "--out", str(frames / "edges.parquet")]) == 0
+    reasons = read_about(frames / "edges.parquet")["without_edges"]
+    assert reasons == {"a1.jpg": "no label image"}
+    write_site(frames)
+    with ImageShardWriter(frames / "masks.zip") as shard:
+        shard.write("b0", np.full((600, 1000), PixelClass.ROAD, np.uint8))
+    assert measure(frames) == 0
+    assert len(read_table(frames / "sightings.parquet")) == 0
 
 
 def test_depth_the_wrong_way_round_names_the_key_to_change(frames, capsys):

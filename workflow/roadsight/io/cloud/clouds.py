@@ -45,7 +45,7 @@ _LAZ_DATE = date(2000, 1, 1)
 """A fixed date of creation, so that the same points give the same bytes."""
 _DEGREES_PER_SCAN_ANGLE = 0.006
 """Unit of the scan angle in point formats 6 to 10 (LAS 1.4)."""
-_WAVEFORM = (
+WAVEFORM = (
     "wavepacket_index",
     "wavepacket_offset",
     "wavepacket_size",
@@ -54,7 +54,8 @@ _WAVEFORM = (
     "y_t",
     "z_t",
 )
-"""Fields that lead to waveforms, which are not carried along."""
+"""Fields that lead to waveforms, which are not carried along: they are places in a .wdp file, or in
+the cloud's own, that a cloud written anew would not have."""
 _ALL_LAYERS = DecompressionSelection.all()
 _CHUNK_LAYERS = (
     DecompressionSelection.base()
@@ -186,7 +187,7 @@ def write_laz(
         )
     carried = carried or Carried()
     given = (dims or {}).items()
-    fields = {name: np.asarray(values) for name, values in given if name not in _WAVEFORM}
+    fields = {name: np.asarray(values) for name, values in given if name not in WAVEFORM}
     las = laspy.LasData(_new_header(frame, offset, fields, carried))
     las.x, las.y, las.z = xyz.T
     for name, values in fields.items():

@@ -13,14 +13,23 @@ _LOCATION = re.compile(rb"\x0a\x08location\x12([\x01-\x7f])", re.DOTALL)
 
 def weight_files(network: Path) -> list[Path]:
     """Files of weights that a network names and that lie beside it or below, sorted."""
+    return [file for file in _named_files(network) if file.is_file()]
+
+
+def missing_weights(network: Path) -> list[Path]:
+    """Files of weights that a network names and that are not there, sorted."""
+    return [file for file in _named_files(network) if not file.is_file()]
+
+
+def _named_files(network: Path) -> list[Path]:
+    """Files that a network names, beside it or below; names that lead elsewhere are none."""
     content = network.read_bytes()
     names = set()
     for found in _LOCATION.finditer(content):
         name = content[found.end() : found.end() + found[1][0]]
         names.add(name.decode("utf-8", "replace"))
     usable = [name for name in names if ".." not in Path(name).parts and "\0" not in name]
-    files = [network.parent / name for name in usable if not Path(name).is_absolute()]
-    return sorted(file for file in files if file.is_file())
+    return sorted(network.parent / name for name in usable if not Path(name).is_absolute())
 
 
 def network_sha256(network: Path, weights: Iterable[Path]) -> str:

@@ -68,6 +68,11 @@ class ImageShard:
         except (OSError, KeyError, ValueError, zipfile.BadZipFile) as error:
             raise self._damaged(error) from error
         self.names = [n.removesuffix(".png") for n in self._zip.namelist() if n != _ABOUT]
+        self._known = frozenset(self.names)
+
+    def __contains__(self, name: object) -> bool:
+        """Whether it has an image of that name."""
+        return name in self._known
 
     def read(self, name: str) -> Numbers:
         """Image of that name with its own depth and channels.

@@ -13,7 +13,7 @@ import onnxruntime
 from roadsight.base.errors import InputError
 from roadsight.base.texts import read_yaml
 from roadsight.base.validation import check_path, validated
-from roadsight.io.images.external_weights import network_sha256, weight_files
+from roadsight.io.images.external_weights import missing_weights, network_sha256, weight_files
 from roadsight.io.images.sessions import open_session
 from roadsight.poles.images.manifest import LabelMap, Manifest
 
@@ -61,6 +61,13 @@ def open_model(path: str | os.PathLike[str], threads: int = 1) -> Model:
     if not file.is_file():
         raise InputError(
             "file is missing", where=where, found=str(file), hint="see docs/poles/models.md"
+        )
+    if missing := missing_weights(file):
+        raise InputError(
+            f"weights are missing that {file.name} names",
+            where=where,
+            found=", ".join(str(path) for path in missing),
+            hint="copy them beside the network, under the names that it was exported with",
         )
     if (
         manifest.sha256 is not None

@@ -6,7 +6,7 @@ import logging
 import os
 from pathlib import Path
 
-from roadsight.base.matches import tell_matches
+from roadsight.base.matches import tell_named
 from roadsight.base.shards import shard_of
 from roadsight.io.images.camera_tables import posed_images
 from roadsight.io.images.videologs import ImageSource, read_videolog_table, recorded_path
@@ -60,7 +60,7 @@ def check_corrections(table: str | os.PathLike[str], images: str, corrections: s
     known = set(read_videolog_table(table, ImageSource(images))["image"])
     named = posed_images(corrections)
     what = "corrections are about an image of the videolog"
-    tell_matches(log, what, len(named & known), len(named), corrections)
+    tell_named(log, what, named, known, corrections)
 
 
 def posed_share(table: str | os.PathLike[str], images: str, cameras: str) -> float:

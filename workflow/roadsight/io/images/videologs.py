@@ -100,9 +100,15 @@ class ImageSource:
         _check_inside(str(plain) if name else "", self.path)
         if str(plain) in self._files or str(plain) in self._zips:
             return str(plain)
-        parts = plain.parts
-        shorter = ["/".join(parts[start:]) for start in range(1, len(parts))]
-        for key in (str(plain), *shorter, plain.stem):
+        if not plain.name:
+            return ""
+        bare = plain.with_name(plain.stem)
+        ways = [
+            "/".join(path.parts[start:])
+            for path in (plain, bare)
+            for start in range(len(path.parts))
+        ]
+        for key in ways:
             found = self._by_key.get(key.lower(), [])
             if len(found) == 1:
                 return found[0]
@@ -306,9 +312,14 @@ def read_positions(path: str | os.PathLike[str]) -> tuple[Floats, Floats]:
 
 
 def _lookup(names: Iterable[str]) -> dict[str, list[str]]:
-    """Names by what a table may call them: full name, file name, stem; capitals do not matter."""
+    """Names by what a table may call them: with or without folder and suffix, in any capitals."""
     table: dict[str, list[str]] = {}
-    keys: tuple[Callable[[PurePosixPath], str], ...] = (str, lambda p: p.name, lambda p: p.stem)
+    keys: tuple[Callable[[PurePosixPath], str], ...] = (
+        str,
+        lambda p: str(p.with_name(p.stem)),
+        lambda p: p.name,
+        lambda p: p.stem,
+    )
     for name in names:
         for key in dict.fromkeys(key(PurePosixPath(name)).lower() for key in keys):
             table.setdefault(key, []).append(name)

@@ -11,11 +11,12 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.sighting_tables import read_text_table
-from roadsight.io.vector.vector_sources import load_local
+from roadsight.io.vector.vector_sources import EXCHANGED, is_near, load_local
 
 _AXES = (("latitude", "longitude"), ("lat", "lon"), ("x", "y"))
 _NAMES = ("id", "name")
@@ -69,8 +70,17 @@ def read_points(
             "holds a place that is no finite number or that the site's CRS cannot hold",
             where=f"{path}, line {row + 2}",
             found=table[list(axes)].iloc[row].tolist(),
+            hint=_hint(frame, axes, numbers[row]),
         )
     return _named(local, table, attributes, path)
+
+
+def _hint(frame: Frame, axes: tuple[str, str], place: Floats) -> str:
+    """Exchanged axes, where they would bring a place (2,) to the site."""
+    if axes[0] == "x" or not np.isfinite(place).all():
+        return ""
+    local = SiteNorth(frame).to_local(*place[::-1, None])
+    return EXCHANGED if is_near(local).any() else ""
 
 
 def _named(

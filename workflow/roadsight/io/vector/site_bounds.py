@@ -11,9 +11,11 @@ import shapely
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats
-from roadsight.base.matches import tell_matches
+from roadsight.base.doubts import Doubt
+from roadsight.base.matches import FEW, tell_matches
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
+from roadsight.io.vector.vector_sources import EXCHANGED
 
 _REACH_M = 100.0
 """Features this far off the cloud still belong to the site, such as poles beside its road."""
@@ -25,7 +27,7 @@ def tell_near(
     geometries: NDArray | Floats,
     about: dict[str, Any],
     where: str | os.PathLike[str],
-) -> None:
+) -> list[Doubt]:
     """Say how many features lie at the site.
 
     Parameters
@@ -33,23 +35,30 @@ def tell_near(
     geometries : shapely geometries (n,), or places (n, 2), local metres.
     about : content of ``scene/frame.json``. where : the file.
 
+    Returns
+    -------
+    a doubt where few do, as `tell_matches`
+
     Raises
     ------
     InputError : there are some and none does; a swap of axes is told where it would help.
     """
     bounds = about.get("bounds_m")
     if bounds is None:
-        return
+        return []
     shapes = np.asarray(geometries)
     shapes = shapes if shapes.ndim == 1 else shapely.points(shapes[:, :2])
     box = shapely.box(bounds[0], bounds[1], bounds[3], bounds[4])
-    near = int(shapely.dwithin(shapes, box, _REACH_M).sum())
-    hint = "" if near else _hint(shapes, Frame.from_dict(about), box)
-    tell_matches(log, f"{what} lie at the site", near, len(shapes), os.fspath(where), hint)
+    near = shapely.dwithin(shapes, box, _REACH_M)
+    hint = ""
+    if near.sum() < FEW * len(shapes):
+        hint = _hint(shapes[~near], Frame.from_dict(about), box)
+    count = int(near.sum())
+    return tell_matches(log, f"{what} lie at the site", count, len(shapes), os.fspath(where), hint)
 
 
 def _hint(shapes: NDArray, frame: Frame, box: shapely.Geometry) -> str:
-    """What would bring features to the site."""
+    """What would bring features (n,) that lie elsewhere to the site."""
     middles = shapely.get_coordinates(shapely.centroid(shapes))
     swapped = [frame.to_local(frame.to_native(middles)[:, ::-1])]
     if frame.crs_wkt is not None:
@@ -60,5 +69,5 @@ def _hint(shapes: NDArray, frame: Frame, box: shapely.Geometry) -> str:
     for places in swapped:
         known = places[np.isfinite(places).all(axis=1)]
         if len(known) and shapely.dwithin(shapely.points(known), box, _REACH_M).any():
-            return "with its axes exchanged it would lie there: write x before y, or check lat, lon"
+            return EXCHANGED
     return "check its coordinates and its CRS"

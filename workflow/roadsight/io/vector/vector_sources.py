@@ -33,6 +33,11 @@ _NO_DATA = (-9999.0, -99999.0, -32768.0, -32767.0)
 _NO_HEIGHT_M = 1e30
 """Heights beyond are the least or greatest numbers of a type, which stand for no data too."""
 _WGS84 = CRS.from_epsg(4326)
+_SITE_REACH_M = 100_000.0
+"""What lies within this distance of a site's origin may belong to it: sites are tens of kilometres
+at most, and exchanged axes lead further away."""
+EXCHANGED = "with axes exchanged they would lie there: write x before y, or check lat, lon"
+"""What is offered as the reason where it fits."""
 
 Mapping = Callable[[Floats], Floats]
 
@@ -79,6 +84,11 @@ def load_local(path: Path, frame: Frame, default_crs: str | None = None) -> gpd.
     native = _to_native(path, stated, frame)
     local = map_coordinates(geometries, lambda xyz: frame.to_local(native(xyz)))
     return gpd.GeoDataFrame(features.drop(columns=features.geometry.name), geometry=local)
+
+
+def is_near(xy_m: Floats) -> NDArray[np.bool_]:
+    """Whether places (n, 2), local metres, may belong to a site; no number is nowhere."""
+    return np.abs(xy_m).max(axis=1, initial=0) <= _SITE_REACH_M
 
 
 def _is_undefined(crs: CRS) -> bool:
@@ -173,11 +183,14 @@ def _check_degrees(path: Path, geometries: NDArray, name: str) -> None:
     """Refuse longitudes and latitudes that are none."""
     west, south, east, north = shapely.total_bounds(geometries)
     if west < -180 or east > 360 or south < -90 or north > 90:
+        exchanged = west >= -90 and east <= 90 and south >= -180 and north <= 360
         raise InputError(
             f"is in {name}, so its coordinates should be longitude and latitude in degrees",
             where=str(path),
             found=f"x {west:g} to {east:g}, y {south:g} to {north:g}",
-            hint="state its CRS in the site file, or `local` for the cloud's own coordinates",
+            hint=EXCHANGED
+            if exchanged
+            else "state its CRS in the site file, or `local` for the cloud's own coordinates",
         )
 
 
@@ -200,7 +213,13 @@ def _to_native(path: Path, stated: CRS | None, frame: Frame) -> Mapping:
         x, y = transformer.transform(xyz[:, 0], xyz[:, 1])
         moved = np.column_stack([x, y, *(xyz[:, 2:].T * z_factor)])
         if not np.isfinite(moved).all():
-            raise InputError(f"has coordinates that {site_crs.name} cannot hold", where=str(path))
+            places = np.column_stack(transformer.transform(xyz[:, 1], xyz[:, 0]))
+            near = is_near(frame.to_local(places))
+            raise InputError(
+                f"has coordinates that {site_crs.name} cannot hold",
+                where=str(path),
+                hint=EXCHANGED if near.any() else "",
+            )
         return moved
 
     return native

@@ -29,7 +29,7 @@ KINDS = ("edge", "median", "line")
 
 _NAME_COLUMNS = ("edge", "name", "id")
 """Columns that may hold a feature's name, the first that is there."""
-_FIXED_DATE = "2000-01-01T00:00:00.000Z"
+FIXED_DATE = "2000-01-01T00:00:00.000Z"
 """Time of change in a GeoPackage, so that the same features give the same bytes."""
 _GEOJSON_DECIMALS = "9"
 """Of degrees: a tenth of a millimetre."""
@@ -50,9 +50,9 @@ def write_layers(
     """
     if not layers:
         raise ValueError("a GeoPackage needs a layer")
-    with atomic_path(path) as temporary, _fixed_date():
+    with atomic_path(path) as temporary, fixed_date():
         for name, features in layers.items():
-            native = _native(features, frame)
+            native = native_features(features, frame)
             kind = None if len(native) else (empty or {}).get(name, "Unknown")
             pyogrio.write_dataframe(
                 native, temporary, layer=name, driver="GPKG", geometry_type=kind
@@ -62,7 +62,7 @@ def write_layers(
 
 def write_geojson(path: str | os.PathLike[str], features: gpd.GeoDataFrame, frame: Frame) -> None:
     """Write GeoJSON: WGS 84 degrees with z in metres, or native coordinates of a local site."""
-    native = _native(features, frame)
+    native = native_features(features, frame)
     options = {"COORDINATE_PRECISION": _GEOJSON_DECIMALS}
     if native.crs is not None:
         transformer = Transformer.from_crs(native.crs, "EPSG:4326", always_xy=True)
@@ -74,7 +74,7 @@ def write_geojson(path: str | os.PathLike[str], features: gpd.GeoDataFrame, fram
         geometries = map_coordinates(native.geometry.to_numpy(), degrees)
         native = native.set_geometry(gpd.GeoSeries(geometries, native.index, crs="EPSG:4326"))
         options["RFC7946"] = "YES"
-    with atomic_path(path) as temporary, _fixed_date():
+    with atomic_path(path) as temporary, fixed_date():
         pyogrio.write_dataframe(
             native, temporary, layer=Path(path).stem, driver="GeoJSON", layer_options=options
         )
@@ -90,7 +90,8 @@ def read_layer(path: str | os.PathLike[str], layer: str, frame: Frame) -> gpd.Ge
     """
     features = read_features(Path(path), layer)
     local = map_coordinates(features.geometry.to_numpy(), frame.to_local)
-    return gpd.GeoDataFrame(features.drop(columns=features.geometry.name), geometry=local)
+    attributes = features.drop(columns=features.geometry.name)
+    return gpd.GeoDataFrame(_moved(attributes, frame, -1), geometry=local)
 
 
 def read_lines(
@@ -155,19 +156,36 @@ def read_polygons(
     return features.explode(ignore_index=True)
 
 
-def _native(features: gpd.GeoDataFrame, frame: Frame) -> gpd.GeoDataFrame:
-    """Features in native coordinates with the horizontal CRS of the site."""
+def native_features(features: gpd.GeoDataFrame, frame: Frame) -> gpd.GeoDataFrame:
+    """Features in native coordinates with the horizontal CRS of the site.
+
+    Fields that hold places go with them: ``name_x``, ``name_y``, ``name_z`` become native, and
+    heights ``name_z_m`` metres in the cloud's vertical datum.
+    """
     crs = None if frame.crs_wkt is None else horizontal(CRS.from_wkt(frame.crs_wkt))
     geometries = map_coordinates(features.geometry.to_numpy(), frame.to_native)
     attributes = features.drop(columns=features.geometry.name).reset_index(drop=True)
-    return gpd.GeoDataFrame(attributes, geometry=geometries, crs=crs)
+    return gpd.GeoDataFrame(_moved(attributes, frame, 1), geometry=geometries, crs=crs)
+
+
+def _moved(attributes: pd.DataFrame, frame: Frame, direction: int) -> pd.DataFrame:
+    """Fields that hold places, from the local frame into native coordinates (1) or back (-1)."""
+    moved = attributes.copy()
+    move = frame.to_native if direction > 0 else frame.to_local
+    for name in [str(column)[:-2] for column in attributes if str(column).endswith("_x")]:
+        columns = [f"{name}_{axis}" for axis in "xyz" if f"{name}_{axis}" in attributes]
+        moved[columns] = move(attributes[columns].to_numpy(np.float64))
+    for name in [str(column) for column in attributes if str(column).endswith("_z_m")]:
+        datum_m = frame.origin[2] * frame.vertical_unit_m
+        moved[name] = attributes[name].to_numpy(np.float64) + direction * datum_m
+    return moved
 
 
 @contextmanager
-def _fixed_date() -> Iterator[None]:
+def fixed_date() -> Iterator[None]:
     """Keep the clock out of what GDAL writes, and its warning about local coordinates."""
     before = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
-    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": _FIXED_DATE})
+    pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": FIXED_DATE})
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="'crs' was not provided")

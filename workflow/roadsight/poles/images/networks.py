@@ -29,6 +29,8 @@ METRIC_NEAREST_M = 0.5
 """Metric inverse depth is stored in steps of 1 / (0.5 m x 65535): 0.3 % at 100 m."""
 _LEAST_CONTRAST = 1e-3
 """A map that varies by less than this share of its values is constant."""
+_SAME_PROPORTION = 1e-9
+"""Logarithms of proportions nearer than this are equal: a square image fits either way."""
 
 
 def tensor_of(image: Bytes, spec: Input, wanted_height_px: int = 0) -> Floats32:
@@ -117,14 +119,44 @@ def _largest(scores: Floats32, shape: tuple[int, int]) -> NDArray[np.uint16]:
     return labels
 
 
+def is_stretched(found: tuple[int, int], image: tuple[int, int], where: str) -> bool:
+    """Whether a label or depth image has other proportions than its image, beyond rounding.
+
+    Networks of a fixed size stretch images, and their outputs stretch back.
+
+    Parameters
+    ----------
+    found, image : rows and columns.
+
+    Raises
+    ------
+    InputError : it fits better when it is turned by a quarter.
+    """
+    (rows, columns), (height, width) = found, image
+    if abs(columns * height - rows * width) <= max(rows + columns, height + width):
+        return False
+    direct = abs(np.log(columns * height / (rows * width)))
+    if direct > abs(np.log(columns * width / (rows * height))) + _SAME_PROPORTION:
+        raise InputError(
+            "lies on its side: it is higher than wide where its image is wider than high, or the"
+            " other way round",
+            where=where,
+            found=f"{columns} x {rows} px",
+            allowed=f"proportions of {width} x {height} px",
+            hint="turn it as the EXIF orientation turns the image",
+        )
+    return True
+
+
 def folder_mask(image: NDArray, labels: Labels, shape: tuple[int, int], where: str) -> Bytes:
     """Project classes (rows, columns) from a label image made elsewhere.
 
     Raises
     ------
-    InputError : more than one channel, or a label that the map does not have.
+    InputError : more than one channel, a label that the map does not have, or as `is_stretched`.
     """
     found: NDArray = _checked(image, labels, where)
+    is_stretched((found.shape[0], found.shape[1]), shape, where)
     if found.shape != shape:
         found = cv2.resize(found, shape[::-1], interpolation=cv2.INTER_NEAREST)
     return labels.lookup()[found]

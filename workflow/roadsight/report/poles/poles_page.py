@@ -28,6 +28,7 @@ from roadsight.report.poles.poles_layers import (
     sighting_layer,
 )
 from roadsight.report.poles.poles_raster import class_layer
+from roadsight.report.site.cautions import told_cautions
 
 FORMAT = "roadsight.poles-page/1"
 """Of the page's content; the report refuses others."""
@@ -107,7 +108,10 @@ def build_poles_page(
         "files": list(result.files),
         "cautions": [
             asdict(caution)
-            for caution in pole_cautions(images, result.sightings, poles, result.validation)
+            for caution in [
+                *told_cautions(summary.get("warnings", [])),
+                *pole_cautions(images, result.sightings, poles, result.validation),
+            ]
         ],
     }
 

@@ -54,7 +54,6 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
     validation = page["validation"]
     return {
         "counts": page["counts"],
-        "cards": _cards(page),
         "cautions": page["cautions"],
         "rejections": page["rejections"],
         "images": page["images"],
@@ -100,8 +99,8 @@ def _sections(page: dict[str, Any]) -> list[tuple[str, str]]:
     return [(anchor, title) for anchor, title, there in shown if there]
 
 
-def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Key figures: name, value, remark."""
+def poles_cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
+    """Key figures of the poles: name, value, remark."""
     counts, validation = page["counts"], page["validation"] or {}
     sigmas = [pole["sigma_major_m"] for pole in page["layers"]["poles"]]
     known = [sigma for sigma in sigmas if sigma is not None]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -82,10 +83,15 @@ def longitudes_latitudes(frame: Frame, xy_m: NDArray) -> Floats | None:
     """WGS 84 degrees (n, 2) of local positions (n, 2); None for a site without CRS."""
     if frame.crs_wkt is None:
         return None
-    crs = horizontal(CRS.from_wkt(frame.crs_wkt))
-    to_wgs84 = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
     x, y = frame.to_native(xy_m).T
-    return np.column_stack(to_wgs84.transform(x, y))
+    return np.column_stack(_to_wgs84(frame.crs_wkt).transform(x, y))
+
+
+@lru_cache(maxsize=4)
+def _to_wgs84(crs_wkt: str) -> Transformer:
+    """Transformer from the horizontal part of a CRS; made once, for it takes milliseconds."""
+    crs = horizontal(CRS.from_wkt(crs_wkt))
+    return Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
 
 
 def bearing_deg(yaw_deg: float) -> float:

@@ -118,9 +118,10 @@ def _depth_fit(
     for camera, pose in _middle_first(cameras[cameras["accepted"].astype(bool)]):
         name = view_name(str(pose["image"]))
         number = shard_of(str(pose["image"]), len(arguments.masks))
-        mask, depth = (
-            ImageShard(paths[number]).read(name) for paths in (arguments.masks, arguments.depth)
-        )
+        shards = [ImageShard(paths[number]) for paths in (arguments.masks, arguments.depth)]
+        if not all(name in shard for shard in shards):
+            continue
+        mask, depth = (shard.read(name) for shard in shards)
         found = depth_fit(str(pose["image"]), camera, mask, depth, ground.sample)
         if found is not None:
             return found

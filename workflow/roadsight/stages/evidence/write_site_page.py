@@ -141,7 +141,7 @@ def _plan(
         titles[name],
         solution,
         uncovered,
-        _explained(obstacles, frame),
+        read_layer(obstacles, "uncovered", frame),
         read_layer(obstacles, "obstacles", frame),
         returns_xyz_m,
         returns_sensor,
@@ -178,14 +178,6 @@ def _returns(path: str, frame: Frame) -> tuple[Floats, Ints]:
     sampled = np.flatnonzero(sample_mask(0, len(xyz_m), _SAMPLED_POINTS / max(len(xyz_m), 1)))
     chosen = sampled[thin(xyz_m[sampled], _RETURNS)]
     return xyz_m[chosen], scan.dims["point_source_id"][chosen].astype(np.int64) - 1
-
-
-def _explained(obstacles: str, frame: Frame) -> pd.DataFrame:
-    """Uncovered targets and reasons; the layer holds their obstacles in native coordinates."""
-    gaps = read_layer(obstacles, "uncovered", frame)
-    place = ["obstacle_x", "obstacle_y"]
-    gaps[place] = frame.to_local(gaps[place].to_numpy(np.float64))
-    return gaps
 
 
 def main(argv: list[str] | None = None) -> int:

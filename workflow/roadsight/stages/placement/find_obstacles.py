@@ -58,8 +58,6 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
     obstacles["kind"] = np.where(obstacles["height_m"] < _GROUND_M, "ground", "object")
     gaps = _gaps(arguments, targets, sensors, cast)
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
-    place = ["obstacle_x", "obstacle_y", "obstacle_z"]
-    gaps[place] = frame.to_native(gaps[place].to_numpy(np.float64))
     layers = {"obstacles": _points(obstacles), "uncovered": _points(gaps)}
     write_layers(arguments.out, layers, frame, dict.fromkeys(layers, "Point Z"))
 

@@ -12,11 +12,12 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
+from roadsight.base.matches import tell_named
 from roadsight.base.shards import shard_of
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.tables import write_table
+from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
 from roadsight.poles.alignment.landmarks import LandmarkNoise
@@ -108,6 +109,9 @@ def read_corrections(arguments: argparse.Namespace) -> dict[str, pd.Series]:
         return {}
     frame = Frame.from_dict(read_json(arguments.frame))
     table = read_cameras(arguments.corrections, frame)
+    told = "corrections are about an image of the videolog"
+    known = set(read_table(arguments.frames, ["image"])["image"])
+    tell_named(log, told, set(table["image"]), known, arguments.corrections)
     return {str(row["image"]): row for _, row in table.iterrows()}
 
 

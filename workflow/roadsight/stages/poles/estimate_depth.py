@@ -16,16 +16,17 @@ from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.images.label_images import LabelImages
 from roadsight.io.images.models import open_model
 from roadsight.io.images.videologs import ImageSource
-from roadsight.io.records.tables import read_table
 from roadsight.poles.images.networks import (
     METRIC_NEAREST_M,
     downward_trend,
     inverse_depth,
+    is_stretched,
     packed_depth,
     tensor_of,
 )
-from roadsight.poles.images.views import VIEWS, View, usable, views_of
+from roadsight.poles.images.views import VIEWS, View
 from roadsight.stages.command import run_stage
+from roadsight.stages.poles.view_inputs import Stretched, views_with_images
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("estimate_depth")
@@ -40,10 +41,11 @@ Depth = Callable[[View], NDArray[np.uint16]]
 
 def estimate_depth(arguments: argparse.Namespace) -> None:
     """Write the depth of every view of every usable frame of the shard."""
-    frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
-    views = list(views_of(frames, tuple(arguments.views)))
+    folders = [] if _is_manifest(arguments.source) else [LabelImages(arguments.source)]
+    views, left_out = views_with_images(arguments, folders, "depth images", log)
     metric, key, depth_of = _open(arguments)
     about = {"source": arguments.source, "metric_nearest_m": METRIC_NEAREST_M if metric else None}
+    about |= {"left_out": left_out}
     trends: list[float] = []
     flat = 0
     with ImageShardWriter(arguments.out, about) as shard:
@@ -74,9 +76,13 @@ def _check_direction(trends: list[float], key: str) -> None:
         )
 
 
+def _is_manifest(source: str) -> bool:
+    return source.endswith((".yaml", ".yml"))
+
+
 def _open(arguments: argparse.Namespace) -> tuple[bool, str, Depth]:
     """Whether the scale is metric, what to change if depth is inverted, depth of a view."""
-    if not arguments.source.endswith((".yaml", ".yml")):
+    if not _is_manifest(arguments.source):
         return False, "--folder-kind", _from_folder(arguments)
     model = open_model(arguments.source, arguments.threads)
     spec = model.manifest
@@ -103,9 +109,12 @@ def _open(arguments: argparse.Namespace) -> tuple[bool, str, Depth]:
 
 def _from_folder(arguments: argparse.Namespace) -> Depth:
     folder, kind = LabelImages(arguments.source), arguments.folder_kind
+    images, stretched = ImageSource(arguments.images), Stretched("depth images", log)
 
     def depth_of(view: View) -> NDArray[np.uint16]:
-        pixels = folder.read(view.path).astype(np.float32)
+        pixels, shape = folder.read(view.path).astype(np.float32), images.size(view.path)[::-1]
+        if is_stretched(pixels.shape, shape, f"{folder.folder}: {view.path}"):
+            stretched.tell(view.path, pixels.shape, shape)
         known = np.where(pixels > 0, pixels, np.float32(np.nan))
         inverse = known if kind == "inverse_depth" else 1.0 / known
         return packed_depth(inverse.astype(np.float32), metric=False)

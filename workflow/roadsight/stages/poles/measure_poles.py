@@ -89,6 +89,10 @@ def measure_poles(arguments: argparse.Namespace) -> None:
     evidence = _Evidence(arguments, ground, accepted.loc[known["image"]], settings)
     masks, depths = ImageShard(arguments.masks), ImageShard(arguments.depth)
     views = list(views_of(known, tuple(arguments.views)))
+    lacking = {view.path for view in views if view.name not in masks or view.name not in depths}
+    if lacking:
+        log.warning("%d images have no mask or depth: %s", len(lacking), ", ".join(sorted(lacking)))
+        views = [view for view in views if view.path not in lacking]
     routes = dict(zip(known["image"], known["route"].astype(str), strict=True))
     tables = []
     for view in logged(views, len(views), log, "images"):

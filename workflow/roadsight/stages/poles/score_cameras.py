@@ -8,6 +8,7 @@ import sys
 
 import pandas as pd
 
+from roadsight.base.matches import tell_named
 from roadsight.evidence.camera_scores import camera_errors, camera_scores
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
@@ -23,6 +24,8 @@ def score_cameras(arguments: argparse.Namespace) -> None:
     frame = Frame.from_dict(read_json(arguments.frame))
     cameras = pd.concat([read_table(path) for path in arguments.cameras], ignore_index=True)
     truth = read_cameras(arguments.truth, frame, arguments.intrinsics)
+    told = "known cameras are of an image that is used"
+    tell_named(log, told, set(truth["image"]), set(cameras["image"]), arguments.truth)
     edges = read_table(arguments.road_edges, ["x", "y", "z", "tangent_x", "tangent_y"]).to_numpy()
     errors = camera_errors(
         cameras.sort_values("image", ignore_index=True), truth, edges[:, :3], edges[:, 3:]

@@ -15,12 +15,18 @@ from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.images.label_images import LabelImages
 from roadsight.io.images.models import open_model, read_label_map
 from roadsight.io.images.videologs import ImageSource
-from roadsight.io.records.tables import read_table
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.manifest import Labels
-from roadsight.poles.images.networks import class_mask, folder_mask, merge_masks, tensor_of
-from roadsight.poles.images.views import VIEWS, View, usable, views_of
+from roadsight.poles.images.networks import (
+    class_mask,
+    folder_mask,
+    is_stretched,
+    merge_masks,
+    tensor_of,
+)
+from roadsight.poles.images.views import VIEWS, View
 from roadsight.stages.command import run_stage
+from roadsight.stages.poles.view_inputs import Stretched, views_with_images
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("segment_images")
@@ -31,11 +37,12 @@ Source = tuple[Labels, Callable[[View, Bytes], Bytes]]
 def segment_images(arguments: argparse.Namespace) -> None:
     """Write the mask of every view of every usable frame of the shard."""
     sources = [_open(source, arguments) for source in arguments.source]
-    frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
-    views = list(views_of(frames, tuple(arguments.views)))
+    folders = [LabelImages(source[0]) for source in arguments.source if len(source) == 2]
+    views, left_out = views_with_images(arguments, folders, "label images", log)
     images = ImageSource(arguments.images)
     pixels = np.zeros(256, np.int64)
     about = {"sources": [" ".join(s) for s in arguments.source], "scale": 1.0}
+    about |= {"left_out": left_out}
     with ImageShardWriter(arguments.out, about) as shard:
         for view in logged(views, len(views), log, "images"):
             image = images.read(view.path)
@@ -52,10 +59,14 @@ def _open(source: list[str], arguments: argparse.Namespace) -> Source:
     """One source: a model's manifest, or a folder and its label map."""
     if len(source) == 2:
         folder, labels = LabelImages(source[0]), read_label_map(source[1])
+        stretched = Stretched("label images", log)
 
         def from_folder(view: View, image: Bytes) -> Bytes:
             where = f"{folder.folder}: {view.path}"
-            return folder_mask(folder.read(view.path), labels, image.shape[:2], where)
+            labelled, shape = folder.read(view.path), image.shape[:2]
+            if is_stretched(labelled.shape, shape, where):
+                stretched.tell(view.path, labelled.shape, shape)
+            return folder_mask(labelled, labels, shape, where)
 
         return labels, from_folder
     if len(source) != 1:

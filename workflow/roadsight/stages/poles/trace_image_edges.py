@@ -30,6 +30,9 @@ def trace_image_edges(arguments: argparse.Namespace) -> None:
     views = list(views_of(frames, ("front",)))
     tables, reasons = [], {}
     for view in logged(views, len(views), log, "images"):
+        if view.name not in masks:
+            reasons[view.image] = "no label image"
+            continue
         edges = trace_edges(masks.read(view.name), settings)
         tables.append(_table(view.image, edges))
         if edges.reason:

@@ -41,7 +41,7 @@ def trace_pole_axes(arguments: argparse.Namespace) -> None:
     settings = MaskSettings(**{f.name: getattr(arguments, f.name) for f in fields(MaskSettings)})
     frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
     masks = ImageShard(arguments.masks)
-    views = list(views_of(frames, tuple(arguments.views)))
+    views = [view for view in views_of(frames, tuple(arguments.views)) if view.name in masks]
     rows = []
     for view in logged(views, len(views), log, "images"):
         mask = masks.read(view.name)

@@ -32,7 +32,7 @@ def undistort_views(arguments: argparse.Namespace) -> None:
         for row in frames.to_dict("records")
     }
     places: dict[tuple[Key, tuple[int, int], tuple[int, ...]], Floats] = {}
-    views = list(views_of(frames, tuple(arguments.views)))
+    views = [view for view in views_of(frames, tuple(arguments.views)) if view.name in maps]
     with ImageShardWriter(arguments.out, maps.about) as shard:
         for view in logged(views, len(views), log, "images"):
             one = maps.read(view.name)

@@ -10,11 +10,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from roadsight.base.matches import tell_named
 from roadsight.base.shards import shard_of
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.tables import write_table
+from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
 from roadsight.stages.command import run_stage
@@ -31,6 +32,9 @@ def use_given_cameras(arguments: argparse.Namespace) -> None:
     scene = read_scene(arguments)
     frame = Frame.from_dict(read_json(arguments.frame))
     given = read_cameras(arguments.cameras, frame, arguments.intrinsics)
+    known = set(read_table(arguments.frames, ["image"])["image"])
+    told = "given cameras are of an image of the videolog"
+    tell_named(log, told, set(given["image"]), known, arguments.cameras)
     poses = {str(row["image"]): row for _, row in given.iterrows()}
     sigma = GivenSigma(
         arguments.sigma_heading_deg,

@@ -15,6 +15,7 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
+from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_lines, write_layers
 from roadsight.scene.edges.splines import FURTHEST_M, OutlineSettings, outline_edges, spline_line
 from roadsight.stages.command import run_stage
@@ -30,6 +31,7 @@ def build_edges(arguments: argparse.Namespace) -> None:
     pavement = MultiPolygon(list(layer.geometry))
     if arguments.digitised:
         lines = read_lines(arguments.digitised, frame, arguments.digitised_crs or None)
+        tell_near(log, "edges", lines.geometry.to_numpy(), about, arguments.digitised)
         _check_nearby(lines, pavement, arguments.digitised)
         named = zip(lines["edge"], lines["kind"], lines.geometry, strict=True)
         edges = [(str(name), str(kind), line) for name, kind, line in named]

@@ -18,6 +18,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_polygons, write_layers
 from roadsight.scene.pavement.outline import (
     PavementSettings,
@@ -32,9 +33,12 @@ log = logging.getLogger("extract_pavement")
 
 def extract_pavement(arguments: argparse.Namespace) -> None:
     """Write the pavement's polygons and its points."""
-    frame = Frame.from_dict(read_json(arguments.frame))
+    about = read_json(arguments.frame)
+    frame = Frame.from_dict(about)
     if arguments.tma:
         outline = _users_area(arguments.tma, frame)
+        told = "polygons of the monitored area"
+        tell_near(log, told, np.array(outline.geoms, object), about, arguments.tma)
         source = "user"
     else:
         outline = _found_area(arguments)

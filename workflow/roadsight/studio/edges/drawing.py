@@ -68,9 +68,9 @@ def terrain_of(site: SiteFolder, frame: Frame) -> Raster | None:
 
 def current_area(site: SiteFolder, frame: Frame) -> MultiPolygon:
     """The user's monitored area, else the pavement that the workflow found, else nothing."""
-    own = site.resolved.beside(site.resolved.site.placement.tma)
+    own = _layer(site, "tma", lambda path: read_polygons(path, frame))
     if own is not None:
-        return _parts(read_polygons(own, frame))
+        return _parts(own)
     found = site.results / _PAVEMENT
     return _parts(read_layer(found, "pavement", frame)) if found.exists() else MultiPolygon()
 
@@ -81,8 +81,9 @@ def _parts(layer: gpd.GeoDataFrame) -> MultiPolygon:
 
 
 def _layer(site: SiteFolder, name: str, read: Callable[[str], Any]) -> Any:
-    path = site.resolved.beside(getattr(site.resolved.site.placement, name))
-    return None if path is None else read(path)
+    """What is read of a file that the site names, of the layer that it names there."""
+    path = getattr(site.resolved.site.placement, name)
+    return None if path is None else read(site.resolved.layered(path))
 
 
 def _edges(site: SiteFolder, frame: Frame) -> list[dict[str, Any]]:
@@ -90,7 +91,7 @@ def _edges(site: SiteFolder, frame: Frame) -> list[dict[str, Any]]:
     if placement.edges == "sample":
         path, crs = str(site.file("sample/edges.geojson")), None
     else:
-        path, crs = str(site.resolved.beside(placement.edges)), placement.edges_crs
+        path, crs = site.resolved.layered(str(placement.edges)), placement.edges_crs
     return _drawn(read_lines(path, frame, crs))
 
 

@@ -1,0 +1,129 @@
+"""When, from what code, and at what cost a site's results were made."""
+
+from __future__ import annotations
+
+import csv
+import os
+import subprocess
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path
+
+PACKAGE = "roadsight"
+_UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class RunRecord:
+    """Provenance of a site's results.
+
+    Parameters
+    ----------
+    date : day of the run, ISO 8601, UTC. version : of the package. commit : of its code, with a
+        plus where files differ from it.
+    packages : versions by name of what the package stands on.
+    cpu_s, wall_s : sums over the site's steps, as Snakemake measured them. peak_mib : of any step.
+    steps : number of those steps.
+    """
+
+    date: str
+    version: str
+    commit: str
+    packages: dict[str, str]
+    cpu_s: float
+    wall_s: float
+    peak_mib: float
+    steps: int
+
+    def line(self) -> str:
+        """What the head of each page says."""
+        return f"{self.date} · {PACKAGE} {self.version} · {self.commit}"
+
+    def rows(self) -> list[list[str]]:
+        """Name and value, for a table."""
+        return [
+            ["Date", self.date],
+            ["Version", f"{PACKAGE} {self.version}"],
+            ["Commit", self.commit],
+            ["Steps", str(self.steps)],
+            ["CPU time", f"{self.cpu_s:.0f} s"],
+            ["Sum of the steps' wall time", f"{self.wall_s:.0f} s"],
+            ["Most memory of a step", f"{self.peak_mib:.0f} MiB"],
+            ["Packages", ", ".join(f"{name} {found}" for name, found in self.packages.items())],
+        ]
+
+
+def run_record(benchmarks: Iterable[str | os.PathLike[str]], version: str) -> RunRecord:
+    """The record of a run.
+
+    Parameters
+    ----------
+    benchmarks : folders of Snakemake's benchmark files of a site; one that is missing counts
+        nothing.
+
+    Notes
+    -----
+    ``SOURCE_DATE_EPOCH``, the convention of reproducible builds, replaces the day.
+    """
+    used = [row for folder in benchmarks for row in _measured(Path(folder))]
+    return RunRecord(
+        _today(),
+        version,
+        _commit(),
+        _packages(),
+        sum(row[0] for row in used),
+        sum(row[1] for row in used),
+        max((row[2] for row in used), default=0.0),
+        len(used),
+    )
+
+
+def _today() -> str:
+    epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
+    now = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
+    return now.date().isoformat()
+
+
+def _commit() -> str:
+    """Short name of the code's commit, where it stands in a git checkout."""
+    here = Path(__file__).parent
+    asked = ["git", "describe", "--always", "--abbrev=10", "--dirty=+", "--exclude=*"]
+    try:
+        found = subprocess.run(asked, cwd=here, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return _UNKNOWN
+    return found.stdout.strip() or _UNKNOWN
+
+
+def _packages() -> dict[str, str]:
+    """Versions of the direct dependencies."""
+    found: dict[str, str] = {}
+    for requirement in metadata.requires(PACKAGE) or []:
+        text, _, marker = requirement.partition(";")
+        if "extra" in marker:
+            continue
+        name = text.split("[")[0].split(">")[0].split("=")[0].split("<")[0].strip()
+        try:
+            found[name] = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            found[name] = _UNKNOWN
+    return found
+
+
+def _measured(folder: Path) -> Iterable[tuple[float, float, float]]:
+    """CPU seconds, wall seconds and MiB of each measured step."""
+    for path in sorted(folder.rglob("*.tsv")):
+        with path.open(encoding="utf-8", newline="") as lines:
+            for row in csv.DictReader(lines, delimiter="\t"):
+                values = tuple(_number(row.get(key)) for key in ("cpu_time", "s", "max_rss"))
+                yield values[0], values[1], values[2]
+
+
+def _number(text: str | None) -> float:
+    """A figure; steps too short to be measured have none."""
+    try:
+        return float(text or 0.0)
+    except ValueError:
+        return 0.0

@@ -1,0 +1,229 @@
+"""The layers of a site as one set, with their descriptions and how they are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+
+from roadsight.base.arrays import Floats
+from roadsight.geometry.frames import Frame
+from roadsight.io.raster.rasters import Raster
+from roadsight.report.handover.styles import Category, Style
+from roadsight.report.site.sights import bearing_deg, longitudes_latitudes
+
+_SEEN = (
+    Category("0", "seen by none", "#dc2626"),
+    Category("1", "seen by one", "#93c5fd"),
+    Category("2", "seen by two", "#3b82f6"),
+    Category("3", "seen by three or more", "#1e3a8a"),
+)
+_RATED = (
+    Category("high", "high", "#dc2626"),
+    Category("medium", "medium", "#f59e0b"),
+    Category("low", "low", "#16a34a"),
+    Category("unknown", "unknown", "#64748b"),
+)
+_KEPT = (Category("1", "kept", "#b45309"), Category("0", "withheld", "#cbd5e1"))
+SENSOR_STYLE = Style("marker", "#b45309", size_mm=3.4, label="number")
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer of a hand-over.
+
+    Parameters
+    ----------
+    name : in the GeoPackage. group : heading in a project. about : one sentence.
+    features : in local metres, with z where heights are known. style : how it is drawn.
+    geometry : type of its features, for a layer that holds none.
+    """
+
+    name: str
+    group: str
+    about: str
+    features: gpd.GeoDataFrame
+    style: Style
+    geometry: str
+
+
+def draped(features: gpd.GeoDataFrame, dem: Raster) -> gpd.GeoDataFrame:
+    """Features with z of the ground at each vertex; where the ground is unknown, of the nearest.
+
+    Parameters
+    ----------
+    features : local metres, any z is replaced. dem : heights in local metres.
+    """
+    geometries = features.geometry.to_numpy()
+    xy = shapely.get_coordinates(geometries)
+    z = dem.sample(xy[:, 0], xy[:, 1])
+    known = np.isfinite(z)
+    if known.any():
+        order = np.arange(len(z))
+        z = np.interp(order, order[known], z[known])
+    else:
+        z = np.zeros(len(z))
+    flat = shapely.force_3d(shapely.force_2d(geometries))
+    placed = shapely.set_coordinates(flat, np.column_stack([xy, z]))
+    return features.set_geometry(gpd.GeoSeries(placed, features.index))
+
+
+def sensor_table(sensors: Sequence[dict[str, Any]], frame: Frame) -> pd.DataFrame:
+    """Chosen sensors as a crew and a GIS need them.
+
+    Parameters
+    ----------
+    sensors : entries of solution.json.
+
+    Returns
+    -------
+    number (from 1), candidate, sensor, edge, mount, height_m (above ground), ground_m and sensor_m
+    (heights in metres in the cloud's own vertical datum), azimuth_deg (where it faces, clockwise
+    from grid north), yaw_deg (the same counter-clockwise from grid east), pitch_deg and roll_deg,
+    latitude and longitude (WGS 84, NaN without CRS), targets, only; x, y, z in local metres
+    """
+    xyz = np.array([[entry[axis] for axis in "xyz"] for entry in sensors]).reshape(-1, 3)
+    degrees = longitudes_latitudes(frame, xyz[:, :2]) if len(xyz) else None
+    sensor_m = frame.to_native(xyz)[:, 2] * frame.vertical_unit_m
+
+    def column(name: str, missing: Any) -> list[Any]:
+        return [entry.get(name, missing) for entry in sensors]
+
+    heights = np.array(column("height_m", np.nan), np.float64)
+    unknown = np.full(len(xyz), np.nan)
+    return pd.DataFrame(
+        {
+            "number": np.arange(1, len(xyz) + 1),
+            "candidate": column("candidate", ""),
+            "sensor": column("sensor", ""),
+            "edge": column("edge", ""),
+            "mount": column("mount", ""),
+            "height_m": heights,
+            "ground_m": sensor_m - heights,
+            "sensor_m": sensor_m,
+            "azimuth_deg": [bearing_deg(float(yaw)) for yaw in column("yaw_deg", np.nan)],
+            "yaw_deg": np.array(column("yaw_deg", np.nan), np.float64),
+            "pitch_deg": np.array(column("pitch_deg", 0.0), np.float64),
+            "roll_deg": np.array(column("roll_deg", 0.0), np.float64),
+            "latitude": unknown if degrees is None else degrees[:, 1],
+            "longitude": unknown if degrees is None else degrees[:, 0],
+            "targets": np.array(column("targets", 0), np.int64),
+            "only": np.array(column("only", 0), np.int64),
+            "x": xyz[:, 0],
+            "y": xyz[:, 1],
+            "z": xyz[:, 2],
+        }
+    )
+
+
+def points(table: pd.DataFrame) -> gpd.GeoDataFrame:
+    """A table with x, y, z in local metres as points."""
+    geometry = gpd.points_from_xy(table["x"], table["y"], table["z"])
+    return gpd.GeoDataFrame(table.drop(columns=["x", "y", "z"]), geometry=geometry)
+
+
+def scene_layers(pavement: gpd.GeoDataFrame, edges: gpd.GeoDataFrame, dem: Raster) -> list[Layer]:
+    """Pavement and road edges with the height of the ground."""
+    edge = Style("line", "#0f172a", size_mm=0.4)
+    return [
+        Layer(
+            "pavement",
+            "Scene",
+            "Pavement on which targets are to be seen; z is the ground.",
+            draped(pavement, dem),
+            Style("fill", "#cbd5e1", size_mm=0.2),
+            "Polygon Z",
+        ),
+        Layer(
+            "edges",
+            "Scene",
+            "Lines along which sensors may stand; z is the ground.",
+            draped(edges, dem),
+            edge,
+            "LineString Z",
+        ),
+    ]
+
+
+def plan_layers(
+    plan: str,
+    sensors: gpd.GeoDataFrame,
+    targets: gpd.GeoDataFrame,
+    obstacles: gpd.GeoDataFrame,
+    uncovered: gpd.GeoDataFrame,
+) -> list[Layer]:
+    """Layers of a plan, the sensors on top."""
+    group = f"Plan {plan}"
+    found = [
+        ("sensors", "Chosen sensors; z is the sensor's.", sensors, SENSOR_STYLE),
+        (
+            "uncovered",
+            "Targets that no candidate sees, and why.",
+            uncovered,
+            Style("marker", "#dc2626", size_mm=2.0),
+        ),
+        (
+            "obstacles",
+            "What stands in the way of sight lines.",
+            obstacles,
+            Style("marker", "#7c3aed", size_mm=1.2),
+        ),
+        (
+            "targets",
+            "Targets by the number of chosen sensors that see them.",
+            targets,
+            Style("marker", _SEEN[1].colour, size_mm=1.2, by='min("sensors", 3)', categories=_SEEN),
+        ),
+    ]
+    return [
+        Layer(f"{name}_{plan}", group, about, features, style, "Point Z")
+        for name, about, features, style in found
+    ]
+
+
+_POLE_LAYERS = {
+    "poles": (
+        "Located poles, and those that were withheld with the reason.",
+        Style("marker", _KEPT[0].colour, 3.0, "id", by='if("kept", 1, 0)', categories=_KEPT),
+        "Point Z",
+    ),
+    "rays": (
+        "Sight lines from images to the poles that they place.",
+        Style("line", "#94a3b8", size_mm=0.2),
+        "LineString",
+    ),
+    "ellipses": ("One-sigma ellipses of the poles.", Style("line", "#b45309", 0.3), "Polygon"),
+    "road_edges": (
+        "Edges of the road in the LiDAR.",
+        Style("line", "#0f172a", size_mm=0.4),
+        "LineString Z",
+    ),
+    "hazard": (
+        "Poles by the hazard that they are to traffic.",
+        Style("marker", _RATED[1].colour, size_mm=2.6, by="rating", categories=_RATED),
+        "Point Z",
+    ),
+}
+
+
+def pole_layers(found: dict[str, gpd.GeoDataFrame]) -> list[Layer]:
+    """Layers of the pole job that there are, the poles on top."""
+    return [
+        Layer(name, "Poles", about, found[name], style, geometry)
+        for name, (about, style, geometry) in _POLE_LAYERS.items()
+        if name in found
+    ]
+
+
+def bounds_native(layers: Sequence[Layer], frame: Frame) -> Floats:
+    """West, south, east, north of all features in native coordinates, (4,)."""
+    found = [layer.features.total_bounds for layer in layers if len(layer.features)]
+    if not found:
+        return np.zeros(4)
+    boxes = np.array(found).reshape(-1, 2, 2)
+    return frame.to_native(np.array([boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)])).ravel()

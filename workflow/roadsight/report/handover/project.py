@@ -1,0 +1,137 @@
+"""A QGIS project in which all layers of a site are grouped and styled."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from xml.etree import ElementTree as ET
+
+from pyproj import CRS
+
+from roadsight.base.arrays import Floats
+from roadsight.report.handover.layers import Layer
+from roadsight.report.handover.styles import symbology
+
+_VERSION = "3.34.0"
+"""QGIS whose project files these are; later ones read them."""
+_TYPES = {"Point": "Point", "LineString": "Line", "Polygon": "Polygon"}
+_SHOWN_PLANS = 1
+"""Plans that are switched on when the project is opened."""
+_MARGIN = 0.05
+"""Of the extent, around it."""
+
+
+def project(
+    title: str, source: str, layers: Sequence[Layer], crs: CRS | None, bounds: Floats
+) -> str:
+    """Text of a ``.qgs`` file.
+
+    Parameters
+    ----------
+    source : name of the GeoPackage beside the project. layers : the topmost first.
+    crs : horizontal CRS of the layers, None for local coordinates.
+    bounds : west, south, east, north of what is shown, native coordinates, (4,).
+    """
+    root = ET.Element("qgis", projectname=title, version=_VERSION)
+    ET.SubElement(root, "title").text = title
+    spatial = ET.SubElement(root, "projectCrs")
+    spatial.append(_reference(crs))
+    tree = ET.SubElement(root, "layer-tree-group")
+    groups: dict[str, ET.Element] = {}
+    for layer in layers:
+        if layer.group not in groups:
+            groups[layer.group] = ET.SubElement(
+                tree,
+                "layer-tree-group",
+                name=layer.group,
+                checked="Qt::Checked" if _is_shown(layer.group, groups) else "Qt::Unchecked",
+                expanded="1",
+            )
+        ET.SubElement(
+            groups[layer.group],
+            "layer-tree-layer",
+            id=_identifier(layer),
+            name=layer.name,
+            source=_address(source, layer),
+            providerKey="ogr",
+            checked="Qt::Checked",
+            expanded="0",
+        )
+    root.append(_canvas(crs, bounds))
+    listed = ET.SubElement(root, "projectlayers")
+    for layer in layers:
+        listed.append(_map_layer(source, layer, crs))
+    order = ET.SubElement(root, "layerorder")
+    for layer in layers:
+        ET.SubElement(order, "layer", id=_identifier(layer))
+    properties = ET.SubElement(root, "properties")
+    paths = ET.SubElement(properties, "Paths")
+    ET.SubElement(paths, "Absolute", type="bool").text = "false"
+    ET.indent(root)
+    text = ET.tostring(root, encoding="unicode")
+    return f"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n{text}\n"
+
+
+def _is_shown(group: str, before: dict[str, ET.Element]) -> bool:
+    plans = sum(name.startswith("Plan ") for name in before)
+    return not group.startswith("Plan ") or plans < _SHOWN_PLANS
+
+
+def _identifier(layer: Layer) -> str:
+    return "".join(c if c.isalnum() else "_" for c in layer.name)
+
+
+def _address(source: str, layer: Layer) -> str:
+    return f"./{source}|layername={layer.name}"
+
+
+def _reference(crs: CRS | None) -> ET.Element:
+    reference = ET.Element("spatialrefsys", nativeFormat="Wkt")
+    if crs is not None:
+        ET.SubElement(reference, "wkt").text = crs.to_wkt("WKT2_2019")
+        authority = crs.to_authority()
+        if authority is not None:
+            ET.SubElement(reference, "authid").text = ":".join(authority)
+        ET.SubElement(reference, "description").text = crs.name
+    return reference
+
+
+def _canvas(crs: CRS | None, bounds: Floats) -> ET.Element:
+    canvas = ET.Element("mapcanvas", name="theMapCanvas")
+    ET.SubElement(canvas, "units").text = "meters" if crs is None else _unit(crs)
+    west, south, east, north = (float(value) for value in bounds)
+    margin = _MARGIN * max(east - west, north - south)
+    extent = ET.SubElement(canvas, "extent")
+    for name, value in (
+        ("xmin", west - margin),
+        ("ymin", south - margin),
+        ("xmax", east + margin),
+        ("ymax", north + margin),
+    ):
+        ET.SubElement(extent, name).text = f"{value:.3f}"
+    ET.SubElement(canvas, "rotation").text = "0"
+    destination = ET.SubElement(canvas, "destinationsrs")
+    destination.append(_reference(crs))
+    return canvas
+
+
+def _unit(crs: CRS) -> str:
+    name = crs.axis_info[0].unit_name.lower() if crs.axis_info else "metre"
+    if "foot" in name:
+        return "US survey feet" if "survey" in name else "feet"
+    return "degrees" if "degree" in name else "meters"
+
+
+def _map_layer(source: str, layer: Layer, crs: CRS | None) -> ET.Element:
+    geometry = _TYPES[layer.geometry.split(" ")[0]]
+    element = ET.Element("maplayer", type="vector", geometry=geometry, autoRefreshEnabled="0")
+    element.set("labelsEnabled", "1" if layer.style.label else "0")
+    element.set("hasScaleBasedVisibilityFlag", "0")
+    ET.SubElement(element, "id").text = _identifier(layer)
+    ET.SubElement(element, "datasource").text = _address(source, layer)
+    ET.SubElement(element, "layername").text = layer.name
+    ET.SubElement(element, "abstract").text = layer.about
+    ET.SubElement(element, "provider", encoding="UTF-8").text = "ogr"
+    reference = ET.SubElement(element, "srs")
+    reference.append(_reference(crs))
+    element.extend(symbology(layer.style))
+    return element

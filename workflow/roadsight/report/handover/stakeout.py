@@ -1,0 +1,83 @@
+"""The table that a crew takes along to set out a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import shapely
+
+from roadsight.base.arrays import Floats
+from roadsight.geometry.frames import Frame
+from roadsight.report.handover.layers import sensor_table
+
+_DECIMALS = {"latitude": 8, "longitude": 8}
+"""Degrees to a millimetre; everything else to a millimetre or a thousandth of a degree."""
+
+
+def stakeout(
+    plan: str, sensors: Sequence[dict[str, Any]], edges: gpd.GeoDataFrame, frame: Frame
+) -> pd.DataFrame:
+    """One row a sensor.
+
+    Parameters
+    ----------
+    sensors : entries of solution.json. edges : lines with their name (edge), local metres.
+
+    Returns
+    -------
+    plan, point (plan and number), easting and northing (native), ground_m and sensor_m (height of
+    ground and sensor in the cloud's vertical datum, metres), mast_m (sensor above ground),
+    azimuth_deg (to set, clockwise from grid north), pitch_deg, roll_deg, sensor, edge, chainage_m
+    (along that edge from its start), offset_m (to the right of it in its direction), latitude and
+    longitude
+    """
+    table = sensor_table(sensors, frame)
+    xy = table[["x", "y"]].to_numpy(np.float64)
+    native = frame.to_native(xy)
+    along, beside = _along(edges, table["edge"].astype(str).tolist(), xy)
+    found = pd.DataFrame(
+        {
+            "plan": plan,
+            "point": [f"{plan}-{number:02d}" for number in table["number"]],
+            "easting": native[:, 0],
+            "northing": native[:, 1],
+            "ground_m": table["ground_m"],
+            "sensor_m": table["sensor_m"],
+            "mast_m": table["height_m"],
+            "azimuth_deg": table["azimuth_deg"],
+            "pitch_deg": table["pitch_deg"],
+            "roll_deg": table["roll_deg"],
+            "sensor": table["sensor"],
+            "edge": table["edge"],
+            "chainage_m": along,
+            "offset_m": beside,
+            "latitude": table["latitude"],
+            "longitude": table["longitude"],
+        }
+    )
+    decimals = {name: _DECIMALS.get(str(name), 3) for name in found.select_dtypes("number")}
+    return found.round(decimals)
+
+
+def _along(edges: gpd.GeoDataFrame, names: list[str], xy_m: Floats) -> tuple[Floats, Floats]:
+    """Chainage and offset to the right of places; NaN where no edge has the name."""
+    lines = dict(zip(edges["edge"].astype(str), edges.geometry, strict=True))
+    chainage, offset = np.full(len(xy_m), np.nan), np.full(len(xy_m), np.nan)
+    for row, (name, place) in enumerate(zip(names, xy_m, strict=True)):
+        line = lines.get(name)
+        if line is None:
+            continue
+        chainage[row] = shapely.line_locate_point(line, shapely.Point(place))
+        step = min(1.0, line.length / 2)
+        start = shapely.line_interpolate_point(line, max(chainage[row] - step, 0.0))
+        end = shapely.line_interpolate_point(line, min(chainage[row] + step, line.length))
+        foot = shapely.line_interpolate_point(line, chainage[row])
+        way = np.array([end.x - start.x, end.y - start.y])
+        away = place - np.array([foot.x, foot.y])
+        side = np.sign(away[0] * way[1] - away[1] * way[0])
+        offset[row] = side * np.hypot(*away)
+    return chainage, offset

@@ -1,0 +1,239 @@
+"""What the printed report says of a site, as texts and tables without any markup."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.records.run_records import RunRecord
+from roadsight.report import wording
+from roadsight.report.document import cards_of
+from roadsight.report.paper.plan_map import (
+    SEEN,
+    SEEN_LABELS,
+    cloud_colours,
+    plan_map,
+    pole_map,
+    scene_map,
+    times_seen,
+)
+from roadsight.report.paper.still import still
+from roadsight.report.parameters import setting_groups
+from roadsight.report.poles.poles_view import poles_view
+from roadsight.report.site.effects import effect_rows
+from roadsight.report.site.plan_view import best_plan, plan_views
+
+_WIDTH_MM = 164.0
+"""Width of a map: an A4 page less its margins and the coordinates beside the map."""
+_THUMBNAIL_MM = 95.0
+"""Height of the map on the first page."""
+_MAP_MM = 190.0
+"""Height of a map on a page of its own."""
+_GAPS_SHOWN = 40
+"""Uncovered targets that are listed; all are in solution.json and on the map."""
+
+
+def paper_content(
+    page: dict[str, Any] | None,
+    poles_page: dict[str, Any] | None,
+    run: RunRecord,
+) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Texts and pictures of a site's printed report.
+
+    Parameters
+    ----------
+    page : content of page.json. poles_page : content of poles/page.json. One of them is there.
+    run : when and by what the site was made.
+
+    Returns
+    -------
+    content (plain lists, mappings and strings), and pictures by the name that content uses
+    """
+    about = next(given for given in (page, poles_page) if given is not None)
+    pictures: dict[str, bytes] = {}
+    frame = about["frame"]
+    content = {
+        "title": about["title"] or about["summary"]["site"],
+        "site": about["summary"]["site"],
+        "crs": frame["crs_name"],
+        "points": wording.counted(frame["points"], "point"),
+        "cards": [list(card) for card in cards_of(page, poles_page)],
+        "cautions": _cautions(page, poles_page),
+        "plans": [],
+        "compared": [],
+        "still": "",
+        "map": "",
+        "map_of": "",
+        "poles": None,
+        "seen": [list(pair) for pair in zip(SEEN, SEEN_LABELS, strict=True)],
+        "effects": effect_rows(about["summary"]["effects"]),
+        "settings": [
+            {"title": group.title, "rows": [[r.label, r.value, r.about] for r in group.rows]}
+            for group in setting_groups(about["summary"]["settings"])
+        ],
+        "inputs": [list(item) for item in about["summary"]["inputs"].items()],
+        "run": run.rows(),
+        "run_line": run.line(),
+        "located": frame["crs_wkt"] is not None,
+        "unit": frame["unit"],
+    }
+    if page is not None:
+        _add_scene(content, pictures, page)
+    if poles_page is not None:
+        _add_poles(content, pictures, poles_page)
+    return content, pictures
+
+
+def _cautions(*pages: dict[str, Any] | None) -> list[list[str]]:
+    found = [caution for page in pages if page for caution in page["cautions"]]
+    found.sort(key=lambda caution: caution["level"] != "warning")
+    return [[caution["level"], caution["text"]] for caution in found]
+
+
+def _add_scene(content: dict[str, Any], pictures: dict[str, bytes], page: dict[str, Any]) -> None:
+    """Maps, plans and the still."""
+    frame = Frame.from_dict(page["frame"])
+    sensors = feet = np.empty((0, 3))
+    if page["plans"]:
+        views = plan_views(page["plans"], frame)
+        best = best_plan(page["plans"])
+        views.sort(key=lambda view: view["name"] != best["name"])
+        targets = len(page["layers"]["targets"]["names"])
+        content["plans"] = [
+            _plan(view, page, times_seen(view, targets), pictures) for view in views
+        ]
+        content["compared"] = [_compared(view) for view in views]
+        content["map"], content["map_of"] = "map.svg", f"{best['title']}: targets seen"
+        pictures["map.svg"] = plan_map(page, best, _WIDTH_MM, _THUMBNAIL_MM).encode()
+        sensors = np.array([[s["x"], s["y"], s["z"]] for s in best["sensors"]]).reshape(-1, 3)
+        feet = sensors - np.array([[0, 0, s["height_m"]] for s in best["sensors"]]).reshape(-1, 3)
+    else:
+        content["map"], content["map_of"] = "map.svg", "Ground, pavement and road edges"
+        pictures["map.svg"] = scene_map(page, _WIDTH_MM, _THUMBNAIL_MM).encode()
+    xyz_m, colours = cloud_colours(page["layers"]["cloud"])
+    if len(xyz_m):
+        content["still"] = "still.png"
+        pictures["still.png"] = still(xyz_m, colours, sensors, feet)
+
+
+def _compared(view: dict[str, Any]) -> list[str]:
+    """A row of the table of plans."""
+    return [
+        view["title"],
+        wording.number(len(view["sensors"])),
+        wording.number(view["objective"]),
+        _verdict(view),
+        wording.MISSING if view["bound"] is None else wording.number(view["bound"]),
+        f"{wording.number(view['covered'])} of {wording.number(view['targets'])}",
+    ]
+
+
+def _verdict(view: dict[str, Any]) -> str:
+    if view["proven"]:
+        return "proven optimal"
+    return f"gap {wording.percent(view['gap'])}" if view["gap"] is not None else "not proven"
+
+
+def _plan(
+    view: dict[str, Any], page: dict[str, Any], seen: NDArray, pictures: dict[str, bytes]
+) -> dict[str, Any]:
+    """Map and tables of one plan."""
+    name = f"map-{view['name']}.svg"
+    pictures[name] = plan_map(page, view, _WIDTH_MM, _MAP_MM).encode()
+    return {
+        "title": view["title"],
+        "map": name,
+        "verdict": _verdict(view),
+        "line": (
+            f"{wording.counted(len(view['sensors']), 'sensor')}, cost"
+            f" {wording.number(view['objective'])}; {wording.number(view['covered'])} of"
+            f" {wording.counted(view['targets'], 'target')} seen by at least"
+            f" {wording.counted(view['at_least'], 'sensor')}."
+        ),
+        "counts": [
+            wording.number(int(np.sum(np.minimum(seen, len(SEEN) - 1) == k)))
+            for k in range(len(SEEN))
+        ],
+        "sensors": [_sensor(sensor) for sensor in view["sensors"]],
+        "reasons": [[reason, wording.number(count)] for reason, count in view["reasons"]],
+        "gaps": [
+            [gap["target"], *(wording.number(v, 2) for v in gap["native"][:2]), gap["reason"]]
+            for gap in view["gaps"][:_GAPS_SHOWN]
+        ],
+        "gaps_left": max(len(view["gaps"]) - _GAPS_SHOWN, 0),
+    }
+
+
+def _sensor(sensor: Mapping[str, Any]) -> list[str]:
+    """A row of the table of sensors."""
+    degrees = sensor["lon_lat_deg"]
+    return [
+        str(sensor["number"]),
+        sensor["sensor"],
+        str(sensor["edge"]),
+        wording.metres(sensor["height_m"], 2),
+        wording.bearing(sensor["bearing_deg"]),
+        *(f"{value:.2f}" for value in sensor["native"]),
+        *(("", "") if degrees is None else (f"{degrees[1]:.6f}", f"{degrees[0]:.6f}")),
+        wording.number(sensor["targets"]),
+        wording.number(sensor["only"]),
+    ]
+
+
+def _add_poles(
+    content: dict[str, Any],
+    pictures: dict[str, bytes],
+    poles_page: dict[str, Any],
+) -> None:
+    """Map and tables of the poles."""
+    view = poles_view(poles_page)
+    frame = Frame.from_dict(poles_page["frame"])
+    drawn = pole_map(poles_page, _WIDTH_MM, _MAP_MM)
+    if drawn is not None:
+        pictures["map-poles.svg"] = drawn.encode()
+        content["map"] = content["map"] or "map-poles.svg"
+        content["map_of"] = content["map_of"] or "Located poles"
+    hazard = view["hazard"]
+    checked = view["checked"]
+    content["poles"] = {
+        "map": "" if drawn is None else "map-poles.svg",
+        "rows": [_pole(number, pole, frame) for number, pole in enumerate(view["poles"], start=1)],
+        "checked": None
+        if checked is None
+        else {"truth": checked["truth"], "rows": [list(row) for row in checked["rows"]]},
+        "thresholds": []
+        if checked is None
+        else [
+            [
+                wording.metres(row["threshold_m"], 0),
+                *(wording.percent(row[key]) for key in ("precision", "recall", "f1")),
+                wording.MISSING if row["paper"] is None else wording.number(row["paper"], 2),
+            ]
+            for row in checked["thresholds"]
+        ],
+        "hazard": None
+        if hazard is None
+        else {
+            "titles": hazard["titles"],
+            "rows": [[str(cell["text"]) for cell in row["cells"]] for row in hazard["rows"]],
+            "ratings": hazard["ratings"],
+        },
+    }
+
+
+def _pole(number: int, pole: Mapping[str, Any], frame: Frame) -> list[str]:
+    degrees = pole["lon_lat_deg"]
+    sigma = pole["sigma_major_m"]
+    return [
+        str(number),
+        pole["id"],
+        pole["kind"],
+        *(f"{value:.2f}" for value in frame.to_native(np.array([pole[axis] for axis in "xyz"]))),
+        *(("", "") if degrees is None else (f"{degrees[1]:.6f}", f"{degrees[0]:.6f}")),
+        wording.MISSING if sigma is None else wording.metres(sigma, 2),
+        wording.number(pole["images"]),
+    ]

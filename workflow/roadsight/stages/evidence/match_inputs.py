@@ -1,0 +1,75 @@
+"""How much of what a user gave beside the clouds is about the site."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roadsight.base.doubts import Doubt
+from roadsight.base.matches import tell_named
+from roadsight.geometry.frames import Frame
+from roadsight.io.images.camera_tables import posed_images
+from roadsight.io.images.label_images import LabelImages
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import read_table
+from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.site_bounds import tell_near
+from roadsight.io.vector.vector_sources import load_local
+from roadsight.poles.images.views import usable, views_of
+from roadsight.stages.command import run_stage
+from roadsight.stages.doubts import keep
+
+log = logging.getLogger("match_inputs")
+
+PLACES, IMAGES, FOLDER = "places", "images", "folder"
+"""Kinds of lists: features on the map, rows about images, and a folder of an image for each."""
+
+
+def match_inputs(arguments: argparse.Namespace) -> None:
+    """Write the doubts about lists of which few match; one without a match is refused."""
+    about, doubts = read_json(arguments.frame), []
+    for given in json.loads(arguments.lists):
+        what, path = given["what"], given["path"]
+        if given["kind"] == PLACES:
+            doubts += _near(what, path, given["crs"], about)
+        elif given["kind"] == IMAGES:
+            known = set(read_table(arguments.frames, ["image"])["image"])
+            named = posed_images(path)
+            doubts += tell_named(log, f"{what} are of an image of the videolog", named, known, path)
+        else:
+            views = views_of(usable(read_table(arguments.frames), 0, 1), tuple(arguments.views))
+            paths = [view.path for view in views]
+            doubts += LabelImages(path).matching(paths, what, log).doubts
+    keep(doubts, arguments.doubts)
+
+
+def _near(what: str, path: str, crs: str | None, about: dict[str, Any]) -> list[Doubt]:
+    frame = Frame.from_dict(about)
+    if Path(path).suffix.lower() == ".csv" and what != "edges":
+        places = read_points(path, frame)[["x", "y"]].to_numpy(np.float64)
+        return tell_near(log, what, places, about, path)
+    return tell_near(log, what, load_local(Path(path), frame, crs).geometry.to_numpy(), about, path)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("frame", "doubts"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--frames", nargs="?", help="frames of the videolog, where there is one")
+    parser.add_argument("--views", nargs="*", default=["front"])
+    parser.add_argument(
+        "--lists", required=True, help="what, kind (places, images, folder), path and crs, JSON"
+    )
+    return run_stage(parser, match_inputs, list(argv) if argv is not None else None)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

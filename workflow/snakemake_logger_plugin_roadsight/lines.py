@@ -1,0 +1,128 @@
+"""The lines, from what has been started and finished."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field
+from statistics import fmean
+from typing import Any
+
+_QUIET = {"all", "scene", "placement", "poles", "report"}
+"""Steps that only gather others."""
+_MOST_RUNNING = 3
+"""Steps that are named as running; of more, their number is told."""
+
+
+@dataclass
+class _Job:
+    rule: str
+    words: str
+    started_s: float | None = None
+
+
+@dataclass
+class Steps:
+    """Steps of a run.
+
+    Parameters
+    ----------
+    clock : seconds from any start.
+    """
+
+    clock: Callable[[], float]
+    _jobs: dict[int, _Job] = field(default_factory=dict)
+    _done: list[int] = field(default_factory=list)
+    _seconds: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
+    _planned: dict[str, int] = field(default_factory=dict)
+    _begun_s: float | None = None
+
+    def planned(self, stats: Mapping[str, Any]) -> list[str]:
+        """Steps by rule; the first line of a run."""
+        self._planned = {
+            str(rule): int(count) for rule, count in stats.items() if rule not in ("total", *_QUIET)
+        }
+        self._begun_s = self.clock()
+        steps = sum(self._planned.values())
+        return [f"{steps} {'step' if steps == 1 else 'steps'} to do"]
+
+    def named(self, job: int, rule: str, wildcards: Mapping[str, Any]) -> None:
+        """A job's rule and wildcards; its site comes first."""
+        others = [f"{value}" for name, value in wildcards.items() if name != "site"]
+        site = str(wildcards.get("site", ""))
+        words = " ".join(word for word in (site, rule, *others) if word)
+        before = self._jobs.get(job)
+        self._jobs[job] = _Job(rule, words, None if before is None else before.started_s)
+
+    def started(self, jobs: Iterable[int]) -> None:
+        """Jobs begin now."""
+        for number in jobs:
+            self._jobs.setdefault(number, _Job("", "")).started_s = self.clock()
+
+    def finished(self, number: int) -> None:
+        """A job is done; its line is said with the progress that follows."""
+        self._done.append(number)
+
+    def progressed(self, done: int, total: int) -> list[str]:
+        """One line for each job that was finished since the last call."""
+        found = []
+        first = done - len(self._done)
+        for place, number in enumerate(self._done, start=first + 1):
+            job = self._jobs.pop(number, None)
+            if job is None or not job.rule:
+                continue
+            now_s = self.clock()
+            took_s = 0.0 if job.started_s is None else now_s - job.started_s
+            self._seconds[job.rule].append(took_s)
+            self._planned[job.rule] = max(self._planned.get(job.rule, 1) - 1, 0)
+            if job.rule not in _QUIET:
+                found.append((place, job, took_s))
+        self._done.clear()
+        tail = self._left(done, total)
+        return [
+            f"[{place}/{total}] {job.words} · {duration(took_s)}{tail if place == done else ''}"
+            for place, job, took_s in found
+        ] + ([self._end(total)] if done == total else [])
+
+    def _left(self, done: int, total: int) -> str:
+        """Time that is left, and what runs now."""
+        running = [job.words for job in self._jobs.values() if job.started_s is not None]
+        said = ""
+        seconds = self.left_s()
+        if seconds is not None and done < total:
+            said = f" · about {duration(seconds)} left"
+        if running:
+            shown = ", ".join(running[:_MOST_RUNNING])
+            more = len(running) - _MOST_RUNNING
+            said += f" · running: {shown}{f' and {more} more' if more > 0 else ''}"
+        return said
+
+    def left_s(self) -> float | None:
+        """Seconds that are left by what steps of the same kind took; None before the first.
+
+        The rate at which steps overlap so far is that of the rest.
+        """
+        took = [seconds for found in self._seconds.values() for seconds in found]
+        if not took or self._begun_s is None:
+            return None
+        typical = fmean(took)
+        work = sum(
+            count * (fmean(self._seconds[rule]) if self._seconds.get(rule) else typical)
+            for rule, count in self._planned.items()
+        )
+        elapsed = max(self.clock() - self._begun_s, 1e-9)
+        return work / max(sum(took) / elapsed, 1e-9)
+
+    def _end(self, total: int) -> str:
+        elapsed = 0.0 if self._begun_s is None else self.clock() - self._begun_s
+        return f"done: {total} steps in {duration(elapsed)}"
+
+
+def duration(seconds: float) -> str:
+    """Time as people say it: ``4 s``, ``2:05 min``, ``1:02 h``."""
+    whole = round(seconds)
+    if whole < 60:
+        return f"{seconds:.1f} s" if seconds < 10 else f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60}:{whole % 60:02d} min"
+    return f"{whole // 3600}:{whole % 3600 // 60:02d} h"
