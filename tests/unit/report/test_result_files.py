@@ -45,4 +45,4 @@ def test_the_report_names_its_run_and_its_files(tmp_path, monkeypatch):
     assert write_report.main(["--pages", str(site.path("page.json")), "--out", str(out)]) == 0
     html = out.read_text(encoding="utf-8")
     assert "1970-01-02" in html and "numpy" in html
-    assert re.search(r'<code>tiny/scene/dem.tif</code>', html)
+    assert re.search(r"<code>tiny/scene/dem.tif</code>", html)
