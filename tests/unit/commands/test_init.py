@@ -199,5 +199,8 @@ def test_a_dense_cloud_is_not_doubted():
     assert init.doubts(30.0) == [] and init.doubts(None) == []
 
 
+FILES = ("plans.yaml", "sensors.yaml")
+
+
 def test_the_first_plans_are_known():
-    assert set(init.FIRST_PLANS) <= set(load_plans(PROJECT / "config" / "plans.yaml"))
+    assert set(init.FIRST_PLANS) <= set(load_plans(*(str(PROJECT / "config" / f) for f in FILES)))
