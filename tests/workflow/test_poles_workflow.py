@@ -172,7 +172,7 @@ MODULES = [
     ("poles/risk/hazard.py", after("rate_hazard")),
     ("scene/terrain/tin.py", after("build_terrain")),
     ("poles/images/plumb_line.py", after("profile_drive")),
-    ("poles/images/straightening.py", after("write_poles_page")),
+    ("poles/images/straightening.py", after("calibrate_drive")),
     ("effects/quantities_poles.py", after("plan_effects")),
     ("poles/alignment/published.py", after("align_cameras")),
     ("synthetic/rendering/rendering_look.py", after("render_videolog")),
