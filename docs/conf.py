@@ -1,4 +1,4 @@
-"""How Sphinx makes the site; `make docs` runs it (docs/decisions/074-documentation-is-a-sphinx-site.md)."""
+"""How Sphinx makes the site of `make docs`; docs/decisions/074 says why so."""
 
 from roadsight import __version__
 

@@ -32,9 +32,10 @@ _INTRODUCTION = """\
 # API
 
 What a notebook or another program may import, by room (the
-[architecture](../../architecture.md#rooms) says what each room holds). The science takes and returns
-arrays and opens no file; `io` opens files; each function of `stages` is what one rule runs, with typed
-paths and settings. Names that begin with an underscore are not for use from outside.
+[architecture](../../architecture.md#rooms) says what each room holds). The science takes and
+returns arrays and opens no file; `io` opens files; a module of `stages` is what one rule runs.
+Names that begin with an underscore are not for use from outside.
+[From Python](../../howto/from-python.md) has examples.
 
 """
 
@@ -176,7 +177,7 @@ def prose(docstring: str) -> str:
     parts = [escaped(blocks[0])]
     for heading, body in zip(blocks[1::2], blocks[2::2], strict=True):
         parts += [f"**{heading}**", _listed(dedent(body.strip("\n")))]
-    return "\n\n".join(part for part in parts if part.strip()) + "\n\n"
+    return "\n\n".join(part.strip() for part in parts if part.strip()) + "\n\n"
 
 
 def _listed(body: str) -> str:

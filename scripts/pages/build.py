@@ -1,7 +1,7 @@
 """The documentation as a site: ``python -m scripts.pages.build OUT`` (``make docs``).
 
-Pages of ``docs/`` and the generated ones meet in ``OUT/source``, Sphinx makes ``OUT/html`` of them, and
-a link or an anchor that leads nowhere fails the build.
+Pages of ``docs/`` and the generated ones meet in ``OUT/source``, Sphinx makes ``OUT/html`` of them,
+and a link or an anchor that leads nowhere fails the build.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ CONTENTS: Mapping[str, Sequence[str]] = {
     "Reference": ("reference/settings", "reference/sensors", "reference/verbs", f"{_API}/index"),
     "Project": ("decisions/index", "contributing", "changelog"),
 }
-"""What the index of the site lists, by caption. A page of ``docs/`` that is nowhere fails the build."""
+"""What the index of the site lists, by caption. A page that is nowhere fails the build."""
 
 
 def main(out: Path, results_folder: Path = PROJECT / "results") -> int:

@@ -143,15 +143,11 @@ def _float(value: Any) -> float:
 
 
 def _number(value: Any) -> str:
-    """Value to three digits."""
+    """Value to three digits, whole from a thousand."""
     number = _float(value)
-    return (
-        f"{number:,.3g}"
-        if abs(number) < 1000
-        else _NONE
-        if math.isnan(number)
-        else f"{number:,.0f}"
-    )
+    if math.isnan(number):
+        return _NONE
+    return f"{number:,.3g}" if abs(number) < 1000 else f"{number:,.0f}"
 
 
 def _text(value: Any) -> str:

@@ -22,7 +22,8 @@ _INTRODUCTION = """\
 # Sensors
 
 What `config/sensors.yaml` defines. A value that a sensor takes over from another one (`like`) is
-shown as its own. [Sensors](../placement/sensors.md) explains the kinds and their keys, and how to add one.
+shown as its own. [Sensors](../placement/sensors.md) explains the kinds and their keys, and how to
+add one.
 
 """
 

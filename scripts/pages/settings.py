@@ -17,8 +17,6 @@ from roadsight.config.sites import Site
 from scripts.pages.markdown import code, escaped, table
 
 _UNITS = {
-    "1_m2": "1/m²",
-    "cm2": "cm²",
     "deg": "degrees",
     "hz": "Hz",
     "kmh": "km/h",
@@ -31,6 +29,9 @@ _UNITS = {
     "mps": "m/s",
     "mrad": "mrad",
     "nm": "nm",
+    "per_km": "1/km",
+    "per_m": "1/m",
+    "per_m2": "1/m²",
     "px": "px",
     "s": "s",
     "share": "share",
@@ -39,7 +40,6 @@ _UNITS = {
 _TAILS = ("m", "m2", "px", "px2", "s", "degrees", "px an image", "1/m2", "km/h", "mm/h", "cells")
 """Units that end a description, which the column of units says already."""
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}
-_SIZES = {"min_length": "at least {} entries", "max_length": "at most {} entries"}
 _KINDS = {
     float: "number",
     int: "whole number",
@@ -91,7 +91,7 @@ def unit_of(key: str, description: str) -> str:
         unit = _UNITS.get("_".join(words[first:]))
         if unit:
             return unit
-    tail = description.split(";")[0].rpartition(", ")[2]
+    tail = description.partition(";")[0].rpartition(", ")[2]
     return tail.replace("2", "²") if tail in _TAILS else ""
 
 
@@ -113,17 +113,20 @@ def kind_of(annotation: Any) -> str:
     if origin in (Union, UnionType):
         kinds = dict.fromkeys(kind_of(part) for part in parts if part is not NoneType)
         return " or ".join(kinds)
-    if origin is Literal:
-        return "choice" if all(isinstance(part, str) for part in parts) else "number"
-    if origin is list:
-        return f"list of {kind_of(parts[0])}"
-    if origin is tuple:
-        return f"{len(parts)} of {kind_of(parts[0])}"
-    if origin is dict:
-        return f"mapping to {kind_of(parts[1])}"
+    if origin is not None:
+        return _kind_of_many(origin, parts)
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "group"
     return _KINDS.get(annotation, getattr(annotation, "__name__", str(annotation)))
+
+
+def _kind_of_many(origin: Any, parts: tuple[Any, ...]) -> str:
+    """Type of a choice, a list or a mapping."""
+    if origin is Literal:
+        return "choice" if all(isinstance(part, str) for part in parts) else "number"
+    if origin is dict:
+        return f"mapping to {kind_of(parts[1])}"
+    return f"list of {kind_of(parts[0])}"
 
 
 def _default(field: FieldInfo) -> str:
@@ -157,13 +160,22 @@ def _allowed(field: FieldInfo) -> str:
         for name, sign in _SIGNS.items()
         if getattr(part, name, None) is not None
     ]
-    sizes = [
-        text.format(getattr(part, name))
-        for part in parts
-        for name, text in _SIZES.items()
-        if getattr(part, name, None) is not None
-    ]
+    least, most = _size(parts, "min_length"), _size(parts, "max_length")
+    sizes = _entries(least, most)
     return ", ".join(dict.fromkeys(escaped(text) for text in [*bounds, *sizes]))
+
+
+def _size(parts: list[Any], name: str) -> int | None:
+    sizes = [getattr(part, name, None) for part in parts]
+    return next((size for size in sizes if size is not None), None)
+
+
+def _entries(least: int | None, most: int | None) -> list[str]:
+    """How many entries a list may have."""
+    if least is not None and least == most:
+        return [f"{least} entries"]
+    lower = [] if least is None else [f"at least {least}"]
+    return [*lower, *([] if most is None else [f"at most {most}"])]
 
 
 def _constraints(annotation: Any) -> Iterator[Any]:
