@@ -118,7 +118,7 @@ def _site(page: _Page | None, poles_page: _Page | None, identifier: str) -> dict
     """What the templates show of a site."""
     about = next(given for given in (page, poles_page) if given is not None)
     poles = None if poles_page is None else poles_view(poles_page)
-    scene = {"plans": [], "sensors": {}} if page is None else _scene(page)
+    scene = {"plans": [], "sensors": {}, "sketch": ""} if page is None else _scene(page)
     return {
         "id": identifier,
         "title": about["title"] or about["summary"]["site"],
