@@ -45,6 +45,7 @@ class SceneView {
   // A still for paper, which shows no drawing contexts.
   print() {
     this.open();
+    this.draw();
     const scene = this.element._fullLayout?.scene?._scene;
     if (!scene) return;
     this.element.querySelector(".still")?.remove();
