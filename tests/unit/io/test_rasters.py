@@ -167,3 +167,19 @@ def test_far_from_measured_cells_nothing_is_shown():
     assert np.array_equal(shown, np.hypot(rows - 4, columns - 4) <= 2)
     whole = Raster(raster.values, 0.0, 9.0, 1.0)
     assert np.isfinite(near_measured(whole)).all()
+
+
+def test_a_large_raster_opens_fast_in_any_gis(tmp_path):
+    path = tmp_path / "dem.tif"
+    heights = np.add.outer(np.arange(1300.0), np.arange(900.0)) / 100
+    write_raster(path, heights, FRAMES[1], 0.0, 1300.0, 1.0)
+    with rasterio.open(path) as raster:
+        assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert raster.overviews(1) == [2, 4]
+        assert raster.units == ("US survey foot",)
+        coarse = raster.read(1, out_shape=(325, 225))
+    native = heights / US_FOOT + FRAMES[1].origin[2]
+    assert np.allclose(coarse, native.reshape(325, 4, 225, 4).mean(axis=(1, 3)), atol=0.01)
+    again = tmp_path / "again.tif"
+    write_raster(again, heights, FRAMES[1], 0.0, 1300.0, 1.0)
+    assert again.read_bytes() == path.read_bytes()
