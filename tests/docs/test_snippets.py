@@ -31,7 +31,7 @@ def test_what_the_page_shows_runs(
     )
     monkeypatch.chdir(tmp_path)
     snippets = _SNIPPET.findall(PAGE.read_text("utf-8"))
-    assert len(snippets) == 3
+    assert len(snippets) == 2
     names: dict[str, object] = {}
     for snippet in snippets:
         exec(compile(snippet, str(PAGE), "exec"), names)
