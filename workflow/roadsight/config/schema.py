@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from roadsight.base.engines import Engine
 from roadsight.base.section import Count, Metres, Name, Section, Share
 from roadsight.config.conditions import Conditions
 from roadsight.config.poles_schema import (
@@ -75,6 +76,12 @@ class Pavement(Section):
     )
     neighbours: int = Field(
         default=10, ge=3, le=100, description="K1, neighbours of a point for its FPFH"
+    )
+    fpfh_engine: Engine = Field(
+        default="own", description="who computes normals and FPFH (docs/howto/engines.md)"
+    )
+    cluster_engine: Engine = Field(
+        default="own", description="who tells which smooth points are connected"
     )
     intensity: Literal["auto", "use", "ignore"] = Field(
         default="auto",

@@ -104,6 +104,7 @@ rule find_obstacles:
         sensors=plan_costs,
         height_m=target_height,
         mounting=mounting_rules,
+        engine=setting("lidar.engine"),
     shell:
         "python -m roadsight.stages.placement.find_obstacles --solution {input.solution}"
         " --coverage {input.coverage} --plan {wildcards.plan} --targets {input.targets}"
@@ -112,7 +113,7 @@ rule find_obstacles:
         " --objects {input.objects} --sensors {params.sensors_file:q} --air {input.rain} {input.fog}"
         " --reflectivity {input.reflectivity} --lanes {input.lanes}"
         " --zones {params.zones:q} --cabinets {params.cabinets:q} --mounting {params.mounting:q}"
-        " --target-height-m {params.height_m} --out {output.obstacles} > {log} 2>&1"
+        " --target-height-m {params.height_m} --engine {params.engine} --out {output.obstacles} > {log} 2>&1"
 
 
 rule render_scans:
@@ -139,11 +140,12 @@ rule render_scans:
     params:
         sensors_file=CONFIG.sensors_file,
         sensors=plan_costs,
+        engine=setting("lidar.engine"),
     shell:
         "python -m roadsight.stages.placement.render_scans --solution {input.solution}"
         " --surfels {input.surfels} --frame {input.frame} --sensors {params.sensors_file:q}"
         " --tilts {input.tilts} --air {input.rain} {input.fog} --surfaces {input.surfaces}"
-        " --out {output.scans} > {log} 2>&1"
+        " --engine {params.engine} --out {output.scans} > {log} 2>&1"
 
 
 rule measure_data:

@@ -138,6 +138,7 @@ rule render_depth_maps:
         sensors_file=CONFIG.sensors_file,
         shards=shard_count,
         model=lidar_model,
+        engine=setting("lidar.engine"),
         azimuth_stride=stride_of_map,
         curvature=decision_on("curvature_refraction"),
         min_cell_points=setting("lidar.min_cell_points"),
@@ -148,7 +149,7 @@ rule render_depth_maps:
         "python -m roadsight.stages.placement.render_depth_maps --candidates {input.candidates}"
         " --shard {wildcards.shard} --shards {params.shards}"
         " --sensor {wildcards.sensor} --sensors {params.sensors_file:q} --model {params.model}"
-        " --azimuth-stride {params.azimuth_stride}"
+        " --engine {params.engine} --azimuth-stride {params.azimuth_stride}"
         " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
         " --network {input.network:q}"
         " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"

@@ -345,7 +345,7 @@ def change_arguments(wildcards):
         f" --other-height-m {change.other_height_m} --radius-m {targets.radius_m}"
         f" --height-m {target_height(wildcards)} {target_box(wildcards)}"
         f" --min-beams {min_beams_of(wildcards.site)}"
-        f" --azimuth-stride {found.lidar.azimuth_stride}"
+        f" --azimuth-stride {found.lidar.azimuth_stride} --engine {found.lidar.engine}"
     )
     return NamedValue("changes", text)
 

@@ -123,6 +123,7 @@ rule cluster_fpfh:
     params:
         voxel_size_m=setting("pavement.voxel_size_m"),
         neighbours=setting("pavement.neighbours"),
+        fpfh_engine=setting("pavement.fpfh_engine"),
         intensity=setting("pavement.intensity"),
         intensity_weight=setting("pavement.intensity_weight"),
         sample=setting("pavement.sample"),
@@ -132,7 +133,7 @@ rule cluster_fpfh:
         " --cloud {input.cloud} --ground {input.ground} --profile {input.profile}"
         " --voxel-size-m {params.voxel_size_m} --neighbours {params.neighbours}"
         " --intensity {params.intensity} --intensity-weight {params.intensity_weight}"
-        " --sample {params.sample} --seed {params.seed}"
+        " --fpfh-engine {params.fpfh_engine} --sample {params.sample} --seed {params.seed}"
         " --out {output.clusters} > {log} 2>&1"
 
 
@@ -158,6 +159,7 @@ rule extract_pavement:
         runtime=minutes(),
     params:
         tma=layered_site("placement.tma"),
+        cluster_engine=setting("pavement.cluster_engine"),
         cluster_distance_m=setting("pavement.cluster_distance_m"),
         vote_radius_m=setting("pavement.vote_radius_m"),
         outline_cell_m=setting("pavement.outline_cell_m"),
@@ -168,6 +170,7 @@ rule extract_pavement:
         "python -m roadsight.stages.scene.extract_pavement --site {wildcards.site}"
         " --cloud {input.cloud} --frame {input.frame} --ground {input.ground}"
         " --clusters {input.clusters} --tma {params.tma:q}"
+        " --cluster-engine {params.cluster_engine}"
         " --cluster-distance-m {params.cluster_distance_m}"
         " --vote-radius-m {params.vote_radius_m} --outline-cell-m {params.outline_cell_m}"
         " --closing-m {params.closing_m} --smallest-hole-m2 {params.smallest_hole_m2}"

@@ -49,6 +49,12 @@ rule build_surfels:
         runtime=minutes(),
     params:
         surfel_size_m=setting("lidar.surfel_size_m"),
+        outlier_radius_m=setting("lidar.outlier_radius_m"),
+        outlier_neighbours=setting("lidar.outlier_neighbours"),
+        outlier_engine=setting("lidar.outlier_engine"),
     shell:
         "python -m roadsight.stages.scene.build_surfels --cloud {input.cloud}"
-        " --traffic {input.traffic} --surfel-size-m {params.surfel_size_m} --out {output.surfels} > {log} 2>&1"
+        " --traffic {input.traffic} --surfel-size-m {params.surfel_size_m}"
+        " --outlier-radius-m {params.outlier_radius_m}"
+        " --outlier-neighbours {params.outlier_neighbours}"
+        " --outlier-engine {params.outlier_engine} --out {output.surfels} > {log} 2>&1"

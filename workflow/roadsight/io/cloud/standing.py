@@ -50,6 +50,17 @@ class StandingCloud:
         passed = self._passed[self._starts[tile] : self._starts[tile + 1]]
         return stack_xyz(self._cloud.read(POSITION, [tile]))[~passed]
 
+    def around(self, tile: int, reach_m: float) -> Floats32:
+        """Positions (n, 3) of other tiles' standing points within reach of a tile's box."""
+        west, south, _, east, north, _ = self.tiles[tile].bounds_m
+        box = (west - reach_m, south - reach_m, east + reach_m, north + reach_m)
+        parts: list[Floats32] = [np.empty((0, 3), np.float32)]
+        for number, other in enumerate(self.tiles):
+            if number != tile and _overlap(other.bounds_m, box):
+                xyz = self.xyz(number)
+                parts.append(xyz[_inside(xyz, box)])
+        return np.concatenate(parts)
+
     def xyz_within(self, bounds_m: Bounds) -> Floats32:
         """Positions (n, 3) of the standing points in a box (west, south, east, north)."""
         parts: list[Floats32] = [np.empty((0, 3), np.float32)]

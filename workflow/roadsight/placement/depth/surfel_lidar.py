@@ -8,11 +8,11 @@ the place of the sensor, its samples tell the share of beams that passed, and vo
 from __future__ import annotations
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.engines import Engine
+from roadsight.placement.depth.ray_engines import rays_at
 from roadsight.placement.depth.votes import View, VoteSettings, seen_from_here
 from roadsight.placement.sensors.earth import rise_m
 from roadsight.placement.sensors.rays import beam_directions
@@ -42,10 +42,19 @@ class SurfelLidar:
     samples : of the same cloud; they correct the first surfels where they can tell. None: surfels
         alone.
     votes : how samples vote.
+    engine : who casts the rays.
+
+    Raises
+    ------
+    InputError : the engine open3d cannot be loaded.
     """
 
     def __init__(
-        self, surfels: Surfels, samples: Samples | None = None, votes: VoteSettings | None = None
+        self,
+        surfels: Surfels,
+        samples: Samples | None = None,
+        votes: VoteSettings | None = None,
+        engine: Engine = "own",
     ) -> None:
         self._samples = samples
         self._votes = votes or VoteSettings()
@@ -57,8 +66,7 @@ class SurfelLidar:
             corners_m = _corners(surfels, self._origin_m)
             rows = 4 * np.arange(len(surfels), dtype=np.int32)
             triangles = (rows[:, None, None] + _TRIANGLES).reshape(-1, 3)
-            self._scene = EmbreeScene()
-            TriangleMesh(self._scene, corners_m.reshape(-1, 3), triangles)
+            self._scene = rays_at(corners_m.reshape(-1, 3), triangles, engine)
 
     def cast(
         self, origins_m: ArrayLike, directions: ArrayLike, max_range_m: float = np.inf
@@ -92,14 +100,13 @@ class SurfelLidar:
         self, origins_m: ArrayLike, directions: Floats32, max_range_m: float
     ) -> Floats32:
         """Ranges (n,) of the first surfels, infinite where there is none."""
-        limit_m = np.full(len(directions), max_range_m, np.float32)
         if self._scene is None or len(directions) == 0:
-            return np.full_like(limit_m, np.inf)
+            return np.full(len(directions), np.inf, np.float32)
         origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
         origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
-        range_m = self._scene.run(origins, directions, dists=limit_m.copy(), query="DISTANCE")
-        range_m[range_m >= limit_m] = np.inf
-        return np.asarray(range_m, np.float32)
+        range_m = self._scene.first_hits(origins, directions, max_range_m)
+        range_m[range_m >= np.float32(max_range_m)] = np.inf
+        return range_m
 
     def depth_map(
         self,

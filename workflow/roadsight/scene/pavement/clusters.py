@@ -6,6 +6,8 @@ import numpy as np
 from numba import njit
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.base.engines import Engine
+from roadsight.scene.pavement.open3d_engine import open3d_clusters
 
 
 @njit(cache=True)
@@ -49,7 +51,7 @@ def _link(
                                 parent[_root(parent, j)] = root
 
 
-def euclidean_clusters(xyz_m: Floats, distance_m: float) -> Ints:
+def euclidean_clusters(xyz_m: Floats, distance_m: float, engine: Engine = "own") -> Ints:
     """Cluster number of each point, 0 for the largest cluster.
 
     Two points share a cluster when a chain of points links them whose steps are shorter than
@@ -58,13 +60,20 @@ def euclidean_clusters(xyz_m: Floats, distance_m: float) -> Ints:
     Parameters
     ----------
     xyz_m : (n, 3) local metres.
+    engine : who links the points.
 
     Returns
     -------
     (n,) int64, 0 to clusters - 1.
+
+    Raises
+    ------
+    InputError : the engine open3d cannot be loaded.
     """
     if len(xyz_m) == 0:
         return np.empty(0, np.int64)
+    if engine == "open3d":
+        return _by_size(open3d_clusters(xyz_m, distance_m))
     # An empty cell all around, so that no key beside a cell is that of a cell elsewhere.
     index = np.floor((xyz_m - xyz_m.min(axis=0)) / distance_m).astype(np.int64) + 1
     spans = index.max(axis=0) + 2

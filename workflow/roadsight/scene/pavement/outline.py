@@ -13,6 +13,7 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry import shape
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.clusters import euclidean_clusters
@@ -56,23 +57,27 @@ def pavement_settings_for(column_m: float, settings: PavementSettings) -> Paveme
     )
 
 
-def outline_pavement(xyz_m: Floats, smooth: Bools, settings: PavementSettings) -> MultiPolygon:
+def outline_pavement(
+    xyz_m: Floats, smooth: Bools, settings: PavementSettings, engine: Engine = "own"
+) -> MultiPolygon:
     """Polygons of the connected smooth surfaces.
 
     Parameters
     ----------
     xyz_m : (n, 3) thinned ground points, local metres. smooth : (n,) their class.
+    engine : who tells which points are connected.
 
     Raises
     ------
-    InputError : nothing smooth, too little of it, or nothing but fragments.
+    InputError : nothing smooth, too little of it, or nothing but fragments; or the engine open3d
+        cannot be loaded.
     """
     grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], settings.outline_cell_m)
     voted = vote(grid, xyz_m[:, 0], xyz_m[:, 1], smooth, settings.vote_radius_m)
     if not voted.any():
         raise InputError("no pavement found: no smooth ground", hint=_HINT)
     surface = xyz_m[voted]
-    cluster = euclidean_clusters(surface, settings.cluster_distance_m)
+    cluster = euclidean_clusters(surface, settings.cluster_distance_m, engine)
     size = np.bincount(cluster)
     kept = np.flatnonzero(size >= settings.smallest_part_share * size[0])
     share = size[kept].sum() / size.sum()

@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
+from roadsight.base.engines import ENGINES
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
@@ -53,7 +54,7 @@ def find_obstacles(arguments: argparse.Namespace) -> None:
     solution = read_json(arguments.solution)
     targets = read_table(arguments.targets)
     sensors = load_sensors(arguments.sensors)
-    lidar = SurfelLidar(read_surfels(arguments.surfels))
+    lidar = SurfelLidar(read_surfels(arguments.surfels), engine=arguments.engine)
 
     def cast(origin_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
         reach_m = lidar.cast(origin_m, directions)
@@ -218,6 +219,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--objects", nargs="?", help="surfels of the objects of the scene")
     add_allowed_arguments(parser)
     parser.add_argument("--target-height-m", type=float, default=0.6)
+    parser.add_argument("--engine", choices=ENGINES, default="own", help="who casts rays")
     return run_stage(parser, find_obstacles, argv)
 
 

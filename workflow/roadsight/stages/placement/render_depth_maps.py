@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.engines import ENGINES
 from roadsight.base.shards import shard_of
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.images.depth_networks import network_for
@@ -97,7 +98,7 @@ def _step(arguments: argparse.Namespace, sensor: Sensor) -> str:
     cloud = [arguments.surfels]
     if arguments.model != "surfel":
         cloud = [arguments.cloud, *filter(None, (arguments.traffic, arguments.network))]
-    names = ("model", "azimuth_stride", "min_cell_points", "neighbours", "curvature")
+    names = ("model", "engine", "azimuth_stride", "min_cell_points", "neighbours", "curvature")
     return key_of_step(cloud, what_it_sees(sensor), [getattr(arguments, name) for name in names])
 
 
@@ -105,7 +106,8 @@ def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: Floats) -> R
     """The chosen model, ready to render."""
     curved = arguments.curvature == "simulate"
     if arguments.model == "surfel":
-        return partial(SurfelLidar(read_surfels(arguments.surfels)).depth_map, curved=curved)
+        lidar = SurfelLidar(read_surfels(arguments.surfels), engine=arguments.engine)
+        return partial(lidar.depth_map, curved=curved)
     west, south = poses[:, :2].min(axis=0) - sensor.range_m
     east, north = poses[:, :2].max(axis=0) + sensor.range_m
     cloud = StandingCloud(arguments.cloud, arguments.traffic)
@@ -134,6 +136,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--sensor", required=True, help="name in the sensors file")
     parser.add_argument("--sensors", required=True, help="sensors file")
     parser.add_argument("--model", choices=MODELS, default="surfel")
+    parser.add_argument("--engine", choices=ENGINES, default="own", help="of the model surfel")
     parser.add_argument("--surfels", required=True, help="used by the model surfel")
     parser.add_argument("--cloud", required=True, help="used by the other models")
     parser.add_argument("--network", nargs="?", help="ONNX file of the models unet and unet_mask")

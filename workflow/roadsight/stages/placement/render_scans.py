@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.engines import ENGINES
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import read_json
@@ -48,7 +49,7 @@ def render_scans(arguments: argparse.Namespace) -> None:
     frame = Frame.from_dict(read_json(arguments.frame))
     chosen = read_json(arguments.solution)["sensors"]
     sensors = load_sensors(arguments.sensors)
-    lidar = SurfelLidar(read_surfels(arguments.surfels))
+    lidar = SurfelLidar(read_surfels(arguments.surfels), engine=arguments.engine)
     tilts, heard = read_tilts(arguments.tilts), _hearing(arguments)
     parts = [np.empty((0, 3))]
     for place in chosen:
@@ -119,6 +120,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean, all rounds")
     parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
     parser.add_argument("--surfaces", nargs="*", default=[], help="reflectivity of surfaces")
+    parser.add_argument("--engine", choices=ENGINES, default="own", help="who casts rays")
     return run_stage(parser, render_scans, argv)
 
 

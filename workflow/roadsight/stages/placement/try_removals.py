@@ -93,7 +93,7 @@ def _rows(
         objects["name"], objects["kind"], objects["targets"], strict=True
     ):
         own = members[members["object"] == name][["x", "y", "z"]]
-        lidar = SurfelLidar(_without(surfels, own))
+        lidar = SurfelLidar(_without(surfels, own), engine=arguments.engine)
         away, _ = cKDTree(own[["x", "y"]]).query(candidates[["x", "y"]].to_numpy(np.float64))
         near = np.flatnonzero(away <= _NEAR_M)
         near = near[np.argsort(away[near], kind="stable")][:_MOST_CANDIDATES]

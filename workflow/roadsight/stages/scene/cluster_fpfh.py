@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from roadsight.base.engines import ENGINES
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
@@ -65,7 +66,9 @@ def _described_tiles(
     mask = read_table(arguments.ground)["ground"].to_numpy()
     tiles = _ground_tiles(cloud, mask, _HALO_COLUMNS * size_m)
     for number, (core, xyz, intensity) in enumerate(tiles, start=1):
-        ground = describe_ground(xyz, intensity, size_m, arguments.neighbours)
+        ground = describe_ground(
+            xyz, intensity, size_m, arguments.neighbours, arguments.fpfh_engine
+        )
         west, south, east, north = core
         # A column belongs to the tile that holds its grid cell's centre.
         x, y = ((np.floor(ground.xyz_m[:, axis] / size_m) + 0.5) * size_m for axis in (0, 1))
@@ -155,6 +158,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--intensity", choices=["auto", "use", "ignore"], default="auto")
     parser.add_argument("--intensity-weight", type=float, default=1.5)
     parser.add_argument("--sample", type=int, default=100_000)
+    parser.add_argument("--fpfh-engine", choices=ENGINES, default="own")
     parser.add_argument("--seed", type=int, default=1)
     return run_stage(parser, cluster_fpfh, argv)
 

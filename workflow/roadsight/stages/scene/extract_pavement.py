@@ -13,6 +13,7 @@ import pandas as pd
 import shapely
 from shapely import MultiPolygon
 
+from roadsight.base.engines import ENGINES
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
@@ -72,9 +73,9 @@ def _found_area(arguments: argparse.Namespace) -> MultiPolygon:
     names = [field.name for field in fields(PavementSettings) if hasattr(arguments, field.name)]
     settings = PavementSettings(**{name: getattr(arguments, name) for name in names})
     settings = pavement_settings_for(size_m, settings)
-    xyz = columns[["x", "y", "z"]].to_numpy(np.float64)
+    xyz, engine = columns[["x", "y", "z"]].to_numpy(np.float64), arguments.cluster_engine
     try:
-        return outline_pavement(xyz, columns["smooth"].to_numpy(), settings)
+        return outline_pavement(xyz, columns["smooth"].to_numpy(), settings, engine)
     except InputError as error:
         raise InputError(str(error), where=f"site {arguments.site}") from error
 
@@ -104,6 +105,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--closing-m", type=float, default=1.0)
     parser.add_argument("--smallest-hole-m2", type=float, default=20.0)
     parser.add_argument("--smallest-part-share", type=float, default=0.2)
+    parser.add_argument("--cluster-engine", choices=ENGINES, default="own")
     return run_stage(parser, extract_pavement, argv)
 
 

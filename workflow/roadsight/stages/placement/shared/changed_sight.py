@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.engines import ENGINES
 from roadsight.base.errors import InputError
 from roadsight.io.records.poses import read_tilts
 from roadsight.io.records.surfels import read_surfels
@@ -22,10 +23,11 @@ from roadsight.stages.placement.shared.detection_inputs import read_shaped_targe
 
 
 def add_change_arguments(parser: argparse.ArgumentParser) -> None:
-    """How far sensors may be from their plan."""
+    """How far sensors may be from their plan, and who casts the rays that tell."""
     parser.add_argument("--move-m", type=float, default=0.2)
     parser.add_argument("--turn-deg", type=float, default=1.0)
     parser.add_argument("--other-height-m", type=float, default=0.5)
+    parser.add_argument("--engine", choices=ENGINES, default="own", help="who casts rays")
 
 
 class ChangedSight:
@@ -39,7 +41,7 @@ class ChangedSight:
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self._arguments = arguments
-        self._lidar = SurfelLidar(read_surfels(arguments.surfels))
+        self._lidar = SurfelLidar(read_surfels(arguments.surfels), engine=arguments.engine)
         self._sensors = load_sensors(arguments.sensors_file)
         self._tilts = read_tilts(arguments.tilts)
         self.targets, self._feet_m, shape = read_shaped_targets(arguments)

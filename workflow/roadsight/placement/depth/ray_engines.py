@@ -1,0 +1,73 @@
+"""First hits of rays on triangles: Intel Embree through embreex, or through Open3D."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from roadsight.base.arrays import Floats32, Ints32
+from roadsight.base.engines import Engine, open3d
+
+
+class Rays(Protocol):
+    """Triangles that rays can be cast at."""
+
+    def first_hits(self, origins_m: Floats32, directions: Floats32, limit_m: float) -> Floats32:
+        """Ranges (n,) of the first triangles; ``limit_m`` or more where there is none before it.
+
+        Parameters
+        ----------
+        origins_m, directions : (n, 3), directions of unit length, in the triangles' frame.
+        """
+
+
+def rays_at(corners_m: Floats32, triangles: Ints32, engine: Engine = "own") -> Rays:
+    """Triangles made ready for rays, on one thread.
+
+    Parameters
+    ----------
+    corners_m : (n, 3), near the origin: Embree works in single precision.
+    triangles : (m, 3) rows of corners.
+
+    Raises
+    ------
+    InputError : the engine open3d cannot be loaded.
+    """
+    kind = EmbreeRays if engine == "own" else Open3dRays
+    return kind(corners_m, triangles)
+
+
+class EmbreeRays:
+    """By embreex."""
+
+    def __init__(self, corners_m: Floats32, triangles: Ints32) -> None:
+        self._scene = EmbreeScene()
+        TriangleMesh(self._scene, corners_m, triangles)
+
+    def first_hits(self, origins_m: Floats32, directions: Floats32, limit_m: float) -> Floats32:
+        """See `Rays`."""
+        limits = np.full(len(directions), limit_m, np.float32)
+        found = self._scene.run(origins_m, directions, dists=limits, query="DISTANCE")
+        return np.asarray(found, np.float32)
+
+
+class Open3dRays:
+    """By Open3D's RaycastingScene, which keeps its own copy of the triangles."""
+
+    def __init__(self, corners_m: Floats32, triangles: Ints32) -> None:
+        o3d = open3d("lidar.engine")
+        self._tensor = o3d.core.Tensor
+        self._scene = o3d.t.geometry.RaycastingScene(nthreads=1)
+        self._scene.add_triangles(
+            self._tensor.from_numpy(np.ascontiguousarray(corners_m, np.float32)),
+            self._tensor.from_numpy(np.ascontiguousarray(triangles, np.uint32)),
+        )
+
+    def first_hits(self, origins_m: Floats32, directions: Floats32, limit_m: float) -> Floats32:
+        """See `Rays`; ranges beyond the limit are cast too and dropped by the caller."""
+        rays = self._tensor.from_numpy(np.hstack([origins_m, directions]))
+        hits = self._scene.cast_rays(rays, nthreads=1)
+        return np.asarray(hits["t_hit"].numpy(), np.float32)
