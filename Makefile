@@ -20,11 +20,19 @@ help: ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
+# Open3D is an engine that nothing needs: where it does not fit or cannot be had, one line says so.
+.venv/.installed-open3d: .venv/.installed envs/requirements-open3d.lock
+	@if $(BIN)/python scripts/check_machine.py open3d; then \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes \
+	    -r envs/requirements-open3d.lock && $(BIN)/python -m roadsight.base.engines || \
+	  echo "Open3D is left out, all results come without it" >&2; fi
+	@touch $@
+
 .venv/.installed-dev: .venv/.installed envs/requirements-dev.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r envs/requirements-dev.lock
 	@touch $@
 
-run: .venv/.installed ## install from the lock and run the workflow on the embedded sample
+run: .venv/.installed .venv/.installed-open3d ## install from the lock and run the workflow on the embedded sample
 	$(BIN)/snakemake --cores $(CORES)
 
 real: .venv/.installed ## run the workflow on the real clouds under ROADSIGHT_DATA
@@ -68,8 +76,11 @@ lock: ## resolve the dependencies anew (needs uv)
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
 	  --custom-compile-command "make lock" pyproject.toml -o envs/requirements.lock
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
-	  --custom-compile-command "make lock" --extra dev --extra peers -c envs/requirements.lock \
-	  pyproject.toml -o envs/requirements-dev.lock
+	  --custom-compile-command "make lock" -c envs/requirements.lock \
+	  --group open3d -o envs/requirements-open3d.lock
+	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
+	  --custom-compile-command "make lock" --extra dev --group open3d -c envs/requirements.lock \
+	  -c envs/requirements-open3d.lock pyproject.toml -o envs/requirements-dev.lock
 
 studio-vendor: ## bundle the studio's JavaScript libraries anew from web/package-lock.json (needs npm)
 	cd web && npm ci --no-audit --no-fund && npm run build

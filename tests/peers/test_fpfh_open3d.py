@@ -11,15 +11,6 @@ from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 K = 10
 
 
-@pytest.fixture(scope="module")
-def o3d():
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        pytest.skip(f"open3d cannot be imported (extra `peers`; it needs libusb): {error}")
-    return open3d
-
-
 @pytest.fixture
 def rolling_ground(rng):
     x, y = rng.uniform(0, 10, (2, 1500))

@@ -9,7 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from roadsight.config.environment import prepare_environment
-from roadsight.config.load import load_config, load_site, load_sites
+from roadsight.config.load import check_engines, load_config, load_site, load_sites
 from roadsight.config.named import NamedValue
 from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
@@ -47,6 +47,9 @@ for path in workflow.configfiles:
     clearly(read_yaml, path)
 CONFIG = clearly(load_config, config)
 ASKED_SITES = clearly(load_sites, CONFIG)
+# Conda environments bring Open3D with them, whatever this interpreter has.
+if not workflow.deployment_settings.deployment_method:
+    clearly(check_engines, ASKED_SITES)
 TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file)
 # Sites of trade-offs and of audits have rules like any other, but only the targets `tradeoffs` and
 # `audit` ask for them. They solve their own plans, whatever plans a run asks for.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import importlib
 import importlib.util
+import sys
 from typing import Any, Literal, get_args
 
 from roadsight.base.errors import InputError
@@ -73,3 +74,17 @@ def _loads(library: str) -> bool:
     except OSError:
         return False
     return True
+
+
+def main() -> int:
+    """Tell after an installation whether Open3D can be loaded; exit code 0 or 1."""
+    try:
+        open3d()
+    except InputError as error:
+        print(f"roadsight: {error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

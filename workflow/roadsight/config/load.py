@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from roadsight.base.engines import open3d
 from roadsight.base.errors import InputError
 from roadsight.base.texts import read_yaml
 from roadsight.base.validation import check_path, validated
@@ -77,6 +78,20 @@ def load_sites(config: Config) -> dict[str, ResolvedSite]:
                 hint="give each a name of its own: results go to results/<site>",
             )
     return sites
+
+
+def check_engines(sites: Mapping[str, ResolvedSite]) -> None:
+    """Check before any work that what sites ask to be done by Open3D can be done by it.
+
+    Raises
+    ------
+    InputError : a setting asks for it, and it or a system library that it needs is missing.
+    """
+    for resolved in sites.values():
+        for section, values in resolved.settings.model_dump().items():
+            for name, value in values.items() if isinstance(values, dict) else ():
+                if name.endswith("engine") and value == "open3d":
+                    open3d(f"{resolved.file}: {section}.{name}")
 
 
 def load_site(name: str, config: Config) -> ResolvedSite:
