@@ -39,7 +39,7 @@ def open3d(where: str = "") -> Any:
     ------
     InputError : it is not installed, or a system library is missing; names the packages.
     """
-    if importlib.util.find_spec("open3d") is None:
+    if not is_installed():
         raise InputError(
             "the engine open3d is not installed",
             where=where,
@@ -61,6 +61,11 @@ def open3d(where: str = "") -> Any:
             if missing
             else "install envs/requirements-open3d.lock anew",
         ) from error
+
+
+def is_installed() -> bool:
+    """Whether Open3D's package is here; whether it can be loaded, `open3d` tells."""
+    return importlib.util.find_spec("open3d") is not None
 
 
 def missing_libraries() -> list[str]:

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
+from roadsight.base.engines import is_installed
 from roadsight.base.errors import InputError
 from roadsight.base.section import Count, Name, Section
 from roadsight.base.texts import read_yaml
@@ -156,7 +157,7 @@ class Tradeoffs(Section):
 
 
 def load_tradeoffs(path: str | os.PathLike[str]) -> Tradeoffs:
-    """Read and check the file.
+    """Read and check the file; studies of Open3D are left out where it is not installed.
 
     Raises
     ------
@@ -174,7 +175,10 @@ def load_tradeoffs(path: str | os.PathLike[str]) -> Tradeoffs:
         for level in study.levels:
             at = f"{where}: studies.{name}.levels.{level}"
             validated(Settings, merged(Settings().model_dump(), study.changes(level)), at)
-    return found
+    if is_installed():
+        return found
+    kept = {n: s for n, s in found.studies.items() if "open3d" not in s.levels.values()}
+    return found.model_copy(update={"studies": kept})
 
 
 def load_evidence_sites(config: Config, tradeoffs: Tradeoffs) -> dict[str, ResolvedSite]:
