@@ -30,6 +30,7 @@ CONTENTS: Mapping[str, Sequence[str]] = {
         "howto/own-edges",
         "howto/read-the-answer",
         "howto/from-python",
+        "howto/engines",
         "placement/sensors",
         "placement/targets",
         "placement/candidates",

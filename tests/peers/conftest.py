@@ -4,13 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from roadsight.base.engines import open3d
-from roadsight.base.errors import InputError
+from tests.helpers.engines import needs_open3d
 
 
 @pytest.fixture(scope="session")
 def o3d():
-    try:
-        return open3d()
-    except InputError as error:
-        pytest.skip(str(error))
+    return needs_open3d()

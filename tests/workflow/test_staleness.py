@@ -175,6 +175,22 @@ SETTINGS = [
     ("  shards: 2\n", "  shards: 2\n  lidar: {surfel_size_m: 0.12}\n", after("build_surfels")),
     (
         "  shards: 2\n",
+        "  shards: 2\n  lidar: {outlier_radius_m: 0.5}\n",
+        after("build_surfels"),
+    ),
+    (
+        "  shards: 2\n",
+        "  shards: 2\n  pavement: {cluster_engine: open3d}\n",
+        after("extract_pavement"),
+    ),
+    (
+        "  shards: 2\n",
+        "  shards: 2\n  lidar: {engine: open3d}\n",
+        after("render_depth_maps", "find_obstacles", "render_scans", "measure_tolerance")
+        | after("try_removals"),
+    ),
+    (
+        "  shards: 2\n",
         "  shards: 2\n  lidar: {clear_below_m: 4.5}\n",
         {"mark_traffic"} | after("build_surfels"),
     ),

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from roadsight.base.engines import open3d
+from roadsight.base.errors import InputError
+from roadsight.io.cloud.tile_writer import TileWriter
+from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.tables import read_about
 from roadsight.scene.surfels.outliers import in_company
+from roadsight.stages.scene import build_surfels
 
 
 def by_definition(xyz, around, radius, others):
@@ -35,3 +41,53 @@ def test_one_point_and_none():
 
 def test_points_at_one_place_are_company():
     assert in_company(np.zeros((3, 3)), np.empty((0, 3)), 0.5, 2).all()
+
+
+@pytest.fixture(scope="module")
+def birds(tmp_path_factory):
+    """Ground of 30 m by 6 m in tiles of 10 m and 20 birds above it."""
+    rng, folder = np.random.default_rng(3), tmp_path_factory.mktemp("birds")
+    ground = rng.uniform((0, 0, 0), (30, 6, 0.02), (20_000, 3))
+    air = np.column_stack([np.arange(0.5, 30, 1.5), np.full(20, 3.0), np.full(20, 8.0)])
+    points = np.concatenate([ground, air]).astype(np.float32)
+    ones = np.ones(len(points), np.uint8)
+    with TileWriter(folder / "cloud.parquet", 10.0, coloured=False) as writer:
+        counts = dict.fromkeys(("classification", "return_number", "number_of_returns"), ones)
+        writer.append(dict(zip("xyz", points.T, strict=True)) | {"intensity": ones} | counts)
+        writer.finish()
+    return folder
+
+
+def surfels_of(folder, *options):
+    out = str(folder / "surfels.parquet")
+    assert (
+        build_surfels.main(["--cloud", str(folder / "cloud.parquet"), "--out", out, *options]) == 0
+    )
+    return read_surfels(out), read_about(out)
+
+
+def test_birds_become_no_surfels_and_ground_at_the_border_of_a_tile_stays(birds, caplog):
+    caplog.set_level("WARNING")
+    whole, about = surfels_of(birds)
+    assert about["points"] == 20_020
+    assert (whole.centre_m[:, 2] > 5).sum() == 20 * 3  # three crossed squares each
+    freed, about = surfels_of(birds, "--outlier-radius-m", "0.5")
+    assert about["points"] == 20_000
+    assert not (freed.centre_m[:, 2] > 5).any()
+    assert (whole.centre_m[:, 2] < 5).sum() == len(freed)
+    assert not caplog.records
+
+
+def test_a_radius_that_takes_surfaces_is_told(birds, caplog):
+    surfels_of(birds, "--outlier-radius-m", "0.05")
+    assert "surfaces are lost" in caplog.text
+
+
+def test_open3d_leaves_the_same_surfels(birds):
+    try:
+        open3d()
+    except InputError as error:
+        pytest.skip(str(error))
+    options = ("--outlier-radius-m", "0.5", "--outlier-engine")
+    own, peer = (surfels_of(birds, *options, engine)[0] for engine in ("own", "open3d"))
+    np.testing.assert_array_equal(own.centre_m, peer.centre_m)

@@ -1,0 +1,52 @@
+"""A whole job by Open3D comes to the same as by ourselves."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from roadsight.base.engines import open3d
+from roadsight.base.errors import InputError
+from roadsight.io.records.depth_maps import DepthMaps
+from roadsight.io.records.tables import read_table
+from tests.workflow.conftest import Checkout
+
+ENGINES = """\
+  shards: 2
+  pavement: {fpfh_engine: open3d, cluster_engine: open3d}
+  lidar: {engine: open3d}
+"""
+
+
+@pytest.mark.full
+def test_a_job_by_open3d(finished: Checkout, copy_of_finished: Checkout) -> None:
+    try:
+        open3d()
+    except InputError as error:
+        pytest.skip(str(error))
+    copy_of_finished.edit("config/sites/tiny.yaml", "  shards: 2\n", ENGINES)
+    result = copy_of_finished.snakemake("--cores", "2")
+    assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-4000:]
+    own, peer = (run.folder / "results/tiny" for run in (finished, copy_of_finished))
+
+    scores = [json.loads((r / "scene/pavement_scores.json").read_text()) for r in (own, peer)]
+    assert abs(scores[0]["f1"] - scores[1]["f1"]) < 1e-3
+    classes = [read_table(run / "scene/fpfh_clusters.parquet")["smooth"] for run in (own, peer)]
+    assert (classes[0] == classes[1]).mean() > 0.999
+    files = sorted((own / "placement").glob("round-*/depth/*/*.parquet"))
+    assert files
+    beams = off = 0
+    for file in files:
+        pairs = zip(DepthMaps(file), DepthMaps(peer / file.relative_to(own)), strict=True)
+        for (name, ours), (same, theirs) in pairs:
+            assert name == same
+            beams, off = beams + ours.size, off + int((np.abs(ours - theirs) > 0.02).sum())
+    assert off < 1e-4 * beams
+    for plan in ("os-32", "os-64"):
+        found = [
+            json.loads((run / f"placement/{plan}/solution.json").read_text())["sensors"]
+            for run in (own, peer)
+        ]
+        assert len(found[0]) == len(found[1])
