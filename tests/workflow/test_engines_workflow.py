@@ -7,10 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from roadsight.base.engines import open3d
-from roadsight.base.errors import InputError
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.tables import read_table
+from tests.helpers.engines import needs_open3d
 from tests.workflow.conftest import Checkout
 
 ENGINES = """\
@@ -22,10 +21,7 @@ ENGINES = """\
 
 @pytest.mark.full
 def test_a_job_by_open3d(finished: Checkout, copy_of_finished: Checkout) -> None:
-    try:
-        open3d()
-    except InputError as error:
-        pytest.skip(str(error))
+    needs_open3d()
     copy_of_finished.edit("config/sites/tiny.yaml", "  shards: 2\n", ENGINES)
     result = copy_of_finished.snakemake("--cores", "2")
     assert result.returncode == 0, result.stdout[-4000:] + result.stderr[-4000:]

@@ -6,6 +6,7 @@ import os
 
 import pytest
 
+from tests.helpers.engines import needs_open3d
 from tests.workflow.conftest import third_of, with_followers
 
 # Who reads whose outputs, written down here on purpose and not taken from the rules.
@@ -266,6 +267,8 @@ def test_touching_every_file_makes_nothing_stale(copy_of_finished):
     ("old", "new", "expected"), third_of(SETTINGS, [s[1].strip() for s in SETTINGS])
 )
 def test_setting(copy_of_finished, old, new, expected):
+    if "open3d" in new:
+        needs_open3d()
     copy_of_finished.edit(SITE, old, new)
     # Every setting is on record in the summary, so the summary and the report follow it too.
     recorded = after("summarise_site") if old != "title: Sixty" else set()

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.base.engines import open3d
-from roadsight.base.errors import InputError
 from roadsight.io.cloud.tile_writer import TileWriter
 from roadsight.io.records.surfels import read_surfels
 from roadsight.io.records.tables import read_about
 from roadsight.scene.surfels.outliers import in_company
 from roadsight.stages.scene import build_surfels
+from tests.helpers.engines import needs_open3d
 
 
 def by_definition(xyz, around, radius, others):
@@ -84,10 +83,7 @@ def test_a_radius_that_takes_surfaces_is_told(birds, caplog):
 
 
 def test_open3d_leaves_the_same_surfels(birds):
-    try:
-        open3d()
-    except InputError as error:
-        pytest.skip(str(error))
+    needs_open3d()
     options = ("--outlier-radius-m", "0.5", "--outlier-engine")
     own, peer = (surfels_of(birds, *options, engine)[0] for engine in ("own", "open3d"))
     np.testing.assert_array_equal(own.centre_m, peer.centre_m)

@@ -20,7 +20,7 @@ log = logging.getLogger("build_surfels")
 
 _MOST_ALONE = 0.01
 """Share of points left out above which these are no strays: 0.5 m takes 0.03 % of a dense mobile
-cloud, 1.9 % of a street that was scanned once, and 18 % of an airborne cloud whose spacing is that."""
+cloud, 1.9 % of a street that was scanned once, and 18 % of an airborne cloud spaced like that."""
 
 
 def write_scene_surfels(arguments: argparse.Namespace) -> None:
