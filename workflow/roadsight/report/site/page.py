@@ -199,6 +199,7 @@ def _plan(
         "histogram": sights.histogram.tolist(),
         **({} if plan.in_sight is None else _in_sight(plan.in_sight)),
         "objects": objects_in_the_way(result.get("objects", []), result.get("removals", [])),
+        **({"second": solution["second"]} if "second" in solution else {}),
         **({"tolerance": result["tolerance"]} if "tolerance" in result else {}),
         **({} if plan.lost_share is None else lost_classes(plan.lost_share)),
         **({"availability": solution["availability"]} if "availability" in solution else {}),
