@@ -18,6 +18,7 @@ COMMANDS = (
     "edges",
     "depthmap",
     "cover",
+    "accept",
     "align",
     "register",
     "triangulate",

@@ -68,7 +68,7 @@ def test_a_failure_may_take_only_so_much(cover):
 
 
 def test_of_the_cheapest_rows_those_that_cover_most_once_more(cover):
-    plain, found = cover(), cover("--second", "5")
+    plain, found = cover(), cover("--second", "120")
     assert found["objective"] == plain["objective"]
     assert found["second"]["status"] == "optimal"
     assert found["second"]["covered_once_more"] == found["second"]["bound_once_more"]
