@@ -39,7 +39,7 @@ and a cloud together, and the height of a kerb."""
 _ASIDE = 2.0
 """Steps between beams that a measured one may lie away from a planned one that returned."""
 _LOOSE = 0.01
-"""Weight of points in no plane: each is drawn to the point of its own beam, not to where it belongs,
+"""Weight of points in no plane: each is drawn to the point of its own beam, not where it belongs,
 so that they only hold what no plane does."""
 _AROUND = 4
 """Planned beams around a measured one."""
