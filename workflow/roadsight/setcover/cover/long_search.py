@@ -67,6 +67,12 @@ class LongSearch:
                 break
             self._burst(due_s, bound, deadline)
 
+    def to_the_end(self, bound: float, deadline: Deadline) -> None:
+        """Search until the limit, where no proof will come."""
+        instance, local = self._local.instance, self._local
+        while instance.round_up(bound) < local.cost and not deadline.passed():
+            self._burst(self._used_s + _BURST_S, bound, deadline)
+
     def catch_up(self, bound: float, deadline: Deadline) -> None:
         """Search until it has worked as long as the proof, or does not pay any more."""
         instance, local = self._local.instance, self._local

@@ -76,13 +76,16 @@ def _solve_part(
         return Outcome(best, bound, 0), None
     if is_large(instance) and best is not None:
         return _solve_large(instance, best, rng, deadline, gap)
-    relaxation, root = _root(instance, np.inf, deadline)
+    relaxation, root = _root(instance, np.inf, deadline.part(2))
     if np.isinf(root.bound):
         return Outcome(None, np.inf, 0), None
     bound = max(bound, instance.round_up(root.bound))
     local = LocalSearch(instance, best, root.target_dual > 0, rng)
     local.run(FIRST_STEPS, bound, deadline)
-    if _enough(instance, local.best, bound, gap) or not root.complete:
+    if _enough(instance, local.best, bound, gap):
+        return Outcome(local.best, bound, 0), root.bound
+    if not root.complete:  # no tree will come, so what is left goes to better covers
+        LongSearch(local, np.zeros(instance.shape[0]), deadline).to_the_end(bound, deadline)
         return Outcome(local.best, bound, 0), root.bound
     long = LongSearch(local, root.reduced_cost, deadline)
     long.ahead(bound, deadline)
