@@ -9,9 +9,10 @@ const PAGES = {
   results: { title: "Results", load: () => import("./results/page.js") },
   run: { title: "Run", load: () => import("./run/page.js") },
 };
+const GROUPS = { own: "Own sites", sample: "Generated samples", audit: "Audits and trade-offs", absent: "Cannot run here" };
 const KEYS = { "Alt 1…4": "page", "T": "theme", "?": "these keys" };
 const THEME = "roadsight-theme";
-const studio = (window.studio = { page: null, project: null });
+const studio = (window.studio = { page: null, project: null, refresh });
 
 const address = () => {
   const [, page, name] = /^#\/(\w+)\/([^/]+)$/.exec(location.hash) ?? [];
@@ -32,12 +33,27 @@ const flipTheme = () => setTheme(document.documentElement.dataset.theme === "dar
 
 function fillTop(page, site) {
   const list = document.getElementById("site");
-  list.replaceChildren(...studio.project.sites.map((one) => el("option", { value: one.stem }, one.stem)));
+  const groups = Object.entries(GROUPS).map(([group, label]) => el("optgroup", { label }, studio.project.sites.filter((one) => one.group === group).map(({ stem }) => el("option", { value: stem }, stem))));
+  list.replaceChildren(...groups.filter((group) => group.children.length));
   list.value = site.stem;
   list.title = site.title;
   list.onchange = () => { location.hash = addressOf(address().page, { stem: list.value }); };
-  document.getElementById("tabs").replaceChildren(...Object.entries(PAGES).map(([name, { title }]) =>
-    el("a", { href: addressOf(name, site), "aria-current": name === page ? "page" : null }, title)));
+  document.getElementById("tabs").replaceChildren(...Object.entries(PAGES).map(([name, { title }]) => tab(name, title, site, name === page)));
+}
+
+// A page that cannot work on the site says why, and leads nowhere.
+function tab(name, title, site, current) {
+  const reason = site.cannot[name];
+  const shown = { "aria-current": current ? "page" : null };
+  if (!reason) return el("a", { href: addressOf(name, site), ...shown }, title);
+  return el("a", { role: "link", "aria-disabled": "true", tabIndex: 0, ...shown }, title, " ", el("small", {}, reason));
+}
+
+// What is there of each site changes with runs and saves.
+async function refresh() {
+  studio.project = await get("project");
+  const { page, site } = address();
+  fillTop(page, site);
 }
 
 async function show() {
@@ -50,6 +66,7 @@ async function show() {
   main.replaceChildren(el("p", { className: "loading" }, "Loading…"));
   const turn = (studio.turn = Symbol(page));
   try {
+    if (site.cannot[page]) throw new Error(`This page cannot work on ${site.stem}: ${site.cannot[page]}.`);
     if (site.error) throw new Error(site.error);
     const opened = await (await PAGES[page].load()).open(site, studio.project);
     if (studio.turn !== turn) return opened.close?.();
@@ -64,11 +81,11 @@ async function show() {
 // What to do where a page cannot be shown.
 function problem(error, site) {
   const box = el("div", { className: "page" }, el("h1", {}, site.title), el("p", { className: "message bad", role: "alert" }, error.message));
-  if (site.command && !site.there?.cloud) {
+  if (site.command && !site.there.cloud) {
     box.append(el("p", {}, "This site has no results yet. Run first, in the project's folder:"), el("p", {}, el("code", {}, site.command)));
-    if (PAGES.run) box.append(el("p", {}, el("a", { href: addressOf("run", site) }, "or start it on the page Run")));
+    box.append(el("p", {}, el("a", { href: addressOf("run", site) }, "or start it on the page Run")));
   }
-  box.append(button("Try again", start));
+  box.append(el("p", {}, button("Try again", start)));
   return box;
 }
 

@@ -7,6 +7,7 @@ import { el, themeColour } from "../dom.js";
 import { Color, Scene, Vector3, WebGLRenderer } from "../vendor.js";
 import { FIELD_OF_VIEW_DEG, camerasOf } from "./cameras.js";
 import { modeNumber, pointMaterial } from "./material.js";
+import { Ruler } from "./ruler.js";
 import { COARSEST_PX, Tiles } from "./tiles.js";
 
 const FRAME_MS = { slow: 45, fast: 22 };
@@ -19,6 +20,7 @@ export class CloudView {
     this.canvas = el("canvas", { tabIndex: 0, "aria-label": "Map of the cloud: drag to move, wheel to zoom, right button to turn in 3D" });
     this.over = el("canvas", { className: "over" });
     this.element = el("div", { className: "view" }, this.canvas, this.over);
+    this.ruler = new Ruler(this);
     this.scene = new Scene();
     this.scene.matrixWorldAutoUpdate = false;
     this.material = pointMaterial();
@@ -41,6 +43,7 @@ export class CloudView {
     const before = this.control;
     this.mode = mode;
     for (const [name, controls] of Object.entries(this.controls)) controls.enabled = name === mode;
+    if (this.ruler.active) this.ruler.turn(false);
     if (before && before !== this.control) this.lookFrom(before);
     this.draw();
   }
@@ -262,6 +265,7 @@ export class CloudView {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, ...this.size);
     this.ondraw(context, this);
+    this.ruler.draw(context);
   }
 
   // Pixel of a place; null behind the camera.

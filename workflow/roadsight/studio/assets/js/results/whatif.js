@@ -209,9 +209,9 @@ export class WhatIf {
     const change = this.changed
       ? [...fact("Lost, gained", el("span", {}, el("b", { "data-state": lost ? "rejected" : "" }, `−${lost}`), " ", el("b", { "data-state": gained ? "accepted" : "" }, `+${gained}`))),
         ...fact("Sensors, cost against the plan", `${signed(on - this.about.chosen.length)}, ${signed(Number((cost - this.planCost).toFixed(2)))}`)] : [];
-    return [el("dl", { className: "facts", role: "status" },
+    return [el("div", { role: "status" }, el("dl", { className: "facts" },
       fact("Sensors", String(on)), fact(this.changed ? "Cost" : `Cost (${proven})`, digits(cost, 2).replace(/\.00$/, "")),
-      fact("Targets covered", `${covered} of ${count}, ${digits((100 * covered) / Math.max(count, 1), 1)} %`), change),
+      fact("Targets covered", `${covered} of ${count}, ${digits((100 * covered) / Math.max(count, 1), 1)} %`), change)),
     el("div", { className: "row" },
       button(gain ? `Add best: covers ${gain} more` : "Nothing more can be covered", () => this.addBest(), { disabled: !gain, "data-do": "best" }),
       button("Undo", () => this.undo(), { disabled: !this.past.length, "data-do": "undo" }),

@@ -57,6 +57,7 @@ class RunPage {
     const words = { done: "The run is finished", stopped: "The run was stopped", failed: "The run failed", lost: "The run ended without saying how" };
     note(words[this.state.status] ?? "The run ended", this.state.status === "done" ? "good" : "bad");
     this.plan = null;
+    window.studio.refresh().catch(failed);
     this.evidence.replaceChildren(...(await evidenceParts(this.site)));
     this.show();
   }
