@@ -87,6 +87,7 @@ export class Ruler {
 
   draw(context) {
     this.drawScale();
+    if (this.active && this.view.mode !== "plan") this.turn(false);
     if (!this.active) return;
     const pixels = this.line.map(([x, y]) => this.view.project(x, y));
     const [colour, halo] = ["ink", "halo"].map(themeColour);

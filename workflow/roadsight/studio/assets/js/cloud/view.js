@@ -29,8 +29,7 @@ export class CloudView {
     this.tiles = new Tiles(stem, about, this.scene, this.material, () => this.draw());
     this.tiles.onerror = options.onerror;
     this.ondraw = options.ondraw ?? (() => {});
-    this.budget = BUDGET.first;
-    this.stats = { frames: [], points: 0 };
+    Object.assign(this, { budget: BUDGET.first, stats: { frames: [], points: 0 } });
     Object.assign(this, camerasOf(about.tiles, this.canvas, () => this.moved()));
     this.setMode("plan");
     this.resizing = new ResizeObserver(() => this.resize());
@@ -43,7 +42,6 @@ export class CloudView {
     const before = this.control;
     this.mode = mode;
     for (const [name, controls] of Object.entries(this.controls)) controls.enabled = name === mode;
-    if (this.ruler.active) this.ruler.turn(false);
     if (before && before !== this.control) this.lookFrom(before);
     this.draw();
   }
