@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 HELPERS = Path(__file__).with_name("report_page.js").read_text(encoding="utf-8")
-LOOKS = [(1280, 720, False), (1280, 720, True), (1600, 1000, False), (1600, 1000, True)]
+SIZES = ((1280, 720), (1600, 1000), (390, 844))
+LOOKS = [(*size, dark) for size in SIZES for dark in (False, True)]
 
 
 def open_studio(browser, studio, place="", ready="studio.page"):

@@ -204,4 +204,6 @@ FILES = ("plans.yaml", "sensors.yaml")
 
 
 def test_the_first_plans_are_known():
-    assert set(starter.FIRST_PLANS) <= set(load_plans(*(str(PROJECT / "config" / f) for f in FILES)))
+    assert set(starter.FIRST_PLANS) <= set(
+        load_plans(*(str(PROJECT / "config" / f) for f in FILES))
+    )

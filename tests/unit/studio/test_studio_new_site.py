@@ -17,9 +17,7 @@ UTM = wkt_of("EPSG:25832")
 
 @pytest.fixture
 def project(tmp_path, monkeypatch):
-    shutil.copytree(
-        PROJECT / "config", tmp_path / "config", ignore=shutil.ignore_patterns("sites")
-    )
+    shutil.copytree(PROJECT / "config", tmp_path / "config", ignore=shutil.ignore_patterns("sites"))
     (tmp_path / "config/sites").mkdir()
     (tmp_path / "Snakefile").touch()
     monkeypatch.chdir(tmp_path)

@@ -30,9 +30,7 @@ HEAD = "# Our road\nsite: tiny\nclouds: [x.laz]\njobs: [placement] # for now\n"
 @pytest.fixture(scope="module")
 def source(tmp_path_factory):
     root = tmp_path_factory.mktemp("project")
-    shutil.copytree(
-        PROJECT / "config", root / "config", ignore=shutil.ignore_patterns("sites")
-    )
+    shutil.copytree(PROJECT / "config", root / "config", ignore=shutil.ignore_patterns("sites"))
     (root / "config/sites").mkdir()
     (root / "Snakefile").touch()
     ReportSite(root / "results", "tiny", hidden=0.1)
@@ -148,9 +146,7 @@ def test_sensors_are_exported_where_they_stand_and_a_plan_reads_them(project, tm
     rows = layout.chosen.tolist()
 
     def export(kind):
-        return exported(
-            site, PLAN, layout, Export(version=layout.version, rows=rows, format=kind)
-        )
+        return exported(site, PLAN, layout, Export(version=layout.version, rows=rows, format=kind))
 
     name, content = export("csv")
     table = pd.read_csv(io.BytesIO(content))

@@ -23,9 +23,7 @@ SITES = {
 
 @pytest.fixture
 def project(tmp_path, monkeypatch):
-    shutil.copytree(
-        PROJECT / "config", tmp_path / "config", ignore=shutil.ignore_patterns("sites")
-    )
+    shutil.copytree(PROJECT / "config", tmp_path / "config", ignore=shutil.ignore_patterns("sites"))
     (tmp_path / "config/sites").mkdir()
     (tmp_path / "config/sites/z.laz").touch()
     (tmp_path / "Snakefile").touch()

@@ -224,7 +224,9 @@ class Project:
 def _reasons(site: SiteFolder) -> Iterator[tuple[str, str]]:
     """Why each page cannot work on a site, in a few words; empty where it can."""
     jobs = site.resolved.site.jobs
-    solved = any((site.results / f"placement/{p}/solution.json").exists() for p in site.resolved.plans)
+    solved = any(
+        (site.results / f"placement/{p}/solution.json").exists() for p in site.resolved.plans
+    )
     results = ("placement" in jobs and solved, "poles" in jobs and (site.results / _POLES).exists())
     cloud = "" if (site.results / CLOUD).exists() else "no cloud yet"
     images = "" if (site.results / _FRAMES).exists() else "no images yet"

@@ -74,7 +74,11 @@ def _changed(text: str, section: str, key: str, value: Value, within: str | None
         return ended if value is None else f"{ended}{section}:\n  {name_text}: {_scalar(value)}\n"
     name, inner = entry
     if not isinstance(inner, yaml.MappingNode):
-        return _replaced(text, inner, f"\n  {name_text}: {_scalar(value)}") if value is not None else text
+        return (
+            _replaced(text, inner, f"\n  {name_text}: {_scalar(value)}")
+            if value is not None
+            else text
+        )
     known = _entry(inner, key)
     if value is None:
         return _without(text, bool(root.flow_style), name, inner, known) if known else text

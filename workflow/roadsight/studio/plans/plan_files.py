@@ -210,7 +210,9 @@ def _further(site: SiteFolder, body: PlanBody) -> dict[str, Any]:
 
 
 def _defined(option: Any) -> Any:
-    return {k: v for k, v in option.items() if v is not None} if isinstance(option, dict) else option
+    return (
+        {k: v for k, v in option.items() if v is not None} if isinstance(option, dict) else option
+    )
 
 
 def remove_plan(project: Project, stem: str, name: str) -> list[str]:

@@ -1,7 +1,8 @@
 // The frame around the pages: token, site, theme, keys, and which page is shown.
 
 import { get, takeToken } from "./api.js";
-import { button, el, note, showKeys, typing } from "./dom.js";
+import { button, el, failed, note, showKeys, typing } from "./dom.js";
+import { newSite } from "./new_site.js";
 
 const PAGES = {
   edges: { title: "Road edges", load: () => import("./edges/page.js") },
@@ -112,7 +113,7 @@ async function start() {
   }
   if (studio.project.broken) note(studio.project.broken, "bad", 60);
   if (!studio.project.sites.length) {
-    main.replaceChildren(el("div", { className: "page" }, el("p", { className: "message" }, "No site yet. Write one with: roadsight init CLOUD")));
+    main.replaceChildren(el("div", { className: "page" }, el("p", { className: "message" }, "No site yet. Add a cloud above, or write one with: roadsight init CLOUD")));
     return;
   }
   await show();
@@ -122,6 +123,11 @@ takeToken();
 setTheme(localStorage.getItem(THEME) ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
 document.getElementById("theme").onclick = flipTheme;
 document.getElementById("help").onclick = () => showKeys({ ...KEYS, ...studio.page?.keys });
+document.getElementById("add").onclick = () => newSite(async (stem) => {
+  await refresh();
+  location.hash = addressOf("run", { stem });
+});
+addEventListener("planschange", () => refresh().catch(failed));
 addEventListener("hashchange", () => { takeToken(); show(); });
 addEventListener("keydown", onKey);
 await start();
