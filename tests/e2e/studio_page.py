@@ -34,6 +34,8 @@ def key(page, name, modifiers=0, code=""):
     """Press a key."""
     text = name if len(name) == 1 and not modifiers else ""
     event = {"key": name, "modifiers": modifiers, "code": code}
+    if name == "Escape":
+        event["windowsVirtualKeyCode"] = 27  # by which the browser itself closes a dialog
     page.call("Input.dispatchKeyEvent", type="keyDown", text=text, **event)
     page.call("Input.dispatchKeyEvent", type="keyUp", **event)
 

@@ -55,8 +55,8 @@ def test_a_what_if_becomes_a_plan_that_is_edited_and_removed(plan, project):
         goal.value = 'cover'; goal.dispatchEvent(new Event('change')); })()""")
     fill(plan, "plan-title", "With all targets")
     click(plan, "[data-do=save-plan]")
-    plan.until("!document.querySelector('dialog') && "
-               "document.querySelector('[data-do=edit-mine]').textContent.includes('all targets')")  # fmt: skip
+    plan.until("!document.querySelector('dialog')")
+    plan.until("document.querySelector('[data-do=edit-mine]')?.textContent === 'With all targets'")
     assert "budget" not in own_plans(project)["mine"]
     assert own_plans(project)["mine"]["mandatory"]["file"] == "tiny/mine.mandatory.csv"
     click(plan, "[data-do=remove-mine]")
@@ -68,6 +68,7 @@ def test_a_what_if_becomes_a_plan_that_is_edited_and_removed(plan, project):
 
 def test_what_is_wrong_with_a_plan_is_told_beside_it(plan, project):
     click(plan, "[data-do=save-as]")
+    plan.until("document.querySelector('dialog.form')")
     fill(plan, "plan-name", "mine")
     fill(plan, "mandatory-text", "here, there")
     click(plan, "[data-do=save-plan]")
@@ -155,8 +156,8 @@ def test_notes_leave_the_legend_free(plan):
     for size in ((1280, 720), (1440, 900), (390, 844)):
         set_size(plan, *size)
         boxes = plan.run("""['#notes', '.legend', '.scale'].map((one) => {
-            const { left, top, right, bottom } = document.querySelector(one).getBoundingClientRect();
-            return [left, top, right, bottom]; })""")
+            const box = document.querySelector(one).getBoundingClientRect();
+            return [box.left, box.top, box.right, box.bottom]; })""")
         note, *others = np.array(boxes)
         for box in others:
             assert (note[2:] <= box[:2]).any() or (box[2:] <= note[:2]).any(), (size, boxes)
@@ -179,6 +180,7 @@ def test_a_phone_scrolls_past_no_map(browser, studio, place):
 def test_the_form_fits_a_phone(plan):
     set_size(plan, 390, 844)
     click(plan, "[data-do=save-as]")
+    plan.until("document.querySelector('dialog.form')")
     inside = plan.run("""[...document.querySelectorAll('dialog *')].every((one) => {
         const { left, right } = one.getBoundingClientRect();
         return left >= 0 && right <= innerWidth; })""")

@@ -236,7 +236,9 @@ def test_the_image_is_shown_with_the_pole_marked(poles):
     poles.run("document.querySelector('[data-do=enlarge]').focus()")
     poles.call("Input.dispatchKeyEvent", type="keyDown", key="Enter", code="Enter", text="\r")
     poles.until("document.querySelector('dialog.large canvas')")
-    assert poles.run("document.querySelector('dialog.large canvas').getBoundingClientRect().width > 900")
+    assert poles.run(
+        "document.querySelector('dialog.large canvas').getBoundingClientRect().width > 900"
+    )
     key(poles, "Escape")
     poles.until("!document.querySelector('dialog')")
 

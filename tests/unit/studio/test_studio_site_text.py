@@ -112,7 +112,8 @@ def test_a_mapping_within_a_section_is_added_replaced_and_removed():
 
 
 def test_a_block_of_plans_keeps_its_comments():
-    text = "placement:\n  own_plans: # ours\n    # the first\n    a:\n      title: A\n      sensors: [x]\nz: 1\n"
+    plan = "    a:\n      title: A\n      sensors: [x]\n"
+    text = f"placement:\n  own_plans: # ours\n    # the first\n{plan}z: 1\n"
     added = with_value(text, "own_plans", "b", PLAN, within="placement")
     assert "# the first" in added and "# ours" in added
     assert list(yaml.safe_load(added)["placement"]["own_plans"]) == ["b", "a"]

@@ -1,4 +1,4 @@
-"""A site from a cloud on this machine: what `roadsight init` does, looked at before it is written."""
+"""A site from a cloud on this machine, as `roadsight init` makes it; looked at first."""
 
 from __future__ import annotations
 
@@ -51,7 +51,8 @@ def new_site(project: Project, asked: CloudBody) -> dict[str, Any]:
     path = SITES / f"{site_name(title)}.yaml"
     if path.exists():
         raise InputError("exists already", where=str(path), hint="choose another name")
-    starter = start_site([cloud], path, site_name(title), title, asked.given)
+    given = {str(key): value for key, value in asked.given.items()}
+    starter = start_site([cloud], path, site_name(title), title, given)
     resolve_site(yaml.safe_load(starter.text), path, project.config())
     if asked.write:
         with atomic_path(project.inside(path)) as temporary:
