@@ -51,9 +51,10 @@ class Form {
   list(part) {
     const { title, hint } = PLACES[part];
     const text = el("textarea", { rows: 4, "aria-label": `${title}: ${hint}`, "data-do": `${part}-text`, spellcheck: false });
-    const which = select({ none: "none" }, "none", () => { text.hidden = which.value !== "own"; }, { "aria-label": title, "data-do": part });
-    const element = el("div", { className: "field" }, el("span", {}, title), which, text, el("small", {}, hint));
-    return { which, text, element };
+    const lines = el("div", {}, text, el("small", {}, hint));
+    const which = select({ none: "none" }, "none", () => { lines.hidden = which.value !== "own"; }, { "aria-label": title, "data-do": part });
+    const element = el("div", { className: "field" }, el("span", {}, title), which, lines);
+    return { which, text, lines, element };
   }
 
   fill() {
@@ -62,13 +63,13 @@ class Form {
     [this.name.value, this.title.value] = [from.name || this.name.value, from.title || this.title.value];
     for (const box of this.boxes) box.firstChild.checked = from.sensors.includes(box.firstChild.value);
     [this.least.value, this.goal.value, this.amount.value] = [from.at_least ?? "", from.goal, from.amount ?? ""];
-    for (const [part, { which, text }] of Object.entries(this.lists)) {
+    for (const [part, { which, text, lines }] of Object.entries(this.lists)) {
       const kept = base?.[part] ? { keep: `those of ${base.name}` } : {};
       const options = { none: "none", ...kept, own: part === "forbidden" && base?.[part] ? `those of ${base.name} and these` : "these" };
       which.replaceChildren(...Object.entries(options).map(([value, label]) => el("option", { value }, label)));
       text.value = given[part] ? PLACES[part].write(given[part]) : "";
       which.value = given[part]?.length ? "own" : base?.[part] ? "keep" : "none";
-      text.hidden = which.value !== "own";
+      lines.hidden = which.value !== "own";
     }
     this.showAmount();
   }
