@@ -118,7 +118,7 @@ def _site(page: _Page | None, poles_page: _Page | None, identifier: str) -> dict
     """What the templates show of a site."""
     about = next(given for given in (page, poles_page) if given is not None)
     poles = None if poles_page is None else poles_view(poles_page)
-    scene = {"plans": [], "sensors": {}} if page is None else _scene(page)
+    scene = {"plans": [], "sensors": {}, "sketch": ""} if page is None else _scene(page)
     return {
         "id": identifier,
         "title": about["title"] or about["summary"]["site"],
@@ -146,8 +146,7 @@ def _scene(page: _Page) -> dict[str, Any]:
         "examined": _has(page, "proven_share"),
         "tolerance": _has(page, "tolerance"),
         "unexamined": bool(page["layers"].get("unexamined")),
-        "priced": len(set(costs)) > 1
-        or any(p["objective"] != len(p["sensors"]) for p in page["plans"]),
+        "priced": _is_priced(page),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
         "sketch": plan_sketch(page, best_plan(page["plans"])) if page["plans"] else "",
         "below": _below(page),
@@ -165,9 +164,10 @@ def _below(page: _Page) -> list[tuple[str, str]]:
     return [(name, _BELOW[name]) for name in names]
 
 
-def _priced(plans: Sequence[dict[str, Any]]) -> bool:
+def _is_priced(page: _Page) -> bool:
     """Whether costs tell anything that the number of sensors does not."""
-    return any(plan["objective"] != len(plan["sensors"]) for plan in plans)
+    costs = {sensor["cost"] for sensor in page["sensors"].values()}
+    return len(costs) > 1 or any(p["objective"] != len(p["sensors"]) for p in page["plans"])
 
 
 def _has(page: _Page, key: str) -> bool:
@@ -287,15 +287,19 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
         cards.append(("Pavement F1 score", f1, "against the reference"))
     if not page["plans"]:
         return cards
-    cards = [*_proven_card(page), *cards]
     candidates = page["layers"]["candidates"]
     positions = candidates["heights"]["count"]
-    cards.append(("Targets", wording.number(len(page["layers"]["targets"]["names"])), "to be seen"))
-    remark = f"at {wording.counted(positions, 'position')}"
-    cards.append(("Candidates", wording.number(candidates["total"]), remark))
     best = best_plan(page["plans"])
-    value = wording.counted(len(best["sensors"]), "sensor")
-    return [*cards, ("Fewest sensors", value, best["title"])]
+    count = wording.counted(len(best["sensors"]), "sensor")
+    first = [("Fewest sensors", count, best["title"]), *_proven_card(page)]
+    if _is_priced(page):
+        first.append(("Cost", wording.number(best["objective"]), best["title"]))
+    targets = len(page["layers"]["targets"]["names"])
+    unseen = len(best["gaps"])
+    remark = f"of {wording.number(targets)} to be seen"
+    first.append(("Targets not covered", wording.number(unseen) if unseen else "none", remark))
+    remark = f"at {wording.counted(positions, 'position')}"
+    return [*first, *cards, ("Candidates", wording.number(candidates["total"]), remark)]
 
 
 def _proven_card(page: dict[str, Any]) -> list[tuple[str, str, str]]:

@@ -143,7 +143,8 @@ class PlanCanvas {
   listenTools() {
     const { stage } = this;
     this.status = stage.querySelector("[data-coordinates]");
-    this.online = stage.querySelector("[data-online]");
+    this.online = Object.assign(document.createElement("a"), { target: "_blank", rel: "noopener noreferrer", textContent: "Online map" });
+    this.status.after(this.online);
     const actions = { in: () => this.zoom(1.4), out: () => this.zoom(1 / 1.4), fit: () => this.fit(), measure: () => this.measure() };
     stage.addEventListener("click", ({ target }) => actions[target.closest("[data-map]")?.dataset.map]?.());
   }
