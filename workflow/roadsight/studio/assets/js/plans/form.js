@@ -7,7 +7,7 @@ import { barredText, readBarred, readStanding, standingText } from "./places.js"
 const GOALS = { cover: "see every target, as cheaply as possible", sensors: "see most with so many sensors", cost: "see most for so much cost", price: "pay so much for a target unseen" };
 const PLACES = {
   mandatory: { title: "Mandatory places", hint: "a line each: x, y, sensor, height in m (x and y as in the cloud's files)", write: standingText, read: readStanding },
-  forbidden: { title: "Forbidden places", hint: "a line each: x, y, half the side of the square in m; they are added to those of the plan it starts from", write: barredText, read: readBarred },
+  forbidden: { title: "Forbidden places", hint: "a line each: x, y, half the side of the square in m; they are added to those of the plan that it is based on", write: barredText, read: readBarred },
 };
 
 // base: name of the plan it starts from; edit: whether that plan itself is changed; given: fields and
@@ -42,7 +42,7 @@ class Form {
     const sensors = el("fieldset", {}, el("legend", {}, "Sensors that it may place (cost)"), el("div", { className: "boxes" }, this.boxes));
     return el("form", { onsubmit: (event) => { event.preventDefault(); this.save(); } },
       el("h1", {}, this.edit ? `Plan ${this.base.name}` : "New plan of this site"),
-      field("Name: a-z, 0-9, - and _", this.name), field("Title", this.title), field("Starts from", this.start), sensors,
+      field("Name: a-z, 0-9, - and _", this.name), field("Title", this.title), field("Based on", this.start), sensors,
       field("Sensors that must see each target", this.least), field("Goal", this.goal, this.amount),
       Object.values(this.lists).map(({ element }) => element), this.told,
       el("div", { className: "row" }, el("button", { type: "submit", className: "primary", "data-do": "save-plan" }, "Save in the site file"), button("Cancel", () => this.dialog.close())));
