@@ -50,7 +50,7 @@ SAME_PLACE = 0.5
 of other places reached 0.43, of the next sensors in one tunnel 0.85, of the place itself 0.99."""
 SAME_STRUCTURE = 0.3
 """The same of beams that end on anything but level ground, which is alike anywhere: 0.2 on another
-street as level as this, 0.6 and more with a truck in the way."""
+street as level as this, nearly 1 at the place itself."""
 _FEWEST_BEAMS = 2
 """Beams of the measured scan that must reach a target: rows lie a little beside where they were
 planned, so that fewer meet a target than the plan counts."""
