@@ -13,9 +13,9 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.io.raster.rasters import Raster
 from roadsight.report.handover.styles import Category, Style
-from roadsight.report.site.sights import bearing_deg, longitudes_latitudes
 
 _SEEN = (
     Category("0", "seen by none", "#dc2626"),

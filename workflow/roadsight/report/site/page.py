@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.report.packing import pack, pack_points
 from roadsight.report.site.backdrops import Backdrop
 from roadsight.report.site.cautions import (
@@ -33,7 +34,7 @@ from roadsight.report.site.layers import (
     target_layer,
 )
 from roadsight.report.site.options_view import goal_proven
-from roadsight.report.site.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
+from roadsight.report.site.sights import Sights, sights_of
 from roadsight.report.site.tolerance_view import lost_classes
 
 FORMAT = "roadsight.page/1"

@@ -15,6 +15,7 @@ from scipy import sparse
 from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.io.vector.vectors import read_layer, write_layers
@@ -87,11 +88,11 @@ def solve_cover(arguments: argparse.Namespace) -> None:
         chosen = set(sensors[["sensor", "candidate"]].apply(tuple, axis=1))
         wanted["availability"] = availability(detections, chosen, wanted["target"])
         content["availability"] = described(wanted["availability"].to_numpy())
-    layers = {"sensors": _points(sensors), "targets": _points(wanted)}
+    layers = {"sensors": _points(_located(sensors, frame)), "targets": _points(wanted)}
     if answered is not None:
         content |= _option_content(answered, sensors)
         layers |= _option_layers(answered, candidates, choices)
-        layers["sensors"] = _points(sensors)
+        layers["sensors"] = _points(_located(sensors, frame))
     write_layers(arguments.layers, layers, frame, dict.fromkeys(layers, "Point Z"))
     _tell(arguments, content, candidates)
     write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
@@ -379,6 +380,20 @@ def _proven_area(targets: pd.DataFrame, at_least: int) -> dict[str, float]:
     needed = targets.get("needed", at_least)
     enough = targets["sensors"] >= np.maximum(needed, 1)
     return {"proven_area_m2": float(targets.loc[enough, "area_m2"].sum())}
+
+
+def _located(sensors: pd.DataFrame, frame: Frame) -> pd.DataFrame:
+    """The sensors' layer: number, azimuth clockwise from grid north, and where they are on a globe.
+
+    The number is that of the report, from 1.
+    """
+    table = sensors.copy()
+    table.insert(0, "number", np.arange(1, len(table) + 1))
+    table["azimuth_deg"] = [bearing_deg(float(yaw)) for yaw in table["yaw_deg"]]
+    degrees = longitudes_latitudes(frame, table[["x", "y"]].to_numpy(np.float64))
+    unknown = np.full((len(table), 2), np.nan)
+    table[["longitude", "latitude"]] = unknown if degrees is None else degrees
+    return table
 
 
 def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
