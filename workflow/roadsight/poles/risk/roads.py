@@ -77,6 +77,8 @@ class Road:
         which way the measure runs, in words.
     xy_m : (n, 2) every `STEP_M`. station_m : (n,) ascending.
     left_m, right_m : (n,) distance from the centreline to the edge, NaN where none was found.
+    noise_m : how much midways between edges, a vertex each, scatter about the centreline; NaN
+        without edges.
     """
 
     name: str
@@ -86,6 +88,7 @@ class Road:
     station_m: Floats
     left_m: Floats
     right_m: Floats
+    noise_m: float = float("nan")
 
     @property
     def start_m(self) -> float:
@@ -230,6 +233,7 @@ def road_along(
     """
     line = resampled(line_m, STEP_M)
     left = right = np.full(len(line), np.nan)
+    noise = float("nan")
     if len(edges_m):
         tree = cKDTree(edges_m[:, :2])
         for _ in range(2):
@@ -241,11 +245,14 @@ def road_along(
         line = _smooth(line)
         middle, half = _between(line, edges_m[:, :2], tree)
         left, right = half - middle, half + middle
+        known = middle[np.isfinite(half)]
+        if len(known):
+            noise = 1.4826 * float(np.median(np.abs(known - np.median(known))))
     station = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
     if measures_m is not None:
         low, high = measures_m
         station = low + station * (high - low) / station[-1]
-    return Road(name, drives or (name,), measured, line, station, left, right)
+    return Road(name, drives or (name,), measured, line, station, left, right, noise)
 
 
 def resampled(line_m: Floats, step_m: float) -> Floats:
