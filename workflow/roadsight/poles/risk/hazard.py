@@ -303,7 +303,8 @@ def _zones(
     known: pd.DataFrame,
 ) -> pd.DataFrame:
     """Clear zones: clear_zone_m (greatest for the measured slope), sure_m (least for it), least_m and
-    greatest_m (within one sigma of the slope too), factor (of the bend), runout_m (added)."""
+    greatest_m (within one sigma of the slope too), factor (of the bend), runout_m (added).
+    """
     rows = []
     for number in range(len(slope)):
         speed = (known["speed_low_kmh"].iloc[number], known["speed_high_kmh"].iloc[number])
@@ -316,7 +317,9 @@ def _zones(
             sure = zone = float(clear_zone_m(speed[1], aadt[1], [np.nan])[0])
             sure = float(clear_zone_m(speed[0], aadt[0], [np.nan])[0])
         more = runout_width_m(sections[number], zone)
-        least, greatest = clear_zone_range(speed, aadt, (own - spread, own + spread), radius, outside)
+        least, greatest = clear_zone_range(
+            speed, aadt, (own - spread, own + spread), radius, outside
+        )
         factor = float(curve_factor([radius], speed[1], [outside])[0])
         ends = (zone + more, sure + more, min(least, sure) + more, max(greatest, zone) + more)
         rows.append((*ends, factor, more))

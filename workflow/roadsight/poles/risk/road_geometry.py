@@ -184,9 +184,7 @@ def _cross_slopes(road: Road, station: float, height: Height | None) -> tuple[fl
     return found[0], found[1], max(sigmas, default=nan)
 
 
-def _fit(
-    x: Floats, y: Floats, degree: int, sigma: float = float("nan")
-) -> tuple[Floats, Floats]:
+def _fit(x: Floats, y: Floats, degree: int, sigma: float = float("nan")) -> tuple[Floats, Floats]:
     """Polynomial by least squares: coefficients from the constant up, and their covariance.
 
     Parameters

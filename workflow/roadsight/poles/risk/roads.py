@@ -190,9 +190,7 @@ class Roads:
         return Located(self._road[piece], station, offset, foot, direction)
 
 
-def roads_of(
-    tracks: RouteTracks, edges_m: Floats, names: Sequence[str] | None = None
-) -> Roads:
+def roads_of(tracks: RouteTracks, edges_m: Floats, names: Sequence[str] | None = None) -> Roads:
     """Roads that drives follow.
 
     Parameters

@@ -170,7 +170,15 @@ def station_sections(
                 if section is not None:
                     name = f"{road.name} {stations[row]:.0f} {word}"
                     found.append(
-                        (name, number, float(stations[row]), side, edges[row], outward[row], section)
+                        (
+                            name,
+                            number,
+                            float(stations[row]),
+                            side,
+                            edges[row],
+                            outward[row],
+                            section,
+                        )
                     )
     return found
 

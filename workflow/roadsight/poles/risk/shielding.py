@@ -94,9 +94,7 @@ def barriers_along(
             side = 1 if at.offset_m[rows[0]] > 0 else -1
             ends = places[rows[[0, -1]]]
             road_number = int(at.road[rows[0]])
-            found.append(
-                Barrier(name, road_number, side, at.station_m[rows], offset[rows], ends)
-            )
+            found.append(Barrier(name, road_number, side, at.station_m[rows], offset[rows], ends))
     return found, lost
 
 
