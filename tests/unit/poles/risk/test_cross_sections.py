@@ -131,9 +131,8 @@ def test_a_compound_foreslope_keeps_its_steep_part():
 
 
 def test_steepest_window_is_that_of_every_window():
-    pieces = fit_pieces(
-        binned_profile(RUN, bent((0, 0), (2, -0.1), (3, -0.6), (4, -0.5), (8.1, 0)))
-    )
+    heights = bent((0, 0), (2, -0.1), (3, -0.6), (4, -0.5), (8.1, 0))
+    pieces = fit_pieces(binned_profile(RUN, heights))
     starts = np.arange(0, 6.5, 0.01)
     slow = ((pieces.height_m(starts + 1.5) - pieces.height_m(starts)) / 1.5).min()
     assert steepest(pieces)[0] == pytest.approx(slow, abs=2e-3)

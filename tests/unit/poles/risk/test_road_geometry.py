@@ -79,9 +79,8 @@ def test_a_straight_level_road_without_edges_or_heights():
     assert np.isinf(geometry["radius_m"]).all()
     assert (geometry["bend"] == "straight").all()
     assert (geometry["heading_deg"] == 90).all()
-    assert (
-        geometry[["grade_percent", "paved_width_m", "cross_slope_left_percent"]].isna().all().all()
-    )
+    unknown = ["grade_percent", "paved_width_m", "cross_slope_left_percent"]
+    assert geometry[unknown].isna().all().all()
 
 
 def test_exact_circles_and_measures_that_are_longer_than_the_plan():

@@ -73,7 +73,7 @@ def test_sides_hold_without_edges_too(site, frames):
 
 
 def test_a_line_with_measures_is_the_measure(site, edges):
-    station, offset, xy = posts(site)
+    station, _, xy = posts(site)
     at = np.arange(0, site.length_m + 1, 5.0)
     road = road_along(
         site.line.plan(at, 0.4)[::-1], edges, "sr1427", measures_m=(8000.0 + site.length_m, 8000.0)

@@ -95,19 +95,8 @@ def clear_zone_m(design_speed_kmh: float, aadt: float, slope: ArrayLike) -> Floa
 
 
 _CURVE_RADII_M = (
-    900.0,
-    700.0,
-    600.0,
-    500.0,
-    450.0,
-    400.0,
-    350.0,
-    300.0,
-    250.0,
-    200.0,
-    150.0,
-    100.0,
-)
+    900.0, 700.0, 600.0, 500.0, 450.0, 400.0, 350.0, 300.0, 250.0, 200.0, 150.0, 100.0,
+)  # fmt: skip
 """Rows of the guide's table 3.2. Wider bends than 900 m need no adjustment."""
 _CURVE_SPEEDS_KMH = (60.0, 70.0, 80.0, 90.0, 100.0, 110.0)
 """Its columns."""

@@ -10,8 +10,8 @@ Rating, first rule that applies:
   or beyond a foreslope steeper than 1V:3H;
 - low: otherwise. ``unknown`` where no road edge is near.
 
-The foreslope is the steepest straight piece of the cross-section before the object, not the straight
-line from edge to object. Where speed or traffic is unknown the clear zone is a range: high asks for
+The foreslope is the steepest straight piece of the cross-section before the object, not the line
+from edge to object. Where speed or traffic is unknown the clear zone is a range: high asks for
 the least, medium for the greatest clear zone of the range.
 """
 
@@ -173,7 +173,7 @@ def rate_poles(
     Returns
     -------
     columns `HAZARD_COLUMNS` and `ROADSIDE_COLUMNS`, rows as ``poles``. ``offset_m`` is negative on
-    the road; ``side`` and ``station_m`` are those of ``route``, whose measure both directions share.
+    the road; ``side`` and ``station_m`` are along ``route``, whose measure both directions share.
     """
     known = surroundings or Surroundings(roads_of(tracks, edges_m), height)
     return rate_roadside(poles, edges_m, tracks, known, settings).table
@@ -302,8 +302,12 @@ def _zones(
     bends: pd.DataFrame,
     known: pd.DataFrame,
 ) -> pd.DataFrame:
-    """Clear zones: clear_zone_m (greatest for the measured slope), sure_m (least for it), least_m and
-    greatest_m (within one sigma of the slope too), factor (of the bend), runout_m (added).
+    """Clear zone of each object.
+
+    Returns
+    -------
+    clear_zone_m (greatest for the measured slope), sure_m (least for it), least_m and greatest_m
+    (within one sigma of the slope too), factor (of the bend), runout_m (added)
     """
     rows = []
     for number in range(len(slope)):
@@ -317,9 +321,8 @@ def _zones(
             sure = zone = float(clear_zone_m(speed[1], aadt[1], [np.nan])[0])
             sure = float(clear_zone_m(speed[0], aadt[0], [np.nan])[0])
         more = runout_width_m(sections[number], zone)
-        least, greatest = clear_zone_range(
-            speed, aadt, (own - spread, own + spread), radius, outside
-        )
+        slopes = (own - spread, own + spread)
+        least, greatest = clear_zone_range(speed, aadt, slopes, radius, outside)
         factor = float(curve_factor([radius], speed[1], [outside])[0])
         ends = (zone + more, sure + more, min(least, sure) + more, max(greatest, zone) + more)
         rows.append((*ends, factor, more))
@@ -428,7 +431,7 @@ def _routes(roads: Roads, located: Located) -> NDArray[np.object_]:
 
 
 def _described(sections: list[CrossSection | None]) -> dict[str, NDArray]:
-    """Columns that tell the cross-section of each object; NaN without one, 0 for what is not there."""
+    """Columns that tell each object's cross-section; NaN without one, 0 for what is not there."""
     nan = float("nan")
     rows = []
     for section in sections:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import Floats, Ints, Numbers
 from roadsight.base.errors import InputError
 from roadsight.poles.risk.clear_zone import AADT_RANGE, SPEED_RANGE_KMH
 from roadsight.poles.risk.roads import Road
@@ -67,7 +67,7 @@ class Inventory:
         own = self.segments[self.segments["route"] == route]
         for row, low, high in zip(own.index, own["from_m"], own["to_m"], strict=True):
             number[(number < 0) & (station >= low) & (station <= high)] = row
-        found = {"segment": number}
+        found: dict[str, Numbers] = {"segment": number}
         for name, limits in (("speed", SPEED_RANGE_KMH), ("aadt", AADT_RANGE)):
             column, unit = ("speed_kmh", "_kmh") if name == "speed" else ("aadt", "")
             values = self._values(column, number)
@@ -76,7 +76,7 @@ class Inventory:
         found["lanes"] = self._values("lanes", number)
         return pd.DataFrame(found)
 
-    def _values(self, column: str, number: Floats) -> Floats:
+    def _values(self, column: str, number: Ints) -> Floats:
         known = self.segments[column].to_numpy(np.float64)
         values = np.full(len(number), np.nan)
         values[number >= 0] = known[number[number >= 0]]

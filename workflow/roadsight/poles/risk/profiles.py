@@ -10,6 +10,7 @@ Statistics in Medicine 22, 2003); where two pieces do not meet there is a step: 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -177,10 +178,7 @@ def _cuts(profile: Profile, most: int) -> Ints:
 def _steps(profile: Profile, cuts: Ints) -> Floats:
     """Whether the lines either side of each cut fail to meet near it, (k,) bool."""
     bounds = np.concatenate([[0], cuts, [len(profile)]]).astype(int)
-    lines = [
-        np.polyfit(profile.run_m[a:b], profile.height_m[a:b], 1)
-        for a, b in zip(bounds[:-1], bounds[1:], strict=True)
-    ]
+    lines = [np.polyfit(profile.run_m[a:b], profile.height_m[a:b], 1) for a, b in pairwise(bounds)]
     found = np.zeros(len(cuts), bool)
     for number, row in enumerate(cuts):
         (slope, level), (later, beyond) = lines[number], lines[number + 1]

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.risk.roads import Road
 
 Height = Callable[[Floats, Floats], Floats]
@@ -89,7 +89,7 @@ def road_geometry(road: Road, height: Height | None, every_m: float = 5.0) -> pd
     return pd.DataFrame(dict(zip(COLUMNS, columns, strict=True)))
 
 
-def _near(road: Road, station: float, half_m: float) -> Floats:
+def _near(road: Road, station: float, half_m: float) -> Ints:
     """Rows of the centreline near a station; at the ends the window shifts inwards."""
     middle = np.clip(station, road.start_m + half_m, max(road.end_m - half_m, road.start_m))
     return np.flatnonzero(np.abs(road.station_m - middle) <= half_m)
@@ -139,7 +139,7 @@ def _mean_heights(road: Road, stations: Floats, height: Height) -> Floats:
     return np.mean([np.asarray(height(p[:, 0], p[:, 1]), np.float64) for p in rows], axis=0)
 
 
-def _plan_per_measure(road: Road, rows: Floats) -> float:
+def _plan_per_measure(road: Road, rows: Ints) -> float:
     plan = np.hypot(*np.diff(road.xy_m[rows], axis=0).T).sum()
     return float(plan / (road.station_m[rows[-1]] - road.station_m[rows[0]]))
 
@@ -197,4 +197,5 @@ def _fit(x: Floats, y: Floats, degree: int, sigma: float = float("nan")) -> tupl
     variance = float(left @ left) / max(len(x) - degree - 1, 1)
     if np.isfinite(sigma):
         variance = max(variance, sigma**2)
-    return fitted, _CORRELATION * variance * np.linalg.pinv(design.T @ design)
+    covariance = _CORRELATION * variance * np.linalg.pinv(design.T @ design)
+    return np.asarray(fitted, np.float64), np.asarray(covariance, np.float64)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 from scipy.signal import savgol_filter
@@ -136,12 +137,10 @@ class Roads:
         ends = [road.xy_m[1:] for road in self.roads]
         self._start = np.concatenate(starts) if starts else np.empty((0, 2))
         self._end = np.concatenate(ends) if ends else np.empty((0, 2))
-        self._road = np.concatenate(
-            [np.full(len(s), n) for n, s in enumerate(starts)] or [np.empty(0)]
-        ).astype(np.int64)
-        self._row = np.concatenate([np.arange(len(s)) for s in starts] or [np.empty(0)]).astype(
-            np.int64
-        )
+        lengths = [len(one) for one in starts]
+        self._road = np.repeat(np.arange(len(starts)), lengths).astype(np.int64)
+        rows = [np.arange(length, dtype=np.int64) for length in lengths]
+        self._row = np.concatenate(rows) if rows else np.empty(0, np.int64)
         self._tree = cKDTree((self._start + self._end) / 2) if len(self._start) else None
 
     def __len__(self) -> int:
@@ -278,7 +277,7 @@ def _length_m(line: Floats | None) -> float:
 def _groups(lines: Sequence[Floats | None]) -> list[list[int]]:
     """Numbers of the drives of each road, by the first of them."""
     owner = list(range(len(lines)))
-    for a, b in [(a, b) for a in range(len(lines)) for b in range(a)]:
+    for b, a in combinations(range(len(lines)), 2):
         one, other = lines[a], lines[b]
         if one is not None and other is not None and _beside(one, other):
             low, high = sorted((owner[a], owner[b]))
@@ -292,9 +291,7 @@ def _groups(lines: Sequence[Floats | None]) -> list[list[int]]:
 
 def _beside(a_m: Floats, b_m: Floats) -> bool:
     """Whether much of the shorter of two drives runs beside the other."""
-    short, long = sorted(
-        (resampled(a_m, 5.0), resampled(b_m, 5.0)), key=lambda line: _length_m(line)
-    )
+    short, long = sorted((resampled(a_m, 5.0), resampled(b_m, 5.0)), key=_length_m)
     apart, row = cKDTree(long).query(short)
     cosine = np.abs((_ways(short) * _ways(long)[row]).sum(axis=1))
     near = (apart <= BESIDE_M) & (cosine >= np.cos(np.radians(_BESIDE_DEG)))

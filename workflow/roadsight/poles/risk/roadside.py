@@ -136,7 +136,7 @@ def own_edges(
 def object_sections(
     surroundings: Surroundings, edge_m: Floats, outward: Floats, offset_m: Floats
 ) -> list[CrossSection | None]:
-    """Cross-section at each object, to beyond it; None where nothing is known or no edge is near."""
+    """Cross-section at each object, to beyond it; None where nothing is known."""
     found: list[CrossSection | None] = []
     for edge, way, offset in zip(edge_m, outward, offset_m, strict=True):
         if not (np.isfinite(edge).all() and np.isfinite(way).all() and np.isfinite(offset)):
@@ -313,7 +313,7 @@ def first_trouble_m(section: CrossSection | None) -> float:
 def nearest_ahead_m(
     road: Ints, side: Ints, station_m: Floats, offset_m: Floats, counted: Bools, window_m: float
 ) -> Floats:
-    """Least offset of the counted objects of the same side within a window, each; infinite if none."""
+    """Least offset of the counted objects of the same side within a window; infinite if none."""
     least = np.full(len(road), np.inf)
     for number in range(len(road)):
         near = (

@@ -87,10 +87,10 @@ def barriers_along(
             continue
         key = np.where(near, 2 * at.road + (at.side > 0), -1)
         cuts = np.flatnonzero(np.diff(key)) + 1
-        for rows in np.split(np.arange(len(places)), cuts):
-            if key[rows[0]] < 0 or len(rows) < 2:
+        for part in np.split(np.arange(len(places)), cuts):
+            if key[part[0]] < 0 or len(part) < 2:
                 continue
-            rows = rows[np.argsort(at.station_m[rows], kind="stable")]
+            rows = part[np.argsort(at.station_m[part], kind="stable")]
             side = 1 if at.offset_m[rows[0]] > 0 else -1
             ends = places[rows[[0, -1]]]
             road_number = int(at.road[rows[0]])

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from roadsight.poles.risk.hazard import ROADSIDE_COLUMNS
 from roadsight.report import wording
 from roadsight.report.poles import published
 from roadsight.report.poles.poles_charts import (
@@ -40,7 +41,11 @@ _HAZARD_TITLES = {
     "slope_class": "Slope",
     "objects_per_km": "Fixed objects per km",
 }
-_HAZARD_HIDDEN = {"x", "y", "z", "latitude", "longitude", "station_m"}
+_HAZARD_TOLD = {"rank", "route", "shielded", "hazard_rating_1_to_7", "foreslope_ratio", "reasons"}
+"""Of the roadside columns, what the report's table shows; hazard.csv has all of them."""
+_HAZARD_HIDDEN = {"x", "y", "z", "latitude", "longitude", "station_m"} | (
+    set(ROADSIDE_COLUMNS) - _HAZARD_TOLD
+)
 _RATINGS = ("high", "medium", "low", "unknown")
 
 
