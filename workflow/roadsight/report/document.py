@@ -10,12 +10,14 @@ import numpy as np
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.io.records.run_records import RunRecord
 from roadsight.placement.sensors.sensors import KINDS
 from roadsight.report import wording
 from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES
 from roadsight.report.parameters import figure_rows, setting_groups
 from roadsight.report.poles.poles_page import FORMAT as POLES_FORMAT
 from roadsight.report.poles.poles_view import poles_cards, poles_view
+from roadsight.report.result_files import ResultFile
 from roadsight.report.site.effects import effect_rows
 from roadsight.report.site.page import FORMAT
 from roadsight.report.site.plan_view import best_plan, plan_views
@@ -34,6 +36,8 @@ def render_report(
     plotly_js: str,
     version: str,
     evidence: Mapping[str, str] | None = None,
+    runs: Mapping[str, RunRecord] | None = None,
+    files: Mapping[str, Sequence[ResultFile]] | None = None,
 ) -> str:
     """HTML of the report; the same pages give the same text.
 
@@ -44,6 +48,7 @@ def render_report(
     assets : text of the files named in `ASSETS`.
     plotly_js : source of plotly.js.
     evidence : titles of further pages and their addresses from the report, for links.
+    runs, files : by site, when and by what it was made, and the files that people open.
 
     Raises
     ------
@@ -61,6 +66,8 @@ def render_report(
         plotly=plotly_js,
         version=version,
         evidence=evidence or {},
+        runs={site: run.rows() for site, run in (runs or {}).items()},
+        files=files or {},
         rows=_ROWS_SHOWN,
     )
 
@@ -128,11 +135,18 @@ def _scene(page: _Page) -> dict[str, Any]:
         "examined": _has(page, "proven_share"),
         "tolerance": _has(page, "tolerance"),
         "unexamined": bool(page["layers"].get("unexamined")),
+        "priced": len(set(costs)) > 1
+        or any(p["objective"] != len(p["sensors"]) for p in page["plans"]),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
         **_cloud(page),
         **_evidence(page),
         "data": embedded(_drawn(page)),
     }
+
+
+def _priced(plans: Sequence[dict[str, Any]]) -> bool:
+    """Whether costs tell anything that the number of sensors does not."""
+    return any(plan["objective"] != len(plan["sensors"]) for plan in plans)
 
 
 def _has(page: _Page, key: str) -> bool:

@@ -131,6 +131,7 @@ rule write_report:
     input:
         pages=site_pages(),
         poles_pages=pole_pages(),
+        handed_over=[*printed_reports(), *handovers()],
         assets=REPORT_ASSETS,
         code=sources("write_report"),
     output:
