@@ -173,6 +173,26 @@ class Hazard(Section):
     design_speed_kmh: Positive = Field(default=80.0, description="design speed of the road, km/h")
     aadt: Positive = Field(default=3000.0, description="vehicles a day")
     window_m: Metres = Field(default=100.0, description="length over which objects are counted, m")
+    dense_per_km: Positive = Field(
+        default=40.0, description="more objects a kilometre make those in the clear zone high"
+    )
+    clear_zone_m: float = Field(
+        default=0.0, ge=0, le=100, description="your own clear zone, m; 0: by the guide's table"
+    )
+    runout_length_m: float = Field(
+        default=0.0, ge=0, le=500, description="your own runout length, m; 0: by the guide's table"
+    )
+    deflection_m: Metres = Field(default=1.0, description="barriers give way so far, m")
+    bend_outside: float = Field(
+        default=4.0,
+        ge=1,
+        le=20,
+        description="times more leave outside of tight bends (from memory)",
+    )
+    bend_inside: float = Field(default=2.0, ge=1, le=20, description="the same inside of them")
+    downhill: float = Field(
+        default=2.0, ge=1, le=20, description="the same on steep descents (from memory)"
+    )
 
 
 class Validation(Section):

@@ -6,11 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.poles.risk.roadside_rating import (
+    Encroachments,
     curve_encroachments,
     exposure,
     fixed_objects,
     grade_encroachments,
     hazard_rating,
+    leaving,
     offset_factor,
     rank_of,
     rating_factor,
@@ -56,6 +58,8 @@ def test_factors_of_the_manual():
     feet = np.array([2, 5, 10, 15, 20, 25, 30.0])
     values = [0.232, 0.133, 0.087, 0.068, 0.057, 0.049, 0.044]
     assert offset_factor(0.3048 * feet) == pytest.approx(values)
+    # Fit of the manual's own spreadsheet.
+    assert offset_factor(0.3048 * feet) == pytest.approx(0.3566 * feet**-0.614, abs=0.001)
     assert offset_factor(0.0) == pytest.approx(0.232)
     assert offset_factor(15.0) < 0.044
 
@@ -65,9 +69,11 @@ def test_encroachments_on_bends_and_grades():
     assert curve_encroachments(radii, [True] * 6) == pytest.approx([4, 4, 2.5, 1, 1, 1])
     assert curve_encroachments([200], [False]) == pytest.approx([2])
     assert grade_encroachments([0.06, -0.02, -0.04, -0.1, NAN]) == pytest.approx([1, 1, 1.5, 2, 1])
-    straight = exposure(2000, 3.048, np.inf, False, 0.0)
+    straight = exposure(2000, leaving(3.048, np.inf, False, 0.0))
     assert straight == pytest.approx(1000 * 0.087)
-    assert exposure(2000, 3.048, 200, True, -0.08) == pytest.approx(8 * straight)
+    assert exposure(2000, leaving(3.048, 200, True, -0.08)) == pytest.approx(8 * straight)
+    own = leaving(3.048, 200, True, -0.08, Encroachments(1.0, 1.0, 1.0))
+    assert own == pytest.approx(0.087)
 
 
 def test_objects_close_together_are_one():
@@ -85,3 +91,9 @@ def test_objects_close_together_are_one():
 def test_ranks():
     ratings = ["low", "high", "high", "unknown", "medium"]
     assert rank_of(ratings, [1, 6, 6, 0, 4], [90, 10, 20, NAN, 50]).tolist() == [4, 2, 1, 5, 3]
+
+
+def test_objects_of_unknown_exposure_come_after_the_others_of_their_rating():
+    ratings = ["high", "high", "high", "low"]
+    ranks = rank_of(ratings, [6, 6, 6, 1], [NAN, 10, NAN, 99], [0.3, 0.1, 0.5, 0.1])
+    assert ranks.tolist() == [3, 1, 2, 4]

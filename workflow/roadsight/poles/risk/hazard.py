@@ -46,9 +46,11 @@ from roadsight.poles.risk.roadside import (
     runout_width_m,
 )
 from roadsight.poles.risk.roadside_rating import (
+    Encroachments,
     exposure,
     fixed_objects,
     hazard_rating,
+    leaving,
     offset_factor,
     rank_of,
     rating_factor,
@@ -103,7 +105,8 @@ ROADSIDE_COLUMNS = [
     "radius_m",
     "grade_percent",
     "paved_width_m",
-    "exposure_vehicles_per_day",
+    "exposure_least_vehicles_per_day",
+    "exposure_greatest_vehicles_per_day",
     "hsm_rating_factor",
     "hsm_offset_factor",
     "hsm_objects_per_mile",
@@ -127,6 +130,9 @@ class HazardSettings:
     dense_per_km : objects a kilometre that make poles inside the clear zone a high hazard.
     edge_reach_m : a road edge further away is not the pole's.
     sample_m : spacing of height samples between edge and pole.
+    clear_zone_m, runout_length_m : given instead of the guide's tables; 0: by the tables.
+    deflection_m : how far barriers give way. bend_outside, bend_inside, downhill : see
+        `Encroachments`.
     """
 
     design_speed_kmh: float = 80.0
@@ -135,6 +141,12 @@ class HazardSettings:
     dense_per_km: float = 40.0
     edge_reach_m: float = 30.0
     sample_m: float = 0.5
+    clear_zone_m: float = 0.0
+    runout_length_m: float = 0.0
+    deflection_m: float = 1.0
+    bend_outside: float = 4.0
+    bend_inside: float = 2.0
+    downhill: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -201,9 +213,9 @@ def rate_roadside(
     slope, sigma_slope = np.array(governing, np.float64).reshape(n, 2).T
     bends = bends_at(surroundings, located)
     known = _known_traffic(surroundings, located, settings)
-    zone = _zones(slope, sigma_slope, sections, bends, known)
+    zone = _zones(slope, sigma_slope, sections, bends, known, settings.clear_zone_m)
     sigma_m = np.nan_to_num(poles["sigma_major_m"].to_numpy(np.float64))
-    shield = _shields(surroundings, located, offset_m, zone, known, bends)
+    shield = _shields(surroundings, located, offset_m, zone, known, bends, settings)
     shielded = np.array([status == "full" for status, _, _ in shield], bool)
     inside = (offset_m <= zone["clear_zone_m"].to_numpy()) if n else np.zeros(0, bool)
     density = _density(surroundings.roads, located, inside & ~shielded, settings.window_m)
@@ -214,13 +226,15 @@ def rate_roadside(
     travel = np.where(located.side >= 0, 1.0, -1.0)
     if surroundings.left_hand_traffic:
         travel = -travel
-    exposed = exposure(
-        known["aadt_high"].to_numpy() if n else np.zeros(0),
+    weight = leaving(
         offset_m,
         bends["radius_m"].to_numpy(),
         bends["outside"].to_numpy(),
         bends["grade"].to_numpy() * travel,
+        Encroachments(settings.bend_outside, settings.bend_inside, settings.downhill),
     )
+    least, most = (exposure(known[f"aadt_{end}"].to_numpy(), weight) for end in ("low", "high"))
+    exposed = np.where(least == most, most, np.nan)
     hsm = _hsm(located, surroundings.roads, offset_m, ~shielded)
     table = pd.DataFrame(
         {
@@ -233,7 +247,7 @@ def rate_roadside(
             "station_m": located.station_m,
             "objects_per_km": density,
             "rating": rating,
-            "rank": rank_of(rating, rhr[:, 0], exposed),
+            "rank": rank_of(rating, rhr[:, 0], exposed, weight),
             "route": _routes(surroundings.roads, located),
             "shielded": np.array([status for status, _, _ in shield], object),
             "barrier_offset_m": np.array([offset for _, offset, _ in shield], np.float64),
@@ -252,7 +266,8 @@ def rate_roadside(
             "radius_m": bends["radius_m"].to_numpy(),
             "grade_percent": 100 * bends["grade"].to_numpy(),
             "paved_width_m": bends["paved_width_m"].to_numpy(),
-            "exposure_vehicles_per_day": exposed,
+            "exposure_least_vehicles_per_day": least,
+            "exposure_greatest_vehicles_per_day": most,
             "hsm_rating_factor": rating_factor(rhr[:, 0]),
             "hsm_offset_factor": np.where(
                 np.isnan(offset_m), np.nan, offset_factor(np.maximum(offset_m, 0.0))
@@ -301,14 +316,19 @@ def _zones(
     sections: list[CrossSection | None],
     bends: pd.DataFrame,
     known: pd.DataFrame,
+    given_m: float = 0.0,
 ) -> pd.DataFrame:
-    """Clear zone of each object.
+    """Clear zone of each object: of the guide's tables, or everywhere as given (``given_m``).
 
     Returns
     -------
     clear_zone_m (greatest for the measured slope), sure_m (least for it), least_m and greatest_m
     (within one sigma of the slope too), factor (of the bend), runout_m (added)
     """
+    names = ["clear_zone_m", "sure_m", "least_m", "greatest_m", "factor", "runout_m"]
+    if given_m > 0:
+        same = [*[np.full(len(slope), given_m)] * 4, np.ones(len(slope)), np.zeros(len(slope))]
+        return pd.DataFrame(dict(zip(names, same, strict=True)))
     rows = []
     for number in range(len(slope)):
         speed = (known["speed_low_kmh"].iloc[number], known["speed_high_kmh"].iloc[number])
@@ -326,7 +346,6 @@ def _zones(
         factor = float(curve_factor([radius], speed[1], [outside])[0])
         ends = (zone + more, sure + more, min(least, sure) + more, max(greatest, zone) + more)
         rows.append((*ends, factor, more))
-    names = ["clear_zone_m", "sure_m", "least_m", "greatest_m", "factor", "runout_m"]
     return pd.DataFrame(np.array(rows, np.float64).reshape(-1, 6), columns=names)
 
 
@@ -337,6 +356,7 @@ def _shields(
     zone: pd.DataFrame,
     known: pd.DataFrame,
     bends: pd.DataFrame,
+    settings: HazardSettings,
 ) -> list[tuple[str, float, str]]:
     """Shielding of each object: status, offset of the barrier, why."""
     none = ("none", float("nan"), "")
@@ -354,6 +374,8 @@ def _shields(
             float(known["speed_high_kmh"].iloc[number]),
             float(known["aadt_high"].iloc[number]),
             float(bends["paved_width_m"].iloc[number]) / 2,
+            runout_length_m=settings.runout_length_m,
+            deflection_m=settings.deflection_m,
         )
         found.append(shielding(demand, surroundings.barriers, surroundings.left_hand_traffic))
     return found
@@ -600,7 +622,7 @@ def _reason(
     said = []
     if shield[0] != "none":
         said.append(f"{shield[2]} [RDG 5]")
-    said.append(_zone_words(row, zone))
+    said.append(_zone_words(row, zone, "site" if settings.clear_zone_m > 0 else "RDG 3.1"))
     kind = row["slope_class"]
     if kind in ("critical", "non-recoverable"):
         spread = f" (± {sigma:.2f})" if np.isfinite(sigma) else ""
@@ -629,7 +651,7 @@ def _reason(
     return "; ".join(said)
 
 
-def _zone_words(row: pd.Series, zone: pd.Series) -> str:
+def _zone_words(row: pd.Series, zone: pd.Series, source: str) -> str:
     low, high = zone["least_m"], zone["greatest_m"]
     width = f"{high:.1f} m" if high - low < 0.05 else f"{low:.1f} to {high:.1f} m"
     place = "on the road" if row["offset_m"] < 0 else f"{row['offset_m']:.1f} m from the edge"
@@ -638,4 +660,4 @@ def _zone_words(row: pd.Series, zone: pd.Series) -> str:
     else:
         inside = row["offset_m"] <= low
         verdict = f"{'inside' if inside else 'outside'} the clear zone of {width}"
-    return f"{place}, {verdict} [RDG 3.1]"
+    return f"{place}, {verdict} [{source}]"

@@ -1,13 +1,21 @@
 """Roadside hazard rating, roadside inputs of the Highway Safety Manual, exposure.
 
-Sources
--------
-- FHWA-RD-99-207, appendix D: the seven ratings of Zegeer and others (FHWA/RD-87/008).
-- HSM: Highway Safety Manual, 1st edition (2010), equations 10-20 and 12-28, table 12-20.
-- NCHRP 492 (RSAP), after Wright and Robertson: encroachments on bends and grades.
+Sources, and what they were compared with
+-----------------------------------------
+- FHWA-RD-99-207, appendix D: the seven ratings of Zegeer and others; compared with the page itself
+  (fhwa.dot.gov/publications/research/safety/99207/appd.cfm).
+- Highway Safety Manual, 1st edition (2010), equation 10-20: compared with an open implementation of
+  the manual that cites the equation, agrees.
+- The manual's table 12-20: the same implementation gives the fit of the manual's own spreadsheet,
+  0.3566 x^-0.614 with x in feet; all seven rows agree within 0.001.
+- NCHRP 492 (RSAP), after Wright and Robertson: encroachments on bends and grades. No public text
+  with the numbers was found: they are from memory, and settings (`Encroachments`) replace them.
+- The manual's rule that objects within 70 ft count as one was not found in public text either.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,14 +25,14 @@ from roadsight.base.arrays import Bools, Floats, Ints
 SOURCES = {
     "RDG 3.1": "AASHTO Roadside Design Guide, 4th edition (2011), table 3-1, wider end",
     "RDG 3.2": "the same, table 3-2, on the outside of bends",
-    "RDG 3.3": "the same, section 3.2: recoverable, non-recoverable, critical foreslopes",
-    "RDG 5": "the same, section 5.6.4: length of need, table 5-10: runout lengths",
+    "RDG 3.3": "the same, chapter 3: recoverable, non-recoverable, critical foreslopes",
+    "RDG 5": "the same, chapter 5: length of need, table 5-10: runout lengths",
     "FHWA RHR": "FHWA-RD-99-207, appendix D, after Zegeer et al., FHWA/RD-87/008",
     "HSM 10-20": "Highway Safety Manual (2010), equation 10-20: factor of the hazard rating",
     "HSM 12-20": "the same, table 12-20: factor of the offset of fixed objects",
-    "NCHRP 492": "Roadside Safety Analysis Program: encroachments on bends and grades",
+    "NCHRP 492": "Roadside Safety Analysis Program: encroachments on bends, grades (not verified)",
     "FHWA SE": "FHWA Safety Edge guidance: drop-offs of 2 inches",
-    "site": "settings of the site: hazard.dense_per_km, hazard.window_m",
+    "site": "settings of the site",
 }
 """Where the rules are from, by the mark that reasons carry."""
 
@@ -37,7 +45,7 @@ _STEEPER_THAN_2 = 0.5
 _FOOT_M = 0.3048
 _MILE_KM = 1.609344
 _MERGED_M = 70 * _FOOT_M
-"""Objects within 70 ft along the road are one (HSM, section 12.7.1)."""
+"""Objects within 70 ft along the road are one (HSM chapter 12; from memory)."""
 _F_OFFSET_FT = (2.0, 5.0, 10.0, 15.0, 20.0, 25.0, 30.0)
 _F_OFFSET = (0.232, 0.133, 0.087, 0.068, 0.057, 0.049, 0.044)
 """HSM table 12-20, of urban arterials: it is used to compare offsets, not to predict crashes."""
@@ -105,44 +113,69 @@ def offset_factor(offset_m: ArrayLike) -> Floats:
     return np.exp(np.interp(feet, rows, values) + beyond)
 
 
-def curve_encroachments(radius_m: ArrayLike, outside: ArrayLike) -> Floats:
-    """How many times more vehicles leave the road on a bend (NCHRP 492).
+@dataclass(frozen=True)
+class Encroachments:
+    """How many times more vehicles leave the road where it bends or falls (NCHRP 492, from memory).
 
-    4 outside and 2 inside of bends up to 290 m, 1 from 580 m on, straight between.
+    Parameters
+    ----------
+    outside, inside : of bends up to 290 m; 1 from 580 m on, straight between.
+    downhill : from 6 % on; 1 up to 2 %, straight between. 1 leaves an influence out.
     """
+
+    outside: float = 4.0
+    inside: float = 2.0
+    downhill: float = 2.0
+
+
+_USUAL = Encroachments()
+
+
+def curve_encroachments(
+    radius_m: ArrayLike, outside: ArrayLike, times: Encroachments = _USUAL
+) -> Floats:
+    """How many times more vehicles leave the road on a bend; see `Encroachments`."""
     radius = np.nan_to_num(np.asarray(radius_m, np.float64), nan=np.inf)
     share = np.clip((580.0 - radius) / 290.0, 0.0, 1.0)
-    return 1.0 + share * np.where(np.asarray(outside, bool), 3.0, 1.0)
+    return 1.0 + share * np.where(np.asarray(outside, bool), times.outside - 1, times.inside - 1)
 
 
-def grade_encroachments(grade: ArrayLike) -> Floats:
-    """How many times more vehicles leave the road downhill (NCHRP 492): 1 at 2 %, 2 from 6 % on.
+def grade_encroachments(grade: ArrayLike, times: Encroachments = _USUAL) -> Floats:
+    """How many times more vehicles leave the road downhill; see `Encroachments`.
 
     Parameters
     ----------
     grade : rise over run in the direction of the traffic beside the object; NaN counts as level.
     """
     down = -np.nan_to_num(np.asarray(grade, np.float64))
-    return 1.0 + np.clip((down - 0.02) / 0.04, 0.0, 1.0)
+    return 1.0 + (times.downhill - 1) * np.clip((down - 0.02) / 0.04, 0.0, 1.0)
 
 
-def exposure(
-    aadt: ArrayLike, offset_m: ArrayLike, radius_m: ArrayLike, outside: ArrayLike, grade: ArrayLike
+def leaving(
+    offset_m: ArrayLike,
+    radius_m: ArrayLike,
+    outside: ArrayLike,
+    grade: ArrayLike,
+    times: Encroachments = _USUAL,
 ) -> Floats:
-    """Vehicles a day, weighted by how likely they leave the road and come as far as the object.
+    """How likely a vehicle leaves the road and comes as far as an object, against others.
 
-    A number to rank by, not a number of crashes: half the AADT (one direction) times
-    `offset_factor`, `curve_encroachments` and `grade_encroachments`.
+    The product of `offset_factor`, `curve_encroachments` and `grade_encroachments`; NaN where the
+    offset is unknown.
     """
-    one_way = np.asarray(aadt, np.float64) / 2
-    bends = curve_encroachments(radius_m, outside) * grade_encroachments(grade)
-    return np.asarray(one_way * bends * offset_factor(np.maximum(offset_m, 0.0)))
+    bends = curve_encroachments(radius_m, outside, times) * grade_encroachments(grade, times)
+    return np.asarray(bends * offset_factor(np.maximum(offset_m, 0.0)))
+
+
+def exposure(aadt: ArrayLike, weight: ArrayLike) -> Floats:
+    """Vehicles a day in one direction times `leaving`: to rank by, no number of crashes."""
+    return np.asarray(np.asarray(aadt, np.float64) / 2 * np.asarray(weight, np.float64))
 
 
 def fixed_objects(
     station_m: Floats, offset_m: Floats, counted: Bools, length_m: float
 ) -> dict[str, float]:
-    """Inputs of HSM equation 12-28 for a stretch of road, both sides together.
+    """Inputs of the HSM's factor of fixed objects for a stretch of road, both sides together.
 
     Parameters
     ----------
@@ -170,18 +203,23 @@ def fixed_objects(
     }
 
 
-def rank_of(rating: ArrayLike, hazard: ArrayLike, exposed: ArrayLike) -> Ints:
+def rank_of(
+    rating: ArrayLike, hazard: ArrayLike, exposed: ArrayLike, weight: ArrayLike | None = None
+) -> Ints:
     """Rank of each object, 1 the worst: by rating, then exposure, then hazard rating.
+
+    Objects of unknown exposure come after the others of their rating, by ``weight``.
 
     Parameters
     ----------
-    rating : high, medium, low or unknown. hazard : 1 to 7. exposed : see `exposure`.
+    rating : high, medium, low or unknown. hazard : 1 to 7. exposed : see `exposure`, NaN unknown.
+    weight : see `leaving`; none counts as 0.
     """
     order = {"high": 0, "medium": 1, "low": 2}
     worst = np.array([order.get(str(one), 3) for one in np.asarray(rating, object)])
-    keys = np.lexsort(
-        [-np.asarray(hazard, np.float64), -np.nan_to_num(np.asarray(exposed, np.float64)), worst]
-    )
+    known = np.nan_to_num(np.asarray(exposed, np.float64))
+    share = np.zeros(len(worst)) if weight is None else np.nan_to_num(np.asarray(weight))
+    keys = np.lexsort([-np.asarray(hazard, np.float64), -share, -known, worst])
     rank = np.empty(len(keys), np.int64)
     rank[keys] = np.arange(1, len(keys) + 1)
     return rank

@@ -1,11 +1,17 @@
 """Which objects a barrier shields, after the length of need of the Roadside Design Guide.
 
 A vehicle that leaves the road before a barrier may run behind it. The barrier must therefore start
-the length of need X ahead of the object (RDG 4th edition, equation 5-1; without flare
+the length of need X ahead of the object (RDG 4th edition, chapter 5; without flare
 ``X = (LA - L2) / (LA / LR)``), where LA is how far the object reaches, at most the clear zone, L2
 the barrier's distance, both from the edge of the travelled way, and LR the runout length (table
 5-10). On undivided roads traffic in the other direction asks for the same beyond the object, with
 distances from the centreline, if the object lies in its clear zone.
+
+The formula and the terminal's 3.8 m agree with an open calculator that cites the chapter. Of the
+runout lengths one cell was found in public text (76 m at 100 km/h and 5,000 to 10,000 vehicles a
+day, agrees); the others are from memory: compare them with your copy, or state your own length
+(hazard.runout_length_m). Deflections depend on the barrier: 2 to 7 ft by SDDC-TEA's tutorial
+(hazard.deflection_m).
 """
 
 from __future__ import annotations
@@ -22,8 +28,8 @@ from roadsight.poles.risk.roads import Roads, resampled
 TERMINAL_M = 3.81
 """The first 12.5 ft of a usual end terminal let vehicles through: shielding starts behind them."""
 DEFLECTION_M = 1.0
-"""A W-beam on strong posts gives way so far in the usual crash test (RDG table 5-6: 0.9 to 1.2 m);
-objects nearer behind it are hit through it."""
+"""A W-beam on strong posts gives way about so far; the range of barriers is 0.6 to 2.1 m. Objects
+nearer behind it are hit through it."""
 _STEP_M = 1.0
 """Spacing of places along a barrier."""
 _BESIDE_ROAD_M = 15.0
@@ -99,7 +105,7 @@ def barriers_along(
 
 
 def runout_m(design_speed_kmh: float, aadt: float) -> float:
-    """Runout length (RDG table 5-10); speeds between rows take the next higher one."""
+    """Runout length, m (RDG table 5-10); speeds between rows take the next higher one."""
     row = min(
         int(np.searchsorted(_RUNOUT_SPEEDS_KMH, design_speed_kmh)), len(_RUNOUT_SPEEDS_KMH) - 1
     )
@@ -107,7 +113,7 @@ def runout_m(design_speed_kmh: float, aadt: float) -> float:
 
 
 def length_of_need_m(reach_m: float, barrier_m: float, runout: float) -> float:
-    """Barrier ahead of an object (RDG equation 5-1 without flare); 0 where none is needed.
+    """Barrier ahead of an object (RDG chapter 5, without flare); 0 where none is needed.
 
     Parameters
     ----------
@@ -128,6 +134,7 @@ class Demand:
     clear_zone_m : greatest that the inputs allow. speed_kmh, aadt : greatest likewise.
     half_road_m : from the road's edge to its centreline, NaN if unknown.
     divided : whether no opposing traffic can reach it.
+    runout_length_m : given instead of the table's; 0: the table's. deflection_m : of the barriers.
     """
 
     road: int
@@ -139,6 +146,8 @@ class Demand:
     aadt: float
     half_road_m: float
     divided: bool = False
+    runout_length_m: float = 0.0
+    deflection_m: float = DEFLECTION_M
 
 
 def shielding(
@@ -166,7 +175,7 @@ def _behind(demand: Demand, barrier: Barrier, left_hand: bool) -> tuple[str, flo
     offset = float(np.interp(demand.station_m, barrier.station_m, barrier.offset_m))
     if offset >= demand.offset_m:
         return "none", float("nan"), ""
-    runout = runout_m(demand.speed_kmh, demand.aadt)
+    runout = demand.runout_length_m or runout_m(demand.speed_kmh, demand.aadt)
     reach = min(demand.offset_m, demand.clear_zone_m)
     near = length_of_need_m(reach, offset, runout)
     half = demand.half_road_m
@@ -184,8 +193,9 @@ def _behind(demand: Demand, barrier: Barrier, left_hand: bool) -> tuple[str, flo
         if need > there + 0.05:
             lacks.append(f"{need - max(there, 0.0):.0f} m short {where} it of {need:.0f} m needed")
     gap = demand.offset_m - offset
-    if gap < DEFLECTION_M:
-        lacks.append(f"{gap:.1f} m behind it, less than the {DEFLECTION_M:.1f} m it may give way")
+    if gap < demand.deflection_m:
+        give = demand.deflection_m
+        lacks.append(f"{gap:.1f} m behind it, less than the {give:.1f} m it may give way")
     told = f"behind barrier {barrier.name}"
     if lacks:
         return "partial", offset, f"{told}, which is {'; '.join(lacks)}"

@@ -24,6 +24,9 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("rate_hazard")
 
+_NONE = ("clear_zone_m", "runout_length_m")
+"""Settings that 0 leaves to the guide's tables."""
+
 
 def rate_hazard(arguments: argparse.Namespace) -> None:
     """Write offset, clear zone, side slope, density and rating of each kept pole."""
@@ -79,7 +82,8 @@ def rate_on_ground(
 
 def _check(settings: HazardSettings) -> None:
     for name, value in vars(settings).items():
-        if not (np.isfinite(value) and value > 0):
+        least = 0.0 if name in _NONE else np.nextafter(0.0, 1.0)
+        if not (np.isfinite(value) and value >= least):
             raise InputError("is not positive", where=name, found=value, allowed="more than 0")
 
 
