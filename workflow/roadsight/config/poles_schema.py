@@ -182,6 +182,9 @@ class Hazard(Section):
     runout_length_m: float = Field(
         default=0.0, ge=0, le=500, description="your own runout length, m; 0: by the guide's table"
     )
+    section_every_m: float = Field(
+        default=20.0, ge=0, le=1000, description="cross-sections along roads, m; 0: at objects only"
+    )
     deflection_m: Metres = Field(default=1.0, description="barriers give way so far, m")
     bend_outside: float = Field(
         default=4.0,

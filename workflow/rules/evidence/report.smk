@@ -241,8 +241,10 @@ rule write_poles_page:
         sightings=all_sightings,
         masks=all_masks,
         depth=all_depths,
-        poles=rules.triangulate_poles.output,
+        poles=rules.triangulate_poles.output.poles,
         hazard=rules.rate_hazard.output.hazard,
+        sections=rules.rate_hazard.output.sections,
+        pole_files=pole_files,
         validation=pole_validation,
         components=compared_components,
         drive=only_if("lens_distortion", rules.profile_drive.output.drive),
@@ -265,7 +267,8 @@ rule write_poles_page:
         " --dem {input.dem} --top {input.top} --road-edges {input.road_edges}"
         " --frames {input.frames} --images {params.images:q} --cameras {input.cameras}"
         " --image-edges {input.image_edges} --sightings {input.sightings} --masks {input.masks}"
-        " --depth {input.depth} --poles {input.poles[0]} --hazard {input.hazard}"
+        " --depth {input.depth} --poles {input.poles} --hazard {input.hazard}"
+        " --sections {input.sections}"
         " --validation {input.validation} --components {input.components}"
         " --drive {input.drive} --lenses {params.lenses:q}"
-        " --files {input.poles} --out {output.page} > {log} 2>&1"
+        " --files {input.pole_files} --out {output.page} > {log} 2>&1"

@@ -279,7 +279,7 @@ def _groups(lines: Sequence[Floats | None]) -> list[list[int]]:
     owner = list(range(len(lines)))
     for b, a in combinations(range(len(lines)), 2):
         one, other = lines[a], lines[b]
-        if one is not None and other is not None and _beside(one, other):
+        if one is not None and other is not None and beside(one, other):
             low, high = sorted((owner[a], owner[b]))
             owner = [low if o == high else o for o in owner]
     return [
@@ -289,7 +289,7 @@ def _groups(lines: Sequence[Floats | None]) -> list[list[int]]:
     ]
 
 
-def _beside(a_m: Floats, b_m: Floats) -> bool:
+def beside(a_m: Floats, b_m: Floats) -> bool:
     """Whether much of the shorter of two drives runs beside the other."""
     short, long = sorted((resampled(a_m, 5.0), resampled(b_m, 5.0)), key=_length_m)
     apart, row = cKDTree(long).query(short)

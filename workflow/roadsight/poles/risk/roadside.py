@@ -19,6 +19,7 @@ from roadsight.poles.risk.cross_sections import (
     profile_from_points,
 )
 from roadsight.poles.risk.inventory import Inventory
+from roadsight.poles.risk.road_geometry import COLUMNS as GEOMETRY_COLUMNS
 from roadsight.poles.risk.road_geometry import STRAIGHT_M, road_geometry
 from roadsight.poles.risk.roads import Located, Roads
 from roadsight.poles.risk.shielding import Barrier
@@ -56,6 +57,15 @@ SECTION_COLUMNS = (
     "end_y",
 )
 """Of the table of cross-sections, one element a row."""
+INVENTORY_COLUMNS = (
+    "lanes",
+    "lane_width_m",
+    "speed_least_kmh",
+    "speed_greatest_kmh",
+    "aadt_least",
+    "aadt_greatest",
+)
+"""Of the table of road geometry, what the inventory states."""
 
 
 @dataclass
@@ -219,6 +229,71 @@ def section_rows(
             )
         )
     return rows
+
+
+def section_table(
+    surroundings: Surroundings,
+    names: Sequence[str],
+    located: Located,
+    edge_m: Floats,
+    outward: Floats,
+    sections: Sequence[CrossSection | None],
+    every_m: float,
+) -> pd.DataFrame:
+    """Elements of the cross-sections at objects and, every ``every_m``, along the roads.
+
+    Parameters
+    ----------
+    names : of the objects; the others as returned by `own_edges` and `object_sections`.
+    every_m : 0 for none along the roads.
+    """
+    roads = surroundings.roads.roads
+    rows: list[tuple] = []
+    for number, section in enumerate(sections):
+        if section is None:
+            continue
+        road = int(located.road[number])
+        route = roads[road].name if road >= 0 else ""
+        name = str(names[number])
+        place = (float(located.station_m[number]), int(located.side[number]))
+        rows += section_rows(
+            f"at {name}", name, route, *place, edge_m[number], outward[number], section
+        )
+    for name, road, station, side, edge, way, section in (
+        station_sections(surroundings, every_m) if every_m > 0 else []
+    ):
+        rows += section_rows(name, "", roads[road].name, station, side, edge, way, section)
+    return pd.DataFrame(rows, columns=list(SECTION_COLUMNS))
+
+
+def geometry_table(surroundings: Surroundings) -> pd.DataFrame:
+    """Geometry of all roads by station, with what the inventory states there.
+
+    Returns
+    -------
+    columns of `road_geometry`, and lanes, lane_width_m (paved width over lanes: no lane is wider),
+    speed_least_kmh, speed_greatest_kmh, aadt_least, aadt_greatest; NaN where unknown
+    """
+    parts = []
+    for number, road in enumerate(surroundings.roads.roads):
+        table = surroundings.geometry(number)
+        told = dict.fromkeys(INVENTORY_COLUMNS, np.full(len(table), np.nan))
+        if surroundings.inventory is not None:
+            known = surroundings.inventory.at(
+                surroundings.inventory.route_of(road), table["station_m"].to_numpy()
+            )
+            told = {
+                "lanes": known["lanes"].to_numpy(),
+                "lane_width_m": table["paved_width_m"].to_numpy() / known["lanes"].to_numpy(),
+                "speed_least_kmh": known["speed_low_kmh"].to_numpy(),
+                "speed_greatest_kmh": known["speed_high_kmh"].to_numpy(),
+                "aadt_least": known["aadt_low"].to_numpy(),
+                "aadt_greatest": known["aadt_high"].to_numpy(),
+            }
+        parts.append(table.assign(**told))
+    if parts:
+        return pd.concat(parts, ignore_index=True)
+    return pd.DataFrame(columns=[*GEOMETRY_COLUMNS, *INVENTORY_COLUMNS], dtype=np.float64)
 
 
 def bends_at(surroundings: Surroundings, located: Located) -> pd.DataFrame:

@@ -34,6 +34,8 @@ _STEP_M = 1.0
 """Spacing of places along a barrier."""
 _BESIDE_ROAD_M = 15.0
 """Barriers further from the road's edge are of another road."""
+_ON_IT_M = 0.1
+"""Objects this near a barrier's line are of it: its own ends and posts."""
 _RUNOUT_SPEEDS_KMH = (50.0, 60.0, 80.0, 100.0, 110.0, 130.0)
 _RUNOUT_AADT = (1000.0, 5000.0, 10_000.0)
 """Limits between the table's classes of traffic."""
@@ -173,7 +175,7 @@ def _behind(demand: Demand, barrier: Barrier, left_hand: bool) -> tuple[str, flo
     if not low <= demand.station_m <= high:
         return "none", float("nan"), ""
     offset = float(np.interp(demand.station_m, barrier.station_m, barrier.offset_m))
-    if offset >= demand.offset_m:
+    if offset >= demand.offset_m - _ON_IT_M:
         return "none", float("nan"), ""
     runout = demand.runout_length_m or runout_m(demand.speed_kmh, demand.aadt)
     reach = min(demand.offset_m, demand.clear_zone_m)
