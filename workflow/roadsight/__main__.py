@@ -21,6 +21,7 @@ COMMANDS = (
     "align",
     "register",
     "triangulate",
+    "changes",
     "estimate",
     "studio",
 )

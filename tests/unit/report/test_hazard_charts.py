@@ -57,7 +57,7 @@ def test_a_drawing_is_to_scale_and_its_texts_are_safe():
     svg = profile_chart(profile)
     assert "<b>" not in svg
     assert "drop-off 0.10 m" in svg
-    assert "clear zone 8 m" in svg
+    assert "clear zone 8.0 m" in svg
     line = re.search(r'class="line fit" d="([^"]+)"', svg).group(1)
     places = np.array([[float(v) for v in p.split()] for p in re.findall(r"[ML]([^ML]+)", line)])
     ends = places[5] - places[4]

@@ -127,8 +127,8 @@ _CURVE_FACTORS = np.array(
 """Rows by radius, columns by speed."""
 SPEED_RANGE_KMH = (60.0, 110.0)
 """Where no design speed is known: from the table's slowest class to its fastest."""
-AADT_RANGE = (0.0, 1e6)
-"""Where no traffic is known: all of the table's classes."""
+AADT_RANGE = (0.0, 500_000.0)
+"""Where no traffic is known: from none to the busiest roads there are."""
 
 
 def curve_factor(radius_m: ArrayLike, design_speed_kmh: float, outside: ArrayLike) -> Floats:
