@@ -36,6 +36,7 @@ CONTENTS: Mapping[str, Sequence[str]] = {
         "placement/plans",
         "placement/depth-maps",
         "scene/effects",
+        "poles/hazard",
         "poles/known-lenses",
         "poles/models",
         "poles/training",

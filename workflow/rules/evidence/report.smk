@@ -183,7 +183,6 @@ rule write_handover:
         obstacles=placement_only(plan_obstacles),
         poles=poles_only(pole_layers),
         road_edges=poles_only(road_edge_layers),
-        hazard=poles_only(hazard_tables),
         code=sources("write_handover"),
     output:
         layers="results/{site}/gis/{site}.gpkg",
@@ -204,7 +203,7 @@ rule write_handover:
         " --pavement {input.pavement} --edges {input.edges}"
         " --unexamined {input.unexamined} --solutions {input.solutions}"
         " --plan-layers {input.layers} --obstacles {input.obstacles} --poles {input.poles}"
-        " --road-edges {input.road_edges} --hazard {input.hazard} --layers {output.layers}"
+        " --road-edges {input.road_edges} --layers {output.layers}"
         " --project {output.project} --kml {output.kml} --drawing {output.drawing} > {log} 2>&1"
 
 

@@ -172,10 +172,6 @@ def road_edge_layers(wildcards):
     return [f"results/{wildcards.site}/poles/road_edges.gpkg"]
 
 
-def hazard_tables(wildcards):
-    return [f"results/{wildcards.site}/poles/hazard.parquet"]
-
-
 def poles_only(inputs):
     """An input function that gives nothing where a site does not ask for poles."""
     return lambda wildcards: inputs(wildcards) if wants(wildcards.site, "poles") else []
