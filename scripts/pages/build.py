@@ -35,6 +35,7 @@ CONTENTS: Mapping[str, Sequence[str]] = {
         "placement/candidates",
         "placement/plans",
         "placement/depth-maps",
+        "scene/ground",
         "scene/effects",
         "poles/hazard",
         "poles/known-lenses",
