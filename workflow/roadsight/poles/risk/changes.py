@@ -60,7 +60,7 @@ def changes(
     for a, b in pairs:
         first, second = old.iloc[a], new.iloc[b]
         gap = float(np.hypot(second["x"] - first["x"], second["y"] - first["y"]))
-        sigma = float(np.hypot(*(_sigma(row, own) for row in (first, second))))
+        sigma = float(np.hypot(_sigma(first, own), _sigma(second, own)))
         limit = own.sigmas * sigma
         status = "moved" if gap > limit else "same"
         rows.append((status, first, second, gap, limit))
@@ -85,11 +85,9 @@ def _pairs(old: pd.DataFrame, new: pd.DataFrame, reach_m: float) -> Ints:
     found: list[tuple[int, int]] = []
     for kind in sorted(set(old["kind"]) & set(new["kind"])):
         rows = [np.flatnonzero((table["kind"] == kind).to_numpy()) for table in (old, new)]
-        places = [
-            table[["x", "y"]].to_numpy(np.float64)[own]
-            for table, own in zip((old, new), rows, strict=True)
-        ]
-        found += [(rows[0][a], rows[1][b]) for a, b in _nearest(*places, reach_m)]
+        before, after = (table[["x", "y"]].to_numpy(np.float64) for table in (old, new))
+        near = _nearest(before[rows[0]], after[rows[1]], reach_m)
+        found += [(int(rows[0][a]), int(rows[1][b])) for a, b in near]
     return np.array(sorted(found), np.int64).reshape(-1, 2)
 
 
