@@ -164,7 +164,14 @@ def pole_layers(wildcards):
 
 def pole_files(wildcards):
     """Files of the poles that the report names."""
-    names = ("poles.parquet", "poles.gpkg", "poles.csv", "poles.geojson", "hazard.csv", "road_geometry.csv")
+    names = (
+        "poles.parquet",
+        "poles.gpkg",
+        "poles.csv",
+        "poles.geojson",
+        "hazard.csv",
+        "road_geometry.csv",
+    )
     return [f"results/{wildcards.site}/poles/{name}" for name in names]
 
 
