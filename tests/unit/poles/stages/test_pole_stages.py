@@ -213,7 +213,8 @@ def test_layers_of_the_roadside_say_the_same_as_their_fields(site, poles, tmp_pa
 def given_roads(folder):
     """An inventory that lacks traffic beyond 60 m, a route in other coordinates, a rail."""
     (folder / "inventory.csv").write_text(
-        "route,from_m,to_m,speed_kmh,aadt,lanes\nSR 7,1000,1060,100,8000,2\nSR 7,1060,1200,100,,2\n"
+        "route,from_m,to_m,speed_kmh,aadt,lanes,lane_width_m\n"
+        "SR 7,1000,1060,100,8000,2,3.5\nSR 7,1060,1200,100,,2,\n"
     )
     x = np.array([-20.0, 160.0])
     # Measured against the drive.
@@ -248,6 +249,9 @@ def test_inventory_routes_and_barriers_reach_the_hazard(site, poles, tmp_path, c
     known = own["station_m"] <= 1060
     assert (own.loc[known, "aadt_least"] == own.loc[known, "aadt_greatest"]).all()
     assert (own.loc[~known, "aadt_greatest"] > own.loc[~known, "aadt_least"]).all()
+    travelled = own["offset_travelled_way_m"]
+    assert travelled[known].to_numpy() == pytest.approx(own.loc[known, "offset_m"] + 0.5, abs=0.1)
+    assert travelled[~known].isna().all()
     # Of one rating, those of unknown exposure come last.
     for _, group in own.groupby("rating"):
         ranks = group["rank"]
@@ -261,7 +265,10 @@ def test_inventory_routes_and_barriers_reach_the_hazard(site, poles, tmp_path, c
     assert ends.index.tolist() == ["rail start", "rail end"]
     assert (ends["shielded"] == "none").all()
     assert ends["latitude"].notna().all()
-    assert pd.read_csv(out["geometry-csv"])["lane_width_m"].median() == pytest.approx(4.0, abs=0.1)
+    geometry = pd.read_csv(out["geometry-csv"])
+    stated = geometry["station_m"] < 1060
+    assert geometry.loc[~stated, "lane_width_m"].median() == pytest.approx(4.0, abs=0.1)
+    assert geometry.loc[stated, "paved_shoulder_m"].median() == pytest.approx(0.5, abs=0.1)
     overlap = tmp_path / "inventory.csv"
     overlap.write_text("route,from_m,to_m\nSR 7,1000,1100\nSR 7,1050,1200\n")
     assert rate_hazard.main(arguments) == 2

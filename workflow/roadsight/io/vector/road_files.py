@@ -45,7 +45,8 @@ def read_inventory(
     """Segments of an inventory, where each stands in its file, and their lines if it has any.
 
     A CSV table or a line layer with columns route, from and to (in m, km, ft, usft, mi or usmi:
-    ``from_mi``), and speed_kmh or speed_mph, aadt, lanes; names in any case, empty is unknown.
+    ``from_mi``), and speed_kmh or speed_mph, aadt, lanes, lane_width_m (or _ft); names in any case,
+    empty is unknown.
 
     Parameters
     ----------
@@ -162,12 +163,14 @@ def _segments(table: pd.DataFrame, path: Any, places: list[str]) -> pd.DataFrame
             where=str(path),
             found=", ".join(map(str, table.columns)),
             allowed="route, from_m, to_m (or _km, _ft, _usft, _mi), and speed_kmh or speed_mph,"
-            " aadt, lanes",
+            " aadt, lanes, lane_width_m or _ft",
         )
     unknown = np.full(len(table), np.nan)
     speed = _column(table, "speed", {n[6:]: f for n, f in _SPEEDS_KMH.items()}, path, places)
     found: dict[str, Any] = {"route": _named(table, path), **ends}
     found["speed_kmh"] = unknown if speed is None else speed
+    wide = _column(table, "lane_width", UNITS_M, path, places)
+    found["lane_width_m"] = unknown if wide is None else wide
     for name in ("aadt", "lanes"):
         values = _numbers(table[name], 1.0, path, places, name) if name in table else unknown
         found[name] = values

@@ -102,6 +102,7 @@ ROADSIDE_COLUMNS = [
     "aadt_least",
     "aadt_greatest",
     "lanes",
+    "offset_travelled_way_m",
     "radius_m",
     "grade_percent",
     "paved_width_m",
@@ -263,6 +264,7 @@ def rate_roadside(
             "aadt_least": known["aadt_low"].to_numpy(),
             "aadt_greatest": known["aadt_high"].to_numpy(),
             "lanes": known["lanes"].to_numpy(),
+            "offset_travelled_way_m": travelled_offset_m(located.offset_m, known),
             "radius_m": bends["radius_m"].to_numpy(),
             "grade_percent": 100 * bends["grade"].to_numpy(),
             "paved_width_m": bends["paved_width_m"].to_numpy(),
@@ -281,6 +283,17 @@ def rate_roadside(
     return Rated(table[columns], sections, edge, outward, located)
 
 
+def travelled_offset_m(offset_m: Floats, known: pd.DataFrame) -> Floats:
+    """Distance (n,) from the edge of the travelled way: lanes side by side about the centreline.
+
+    Parameters
+    ----------
+    offset_m : from the centreline. known : lanes, lane_width_m; NaN where unknown, as the result.
+    """
+    wide = known["lanes"].to_numpy(np.float64) * known["lane_width_m"].to_numpy(np.float64)
+    return np.asarray(np.abs(offset_m) - wide / 2, np.float64)
+
+
 def _known_traffic(
     surroundings: Surroundings, located: Located, settings: HazardSettings
 ) -> pd.DataFrame:
@@ -296,6 +309,7 @@ def _known_traffic(
                 "aadt_low": np.full(n, pair["aadt"]),
                 "aadt_high": np.full(n, pair["aadt"]),
                 "lanes": np.full(n, np.nan),
+                "lane_width_m": np.full(n, np.nan),
             }
         )
     known = surroundings.inventory.at(None, np.full(n, np.nan))

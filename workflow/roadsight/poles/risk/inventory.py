@@ -18,12 +18,17 @@ from roadsight.base.errors import InputError
 from roadsight.poles.risk.clear_zone import AADT_RANGE, SPEED_RANGE_KMH
 from roadsight.poles.risk.roads import Road
 
-COLUMNS = ("route", "from_m", "to_m", "speed_kmh", "aadt", "lanes")
-"""Of an inventory; speed, aadt and lanes NaN where unknown."""
+COLUMNS = ("route", "from_m", "to_m", "speed_kmh", "aadt", "lanes", "lane_width_m")
+"""Of an inventory; all but route, from and to NaN where unknown."""
 SAME_M = 0.5
 """Segments may overlap or leave gaps up to this: measures in thousandths of a mile are 1.6 m, those
 in centimetres nothing."""
-LIMITS = {"speed_kmh": (20.0, 140.0), "aadt": (0.0, 500_000.0), "lanes": (1.0, 20.0)}
+LIMITS = {
+    "speed_kmh": (20.0, 140.0),
+    "aadt": (0.0, 500_000.0),
+    "lanes": (1.0, 20.0),
+    "lane_width_m": (2.0, 6.0),
+}
 """Other values are slips of unit or column."""
 _DIRECTION = re.compile(r"[-_ ]?(?:[nsew]b?|[+-])$")
 """What route names of drives end in: SR1427E, I40-EB, 12_n."""
@@ -59,8 +64,8 @@ class Inventory:
 
         Returns
         -------
-        speed_low_kmh, speed_high_kmh, aadt_low, aadt_high (equal where known), lanes (NaN where
-        unknown), segment (its number, -1 for none)
+        speed_low_kmh, speed_high_kmh, aadt_low, aadt_high (equal where known), lanes and
+        lane_width_m (NaN where unknown), segment (its number, -1 for none)
         """
         station = np.asarray(station_m, np.float64)
         number = np.full(len(station), -1, np.int64)
@@ -73,7 +78,8 @@ class Inventory:
             values = self._values(column, number)
             for end, limit in zip(("low", "high"), limits, strict=True):
                 found[f"{name}_{end}{unit}"] = np.where(np.isnan(values), limit, values)
-        found["lanes"] = self._values("lanes", number)
+        for column in ("lanes", "lane_width_m"):
+            found[column] = self._values(column, number)
         return pd.DataFrame(found)
 
     def _values(self, column: str, number: Ints) -> Floats:
@@ -88,7 +94,7 @@ def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ())
 
     Parameters
     ----------
-    table : columns `COLUMNS`, in any order; a lacking speed_kmh, aadt or lanes is unknown.
+    table : columns `COLUMNS`, in any order; what lacks of the others is unknown.
     where : the file. places : of each row in it, such as "line 3"; "row 1" and so on if empty.
 
     Raises

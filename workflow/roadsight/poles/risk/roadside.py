@@ -60,6 +60,7 @@ SECTION_COLUMNS = (
 INVENTORY_COLUMNS = (
     "lanes",
     "lane_width_m",
+    "paved_shoulder_m",
     "speed_least_kmh",
     "speed_greatest_kmh",
     "aadt_least",
@@ -271,8 +272,9 @@ def geometry_table(surroundings: Surroundings) -> pd.DataFrame:
 
     Returns
     -------
-    columns of `road_geometry`, and lanes, lane_width_m (paved width over lanes: no lane is wider),
-    speed_least_kmh, speed_greatest_kmh, aadt_least, aadt_greatest; NaN where unknown
+    columns of `road_geometry`, and lanes, lane_width_m (as stated, else paved width over lanes: no
+    lane is wider), paved_shoulder_m (each side's, where lane widths are stated), speed_least_kmh,
+    speed_greatest_kmh, aadt_least, aadt_greatest; NaN where unknown
     """
     parts = []
     for number, road in enumerate(surroundings.roads.roads):
@@ -282,9 +284,12 @@ def geometry_table(surroundings: Surroundings) -> pd.DataFrame:
             known = surroundings.inventory.at(
                 surroundings.inventory.route_of(road), table["station_m"].to_numpy()
             )
+            lanes, wide = known["lanes"].to_numpy(), known["lane_width_m"].to_numpy()
+            paved = table["paved_width_m"].to_numpy()
             told = {
-                "lanes": known["lanes"].to_numpy(),
-                "lane_width_m": table["paved_width_m"].to_numpy() / known["lanes"].to_numpy(),
+                "lanes": lanes,
+                "lane_width_m": np.where(np.isnan(wide), paved / lanes, wide),
+                "paved_shoulder_m": (paved - lanes * wide) / 2,
                 "speed_least_kmh": known["speed_low_kmh"].to_numpy(),
                 "speed_greatest_kmh": known["speed_high_kmh"].to_numpy(),
                 "aadt_least": known["aadt_low"].to_numpy(),
