@@ -89,6 +89,12 @@ class Alignment(Section):
     max_sigma_heading_deg: Positive = Field(
         default=0.15, description="less certain headings are rejected, degrees"
     )
+    bound_m: Metres = Field(
+        default=0.335, description="published: how far Nelder-Mead may move a camera, m (1.1 ft)"
+    )
+    bound_deg: float = Field(
+        default=0.11, gt=0, le=90, description="published: how far it may turn one, degrees"
+    )
 
     @field_validator("method", mode="before")
     @classmethod
@@ -162,6 +168,16 @@ class Triangulation(Section):
         default=3, ge=2, description="views that a pole needs which the cloud does not show"
     )
     max_sigma_m: Metres = Field(default=5.0, description="less certain poles are withheld, m")
+    sequence_m: Metres = Field(
+        default=30.48, description="images of one pole follow each other within this, m (100 ft)"
+    )
+    cluster_m: Metres = Field(default=1.0, description="sweep: crossings this near are one pole, m")
+    depth_weight: Positive = Field(
+        default=0.2, description="sweep: weight of depths in its energy; 0.02 with a videolog"
+    )
+    spread_weight: Positive = Field(
+        default=0.2, description="sweep: weight of the spread of a ray's crossings; likewise"
+    )
     clearance_m: float = Field(
         default=1.524, ge=0, le=100, description="poles this near road or building are withheld, m"
     )
