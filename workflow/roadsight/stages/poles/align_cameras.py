@@ -266,7 +266,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--max-residual-px", type=float, default=limits.residual_px)
     parser.add_argument("--bound-m", type=float, default=PUBLISHED_BOUNDS[0])
     parser.add_argument("--bound-deg", type=float, default=PUBLISHED_BOUNDS[1])
-    parser.add_argument("--max-sigma-heading-deg", type=float, default=limits.sigma_heading_deg)
+    parser.add_argument("--max-sigma-heading-deg", type=float, default=0.15)
     parser.add_argument("--max-sigma-lateral-m", type=float, default=limits.sigma_lateral_m)
     return run_stage(parser, align_cameras, argv)
 
