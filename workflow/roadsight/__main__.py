@@ -22,6 +22,7 @@ COMMANDS = (
     "align",
     "register",
     "triangulate",
+    "changes",
     "estimate",
     "studio",
 )
