@@ -6,13 +6,14 @@ For verbs, notebooks and checks on real data, which take one cloud and keep its 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from shapely import MultiPolygon
 
-from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.scene.grids import sample_bilinear
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
+from roadsight.scene.grids import Grid, sample_bilinear
+from roadsight.scene.pavement.choice import SURE_SCANS
 from roadsight.scene.pavement.describe import describe_ground
 from roadsight.scene.pavement.outline import (
     PavementSettings,
@@ -22,12 +23,13 @@ from roadsight.scene.pavement.outline import (
     trace_cells,
 )
 from roadsight.scene.pavement.road_surface import (
+    KnownRoad,
     RoadSettings,
     RoadSurface,
     find_road,
     road_points,
 )
-from roadsight.scene.pavement.scan_levels import scanner_positions
+from roadsight.scene.pavement.scan_levels import count_scans
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.profile import count_cells, density
 from roadsight.scene.spacing import plan_spacing_m, uses_intensity
@@ -43,10 +45,6 @@ _SAMPLE = 100_000
 """Columns on which k-means is fitted; the rest are classified by its centres."""
 _INTENSITY_WEIGHT = 1.5
 """Of intensity against the whole histogram (docs/decisions/005)."""
-_FEWEST_SCANS = 2
-"""One scan has no registration to level, but its blind disc alone is a weak sign of a road."""
-_SURE_SCANS = 0.5
-"""Share of scans with a blind disc from which the cloud was scanned from a vehicle in it."""
 
 
 def spacing_of(xyz_m: Floats) -> float:
@@ -134,7 +132,7 @@ class FoundRoad:
     Parameters
     ----------
     outline : its polygons, local metres. points : (n,) which points lie on it.
-    surface_m : (k, 3) places on it, for the heights of its edges.
+    surface_m : (k, 3) thinned ground on and around it, by which the ends of its edges are told.
     """
 
     outline: MultiPolygon
@@ -147,47 +145,62 @@ def scans_tell(xyz_m: Floats, scan: Ints | None) -> bool:
 
     Their blind discs then say where the road is, and their registration can be levelled.
     """
-    if scan is None or len(np.unique(scan)) < _FEWEST_SCANS:
+    if scan is None:
         return False
-    near = near_ground(xyz_m)
-    _, sure = scanner_positions(xyz_m[near], scan[near])
-    return bool(len(sure)) and float(sure.mean()) >= _SURE_SCANS
+    return count_scans(lambda: [(xyz_m, scan)])["blind_share"] >= SURE_SCANS
+
+
+_ROAD_CLASSES = (11, 17)
+"""Road surface, and bridge deck, which no coarse ground knows of."""
+_WATER = 9
+NEVER_CLASSES = (7, _WATER, 18)
+"""Low noise, water, high noise."""
 
 
 def road_of(
     xyz_m: Floats,
     intensity: Floats | None,
     scan: Ints | None,
-    track_xy: Floats | None = None,
+    known: KnownRoad | None = None,
     settings: RoadSettings | None = None,
+    classes: Bytes | None = None,
 ) -> tuple[FoundRoad, RoadSurface]:
     """Road as a surface that runs on until a kerb, grass or a wall ends it.
 
     Parameters
     ----------
-    xyz_m : (n, 3) local metres. intensity, scan : (n,) or None. track_xy : (k, 2) where a vehicle
-        drove, or None.
+    xyz_m : (n, 3) local metres. intensity, scan : (n,) or None. known : what is known of the road.
+    classes : (n,) of the file, or None: 11 and 17 are road, 7, 9 and 18 never are.
 
     Raises
     ------
-    InputError : no smooth ground is wide enough for a road.
+    InputError : a seed lies off the ground, or no smooth ground is wide enough for a road.
     """
-    settings = settings or RoadSettings()
-    near = np.flatnonzero(near_ground(xyz_m))
+    settings, known = settings or RoadSettings(), known or KnownRoad()
+    said = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, _ROAD_CLASSES)
+    never = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, NEVER_CLASSES)
+    near = np.flatnonzero((near_ground(xyz_m) | said) & ~never)
+    water = None if classes is None else xyz_m[classes == _WATER, :2]
     surface = find_road(
         xyz_m[near],
         None if intensity is None else intensity[near],
         None if scan is None else scan[near],
-        track_xy,
+        replace(known, road=said[near], water_xy=water),
         settings,
     )
     points = np.zeros(len(xyz_m), bool)
     points[near] = road_points(surface, xyz_m[near], settings)
-    row, column = np.nonzero(surface.road)
-    x, y = surface.grid.centres(column, row)
-    places = np.column_stack([x, y, surface.height_m[row, column]])
     outline = trace_cells(surface.grid, surface.road | surface.bridged, PavementSettings())
-    return FoundRoad(outline, points, places), surface
+    return FoundRoad(outline, points, _thinned(xyz_m[near])), surface
+
+
+def _thinned(xyz_m: Floats) -> Floats:
+    """The lowest point of each column, of points (n, 3) near the ground."""
+    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], 2 * _COLUMN_M)
+    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+    order = np.lexsort((xyz_m[:, 2], cell))
+    _, first = np.unique(cell[order], return_index=True)
+    return xyz_m[order[first]]
 
 
 def published_road(
