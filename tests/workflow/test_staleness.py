@@ -37,6 +37,7 @@ READERS = {
     "profile_scene": {
         "build_dem",
         "cluster_fpfh",
+        "extract_pavement",
         "build_surfels",
         "plan_effects",
         "summarise_site",
@@ -45,6 +46,7 @@ READERS = {
     "build_dem": {
         "cluster_fpfh",
         "extract_pavement",
+        "build_edges",
         "score_pavement",
         "place_candidates",
         "densify_candidates",
@@ -52,7 +54,7 @@ READERS = {
         "write_site_page",
         "gather_objects",
     },
-    "cluster_fpfh": {"extract_pavement", "build_edges"},
+    "cluster_fpfh": {"extract_pavement"},
     "extract_pavement": {
         "build_edges",
         "score_pavement",
@@ -151,7 +153,9 @@ READERS = {
 
 
 def after(*rules: str) -> set[str]:
-    return with_followers(READERS, *rules)
+    found = with_followers(READERS, *rules)
+    # Whether ground is clustered is known once the profile is there again.
+    return found - {"cluster_fpfh"} if "profile_scene" in found else found
 
 
 SITE = "config/sites/tiny.yaml"

@@ -97,8 +97,11 @@ _LOW_M = 0.5
 """Points up to this above the lowest of their cell of 1 m: ground, with registration errors of some
 centimetres, a kerb and a slope of 30 % across the cell."""
 _DENSER = 1.1
-"""Points around a blind disc against the scan's median: 1.5 to 12 below vehicles (five streets and
-a drive; 1.14 and more on generated streets of 50 m), up to 1.0 in gaps of airborne strips."""
+"""Points around a blind disc against the scan's median: 1.14 to 15 below vehicles (five streets, a
+drive, generated streets of 50 m), up to 1.0 in gaps of airborne strips."""
+_DENSEST = 0.55
+"""The same against the scan's densest tenth: 0.60 to 1.15 below vehicles, up to 0.52 in gaps of
+strips and of whole drives that are one scan."""
 _WIDEST_CELLS = 4_000_000
 """Cells of a scan's box beyond which it is a drive or a strip, not a turn of a scanner."""
 
@@ -153,7 +156,7 @@ def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[
     Returns
     -------
     xy : (scans, 2) positions. sure : (scans,) whether there is a blind disc of at least 1.5 m with
-    clearly more than the scan's median density around it.
+    as many points around it as where the scan is dense.
     """
     found, sure = [], []
     for one in np.unique(scan):
@@ -171,7 +174,8 @@ def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[
         score = density * np.minimum(empty, _BLIND_M) ** 2
         best = np.unravel_index(int(np.argmax(score)), score.shape)
         x, y = grid.centres(best[1], best[0])
-        typical = float(np.median(density[count > 0]))
+        typical, dense = np.percentile(density[count > 0], [50, 90])
+        least = max(_DENSER * typical, _DENSEST * dense)
         found.append((float(x), float(y)))
-        sure.append(bool(empty[best] >= 1.5 and density[best] > _DENSER * typical))
+        sure.append(bool(empty[best] >= 1.5 and density[best] > least))
     return np.array(found).reshape(-1, 2), np.array(sure, dtype=bool)
