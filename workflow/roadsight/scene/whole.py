@@ -122,7 +122,36 @@ def near_ground(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
     x, y, z = xyz_m.T
     rise = z - sample_bilinear(coarse.grid, coarse.surface_m, x, y)
     tilt = sample_bilinear(coarse.grid, coarse.slope, x, y)
-    return np.abs(rise) < settings.coarse_tolerance_m + tilt * settings.coarse_cell_m
+    allowed = settings.coarse_tolerance_m + tilt * settings.coarse_cell_m
+    return (rise > -allowed) & (rise < allowed + _lift_m(xyz_m, rise))
+
+
+_LAYER_M = 0.6
+"""Points up to this above the coarse ground are asked for the middle of its layer."""
+_MOST_LIFT_M = 0.25
+"""Layers that are thicker are no ground (roughest_m), or low plants."""
+_THIN_M = 0.03
+"""A layer of exact scans lies so far above its lowest points."""
+
+
+def _lift_m(xyz_m: Floats, rise_m: Floats) -> float:
+    """How much higher than in an exact cloud the layer of the ground lies above its lowest points.
+
+    The coarse ground goes through the lowest points of cells of 1 m, some spreads below the middle
+    of a noisy layer. Medians of cells are taken, and of these the lower third, by points: the rest
+    is low plants.
+    """
+    low = np.flatnonzero(np.abs(rise_m) < _LAYER_M)
+    if len(low) == 0:
+        return 0.0
+    cell = Grid.around(xyz_m[low, 0], xyz_m[low, 1], 1.0).flat(xyz_m[low, 0], xyz_m[low, 1])
+    order = np.lexsort((rise_m[low], cell))
+    _, start, count = np.unique(cell[order], return_index=True, return_counts=True)
+    middle = rise_m[low][order][start + count // 2]
+    ranked = np.argsort(middle)
+    below = np.cumsum(count[ranked])
+    typical = middle[ranked][np.searchsorted(below, below[-1] / 3)]
+    return float(np.clip(typical - _THIN_M, 0.0, _MOST_LIFT_M))
 
 
 @dataclass(frozen=True)
