@@ -8,7 +8,7 @@ empty :=
 space := $(empty) $(empty)
 
 .DEFAULT_GOAL := help
-.PHONY: help run real truth studio studio-vendor test test-full bench bench-full lint format config lock dag clean
+.PHONY: help run real truth studio studio-vendor test test-full bench bench-full lint format config lock dag docs clean
 
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -75,8 +75,11 @@ studio-vendor: ## bundle the studio's JavaScript libraries anew from web/package
 	cd web && npm ci --no-audit --no-fund && npm run build
 	cp web/node_modules/three/LICENSE workflow/roadsight/studio/assets/vendor/three.LICENSE
 
+docs: .venv/.installed-dev ## the documentation as a site, site/html/index.html; a broken link fails it
+	$(BIN)/python -m scripts.pages.build site
+
 clean: ## remove results, logs and the environment
-	rm -rf results logs .snakemake .venv
+	rm -rf results logs site .snakemake .venv
 
 dag: .venv/.installed ## redraw the pictures of docs/architecture.md from the code (needs graphviz)
 	$(BIN)/python scripts/rooms.py docs/images/rooms.svg

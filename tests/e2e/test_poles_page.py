@@ -105,7 +105,7 @@ def test_nothing_goes_wrong_and_nothing_is_requested(page, report):
         for number in range(page.run(f"shown('{selector}').length")):
             click(page, selector, number)
     for button in ("in", "out", "fit"):
-        click(page, f'[data-poles-map="{button}"]')
+        click(page, f'.poles-map ~ .map-buttons [data-map="{button}"]')
     click(page, ".site-link", 0)
     page.run("drawn()")
     click(page, ".site-link", 1)
@@ -133,7 +133,7 @@ def test_theme_follows_the_reader_and_texts_stand_out(themed):
 )
 def test_layers_of_the_map_can_be_hidden(page, layer, colour):
     for _ in range(3):
-        click(page, '[data-poles-map="in"]')
+        click(page, '.poles-map ~ .map-buttons [data-map="in"]')
     before = pixels(page, colour)
     assert before > 20
     click(page, f'[data-poles-layer="{layer}"]')

@@ -70,5 +70,5 @@ def test_from_nothing_to_results_and_again_after_a_zone_was_drawn(browser, studi
     key(page, "l")
     page.until("studio.page.plan?.jobs > 0", 120)
     stale = text(page, "table.stale")
-    assert "place_candidates" in stale and "build_dem" not in stale
+    assert "check_coverage" in stale and "build_dem" not in stale
     run_to_the_end(page)

@@ -80,7 +80,10 @@ def check_cut_off(checkout, tmp_path):
         copy = tmp_path / path.relative_to(checkout.folder)
         copy.parent.mkdir(parents=True, exist_ok=True)
         for share in (0.0, 0.3, 0.9):
-            copy.write_bytes(content[: int(len(content) * share)])
+            kept = content[: int(len(content) * share)]
+            if kept.strip() == content.strip():
+                continue  # an empty list lost the end of its line
+            copy.write_bytes(kept)
             with pytest.raises(InputError) as error:
                 read(copy)
             assert str(copy) in str(error.value), path

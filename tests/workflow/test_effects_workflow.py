@@ -13,7 +13,7 @@ RULES = {
     "mount_tilt": ("tilt_mounts", "lidar: {mounting: normal}"),
     "rain": ("model_rain", "effects: {rain: simulate}"),
     "fog": ("model_fog", "conditions: {visibility_m: 80}"),
-    "reflectivity": ("measure_reflectivity", "conditions: {target_reflectivity: 0.1}"),
+    "reflectivity": ("measure_reflectivity", "conditions: {target_reflectivity: 0.02}"),
     "moving_vehicles": ("trace_lanes", "conditions: {aadt: 50000}"),
 }
 """The rule of each effect that has one, and what calls for it at the small site."""

@@ -33,6 +33,8 @@ READERS = {
         "write_site_page",
         "try_removals",
         "gather_objects",
+        "write_handover",
+        "write_stakeout",
     },
     "profile_scene": {
         "build_dem",
@@ -53,6 +55,7 @@ READERS = {
         "find_obstacles",
         "write_site_page",
         "gather_objects",
+        "write_handover",
     },
     "cluster_fpfh": {"extract_pavement"},
     "extract_pavement": {
@@ -64,6 +67,7 @@ READERS = {
         "measure_data",
         "summarise_site",
         "write_site_page",
+        "write_handover",
     },
     # Digitised edges bound the road on which targets stand.
     "build_edges": {
@@ -72,6 +76,8 @@ READERS = {
         "densify_candidates",
         "measure_data",
         "write_site_page",
+        "write_handover",
+        "write_stakeout",
     },
     "score_pavement": {"summarise_site"},
     "place_candidates": {
@@ -96,6 +102,7 @@ READERS = {
         "summarise_site",
         "write_site_page",
         "try_removals",
+        "write_handover",
     },
     "gather_objects": {"find_obstacles", "try_removals"},
     "try_removals": {"summarise_site"},
@@ -141,13 +148,18 @@ READERS = {
         "summarise_site",
         "write_site_page",
         "try_removals",
+        "write_handover",
+        "write_stakeout",
     },
-    "find_obstacles": {"try_removals", "write_site_page"},
+    "find_obstacles": {"try_removals", "write_site_page", "write_handover"},
     "render_scans": {"measure_data", "write_site_page"},
     "measure_data": {"summarise_site"},
     "measure_tolerance": {"summarise_site", "write_site_page"},
     "summarise_site": {"write_site_page"},
-    "write_site_page": {"write_report"},
+    "write_site_page": {"write_report", "write_pdf"},
+    "write_pdf": {"write_report"},
+    "write_handover": {"write_report"},
+    "write_stakeout": {"write_report"},
     "write_report": set(),
 }
 
@@ -211,7 +223,7 @@ SETTINGS = [
         {"plan_effects"} | after("place_candidates", "densify_candidates"),
     ),
     ("  shards: 2\n", "  shards: 2\n  cover: {time_limit_s: 200}\n", after("solve_cover")),
-    ("title: Sixty", "title: Seventy", after("write_site_page")),
+    ("title: Sixty", "title: Seventy", after("write_site_page", "write_handover")),
 ]
 MODULES = [
     ("scene/pavement/fpfh.py", after("cluster_fpfh")),
@@ -223,7 +235,7 @@ MODULES = [
     ("synthetic/highway/highway.py", after("generate_sample")),
     ("commands/ground.py", set()),
     # The report explains each setting in the schema's words; nothing else reads the schema.
-    ("config/schema.py", {"write_report"}),
+    ("config/schema.py", after("write_pdf")),
 ]
 
 

@@ -13,6 +13,7 @@ from roadsight.studio.registration.registration_files import save_correction
 from roadsight.studio.results.pole_review import Decision, review, save_decisions
 from tests.workflow.conftest import with_followers
 from tests.workflow.test_poles_workflow import READERS as ROAD_READERS
+from tests.workflow.test_small_changes import AFTER_DETECTION
 from tests.workflow.test_staleness import READERS
 
 
@@ -36,12 +37,11 @@ def test_saved_edges_make_the_edges_and_what_follows_stale(copy_of_finished, mon
     }
 
 
-def test_saved_zones_make_the_candidates_and_what_follows_stale(copy_of_finished, monkeypatch):
+def test_saved_zones_make_the_covers_and_what_follows_stale(copy_of_finished, monkeypatch):
     x, y = drawn(copy_of_finished, monkeypatch)["edges"][0]["points"][0]
     zone = {"name": "z", "points": [[x, y], [x + 9, y], [x + 9, y + 9], [x, y + 9]]}
     saved(copy_of_finished, monkeypatch, zones=[zone])
-    stale = with_followers(READERS, "place_candidates", "densify_candidates")
-    assert copy_of_finished.stale_rules() == stale | {"match_inputs"}
+    assert copy_of_finished.stale_rules() == AFTER_DETECTION | {"match_inputs"}
     saved(copy_of_finished, monkeypatch, zones=[])
     assert copy_of_finished.stale_rules() == set()
 

@@ -46,7 +46,7 @@ def test_cars_past_traffic_reach_summary_layers_and_report(copy_of_finished: Che
     assert (asked["availability"] >= 0.8 - 1e-6).all()
     assert together["lower_bound"] <= together["cost"]
     assert together["sensors"] >= alone["sensors"]
-    assert together["data"]["points_per_s"] == 64 * 3600 * 10 * together["sensors"]
+    assert together["data"]["points_per_s"] == 64 * 2048 * 10 * together["sensors"]
     assert 0 < together["data"]["road_points_per_s"] < together["data"]["points_per_s"]
     quarters = together["data"]["heights"][0]["bands"]
     assert [band["to_m"] for band in quarters] == pytest.approx([0.325, 0.65, 0.975, 1.3])

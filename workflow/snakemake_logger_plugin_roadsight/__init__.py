@@ -22,8 +22,17 @@ from snakemake_logger_plugin_roadsight.lines import Steps
 
 _SAID = {LogEvent.JOB_ERROR, LogEvent.GROUP_ERROR, LogEvent.ERROR}
 """Events that are said as Snakemake says them; of the others, some become lines."""
-_KEPT = ("Nothing to be done",)
-"""Beginnings of the plain messages that are kept."""
+_CHATTER = (
+    "Building DAG",
+    "Using shell",
+    "Provided ",
+    "Rules claiming",
+    "Assuming ",
+    "Config file",
+    "host: ",
+)
+"""Beginnings of plain messages before a run that tell its reader nothing. All others are kept until
+a run begins: they are what --lint, --unlock and their like have to say."""
 
 
 @dataclass
@@ -43,6 +52,7 @@ class LogHandler(LogHandlerBase):
         path = getattr(self.settings, "events", None)
         self._events = None if path is None else EventsFile(path)
         self._now_s = 0.0
+        self._runs = False
         self._steps = Steps(lambda: self._now_s)
 
     def emit(self, record: LogRecord) -> None:
@@ -62,8 +72,9 @@ class LogHandler(LogHandlerBase):
             return [self.format(record)]
         if event is None:
             text = record.getMessage()
-            return [text] if text.startswith(_KEPT) else []
+            return [] if self._runs or text.startswith(_CHATTER) else [text]
         if event == LogEvent.RUN_INFO:
+            self._runs = True
             return self._steps.planned(about["stats"])
         if event == LogEvent.PROGRESS:
             return self._steps.progressed(about["done"], about["total"])

@@ -32,3 +32,8 @@ def test_nearest_names_the_closest_word():
 
 def test_nearest_lists_all_words_in_order_when_none_is_close():
     assert nearest("xyz", ["b", "a"]) == "valid names: a, b"
+
+
+def test_a_message_stays_short_whatever_would_be_allowed():
+    message = str(InputError("too many cells", allowed="x" * 5000))
+    assert len(message) < 1100

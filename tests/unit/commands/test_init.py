@@ -11,7 +11,9 @@ import yaml
 from roadsight.base.errors import InputError
 from roadsight.base.validation import validated
 from roadsight.commands import init
+from roadsight.config.plans import load_plans
 from roadsight.config.sites import Site
+from tests.conftest import PROJECT
 from tests.helpers.las_files import DATA, needs_data, random_points, wkt_of, write_las
 
 UTM = wkt_of("EPSG:25832")
@@ -48,7 +50,7 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "units": "auto",
         "vertical_units": "auto",
         "jobs": ["placement"],
-        "placement": {"edges": None, "tma": None},
+        "placement": {"plans": list(init.FIRST_PLANS), "edges": None, "tma": None},
     }
     for part in (
         "499 points, 1 withheld, noise or synthetic left out",
@@ -195,3 +197,10 @@ def test_it_says_what_was_found_and_what_comes_next(tmp_path, capsys):
 
 def test_a_dense_cloud_is_not_doubted():
     assert init.doubts(30.0) == [] and init.doubts(None) == []
+
+
+FILES = ("plans.yaml", "sensors.yaml")
+
+
+def test_the_first_plans_are_known():
+    assert set(init.FIRST_PLANS) <= set(load_plans(*(str(PROJECT / "config" / f) for f in FILES)))

@@ -132,3 +132,11 @@ def test_time_of_capture_with_parts_of_a_second():
         for parts in ("25", "", "750")
     ]
     np.testing.assert_allclose(np.array(times) - 1714557601, [0.25, 0, 0.75] * 3)
+
+
+@pytest.mark.parametrize("depth", [0, 3, 255])
+def test_a_png_of_no_such_depth_is_no_image(depth):
+    content = bytearray(cv2.imencode(".png", np.zeros((3, 4), np.uint8))[1].tobytes())
+    content[24] = depth
+    content[29:33] = struct.pack(">I", zlib.crc32(bytes(content[12:29])))
+    assert decoded_image(bytes(content), cv2.IMREAD_UNCHANGED) is None

@@ -7,6 +7,8 @@ import time
 import numpy as np
 import pytest
 import rasterio
+from hypothesis import given
+from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
@@ -136,3 +138,21 @@ def test_filled_cells_are_told_from_measured_ones(tmp_path):
     assert two.is_measured(x, y).tolist() == [True, False, True, False, False]
     assert one.is_measured(x, y).tolist() == [True, True, True, False, False]
     np.testing.assert_array_equal(two.values, one.values)
+
+
+@given(seed=st.integers(0, 2**31), rows=st.integers(1, 6), columns=st.integers(1, 6))
+def test_measured_cells_come_back_as_they_were_written(tmp_path_factory, seed, rows, columns):
+    rng = np.random.default_rng(seed)
+    values, measured = rng.normal(size=(rows, columns)), rng.random((rows, columns)) < 0.5
+    values[rng.random(values.shape) < 0.3] = np.nan
+    path = tmp_path_factory.mktemp("raster") / "two.tif"
+    frame = Frame((500.0, 600.0, 10.0))
+    write_raster(path, values, frame, -2.0, 3.0, 0.5, measured=measured)
+    found = read_raster(path, frame)
+    np.testing.assert_array_equal(found.measured, measured)
+    np.testing.assert_array_equal(np.isnan(found.values), np.isnan(values))
+    row, column = rng.integers(-2, 8, (2, 50))
+    x, y = -2.0 + 0.5 * (column + 0.5), 3.0 - 0.5 * (row + 0.5)
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    slow = [bool(i and measured[r, c]) for i, r, c in zip(inside, row, column, strict=True)]
+    assert found.is_measured(x, y).tolist() == slow

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
+import subprocess
+import sys
 import xml.etree.ElementTree as ET
 
 import ezdxf
@@ -301,3 +304,24 @@ def test_a_plan_without_sensors_has_its_layer(tmp_path):
     styled = [StyledLayer(n.name, n.about, n.features, n.geometry, qml(n.style)) for n in layers]
     write_styled(tmp_path / "a.gpkg", styled, FEET)
     assert pyogrio.read_info(tmp_path / "a.gpkg", layer="sensors_p")["features"] == 0
+
+
+def test_a_drawing_does_not_depend_on_the_order_of_sets():
+    code = (
+        "from roadsight.geometry.frames import Frame;"
+        "from roadsight.report.handover.drawing import drawing;"
+        "import hashlib;"
+        "text = drawing([], Frame((0.0, 0.0, 0.0)), 'metre');"
+        "print(hashlib.sha256(text.encode()).hexdigest())"
+    )
+    digests = {
+        subprocess.run(
+            [sys.executable, "-c", code],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            check=True,
+            capture_output=True,
+            text=True,
+        ).stdout
+        for seed in ("0", "4")  # two that order the library's sets differently
+    }
+    assert len(digests) == 1

@@ -137,7 +137,7 @@ class TestPage:
     def test_scene_alone(self, pages):
         page = read_json(pages[1])
         assert page["plans"] == []
-        assert set(page["layers"]) == {"cloud", "relief", "pavement", "edges"}
+        assert set(page["layers"]) == {"cloud", "relief", "pavement", "edges", "below"}
         assert page["layers"]["cloud"]["colour"] is None
 
     def test_solution_of_an_unknown_plan_is_refused(self, sites, tmp_path, capsys):

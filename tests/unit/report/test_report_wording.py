@@ -213,3 +213,7 @@ def test_mappings_and_lists_of_them_are_told_with_their_names():
     )
     zones = [{"half_angle_deg": 9, "range_m": 250}]
     assert wording.quantity("zones", zones) == "half angle 9°; range 250\u202fm"
+
+
+def test_a_share_that_is_not_known_is_no_number():
+    assert wording.percent(None) == wording.MISSING

@@ -116,10 +116,15 @@ def test_errors_and_warnings_are_said_and_chatter_is_not(capsys):
     lines = handler()
     lines.emit(record(INFO, "Building DAG of jobs..."))
     lines.emit(record(INFO, "Nothing to be done (all requested files are present)."))
+    lines.emit(record(INFO, "Lints for rule a"))
+    lines.emit(record(INFO, "stats", event=LogEvent.RUN_INFO, stats={"a": 1, "total": 1}))
+    lines.emit(record(INFO, "Select jobs to execute..."))
     lines.emit(record(WARNING, "a warning"))
     lines.emit(record(ERROR, "it broke", event=LogEvent.ERROR, exception="X"))
     assert capsys.readouterr().err.splitlines() == [
         "Nothing to be done (all requested files are present).",
+        "Lints for rule a",
+        "1 step to do",
         "a warning",
         "it broke",
     ]

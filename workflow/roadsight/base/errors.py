@@ -7,6 +7,8 @@ from collections.abc import Iterable
 
 _LONGEST = 500
 """Letters of a foreign text that a message quotes: enough to recognise it, not a whole file."""
+_LONGEST_LIST = 1000
+"""Letters of what would be allowed: columns of a damaged file may go on for pages."""
 
 
 class InputError(Exception):
@@ -34,18 +36,18 @@ class InputError(Exception):
         if found is not None:
             parts.append(f"found {_on_one_line(found)}")
         if allowed is not None:
-            parts.append(f"allowed: {allowed}")
+            parts.append(f"allowed: {_on_one_line(allowed, _LONGEST_LIST)}")
         if hint:
             parts.append(hint)
         message = "; ".join(part.rstrip(".; ") for part in parts)
         super().__init__(message if message.endswith("?") else message + ".")
 
 
-def _on_one_line(text: object) -> str:
+def _on_one_line(text: object, longest: int = _LONGEST) -> str:
     """Text of a file or of another program, made fit for a message: short, nothing unprintable."""
     plain = " ".join(str(text).split())
     plain = "".join(letter if letter.isprintable() else "?" for letter in plain)
-    return plain if len(plain) <= _LONGEST else f"{plain[:_LONGEST]}..."
+    return plain if len(plain) <= longest else f"{plain[:longest]}..."
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

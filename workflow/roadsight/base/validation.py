@@ -33,7 +33,7 @@ def validated(model: type[Model], content: Any, where: str) -> Model:
     try:
         return model.model_validate(content)
     except ValidationError as error:
-        raise _message(model, error, where) from error
+        raise _message(model, error, content, where) from error
 
 
 def check_path(path: Path, where: str) -> None:
@@ -52,10 +52,12 @@ def check_path(path: Path, where: str) -> None:
         raise InputError("a path too long for a file", where=where, found=text)
 
 
-def _message(model: type[BaseModel], error: ValidationError, where: str) -> InputError:
+def _message(
+    model: type[BaseModel], error: ValidationError, content: Any, where: str
+) -> InputError:
     # A misspelt key is told before the one that is missing for it.
     first = min(error.errors(), key=lambda part: part["type"] != "extra_forbidden")
-    field = ".".join(str(part) for part in first["loc"])
+    field = ".".join(_keys_of(content, first["loc"]))
     if first["type"] == "extra_forbidden":
         keys = _keys(model, first["loc"][:-1])
         return InputError(
@@ -69,6 +71,20 @@ def _message(model: type[BaseModel], error: ValidationError, where: str) -> Inpu
     if first["type"] == "string_type" and isinstance(first["input"], _MISREAD | None):
         hint = f'put it in quotes: "..." (YAML reads it as a {_kind(first["input"])})'
     return InputError(f"{field or 'file'}: {message}", where=where, found=shown, hint=hint)
+
+
+def _keys_of(content: Any, loc: tuple[int | str, ...]) -> list[str]:
+    """Keys of the file that lead to a value; beyond it, pydantic names alternatives of its type."""
+    keys = []
+    for part in loc:
+        if isinstance(content, dict):
+            content = content.get(part)
+        elif isinstance(content, list) and isinstance(part, int) and part < len(content):
+            content = content[part]
+        else:
+            break
+        keys.append(str(part))
+    return keys
 
 
 def _kind(value: object) -> str:

@@ -48,6 +48,10 @@ _CLASS_NAMES = {
 }
 
 
+FIRST_PLANS = ("os-64", "os-128")
+"""Plans of a first run: two sensors that most roads can be covered with."""
+
+
 @dataclass(frozen=True)
 class Finding:
     """A key of the site file as found.
@@ -237,6 +241,8 @@ clouds:
 # What to compute: placement, or scene for ground, pavement and edges alone.
 jobs: [placement]
 placement:
+  # Plans of config/plans.yaml to solve: two for a first answer; null solves all everyday ones.
+  plans: [{", ".join(FIRST_PLANS)}]
   # Digitised road edges (GeoJSON, GeoPackage, Shapefile, CSV); null finds them on the pavement.
   edges: null
   # Polygon of the area to be monitored; null takes the pavement that is found.

@@ -272,6 +272,9 @@ class Site(Section):
     units: Unit = Field(default="auto", description="horizontal unit of the coordinates")
     vertical_units: Unit = Field(default="auto", description="vertical unit of the coordinates")
     target_crs: CrsText | None = Field(default=None, description="reproject to this CRS on reading")
+    orthophoto: str | None = Field(
+        default=None, description="picture below the report's map, e.g. GeoTIFF; 8 bits, with CRS"
+    )
     extent: Extent | None = Field(
         default=None, description="part of the clouds that counts; all of them if absent"
     )

@@ -184,7 +184,9 @@ class Variant:
     def _snakemake(self, targets: Sequence[str], *options: str) -> str:
         """Standard output and error of Snakemake in the variant's folder."""
         names = [f"results/{self.site}/{target}" for target in targets]
-        command = [sys.executable, "-m", "snakemake", *names, "--configfile", _CONFIG, *options]
+        # With shell commands, Snakemake names its jobs itself.
+        said = ("--configfile", _CONFIG, "--printshellcmds")
+        command = [sys.executable, "-m", "snakemake", *names, *said, *options]
         finished = subprocess.run(
             command,
             cwd=self.folder,

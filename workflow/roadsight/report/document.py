@@ -10,20 +10,33 @@ import numpy as np
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.io.records.run_records import RunRecord
 from roadsight.placement.sensors.sensors import KINDS
 from roadsight.report import wording
 from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES
+from roadsight.report.paper.plan_map import plan_sketch
 from roadsight.report.parameters import figure_rows, setting_groups
 from roadsight.report.poles.poles_page import FORMAT as POLES_FORMAT
 from roadsight.report.poles.poles_view import poles_cards, poles_view
+from roadsight.report.result_files import ResultFile
 from roadsight.report.site.effects import effect_rows
 from roadsight.report.site.page import FORMAT
+from roadsight.report.site.place import map_place
 from roadsight.report.site.plan_view import best_plan, plan_views
 from roadsight.report.templates import template_environment
 
 _ROWS_SHOWN = 100
 """Rows of a long table that are shown before a reader asks for the rest."""
 _FILTERS = ("number", "percent", "seconds", "metres", "bearing", "counted", "label", "pose")
+_BELOW = {
+    "orthophoto": "Orthophoto",
+    "relief": "Terrain relief",
+    "colour": "Colour of the cloud",
+    "intensity": "Intensity near the ground",
+    "height": "Height above ground, to 12 m",
+    "plain": "Nothing",
+}
+"""Backgrounds of the map and their titles."""
 _UNIT_SIGNS = {"metre": "m", "foot": "ft", "us-survey-foot": "US ft"}
 
 
@@ -34,6 +47,8 @@ def render_report(
     plotly_js: str,
     version: str,
     evidence: Mapping[str, str] | None = None,
+    runs: Mapping[str, RunRecord] | None = None,
+    files: Mapping[str, Sequence[ResultFile]] | None = None,
 ) -> str:
     """HTML of the report; the same pages give the same text.
 
@@ -44,6 +59,7 @@ def render_report(
     assets : text of the files named in `ASSETS`.
     plotly_js : source of plotly.js.
     evidence : titles of further pages and their addresses from the report, for links.
+    runs, files : by site, when and by what it was made, and the files that people open.
 
     Raises
     ------
@@ -61,6 +77,8 @@ def render_report(
         plotly=plotly_js,
         version=version,
         evidence=evidence or {},
+        runs={site: run.rows() for site, run in (runs or {}).items()},
+        files=files or {},
         rows=_ROWS_SHOWN,
     )
 
@@ -100,7 +118,7 @@ def _site(page: _Page | None, poles_page: _Page | None, identifier: str) -> dict
     """What the templates show of a site."""
     about = next(given for given in (page, poles_page) if given is not None)
     poles = None if poles_page is None else poles_view(poles_page)
-    scene = {"plans": [], "sensors": {}} if page is None else _scene(page)
+    scene = {"plans": [], "sensors": {}, "sketch": ""} if page is None else _scene(page)
     return {
         "id": identifier,
         "title": about["title"] or about["summary"]["site"],
@@ -128,11 +146,28 @@ def _scene(page: _Page) -> dict[str, Any]:
         "examined": _has(page, "proven_share"),
         "tolerance": _has(page, "tolerance"),
         "unexamined": bool(page["layers"].get("unexamined")),
+        "priced": _is_priced(page),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
+        "sketch": plan_sketch(page, best_plan(page["plans"])) if page["plans"] else "",
+        "below": _below(page),
         **_cloud(page),
         **_evidence(page),
         "data": embedded(_drawn(page)),
     }
+
+
+def _below(page: _Page) -> list[tuple[str, str]]:
+    """What the map may lie on, as name and title; the first one is shown."""
+    pictures = list(page["layers"].get("below", {}))
+    names = [name for name in pictures if name == "orthophoto"]
+    names += ["relief", *(name for name in pictures if name not in names), "plain"]
+    return [(name, _BELOW[name]) for name in names]
+
+
+def _is_priced(page: _Page) -> bool:
+    """Whether costs tell anything that the number of sensors does not."""
+    costs = {sensor["cost"] for sensor in page["sensors"].values()}
+    return len(costs) > 1 or any(p["objective"] != len(p["sensors"]) for p in page["plans"])
 
 
 def _has(page: _Page, key: str) -> bool:
@@ -207,6 +242,7 @@ def _drawn(page: dict[str, Any]) -> dict[str, Any]:
         "layers": page["layers"],
         "plans": page["plans"],
         "sensors": page["sensors"],
+        "place": _place(page),
         "cell_size_m": page["summary"]["settings"]["targets"]["cell_size_m"],
     }
 
@@ -215,7 +251,15 @@ def _drawn_poles(page: _Page) -> dict[str, Any]:
     """What the poles' map and images draw."""
     kept = ("layers", "images", "hazard")
     errors = (page["validation"] or {}).get("errors", [])
-    return {key: page[key] for key in kept} | {"errors": errors}
+    return {key: page[key] for key in kept} | {"errors": errors, "place": _place(page)}
+
+
+def _place(page: _Page) -> dict[str, Any]:
+    """What the maps tell coordinates by."""
+    about = page["frame"]
+    bounds = about.get("bounds_m") or [0.0] * 6
+    corners = [bounds[0], bounds[1], bounds[3], bounds[4]]
+    return map_place(Frame.from_dict(about), corners, _unit_sign(about["unit"]))
 
 
 def embedded(content: Any) -> str:
@@ -243,15 +287,19 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
         cards.append(("Pavement F1 score", f1, "against the reference"))
     if not page["plans"]:
         return cards
-    cards = [*_proven_card(page), *cards]
     candidates = page["layers"]["candidates"]
     positions = candidates["heights"]["count"]
-    cards.append(("Targets", wording.number(len(page["layers"]["targets"]["names"])), "to be seen"))
-    remark = f"at {wording.counted(positions, 'position')}"
-    cards.append(("Candidates", wording.number(candidates["total"]), remark))
     best = best_plan(page["plans"])
-    value = wording.counted(len(best["sensors"]), "sensor")
-    return [*cards, ("Fewest sensors", value, best["title"])]
+    count = wording.counted(len(best["sensors"]), "sensor")
+    first = [("Fewest sensors", count, best["title"]), *_proven_card(page)]
+    if _is_priced(page):
+        first.append(("Cost", wording.number(best["objective"]), best["title"]))
+    targets = len(page["layers"]["targets"]["names"])
+    unseen = len(best["gaps"])
+    remark = f"of {wording.number(targets)} to be seen"
+    first.append(("Targets not covered", wording.number(unseen) if unseen else "none", remark))
+    remark = f"at {wording.counted(positions, 'position')}"
+    return [*first, *cards, ("Candidates", wording.number(candidates["total"]), remark)]
 
 
 def _proven_card(page: dict[str, Any]) -> list[tuple[str, str, str]]:

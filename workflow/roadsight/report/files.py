@@ -20,6 +20,7 @@ def read_assets(names: Iterable[str]) -> dict[str, str]:
 STYLES = ("base.css", "parts.css", "views.css", "poles.css")
 SCRIPTS = (
     "data.js",
+    "map_tools.js",
     "plan_canvas.js",
     "map_view.js",
     "map_layers.js",

@@ -127,8 +127,10 @@ def number(value: float, decimals: int | None = None) -> str:
     return _signed(f"{value:,.{decimals}f}")
 
 
-def percent(share: float) -> str:
+def percent(share: float | None) -> str:
     """Share as a percentage that never rounds to 0 or 100 unless it is."""
+    if share is None:
+        return MISSING
     shown = f"{100 * share:.1f}"
     if shown == "100.0" and share < 1:
         shown = "> 99.9"

@@ -40,6 +40,7 @@ def given_lists(wildcards):
             add(kind, what, resolved.layered(path), crs)
 
     if has_scene_page(wildcards.site):
+        add_named("picture", "orthophoto", site.orthophoto)
         own = site.placement
         for what, path, crs in (
             ("edges", own.edges, own.edges_crs),
@@ -101,7 +102,7 @@ def listed_images(wildcards):
 def frames_of_lists(wildcards):
     """Frames of the videolog, where a list is about its images."""
     lists = given_lists(wildcards)
-    if all(one["kind"] == "places" for one in lists):
+    if all(one["kind"] in ("places", "picture") for one in lists):
         return []
     after_profile("side_views")(wildcards)
     return [pole_frames(wildcards)]

@@ -87,6 +87,7 @@ rule write_site_page:
         dem=rules.build_dem.output.dem,
         pavement=rules.extract_pavement.output.pavement,
         edges=rules.build_edges.output.edges,
+        orthophoto=beside_site("orthophoto"),
         targets=placement_only(site_targets),
         unexamined=placement_only(unexamined_pavement),
         candidates=placement_only(all_candidates),
@@ -119,6 +120,7 @@ rule write_site_page:
         " --title={params.title:q} --plans {params.plans:q} --sensors {params.sensors_file:q}"
         " --summary {input.summary} --frame {input.frame} --cloud {input.cloud}"
         " --dem {input.dem} --pavement {input.pavement} --edges {input.edges}"
+        " --orthophoto {input.orthophoto}"
         " --targets {input.targets} --unexamined {input.unexamined} --candidates {input.candidates}"
         " --detections {input.detections} --coverage {input.coverage}"
         " --solutions {input.solutions} --layers {input.layers}"
@@ -131,6 +133,7 @@ rule write_report:
     input:
         pages=site_pages(),
         poles_pages=pole_pages(),
+        handed_over=[*printed_reports(), *handovers()],
         assets=REPORT_ASSETS,
         code=sources("write_report"),
     output:

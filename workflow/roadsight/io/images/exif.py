@@ -156,6 +156,8 @@ def _plain_png(content: bytes) -> tuple[bytes, int]:
     if len(header) < 13:
         return content, 1
     depth, kind = header[8], header[9]
+    if depth not in (1, 2, 4, 8, 16):
+        raise ValueError(f"its bit depth is {depth}")
     if kind == _PALETTE:
         header = header[:9] + bytes([0]) + header[10:]
     elif kind != 0 or depth >= 8:

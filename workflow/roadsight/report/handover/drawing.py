@@ -51,6 +51,9 @@ def drawing(layers: Sequence[Layer], frame: Frame, unit: str) -> str:
         scale = 1.0 / frame.unit_m
         for layer in layers:
             _add(document, layer, frame, scale)
+        # The library adds these when it writes, in the order of a set.
+        for kind in sorted(document.entitydb.dxf_types_in_use()):
+            document.classes.add_class(kind)
         stream = io.StringIO()
         document.write(stream)
     finally:

@@ -20,6 +20,8 @@ SEEN = ("#dc2626", "#93c5fd", "#3b82f6", "#1e3a8a")
 """Targets that no sensor, one, two, and three or more sensors see."""
 SEEN_LABELS = ("by none", "by one", "by two", "by three or more")
 SENSOR = "#b45309"
+_SKETCH_MM = (84.0, 46.0)
+"""Size of the sketch in units in which a sensor's mark is 4 wide."""
 _MARGIN_M = 5.0
 """Air around what a map is of."""
 _LOW = np.array([148, 163, 184])
@@ -62,6 +64,22 @@ def plan_map(page: dict[str, Any], plan: dict[str, Any], width_mm: float, height
     _edges(drawing, layers["edges"])
     drawing.numbered(sensors, [str(s["number"]) for s in plan["sensors"]], SENSOR)
     return _finished(drawing, page)
+
+
+def plan_sketch(page: dict[str, Any], plan: dict[str, Any]) -> str:
+    """Small SVG for the head of a page: pavement, numbered sensors, targets that none sees."""
+    layers = page["layers"]
+    rings = [[_ring(ring) for ring in polygon] for polygon in layers["pavement"]]
+    targets = unpack(layers["targets"]["xyz"]).reshape(-1, 3).astype(np.float64)
+    sensors = np.array([[s["x"], s["y"]] for s in plan["sensors"]]).reshape(-1, 2)
+    drawing = Drawing(_around(np.vstack([targets[:, :2], sensors]), *_SKETCH_MM))
+    for polygon in rings:
+        drawing.areas(polygon, 'fill="var(--pavement)"')
+    unseen = targets[times_seen(plan, len(targets)) == 0, :2]
+    drawing.dots(unseen, 0.8, 'fill="var(--seen-0)"')
+    drawing.numbered(sensors, [str(s["number"]) for s in plan["sensors"]], "var(--sensor)")
+    count = len(plan["sensors"])
+    return drawing.inline(f"{count} sensors on the road as the plan {plan['title']} places them")
 
 
 def scene_map(page: dict[str, Any], width_mm: float, height_mm: float) -> str:

@@ -162,6 +162,14 @@ class Drawing:
             f"{''.join(furniture.parts)}</svg>"
         )
 
+    def inline(self, about: str) -> str:
+        """The map alone as an element of a page, for its colours and with what it is of."""
+        width, height = self.paper.width_mm, self.paper.height_mm
+        return (
+            f'<svg class="sketch" viewBox="0 0 {width:.2f} {height:.2f}" role="img"'
+            f' aria-label="{escape(about, quote=True)}">{"".join(self.parts)}</svg>'
+        )
+
     def _path(self, xy_m: NDArray) -> str:
         points = self.paper.millimetres(xy_m)
         return "M" + "L".join(f"{x:.2f} {y:.2f}" for x, y in points)

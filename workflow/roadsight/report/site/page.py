@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import geopandas as gpd
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from roadsight.geometry.frames import Frame
 from roadsight.report.packing import pack, pack_points
+from roadsight.report.site.backdrops import Backdrop
 from roadsight.report.site.cautions import (
     Caution,
     data_cautions,
@@ -64,6 +65,7 @@ class Scene:
     about : content of frame.json.
     cloud : sample of the cloud. relief : terrain model.
     pavement : polygons, edges : lines with edge, kind, source; local metres.
+    below : pictures that the map may lie on, by name, the best first.
     """
 
     about: dict[str, Any]
@@ -71,6 +73,7 @@ class Scene:
     relief: Relief
     pavement: gpd.GeoDataFrame
     edges: gpd.GeoDataFrame
+    below: Mapping[str, Backdrop] = field(default_factory=dict)
 
     @property
     def frame(self) -> Frame:
@@ -140,6 +143,7 @@ def build_page(
         "relief": relief_layer(**vars(scene.relief)),
         "pavement": polygon_layer(scene.pavement),
         "edges": edge_layer(scene.edges),
+        "below": {name: picture.packed() for name, picture in scene.below.items()},
     }
     plans = []
     if placement is not None:

@@ -18,8 +18,9 @@ _MOST_NOISE_M = 0.05
 """Thickest layer of ground; on flat planes with more noise, the filter was not held to 3 %."""
 _HIGH_M = 2.0
 """No ground stands this high above the terrain model."""
-_MOST_HIGH = 0.3
-"""Share of a file's ground points that stand so high from which its classes mean nothing."""
+_MOST_HIGH = 0.03
+"""Share of a file's ground points that stand so high from which its classes mean nothing: published
+ones have 0 to 0.06 %; where all points were of class 2, streets had 7 to 8 %, tiles 12 to 60."""
 _MOST_DISAGREE = 0.15
 """Published classifications disagree with the filter on 0.5 to 1.5 % of the points, generated ones
 with tall grass on 6 %."""

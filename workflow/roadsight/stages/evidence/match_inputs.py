@@ -17,6 +17,7 @@ from roadsight.base.matches import tell_named
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import posed_images
 from roadsight.io.images.label_images import LabelImages
+from roadsight.io.raster.orthophotos import read_orthophoto
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.point_tables import read_points
@@ -28,8 +29,10 @@ from roadsight.stages.doubts import keep
 
 log = logging.getLogger("match_inputs")
 
-PLACES, IMAGES, FOLDER = "places", "images", "folder"
-"""Kinds of lists: features on the map, rows about images, and a folder of an image for each."""
+PLACES, IMAGES, FOLDER, PICTURE = "places", "images", "folder", "picture"
+"""Kinds: features on the map, rows about images, a folder of an image for each, an orthophoto."""
+_LOOKED_AT = 64
+"""Pixels a side in which an orthophoto is looked at before any work begins."""
 
 
 def match_inputs(arguments: argparse.Namespace) -> None:
@@ -43,6 +46,8 @@ def match_inputs(arguments: argparse.Namespace) -> None:
             known = set(read_table(arguments.frames, ["image"])["image"])
             named = posed_images(path)
             doubts += tell_named(log, f"{what} are of an image of the videolog", named, known, path)
+        elif given["kind"] == PICTURE:
+            _check_picture(path, about)
         else:
             views = views_of(usable(read_table(arguments.frames), 0, 1), tuple(arguments.views))
             paths = [view.path for view in views]
@@ -56,6 +61,14 @@ def _near(what: str, path: str, crs: str | None, about: dict[str, Any]) -> list[
         places = read_points(path, frame)[["x", "y"]].to_numpy(np.float64)
         return tell_near(log, what, places, about, path)
     return tell_near(log, what, load_local(Path(path), frame, crs).geometry.to_numpy(), about, path)
+
+
+def _check_picture(path: str, about: dict[str, Any]) -> None:
+    """Refuse an orthophoto that cannot be read or shows another place."""
+    west, south, _, east, north, _ = about["bounds_m"]
+    cell_m = max(east - west, north - south, 1e-3) / _LOOKED_AT
+    frame = Frame.from_dict(about)
+    read_orthophoto(path, frame, west, north, _LOOKED_AT, _LOOKED_AT, cell_m)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from pathlib import Path
 
 from plotly.offline import get_plotlyjs
 
 from roadsight import __version__
 from roadsight.io.records.atomic import atomic_path, read_json
+from roadsight.io.records.run_records import run_record
 from roadsight.report.document import render_report
 from roadsight.report.files import ASSETS, read_assets
+from roadsight.report.result_files import result_files
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("write_report")
@@ -23,10 +26,13 @@ def write_report(arguments: argparse.Namespace) -> None:
     pages = [read_json(path) for path in arguments.pages]
     poles = [read_json(path) for path in arguments.poles_pages]
     evidence = dict(entry.split("=", 1) for entry in arguments.evidence)
-    html = render_report(pages, poles, assets, get_plotlyjs(), __version__, evidence)
+    sites = dict.fromkeys(page["summary"]["site"] for page in (*pages, *poles))
+    results = Path(arguments.out).parent
+    runs = {site: run_record([results / site / "benchmarks"], __version__) for site in sites}
+    files = {site: result_files(results, site) for site in sites}
+    html = render_report(pages, poles, assets, get_plotlyjs(), __version__, evidence, runs, files)
     with atomic_path(arguments.out) as temporary:
         temporary.write_text(html, encoding="utf-8")
-    sites = {page["summary"]["site"] for page in (*pages, *poles)}
     log.info("%d sites, %.1f MB", len(sites), len(html) / 1e6)
 
 

@@ -17,12 +17,14 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.cloud.tiles import COLOUR, CloudTiles, stack_xyz
+from roadsight.io.raster.orthophotos import read_orthophoto
 from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.detections import read_detections
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, load_sensors
+from roadsight.report.site.backdrops import Backdrop, backdrops
 from roadsight.report.site.layers import CloudSample
 from roadsight.report.site.page import Placement, PlanResult, Relief, Scene, build_page
 from roadsight.report.site.thinning import sample_mask, thin
@@ -34,8 +36,10 @@ _CLOUD_POINTS = 150_000
 """Points of the cloud in the page; three numbers of 16 bits each, before compression."""
 _RETURNS = 20_000
 """Returns of a plan's virtual scans in the page."""
-# Points in memory before they are thinned evenly in space.
 _SAMPLED_POINTS = 2_000_000
+"""Points in memory before they are thinned evenly in space."""
+_PHOTO_PIXELS = 1500
+"""Pixels along the longer side of an orthophoto: half a megabyte of the page."""
 
 
 def write_site_page(arguments: argparse.Namespace) -> None:
@@ -43,12 +47,16 @@ def write_site_page(arguments: argparse.Namespace) -> None:
     about, summary = read_json(arguments.frame), read_json(arguments.summary)
     frame = Frame.from_dict(about)
     dem = read_raster(arguments.dem, frame)
+    cloud, below = sample_cloud(arguments.cloud, dem)
+    if arguments.orthophoto and below:
+        below = {"orthophoto": _orthophoto(arguments.orthophoto, frame, cloud.xyz_m), **below}
     scene = Scene(
         about,
-        sample_cloud(arguments.cloud, dem),
+        cloud,
         Relief(dem.values, dem.west_m, dem.north_m, dem.cell_size_m),
         read_layer(arguments.pavement, "pavement", frame),
         read_layer(arguments.edges, "edges", frame),
+        below,
     )
     placement = _placement(arguments, frame) if arguments.solutions else None
     title = arguments.title or arguments.site
@@ -57,8 +65,11 @@ def write_site_page(arguments: argparse.Namespace) -> None:
     write_json(arguments.out, page)
 
 
-def sample_cloud(path: str, dem: Raster) -> CloudSample:
-    """About 150,000 points of a tiled cloud, even in space, with their height above ground."""
+def sample_cloud(path: str, dem: Raster) -> tuple[CloudSample, dict[str, Backdrop]]:
+    """About 150,000 points of a tiled cloud, even in space, and pictures of it from above.
+
+    The points have their height above ground; the pictures are drawn from two million.
+    """
     cloud = CloudTiles(path)
     share = _SAMPLED_POINTS / max(cloud.points, 1)
     colours = [name for name in COLOUR if name in cloud.columns]
@@ -70,15 +81,27 @@ def sample_cloud(path: str, dem: Raster) -> CloudSample:
         parts.append({name: points[name][mask] for name in names})
         start += tile.rows
     sample = {name: np.concatenate([part[name] for part in parts]) for name in names}
-    chosen = thin(stack_xyz(sample), _CLOUD_POINTS)
-    sample = {name: values[chosen] for name, values in sample.items()}
-    return CloudSample(
+    xyz_m, intensity = stack_xyz(sample), sample["intensity"]
+    above_m = sample["z"] - dem.sample(sample["x"], sample["y"])
+    colour = np.column_stack([sample[name] for name in colours]) if colours else None
+    chosen = thin(xyz_m, _CLOUD_POINTS)
+    thinned = CloudSample(
         cloud.points,
-        stack_xyz(sample),
-        sample["z"] - dem.sample(sample["x"], sample["y"]),
-        sample["intensity"],
-        np.column_stack([sample[name] for name in colours]) if colours else None,
+        xyz_m[chosen],
+        above_m[chosen],
+        intensity[chosen],
+        None if colour is None else colour[chosen],
     )
+    return thinned, backdrops(xyz_m, above_m, intensity, colour)
+
+
+def _orthophoto(path: str, frame: Frame, xyz_m: Floats) -> Backdrop:
+    """What an orthophoto shows of the cloud's box, with at most 1,500 pixels a side."""
+    (west, south), (east, north) = xyz_m[:, :2].min(axis=0), xyz_m[:, :2].max(axis=0)
+    cell_m = max(float(east - west), float(north - south), 1e-3) / _PHOTO_PIXELS
+    rows, columns = int((north - south) / cell_m) + 1, int((east - west) / cell_m) + 1
+    place = float(west), float(north)
+    return Backdrop(read_orthophoto(path, frame, *place, rows, columns, cell_m), *place, cell_m)
 
 
 def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
@@ -207,6 +230,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--sensors", help="definitions of the sensors; needed with --solutions")
     parser.add_argument("--plans", nargs="*", default=[], metavar="NAME=TITLE")
     parser.add_argument("--unexamined", nargs="?", help="pavement that no target stands for")
+    parser.add_argument("--orthophoto", nargs="?", help="picture below the map")
     per_site = ("targets", "candidates", "detections", "coverage")
     for name in (*per_site, "solutions", "layers", "tolerances", "obstacles", "scans"):
         parser.add_argument(f"--{name}", nargs="*", default=[])

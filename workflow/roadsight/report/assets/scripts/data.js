@@ -20,6 +20,12 @@ function unpackPoints(packed) {
   return { x: axes[0], y: axes[1], z: axes[2] };
 }
 
+function readPicture({ address, ...place }) {
+  const image = new Image();
+  image.src = address;
+  return { ...place, image };
+}
+
 function readPlan(plan, targets) {
   const seen = plan.seen.map(unpack);
   const times = new Uint16Array(targets);
@@ -38,6 +44,8 @@ function readSite(content) {
     layers,
     sensors: content.sensors,
     cell_size_m: content.cell_size_m,
+    place: content.place,
+    below: Object.fromEntries(Object.entries(layers.below ?? {}).map(([name, picture]) => [name, readPicture(picture)])),
     relief: { ...layers.relief, shade: unpack(layers.relief.shade) },
     pavement: layers.pavement.map((rings) => rings.map(unpack)),
     unexamined: (layers.unexamined ?? []).map((rings) => rings.map(unpack)),

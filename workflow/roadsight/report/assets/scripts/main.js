@@ -45,9 +45,16 @@ function followAnchor() {
 }
 
 showSite(sections[0]);
+// Paper is light, whatever the screen is; maps are drawn anew for it at once.
+function paintFor(paper) {
+  document.documentElement.toggleAttribute("data-paper", paper);
+  for (const part of [...opened.values()].flat()) paper ? part.print() : part.recolour();
+}
 window.addEventListener("beforeprint", () => {
   for (const details of document.querySelectorAll("details")) details.open = true;
+  paintFor(true);
 });
+window.addEventListener("afterprint", () => paintFor(false));
 window.addEventListener("hashchange", followAnchor);
 followAnchor();
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => [...opened.values()].flat().forEach((part) => part.recolour()));

@@ -9,7 +9,9 @@ function drawMap(map) {
   context.globalAlpha = 1;
   context.fillStyle = colour("ground");
   context.fillRect(0, 0, map.width, map.height);
-  if (layers.relief) drawRelief(map);
+  const picture = map.site.below[map.below];
+  if (picture) drawPicture(map, picture, picture.image);
+  else if (map.below === "relief") drawPicture(map, map.site.relief, map.reliefImage);
   if (layers.pavement) drawPavement(map);
   if (layers.unexamined) drawUnexamined(map);
   if (layers.edges) drawEdges(map);
@@ -46,11 +48,11 @@ function channels(hex) {
   return [1, 3, 5].map((at) => parseInt(hex.slice(at, at + 2), 16));
 }
 
-function drawRelief(map) {
-  const { west_m, north_m, rows, columns, cell_size_m } = map.site.relief;
+function drawPicture(map, { west_m, north_m, rows, columns, cell_size_m }, image) {
+  if (image instanceof Image && !image.complete) return;
   const [left, top] = map.toScreen(west_m, north_m);
   const size = cell_size_m * map.scale;
-  map.context.drawImage(map.reliefImage, left, top, columns * size, rows * size);
+  map.context.drawImage(image, left, top, columns * size, rows * size);
 }
 
 function trace(map, xy) {
@@ -92,11 +94,16 @@ function drawUnexamined(map) {
 
 function drawPavement(map) {
   const { context } = map;
+  const picture = map.site.below[map.below];
   context.fillStyle = map.colour("pavement");
-  context.globalAlpha = 0.85;
+  context.globalAlpha = picture ? 0.2 : 0.85;
   tracePolygons(map, map.site.pavement);
   context.fill("evenodd");
   context.globalAlpha = 1;
+  if (!picture) return;
+  context.strokeStyle = map.colour("accent");
+  context.lineWidth = 1.5;
+  context.stroke();
 }
 
 function drawEdges(map) {

@@ -3,7 +3,9 @@
 class MapView extends PlanCanvas {
   constructor(canvas, site, state, tooltip) {
     super(canvas, site, state, tooltip);
-    this.layers = { relief: true, pavement: true, unexamined: true, edges: true, candidates: true, targets: true, obstacles: true, sensors: true };
+    this.layers = { pavement: true, unexamined: true, edges: true, candidates: true, targets: true, obstacles: true, sensors: true };
+    this.below = "orthophoto" in site.below ? "orthophoto" : "relief";
+    for (const { image } of Object.values(site.below)) image.addEventListener("load", () => this.draw());
     this.recolour();
   }
 

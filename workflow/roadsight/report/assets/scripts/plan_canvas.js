@@ -9,7 +9,10 @@ class PlanCanvas {
     Object.assign(this, { canvas, site, state, tooltip });
     this.context = canvas.getContext("2d");
     this.active = false;
+    this.ruler = null;
+    this.stage = canvas.parentElement;
     this.listen();
+    this.listenTools();
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
@@ -68,34 +71,51 @@ class PlanCanvas {
     if (this.pending || this.width === undefined) return;
     this.pending = requestAnimationFrame(() => {
       this.pending = 0;
-      this.context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
-      this.paint();
+      this.paintAll();
     });
   }
 
+  paintAll() {
+    this.context.setTransform(this.ratio, 0, 0, this.ratio, 0, 0);
+    this.paint();
+    this.ruler?.paint(this);
+    this.tell(this.pointed ?? this.centre);
+  }
+
+  // One finger moves the page, or the map sideways; two fingers move and zoom the map.
   listen() {
     const { canvas } = this;
-    let last = null, travelled = 0;
+    const held = new Map();
+    let travelled = 0;
+    const lift = (event) => {
+      held.delete(event.pointerId);
+      return held.size === 0 && travelled < 4;
+    };
     canvas.addEventListener("pointerdown", (event) => {
       this.active = true;
-      last = [event.clientX, event.clientY];
-      travelled = 0;
+      if (held.size === 0) travelled = 0;
+      held.set(event.pointerId, [event.offsetX, event.offsetY]);
       canvas.setPointerCapture(event.pointerId);
     });
     canvas.addEventListener("pointermove", (event) => {
-      if (last) {
-        const [dx, dy] = [event.clientX - last[0], event.clientY - last[1]];
-        travelled += Math.abs(dx) + Math.abs(dy);
-        last = [event.clientX, event.clientY];
-        this.move(dx, dy);
-      } else this.point(event);
+      const now = [event.offsetX, event.offsetY];
+      this.pointed = this.toGround(...now);
+      if (!held.has(event.pointerId)) return this.point(event);
+      const before = middleAndReach([...held.values()]);
+      held.set(event.pointerId, now);
+      const after = middleAndReach([...held.values()]);
+      const [dx, dy] = [after.x - before.x, after.y - before.y];
+      travelled += Math.abs(dx) + Math.abs(dy);
+      this.move(dx, dy);
+      if (before.reach > 0) this.zoom(after.reach / before.reach, after.x, after.y);
     });
     canvas.addEventListener("pointerup", (event) => {
-      last = null;
-      if (travelled < 4) this.click(event);
+      if (lift(event)) this.click(event);
     });
+    canvas.addEventListener("pointercancel", lift);
     canvas.addEventListener("pointerleave", () => {
       this.active = false;
+      this.pointed = null;
       this.tooltip.hide();
     });
     canvas.addEventListener("wheel", (event) => {
@@ -112,14 +132,64 @@ class PlanCanvas {
       ArrowLeft: () => this.move(step, 0), ArrowRight: () => this.move(-step, 0),
       ArrowUp: () => this.move(0, step), ArrowDown: () => this.move(0, -step),
       "+": () => this.zoom(1.4), "=": () => this.zoom(1.4), "-": () => this.zoom(1 / 1.4),
-      0: () => this.fit(), Escape: () => this.choose(null),
+      0: () => this.fit(), Escape: () => this.leave(),
     };
     if (!actions[event.key] || event.ctrlKey || event.metaKey || event.altKey) return;
     event.preventDefault();
     actions[event.key]();
   }
 
+  // The buttons beside the map, and the line below it.
+  listenTools() {
+    const { stage } = this;
+    this.status = stage.querySelector("[data-coordinates]");
+    this.online = Object.assign(document.createElement("a"), { target: "_blank", rel: "noopener noreferrer", textContent: "Online map" });
+    this.status.after(this.online);
+    const actions = { in: () => this.zoom(1.4), out: () => this.zoom(1 / 1.4), fit: () => this.fit(), measure: () => this.measure() };
+    stage.addEventListener("click", ({ target }) => actions[target.closest("[data-map]")?.dataset.map]?.());
+  }
+
+  measure() {
+    this.ruler = this.ruler ? null : new Ruler(this.site.place);
+    this.stage.querySelector('[data-map="measure"]').setAttribute("aria-pressed", this.ruler !== null);
+    this.canvas.focus({ preventScroll: true });
+    this.draw();
+  }
+
+  // Escape ends a line that is measured, then measuring, then a choice.
+  leave() {
+    if (!this.ruler) return this.choose(null);
+    if (this.ruler.points.length && !this.ruler.ended) this.ruler.ended = true;
+    else this.measure();
+    this.draw();
+  }
+
+  tell([x, y]) {
+    if (this.ruler) this.status.textContent = this.ruler.text;
+    else this.status.textContent = coordinatesText(this.site.place, x, y);
+    const address = onlineMap(this.site.place, ...this.centre);
+    this.online.hidden = address === null;
+    if (address) this.online.href = address;
+  }
+
+  // Centre a place that lies outside the view, and come close enough to tell it from its neighbours.
+  reveal({ x, y }, least = 10) {
+    const [px, py] = this.toScreen(x, y);
+    const inside = px > 40 && py > 40 && px < this.width - 40 && py < this.height - 40;
+    if (inside && this.scale > 0.4 * least) return;
+    this.showsAll = false;
+    this.centre = [x, y];
+    this.scale = Math.max(this.scale, least);
+    this.draw();
+  }
+
   point(event) {
+    if (this.ruler) {
+      this.ruler.pointer = this.pointed;
+      this.canvas.style.cursor = "crosshair";
+      return this.draw();
+    }
+    this.tell(this.pointed);
     const found = this.pick(event.offsetX, event.offsetY);
     this.canvas.style.cursor = found?.chosen ? "pointer" : "";
     if (found) this.tooltip.show(found.text, event.clientX, event.clientY);
@@ -127,6 +197,10 @@ class PlanCanvas {
   }
 
   click(event) {
+    if (this.ruler) {
+      this.ruler.add(this.toGround(event.offsetX, event.offsetY));
+      return this.draw();
+    }
     const found = this.pick(event.offsetX, event.offsetY);
     if (found?.chosen) this.choose(found);
   }
@@ -141,4 +215,10 @@ class PlanCanvas {
     }
     return best;
   }
+}
+
+// Middle of the fingers, and how far apart two of them are; 0 for one.
+function middleAndReach(places) {
+  const [[x, y], [otherX, otherY]] = [places[0], places[1] ?? places[0]];
+  return { x: (x + otherX) / 2, y: (y + otherY) / 2, reach: Math.hypot(otherX - x, otherY - y) };
 }

@@ -96,10 +96,9 @@ class PolesPart {
       if (polesLayer !== undefined || photoLayer !== undefined) this.redraw();
     });
     this.section.addEventListener("click", ({ target }) => {
-      const { choosePole, photo, polesMap, sortBy } = target.closest("button")?.dataset ?? {};
+      const { choosePole, photo, sortBy } = target.closest("button")?.dataset ?? {};
       if (choosePole !== undefined) this.choosePole(this.pole === Number(choosePole) ? null : Number(choosePole));
       if (photo !== undefined) this.showImage(Number(photo), false);
-      if (polesMap !== undefined) ({ in: () => this.map.zoom(1.4), out: () => this.map.zoom(1 / 1.4), fit: () => this.map.fit() })[polesMap]();
       if (sortBy !== undefined) sortTable(target.closest("table"), Number(sortBy));
     });
   }
@@ -113,6 +112,11 @@ class PolesPart {
   recolour() {
     this.map.recolour();
     this.redraw();
+  }
+
+  print() {
+    this.map.recolour();
+    this.map.paintAll();
   }
 }
 

@@ -41,16 +41,6 @@ class PolesMap extends PlanCanvas {
     if (found?.camera !== undefined) this.state.showImage(this.site.cameras.shown[found.camera]);
     else this.state.choosePole(found === null || this.state.pole === found.pole ? null : found.pole, false);
   }
-
-  // Centre a pole that lies outside the view, and come close enough to tell it from its neighbours.
-  reveal({ x, y }) {
-    const [px, py] = this.toScreen(x, y);
-    const inside = px > 40 && py > 40 && px < this.width - 40 && py < this.height - 40;
-    if (inside && this.scale > 4) return;
-    this.showsAll = false;
-    this.centre = [x, y];
-    this.scale = Math.max(this.scale, 10);
-  }
 }
 
 const STATE_TEXTS = ["aligned", "rejected", "not used"];

@@ -30,8 +30,10 @@ class Site {
     this.draw();
   }
 
-  chooseSensor(number) {
+  // Chosen in the table, it may lie outside the map's view.
+  chooseSensor(number, reveals = false) {
     this.sensor = number;
+    if (number !== null && reveals) this.map.reveal(this.plan.sensors[number], this.map.fitted);
     this.showSensor();
     this.draw();
   }
@@ -73,12 +75,15 @@ class Site {
       if (target.matches(".scene-panel [data-layer]")) this.setLayer(this.scene, target);
       if (target.matches("[data-scene]")) this.setOption(target);
       if (target.matches("[data-targets-by]")) this.colourTargets(target.value);
+      if (target.matches("[data-below]")) this.lay(target.value);
+    });
+    this.section.addEventListener("input", ({ target }) => {
+      if (target.matches("[data-price]")) this.pricePlans();
     });
     this.section.addEventListener("click", ({ target }) => {
-      const { choosePlan, chooseSensor, map, camera } = target.closest("button")?.dataset ?? {};
+      const { choosePlan, chooseSensor, camera } = target.closest("button")?.dataset ?? {};
       if (choosePlan !== undefined) this.choosePlan(choosePlan);
-      if (chooseSensor !== undefined) this.chooseSensor(this.sensor === Number(chooseSensor) ? null : Number(chooseSensor));
-      if (map !== undefined) ({ in: () => this.map.zoom(1.4), out: () => this.map.zoom(1 / 1.4), fit: () => this.map.fit() })[map]();
+      if (chooseSensor !== undefined) this.chooseSensor(this.sensor === Number(chooseSensor) ? null : Number(chooseSensor), true);
       if (camera !== undefined) this.scene.setCamera(camera);
     });
     this.showRamp();
@@ -90,6 +95,24 @@ class Site {
     for (const choice of this.all("[data-targets-by]")) choice.value = by;
     for (const legend of this.all("[data-targets-legend]")) legend.hidden = legend.dataset.targetsLegend !== by;
     this.map.draw();
+  }
+
+  // What the map lies on: relief, a picture, or nothing.
+  lay(name) {
+    this.map.below = name;
+    this.map.draw();
+  }
+
+  // What each plan costs at the prices that a reader types; models without a price count as free.
+  pricePlans() {
+    const inputs = this.all("[data-price]");
+    const prices = new Map(inputs.map((input) => [input.dataset.price, input.valueAsNumber || 0]));
+    const asked = inputs.some((input) => input.value !== "");
+    for (const cell of this.all("[data-plan-price]")) {
+      cell.hidden = !asked;
+      const plan = this.content.plans.find(({ name }) => name === cell.dataset.planPrice);
+      if (plan) cell.textContent = formatNumber(plan.sensors.reduce((sum, { sensor }) => sum + prices.get(sensor), 0));
+    }
   }
 
   setLayer(view, input) {
@@ -133,6 +156,11 @@ class Site {
   recolour() {
     this.map.recolour();
     this.scene.draw();
+  }
+
+  print() {
+    this.map.recolour();
+    this.map.paintAll();
   }
 }
 

@@ -1,0 +1,39 @@
+"""The Python of the how-to page runs as it stands."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.conftest import PROJECT
+from tests.helpers.las_files import write_las
+
+PAGE = PROJECT / "docs" / "howto" / "from-python.md"
+_SNIPPET = re.compile(r"```python\n(.*?)```", re.DOTALL)
+
+
+@pytest.mark.full
+def test_what_the_page_shows_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+):
+    (tmp_path / "config").mkdir()
+    shutil.copy(PROJECT / "config" / "sensors.yaml", tmp_path / "config")
+    xy = rng.uniform(0.0, 60.0, (60_000, 2))
+    height = np.where(xy[:, 0] > 50.0, 6.0, 0.0) + rng.normal(0.0, 0.01, len(xy))
+    corner = np.array([5e5, 5e6, 100.0])
+    write_las(tmp_path / "street.laz", np.column_stack([xy, height]) + corner)
+    (tmp_path / "sightings.csv").write_text(
+        "lat,lon,bearing,depth\n51.5000,-0.12,45,14\n51.5001,-0.12,90,10\n51.5002,-0.12,135,14\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    snippets = _SNIPPET.findall(PAGE.read_text("utf-8"))
+    assert len(snippets) == 3
+    names: dict[str, object] = {}
+    for snippet in snippets:
+        exec(compile(snippet, str(PAGE), "exec"), names)
+    assert np.asarray(names["ground"]).mean() > 0.5
+    assert len(names["poles"]) == 1

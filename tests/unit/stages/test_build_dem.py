@@ -1,0 +1,69 @@
+"""What the stage of the terrain model tells beside its results."""
+
+from __future__ import annotations
+
+import json
+
+import laspy
+import numpy as np
+import pytest
+
+from roadsight.geometry.frames import Frame
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.tables import read_table
+from roadsight.stages.scene import build_dem, ingest_cloud, profile_scene
+
+
+def run(folder, xyz, classes):
+    """Doubts by their code, frame and exit status of a site made of points."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, 0.001), np.zeros(3)
+    cloud = laspy.LasData(header)
+    cloud.x, cloud.y, cloud.z = xyz.T
+    cloud.classification = classes
+    cloud.return_number = cloud.number_of_returns = np.ones(len(xyz), np.uint8)
+    cloud.write(str(folder / "cloud.laz"))
+    at = {name: str(folder / name) for name in ("cloud", "frame", "profile", "dem.tif", "ground")}
+    both = ["--cloud", at["cloud"], "--frame", at["frame"]]
+    site = ["--site", "here"]
+    local = ["--crs", "local", "--units", "metre", "--vertical-units", "metre"]
+    assert ingest_cloud.main([*site, *local, str(folder / "cloud.laz"), *both]) == 0
+    assert profile_scene.main([*both, "--out", at["profile"]]) == 0
+    outputs = ["--dem", at["dem.tif"], "--ground", at["ground"]]
+    told = ["--doubts", str(folder / "doubts.json")]
+    assert build_dem.main([*site, *both, "--profile", at["profile"], *outputs, *told]) == 0
+    doubts = json.loads((folder / "doubts.json").read_text())
+    frame = Frame.from_dict(json.loads((folder / "frame").read_text()))
+    return {doubt["code"]: doubt for doubt in doubts}, frame
+
+
+@pytest.fixture
+def scene(plane_scene, rng):
+    """Flat ground with an unseen square below a roof."""
+    scene = plane_scene(side_m=30, density_m2=40)
+    roof = np.column_stack([*rng.uniform(10, 20, (2, 3000)), rng.uniform(6.9, 7.0, 3000)])
+    roof[:, :2] += scene.xyz_m[:, :2].min(axis=0)
+    return scene.with_objects(roof, hidden=lambda x, y: (abs(x - 15) < 5) & (abs(y - 15) < 5))
+
+
+@pytest.mark.parametrize("kind", ["true", "all ground", "unclassified"])
+def test_classes_are_doubted_only_where_geometry_contradicts_them(tmp_path, scene, kind):
+    true = np.where(scene.ground, 2, 6)
+    classes = {"true": true, "all ground": 2 + 0 * true, "unclassified": 1 + 0 * true}[kind]
+    doubts, _ = run(tmp_path, scene.xyz_m, classes.astype(np.uint8))
+    doubted = {code for code, doubt in doubts.items() if doubt["severity"] == "doubt"}
+    assert doubted & {"classes_contradict", "classes_disagree"} == (
+        {"classes_contradict"} if kind == "all ground" else set()
+    )
+    assert doubts["ground_share"]["measured"] == pytest.approx(scene.ground.mean(), abs=0.01)
+
+
+def test_the_measured_band_marks_the_cells_with_ground_points(tmp_path, scene):
+    _, frame = run(tmp_path, scene.xyz_m, np.where(scene.ground, 2, 6).astype(np.uint8))
+    dem = read_raster(tmp_path / "dem.tif", frame)
+    assert dem.measured is not None
+    ground = read_table(tmp_path / "ground")["ground"].to_numpy()
+    assert 0 < dem.measured.sum() <= ground.sum()
+    assert np.isfinite(dem.values[dem.measured]).all()
+    x, y, _ = frame.to_local(scene.xyz_m[scene.ground]).T
+    assert dem.is_measured(x, y).mean() > 0.99
