@@ -220,10 +220,11 @@ def _pavement_points(
         rows = slice(starts[number], starts[number + 1])
         points = cloud.read(("x", "y", "z", *(["classification"] if classed else [])), [number])
         xyz, low = stack_xyz(points), ground[rows]
-        on = inside(found.outline, xyz[:, 0], xyz[:, 1])
+        exact = xyz.astype(np.float64)
+        on = inside(found.outline, exact[:, 0], exact[:, 1])
         taken = on & low if found.points is None else found.points[rows]
         parts.append(xyz[taken])
-        facts.add_points(xyz, points.get("classification"), low | taken, on)
+        facts.add_points(exact, points.get("classification"), low | taken, on)
         if arguments.doubts and found.method == "published":
             west, south = tile.ix * size, tile.iy * size
             core = (west, south, west + size, south + size)
