@@ -71,8 +71,7 @@ class Pavement(Section):
 
     method: Literal["auto", "surface", "published"] = Field(
         default="auto",
-        description="surface: runs on until a kerb or grass; published: FPFH and k-means; auto:"
-        " surface where scans of a vehicle are told apart, or seeds are given",
+        description="published: FPFH, k-means; auto: surface if scans tell or with seeds",
     )
     seeds: list[tuple[float, float]] = Field(
         default=[],
@@ -87,8 +86,7 @@ class Pavement(Section):
     )
     intensity: Literal["auto", "use", "ignore"] = Field(
         default="auto",
-        description="intensity as a second cue: auto uses it where spacing exceeds 0.15 m (surface:"
-        " always)",
+        description="second cue; auto: as a surface, or where spacing exceeds 0.15 m",
     )
     intensity_weight: float = Field(
         default=1.5, gt=0, le=10, description="weight of intensity against the whole histogram"
