@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.raster.rasters import Raster, read_raster, write_raster
+from roadsight.io.raster.rasters import Raster, near_measured, read_raster, write_raster
 from tests.helpers.las_files import wkt_of
 
 US_FOOT = 1200 / 3937
@@ -156,3 +156,30 @@ def test_measured_cells_come_back_as_they_were_written(tmp_path_factory, seed, r
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     slow = [bool(i and measured[r, c]) for i, r, c in zip(inside, row, column, strict=True)]
     assert found.is_measured(x, y).tolist() == slow
+
+
+def test_far_from_measured_cells_nothing_is_shown():
+    measured = np.zeros((9, 9), bool)
+    measured[4, 4] = True
+    raster = Raster(np.ones((9, 9), np.float32), 0.0, 9.0, 1.0, measured)
+    shown = np.isfinite(near_measured(raster, 2.0))
+    rows, columns = np.indices(shown.shape)
+    assert np.array_equal(shown, np.hypot(rows - 4, columns - 4) <= 2)
+    whole = Raster(raster.values, 0.0, 9.0, 1.0)
+    assert np.isfinite(near_measured(whole)).all()
+
+
+def test_a_large_raster_opens_fast_in_any_gis(tmp_path):
+    path = tmp_path / "dem.tif"
+    heights = np.add.outer(np.arange(1300.0), np.arange(900.0)) / 100
+    write_raster(path, heights, FRAMES[1], 0.0, 1300.0, 1.0)
+    with rasterio.open(path) as raster:
+        assert raster.tags(ns="IMAGE_STRUCTURE")["LAYOUT"] == "COG"
+        assert raster.overviews(1) == [2, 4]
+        assert raster.units == ("US survey foot",)
+        coarse = raster.read(1, out_shape=(325, 225))
+    native = heights / US_FOOT + FRAMES[1].origin[2]
+    assert np.allclose(coarse, native.reshape(325, 4, 225, 4).mean(axis=(1, 3)), atol=0.01)
+    again = tmp_path / "again.tif"
+    write_raster(again, heights, FRAMES[1], 0.0, 1300.0, 1.0)
+    assert again.read_bytes() == path.read_bytes()

@@ -7,7 +7,7 @@ from roadsight.report.site.data_view import data_view
 SENSOR = {
     "candidate": "a",
     "sensor": "OS-64",
-    "station_m": 3.0,
+    "along_road_m": 3.0,
     "points_per_s": 1e6,
     "pixels_per_s": 0.0,
     "road_points_per_s": 2e5,

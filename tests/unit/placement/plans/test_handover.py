@@ -64,11 +64,11 @@ def test_the_report_lists_sensors_along_the_road():
         "pixels_per_s": 0.0,
         "road_points_per_s": 2e5,
         "sensors": [
-            sensor | {"candidate": "b", "station_m": 30.0, "points_per_s": 2.3e6},
+            sensor | {"candidate": "b", "along_road_m": 30.0, "points_per_s": 2.3e6},
             sensor
             | {
                 "candidate": "a",
-                "station_m": 5.0,
+                "along_road_m": 5.0,
                 "points_per_s": 2.3e6,
                 "overlap_with_next_m": 12,
             },

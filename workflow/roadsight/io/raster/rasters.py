@@ -10,6 +10,7 @@ import rasterio
 from numpy.typing import ArrayLike
 from pyproj import CRS
 from rasterio.errors import RasterioError
+from scipy.ndimage import distance_transform_edt
 
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.errors import InputError
@@ -96,6 +97,17 @@ class Raster:
         )
 
 
+def near_measured(raster: Raster, reach_m: float = 2.0) -> Floats32:
+    """Values that are measured or so near to measured ones; NaN elsewhere.
+
+    Wide gaps are filled by long triangles, which say nothing of the ground and look like ridges.
+    """
+    if raster.measured is None or not raster.measured.any():
+        return raster.values
+    distance_m = distance_transform_edt(~raster.measured, sampling=raster.cell_size_m)
+    return np.where(distance_m <= reach_m, raster.values, np.float32(np.nan))
+
+
 def write_raster(
     path: str | os.PathLike[str],
     values: ArrayLike,
@@ -107,7 +119,9 @@ def write_raster(
     is_height: bool = True,
     measured: ArrayLike | None = None,
 ) -> None:
-    """Write a GeoTIFF in the native CRS and units; the same values give the same bytes.
+    """Write a cloud-optimised GeoTIFF, with overviews, in the native CRS and units.
+
+    The same values give the same bytes.
 
     Heights become native heights in the native vertical unit, so that they agree with the cloud in
     any GIS; other values are written as they are.
@@ -131,7 +145,7 @@ def write_raster(
         with rasterio.open(
             temporary,
             "w",
-            driver="GTiff",
+            driver="COG",
             height=pixels.shape[0],
             width=pixels.shape[1],
             count=1 if measured is None else 2,
@@ -140,9 +154,12 @@ def write_raster(
             transform=rasterio.Affine(cell_size, 0.0, west, 0.0, -cell_size, north),
             nodata=nodata,
             compress="deflate",
-            predictor=3,
+            predictor="floating_point",
+            overview_resampling="average",
         ) as raster:
             raster.write(pixels, 1)
+            if is_height:
+                raster.set_band_unit(1, _unit(frame.vertical_unit_m))
             if measured is not None:
                 raster.write(np.asarray(measured, np.float32), 2)
                 raster.set_band_description(2, _MEASURED)
@@ -177,6 +194,12 @@ def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:
     west_m, north_m = (round(float(m), 6) for m in frame.to_local([transform.c, transform.f]))
     cell_size_m = round(transform.a * frame.unit_m, 9)
     return Raster(values.astype(np.float32), west_m, north_m, cell_size_m, measured)
+
+
+def _unit(unit_m: float) -> str:
+    """Name of a unit of so many metres."""
+    known = {"metre": 1.0, "foot": 0.3048, "US survey foot": 1200 / 3937}
+    return min(known, key=lambda name: abs(known[name] - unit_m))
 
 
 def _crs(frame: Frame) -> str | None:

@@ -30,13 +30,13 @@ def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
         {
             "number": numbers.get(entry["candidate"]),
             "sensor": entry["sensor"],
-            "station": metres(entry["station_m"]),
+            "station": metres(entry["along_road_m"]),
             "overlap": _metres(entry.get("overlap_with_next_m")),
             "points": _millions(entry["points_per_s"], "points")
             or _millions(entry["pixels_per_s"], "pixels"),
             "road": _millions(entry["road_points_per_s"], "points"),
         }
-        for entry in sorted(found["sensors"], key=lambda entry: entry["station_m"])
+        for entry in sorted(found["sensors"], key=lambda entry: entry["along_road_m"])
     ]
     return {
         "rows": [row for row in rows if row[1]],

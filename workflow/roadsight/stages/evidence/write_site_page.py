@@ -18,7 +18,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.cloud.tiles import COLOUR, CloudTiles, stack_xyz
 from roadsight.io.raster.orthophotos import read_orthophoto
-from roadsight.io.raster.rasters import Raster, read_raster
+from roadsight.io.raster.rasters import Raster, near_measured, read_raster
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.detections import read_detections
 from roadsight.io.records.tables import read_table
@@ -53,7 +53,7 @@ def write_site_page(arguments: argparse.Namespace) -> None:
     scene = Scene(
         about,
         cloud,
-        Relief(dem.values, dem.west_m, dem.north_m, dem.cell_size_m),
+        Relief(near_measured(dem), dem.west_m, dem.north_m, dem.cell_size_m),
         read_layer(arguments.pavement, "pavement", frame),
         read_layer(arguments.edges, "edges", frame),
         below,

@@ -66,7 +66,7 @@ def measure_data(arguments: argparse.Namespace) -> None:
     at = stations_m(edges, chosen[["x", "y"]].to_numpy(np.float64))
     cell_m = float(read_about(arguments.targets)["cell_size_m"])
     pairs = overlaps(seen, along, at, cell_m)
-    table = chosen.assign(station_m=at, **_rates(arguments, frame, chosen))
+    table = chosen.assign(along_road_m=at, **_rates(arguments, frame, chosen))
     for pair in pairs:
         table.loc[pair["sensor"], "overlap_with_next_m"] = pair["length_m"]
     totals = {

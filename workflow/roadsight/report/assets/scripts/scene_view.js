@@ -42,6 +42,17 @@ class SceneView {
     this.element.replaceChildren();
   }
 
+  // A still for paper, which shows no drawing contexts.
+  print() {
+    this.open();
+    this.draw();
+    const scene = this.element._fullLayout?.scene?._scene;
+    if (!scene) return;
+    this.element.querySelector(".still")?.remove();
+    const still = Object.assign(new Image(), { className: "still", alt: "3D view", src: scene.toImage("png") });
+    this.element.append(still);
+  }
+
   readCloud() {
     const { cloud } = this.site.layers;
     const points = unpackPoints(cloud);

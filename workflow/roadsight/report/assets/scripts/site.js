@@ -161,6 +161,7 @@ class Site {
   print() {
     this.map.recolour();
     this.map.paintAll();
+    this.scene.print();
   }
 }
 
