@@ -26,6 +26,10 @@ _FEWEST = 100
 """Shared cells below which a scan keeps its heights."""
 _BLIND_M = 4.0
 """Widest blind disc below a turning scanner on a vehicle that is told from a shadow."""
+_LEAST_BLIND_M = 1.5
+"""Narrowest: a scanner at 1.7 m whose lowest beam falls by 49 degrees."""
+_NEXT_M = 10.0
+"""A vehicle is so near when it takes another scan: a third of a second at 30 m/s."""
 
 
 def level_scans(xyz_m: Floats, scan: Ints) -> tuple[Floats, Floats]:
@@ -156,9 +160,9 @@ def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[
     Returns
     -------
     xy : (scans, 2) positions. sure : (scans,) whether there is a blind disc of at least 1.5 m with
-    as many points around it as where the scan is dense.
+    as many points around it as where the scan is dense, or beside that of a scan where it is so.
     """
-    found, sure = [], []
+    found, sure, wide = [], [], []
     for one in np.unique(scan):
         points = xyz_m[scan == one]
         grid = Grid.around(points[:, 0], points[:, 1], cell_m)
@@ -166,6 +170,7 @@ def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[
         if size > _WIDEST_CELLS or len(points) < 1000:
             found.append((np.nan, np.nan))
             sure.append(False)
+            wide.append(False)
             continue
         count = np.bincount(grid.flat(points[:, 0], points[:, 1]), minlength=size)
         count = count.reshape(grid.shape).astype(np.float64)
@@ -177,5 +182,19 @@ def scanner_positions(xyz_m: Floats, scan: Ints, cell_m: float = 0.25) -> tuple[
         typical, dense = np.percentile(density[count > 0], [50, 90])
         least = max(_DENSER * typical, _DENSEST * dense)
         found.append((float(x), float(y)))
-        sure.append(bool(empty[best] >= 1.5 and density[best] > least))
-    return np.array(found).reshape(-1, 2), np.array(sure, dtype=bool)
+        wide.append(bool(empty[best] >= _LEAST_BLIND_M))
+        sure.append(bool(wide[-1] and density[best] > least))
+    xy = np.array(found).reshape(-1, 2)
+    return xy, _with_neighbours(xy, np.array(sure, dtype=bool), np.array(wide, dtype=bool))
+
+
+def _with_neighbours(xy: Floats, sure: Bools, wide: Bools) -> Bools:
+    """Scans (n,) that are sure, or have a wide disc where a sure one near them has its own.
+
+    Of a map that keeps one point a cell only the first scans are dense around their discs. Of two
+    sure ones neither is chance.
+    """
+    if sure.sum() < 2:
+        return sure
+    off = np.hypot(*(xy[:, None] - xy[None, sure]).transpose(2, 0, 1))
+    return np.asarray(sure | (wide & (off <= _NEXT_M).any(axis=1)), bool)
