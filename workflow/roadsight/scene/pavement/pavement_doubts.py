@@ -10,8 +10,9 @@ import shapely
 from scipy import ndimage
 from shapely import MultiPolygon
 
-from roadsight.base.arrays import Bools, Bytes, Floats
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.doubts import Doubt
+from roadsight.scene.pavement.epochs import ScanHeights, epoch_doubts
 from roadsight.scene.pavement.ground_raster import cell_means, local_planes
 from roadsight.scene.pavement.road_surface import (
     SCALES_CELLS,
@@ -28,6 +29,8 @@ _UNTOLD = (0, 1, 12)
 """Never classified, unclassified, overlap: classes that say nothing."""
 _MOST_WATER = 0.05
 """Share of water among a pavement's points: a shore in the outline, not a sea."""
+_SEA = 0.5
+"""Mostly water is no pavement at all."""
 _MOST_OTHER = 0.3
 """Share of points that the file calls neither ground nor road: parked cars and low plants stay
 under a fifth of real streets."""
@@ -49,6 +52,9 @@ streets lose under 3 points of F1 from one of 0, 1, 2, 3 cm to the next as one s
 from 0 to 1 cm by FPFH on ten neighbours."""
 _MOST_OPEN = 0.5
 """Share of the outline that no step confirms; 0.26 to 0.43 on five streets with kerbs."""
+_MOST_UNSURE = 1.0
+"""Area that hangs on the tolerance, over the pavement's: 0.2 to 0.5 on four streets with F1 of 94
+and more, 1.4 on one with 80."""
 LEAST_PER_M2 = 9.0
 """Points that a target half a metre wide needs: 1.5 spacings across it."""
 _STRIP_M = 0.5
@@ -67,6 +73,7 @@ class PavementFacts:
     own, own_on : points that the file calls road, and those of them on the pavement.
     variances_m2 : of heights within cells, of each part that was added. open_m, outline_m : length
         of the outline without a step, and in all. blocks : points of ground by block of 20 m.
+    scans : heights of scans beside each other.
     """
 
     on: int = 0
@@ -79,14 +86,25 @@ class PavementFacts:
     open_m: float = 0.0
     outline_m: float = 0.0
     blocks: dict[tuple[int, int], int] = field(default_factory=dict)
+    scans: ScanHeights = field(default_factory=ScanHeights)
 
-    def add_points(self, xyz_m: Floats, classes: Bytes | None, ground: Bools, on: Bools) -> None:
+    def add_points(
+        self,
+        xyz_m: Floats,
+        classes: Bytes | None,
+        ground: Bools,
+        on: Bools,
+        scan: Ints | None = None,
+    ) -> None:
         """Count points (n, 3) of a part of the cloud.
 
         Parameters
         ----------
         classes : (n,) of the file, or None. ground : (n,) labels. on : (n,) inside the outline.
+        scan : (n,) numbers of their scans, or None.
         """
+        if scan is not None:
+            self.scans.add(xyz_m[on & ground], scan[on & ground])
         places = np.floor(xyz_m[ground, :2] / _REACH_BLOCK_M).astype(np.int64)
         for (column, row), count in zip(
             *np.unique(places, axis=0, return_counts=True), strict=True
@@ -162,16 +180,18 @@ def pavement_doubts(
     layer_m: float,
     open_share: float,
     track_xy: Floats | None = None,
+    unsure_share: float = float("nan"),
 ) -> list[Doubt]:
-    """Notes and doubts about a pavement.
+    """Notes and doubts about a pavement, or a refusal.
 
     Parameters
     ----------
     method : "surface", "published" or "user". layer_m : thickness (one sigma) that the method met,
         NaN where unknown. open_share : of the outline, NaN where unknown. track_xy : (k, 2).
+    unsure_share : of the area, that hangs on the tolerance, NaN where unknown.
     """
     parts = [part.area for part in outline.geoms]
-    found = [*_of_classes(facts), _of_parts(parts)]
+    found = [*_of_classes(facts, method), _of_parts(parts), *epoch_doubts(facts.scans)]
     reached = facts.reached(outline) if facts.blocks else 1.0
     text = "share of the densely scanned area that the pavement comes to"
     if reached < _LEAST_REACHED:
@@ -193,6 +213,11 @@ def pavement_doubts(
         if open_share > _MOST_OPEN:
             text = "the outline is uncertain along this share of its length: no step shows there"
         found.append(_held("pavement_open", text, open_share, _MOST_OPEN, least=False))
+    if not np.isnan(unsure_share):
+        text = "area that a third more or less tolerance adds or takes, over the pavement's"
+        if unsure_share > _MOST_UNSURE:
+            text = "the pavement hangs on its tolerance: share that a third of it adds or takes"
+        found.append(_held("pavement_unsure", text, unsure_share, _MOST_UNSURE, least=False))
     per_m2 = facts.on / max(sum(parts), 1e-9)
     text = "points a square metre of pavement"
     if per_m2 < LEAST_PER_M2:
@@ -221,12 +246,18 @@ def _of_parts(areas_m2: Sequence[float]) -> Doubt:
     return _held("pavement_parts", text, main, _MAIN_PART, least=True)
 
 
-def _of_classes(facts: PavementFacts) -> list[Doubt]:
+def _of_classes(facts: PavementFacts, method: str) -> list[Doubt]:
     """What the file's classes say of the pavement; nothing where it has none."""
     found = []
     if facts.told:
         water, other = facts.water / facts.told, facts.other / facts.told
-        if water > _MOST_WATER:
+        if water > _SEA and method != "user":
+            text = (
+                "what was taken for pavement is mostly water: give the site an extent, or the"
+                " pavement as a polygon (placement.tma)"
+            )
+            found.append(Doubt("pavement_water", "refused", text, round(water, 3), _SEA))
+        elif water > _MOST_WATER:
             text = "the file calls this share of the pavement's points water"
             found.append(Doubt("pavement_water", "doubt", text, round(water, 3), _MOST_WATER))
         if other > _MOST_OTHER:

@@ -51,7 +51,8 @@ class _Found:
     Parameters
     ----------
     points : (n,) which points of the cloud lie on it, or None: ground inside the outline.
-    layer_m, open_share : as the method met them, NaN where they are still to be measured.
+    layer_m, open_share, unsure_share : as the method met them, NaN where they are still to be
+        measured, or unknown.
     """
 
     outline: MultiPolygon
@@ -60,6 +61,7 @@ class _Found:
     points: Bools | None = None
     layer_m: float = math.nan
     open_share: float = math.nan
+    unsure_share: float = math.nan
 
 
 def extract_pavement(arguments: argparse.Namespace) -> None:
@@ -82,7 +84,9 @@ def extract_pavement(arguments: argparse.Namespace) -> None:
         if found.method == "published":
             layer_m, open_share = facts.layer_m, facts.open_m / max(facts.outline_m, 1e-9)
         track_xy = _track(arguments, frame)
-        doubts = pavement_doubts(outline, found.method, facts, layer_m, open_share, track_xy)
+        doubts = pavement_doubts(
+            outline, found.method, facts, layer_m, open_share, track_xy, found.unsure_share
+        )
         tell([*found.doubts, *doubts], arguments.doubts, f"site {arguments.site}", log)
     source = _SOURCE[found.method]
     parts = list(outline.geoms)
@@ -157,7 +161,8 @@ def _surface(
     if surface.seeded_by == "ground":
         text = "nothing says where the road is: give pavement.seeds or placement.track"
         doubts.append(Doubt("pavement_unseeded", "doubt", text))
-    return _Found(road.outline, "surface", doubts, road.points, surface.layer_m, surface.open_share)
+    met = surface.layer_m, surface.open_share, surface.unsure_share
+    return _Found(road.outline, "surface", doubts, road.points, *met)
 
 
 def _seeds(text: str | None, frame: Frame) -> Floats | None:
@@ -215,16 +220,17 @@ def _pavement_points(
     starts = np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
     parts, facts = [], PavementFacts()
     size = cloud.tile_size_m
-    classed = "classification" in cloud.columns
+    told = [name for name in ("classification", "scan") if name in cloud.columns]
     for number, tile in enumerate(cloud.tiles):
         rows = slice(starts[number], starts[number + 1])
-        points = cloud.read(("x", "y", "z", *(["classification"] if classed else [])), [number])
+        points = cloud.read(("x", "y", "z", *told), [number])
         xyz, low = stack_xyz(points), ground[rows]
         exact = xyz.astype(np.float64)
         on = inside(found.outline, exact[:, 0], exact[:, 1])
         taken = on & low if found.points is None else found.points[rows]
         parts.append(xyz[taken])
-        facts.add_points(exact, points.get("classification"), low | taken, on)
+        scan = points["scan"].astype(np.int64) if "scan" in points else None
+        facts.add_points(exact, points.get("classification"), low | taken, on, scan)
         if arguments.doubts and found.method == "published":
             west, south = tile.ix * size, tile.iy * size
             core = (west, south, west + size, south + size)

@@ -12,7 +12,7 @@ import pytest
 from roadsight.stages.scene import build_dem, build_edges, extract_pavement, ingest_cloud
 from roadsight.stages.scene import profile_scene as profiled
 from tests.helpers.las_files import DATA, needs_data
-from tests.unit.scene.test_road_surface import HALF_ROAD_M, street
+from tests.unit.scene.pavement.test_road_surface import HALF_ROAD_M, street
 
 ORIGIN = np.array([458_000.0, 5_428_000.0, 100.0])
 

@@ -12,7 +12,7 @@ from roadsight.scene.pavement.choice import FINEST_M, MOST_CELLS, choose_method
 from roadsight.scene.pavement.pavement_doubts import PavementFacts, pavement_doubts
 from roadsight.scene.pavement.road_surface import KnownRoad, RoadSettings, find_road, road_points
 from roadsight.scene.pavement.scan_levels import count_scans
-from tests.unit.scene.test_road_surface import f1, street
+from tests.unit.scene.pavement.test_road_surface import f1, street
 
 WIDE_M = 1.1 * MOST_CELLS**0.5 * FINEST_M
 
@@ -130,12 +130,27 @@ class TestDoubts:
         assert {"pavement_parts", "pavement_reach", "pavement_density"} <= codes(doubts, "note")
 
     @pytest.mark.parametrize(
-        ("cls", "code"), [(9, "pavement_water"), (5, "pavement_classes"), (11, None)]
+        ("cls", "share", "code"),
+        [(9, 0.3, "pavement_water"), (5, 1.0, "pavement_classes"), (11, 1.0, None)],
     )
-    def test_what_the_file_calls_it(self, plain, cls, code):
-        classes = np.full(len(plain), cls, np.uint8)
+    def test_what_the_file_calls_it(self, plain, cls, share, code):
+        classes = np.where(np.arange(len(plain)) < share * len(plain), cls, 2).astype(np.uint8)
         doubts = pavement_doubts(ROAD, "published", facts_of(plain, classes, ROAD), 0.005, 0.2)
         assert codes(doubts) - {"pavement_own_road"} == ({code} if code else set())
+
+    def test_a_sea_is_refused_unless_the_user_drew_it(self, plain):
+        classes = np.full(len(plain), 9, np.uint8)
+        facts = facts_of(plain, classes, ROAD)
+        assert codes(pavement_doubts(ROAD, "published", facts, 0.005, 0.2), "refused") == {
+            "pavement_water"
+        }
+        assert codes(pavement_doubts(ROAD, "user", facts, 0.005, 0.2)) == {"pavement_water"}
+
+    def test_a_pavement_that_hangs_on_its_tolerance(self, plain):
+        facts = facts_of(plain, outline=ROAD)
+        for unsure, severity in ((0.3, "note"), (1.4, "doubt")):
+            found = pavement_doubts(ROAD, "surface", facts, 0.005, 0.2, unsure_share=unsure)
+            assert "pavement_unsure" in codes(found, severity)
 
     def test_road_points_of_the_file_off_the_pavement(self, plain):
         classes = np.where(plain[:, 1] < 6, 11, 2).astype(np.uint8)
