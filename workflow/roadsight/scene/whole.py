@@ -9,9 +9,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
 from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
+from roadsight.base.errors import InputError
 from roadsight.scene.grids import Grid, sample_bilinear
 from roadsight.scene.pavement.choice import SURE_SCANS
 from roadsight.scene.pavement.describe import describe_ground
@@ -221,6 +223,75 @@ def road_of(
     points[near] = road_points(surface, xyz_m[near], settings)
     outline = trace_cells(surface.grid, surface.road | surface.bridged, PavementSettings())
     return FoundRoad(outline, points, _thinned(xyz_m[near])), surface
+
+
+_CORE_M = 1.5
+"""Smooth ground so far from its outline is road: on a generated highway the outline is up to 1.4 m
+too wide. The sharpened area is the same from 1 to 1.75 m: IoU 0.956 to 0.958 instead of 0.903."""
+_LEAST_WITHIN = 0.9
+"""Share of the sharpened area on the smooth ground: a surface that runs on beyond it has leaked."""
+_LEAST_KEPT = 0.7
+"""Share of the smooth ground that is kept: 0.93 on the highway, of which 0.93 is road."""
+
+
+@dataclass(frozen=True)
+class Sharpened:
+    """Smooth ground whose edges are those of the surface that runs on from its middle.
+
+    Parameters
+    ----------
+    road, surface : what runs on. within : share of it on the smooth ground. kept : share of the
+        smooth ground in it.
+    """
+
+    road: FoundRoad
+    surface: RoadSurface
+    within: float
+    kept: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both ways found the same road, so that its edges may be trusted."""
+        return self.within >= _LEAST_WITHIN and self.kept >= _LEAST_KEPT
+
+    @property
+    def weakest(self) -> tuple[float, float]:
+        """The share that lies lower against its limit, and the limit."""
+        held = (self.within, _LEAST_WITHIN), (self.kept, _LEAST_KEPT)
+        return min(held, key=lambda pair: pair[0] / pair[1])
+
+
+def sharpen(
+    outline: MultiPolygon,
+    xyz_m: Floats,
+    intensity: Floats | None,
+    known: KnownRoad | None = None,
+    classes: Bytes | None = None,
+) -> Sharpened | None:
+    """Smooth ground by FPFH and k-means, its edges told by steps, tone and roughness.
+
+    Features over many neighbours tell where a road is, but not to a decimetre where it ends.
+
+    Parameters
+    ----------
+    outline : of the smooth ground. The others as in `road_of`.
+
+    Returns
+    -------
+    None where the smooth ground is too narrow to be surely road in its middle.
+    """
+    core = shapely.buffer(outline, -_CORE_M)
+    if core.is_empty:
+        return None
+    shapely.prepare(core)
+    known = replace(known or KnownRoad(), core=core)
+    try:
+        road, surface = road_of(xyz_m, intensity, None, known, classes=classes)
+    except InputError:
+        return None
+    shared = shapely.intersection(road.outline, outline).area
+    areas = max(road.outline.area, 1e-9), max(outline.area, 1e-9)
+    return Sharpened(road, surface, *(float(shared / area) for area in areas))
 
 
 def _thinned(xyz_m: Floats) -> Floats:

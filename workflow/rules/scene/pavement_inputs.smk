@@ -1,6 +1,6 @@
 """Helpers of the pavement rules: which way is taken, and what that way alone uses."""
 
-from roadsight.scene.pavement.choice import FINEST_M, MOST_CELLS, choose_method
+from roadsight.scene.pavement.choice import FINEST_M, MOST_CELLS, choose_method, fits_surface
 
 
 def pavement_is_given(wildcards):
@@ -78,8 +78,10 @@ def memory_of_pavement(wildcards, input, attempt):
     """Memory to extract pavement: of a surface, with its cells; more with each attempt."""
     published = megabytes(100)(wildcards, input, attempt)
     profile = list(input.profile)
-    if input.clusters or not profile or not os.path.exists(profile[0]):
+    if not profile or not os.path.exists(profile[0]):
         return published
     east_m, north_m = read_json(profile[0])["extent_m"][:2]
+    if input.clusters and not fits_surface((east_m, north_m)):
+        return published
     cells = min(east_m * north_m / FINEST_M**2, MOST_CELLS)
     return published + int(attempt * (200 * million_points(input) + cells / 1e6 * 400))

@@ -164,7 +164,7 @@ rule extract_pavement:
         tma=layered_site("placement.tma"),
         method=setting("pavement.method"),
         seeds=setting_of_pavement("surface", pavement_seeds),
-        intensity=setting_of_pavement("surface", setting("pavement.intensity")),
+        intensity=setting("pavement.intensity"),
         edges=setting_of_pavement("surface", layered_site("placement.edges", edges_file)),
         edges_crs=setting_of_pavement("surface", site_field("placement.edges_crs")),
         track=setting_of_pavement("surface", layered_site("placement.track")),

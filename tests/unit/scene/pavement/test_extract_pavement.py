@@ -5,9 +5,12 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import geopandas as gpd
 import laspy
 import numpy as np
 import pytest
+import shapely
+from shapely import MultiPolygon, box
 
 from roadsight.stages.scene import build_dem, build_edges, extract_pavement, ingest_cloud
 from roadsight.stages.scene import profile_scene as profiled
@@ -76,6 +79,28 @@ def test_scans_that_tell_make_the_pavement_one_surface(scene):
     edges = ("--pavement", scene.path("pavement.gpkg"), "--dem", scene.path("dem.tif"))
     frame = ("--frame", scene.path("frame.json"))
     assert build_edges.main(["--site", "s", *frame, *edges, "--out", scene.path("edges.gpkg")]) == 0
+
+
+@pytest.mark.parametrize("on_lawn", [False, True])
+def test_smooth_ground_gets_the_edges_of_the_surface(scene, monkeypatch, on_lawn):
+    middle = 20 + ORIGIN[1]
+    south, north = (-HALF_ROAD_M - 0.9, HALF_ROAD_M + 0.9) if not on_lawn else (7.5, 12.0)
+    smooth = box(ORIGIN[0], middle + south, ORIGIN[0] + 50, middle + north)
+    shift = np.array(json.loads(Path(scene.path("frame.json")).read_text())["origin"][:2])
+    local = shapely.transform(smooth, lambda xy: xy - shift)
+    monkeypatch.setattr(extract_pavement, "_published", lambda _: MultiPolygon([local]))
+    profile = json.loads(Path(scene.path("profile.json")).read_text())
+    profile["scans"]["blind_share"] = 0.0
+    Path(scene.path("profile.json")).write_text(json.dumps(profile))
+    assert scene.pavement() == 0
+    found = shapely.union_all(gpd.read_file(scene.path("pavement.gpkg")).geometry.to_numpy())
+    if on_lawn:
+        assert scene.doubts()["pavement_ways_differ"]["measured"] < 0.9
+        assert found.symmetric_difference(smooth).area < 0.01 * smooth.area
+        return
+    assert scene.doubts()["pavement_sharpened"]["measured"] > 0.7
+    road = box(ORIGIN[0], middle - HALF_ROAD_M, ORIGIN[0] + 50, middle + HALF_ROAD_M)
+    assert found.difference(road).area < 0.02 * found.area
 
 
 def test_what_is_known_is_used(scene, tmp_path):

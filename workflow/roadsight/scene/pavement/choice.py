@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,6 +45,11 @@ class Choice:
         return Doubt("pavement_method", "note", text, self.measured, self.limit)
 
 
+def fits_surface(extent_m: Sequence[float]) -> bool:
+    """Whether a site (east, north, ... metres) is not too wide for one surface."""
+    return round(extent_m[0] * extent_m[1] / FINEST_M**2) <= MOST_CELLS
+
+
 def choose_method(stated: str, seeded: bool, profile: Mapping[str, Any]) -> Choice:
     """How the pavement is found.
 
@@ -58,11 +63,11 @@ def choose_method(stated: str, seeded: bool, profile: Mapping[str, Any]) -> Choi
     InputError : the surface is stated for a site that is too wide for it.
     """
     east_m, north_m = profile["extent_m"][:2]
-    cells = round(east_m * north_m / FINEST_M**2)
+    wide = not fits_surface(profile["extent_m"])
     if stated == "published":
         return Choice("published", "so stated (pavement.method)")
     if stated == "surface" or seeded:
-        if cells > MOST_CELLS:
+        if wide:
             raise InputError(
                 "the site is too wide for its road to be found as one surface",
                 where="pavement.method" if stated == "surface" else "pavement.seeds",
@@ -80,8 +85,8 @@ def choose_method(stated: str, seeded: bool, profile: Mapping[str, Any]) -> Choi
     if share < SURE_SCANS:
         why = "few scans show the blind disc below a scanner that drove on the road"
         return Choice("published", why, share, SURE_SCANS)
-    if cells > MOST_CELLS:
+    if wide:
         why = "the site is too wide for one surface, in cells; give it an extent"
-        return Choice("published", why, cells, MOST_CELLS)
+        return Choice("published", why, round(east_m * north_m / FINEST_M**2), MOST_CELLS)
     why = "scans are told apart and show the blind disc below their vehicle"
     return Choice("surface", why, share, SURE_SCANS)

@@ -87,7 +87,7 @@ class KnownRoad:
     ----------
     track_xy : (k, 2) where a vehicle drove, in order. seeds_xy : (k, 2) places on the road.
     edges : lines that the road ends at. road : (n,) points that are said to be road.
-    water_xy : (k, 2) points of water.
+    water_xy : (k, 2) points of water. core : area that is road by another method.
     """
 
     track_xy: Floats | None = None
@@ -95,6 +95,7 @@ class KnownRoad:
     edges: Sequence[shapely.Geometry] = ()
     road: Bools | None = None
     water_xy: Floats | None = None
+    core: shapely.Geometry | None = None
 
 
 @dataclass(frozen=True)
@@ -107,8 +108,8 @@ class RoadSurface:
     bridged : cells without points that the surface was carried over.
     height_m : height of the surface. levelled_m : (n,) heights of the input's points with the
         scans' offsets removed. layer_m : spread of the points about the surface within a cell.
-    level_m : largest height error of a scan that was removed. seeded_by : what was
-        known, of "seeds", "classes", "track"; else "scans" or "ground". open_share : share of the
+    level_m : largest height error of a scan that was removed. seeded_by : what was known, of
+        "seeds", "classes", "track", "core"; else "scans" or "ground". open_share : share of the
         outline that no step was seen at.
     unsure_share : area that a third more or less tolerance adds or takes, over the road's area.
     parts : connected surfaces. cell_points : median number of points in a road cell.
@@ -439,6 +440,11 @@ def _seeds(
         found["classes"] = _said_road(ground, xyz_m, known.road) & flat
     if known.track_xy is not None and len(known.track_xy):
         found["track"] = _along_track(ground, flat, known.track_xy)
+    if known.core is not None:
+        row, column = np.nonzero(flat)
+        within = shapely.contains_xy(known.core, *ground.cells.grid.centres(column, row))
+        found["core"] = np.zeros_like(flat)
+        found["core"][row[within], column[within]] = True
     found = {name: seed for name, seed in found.items() if seed.any()}
     if found:
         return np.logical_or.reduce(list(found.values())), ", ".join(found)

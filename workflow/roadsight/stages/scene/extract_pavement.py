@@ -6,13 +6,14 @@ import argparse
 import logging
 import math
 import sys
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+from numpy.typing import NDArray
 from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Ints
@@ -24,7 +25,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
-from roadsight.scene.pavement.choice import METHODS, Choice, choose_method
+from roadsight.scene.pavement.choice import METHODS, Choice, choose_method, fits_surface
 from roadsight.scene.pavement.outline import (
     PavementSettings,
     inside,
@@ -33,7 +34,7 @@ from roadsight.scene.pavement.outline import (
 )
 from roadsight.scene.pavement.pavement_doubts import PavementFacts, pavement_doubts
 from roadsight.scene.pavement.road_surface import KnownRoad
-from roadsight.scene.whole import road_of
+from roadsight.scene.whole import road_of, sharpen
 from roadsight.stages.command import run_stage
 from roadsight.stages.doubts import tell
 
@@ -99,7 +100,7 @@ def extract_pavement(arguments: argparse.Namespace) -> None:
     write_table(arguments.points, points, {"source": source, "area_m2": outline.area})
 
 
-_SOURCE = {"user": "user", "surface": "surface", "published": "fpfh"}
+_SOURCE = {"user": "user", "surface": "surface", "published": "fpfh", "sharpened": "fpfh, surface"}
 """What the layer says of where its polygons come from."""
 
 
@@ -123,7 +124,10 @@ def _found(
     try:
         if choice.method == "surface":
             return _surface(arguments, cloud, frame, about, choice)
-        return _Found(_published(arguments), "published", [choice.told()])
+        found = _Found(_published(arguments), "published", [choice.told()])
+        if arguments.method == "auto" and arguments.profile and fits_surface(profile["extent_m"]):
+            return _sharpened(arguments, cloud, found)
+        return found
     except InputError as error:
         raise InputError(str(error), where=f"site {arguments.site}") from error
 
@@ -136,15 +140,13 @@ def _surface(
     choice: Choice,
 ) -> _Found:
     """The road as one surface, with all that is known of it."""
-    names = ["x", "y", "z", "intensity", "classification"]
-    points = cloud.read(names + (["scan"] if "scan" in cloud.columns else []))
+    xyz_m, intensity, points = _whole(arguments, cloud)
     known = KnownRoad(
         _track(arguments, frame), _seeds(arguments.seeds, frame), _edges(arguments, frame, about)
     )
-    use = arguments.intensity != "ignore" and len(np.unique(points["intensity"][:100_000])) > 1
     road, surface = road_of(
-        stack_xyz(points).astype(np.float64),
-        points["intensity"].astype(np.float64) if use else None,
+        xyz_m,
+        intensity,
         points["scan"].astype(np.int64) if "scan" in points else None,
         known,
         classes=points["classification"],
@@ -163,6 +165,36 @@ def _surface(
         doubts.append(Doubt("pavement_unseeded", "doubt", text))
     met = surface.layer_m, surface.open_share, surface.unsure_share
     return _Found(road.outline, "surface", doubts, road.points, *met)
+
+
+def _whole(
+    arguments: argparse.Namespace, cloud: CloudTiles
+) -> tuple[Floats, Floats | None, dict[str, NDArray]]:
+    """Points (n, 3), their intensity where it is used and varies, and all columns."""
+    names = ["x", "y", "z", "intensity", "classification"]
+    points = cloud.read(names + (["scan"] if "scan" in cloud.columns else []))
+    use = arguments.intensity != "ignore" and len(np.unique(points["intensity"][:100_000])) > 1
+    intensity = points["intensity"].astype(np.float64) if use else None
+    return stack_xyz(points).astype(np.float64), intensity, points
+
+
+def _sharpened(arguments: argparse.Namespace, cloud: CloudTiles, found: _Found) -> _Found:
+    """Smooth ground with sharper edges, where the surface that runs on from it agrees with it."""
+    xyz_m, intensity, points = _whole(arguments, cloud)
+    sharp = sharpen(found.outline, xyz_m, intensity, classes=points["classification"])
+    if sharp is None or not sharp.agrees:
+        measured, limit = (0.0, None) if sharp is None else sharp.weakest
+        text = (
+            "as one surface another road is found than by FPFH and k-means, which is kept: share"
+            " of both; give pavement.seeds"
+        )
+        doubt = Doubt("pavement_ways_differ", "doubt", text, round(measured, 3), limit)
+        return replace(found, doubts=[*found.doubts, doubt])
+    text = "its edges are where the surface from its middle ends; share of it that this keeps"
+    note = Doubt("pavement_sharpened", "note", text, round(sharp.kept, 3))
+    surface = sharp.surface
+    met = surface.layer_m, surface.open_share, surface.unsure_share
+    return _Found(sharp.road.outline, "sharpened", [*found.doubts, note], sharp.road.points, *met)
 
 
 def _seeds(text: str | None, frame: Frame) -> Floats | None:
