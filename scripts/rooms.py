@@ -26,6 +26,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("report",),
     ("stages",),
     ("training", "studio"),
+    ("api",),
     ("commands",),
 )
 """Rooms from the ground up: each may import those of the floors below, and itself."""

@@ -9,8 +9,10 @@ import laspy
 import numpy as np
 import pytest
 
+from roadsight.api.clouds import labels_of
+from roadsight.api.scene import ground
 from roadsight.base.errors import InputError
-from roadsight.commands.memory import ground_labels, labels_of, load_cloud
+from roadsight.commands.cloud_arguments import load_cloud
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.records.atomic import read_json
@@ -104,8 +106,8 @@ def test_verbs_leave_noise_as_it_is(tmp_path, mark):
         las[name][4000:] = value
     las.write(str(path))
     noisy = loaded(path)
-    assert ground_labels(noisy).sum() == ground_labels(clean).sum()
-    labels = labels_of(noisy, ground_labels(noisy), None)
+    assert ground(noisy).sum() == ground(clean).sum()
+    labels = labels_of(noisy, ground(noisy), None)
     assert set(labels[4000:]) == {mark.get("classification", 0)}
 
 
@@ -113,7 +115,7 @@ def test_a_point_that_is_there_twice_is_labelled_twice(tmp_path):
     path = write_las(tmp_path / "a.laz", np.vstack([XYZ, XYZ[:500]]), UTM)
     cloud = loaded(path)
     assert len(cloud.xyz_m) == 4000
-    labels = labels_of(cloud, ground_labels(cloud), None)
+    labels = labels_of(cloud, ground(cloud), None)
     np.testing.assert_array_equal(labels[4000:], labels[:500])
 
 
@@ -121,7 +123,7 @@ def test_a_point_that_is_there_twice_is_labelled_twice(tmp_path):
 def test_ground_of_flagged_cases(cases, kind):
     folder = cases / "06-flagged-noise-is-used-by-verbs"
     right, found = loaded(folder / "right.laz"), loaded(folder / f"{kind}.laz")
-    assert ground_labels(found).sum() == ground_labels(right).sum()
+    assert ground(found).sum() == ground(right).sum()
 
 
 def test_buffered_tiles_of_the_cases(cases, tmp_path):

@@ -3,39 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import tempfile
+import dataclasses
 from pathlib import Path
 
-import pandas as pd
-
+from roadsight.api.drive import Drive, cameras_of
 from roadsight.base.errors import InputError
-from roadsight.commands.chain import MANIFESTS, Chain, add_cloud_arguments
-from roadsight.geometry.frames import Frame
-from roadsight.io.records.atomic import read_json
+from roadsight.commands.cloud_arguments import add_drive_arguments
 from roadsight.io.records.sighting_tables import write_csv
-from roadsight.io.records.tables import read_table
 from roadsight.stages.poles.dense_inputs import METHODS
-
-_COLUMNS = {"heading_deg": "heading_grid_deg", "focal_px": "fx_px"}
-"""Columns that the verb's table names otherwise than the workflow's."""
-_WRITTEN = (
-    "image",
-    "x",
-    "y",
-    "z",
-    "heading_grid_deg",
-    "pitch_deg",
-    "roll_deg",
-    "fx_px",
-    "cx_px",
-    "cy_px",
-    "sigma_heading_deg",
-    "sigma_lateral_m",
-    "residual_px",
-    "accepted",
-    "reason",
-)
-"""Columns of the verb's table."""
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -46,11 +21,11 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
         metavar="VIDEOLOG",
         help="CSV: image, latitude, longitude (x, y with --crs local)",
     )
-    add_cloud_arguments(parser)
+    add_drive_arguments(parser)
     parser.add_argument("--masks", help="folder of label images; a small network if absent")
     parser.add_argument(
         "--map",
-        default=str(MANIFESTS / "labels_project.yaml"),
+        default=Drive.map,
         help="what the labels show; the project's own classes if absent",
     )
     parser.add_argument("--hfov-deg", type=float, default=0.0, help="field of view, if known")
@@ -69,7 +44,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--max-sigma-heading-deg",
         type=float,
-        default=0.12,
+        default=Drive.max_sigma_heading_deg,
         help="cameras with a less certain heading are rejected; more for a rough map",
     )
     parser.add_argument(
@@ -87,15 +62,7 @@ def run(arguments: argparse.Namespace) -> None:
     """
     if Path(arguments.out).suffix.lower() != ".csv":
         raise InputError("is no name for a table", where=f"--out {arguments.out}", allowed=".csv")
-    with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
-        chain = Chain(Path(folder), street=arguments.street)
-        chain.scene(arguments)
-        chain.track(arguments)
-        chain.road()
-        chain.images(arguments)
-        chain.cameras(arguments)
-        cameras = read_table(chain.path("cameras.parquet")).rename(columns=_COLUMNS)
-        frame = Frame.from_dict(read_json(chain.path("frame.json")))
-    cameras[["x", "y", "z"]] = frame.to_native(cameras[["x", "y", "z"]].to_numpy(float))
-    write_csv(arguments.out, pd.DataFrame(cameras[list(_WRITTEN)]))
+    fields = {field.name: getattr(arguments, field.name) for field in dataclasses.fields(Drive)}
+    cameras = cameras_of(Drive(**fields))
+    write_csv(arguments.out, cameras)
     print(f"{cameras['accepted'].sum()} of {len(cameras)} cameras: {arguments.out}")

@@ -7,19 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
+from roadsight.api.clouds import Cloud
+from roadsight.api.sight import CATALOGUE, depth_map
 from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.errors import InputError
-from roadsight.commands.memory import MemoryCloud, add_cloud_arguments, check_output, load_cloud
+from roadsight.commands.cloud_arguments import add_cloud_arguments, check_output, load_cloud
 from roadsight.io.images.depth_networks import network_for
 from roadsight.io.records.atomic import atomic_path
 from roadsight.placement.depth.models import MODELS, model_of_points
-from roadsight.placement.depth.surfel_lidar import lidar_of_points
 from roadsight.placement.sensors.sensors import Sensor, load_sensor
 
-_SENSORS = Path(__file__).parents[3] / "config" / "sensors.yaml"
 _NETWORK = Path(__file__).parents[3] / "resources" / "models" / "depth_unet.onnx"
-_MARGIN_M = 10.0
-"""Points so far beyond the sensor's range still help to tell the surfaces at its end."""
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -27,7 +25,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     parser = verbs.add_parser("depthmap", help="depth map of a virtual LiDAR in a cloud")
     add_cloud_arguments(parser)
     parser.add_argument("--sensor", required=True, metavar="NAME", help="sensor of --sensors")
-    parser.add_argument("--sensors", default=str(_SENSORS), help="sensors file")
+    parser.add_argument("--sensors", default=str(CATALOGUE), help="sensors file")
     parser.add_argument(
         "--at",
         required=True,
@@ -79,7 +77,7 @@ def run(arguments: argparse.Namespace) -> None:
 
 
 def _depth(
-    cloud: MemoryCloud,
+    cloud: Cloud,
     sensor: Sensor,
     position_m: Floats,
     arguments: argparse.Namespace,
@@ -88,5 +86,4 @@ def _depth(
     if arguments.model != "surfel":
         model = model_of_points(arguments.model, network_for(arguments.model, arguments.network))
         return model(cloud.xyz_m, sensor, position_m, yaw_deg)
-    near = np.linalg.norm(cloud.xyz_m - position_m, axis=1) <= sensor.range_m + _MARGIN_M
-    return lidar_of_points(cloud.xyz_m[near]).depth_map(sensor, position_m, yaw_deg)
+    return depth_map(cloud, sensor, position_m, yaw_deg)

@@ -6,17 +6,11 @@ import argparse
 
 import geopandas as gpd
 
+from roadsight.api.scene import edges, pavement
 from roadsight.base.errors import InputError
-from roadsight.commands.memory import (
-    add_cloud_arguments,
-    check_output,
-    ground_labels,
-    load_cloud,
-    pavement_of,
-)
+from roadsight.commands.cloud_arguments import add_cloud_arguments, check_output, load_cloud
 from roadsight.commands.pavement import add_pavement_arguments
 from roadsight.io.vector.vectors import write_layers
-from roadsight.scene.edges.splines import OutlineSettings, outline_edges, spline_line
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -32,21 +26,14 @@ def run(arguments: argparse.Namespace) -> None:
     """Write layers ``edges`` and ``pavement`` in the cloud's CRS."""
     check_output(arguments, ".gpkg")
     cloud = load_cloud(arguments)
-    road = pavement_of(cloud, ground_labels(cloud), arguments)
-    found = outline_edges(road.outline, road.surface_m, OutlineSettings())
-    if not found:
-        raise InputError("the pavement has no edge long enough to trace", where=arguments.cloud)
-    lines = [spline_line(line) for _, line in found]
-    edges = gpd.GeoDataFrame(
-        {
-            "edge": [f"{kind[0]}{number:02d}" for number, (kind, _) in enumerate(found)],
-            "kind": [kind for kind, _ in found],
-            "source": "automatic",
-            "length_m": [line.length for line in lines],
-        },
-        geometry=lines,
+    road = pavement(
+        cloud, method=arguments.method, intensity=arguments.intensity, seed=arguments.seed
     )
+    try:
+        lines = edges(road)
+    except InputError as error:
+        raise InputError(str(error), where=str(arguments.cloud)) from error
     parts = list(road.outline.geoms)
-    pavement = gpd.GeoDataFrame({"area_m2": [part.area for part in parts]}, geometry=parts)
-    write_layers(arguments.out, {"edges": edges, "pavement": pavement}, cloud.frame)
-    print(f"{len(edges)} edges, {edges['length_m'].sum():.0f} m: {arguments.out}")
+    outline = gpd.GeoDataFrame({"area_m2": [part.area for part in parts]}, geometry=parts)
+    write_layers(arguments.out, {"edges": lines, "pavement": outline}, cloud.frame)
+    print(f"{len(lines)} edges, {lines['length_m'].sum():.0f} m: {arguments.out}")

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from roadsight.api.costs import A_MILE, runs_of
 from roadsight.base.errors import InputError
 from roadsight.base.texts import read_yaml
 from roadsight.config.load import ResolvedSite, load_config, load_site
@@ -25,9 +26,6 @@ from roadsight.io.records.atomic import write_json
 
 log = logging.getLogger("roadsight")
 
-# A mile of the North Carolina study: 34,012,557 points on 6.3 miles, 43 million images on 54,000.
-# Candidates and targets of the generated highway, 1,228 and 5,552 on 250 m.
-A_MILE = Amounts(points_m=5.4, candidates=7_900, sensors=1, targets=35_700, plans=1, images=796)
 _MOST_MILES = 1e7
 """A million times this is the largest number that any option takes; what is larger is a slip."""
 _MILE_M = 1609.344
@@ -130,22 +128,16 @@ def _check(arguments: argparse.Namespace) -> None:
             )
 
 
-def _given(arguments: argparse.Namespace, amounts: Amounts) -> Amounts:
-    """Amounts with those that the command line states."""
+def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
+    """Amounts that the command line states."""
     names = ("points_m", "candidates", "targets", "images", "sensors", "plans", "shards")
     stated = {name: getattr(arguments, name) for name in names}
-    return replace(amounts, **{k: v for k, v in stated.items() if v is not None})
+    return {name: value for name, value in stated.items() if value is not None}
 
 
 def _of_miles(table: CostTable, arguments: argparse.Namespace) -> tuple[Amounts, Estimate]:
     """Equal runs that together are so many miles."""
-    runs = max(round(arguments.miles / arguments.run_miles), 1)
-    length = arguments.miles / runs
-    per_run = {
-        name: getattr(A_MILE, name) * length
-        for name in ("points_m", "candidates", "targets", "images")
-    }
-    amounts = _given(arguments, replace(A_MILE, **per_run, shards=4))
+    runs, amounts = runs_of(arguments.miles, arguments.run_miles, _stated(arguments))
     jobs = tuple(arguments.jobs or ("placement", "poles"))
     return amounts, _estimate(table, amounts, jobs, runs, arguments.cores)
 
@@ -155,7 +147,7 @@ def _of_site(
 ) -> tuple[str, Amounts, Estimate]:
     """One run of a site of the configuration."""
     site = load_site(name, load_config(read_yaml("config/config.yaml")))
-    amounts = _given(arguments, _amounts(site))
+    amounts = replace(_amounts(site), **_stated(arguments))
     jobs = tuple(arguments.jobs or [job for job in site.site.jobs if job != "scene"])
     return site.site.site, amounts, _estimate(table, amounts, jobs, 1, arguments.cores)
 

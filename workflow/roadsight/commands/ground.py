@@ -4,14 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from roadsight.commands.memory import (
-    add_cloud_arguments,
-    check_output,
-    ground_labels,
-    labels_of,
-    load_cloud,
-    write_labelled,
-)
+from roadsight.api.clouds import labels_of, write_labelled
+from roadsight.api.scene import ground
+from roadsight.commands.cloud_arguments import add_cloud_arguments, check_output, load_cloud
 from roadsight.stages.scene.build_dem import add_ground_arguments, ground_settings_of
 
 
@@ -28,6 +23,6 @@ def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground labels, all other dimensions kept."""
     check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
-    labels = labels_of(cloud, ground_labels(cloud, ground_settings_of(arguments)))
+    labels = labels_of(cloud, ground(cloud, ground_settings_of(arguments)))
     write_labelled(arguments.out, cloud, labels)
     print(f"{(labels == 2).sum()} of {len(labels)} points are ground: {arguments.out}")

@@ -4,15 +4,9 @@ from __future__ import annotations
 
 import argparse
 
-from roadsight.commands.memory import (
-    add_cloud_arguments,
-    check_output,
-    ground_labels,
-    labels_of,
-    load_cloud,
-    pavement_of,
-    write_labelled,
-)
+from roadsight.api.clouds import labels_of, write_labelled
+from roadsight.api.scene import ground, pavement
+from roadsight.commands.cloud_arguments import add_cloud_arguments, check_output, load_cloud
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -46,9 +40,15 @@ def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground and road labels, all other dimensions kept."""
     check_output(arguments, ".laz", ".las")
     cloud = load_cloud(arguments)
-    ground = ground_labels(cloud)
-    found = pavement_of(cloud, ground, arguments)
-    labels = labels_of(cloud, ground, found.points)
+    labelled = ground(cloud)
+    found = pavement(
+        cloud,
+        method=arguments.method,
+        intensity=arguments.intensity,
+        ground=labelled,
+        seed=arguments.seed,
+    )
+    labels = labels_of(cloud, labelled, found.points)
     write_labelled(arguments.out, cloud, labels)
     print(
         f"{found.outline.area:.0f} m2 of pavement in {len(found.outline.geoms)} parts,"

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from roadsight.api.chain import Chain
 from roadsight.base.errors import InputError
-from roadsight.commands.chain import Chain, add_cloud_arguments
+from roadsight.commands.cloud_arguments import add_drive_arguments
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.clicked_pairs import read_pairs
 from roadsight.io.raster.rasters import read_raster
@@ -36,7 +37,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
         "pairs", metavar="PAIRS", help="CSV: image, pixel_x, pixel_y; x, y or lon, lat; z if known"
     )
     parser.add_argument("--videolog", required=True, help="CSV: image, latitude, longitude, ...")
-    add_cloud_arguments(parser)
+    add_drive_arguments(parser)
     parser.add_argument("-o", "--out", required=True, help="JSON to write, for poles.baseline")
     parser.set_defaults(run=run)
 

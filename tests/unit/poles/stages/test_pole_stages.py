@@ -77,6 +77,9 @@ def run_triangulation(site, *shards, **more):
         str(site / "dem.tif"),
         "--sigma-position-m",
         "0.3",
+        "--min-views",
+        "2",
+        "--pole-evidence=-0.5",
         *more.get("also", []),
     ]
     return triangulate_poles.main(arguments), out

@@ -29,7 +29,12 @@ def read_sightings(path: str | os.PathLike[str]) -> pd.DataFrame:
     ------
     InputError : the file cannot be read, lacks a column, or a number is missing or impossible.
     """
-    table = read_text_table(path)
+    return checked_sightings(read_text_table(path), os.fspath(path))
+
+
+def checked_sightings(table: pd.DataFrame, path: str) -> pd.DataFrame:
+    """Sightings of a table of texts, as `read_sightings`; ``path`` is named in messages."""
+    table = table.copy()
     missing = [name for name in _NEEDED if name not in table]
     if missing:
         raise InputError(

@@ -256,7 +256,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--max-residual-px", type=float, default=limits.residual_px)
-    parser.add_argument("--max-sigma-heading-deg", type=float, default=limits.sigma_heading_deg)
+    parser.add_argument("--max-sigma-heading-deg", type=float, default=0.15)
     parser.add_argument("--max-sigma-lateral-m", type=float, default=limits.sigma_lateral_m)
     return run_stage(parser, align_cameras, argv)
 

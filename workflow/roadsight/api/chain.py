@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import importlib
 import sys
 from pathlib import Path
+from typing import Any
 
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.sources import stage_module
 from roadsight.scene.pavement.choice import choose_method
-from roadsight.stages.scene.ingest_cloud import UNITS
 
 MANIFESTS = Path(__file__).resolve().parents[3] / "resources" / "manifests"
 _ROAD_CLASS = "11"
@@ -18,21 +17,6 @@ _ROAD_CLASS = "11"
 _LEAST_ROAD = 1e-4
 """Share of points with that class from which a cloud counts as classified; below it stand stray
 points, and the pavement is sought by shape."""
-
-
-def add_cloud_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of a verb that starts from a cloud and a videolog's images."""
-    parser.add_argument("--cloud", type=Path, required=True, help="LAS or LAZ file")
-    parser.add_argument("--images", required=True, help="folder or ZIP of the images")
-    parser.add_argument("--crs", default="auto", help="EPSG:nnnn, or auto: the cloud's own")
-    parser.add_argument("--units", choices=UNITS, default="auto", help="unit of x and y")
-    parser.add_argument("--vertical-units", choices=UNITS, default="auto", help="unit of z")
-    parser.add_argument(
-        "--street",
-        action="store_true",
-        help="a street mapped from a vehicle: edges are curbs, masks count to the first border, "
-        "poles say first where the camera looks; needs --hfov-deg",
-    )
 
 
 class Chain:
@@ -56,15 +40,15 @@ class Chain:
         if code:
             sys.exit(code)
 
-    def scene(self, arguments: argparse.Namespace) -> None:
+    def scene(self, drive: Any) -> None:
         """Cloud, terrain and, where the cloud has no road class, pavement."""
-        options = ("--site", arguments.cloud.stem, "--crs", arguments.crs)
-        units = ("--units", arguments.units, "--vertical-units", arguments.vertical_units)
+        options = ("--site", drive.cloud.stem, "--crs", drive.crs)
+        units = ("--units", drive.units, "--vertical-units", drive.vertical_units)
         self._run(
             "ingest_cloud",
             *options,
             *units,
-            str(arguments.cloud),
+            str(drive.cloud),
             cloud="cloud.parquet",
             frame="frame.json",
         )
@@ -104,7 +88,7 @@ class Chain:
                 points="pavement.parquet",
             )
 
-    def track(self, arguments: argparse.Namespace) -> None:
+    def track(self, drive: Any) -> None:
         """Top view, and the frames of the videolog on it."""
         files = {"cloud": "cloud.parquet", "frame": "frame.json", "dem": "dem.tif"}
         found = {} if self._classified else {"pavement": "pavement.gpkg"}
@@ -121,9 +105,9 @@ class Chain:
         self._run(
             "read_videolog",
             "--videolog",
-            arguments.videolog,
+            drive.videolog,
             "--images",
-            arguments.images,
+            drive.images,
             **files,
             top="top.tif",
             out="frames.parquet",
@@ -146,12 +130,12 @@ class Chain:
         ground = {} if self._classified else {"ground": "ground.parquet"}
         self._run("build_terrain", cloud="cloud.parquet", **ground, out="terrain.npz")
 
-    def images(self, arguments: argparse.Namespace) -> None:
+    def images(self, drive: Any) -> None:
         """What the images show."""
         source = [str(MANIFESTS / "road_classes.yaml")]
-        if arguments.masks:
-            source = [arguments.masks, arguments.map]
-        images = ("--images", arguments.images)
+        if drive.masks:
+            source = [drive.masks, drive.map]
+        images = ("--images", drive.images)
         self._run(
             "segment_images", *images, "--source", *source, frames="frames.parquet", out="masks.zip"
         )
@@ -161,7 +145,7 @@ class Chain:
         self._run("trace_pole_axes", **shown, out="pole_axes.parquet")
         self._run("match_images", *images, frames="frames.parquet", out="matches.parquet")
 
-    def cameras(self, arguments: argparse.Namespace) -> None:
+    def cameras(self, drive: Any) -> None:
         """Poses by road alignment."""
         inputs = {
             "frames": "frames.parquet",
@@ -173,11 +157,11 @@ class Chain:
             "pole_axes": "pole_axes.parquet",
             "columns": "columns.parquet",
         }
-        lens = ["--intrinsics", arguments.intrinsics] if arguments.intrinsics else []
+        lens = ["--intrinsics", drive.intrinsics] if drive.intrinsics else []
         dense = {"cloud": "cloud.parquet", "masks": "masks.zip"}
-        shared = ["--method", arguments.method, "--photographs", arguments.images, *lens]
-        known = ["--hfov-deg", str(arguments.hfov_deg)]
-        known += ["--baseline", arguments.baseline] if arguments.baseline else []
+        shared = ["--method", drive.method, "--photographs", drive.images, *lens]
+        known = ["--hfov-deg", str(drive.hfov_deg)]
+        known += ["--baseline", drive.baseline] if drive.baseline else []
         known += ["--start", "landmarks"] if self._street else []
         self._run(
             "calibrate_drive",
@@ -188,7 +172,7 @@ class Chain:
             matches="matches.parquet",
             out="calibration.json",
         )
-        limits = ["--max-sigma-heading-deg", str(arguments.max_sigma_heading_deg)]
+        limits = ["--max-sigma-heading-deg", str(drive.max_sigma_heading_deg)]
         self._run(
             "align_cameras",
             *shared,

@@ -1,0 +1,167 @@
+"""The Python API: examples run, arrays, clouds and paths give the same, parts work alone."""
+
+from __future__ import annotations
+
+import doctest
+import importlib
+import subprocess
+import sys
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import sparse
+
+import roadsight
+from roadsight.base.errors import InputError
+from roadsight.setcover import CoverProblem, solve_cover_problem
+from tests.helpers.las_files import wkt_of, write_las
+
+MODULES = sorted(set(roadsight._HOMES.values()))
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_hold(name):
+    module = importlib.import_module(f"roadsight.api.{name}")
+    failed, _ = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
+    assert failed == 0
+
+
+@pytest.mark.parametrize("name", roadsight.__all__)
+def test_every_function_has_its_contract_and_an_example(name):
+    text = getattr(roadsight, name).__doc__
+    for part in ("Parameters", "Raises", "Examples", ">>> "):
+        assert part in text, part
+
+
+def test_all_that_is_promised_is_there_and_nothing_else():
+    assert set(roadsight.__all__) == set(roadsight._HOMES) <= set(dir(roadsight))
+    with pytest.raises(AttributeError, match="no attribute 'curbs'"):
+        _ = roadsight.curbs
+
+
+def test_covers_work_without_the_rest():
+    code = (
+        "import sys, roadsight.setcover;"
+        "own = [name for name in sys.modules if name.startswith('roadsight.')];"
+        "print(sorted({name.split('.')[1] for name in own}),"
+        " [name for name in ('pandas', 'geopandas', 'rasterio', 'cv2') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "['base', 'setcover'] []"
+
+
+def street(seed=2):
+    """A flat street of 60 m by 24 m between two walls, local metres near a UTM place."""
+    rng = np.random.default_rng(seed)
+    flat = np.column_stack([rng.uniform(0, 60, 20_000), rng.uniform(0, 24, 20_000)])
+    flat = np.column_stack([flat, rng.normal(0, 0.005, 20_000)])
+    walls = np.column_stack([rng.uniform(0, 60, 40_000), rng.choice([0.0, 24.0], 40_000)])
+    walls = np.column_stack([walls, rng.uniform(0, 8, 40_000)])
+    return np.vstack([flat, walls])
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("street") / "street.laz"
+    shift = [500_000.0, 5_400_000.0, 100.0]
+    return write_las(path, street() + shift, wkt_of("EPSG:25832"))
+
+
+def test_a_path_a_cloud_and_an_array_give_the_same_ground(file):
+    cloud = roadsight.read_cloud(file)
+    labels = roadsight.ground(file)
+    assert np.array_equal(labels, roadsight.ground(cloud))
+    assert np.array_equal(labels, roadsight.ground(cloud.xyz_m))
+    assert labels[:20_000].mean() > 0.99
+    assert labels[20_000:].mean() < 0.2
+
+
+def test_edges_are_in_the_crs_of_a_file_and_local_for_an_array(file):
+    cloud = roadsight.read_cloud(file)
+    native = roadsight.edges(file)
+    assert native.crs.to_epsg() == 25832
+    local = roadsight.edges(roadsight.pavement(cloud))
+    assert local.crs is None
+    moved = cloud.frame.to_native(np.array(local.geometry[0].coords)[:, :2])
+    assert np.allclose(np.array(native.geometry[0].coords)[:, :2], moved, atol=1e-6)
+
+
+def test_a_detection_matrix_is_that_of_its_depth_maps(file):
+    xyz = street()
+    places = np.array([[10, 1, 5.0], [50, 23, 5.0]])
+    feet = pd.DataFrame({"x": [12.0, 30.0, 55.0], "y": 12.0, "z": 0.0})
+    sees = roadsight.detection_matrix(xyz, "OS1-64", places, feet)
+    assert sees.shape == (2, 3)
+    assert sees.dtype == bool
+    for row, place in enumerate(places):
+        ranges = roadsight.depth_map(xyz, "OS1-64", place)
+        alone = roadsight.detection_matrix(xyz, "OS1-64", [place], feet)
+        assert (alone != sees[row]).nnz == 0
+        assert ranges.shape == (64, 2048)
+    behind = np.array([[30, 40, 1.0]])  # beyond the wall
+    assert roadsight.detection_matrix(xyz, "OS1-64", behind, feet).nnz == 0
+
+
+@pytest.mark.parametrize("kind", [np.asarray, sparse.csr_matrix, sparse.coo_array, pd.DataFrame])
+def test_covers_take_any_matrix(kind):
+    rng = np.random.default_rng(4)
+    dense = (rng.random((30, 60)) < 0.15).astype(float)
+    dense[rng.integers(0, 30, 60), np.arange(60)] = 1
+    found = roadsight.cover(kind(dense))
+    truth = solve_cover_problem(CoverProblem(sparse.csr_matrix(dense)))
+    assert found.status == "optimal"
+    assert found.objective == truth.objective
+    assert (dense[found.chosen].sum(axis=0) >= 1).all()
+
+
+def test_layers_of_sightings_come_back_in_their_crs():
+    seen = pd.DataFrame(
+        {
+            "lat": [51.5, 51.5, 51.5],
+            "lon": [-0.1, -0.1001, -0.1002],
+            "bearing": [315.0, 0.0, 45.0],
+            "depth": [9.8, 6.9, np.nan],
+        }
+    )
+    table = roadsight.triangulate(seen)
+    points = gpd.points_from_xy(seen["lon"], seen["lat"], crs="EPSG:4326")
+    layer = gpd.GeoDataFrame(seen[["bearing", "depth"]], geometry=points).to_crs("EPSG:27700")
+    placed = roadsight.triangulate(layer)
+    assert placed.crs.to_epsg() == 27700
+    apart = placed.to_crs("EPSG:32630").distance(table.to_crs("EPSG:32630"))
+    assert len(placed) == 1
+    assert float(apart.iloc[0]) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: roadsight.ground([[1.0, 2.0]]), "allowed: \\(n, 3\\) finite local metres"),
+        (lambda: roadsight.ground([[1.0, 2.0, np.nan]]), "1 values not finite"),
+        (lambda: roadsight.ground("missing.laz"), "missing.laz"),
+        (lambda: roadsight.depth_map(street(), "OS-63", [0, 0, 1]), "no sensor 'OS-63'"),
+        (lambda: roadsight.depth_map(street(), "OS1-64", [0, 9e3, 1]), "out of reach of the cloud"),
+        (
+            lambda: roadsight.detection_matrix(
+                street(), "OS1-64", [[0, 0, 1]], pd.DataFrame({"x": [1]})
+            ),
+            "targets: lacks a column; found y",
+        ),
+        (lambda: roadsight.triangulate(pd.DataFrame({"lat": [1.0]})), "lacks the column lon"),
+        (lambda: roadsight.estimate(-1), "miles: is not positive; found -1"),
+        (lambda: roadsight.estimate(1, trees=3), "trees: is no amount"),
+        (lambda: roadsight.align("no.csv", "no.laz", "no"), "no.laz"),
+    ],
+)
+def test_bad_input_is_one_message(call, message):
+    with pytest.raises(InputError, match=message):
+        call()
+
+
+def test_the_montpellier_street_from_python(data):
+    cloud = roadsight.read_cloud(data / "clouds" / "montpellier_street.laz")
+    labels = roadsight.ground(cloud)
+    given = np.asarray(cloud.native.dims["classification"])[cloud.taken] == 2
+    assert (labels == given).mean() > 0.97

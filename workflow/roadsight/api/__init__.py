@@ -1,0 +1,1 @@
+"""What a notebook needs: ``import roadsight``, and arrays, tables or paths in and out."""

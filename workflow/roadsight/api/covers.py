@@ -1,0 +1,59 @@
+"""Covers with proof, from a matrix of SciPy, NumPy or pandas."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy import sparse
+
+from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
+
+
+def cover(
+    matrix: Any,
+    costs: ArrayLike | None = None,
+    *,
+    at_least: ArrayLike = 1,
+    groups: ArrayLike | None = None,
+    mandatory: ArrayLike = (),
+    forbidden: ArrayLike = (),
+    seconds: float | None = None,
+    gap: float = 0.0,
+    seed: int = 1,
+) -> Cover:
+    """Cheapest choices that cover every target, with the bound that proves it (paper 1, Eqs. 5-7).
+
+    Parameters
+    ----------
+    matrix : (choices, targets), positive = covers: sparse, an array, or a DataFrame such as the
+        service areas of spopt. Rows are choices; of a model in columns give the transpose.
+    costs : (choices,) positive; None = 1 each.
+    at_least : how often each target is covered, one number or (targets,).
+    groups : (choices,) at most one choice of a group; negative = none.
+    mandatory, forbidden : numbers of choices.
+    seconds : limit by the clock; None = until it is proven. gap : leave so near to the bound.
+
+    Returns
+    -------
+    ``status``, ``chosen`` (numbers of rows), ``objective``, ``bound``, ``gap``, ``uncoverable``
+
+    Raises
+    ------
+    InputError : a shape, type or value that cannot be used.
+
+    Examples
+    --------
+    >>> import roadsight
+    >>> best = roadsight.cover([[1, 1, 0], [0, 1, 1], [1, 1, 1]], costs=[1, 1, 3])
+    >>> best.status, best.chosen.tolist(), best.objective
+    ('optimal', [0, 1], 2.0)
+    """
+    if isinstance(matrix, pd.DataFrame):
+        matrix = matrix.to_numpy()
+    if not sparse.issparse(matrix):
+        matrix = sparse.csr_matrix(np.asarray(matrix))
+    problem = CoverProblem(matrix, costs, groups, at_least, mandatory, forbidden)
+    return solve_cover_problem(problem, seconds, seed, gap)

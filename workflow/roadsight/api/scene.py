@@ -1,0 +1,167 @@
+"""Ground, pavement and road edges of a cloud."""
+
+from __future__ import annotations
+
+import logging
+from typing import Literal
+
+import geopandas as gpd
+import numpy as np
+
+from roadsight.api.clouds import Points, Taken, taken
+from roadsight.base.arrays import Bools
+from roadsight.base.errors import InputError
+from roadsight.io.vector.vectors import native_features
+from roadsight.scene.edges.splines import OutlineSettings, outline_edges, spline_line
+from roadsight.scene.terrain.ground_settings import GroundSettings
+from roadsight.scene.whole import FoundRoad, ground_of, published_road, road_of, scans_tell
+
+log = logging.getLogger("roadsight")
+
+Method = Literal["auto", "surface", "published"]
+IntensityUse = Literal["auto", "use", "ignore"]
+
+
+def ground(points: Points, settings: GroundSettings | None = None) -> Bools:
+    """Which points are ground (progressive pillars and a triangulation).
+
+    Parameters
+    ----------
+    points : a cloud, a path, or (n, 3) local metres.
+
+    Returns
+    -------
+    (n,) True for ground, in the order of the points that take part
+
+    Raises
+    ------
+    InputError : no usable cloud, or nothing lies near a plausible ground.
+
+    Examples
+    --------
+    >>> import numpy as np, roadsight
+    >>> rng = np.random.default_rng(1)
+    >>> field = np.column_stack([rng.uniform(0, 30, (5000, 2)), rng.normal(0, 0.01, 5000)])
+    >>> wall = np.column_stack([rng.uniform(10, 20, 500), np.full(500, 15), rng.uniform(1, 6, 500)])
+    >>> labels = roadsight.ground(np.vstack([field, wall]))
+    >>> bool(labels[:5000].mean() > 0.99), int(labels[5000:].sum())
+    (True, 0)
+    """
+    return _ground(taken(points), settings)
+
+
+def _ground(cloud: Taken, settings: GroundSettings | None = None) -> Bools:
+    mask = ground_of(cloud.xyz_m, settings)
+    if not mask.any():
+        raise InputError("no ground found", where=cloud.where)
+    return mask
+
+
+def pavement(
+    points: Points,
+    *,
+    method: Method = "auto",
+    intensity: IntensityUse = "auto",
+    ground: Bools | None = None,
+    seed: int = 1,
+) -> FoundRoad:
+    """Paved road of a cloud.
+
+    Parameters
+    ----------
+    points : a cloud, a path, or (n, 3) local metres.
+    method : "surface" (a surface that runs on until a kerb, grass or a wall ends it), "published"
+        (FPFH and k-means, paper 1, section 2.2), or "auto": surface where the cloud tells the scans
+        of a vehicle apart.
+    intensity : whether it is a cue; auto: where points are more than 0.15 m apart.
+    ground : (n,) ground labels, found if absent; the published method alone needs them.
+
+    Returns
+    -------
+    ``outline`` (polygons, local metres), ``points`` (n,) and ``surface_m`` (k, 3)
+
+    Raises
+    ------
+    InputError : no usable cloud, or no pavement is found.
+
+    Examples
+    --------
+    >>> import roadsight
+    >>> road = roadsight.pavement("street.laz")  # doctest: +SKIP
+    >>> road.outline.area, road.points.sum()  # doctest: +SKIP
+    (5596.2, 1210345)
+    """
+    return _pavement(taken(points), method, intensity, ground, seed)
+
+
+def _pavement(
+    cloud: Taken,
+    method: Method = "auto",
+    intensity: IntensityUse = "auto",
+    ground: Bools | None = None,
+    seed: int = 1,
+) -> FoundRoad:
+    if method == "auto":
+        method = "surface" if scans_tell(cloud.xyz_m, cloud.scan) else "published"
+        log.info("pavement by method %s", method)
+    told = cloud.intensity is not None and intensity != "ignore"
+    try:
+        if method == "surface":
+            return road_of(cloud.xyz_m, cloud.intensity if told else None, cloud.scan)[0]
+        labels = _ground(cloud) if ground is None else np.asarray(ground, bool)
+        values = np.zeros(len(cloud.xyz_m)) if cloud.intensity is None else cloud.intensity
+        use = intensity if told else "ignore"
+        return published_road(cloud.xyz_m, labels, values, use, seed)
+    except InputError as error:
+        raise InputError(str(error), where=cloud.where) from error
+
+
+def edges(
+    points: Points | FoundRoad,
+    *,
+    method: Method = "auto",
+    intensity: IntensityUse = "auto",
+    seed: int = 1,
+) -> gpd.GeoDataFrame:
+    """Edges of the paved road as smooth lines.
+
+    Parameters
+    ----------
+    points : a cloud, a path, (n, 3) local metres, or what `pavement` found.
+    method, intensity, seed : as `pavement` takes them; of no use for a road that was found.
+
+    Returns
+    -------
+    columns edge, kind, source, length_m; lines in the CRS of a cloud or path, in local metres for
+    an array or a road that was found
+
+    Raises
+    ------
+    InputError : as `pavement`, or its outline has no edge long enough to trace.
+
+    Examples
+    --------
+    >>> import roadsight
+    >>> roadsight.edges("street.laz").to_file("edges.gpkg")  # doctest: +SKIP
+    """
+    if isinstance(points, FoundRoad):
+        return _edges(points, "points")
+    cloud = taken(points)
+    table = _edges(_pavement(cloud, method, intensity, None, seed), cloud.where)
+    return table if cloud.frame is None else native_features(table, cloud.frame)
+
+
+def _edges(road: FoundRoad, where: str) -> gpd.GeoDataFrame:
+    found = outline_edges(road.outline, road.surface_m, OutlineSettings())
+    if not found:
+        raise InputError("the pavement has no edge long enough to trace", where=where)
+    lines = [spline_line(line) for _, line in found]
+    return gpd.GeoDataFrame(
+        {
+            "edge": [f"{kind[0]}{number:02d}" for number, (kind, _) in enumerate(found)],
+            "kind": [kind for kind, _ in found],
+            "source": "automatic",
+            "length_m": [line.length for line in lines],
+        },
+        geometry=lines,
+    )

@@ -1,0 +1,145 @@
+"""What a virtual LiDAR measures, and which targets it sees."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import ArrayLike
+from scipy import sparse
+
+from roadsight.api.clouds import Points, taken
+from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.errors import InputError
+from roadsight.config.sensing import Targets
+from roadsight.placement.depth.surfel_lidar import SurfelLidar, lidar_of_points
+from roadsight.placement.sensors.sensors import Sensor, load_sensor
+from roadsight.placement.sight.sight import Sight, count_beams
+
+CATALOGUE = Path(__file__).parents[3] / "config" / "sensors.yaml"
+"""Sensors by name, with the data sheets that they are from."""
+_MARGIN_M = 10.0
+"""Points so far beyond the sensor's range still help to tell the surfaces at its end."""
+
+
+def depth_map(
+    points: Points, sensor: Sensor | str, position_m: ArrayLike, yaw_deg: float = 0.0
+) -> Floats32:
+    """What one sensor at one place would measure (paper 1, section 2.4).
+
+    Parameters
+    ----------
+    points : a cloud, a path, or (n, 3) local metres.
+    sensor : a spinning LiDAR, or its name in the catalogue.
+    position_m : (3,) local metres; ``cloud.frame.to_local`` turns native coordinates into them.
+    yaw_deg : direction of the sensor's x axis, counter-clockwise from local x.
+
+    Returns
+    -------
+    (rows, columns) range of every beam's first return, metres, 0 for none
+
+    Raises
+    ------
+    InputError : no usable cloud or sensor, or it stands out of reach of every point.
+
+    Examples
+    --------
+    >>> import numpy as np, roadsight
+    >>> x, y = np.meshgrid(np.arange(-15, 15, 0.1), np.arange(-15, 15, 0.1))
+    >>> plain = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    >>> ranges = roadsight.depth_map(plain, "OS1-64", [0, 0, 4])
+    >>> ranges.shape, round(float(ranges[ranges > 0].min()), 1)
+    ((64, 2048), 10.5)
+    """
+    cloud, sensor = taken(points), _sensor(sensor)
+    place = _place(position_m)
+    offset = np.linalg.norm(cloud.xyz_m - place, axis=1)
+    if offset.min() > sensor.range_m:
+        raise InputError(
+            "the sensor stands out of reach of the cloud",
+            where="position",
+            found=f"{offset.min():.0f} m from the nearest point",
+            allowed=f"within {sensor.range_m:g} m, the sensor's range",
+            hint="give the position in the cloud's own coordinates and units",
+        )
+    lidar = lidar_of_points(cloud.xyz_m[offset <= sensor.range_m + _MARGIN_M])
+    return lidar.depth_map(sensor, place, yaw_deg)
+
+
+def detection_matrix(
+    points: Points | SurfelLidar,
+    sensor: Sensor | str,
+    candidates: pd.DataFrame | ArrayLike,
+    targets: pd.DataFrame | ArrayLike,
+    settings: Targets | None = None,
+) -> sparse.csr_matrix:
+    """Which candidates see which targets (paper 1, section 2.5).
+
+    Parameters
+    ----------
+    points : a cloud, a path, (n, 3) local metres, or a `SurfelLidar` that was made of them.
+    sensor : a spinning LiDAR, or its name in the catalogue.
+    candidates : (k, 3) places of the sensor, or (k, 4) with its yaw in degrees; or columns x, y, z
+        and yaw_deg if there is one; local metres.
+    targets : (m, 3) feet of the targets, or columns x, y, z; local metres.
+    settings : radius and height of a target, and beams that it takes.
+
+    Returns
+    -------
+    (k, m) bool: rows are candidates, columns targets
+
+    Raises
+    ------
+    InputError : no usable cloud, sensor, candidates or targets.
+
+    Examples
+    --------
+    >>> import numpy as np, roadsight
+    >>> x, y = np.meshgrid(np.arange(-15, 15, 0.1), np.arange(-15, 15, 0.1))
+    >>> plain = np.column_stack([x.ravel(), y.ravel(), np.zeros(x.size)])
+    >>> feet = [[10, 0, 0], [0, 12, 0], [14, 14, 0]]
+    >>> sees = roadsight.detection_matrix(plain, "OS1-64", [[0, 0, 4], [0, 2, 4]], feet)
+    >>> roadsight.cover(sees).chosen.tolist()
+    [0]
+    """
+    sensor, asked = _sensor(sensor), settings or Targets()
+    poses = _rows(candidates, "candidates", ("x", "y", "z", "yaw_deg"), least=3)
+    feet_m = _rows(targets, "targets", ("x", "y", "z"), least=3)
+    lidar = points if isinstance(points, SurfelLidar) else lidar_of_points(taken(points).xyz_m)
+    size_m, sight = (asked.radius_m, asked.height_m), Sight(sensor.range_m)
+    seen = sparse.lil_matrix((len(poses), len(feet_m)), dtype=bool)
+    for row, (x, y, z, *yaw) in enumerate(poses):
+        place, yaw_deg = np.array([x, y, z]), yaw[0] if yaw else 0.0
+        ranges = lidar.depth_map(sensor, place, yaw_deg)
+        beams = count_beams(ranges, sensor, place, yaw_deg, feet_m, size_m, sight)
+        seen[row, np.flatnonzero(beams > asked.min_beams)] = True
+    return seen.tocsr()
+
+
+def _sensor(sensor: Sensor | str) -> Sensor:
+    return load_sensor(CATALOGUE, sensor) if isinstance(sensor, str) else sensor
+
+
+def _place(position_m: ArrayLike) -> Floats:
+    place = np.asarray(position_m, np.float64)
+    if place.shape != (3,) or not np.isfinite(place).all():
+        raise InputError("is no place", where="position", found=position_m, allowed="x, y, z")
+    return place
+
+
+def _rows(
+    given: pd.DataFrame | ArrayLike, name: str, columns: tuple[str, ...], least: int
+) -> Floats:
+    """Places (n, 3 or more) of a table or an array."""
+    if isinstance(given, pd.DataFrame):
+        missing = [column for column in columns[:least] if column not in given]
+        if missing:
+            raise InputError("lacks a column", where=name, found=missing[0], allowed=columns)
+        given = given[[column for column in columns if column in given]].to_numpy(np.float64)
+    rows = np.asarray(given, np.float64)
+    if rows.ndim != 2 or not least <= rows.shape[1] <= len(columns) or not np.isfinite(rows).all():
+        raise InputError(
+            "are no places", where=name, found=f"shape {rows.shape}", allowed=", ".join(columns)
+        )
+    return rows
