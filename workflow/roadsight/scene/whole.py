@@ -15,7 +15,6 @@ from shapely import MultiPolygon
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.scene.grids import Grid, sample_bilinear
-from roadsight.scene.pavement.choice import SURE_SCANS
 from roadsight.scene.pavement.describe import describe_ground
 from roadsight.scene.pavement.outline import (
     PavementSettings,
@@ -31,7 +30,6 @@ from roadsight.scene.pavement.road_surface import (
     find_road,
     road_points,
 )
-from roadsight.scene.pavement.scan_levels import count_scans
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.profile import count_cells, density
 from roadsight.scene.spacing import plan_spacing_m, uses_intensity
@@ -169,16 +167,6 @@ class FoundRoad:
     outline: MultiPolygon
     points: Bools
     surface_m: Floats
-
-
-def scans_tell(xyz_m: Floats, scan: Ints | None) -> bool:
-    """Whether scans are told apart and their scanner drove through the cloud.
-
-    Their blind discs then say where the road is, and their registration can be levelled.
-    """
-    if scan is None:
-        return False
-    return count_scans(lambda: [(xyz_m, scan)])["blind_share"] >= SURE_SCANS
 
 
 _ROAD_CLASSES = (11, 17)

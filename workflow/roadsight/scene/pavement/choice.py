@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from roadsight.base.doubts import Doubt
 from roadsight.base.errors import InputError
@@ -27,10 +27,10 @@ class Choice:
 
     Parameters
     ----------
-    method : "surface" or "published". why : half a sentence. measured, limit : what decided.
+    method : which way. why : half a sentence. measured, limit : what decided.
     """
 
-    method: str
+    method: Literal["surface", "published"]
     why: str
     measured: float | None = None
     limit: float | None = None
