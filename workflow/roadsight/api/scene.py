@@ -13,7 +13,7 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.vector.vectors import native_features
 from roadsight.scene.edges.splines import OutlineSettings, outline_edges, spline_line
-from roadsight.scene.pavement.choice import choose_method, fits_surface
+from roadsight.scene.pavement.choice import choose_method
 from roadsight.scene.pavement.road_surface import KnownRoad
 from roadsight.scene.pavement.scan_levels import count_scans
 from roadsight.scene.terrain.ground_settings import GroundSettings
@@ -115,8 +115,7 @@ def _pavement(
     seed: int = 1,
     known: KnownRoad | None = None,
 ) -> FoundRoad:
-    extent_m = np.ptp(cloud.xyz_m, axis=0)
-    choice = _chosen(cloud, method, known, extent_m)
+    choice = _chosen(cloud, method, known)
     told = cloud.intensity is not None and intensity != "ignore"
     tones = cloud.intensity if told else None
     try:
@@ -126,7 +125,7 @@ def _pavement(
         values = np.zeros(len(cloud.xyz_m)) if cloud.intensity is None else cloud.intensity
         use = intensity if told else "ignore"
         road = published_road(cloud.xyz_m, labels, values, use, seed)
-        if method != "auto" or not fits_surface(extent_m):
+        if method != "auto":
             return road
         sharp = sharpen(road.outline, cloud.xyz_m, tones, classes=cloud.classes)
         return sharp.road if sharp is not None and sharp.agrees else road
@@ -135,7 +134,7 @@ def _pavement(
 
 
 def _chosen(
-    cloud: Taken, method: Method, known: KnownRoad | None, extent_m: Floats
+    cloud: Taken, method: Method, known: KnownRoad | None
 ) -> Literal["surface", "published"]:
     """The same choice as the workflow's, but that a track decides as seeds do."""
     if method != "auto":
@@ -145,7 +144,7 @@ def _chosen(
     scan = cloud.scan
     if scan is not None and not given:
         scans = count_scans(lambda: [(cloud.xyz_m, scan)])
-    choice = choose_method(method, given, {"extent_m": extent_m, "scans": scans})
+    choice = choose_method(method, given, {"extent_m": np.ptp(cloud.xyz_m, axis=0), "scans": scans})
     log.info("pavement by method %s: %s", choice.method, choice.why)
     return choice.method
 

@@ -1,6 +1,6 @@
 """Helpers of the pavement rules: which way is taken, and what that way alone uses."""
 
-from roadsight.scene.pavement.choice import FINEST_M, MOST_CELLS, choose_method, fits_surface
+from roadsight.scene.pavement.choice import FINEST_M, MOST_CELLS, MOST_SHARPENED, choose_method
 
 
 def pavement_is_given(wildcards):
@@ -81,7 +81,6 @@ def memory_of_pavement(wildcards, input, attempt):
     if not profile or not os.path.exists(profile[0]):
         return published
     east_m, north_m = read_json(profile[0])["extent_m"][:2]
-    if input.clusters and not fits_surface((east_m, north_m)):
-        return published
-    cells = min(east_m * north_m / FINEST_M**2, MOST_CELLS)
+    most = MOST_SHARPENED if input.clusters else MOST_CELLS
+    cells = min(east_m * north_m / FINEST_M**2, most)
     return published + int(attempt * (200 * million_points(input) + cells / 1e6 * 400))

@@ -19,6 +19,8 @@ FINEST_M = 0.2
 """Smallest cell of the surface; where points are sparser its cells are wider."""
 MOST_CELLS = 15_000_000
 """Cells of the surface that are held at once: 0.6 km2 at the finest. Each takes 300 bytes."""
+MOST_SHARPENED = 5_000_000
+"""The same where the surface only sharpens edges: 0.2 km2, 1.5 GB."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +47,9 @@ class Choice:
         return Doubt("pavement_method", "note", text, self.measured, self.limit)
 
 
-def fits_surface(extent_m: Sequence[float]) -> bool:
-    """Whether a site (east, north, ... metres) is not too wide for one surface."""
-    return round(extent_m[0] * extent_m[1] / FINEST_M**2) <= MOST_CELLS
+def fits_surface(extent_m: Sequence[float], most_cells: int = MOST_CELLS) -> bool:
+    """Whether an extent (east, north, ... metres) is not too wide for one surface."""
+    return round(extent_m[0] * extent_m[1] / FINEST_M**2) <= most_cells
 
 
 def choose_method(stated: str, seeded: bool, profile: Mapping[str, Any]) -> Choice:

@@ -25,7 +25,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
-from roadsight.scene.pavement.choice import METHODS, Choice, choose_method, fits_surface
+from roadsight.scene.pavement.choice import METHODS, Choice, choose_method
 from roadsight.scene.pavement.outline import (
     PavementSettings,
     inside,
@@ -125,7 +125,7 @@ def _found(
         if choice.method == "surface":
             return _surface(arguments, cloud, frame, about, choice)
         found = _Found(_published(arguments), "published", [choice.told()])
-        if arguments.method == "auto" and arguments.profile and fits_surface(profile["extent_m"]):
+        if arguments.method == "auto":
             return _sharpened(arguments, cloud, found)
         return found
     except InputError as error:
@@ -182,8 +182,11 @@ def _sharpened(arguments: argparse.Namespace, cloud: CloudTiles, found: _Found) 
     """Smooth ground with sharper edges, where the surface that runs on from it agrees with it."""
     xyz_m, intensity, points = _whole(arguments, cloud)
     sharp = sharpen(found.outline, xyz_m, intensity, classes=points["classification"])
-    if sharp is None or not sharp.agrees:
-        measured, limit = (0.0, None) if sharp is None else sharp.weakest
+    if sharp is None:
+        text = "its edges are as smooth ground has them: too narrow or too wide for one surface"
+        return replace(found, doubts=[*found.doubts, Doubt("pavement_sharpened", "note", text)])
+    if not sharp.agrees:
+        measured, limit = sharp.weakest
         text = (
             "as one surface another road is found than by FPFH and k-means, which is kept: share"
             " of both; give pavement.seeds"
