@@ -67,8 +67,16 @@ class Ground(Section):
 
 
 class Pavement(Section):
-    """Pavement by FPFH and k-means."""
+    """Pavement as one surface, or by FPFH and k-means (all other settings but intensity)."""
 
+    method: Literal["auto", "surface", "published"] = Field(
+        default="auto",
+        description="published: FPFH, k-means; auto: surface if scans tell or with seeds",
+    )
+    seeds: list[tuple[float, float]] = Field(
+        default=[],
+        description="surface: places on the road from which it grows, x and y as in the cloud",
+    )
     voxel_size_m: Metres = Field(
         default=0.1,
         description="ground points are thinned to one per column this wide, m; at least spacing",
@@ -78,7 +86,7 @@ class Pavement(Section):
     )
     intensity: Literal["auto", "use", "ignore"] = Field(
         default="auto",
-        description="intensity as a second cue: auto uses it where spacing exceeds 0.15 m",
+        description="second cue; auto: as a surface, or where spacing exceeds 0.15 m",
     )
     intensity_weight: float = Field(
         default=1.5, gt=0, le=10, description="weight of intensity against the whole histogram"

@@ -117,6 +117,14 @@ class PlacementInputs(Section):
     tma: str | None = Field(
         default=None, description="polygon of the monitored area; found if absent"
     )
+    track: str | None = Field(
+        default=None,
+        description="line that a vehicle drove, GeoJSON, GeoPackage or CSV: the road as a surface"
+        " grows from it",
+    )
+    track_crs: CrsText | None = Field(
+        default=None, description="CRS of the track if its file names none"
+    )
     zones: str | None = Field(
         default=None, description="polygons in which no sensor may stand, e.g. GeoJSON"
     )
