@@ -178,6 +178,13 @@ class Cover(Section):
         description="a cover proven to cost at most this share too much will do; 0: the best",
     )
     at_least: Count = Field(default=1, description="sensors that must see each target")
+    second_objective: bool = Field(
+        default=True,
+        description="of the cheapest plans, the one that sees most targets once more than asked",
+    )
+    second_time_limit_s: float = Field(
+        default=10.0, gt=0, description="its limit for each plan, s; counted in steps of work"
+    )
 
 
 class Settings(Section):

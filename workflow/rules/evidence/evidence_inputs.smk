@@ -60,6 +60,7 @@ def given_lists(wildcards):
     if wants(wildcards.site, "poles") and not site.sample:
         truth = site.truth
         add_named("places", "known poles", truth.poles, truth.poles_crs)
+        add_named("places", "barriers", site.roads.barriers, site.roads.barriers_crs)
         for what, path in (
             ("corrections", poles.corrections),
             ("given cameras", poles.cameras),
