@@ -38,6 +38,7 @@ CONTENTS: Mapping[str, Sequence[str]] = {
         "placement/depth-maps",
         "scene/ground",
         "scene/effects",
+        "poles/hazard",
         "poles/known-lenses",
         "poles/models",
         "poles/training",

@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 HELPERS = Path(__file__).with_name("report_page.js").read_text(encoding="utf-8")
-LOOKS = [(1280, 720, False), (1280, 720, True), (1600, 1000, False), (1600, 1000, True)]
+SIZES = ((1280, 720), (1600, 1000), (390, 844))
+LOOKS = [(*size, dark) for size in SIZES for dark in (False, True)]
 
 
 def open_studio(browser, studio, place="", ready="studio.page"):
@@ -33,6 +34,8 @@ def key(page, name, modifiers=0, code=""):
     """Press a key."""
     text = name if len(name) == 1 and not modifiers else ""
     event = {"key": name, "modifiers": modifiers, "code": code}
+    if name == "Escape":
+        event["windowsVirtualKeyCode"] = 27  # by which the browser itself closes a dialog
     page.call("Input.dispatchKeyEvent", type="keyDown", text=text, **event)
     page.call("Input.dispatchKeyEvent", type="keyUp", **event)
 

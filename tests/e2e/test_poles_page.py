@@ -227,6 +227,22 @@ def test_hazard_table_is_sorted_by_its_headings(page):
     assert page.run("shown('[aria-sort]').length") == 1
 
 
+def test_cross_sections_are_drawn_and_lead_to_their_pole(page):
+    assert page.run("shown('.profiles svg').length") == 3
+    texts = page.run("shown('.profiles figure').map((e) => e.textContent)")
+    assert all("foreslope 1V:2.5H" in text and "[RDG 3.1]" in text for text in texts)
+    click(page, ".profiles [data-choose-pole]")
+    assert "hazard: high" in page.run("shown('[data-pole-text]')[0].textContent")
+
+
+def test_the_map_shows_ratings_where_asked(themed):
+    assert pixels(themed, "rated-high") == 0
+    click(themed, '[data-poles-layer="rated"]')
+    assert pixels(themed, "rated-high") > 20
+    assert pixels(themed, "rated-low") > 20
+    click(themed, '[data-poles-layer="rated"]')
+
+
 def test_site_with_both_jobs_has_both_maps(page):
     click(page, ".site-link", 0)
     page.until("shown('canvas.map').length === 2")

@@ -233,6 +233,15 @@ def test_the_image_is_shown_with_the_pole_marked(poles):
     })()""")
     assert yellow > 20
 
+    poles.run("document.querySelector('[data-do=enlarge]').focus()")
+    poles.call("Input.dispatchKeyEvent", type="keyDown", key="Enter", code="Enter", text="\r")
+    poles.until("document.querySelector('dialog.large canvas')")
+    assert poles.run(
+        "document.querySelector('dialog.large canvas').getBoundingClientRect().width > 900"
+    )
+    key(poles, "Escape")
+    poles.until("!document.querySelector('dialog')")
+
 
 @pytest.mark.parametrize(("width", "height", "dark"), LOOKS)
 def test_poles_stand_out_too(poles, width, height, dark):

@@ -280,6 +280,7 @@ class PolesSite(ReportSite):
         hazard = pd.DataFrame(
             {
                 "id": self.poles["id"],
+                "kind": "pole",
                 "offset_m": np.abs(self.rng.normal(3.0, 1.0, len(rows))),
                 "side": self.sides[rows].astype(np.int8),
                 "clear_zone_m": 4.9,
@@ -289,11 +290,32 @@ class PolesSite(ReportSite):
                 "station_m": 1.0,
                 "objects_per_km": 40.0,
                 "rating": np.where(np.arange(len(rows)) % 2, "high", "low"),
+                "rank": np.arange(1, len(rows) + 1),
+                "route": "40001",
+                "reasons": "3 m from the edge, inside the clear zone of 4.9 m [RDG 3.1]",
             }
         )
         write_table(self.path("poles", "hazard.parquet"), hazard)
+        self._sections()
         if self.known:
             self._validation(rows, placed)
+
+    def _sections(self):
+        """A ditch beside each pole."""
+        run = np.arange(0.0, 12.0, 0.2)
+        height = np.interp(run, [0, 1.5, 3, 4.5, 12], [0, -0.1, -0.7, -0.1, 0])
+        profile = {"run_m": run.tolist(), "height_m": height.round(3).tolist()}
+        elements = [
+            ("shoulder", 0.0, 1.5, -0.1, "1V:15.0H"),
+            ("foreslope", 1.5, 3.0, -0.6, "1V:2.5H"),
+            ("backslope", 3.0, 4.5, 0.6, "1V:2.5H"),
+            ("level", 4.5, 12.0, 0.1, "1V:75.0H"),
+        ]
+        names = ["object", "kind", "start_m", "end_m", "rise_m", "slope_ratio"]
+        rows = [(name, *element) for name in self.poles["id"] for element in elements]
+        about = {"profiles": dict.fromkeys(self.poles["id"], profile)}
+        table = pd.DataFrame(rows, columns=names)
+        write_table(self.path("poles", "cross_sections.parquet"), table, about)
 
     def _validation(self, rows, placed):
         apart = np.hypot(*(placed - self.true_poles[rows]).T[:2])[: self.known]
@@ -345,6 +367,7 @@ class PolesSite(ReportSite):
             "frame": self.path("scene/frame.json"),
             **{name.split(".")[0].replace("_", "-"): self.path("poles", name) for name in names},
             "hazard": self.path("poles", "hazard.parquet"),
+            "sections": self.path("poles", "cross_sections.parquet"),
             "images": self.path("images"),
             "dem": self.path("poles", "dem.tif"),
             "out": self.poles_page,

@@ -134,9 +134,9 @@ class PlacementJob:
         self._stage("cluster_fpfh", cloud="cloud", ground="ground", profile="profile",
                     out="clusters")  # fmt: skip
         self._stage("extract_pavement", *site, **both, ground="ground", clusters="clusters",
-                    pavement="pavement.gpkg", points="points")  # fmt: skip
+                    profile="profile", pavement="pavement.gpkg", points="points")  # fmt: skip
         self._stage("build_edges", *site, frame="frame", pavement="pavement.gpkg",
-                    clusters="clusters", digitised="edges.csv", out="edges.gpkg")  # fmt: skip
+                    dem="dem.tif", digitised="edges.csv", out="edges.gpkg")  # fmt: skip
         self._stage("build_surfels", cloud="cloud", out="surfels")
 
     def _placement(self) -> None:

@@ -303,7 +303,7 @@ def test_cloud_without_pavement(tmp_path, capsys):
     assert cluster_fpfh.main([*cloud, *ground, *profile, "--out", files["clusters"]]) == 0
     capsys.readouterr()
     outputs = ["--pavement", files["pavement"], "--points", files["points"]]
-    found = ["--clusters", files["clusters"], "--tma"]
+    found = ["--clusters", files["clusters"], *profile, "--tma"]
     code = extract_pavement.main(["--site", "s", *cloud, *frame, *ground, *found, *outputs])
     assert code == 2
     message = capsys.readouterr().err.splitlines()[-1]
@@ -349,7 +349,7 @@ def edges_message(tmp_path, capsys):
         ]
         content = json.dumps({"type": "FeatureCollection", "features": features})
         (tmp_path / name).write_text(content if text is None else text)
-        options = {"frame": "frame.json", "pavement": "pavement.gpkg", "clusters": "none.parquet"}
+        options = {"frame": "frame.json", "pavement": "pavement.gpkg", "dem": "none.tif"}
         options |= {"digitised": name, "out": "edges.gpkg"}
         paths = [part for n, file in options.items() for part in (f"--{n}", str(tmp_path / file))]
         assert build_edges.main(["--site", "s", "--digitised-crs", "EPSG:25832", *paths]) == 2

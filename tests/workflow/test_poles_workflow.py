@@ -132,7 +132,6 @@ READERS = {
         "validate_poles",
         "summarise_site",
         "write_poles_page",
-        "write_handover",
     },
     "rate_hazard": {"write_poles_page", "write_handover"},
     "validate_poles": {"summarise_site", "write_poles_page"},
@@ -158,18 +157,22 @@ SETTINGS = [
     ("calibration: {images: 50}", after("calibrate_drive")),
     ("alignment: {ties: skip}", after("calibrate_drive")),
     ("alignment: {max_residual_px: 3}", after("align_cameras")),
+    ("alignment: {bound_m: 0.5}", after("align_cameras")),
     ("effects: {terrain_occlusion: skip}", {"plan_effects"} | after("calibrate_drive")),
     ("effects: {side_views: skip}", {"plan_effects"} | after("segment_images", "estimate_depth")),
     ("effects: {grid_convergence: skip}", {"plan_effects"} | after("measure_poles")),
     ("effects: {scale_factor: simulate}", {"plan_effects"} | after("rate_hazard")),
     ("sightings: {farthest_m: 50}", after("measure_poles")),
     ("triangulation: {min_views: 4}", after("triangulate_poles")),
+    ("triangulation: {sequence_m: 20}", after("triangulate_poles")),
     ("hazard: {aadt: 900}", after("rate_hazard")),
+    ("hazard: {section_every_m: 50}", after("rate_hazard")),
 ]
 MODULES = [
     ("poles/images/lanes.py", after("trace_image_edges")),
     ("poles/triangulate/packing.py", after("triangulate_poles")),
     ("poles/risk/hazard.py", after("rate_hazard")),
+    ("stages/poles/hazard_layers.py", after("rate_hazard")),
     ("scene/terrain/tin.py", after("build_terrain")),
     ("poles/images/plumb_line.py", after("profile_drive")),
     ("poles/images/straightening.py", after("calibrate_drive")),
@@ -326,7 +329,7 @@ def test_poles_open_in_the_right_crs(finished_road):
     for name in ("x", "y"):
         assert table[name].to_numpy() == pytest.approx(points[name].to_numpy(), abs=1e-3)
         assert hazard[name].to_numpy() == pytest.approx(table[name].to_numpy(), abs=1e-3)
-    for layer in ("poles", "ellipses", "rays"):
+    for layer in ("poles", "ellipses", "rays", "hazard", "cross_sections", "road_geometry"):
         features = gpd.read_file(folder / "poles.gpkg", layer=layer)
         assert features.crs.to_epsg() == 6543 or "North Carolina (ftUS)" in features.crs.name
     world = gpd.read_file(folder / "poles.geojson")

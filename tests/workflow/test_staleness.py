@@ -40,6 +40,7 @@ READERS = {
     "profile_scene": {
         "build_dem",
         "cluster_fpfh",
+        "extract_pavement",
         "build_surfels",
         "plan_effects",
         "summarise_site",
@@ -48,6 +49,7 @@ READERS = {
     "build_dem": {
         "cluster_fpfh",
         "extract_pavement",
+        "build_edges",
         "score_pavement",
         "place_candidates",
         "densify_candidates",
@@ -56,7 +58,7 @@ READERS = {
         "gather_objects",
         "write_handover",
     },
-    "cluster_fpfh": {"extract_pavement", "build_edges"},
+    "cluster_fpfh": {"extract_pavement"},
     "extract_pavement": {
         "build_edges",
         "score_pavement",
@@ -164,7 +166,9 @@ READERS = {
 
 
 def after(*rules: str) -> set[str]:
-    return with_followers(READERS, *rules)
+    found = with_followers(READERS, *rules)
+    # Whether ground is clustered is known once the profile is there again.
+    return found - {"cluster_fpfh"} if "profile_scene" in found else found
 
 
 SITE = "config/sites/tiny.yaml"

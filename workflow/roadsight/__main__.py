@@ -18,9 +18,11 @@ COMMANDS = (
     "edges",
     "depthmap",
     "cover",
+    "accept",
     "align",
     "register",
     "triangulate",
+    "changes",
     "estimate",
     "studio",
 )

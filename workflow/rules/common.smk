@@ -361,6 +361,9 @@ def given_files(wildcards):
             beside_site("poles.baseline"),
             cameras_of_videolog,
             known_poles,
+            beside_site("roads.inventory"),
+            beside_site("roads.routes"),
+            beside_site("roads.barriers"),
         ]
     return [file for named in files for file in named(wildcards)]
 

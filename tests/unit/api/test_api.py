@@ -17,6 +17,8 @@ import roadsight
 from roadsight.base.errors import InputError
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from tests.helpers.las_files import wkt_of, write_las
+from tests.unit.scene.pavement.test_road_surface import f1
+from tests.unit.scene.pavement.test_road_surface import street as kerbed_street
 
 MODULES = sorted(set(roadsight._HOMES.values()))
 
@@ -86,6 +88,16 @@ def test_edges_are_in_the_crs_of_a_file_and_local_for_an_array(file):
     assert local.crs is None
     moved = cloud.frame.to_native(np.array(local.geometry[0].coords)[:, :2])
     assert np.allclose(np.array(native.geometry[0].coords)[:, :2], moved, atol=1e-6)
+
+
+def test_places_on_the_road_choose_the_surface(rng):
+    xyz, _, _, road = kerbed_street(rng)
+    found = roadsight.pavement(xyz, seeds_xy=[[25.0, 0.0]])
+    driven = roadsight.pavement(xyz, track_xy=[[5.0, 1.8], [45.0, 1.8]])
+    for one in (found, driven):
+        assert f1(one.points, road) > 0.9
+    with pytest.raises(InputError, match="seed 1 of 1"):
+        roadsight.pavement(xyz, seeds_xy=[[900.0, 0.0]])
 
 
 def test_a_detection_matrix_is_that_of_its_depth_maps(file):

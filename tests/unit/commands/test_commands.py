@@ -119,7 +119,7 @@ def test_pavement_is_that_of_the_truth(truth, paved):
 
 def test_labels_of_the_file_give_way(sample, truth, paved, tmp_path):
     relabelled = laspy.read(sample / "cloud.laz")
-    relabelled.classification = np.where(truth[TRUTH_DIMENSION] == 5, 5, 11).astype(np.uint8)
+    relabelled.classification = np.where(truth[TRUTH_DIMENSION] == 5, 5, 2).astype(np.uint8)
     relabelled.write(tmp_path / "in.laz")
     assert main(["pavement", str(tmp_path / "in.laz"), "-o", str(tmp_path / "out.laz")]) == 0
     labels = np.asarray(laspy.read(tmp_path / "out.laz").classification)
@@ -368,6 +368,15 @@ def test_ground_without_a_road_has_no_pavement(tmp_path, capsys, rng):
     for verb in ("pavement", "edges"):
         argv = [verb, cloud, "-o", tmp_path / f"out{SUFFIXES.get(verb, '.laz')}"]
         assert str(cloud) in refused(argv, tmp_path, capsys)
+
+
+def test_seeds_that_are_no_places_or_off_the_cloud_are_one_message(tmp_path, capsys, rng):
+    xyz = rng.uniform([0, 0, 0], [30, 30, 0.01], (40_000, 3)) + ORIGIN_M
+    cloud = write_las(tmp_path / "flat.laz", xyz, wkt_of(f"EPSG:{EPSG}"), intensity=100)
+    argv = ["pavement", cloud, "-o", tmp_path / "out.laz"]
+    assert "x,y;x,y" in refused([*argv, "--seeds=1,2;three"], tmp_path, capsys)
+    assert "x,y;x,y" in refused([*argv, "--seeds=1,2,3,4,5"], tmp_path, capsys)
+    assert "seed 1 of 1" in refused([*argv, "--seeds=0,0"], tmp_path, capsys)
 
 
 def test_as_a_program(tmp_path):

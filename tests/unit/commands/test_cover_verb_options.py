@@ -67,6 +67,18 @@ def test_a_failure_may_take_only_so_much(cover):
     assert found["objective"] == found["bound"] == 3
 
 
+def test_of_the_cheapest_rows_those_that_cover_most_once_more(cover):
+    plain, found = cover(), cover("--second", "120")
+    assert found["objective"] == plain["objective"]
+    assert found["second"]["status"] == "optimal"
+    assert found["second"]["covered_once_more"] == found["second"]["bound_once_more"]
+
+
+def test_a_second_objective_goes_with_no_budget(cover, capsys):
+    assert cover("--second", "5", "--budget", "2") == 2
+    assert "--second" in capsys.readouterr().err
+
+
 def test_curve_and_alternatives(cover):
     found = cover("--curve", "5", "--alternatives")
     assert [(p["budget"], p["covered"], p["bound"]) for p in found["curve"]] == [

@@ -11,6 +11,7 @@ import yaml
 from roadsight.base.errors import InputError
 from roadsight.base.validation import validated
 from roadsight.commands import init
+from roadsight.config import starter
 from roadsight.config.plans import load_plans
 from roadsight.config.sites import Site
 from tests.conftest import PROJECT
@@ -50,7 +51,7 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "units": "auto",
         "vertical_units": "auto",
         "jobs": ["placement"],
-        "placement": {"plans": list(init.FIRST_PLANS), "edges": None, "tma": None},
+        "placement": {"plans": list(starter.FIRST_PLANS), "edges": None, "tma": None},
     }
     for part in (
         "499 points, 1 withheld, noise or synthetic left out",
@@ -196,11 +197,13 @@ def test_it_says_what_was_found_and_what_comes_next(tmp_path, capsys):
 
 
 def test_a_dense_cloud_is_not_doubted():
-    assert init.doubts(30.0) == [] and init.doubts(None) == []
+    assert starter.doubts(30.0) == [] and starter.doubts(None) == []
 
 
 FILES = ("plans.yaml", "sensors.yaml")
 
 
 def test_the_first_plans_are_known():
-    assert set(init.FIRST_PLANS) <= set(load_plans(*(str(PROJECT / "config" / f) for f in FILES)))
+    assert set(starter.FIRST_PLANS) <= set(
+        load_plans(*(str(PROJECT / "config" / f) for f in FILES))
+    )

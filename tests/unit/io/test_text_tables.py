@@ -8,8 +8,8 @@ import yaml
 
 from roadsight.base.errors import InputError
 from roadsight.base.validation import validated
-from roadsight.commands.init import site_text
 from roadsight.config.sites import Site
+from roadsight.config.starter import site_text
 from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.sighting_tables import read_sightings
 from roadsight.io.records.text_tables import read_cells

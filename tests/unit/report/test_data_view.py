@@ -43,6 +43,17 @@ def test_plans_without_a_curve_say_nothing_of_probabilities():
         assert found["heights"] == []
 
 
+def test_a_second_objective_says_what_is_proven():
+    second = {"once_more": 0.8, "once_more_before": 0.7, "once_more_bound": 0.9}
+    second |= {"twice_more": 0.3, "shared_road_m": 210.0, "status": "time_limit"}
+    plan = {"data": DATA, "sensors": [{"candidate": "a", "number": 1}], "second": second}
+    rows = dict(data_view(plan)["rows"])
+    assert rows["Targets seen once more than asked"].endswith("at most 90\u202f%")
+    assert "proven" not in rows["Targets seen once more than asked"]
+    plan["second"] = second | {"status": "optimal"}
+    assert "proven" in dict(data_view(plan)["rows"])["Targets seen once more than asked"]
+
+
 def test_probabilities_come_first():
     likely = {"targets": 9, "least": 0.904, "mean": 0.98, "independent": {"least": 0.96}}
     rows = view(probability=likely, heights=HEIGHTS)["rows"]

@@ -12,10 +12,10 @@ from pyproj import CRS, Transformer
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.places import longitudes_latitudes
 from roadsight.io.raster.orthophotos import read_orthophoto
 from roadsight.report.site.backdrops import backdrops
 from roadsight.report.site.place import map_place
-from roadsight.report.site.sights import longitudes_latitudes
 
 US_FOOT = 1200 / 3937
 FEET = Frame((759_000.0, 600_000.0, 0.0), US_FOOT, US_FOOT, CRS.from_epsg(6543).to_wkt())

@@ -235,7 +235,7 @@ class TestReport:
 
     def test_every_plot_says_what_it_shows(self, elements):
         plots = [a for t, a in elements.tags if t == "svg"]
-        assert len(plots) == 3 + 3 + 3 + 3 + 4 + 1
+        assert len(plots) == 3 + 3 + 3 + 3 + 4 + 1 + 4  # the last are cross-sections
         assert all(a["role"] == "img" and a["aria-label"] for a in plots)
 
     def test_data_is_read_back(self, html, valley):

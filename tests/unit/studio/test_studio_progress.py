@@ -141,6 +141,14 @@ def test_earlier_seconds_are_those_of_the_site_if_it_has_any(tmp_path):
     assert earlier_seconds(tmp_path, ()) == {"ground": pytest.approx(100 / 3), "cover": 7.0}
 
 
+def test_work_is_time_of_the_processor_where_it_was_measured(tmp_path):
+    folder = tmp_path / "a/benchmarks"
+    folder.mkdir(parents=True)
+    for rule, row in (("busy", "45.1\t4.3"), ("short", "0.4\t0.00"), ("odd", "7.0\t-")):
+        (folder / f"{rule}.tsv").write_text(f"s\tcpu_time\n{row}\n")
+    assert earlier_seconds(tmp_path, ()) == {"busy": 4.3, "short": 0.4, "odd": 7.0}
+
+
 def test_the_workflows_own_message_comes_first():
     assert complaint("noise\nroadsight: the site is bad.\nmore\n", ["x"]) == "the site is bad."
     assert complaint("noise\nlast\n", ["told"]) == "told"

@@ -94,3 +94,29 @@ def test_only_that_value_changes(section, flow, key, value):
     }
     rest = {name: part for name, part in section.items() if name != key}
     assert (changed.get("placement") or {}) == rest | ({} if value is None else {key: value})
+
+
+PLAN = {"title": "Ours: it's agreed", "sensors": ["OS1-64"], "budget": {"sensors": 2}}
+
+
+def test_a_mapping_within_a_section_is_added_replaced_and_removed():
+    once = with_value(BLOCK, "own_plans", "on", PLAN, within="placement")
+    assert yaml.safe_load(once)["placement"]["own_plans"] == {"on": PLAN}
+    twice = with_value(once, "own_plans", "b", {"title": "B"}, within="placement")
+    assert yaml.safe_load(twice)["placement"]["own_plans"] == {"on": PLAN, "b": {"title": "B"}}
+    assert "# digitised by hand" in twice and "# which plans" in twice
+    back = with_value(twice, "own_plans", "b", None, within="placement")
+    assert yaml.safe_load(back) == yaml.safe_load(once)
+    gone = with_value(back, "own_plans", "on", None, within="placement")
+    assert yaml.safe_load(gone) == yaml.safe_load(BLOCK)
+
+
+def test_a_block_of_plans_keeps_its_comments():
+    plan = "    a:\n      title: A\n      sensors: [x]\n"
+    text = f"placement:\n  own_plans: # ours\n    # the first\n{plan}z: 1\n"
+    added = with_value(text, "own_plans", "b", PLAN, within="placement")
+    assert "# the first" in added and "# ours" in added
+    assert list(yaml.safe_load(added)["placement"]["own_plans"]) == ["b", "a"]
+    replaced = with_value(text, "own_plans", "a", PLAN, within="placement")
+    assert yaml.safe_load(replaced) == {"placement": {"own_plans": {"a": PLAN}}, "z": 1}
+    assert yaml.safe_load(with_value(text, "own_plans", "a", None, within="placement"))["z"] == 1

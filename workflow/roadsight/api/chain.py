@@ -9,6 +9,7 @@ from typing import Any
 
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.sources import stage_module
+from roadsight.scene.pavement.choice import choose_method
 
 MANIFESTS = Path(__file__).resolve().parents[3] / "resources" / "manifests"
 _ROAD_CLASS = "11"
@@ -64,19 +65,25 @@ class Chain:
         shares = read_json(self.path("profile.json"))["class_shares"]
         self._classified = shares.get(_ROAD_CLASS, 0.0) >= _LEAST_ROAD
         if not self._classified:
-            self._run(
-                "cluster_fpfh",
-                cloud="cloud.parquet",
-                ground="ground.parquet",
-                profile="profile.json",
-                out="clusters.parquet",
-            )
+            found = {"profile": "profile.json"}
+            if (
+                choose_method("auto", False, read_json(self.path("profile.json"))).method
+                == "published"
+            ):
+                found["clusters"] = "clusters.parquet"
+                self._run(
+                    "cluster_fpfh",
+                    cloud="cloud.parquet",
+                    ground="ground.parquet",
+                    profile="profile.json",
+                    out="clusters.parquet",
+                )
             self._run(
                 "extract_pavement",
                 *options[:2],
                 **files,
+                **found,
                 ground="ground.parquet",
-                clusters="clusters.parquet",
                 pavement="pavement.gpkg",
                 points="pavement.parquet",
             )

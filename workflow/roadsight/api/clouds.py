@@ -59,6 +59,11 @@ class Cloud:
         return np.asarray(self.native.dims["point_source_id"], np.int64)[self.taken]
 
     @property
+    def classes(self) -> Bytes:
+        """Classification (k,) of the points that take part, as the file has it."""
+        return np.asarray(self.native.dims["classification"], np.uint8)[self.taken]
+
+    @property
     def where(self) -> str:
         """The file, for messages."""
         return str(self.native.header.path)
@@ -76,6 +81,7 @@ class Taken:
     ----------
     xyz_m : (n, 3) local metres. intensity, scan : (n,), None where an array was given.
     frame : what local metres mean, None where an array was given. where : for messages.
+    classes : (n,) of the file, None where an array was given.
     """
 
     xyz_m: Floats
@@ -83,6 +89,7 @@ class Taken:
     scan: Ints | None = None
     frame: Frame | None = None
     where: str = "points"
+    classes: Bytes | None = None
 
 
 def taken(points: Points) -> Taken:
@@ -95,7 +102,9 @@ def taken(points: Points) -> Taken:
     if isinstance(points, (str, os.PathLike)):
         points = read_cloud(points)
     if isinstance(points, Cloud):
-        return Taken(points.xyz_m, points.intensity, points.scan, points.frame, points.where)
+        return Taken(
+            points.xyz_m, points.intensity, points.scan, points.frame, points.where, points.classes
+        )
     try:
         xyz_m = np.asarray(points, np.float64)
     except (TypeError, ValueError) as error:

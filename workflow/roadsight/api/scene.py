@@ -9,12 +9,15 @@ import geopandas as gpd
 import numpy as np
 
 from roadsight.api.clouds import Points, Taken, taken
-from roadsight.base.arrays import Bools
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.io.vector.vectors import native_features
 from roadsight.scene.edges.splines import OutlineSettings, outline_edges, spline_line
+from roadsight.scene.pavement.choice import choose_method
+from roadsight.scene.pavement.road_surface import KnownRoad
+from roadsight.scene.pavement.scan_levels import count_scans
 from roadsight.scene.terrain.ground_settings import GroundSettings
-from roadsight.scene.whole import FoundRoad, ground_of, published_road, road_of, scans_tell
+from roadsight.scene.whole import FoundRoad, ground_of, published_road, road_of, sharpen
 
 log = logging.getLogger("roadsight")
 
@@ -64,6 +67,8 @@ def pavement(
     intensity: IntensityUse = "auto",
     ground: Bools | None = None,
     seed: int = 1,
+    seeds_xy: Floats | None = None,
+    track_xy: Floats | None = None,
 ) -> FoundRoad:
     """Paved road of a cloud.
 
@@ -72,9 +77,12 @@ def pavement(
     points : a cloud, a path, or (n, 3) local metres.
     method : "surface" (a surface that runs on until a kerb, grass or a wall ends it), "published"
         (FPFH and k-means, paper 1, section 2.2), or "auto": surface where the cloud tells the scans
-        of a vehicle apart.
+        of a vehicle apart or a place on the road is given, else published, with the edges of the
+        surface where both agree.
     intensity : whether it is a cue; auto: where points are more than 0.15 m apart.
     ground : (n,) ground labels, found if absent; the published method alone needs them.
+    seeds_xy, track_xy : (k, 2) places on the road, and where a vehicle drove in order, local
+        metres: the surface grows from them.
 
     Returns
     -------
@@ -91,7 +99,12 @@ def pavement(
     >>> road.outline.area, road.points.sum()  # doctest: +SKIP
     (5596.2, 1210345)
     """
-    return _pavement(taken(points), method, intensity, ground, seed)
+    known = KnownRoad(track_xy=_places(track_xy), seeds_xy=_places(seeds_xy))
+    return _pavement(taken(points), method, intensity, ground, seed, known)
+
+
+def _places(xy_m: Floats | None) -> Floats | None:
+    return None if xy_m is None else np.asarray(xy_m, np.float64).reshape(-1, 2)
 
 
 def _pavement(
@@ -100,20 +113,40 @@ def _pavement(
     intensity: IntensityUse = "auto",
     ground: Bools | None = None,
     seed: int = 1,
+    known: KnownRoad | None = None,
 ) -> FoundRoad:
-    if method == "auto":
-        method = "surface" if scans_tell(cloud.xyz_m, cloud.scan) else "published"
-        log.info("pavement by method %s", method)
+    choice = _chosen(cloud, method, known)
     told = cloud.intensity is not None and intensity != "ignore"
+    tones = cloud.intensity if told else None
     try:
-        if method == "surface":
-            return road_of(cloud.xyz_m, cloud.intensity if told else None, cloud.scan)[0]
+        if choice == "surface":
+            return road_of(cloud.xyz_m, tones, cloud.scan, known, classes=cloud.classes)[0]
         labels = _ground(cloud) if ground is None else np.asarray(ground, bool)
         values = np.zeros(len(cloud.xyz_m)) if cloud.intensity is None else cloud.intensity
         use = intensity if told else "ignore"
-        return published_road(cloud.xyz_m, labels, values, use, seed)
+        road = published_road(cloud.xyz_m, labels, values, use, seed)
+        if method != "auto":
+            return road
+        sharp = sharpen(road.outline, cloud.xyz_m, tones, classes=cloud.classes)
+        return sharp.road if sharp is not None and sharp.agrees else road
     except InputError as error:
         raise InputError(str(error), where=cloud.where) from error
+
+
+def _chosen(
+    cloud: Taken, method: Method, known: KnownRoad | None
+) -> Literal["surface", "published"]:
+    """The same choice as the workflow's, but that a track decides as seeds do."""
+    if method != "auto":
+        return method
+    given = known is not None and (known.seeds_xy is not None or known.track_xy is not None)
+    scans = {"number": 1.0, "blind_share": 0.0}
+    scan = cloud.scan
+    if scan is not None and not given:
+        scans = count_scans(lambda: [(cloud.xyz_m, scan)])
+    choice = choose_method(method, given, {"extent_m": np.ptp(cloud.xyz_m, axis=0), "scans": scans})
+    log.info("pavement by method %s: %s", choice.method, choice.why)
+    return choice.method
 
 
 def edges(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,9 @@ from roadsight.commands.cover_options import Asked, asked_of, curve_of, swaps_of
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.matrices import read_matrix, read_vector
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
+from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.plans.deploy import solve_deployment
+from roadsight.setcover.plans.second import second_objective
 
 _FIRST = 5
 """Columns that a message names of those that nothing covers."""
@@ -51,6 +54,12 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
         action="store_true",
         help="add the rows that could replace each one chosen, as cheap and as good",
     )
+    parser.add_argument(
+        "--second",
+        type=float,
+        metavar="SECONDS",
+        help="of the cheapest, choose the rows that cover most targets once more; so long at most",
+    )
     parser.add_argument("--time-limit", type=float, help="seconds; default none")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("-o", "--out", required=True, help="JSON file to write")
@@ -81,7 +90,8 @@ def run(arguments: argparse.Namespace) -> None:
     else:
         cover = solve_deployment(asked.deployment, limit, seed).cover
     _check_feasible(arguments, cover, problem.matrix.shape[1])
-    content = _content(asked, cover)
+    cover, second = _second(arguments, asked, cover)
+    content = _content(asked, cover) | second
     if arguments.curve is not None:
         content["curve"] = curve_of(arguments, asked, cover)
     if arguments.alternatives:
@@ -91,6 +101,28 @@ def run(arguments: argparse.Namespace) -> None:
     of = "targets" if arguments.weights is None else "weight"
     found = f"{value:g} of {asked.total:g} {of} covered" if asked.counts else f"cost {value:g}"
     print(f"{len(cover.chosen)} rows, {found}, bound {bound:g}, {cover.status}: {arguments.out}")
+
+
+def _second(
+    arguments: argparse.Namespace, asked: Asked, cover: Cover
+) -> tuple[Cover, dict[str, Any]]:
+    """The rows that cover most targets once more for the same cost, and how far that is proven."""
+    if arguments.second is None:
+        return cover, {}
+    deployment = asked.deployment
+    if not deployment.complete or deployment.keep:
+        raise InputError("goes with no --budget, --price or --keep-share", where="--second")
+    if not (math.isfinite(arguments.second) and arguments.second > 0):
+        raise InputError("is no time", where="--second", found=arguments.second, allowed="above 0")
+    found = second_objective(deployment, cover.chosen, Deadline(arguments.second))
+    proven = found.proven and cover.status == "optimal"
+    record = {
+        "covered_once_more": float(found.value[0]),
+        "bound_once_more": found.bound,
+        "covered_twice_more": float(found.value[1]),
+        "status": "optimal" if proven else "time_limit",
+    }
+    return replace(cover, chosen=found.chosen), {"second": record}
 
 
 def _vector(path: str | None) -> Any:

@@ -9,7 +9,7 @@ import geopandas as gpd
 from roadsight.api.scene import edges, pavement
 from roadsight.base.errors import InputError
 from roadsight.commands.cloud_arguments import add_cloud_arguments, check_output, load_cloud
-from roadsight.commands.pavement import add_pavement_arguments
+from roadsight.commands.pavement import add_pavement_arguments, known_places
 from roadsight.io.vector.vectors import write_layers
 
 
@@ -26,8 +26,14 @@ def run(arguments: argparse.Namespace) -> None:
     """Write layers ``edges`` and ``pavement`` in the cloud's CRS."""
     check_output(arguments, ".gpkg")
     cloud = load_cloud(arguments)
+    seeds_xy, track_xy = known_places(arguments, cloud.frame)
     road = pavement(
-        cloud, method=arguments.method, intensity=arguments.intensity, seed=arguments.seed
+        cloud,
+        method=arguments.method,
+        intensity=arguments.intensity,
+        seed=arguments.seed,
+        seeds_xy=seeds_xy,
+        track_xy=track_xy,
     )
     try:
         lines = edges(road)

@@ -89,6 +89,12 @@ class Alignment(Section):
     max_sigma_heading_deg: Positive = Field(
         default=0.15, description="less certain headings are rejected, degrees"
     )
+    bound_m: Metres = Field(
+        default=0.335, description="published: how far Nelder-Mead may move a camera, m (1.1 ft)"
+    )
+    bound_deg: float = Field(
+        default=0.11, gt=0, le=90, description="published: how far it may turn one, degrees"
+    )
 
     @field_validator("method", mode="before")
     @classmethod
@@ -162,6 +168,16 @@ class Triangulation(Section):
         default=3, ge=2, description="views that a pole needs which the cloud does not show"
     )
     max_sigma_m: Metres = Field(default=5.0, description="less certain poles are withheld, m")
+    sequence_m: Metres = Field(
+        default=30.48, description="images of one pole follow each other within this, m (100 ft)"
+    )
+    cluster_m: Metres = Field(default=1.0, description="sweep: crossings this near are one pole, m")
+    depth_weight: Positive = Field(
+        default=0.2, description="sweep: weight of depths in its energy; 0.02 with a videolog"
+    )
+    spread_weight: Positive = Field(
+        default=0.2, description="sweep: weight of the spread of a ray's crossings; likewise"
+    )
     clearance_m: float = Field(
         default=1.524, ge=0, le=100, description="poles this near road or building are withheld, m"
     )
@@ -173,6 +189,29 @@ class Hazard(Section):
     design_speed_kmh: Positive = Field(default=80.0, description="design speed of the road, km/h")
     aadt: Positive = Field(default=3000.0, description="vehicles a day")
     window_m: Metres = Field(default=100.0, description="length over which objects are counted, m")
+    dense_per_km: Positive = Field(
+        default=40.0, description="more objects a kilometre make those in the clear zone high"
+    )
+    clear_zone_m: float = Field(
+        default=0.0, ge=0, le=100, description="your own clear zone, m; 0: by the guide's table"
+    )
+    runout_length_m: float = Field(
+        default=0.0, ge=0, le=500, description="your own runout length, m; 0: by the guide's table"
+    )
+    section_every_m: float = Field(
+        default=20.0, ge=0, le=1000, description="cross-sections along roads, m; 0: at objects only"
+    )
+    deflection_m: Metres = Field(default=1.0, description="barriers give way so far, m")
+    bend_outside: float = Field(
+        default=4.0,
+        ge=1,
+        le=20,
+        description="times more leave outside of tight bends (from memory)",
+    )
+    bend_inside: float = Field(default=2.0, ge=1, le=20, description="the same inside of them")
+    downhill: float = Field(
+        default=2.0, ge=1, le=20, description="the same on steep descents (from memory)"
+    )
 
 
 class Validation(Section):

@@ -68,8 +68,16 @@ class Ground(Section):
 
 
 class Pavement(Section):
-    """Pavement by FPFH and k-means."""
+    """Pavement as one surface, or by FPFH and k-means (all other settings but intensity)."""
 
+    method: Literal["auto", "surface", "published"] = Field(
+        default="auto",
+        description="published: FPFH, k-means; auto: surface if scans tell or with seeds",
+    )
+    seeds: list[tuple[float, float]] = Field(
+        default=[],
+        description="surface: places on the road from which it grows, x and y as in the cloud",
+    )
     voxel_size_m: Metres = Field(
         default=0.1,
         description="ground points are thinned to one per column this wide, m; at least spacing",
@@ -85,7 +93,7 @@ class Pavement(Section):
     )
     intensity: Literal["auto", "use", "ignore"] = Field(
         default="auto",
-        description="intensity as a second cue: auto uses it where spacing exceeds 0.15 m",
+        description="second cue; auto: as a surface, or where spacing exceeds 0.15 m",
     )
     intensity_weight: float = Field(
         default=1.5, gt=0, le=10, description="weight of intensity against the whole histogram"
@@ -177,6 +185,13 @@ class Cover(Section):
         description="a cover proven to cost at most this share too much will do; 0: the best",
     )
     at_least: Count = Field(default=1, description="sensors that must see each target")
+    second_objective: bool = Field(
+        default=True,
+        description="of the cheapest plans, the one that sees most targets once more than asked",
+    )
+    second_time_limit_s: float = Field(
+        default=10.0, gt=0, description="its limit for each plan, s; counted in steps of work"
+    )
 
 
 class Settings(Section):

@@ -117,6 +117,14 @@ class PlacementInputs(Section):
     tma: str | None = Field(
         default=None, description="polygon of the monitored area; found if absent"
     )
+    track: str | None = Field(
+        default=None,
+        description="line that a vehicle drove, GeoJSON, GeoPackage or CSV: the road as a surface"
+        " grows from it",
+    )
+    track_crs: CrsText | None = Field(
+        default=None, description="CRS of the track if its file names none"
+    )
     zones: str | None = Field(
         default=None, description="polygons in which no sensor may stand, e.g. GeoJSON"
     )
@@ -233,6 +241,34 @@ class PolesInputs(Section):
     lenses: list[Lens] = Field(default=[], description="radial distortion; measured if absent")
 
 
+class RoadsInputs(Section):
+    """What a user knows about the roads; the pole job's hazard file uses it."""
+
+    inventory: str | None = Field(
+        default=None,
+        description="speed, AADT, lanes by measures: CSV or line layer, docs/poles/hazard.md",
+    )
+    inventory_crs: CrsText | None = Field(
+        default=None, description="CRS of the inventory if its file names none"
+    )
+    routes: str | None = Field(
+        default=None, description="routes with measures (LRS), CSV of vertices, or GPX track"
+    )
+    routes_crs: CrsText | None = Field(
+        default=None, description="CRS of the routes if their file names none"
+    )
+    barriers: str | None = Field(default=None, description="guardrails and barriers as lines")
+    barriers_crs: CrsText | None = Field(
+        default=None, description="CRS of the barriers if their file names none"
+    )
+    measure_unit: Literal["m", "km", "ft", "usft", "mi", "usmi"] = Field(
+        default="m", description="of measures in the routes' vertices, and of the milepost column"
+    )
+    traffic: Literal["right", "left"] = Field(
+        default="right", description="side of the road on which vehicles drive"
+    )
+
+
 class Truth(Section):
     """Reference data for scoring only."""
 
@@ -277,6 +313,7 @@ class Site(Section):
     )
     placement: PlacementInputs = PlacementInputs()
     poles: PolesInputs = PolesInputs()
+    roads: RoadsInputs = RoadsInputs()
     truth: Truth = Truth()
     settings: dict[str, Any] = Field(
         default={}, description="settings of config.yaml that differ at this site"

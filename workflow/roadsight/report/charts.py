@@ -213,6 +213,11 @@ class Chart:
                 self._parts.append(f'<text class="note" {place}>{escape(text)}</text>')
                 return
 
+    def note(self, x: float, y: float, text: str, anchor: str = "middle") -> None:
+        """Text at a place, whatever lies there."""
+        place = f'x="{self.x(x):.1f}" y="{self.y(y):.1f}" text-anchor="{anchor}"'
+        self._parts.append(f'<text class="note" {place}>{escape(text)}</text>')
+
     def _has_room(self, box: Box) -> bool:
         """Whether a box lies inside the axes' area and off all labels."""
         left, top, right, bottom = box

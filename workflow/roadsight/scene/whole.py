@@ -6,13 +6,16 @@ For verbs, notebooks and checks on real data, which take one cloud and keep its 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import shapely
 from shapely import MultiPolygon
 
-from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.scene.grids import sample_bilinear
+from roadsight.base.arrays import Bools, Bytes, Floats, Ints
+from roadsight.base.errors import InputError
+from roadsight.scene.grids import Grid, sample_bilinear
+from roadsight.scene.pavement.choice import MOST_SHARPENED, fits_surface
 from roadsight.scene.pavement.describe import describe_ground
 from roadsight.scene.pavement.outline import (
     PavementSettings,
@@ -22,12 +25,12 @@ from roadsight.scene.pavement.outline import (
     trace_cells,
 )
 from roadsight.scene.pavement.road_surface import (
+    KnownRoad,
     RoadSettings,
     RoadSurface,
     find_road,
     road_points,
 )
-from roadsight.scene.pavement.scan_levels import scanner_positions
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.profile import count_cells, density
 from roadsight.scene.spacing import plan_spacing_m, uses_intensity
@@ -43,10 +46,6 @@ _SAMPLE = 100_000
 """Columns on which k-means is fitted; the rest are classified by its centres."""
 _INTENSITY_WEIGHT = 1.5
 """Of intensity against the whole histogram (docs/decisions/005)."""
-_FEWEST_SCANS = 2
-"""One scan has no registration to level, but its blind disc alone is a weak sign of a road."""
-_SURE_SCANS = 0.5
-"""Share of scans with a blind disc from which the cloud was scanned from a vehicle in it."""
 
 
 def spacing_of(xyz_m: Floats) -> float:
@@ -124,7 +123,36 @@ def near_ground(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
     x, y, z = xyz_m.T
     rise = z - sample_bilinear(coarse.grid, coarse.surface_m, x, y)
     tilt = sample_bilinear(coarse.grid, coarse.slope, x, y)
-    return np.abs(rise) < settings.coarse_tolerance_m + tilt * settings.coarse_cell_m
+    allowed = settings.coarse_tolerance_m + tilt * settings.coarse_cell_m
+    return (rise > -allowed) & (rise < allowed + _lift_m(xyz_m, rise))
+
+
+_LAYER_M = 0.6
+"""Points up to this above the coarse ground are asked for the middle of its layer."""
+_MOST_LIFT_M = 0.25
+"""Layers that are thicker are no ground (roughest_m), or low plants."""
+_THIN_M = 0.03
+"""A layer of exact scans lies so far above its lowest points."""
+
+
+def _lift_m(xyz_m: Floats, rise_m: Floats) -> float:
+    """How much higher than in an exact cloud the layer of the ground lies above its lowest points.
+
+    The coarse ground goes through the lowest points of cells of 1 m, some spreads below the middle
+    of a noisy layer. Medians of cells are taken, and of these the lower third, by points: the rest
+    is low plants.
+    """
+    low = np.flatnonzero(np.abs(rise_m) < _LAYER_M)
+    if len(low) == 0:
+        return 0.0
+    cell = Grid.around(xyz_m[low, 0], xyz_m[low, 1], 1.0).flat(xyz_m[low, 0], xyz_m[low, 1])
+    order = np.lexsort((rise_m[low], cell))
+    _, start, count = np.unique(cell[order], return_index=True, return_counts=True)
+    middle = rise_m[low][order][start + count // 2]
+    ranked = np.argsort(middle)
+    below = np.cumsum(count[ranked])
+    typical = middle[ranked][np.searchsorted(below, below[-1] / 3)]
+    return float(np.clip(typical - _THIN_M, 0.0, _MOST_LIFT_M))
 
 
 @dataclass(frozen=True)
@@ -134,7 +162,7 @@ class FoundRoad:
     Parameters
     ----------
     outline : its polygons, local metres. points : (n,) which points lie on it.
-    surface_m : (k, 3) places on it, for the heights of its edges.
+    surface_m : (k, 3) thinned ground on and around it, by which the ends of its edges are told.
     """
 
     outline: MultiPolygon
@@ -142,52 +170,140 @@ class FoundRoad:
     surface_m: Floats
 
 
-def scans_tell(xyz_m: Floats, scan: Ints | None) -> bool:
-    """Whether scans are told apart and their scanner drove through the cloud.
-
-    Their blind discs then say where the road is, and their registration can be levelled.
-    """
-    if scan is None or len(np.unique(scan)) < _FEWEST_SCANS:
-        return False
-    near = near_ground(xyz_m)
-    _, sure = scanner_positions(xyz_m[near], scan[near])
-    return bool(len(sure)) and float(sure.mean()) >= _SURE_SCANS
+_ROAD_CLASSES = (11, 17)
+"""Road surface, and bridge deck, which no coarse ground knows of."""
+_WATER = 9
+NEVER_CLASSES = (7, _WATER, 18)
+"""Low noise, water, high noise."""
 
 
 def road_of(
     xyz_m: Floats,
     intensity: Floats | None,
     scan: Ints | None,
-    track_xy: Floats | None = None,
+    known: KnownRoad | None = None,
     settings: RoadSettings | None = None,
+    classes: Bytes | None = None,
 ) -> tuple[FoundRoad, RoadSurface]:
     """Road as a surface that runs on until a kerb, grass or a wall ends it.
 
     Parameters
     ----------
-    xyz_m : (n, 3) local metres. intensity, scan : (n,) or None. track_xy : (k, 2) where a vehicle
-        drove, or None.
+    xyz_m : (n, 3) local metres. intensity, scan : (n,) or None. known : what is known of the road.
+    classes : (n,) of the file, or None: 11 and 17 are road, 7, 9 and 18 never are.
 
     Raises
     ------
-    InputError : no smooth ground is wide enough for a road.
+    InputError : a seed lies off the ground, or no smooth ground is wide enough for a road.
     """
-    settings = settings or RoadSettings()
-    near = np.flatnonzero(near_ground(xyz_m))
+    settings, known = settings or RoadSettings(), known or KnownRoad()
+    said = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, _ROAD_CLASSES)
+    never = np.zeros(len(xyz_m), bool) if classes is None else np.isin(classes, NEVER_CLASSES)
+    near = np.flatnonzero((near_ground(xyz_m) | said) & ~never)
+    water = None if classes is None else xyz_m[classes == _WATER, :2]
     surface = find_road(
         xyz_m[near],
         None if intensity is None else intensity[near],
         None if scan is None else scan[near],
-        track_xy,
+        replace(known, road=said[near], water_xy=water),
         settings,
     )
     points = np.zeros(len(xyz_m), bool)
     points[near] = road_points(surface, xyz_m[near], settings)
-    row, column = np.nonzero(surface.road)
-    x, y = surface.grid.centres(column, row)
-    places = np.column_stack([x, y, surface.height_m[row, column]])
     outline = trace_cells(surface.grid, surface.road | surface.bridged, PavementSettings())
-    return FoundRoad(outline, points, places), surface
+    return FoundRoad(outline, points, _thinned(xyz_m[near])), surface
+
+
+_CORE_M = 1.5
+"""Smooth ground so far from its outline is road: on a generated highway the outline is up to 1.4 m
+too wide. The sharpened area is the same from 1 to 1.75 m: IoU 0.956 to 0.958 instead of 0.903."""
+_AROUND_M = 15.0
+"""What lies farther from the smooth ground is not looked at: wider than a shoulder and a verge."""
+_LEAST_WITHIN = 0.9
+"""Share of the sharpened area on the smooth ground: a surface that runs on beyond it has leaked."""
+_LEAST_KEPT = 0.7
+"""Share of the smooth ground that is kept: 0.93 on the highway, of which 0.93 is road."""
+
+
+@dataclass(frozen=True)
+class Sharpened:
+    """Smooth ground whose edges are those of the surface that runs on from its middle.
+
+    Parameters
+    ----------
+    road, surface : what runs on. within : share of it on the smooth ground. kept : share of the
+        smooth ground in it.
+    """
+
+    road: FoundRoad
+    surface: RoadSurface
+    within: float
+    kept: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether both ways found the same road, so that its edges may be trusted."""
+        return self.within >= _LEAST_WITHIN and self.kept >= _LEAST_KEPT
+
+    @property
+    def weakest(self) -> tuple[float, float]:
+        """The share that lies lower against its limit, and the limit."""
+        held = (self.within, _LEAST_WITHIN), (self.kept, _LEAST_KEPT)
+        return min(held, key=lambda pair: pair[0] / pair[1])
+
+
+def sharpen(
+    outline: MultiPolygon,
+    xyz_m: Floats,
+    intensity: Floats | None,
+    classes: Bytes | None = None,
+) -> Sharpened | None:
+    """Smooth ground by FPFH and k-means, its edges told by steps, tone and roughness.
+
+    Features over many neighbours tell where a road is, but not to a decimetre where it ends.
+
+    Parameters
+    ----------
+    outline : of the smooth ground. The others as in `road_of`.
+
+    Returns
+    -------
+    None where the smooth ground is too narrow to be surely road in its middle, or too wide to be
+    held at once.
+    """
+    core = shapely.buffer(outline, -_CORE_M)
+    around = shapely.buffer(outline, _AROUND_M)
+    west, south, east, north = around.bounds
+    if core.is_empty or not fits_surface((east - west, north - south), MOST_SHARPENED):
+        return None
+    for area in (core, around):
+        shapely.prepare(area)
+    near = np.flatnonzero(shapely.contains_xy(around, xyz_m[:, 0], xyz_m[:, 1]))
+    try:
+        road, surface = road_of(
+            xyz_m[near],
+            None if intensity is None else intensity[near],
+            None,
+            KnownRoad(core=core),
+            classes=None if classes is None else classes[near],
+        )
+    except InputError:
+        return None
+    points = np.zeros(len(xyz_m), bool)
+    points[near] = road.points
+    road = replace(road, points=points)
+    shared = shapely.intersection(road.outline, outline).area
+    areas = max(road.outline.area, 1e-9), max(outline.area, 1e-9)
+    return Sharpened(road, surface, *(float(shared / area) for area in areas))
+
+
+def _thinned(xyz_m: Floats) -> Floats:
+    """The lowest point of each column, of points (n, 3) near the ground."""
+    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], 2 * _COLUMN_M)
+    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+    order = np.lexsort((xyz_m[:, 2], cell))
+    _, first = np.unique(cell[order], return_index=True)
+    return xyz_m[order[first]]
 
 
 def published_road(

@@ -19,7 +19,7 @@ from roadsight.studio.site_files import OutdatedError
 
 log = logging.getLogger("studio")
 ASSETS = Path(__file__).with_name("assets")
-ROUTES = ("site", "cloud", "drawing", "registration", "run", "results")
+ROUTES = ("site", "cloud", "drawing", "registration", "run", "results", "plans", "clouds")
 _DEFAULT_TYPES = {".js": "text/javascript", ".css": "text/css", ".html": "text/html"}
 
 

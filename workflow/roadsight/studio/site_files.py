@@ -122,24 +122,47 @@ def _save(
     named: dict[str, str | None],
     along: dict[str, str],
 ) -> list[str]:
-    site_file = project.inside(site.resolved.file)
-    text = site_file.read_bytes().decode()
+    text = project.inside(site.resolved.file).read_bytes().decode()
     for key, name in named.items():
         text = with_value(text, section, key, name and f"{site.stem}/{name}")
-    resolve_site(yaml.safe_load(text), site.resolved.file, project.config())
     folder = site.resolved.file.parent / site.stem
-    paths = {project.inside(folder / name): write for name, write in files.items()}
     own = _own_files(project, site, section)
     own |= {name: own[key].with_name(name) for name, key in along.items() if key in own}
-    contents = {path: _content(path.name, write) for path, write in paths.items()}
-    contents[site_file] = text.encode()
-    changed = [path for path, content in contents.items() if not _holds(path, content)]
-    _check_own({*changed} - {site_file, *own.values()})
-    for path in changed:
-        _write(path, contents[path])
+    changed = write_site(project, site, text, files, {*own.values()})
     for key, name in named.items():
         if name is None and key in own and own[key] == project.inside(folder / _NAMES.get(key, "")):
             _remove(own[key], site)
+    return changed
+
+
+def write_site(
+    project: Project, site: SiteFolder, text: str, files: dict[str, Writer], own: set[Path]
+) -> list[str]:
+    """Write a site file and files in the site's folder, within a block of `saving`.
+
+    Parameters
+    ----------
+    text : of the site file. files : how to write each, by its name. own : absolute paths that the
+        site file names already.
+
+    Returns
+    -------
+    files that changed, relative to the project
+
+    Raises
+    ------
+    InputError : as `save_beside`; nothing is written then.
+    """
+    site_file = project.inside(site.resolved.file)
+    resolve_site(yaml.safe_load(text), site.resolved.file, project.config())
+    folder = site.resolved.file.parent / site.stem
+    paths = {project.inside(folder / name): write for name, write in files.items()}
+    contents = {path: _content(path.name, write) for path, write in paths.items()}
+    contents[site_file] = text.encode()
+    changed = [path for path, content in contents.items() if not _holds(path, content)]
+    _check_own({*changed} - {site_file, *own})
+    for path in changed:
+        _write(path, contents[path])
     return [str(path.relative_to(project.root)) for path in changed]
 
 

@@ -8,38 +8,52 @@ import yaml
 
 from roadsight.base.errors import InputError
 
+Value = str | dict[str, Any] | None
 
-def with_value(text: str, section: str, key: str, value: str | None) -> str:
-    """Text of a YAML file with ``section.key`` set to a text, or removed.
+
+def with_value(text: str, section: str, key: str, value: Value, within: str | None = None) -> str:
+    """Text of a YAML file with ``section.key`` set to a text or a mapping, or removed.
 
     Parameters
     ----------
     text : the file, a mapping at its top. value : None removes the key, and the section with its
-        last key.
+        last key. within : section that holds the section.
 
     Raises
     ------
     InputError : the file is written in a way that this cannot change safely.
     """
     content = yaml.safe_load(text) or {}
-    if value is None and key not in (content.get(section) or {}):
+    outer = (content.get(within) or {}) if within else content
+    if value is None and key not in (outer.get(section) or {}):
         return text
-    wanted = _expected(content, section, key, value)
-    changed = _changed(text, section, key, value)
-    try:
-        got = yaml.safe_load(changed)
-    except yaml.YAMLError:
-        got = None
-    if got not in (wanted, wanted | {section: {}} if value is None else wanted):
+    if within and not outer.get(section):
+        return with_value(text, within, section, {key: value})
+    if within and value is None and len(outer[section]) == 1:
+        return with_value(text, within, section, None)
+    wanted = _expected(outer, section, key, value)
+    changed = _changed(text, section, key, value, within)
+    alike = [wanted, wanted | {section: {}}] if value is None else [wanted]
+    if within:
+        alike = [content | {within: one} for one in alike]
+    if _loaded(changed) not in alike:
+        by_hand = f"set {section}.{key} to {_scalar(value)}" if value else f"remove {key}"
         raise InputError(
             "is written in a way that the studio cannot change",
             where=f"site file: {section}",
-            hint=f"set {section}.{key} to {value!r} by hand" if value else f"remove {key} by hand",
+            hint=f"{by_hand} by hand",
         )
     return changed
 
 
-def _expected(content: dict[str, Any], section: str, key: str, value: str | None) -> dict[str, Any]:
+def _loaded(text: str) -> Any:
+    try:
+        return yaml.safe_load(text)
+    except yaml.YAMLError:
+        return None
+
+
+def _expected(content: dict[str, Any], section: str, key: str, value: Value) -> dict[str, Any]:
     inner = dict(content.get(section) or {})
     inner.pop(key, None)
     if value is not None:
@@ -48,25 +62,33 @@ def _expected(content: dict[str, Any], section: str, key: str, value: str | None
     return rest | {section: inner} if inner or (section in content and value) else rest
 
 
-def _changed(text: str, section: str, key: str, value: str | None) -> str:
+def _changed(text: str, section: str, key: str, value: Value, within: str | None = None) -> str:
     root = yaml.compose(text)
+    if within is not None:
+        outer = _entry(root, within)
+        root = outer[1] if outer else None
+    name_text = _scalar(key)
     entry = _entry(root, section)
     if entry is None or not isinstance(root, yaml.MappingNode):
         ended = text if text.endswith("\n") or not text else text + "\n"
-        return ended if value is None else f"{ended}{section}:\n  {key}: {_scalar(value)}\n"
+        return ended if value is None else f"{ended}{section}:\n  {name_text}: {_scalar(value)}\n"
     name, inner = entry
     if not isinstance(inner, yaml.MappingNode):
-        return _replaced(text, inner, f"\n  {key}: {_scalar(value)}") if value is not None else text
+        return (
+            _replaced(text, inner, f"\n  {name_text}: {_scalar(value)}")
+            if value is not None
+            else text
+        )
     known = _entry(inner, key)
     if value is None:
         return _without(text, bool(root.flow_style), name, inner, known) if known else text
     if known is not None:
         return _replaced(text, known[1], _scalar(value))
     if not inner.value:
-        return _replaced(text, inner, f"{{{key}: {_scalar(value)}}}")
+        return _replaced(text, inner, f"{{{name_text}: {_scalar(value)}}}")
     first = inner.value[0][0].start_mark
     between = ", " if inner.flow_style else "\n" + " " * first.column
-    return f"{text[: first.index]}{key}: {_scalar(value)}{between}{text[first.index :]}"
+    return f"{text[: first.index]}{name_text}: {_scalar(value)}{between}{text[first.index :]}"
 
 
 def _entry(node: yaml.Node | None, key: str) -> tuple[yaml.Node, yaml.Node] | None:
@@ -105,11 +127,14 @@ def _without(
 def _cut_lines(text: str, first: yaml.Node, last: yaml.Node) -> str:
     """Text without the lines from one node to another."""
     begin = text.rfind("\n", 0, first.start_mark.index) + 1
-    end = text.find("\n", last.end_mark.index)
+    # A block ends where the next line begins.
+    end = text.find("\n", len(text[: last.end_mark.index].rstrip()))
     return text[:begin] + (text[end + 1 :] if end >= 0 else "")
 
 
-def _scalar(value: str | None) -> str:
-    """A text as a YAML scalar on one line."""
-    written = yaml.safe_dump(value, width=10_000, default_flow_style=True)
+def _scalar(value: Value) -> str:
+    """A text or a mapping as YAML on one line."""
+    written = yaml.safe_dump(
+        value, width=10_000, default_flow_style=True, sort_keys=False, allow_unicode=True
+    )
     return written.removesuffix("\n").removesuffix("\n...").strip()

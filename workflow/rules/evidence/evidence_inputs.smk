@@ -15,8 +15,16 @@ def told_doubts(wildcards):
     """Files in which stages tell what their answers rest on; a stage that tells adds its own."""
     given = given_lists(wildcards)
     matched = [f"results/{wildcards.site}/doubts/match_inputs.json"] if given else []
-    ground = rules.build_dem.output.doubts.format(site=wildcards.site)
-    return [ground, *matched, *placement_only(placement_doubts)(wildcards)]
+    told = [rules.build_dem.output.doubts]
+    if has_scene_page(wildcards.site) or pavement_for_poles(wildcards.site):
+        told.append(rules.extract_pavement.output.doubts)
+    scene = [file.format(site=wildcards.site) for file in told]
+    return [*scene, *matched, *placement_only(placement_doubts)(wildcards)]
+
+
+def pavement_for_poles(site):
+    """Whether the poles of a site take the pavement for the road."""
+    return wants(site, "poles") and SITES[site].site.poles.road != "classes"
 
 
 def given_lists(wildcards):
@@ -52,6 +60,7 @@ def given_lists(wildcards):
     if wants(wildcards.site, "poles") and not site.sample:
         truth = site.truth
         add_named("places", "known poles", truth.poles, truth.poles_crs)
+        add_named("places", "barriers", site.roads.barriers, site.roads.barriers_crs)
         for what, path in (
             ("corrections", poles.corrections),
             ("given cameras", poles.cameras),

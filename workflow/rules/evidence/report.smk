@@ -185,7 +185,6 @@ rule write_handover:
         obstacles=placement_only(plan_obstacles),
         poles=poles_only(pole_layers),
         road_edges=poles_only(road_edge_layers),
-        hazard=poles_only(hazard_tables),
         code=sources("write_handover"),
     output:
         layers="results/{site}/gis/{site}.gpkg",
@@ -206,7 +205,7 @@ rule write_handover:
         " --pavement {input.pavement} --edges {input.edges}"
         " --unexamined {input.unexamined} --solutions {input.solutions}"
         " --plan-layers {input.layers} --obstacles {input.obstacles} --poles {input.poles}"
-        " --road-edges {input.road_edges} --hazard {input.hazard} --layers {output.layers}"
+        " --road-edges {input.road_edges} --layers {output.layers}"
         " --project {output.project} --kml {output.kml} --drawing {output.drawing} > {log} 2>&1"
 
 
@@ -243,8 +242,10 @@ rule write_poles_page:
         sightings=all_sightings,
         masks=all_masks,
         depth=all_depths,
-        poles=rules.triangulate_poles.output,
+        poles=rules.triangulate_poles.output.poles,
         hazard=rules.rate_hazard.output.hazard,
+        sections=rules.rate_hazard.output.sections,
+        pole_files=pole_files,
         validation=pole_validation,
         components=compared_components,
         drive=only_if("lens_distortion", rules.profile_drive.output.drive),
@@ -267,7 +268,8 @@ rule write_poles_page:
         " --dem {input.dem} --top {input.top} --road-edges {input.road_edges}"
         " --frames {input.frames} --images {params.images:q} --cameras {input.cameras}"
         " --image-edges {input.image_edges} --sightings {input.sightings} --masks {input.masks}"
-        " --depth {input.depth} --poles {input.poles[0]} --hazard {input.hazard}"
+        " --depth {input.depth} --poles {input.poles} --hazard {input.hazard}"
+        " --sections {input.sections}"
         " --validation {input.validation} --components {input.components}"
         " --drive {input.drive} --lenses {params.lenses:q}"
-        " --files {input.poles} --out {output.page} > {log} 2>&1"
+        " --files {input.pole_files} --out {output.page} > {log} 2>&1"

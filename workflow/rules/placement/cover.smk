@@ -19,6 +19,7 @@ rule solve_cover:
         poles=plan_file("poles"),
         zones=beside_site("placement.zones"),
         cabinets=beside_site("placement.cabinets"),
+        edges=rules.build_edges.output.edges,
         surfels=if_robust(lambda wildcards: [seen_surfels(wildcards)]),
         tilts=if_robust(only_if("mount_tilt", tilts_of_all_rounds)),
         air=if_robust(air_of_site),
@@ -49,6 +50,8 @@ rule solve_cover:
         height_m=target_height,
         time_limit_s=setting("cover.time_limit_s"),
         gap=setting("cover.gap"),
+        second=setting("cover.second_objective"),
+        second_time_limit_s=setting("cover.second_time_limit_s"),
         uncoverable=setting("coverage.uncoverable"),
         mounting=mounting_rules,
         robust=robust_arguments,
@@ -59,6 +62,8 @@ rule solve_cover:
         " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
         " --at-least {params.at_least} {params.availability} --lanes {input.lanes}"
         " --target-height-m {params.height_m} --time-limit-s {params.time_limit_s} --gap {params.gap}"
+        " --second {params.second} --second-time-limit-s {params.second_time_limit_s}"
+        " --edges {input.edges}"
         " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"
         " --areas {params.areas:q} --forbidden {params.forbidden:q}"
         " --mandatory {params.mandatory:q} --poles {params.poles:q}"

@@ -174,4 +174,6 @@ ALIGNMENT_ONLY = (
     "method",
     "max_residual_px",
     "max_sigma_heading_deg",
+    "bound_m",
+    "bound_deg",
 )

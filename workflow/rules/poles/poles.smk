@@ -52,7 +52,7 @@ rule triangulate_poles:
         code=sources("triangulate_poles"),
     output:
         poles="results/{site}/poles/poles.parquet",
-        layers="results/{site}/poles/poles.gpkg",
+        layers="results/{site}/poles/placed.gpkg",
         csv="results/{site}/poles/poles.csv",
         geojson="results/{site}/poles/poles.geojson",
     log:
@@ -77,11 +77,20 @@ rule rate_hazard:
         frames=rules.read_videolog.output.frames,
         edges=rules.extract_road_edges.output.edges,
         dem=rules.build_dem.output.dem,
+        cloud=rules.ingest_cloud.output.cloud,
+        ground=rules.build_dem.output.ground,
+        placed=rules.triangulate_poles.output.layers,
+        inventory=beside_site("roads.inventory"),
+        routes=beside_site("roads.routes"),
+        barriers=beside_site("roads.barriers"),
         decided=after_profile("scale_factor"),
         code=sources("rate_hazard"),
     output:
         hazard="results/{site}/poles/hazard.parquet",
         csv="results/{site}/poles/hazard.csv",
+        sections="results/{site}/poles/cross_sections.parquet",
+        geometry="results/{site}/poles/road_geometry.csv",
+        layers="results/{site}/poles/poles.gpkg",
     log:
         log_of("rate_hazard"),
     benchmark:
@@ -91,11 +100,25 @@ rule rate_hazard:
     params:
         options=flags("hazard"),
         scale_factor=decision_on("scale_factor"),
+        inventory=layered_site("roads.inventory"),
+        inventory_crs=site_field("roads.inventory_crs"),
+        routes=layered_site("roads.routes"),
+        routes_crs=site_field("roads.routes_crs"),
+        barriers=layered_site("roads.barriers"),
+        barriers_crs=site_field("roads.barriers_crs"),
+        measure_unit=site_field("roads.measure_unit"),
+        traffic=site_field("roads.traffic"),
     shell:
         "python -m roadsight.stages.poles.rate_hazard --poles {input.poles} --frame {input.frame}"
         " --frames {input.frames} --edges {input.edges} --dem {input.dem}"
+        " --cloud {input.cloud} --ground {input.ground} --placed {input.placed}"
+        " --inventory {params.inventory:q} --inventory-crs={params.inventory_crs:q}"
+        " --routes {params.routes:q} --routes-crs={params.routes_crs:q}"
+        " --barriers {params.barriers:q} --barriers-crs={params.barriers_crs:q}"
+        " --measure-unit {params.measure_unit} --traffic {params.traffic}"
         " --scale-factor {params.scale_factor} {params.options}"
-        " --out {output.hazard} --csv {output.csv} > {log} 2>&1"
+        " --out {output.hazard} --csv {output.csv} --sections {output.sections}"
+        " --geometry-csv {output.geometry} --layers {output.layers} > {log} 2>&1"
 
 
 rule validate_poles:

@@ -162,12 +162,21 @@ def pole_layers(wildcards):
     return [f"results/{wildcards.site}/poles/poles.gpkg"]
 
 
+def pole_files(wildcards):
+    """Files of the poles that the report names."""
+    names = (
+        "poles.parquet",
+        "poles.gpkg",
+        "poles.csv",
+        "poles.geojson",
+        "hazard.csv",
+        "road_geometry.csv",
+    )
+    return [f"results/{wildcards.site}/poles/{name}" for name in names]
+
+
 def road_edge_layers(wildcards):
     return [f"results/{wildcards.site}/poles/road_edges.gpkg"]
-
-
-def hazard_tables(wildcards):
-    return [f"results/{wildcards.site}/poles/hazard.parquet"]
 
 
 def poles_only(inputs):

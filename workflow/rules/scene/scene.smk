@@ -142,12 +142,16 @@ rule extract_pavement:
         cloud=rules.ingest_cloud.output.cloud,
         frame=rules.ingest_cloud.output.frame,
         ground=rules.build_dem.output.ground,
-        clusters=rules.cluster_fpfh.output.clusters,
+        profile=profile_for_pavement,
+        clusters=of_pavement("published", rules.cluster_fpfh.output.clusters),
+        edges=of_pavement("surface", edges_file),
+        track=of_pavement("surface", beside_site("placement.track")),
         tma=beside_site("placement.tma"),
         code=sources("extract_pavement"),
     output:
         pavement="results/{site}/scene/pavement.gpkg",
         points="results/{site}/scene/pavement.parquet",
+        doubts="results/{site}/doubts/extract_pavement.json",
     log:
         log_of("extract_pavement"),
     benchmark:
@@ -155,34 +159,59 @@ rule extract_pavement:
     conda:
         ENVIRONMENT
     resources:
-        mem_mb=megabytes(100),
+        mem_mb=memory_of_pavement,
         runtime=minutes(),
     params:
         tma=layered_site("placement.tma"),
-        cluster_engine=setting("pavement.cluster_engine"),
-        cluster_distance_m=setting("pavement.cluster_distance_m"),
-        vote_radius_m=setting("pavement.vote_radius_m"),
-        outline_cell_m=setting("pavement.outline_cell_m"),
-        closing_m=setting("pavement.closing_m"),
-        smallest_hole_m2=setting("pavement.smallest_hole_m2"),
-        smallest_part_share=setting("pavement.smallest_part_share"),
+        method=setting("pavement.method"),
+        seeds=setting_of_pavement("surface", pavement_seeds),
+        intensity=setting("pavement.intensity"),
+        edges=setting_of_pavement(
+            "surface", layered_site("placement.edges", edges_file)
+        ),
+        edges_crs=setting_of_pavement("surface", site_field("placement.edges_crs")),
+        track=setting_of_pavement("surface", layered_site("placement.track")),
+        track_crs=setting_of_pavement("surface", site_field("placement.track_crs")),
+        cluster_engine=setting_of_pavement(
+            "published", setting("pavement.cluster_engine")
+        ),
+        cluster_distance_m=setting_of_pavement(
+            "published", setting("pavement.cluster_distance_m")
+        ),
+        vote_radius_m=setting_of_pavement(
+            "published", setting("pavement.vote_radius_m")
+        ),
+        outline_cell_m=setting_of_pavement(
+            "published", setting("pavement.outline_cell_m")
+        ),
+        closing_m=setting_of_pavement("published", setting("pavement.closing_m")),
+        smallest_hole_m2=setting_of_pavement(
+            "published", setting("pavement.smallest_hole_m2")
+        ),
+        smallest_part_share=setting_of_pavement(
+            "published", setting("pavement.smallest_part_share")
+        ),
     shell:
         "python -m roadsight.stages.scene.extract_pavement --site {wildcards.site}"
         " --cloud {input.cloud} --frame {input.frame} --ground {input.ground}"
-        " --clusters {input.clusters} --tma {params.tma:q}"
+        " --profile {input.profile} --clusters {input.clusters} --tma {params.tma:q}"
+        " --method {params.method} --seeds={params.seeds:q} --intensity {params.intensity}"
+        " --edges {params.edges:q} --edges-crs={params.edges_crs:q}"
+        " --track {params.track:q} --track-crs={params.track_crs:q}"
         " --cluster-engine {params.cluster_engine}"
         " --cluster-distance-m {params.cluster_distance_m}"
         " --vote-radius-m {params.vote_radius_m} --outline-cell-m {params.outline_cell_m}"
         " --closing-m {params.closing_m} --smallest-hole-m2 {params.smallest_hole_m2}"
         " --smallest-part-share {params.smallest_part_share}"
-        " --pavement {output.pavement} --points {output.points} > {log} 2>&1"
+        " --pavement {output.pavement} --points {output.points}"
+        " --doubts {output.doubts} > {log} 2>&1"
 
 
 rule build_edges:
     input:
         frame=rules.ingest_cloud.output.frame,
         pavement=rules.extract_pavement.output.pavement,
-        clusters=rules.cluster_fpfh.output.clusters,
+        dem=rules.build_dem.output.dem,
         edges=edges_file,
         code=sources("build_edges"),
     output:
@@ -201,7 +230,7 @@ rule build_edges:
         shortest_m=setting("edges.shortest_m"),
     shell:
         "python -m roadsight.stages.scene.build_edges --site {wildcards.site} --frame {input.frame}"
-        " --pavement {input.pavement} --clusters {input.clusters}"
+        " --pavement {input.pavement} --dem {input.dem}"
         " --digitised {params.edges:q} --digitised-crs={params.edges_crs:q}"
         " --offset-m {params.offset_m}"
         " --knot-spacing-m {params.knot_spacing_m} --shortest-m {params.shortest_m}"

@@ -110,6 +110,23 @@ def test_coverage_names_the_uncovered_targets_of_each_plan(tmp_path):
     assert coverage["plans"]["both"]["covered_share"] == pytest.approx(0.8)
 
 
+def test_of_two_cheapest_plans_the_one_that_sees_more_again_is_taken(tmp_path):
+    site = Site(tmp_path, {"S": {"a": "012", "b": "0", "c": "345", "d": "12345"}})
+    assert site.check("p=S") == 0
+    assert site.solve("S=1") == 0
+    assert "second" not in site.read("solution.json")
+    limit = ("--second", "True", "--second-time-limit-s", "5")
+    assert site.solve("S=1", options=limit) == 0
+    solution = site.read("solution.json")
+    assert [sensor["candidate"] for sensor in solution["sensors"]] == ["a", "d"]
+    found = solution["second"]
+    assert found["status"] == "optimal"
+    assert found["once_more"] == found["once_more_bound"] == pytest.approx(2 / 6)
+    assert found["twice_more"] == 0
+    assert site.solve("S=1", options=(*limit, "--options", '{"alternatives": true}')) == 0
+    assert site.read("solution.json")["second"] == found
+
+
 def test_no_target_at_all_is_refused(tmp_path, capsys):
     site = Site(tmp_path, {"S": SIGHT}, targets=0)
     assert site.check("s=S") == 2

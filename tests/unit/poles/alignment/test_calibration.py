@@ -68,6 +68,8 @@ def _align(folder, *extra, out="cameras.parquet"):
     code = align_cameras.main(
         [
             *_inputs(folder),
+            "--max-sigma-heading-deg",
+            "0.25",  # a short bed of few views
             "--calibration",
             str(folder / "calibration.json"),
             "--out",

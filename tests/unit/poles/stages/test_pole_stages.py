@@ -4,10 +4,12 @@ import argparse
 import json
 from pathlib import Path
 
+import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
 import pytest
+import shapely
 from pyproj import CRS
 
 from roadsight.base.errors import InputError
@@ -18,9 +20,17 @@ from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.vectors import read_layer
 from roadsight.stages.poles import rate_hazard, triangulate_poles, validate_poles
 
 FEET = Frame((900_000.0, 700_000.0, 2000.0), 1200 / 3937, 1200 / 3937, CRS("EPSG:6543").to_wkt())
+OUTPUTS = {
+    "out": "parquet",
+    "csv": "csv",
+    "layers": "gpkg",
+    "geometry-csv": "csv",
+    "sections": "parquet",
+}
 POLES = np.array([[20.0, 8.0], [42, -7], [60, 8], [85, 9], [100, -8], [121, 8]])
 
 
@@ -77,6 +87,9 @@ def run_triangulation(site, *shards, **more):
         str(site / "dem.tif"),
         "--sigma-position-m",
         "0.3",
+        "--min-views",
+        "2",
+        "--pole-evidence=-0.5",
         *more.get("also", []),
     ]
     return triangulate_poles.main(arguments), out
@@ -134,7 +147,7 @@ def test_poles_near_road_voxels_are_withheld(site):
     assert len(pd.read_csv(out["csv"])) == len(POLES) - 1
 
 
-def test_hazard_and_validation(site, poles):
+def test_hazard(site, poles):
     common = [f"--{name}={site / name}.{end}" for name, end in
               (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
     common += ["--poles", poles["poles"]]
@@ -152,6 +165,122 @@ def test_hazard_and_validation(site, poles):
     assert written[["x", "y"]].to_numpy() == pytest.approx(native, abs=1e-4)
     assert rate_hazard.main([*common, *dem, "--aadt", "-1"]) == 2
 
+
+def test_layers_of_the_roadside_say_the_same_as_their_fields(site, poles, tmp_path):
+    common = [f"--{name}={site / name}.{end}" for name, end in
+              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    out = {name: tmp_path / f"{name}.{end}" for name, end in OUTPUTS.items()}
+    arguments = [*common, "--poles", poles["poles"], "--dem", str(site / "dem.tif")]
+    arguments += ["--placed", poles["layers"], *(f"--{k}={v}" for k, v in out.items())]
+    assert rate_hazard.main(arguments) == 0
+    layers = dict(pyogrio.list_layers(out["layers"]))
+    assert layers == {
+        "poles": "Point Z",
+        "ellipses": "Polygon",
+        "rays": "LineString",
+        "hazard": "Point Z",
+        "cross_sections": "LineString Z",
+        "road_geometry": "LineString Z",
+    }
+    for layer in layers:
+        features = pyogrio.read_dataframe(out["layers"], layer=layer)
+        assert features.crs.equals(CRS("EPSG:6543"))
+        fields = [name for name in features if name.endswith(("_x", "_y", "_z"))]
+        assert not {"x", "y", "z"} & set(features)
+        assert bool(fields) == (layer == "cross_sections")
+    sections = pyogrio.read_dataframe(out["layers"], layer="cross_sections")
+    ends = shapely.get_coordinates(sections.geometry.to_numpy()).reshape(-1, 4)
+    fields = sections[["start_x", "start_y", "end_x", "end_y"]].to_numpy()
+    assert fields == pytest.approx(ends, abs=1e-6)
+    back = read_layer(out["layers"], "cross_sections", FEET)
+    width = np.hypot(back["end_x"] - back["start_x"], back["end_y"] - back["start_y"])
+    assert width.to_numpy() == pytest.approx(back["width_m"].to_numpy(), abs=1e-3)
+    assert set(back["object"]) > {"", "pole-00000"}
+    geometry = pd.read_csv(out["geometry-csv"])
+    lines = pyogrio.read_dataframe(out["layers"], layer="road_geometry")
+    middles = shapely.get_coordinates(shapely.centroid(lines.geometry.to_numpy()))
+    inner = slice(1, -1)
+    assert geometry[["x", "y"]].to_numpy()[inner] == pytest.approx(middles[inner], abs=0.5)
+    assert geometry["paved_width_m"].to_numpy() == pytest.approx(8.0, abs=0.1)
+    assert lines["station_m"].tolist() == geometry["station_m"].tolist()
+    table = pd.read_csv(out["csv"])
+    objects = pyogrio.read_dataframe(out["layers"], layer="hazard")
+    assert table[["x", "y"]].to_numpy() == pytest.approx(
+        objects.geometry.get_coordinates().to_numpy(), abs=1e-3
+    )
+    assert objects["rating"].tolist() == table["rating"].tolist()
+    profiles = read_about(out["sections"])["profiles"]
+    assert set(profiles) == set(table["id"])
+
+
+def given_roads(folder):
+    """An inventory that lacks traffic beyond 60 m, a route in other coordinates, a rail."""
+    (folder / "inventory.csv").write_text(
+        "route,from_m,to_m,speed_kmh,aadt,lanes,lane_width_m\n"
+        "SR 7,1000,1060,100,8000,2,3.5\nSR 7,1060,1200,100,,2,\n"
+    )
+    x = np.array([-20.0, 160.0])
+    # Measured against the drive.
+    line = shapely.LineString(FEET.to_native(np.column_stack([x[::-1], [0.5, 0.5]])))
+    route = {"route": ["SR 7"], "from_m": [990.0], "to_m": [1170.0]}
+    frame = gpd.GeoDataFrame(route, geometry=[line], crs="EPSG:6543").to_crs("EPSG:32617")
+    frame.to_file(folder / "routes.gpkg")
+    rail = shapely.LineString(FEET.to_native(np.array([[0.0, 5.5], [130.0, 5.5]])))
+    barrier = gpd.GeoDataFrame({"name": ["rail"]}, geometry=[rail], crs="EPSG:6543")
+    barrier.to_file(folder / "barriers.gpkg")
+    files = (("inventory", "csv"), ("routes", "gpkg"), ("barriers", "gpkg"))
+    return [f"--{name}={folder / name}.{end}" for name, end in files]
+
+
+def test_inventory_routes_and_barriers_reach_the_hazard(site, poles, tmp_path, caplog):
+    common = [f"--{name}={site / name}.{end}" for name, end in
+              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    out = {name: tmp_path / f"{name}.{end}" for name, end in OUTPUTS.items()}
+    arguments = [*common, "--poles", poles["poles"], "--dem", str(site / "dem.tif")]
+    arguments += [*given_roads(tmp_path), *(f"--{k}={v}" for k, v in out.items())]
+    assert rate_hazard.main([*arguments, "--measure-unit", "mi"]) == 0
+    told = read_about(out["out"])["told"]
+    assert any("state no AADT" in message for message in told)
+    assert all(message in caplog.text for message in told)
+    table = pd.read_csv(out["csv"]).set_index("id")
+    own = table[table["kind"] == "pole"]
+    x = FEET.to_local(own[["x", "y"]].to_numpy())[:, 0]
+    assert own["station_m"].to_numpy() == pytest.approx(1150 - x, abs=0.1)
+    assert own["measure_mi"].to_numpy() == pytest.approx(own["station_m"] / 1609.344, abs=1e-5)
+    assert (own["route"] == "SR 7").all()
+    assert own["side"].tolist() == np.sign(FEET.to_local(own[["x", "y"]].to_numpy())[:, 1]).tolist()
+    known = own["station_m"] <= 1060
+    assert (own.loc[known, "aadt_least"] == own.loc[known, "aadt_greatest"]).all()
+    assert (own.loc[~known, "aadt_greatest"] > own.loc[~known, "aadt_least"]).all()
+    travelled = own["offset_travelled_way_m"]
+    assert travelled[known].to_numpy() == pytest.approx(own.loc[known, "offset_m"] + 0.5, abs=0.1)
+    assert travelled[~known].isna().all()
+    # Of one rating, those of unknown exposure come last.
+    for _, group in own.groupby("rating"):
+        ranks = group["rank"]
+        sure = group["aadt_least"] == group["aadt_greatest"]
+        assert not sure.any() or sure.all() or ranks[sure].max() < ranks[~sure].min()
+    beyond = FEET.to_local(own[["x", "y"]].to_numpy())[:, 1] > 5.5
+    assert set(own.loc[beyond, "shielded"]) <= {"partial", "full"}
+    assert (own.loc[~beyond, "shielded"] == "none").all()
+    assert own.loc[beyond, "reasons"].str.contains("behind barrier rail").all()
+    ends = table[table["kind"] == "barrier end"]
+    assert ends.index.tolist() == ["rail start", "rail end"]
+    assert (ends["shielded"] == "none").all()
+    assert ends["latitude"].notna().all()
+    geometry = pd.read_csv(out["geometry-csv"])
+    stated = geometry["station_m"] < 1060
+    assert geometry.loc[~stated, "lane_width_m"].median() == pytest.approx(4.0, abs=0.1)
+    assert geometry.loc[stated, "paved_shoulder_m"].median() == pytest.approx(0.5, abs=0.1)
+    overlap = tmp_path / "inventory.csv"
+    overlap.write_text("route,from_m,to_m\nSR 7,1000,1100\nSR 7,1050,1200\n")
+    assert rate_hazard.main(arguments) == 2
+
+
+def test_validation(site, poles):
+    common = [f"--{name}={site / name}.{end}" for name, end in
+              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    common += ["--poles", poles["poles"]]
     result = site / "validation.json"
     truth = ["--truth", str(site / "truth.csv"), "--out", str(result)]
     assert validate_poles.main([*common, *truth]) == 0

@@ -1,5 +1,7 @@
 """The published method, sightings anywhere on Earth, and the published sample."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -50,6 +52,16 @@ def test_sweep_ends_where_no_single_link_lowers_the_energy():
         flipped = on.copy()
         flipped[link] = not flipped[link]
         assert energy_reference(links, rays.depth_m, flipped, Energy()) >= least - 1e-12
+
+
+def test_weights_of_the_sweep_are_settings():
+    _, rows = street(poles=3)
+    rays = rays_of(rows)
+    heavy = replace(FINE, depth_weight=100.0, spread_weight=100.0)
+    # No link is worth its price: every ray stays alone.
+    assert len(swept_poles(rays, heavy)[1]) < len(swept_poles(rays, FINE)[1])
+    own = swept_poles(rays, FINE, Energy(100.0, 100.0))
+    assert len(own[1]) == len(swept_poles(rays, heavy)[1])
 
 
 def test_clusters_agree_with_scipy(rng):

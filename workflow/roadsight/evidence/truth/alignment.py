@@ -44,6 +44,7 @@ from roadsight.poles.images.networks import folder_mask, merge_masks
 from roadsight.poles.images.pole_masks import find_instances
 from roadsight.poles.sightings.lidar_poles import PoleColumns, find_pole_columns
 from roadsight.scene.grids import Grid, fill_gaps, sample_bilinear
+from roadsight.scene.pavement.road_surface import KnownRoad
 from roadsight.scene.whole import ground_of, road_of
 
 START_DEG = np.array([2.0, 1.0, 1.0])
@@ -239,7 +240,7 @@ def _road_edges(street: Street) -> RoadEdges:
     """Edges of the road that the product finds; none where it finds no road."""
     track = street.scanner_m[:, :2]
     try:
-        road, _ = road_of(street.xyz_m, street.intensity, street.scan, track)
+        road, _ = road_of(street.xyz_m, street.intensity, street.scan, KnownRoad(track_xy=track))
     except InputError:
         return RoadEdges.from_points(np.empty((0, 3)))
     rings = [

@@ -25,6 +25,7 @@ class Chunk:
     withheld : points that their producer asks to leave out, bool, shape (n,).
     colour : red, green, blue as stored, uint16, shape (n, 3), or None.
     synthetic, overlap : points that were not measured, and of overlapping flight lines, (n,).
+    scan : number of the scan, strip or drive (``point_source_id``), uint16, (n,).
     time : GPS time (n,), or None where it was not asked for or is not recorded.
     """
 
@@ -37,6 +38,7 @@ class Chunk:
     colour: NDArray[np.uint16] | None
     synthetic: Bools
     overlap: Bools
+    scan: NDArray[np.uint16]
     time: Floats | None = None
 
     def __len__(self) -> int:
@@ -56,6 +58,7 @@ class Chunk:
             None if self.colour is None else self.colour[mask],
             self.synthetic[mask],
             self.overlap[mask],
+            self.scan[mask],
             None if self.time is None else self.time[mask],
         )
 
@@ -78,6 +81,7 @@ def chunk_of(
         colour=_colour(points) if header.coloured else None,
         synthetic=np.asarray(points.synthetic, bool),
         overlap=np.asarray(points.overlap, bool) if flagged else classes == OVERLAP_CLASS,
+        scan=np.asarray(points.point_source_id, np.uint16),
         time=np.asarray(points.gps_time, np.float64) if timed else None,
     )
 

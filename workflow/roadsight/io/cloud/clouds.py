@@ -64,6 +64,7 @@ _CHUNK_LAYERS = (
     | DecompressionSelection.FLAGS
     | DecompressionSelection.INTENSITY
     | DecompressionSelection.RGB
+    | DecompressionSelection.POINT_SOURCE_ID
 )
 """What a `Chunk` holds; time, angles and the producer's own fields stay compressed."""
 

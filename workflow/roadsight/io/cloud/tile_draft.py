@@ -77,6 +77,7 @@ def tile_columns(chunk: Chunk, frame: Frame, shift: int) -> dict[str, NDArray]:
     columns: dict[str, NDArray] = dict(zip("xyz", frame.to_local(chunk.xyz).T, strict=True))
     columns |= {
         "intensity": chunk.intensity,
+        "scan": chunk.scan,
         "classification": chunk.classification,
         "return_number": chunk.return_number,
         "number_of_returns": chunk.number_of_returns,

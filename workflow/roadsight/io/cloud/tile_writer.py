@@ -71,13 +71,16 @@ class TileWriter(WholeFile):
 
         Parameters
         ----------
-        points : every column of the cloud, each of shape (n,); x and y at least 0.
+        points : every column of the cloud, each of shape (n,); x and y at least 0. Without ``scan``
+            all points are of one.
 
         Raises
         ------
         InputError : the points fill too many tiles.
         """
-        columns = {name: np.asarray(points[name]) for name in self._held}
+        one_scan = np.zeros(len(points["x"]), np.uint16)
+        given = {"scan": one_scan} | dict(points)
+        columns = {name: np.asarray(given[name]) for name in self._held}
         rows, done = len(columns["x"]), 0
         while done < rows:
             count = min(rows - done, _HELD_POINTS - self._count)

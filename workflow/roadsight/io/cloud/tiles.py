@@ -29,10 +29,11 @@ POSITION = ("x", "y", "z")
 COLOUR = ("red", "green", "blue")
 COLUMN_TYPES: dict[str, str] = {
     **dict.fromkeys(POSITION, "f4"),
-    "intensity": "u2",
+    **dict.fromkeys(("intensity", "scan"), "u2"),
     **dict.fromkeys(("classification", "return_number", "number_of_returns", *COLOUR), "u1"),
 }
-"""NumPy types of the columns; the colours are absent from a cloud without them."""
+"""NumPy types of the columns; the colours are absent from a cloud without them. ``scan`` is the
+file's ``point_source_id``: the number of a scan, a strip or a drive."""
 
 METADATA_KEY = b"roadsight"
 

@@ -24,7 +24,7 @@ _GEOJSON = (".geojson", ".json")
 """Formats whose CRS is WGS 84 unless the file names another."""
 _TABLE = (".csv",)
 """Formats that are read as tables of vertices."""
-_OTHER = (".gpkg", ".shp", ".fgb", ".sqlite", ".gml", ".kml")
+_OTHER = (".gpkg", ".shp", ".fgb", ".sqlite", ".gml", ".kml", ".gpx")
 """Formats whose files name their CRS where they have one."""
 _NATIVE = ("local", "native")
 """Words for the cloud's own coordinates."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,6 +24,9 @@ from roadsight.setcover.plans.deployment import Deployment
 
 _LISTED = 50
 """Interchangeable positions named for each sensor; how many there are is told in any case."""
+
+Better = Callable[[Deployment, Cover], Cover]
+"""A cover of the same cost that is better in another way."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +56,11 @@ def answer(
     limit_s: float,
     seed: int,
     gap: float,
+    better: Better | None = None,
 ) -> Answer:
     """Solve a plan; the curve and the alternatives have the same limit of work once more.
+
+    ``better`` gives the cover that is shown instead of one of the same cost.
 
     Raises
     ------
@@ -62,6 +69,8 @@ def answer(
     deployment = posed.deployment
     cover = _solve(deployment, WorkLimit(limit_s), seed, gap)
     _check(asked, cover, limit_s)
+    if better is not None:
+        cover = better(deployment, cover)
     names = choices["candidate"].astype(str).to_numpy()
     position = choices["position"].to_numpy(np.int64)
     name = lambda row: str(names[row])  # noqa: E731

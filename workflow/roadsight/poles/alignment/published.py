@@ -16,6 +16,8 @@ from roadsight.poles.alignment.pose import FOCAL, SIZE, Start, pose_of
 from roadsight.poles.alignment.roadside import NearEdges
 from roadsight.poles.alignment.solve import ImageEdges
 
+PUBLISHED_BOUNDS = (0.335, 0.11)
+"""How far its result may be from the baseline, m and degrees: 1.1 ft and 0.11 in the paper."""
 _UNITS = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01])
 """What one unit of a step is: metres, degrees, and 1 % of the focal length."""
 
@@ -27,8 +29,8 @@ def nelder_mead(
     mean: Floats,
     *,
     window_px: float = 300.0,
-    bound_m: float = 0.335,
-    bound_deg: float = 0.11,
+    bound_m: float = PUBLISHED_BOUNDS[0],
+    bound_deg: float = PUBLISHED_BOUNDS[1],
     iterations: int = 1000,
 ) -> tuple[Floats, float]:
     """Unknowns (SIZE,) of one image, and the root of the mean squared distance in pixels.

@@ -1,19 +1,24 @@
-"""How dangerous poles are to vehicles that leave the road.
+"""How dangerous objects beside the road are to vehicles that leave it.
 
 Rating, first rule that applies:
 
+- low: behind a barrier along its length of need;
 - high: inside the clear zone and at most half its width from the road edge, or inside it on or
   beyond a foreslope from which vehicles cannot return, or inside it where fixed objects stand
   denser than ``dense_per_km``;
 - medium: otherwise inside the clear zone, or outside it by less than the pole's own 1-sigma error,
   or beyond a foreslope steeper than 1V:3H;
 - low: otherwise. ``unknown`` where no road edge is near.
+
+The foreslope is the steepest straight piece of the cross-section before the object, not the line
+from edge to object. Where speed or traffic is unknown the clear zone is a range: high asks for
+the least, medium for the greatest clear zone of the range.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
@@ -21,8 +26,37 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.poles.risk.clear_zone import clear_zone_m, slope_class
+from roadsight.poles.risk.clear_zone import (
+    TRAVERSABLE_SLOPE,
+    clear_zone_m,
+    clear_zone_range,
+    curve_factor,
+    slope_class,
+)
+from roadsight.poles.risk.cross_sections import CrossSection, slope_text
+from roadsight.poles.risk.roads import Located, Roads, roads_of
+from roadsight.poles.risk.roadside import (
+    Surroundings,
+    bends_at,
+    first_trouble_m,
+    governing_slope,
+    nearest_ahead_m,
+    object_sections,
+    own_edges,
+    runout_width_m,
+)
+from roadsight.poles.risk.roadside_rating import (
+    Encroachments,
+    exposure,
+    fixed_objects,
+    hazard_rating,
+    leaving,
+    offset_factor,
+    rank_of,
+    rating_factor,
+)
 from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.risk.shielding import Demand, shielding
 
 Height = Callable[[Floats, Floats], Floats]
 
@@ -40,6 +74,50 @@ HAZARD_COLUMNS = [
     "objects_per_km",
     "rating",
 ]
+"""What every version of the table has."""
+ROADSIDE_COLUMNS = [
+    "rank",
+    "route",
+    "shielded",
+    "barrier_offset_m",
+    "hazard_rating_1_to_7",
+    "hazard_rating_least",
+    "hazard_rating_greatest",
+    "clear_zone_least_m",
+    "clear_zone_greatest_m",
+    "curve_factor",
+    "foreslope_rise_over_run",
+    "sigma_foreslope",
+    "foreslope_ratio",
+    "steepest_fall_1_5m_rise_over_run",
+    "sigma_steepest_fall",
+    "shoulder_width_m",
+    "ditch_depth_m",
+    "ditch_bottom_width_m",
+    "backslope_rise_over_run",
+    "kerb_m",
+    "drop_off_m",
+    "design_speed_least_kmh",
+    "design_speed_greatest_kmh",
+    "aadt_least",
+    "aadt_greatest",
+    "lanes",
+    "offset_travelled_way_m",
+    "radius_m",
+    "grade_percent",
+    "paved_width_m",
+    "exposure_least_vehicles_per_day",
+    "exposure_greatest_vehicles_per_day",
+    "hsm_rating_factor",
+    "hsm_offset_factor",
+    "hsm_objects_per_mile",
+    "hsm_mean_offset_m",
+    "reasons",
+]
+"""What is told besides, with units in the names; see docs/poles/hazard.md."""
+_HSM_WINDOW_M = 322.0
+"""Stretch of road for the density of the Highway Safety Manual: its shortest segment is 0.1 mile;
+0.2 miles let one object more or less change the density by 5 a mile, not 10."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +131,9 @@ class HazardSettings:
     dense_per_km : objects a kilometre that make poles inside the clear zone a high hazard.
     edge_reach_m : a road edge further away is not the pole's.
     sample_m : spacing of height samples between edge and pole.
+    clear_zone_m, runout_length_m : given instead of the guide's tables; 0: by the tables.
+    deflection_m : how far barriers give way. bend_outside, bend_inside, downhill : see
+        `Encroachments`.
     """
 
     design_speed_kmh: float = 80.0
@@ -61,6 +142,29 @@ class HazardSettings:
     dense_per_km: float = 40.0
     edge_reach_m: float = 30.0
     sample_m: float = 0.5
+    clear_zone_m: float = 0.0
+    runout_length_m: float = 0.0
+    deflection_m: float = 1.0
+    bend_outside: float = 4.0
+    bend_inside: float = 2.0
+    downhill: float = 2.0
+
+
+@dataclass(frozen=True)
+class Rated:
+    """Rated objects and what their rating rests on.
+
+    Parameters
+    ----------
+    table : `HAZARD_COLUMNS` and `ROADSIDE_COLUMNS`. sections : cross-section of each, or None.
+    edge_m, outward : (n, 2) where each section starts, and which way it runs. located : on roads.
+    """
+
+    table: pd.DataFrame
+    sections: list[CrossSection | None] = field(repr=False)
+    edge_m: Floats = field(repr=False)
+    outward: Floats = field(repr=False)
+    located: Located = field(repr=False)
 
 
 def rate_poles(
@@ -69,6 +173,7 @@ def rate_poles(
     tracks: RouteTracks,
     height: Height | None,
     settings: HazardSettings,
+    surroundings: Surroundings | None = None,
 ) -> pd.DataFrame:
     """Hazard of each pole.
 
@@ -76,31 +181,337 @@ def rate_poles(
     ----------
     poles : x, y (local metres) and sigma_major_m. edges_m : road edge points (n, 2 or 3).
     height : ground height (m) at x and y, NaN where unknown; None for none.
+    surroundings : roads, inventory, barriers; by tracks, edges and height alone if None.
 
     Returns
     -------
-    columns `HAZARD_COLUMNS`, rows as ``poles``. ``offset_m`` is negative on the road.
+    columns `HAZARD_COLUMNS` and `ROADSIDE_COLUMNS`, rows as ``poles``. ``offset_m`` is negative on
+    the road; ``side`` and ``station_m`` are along ``route``, whose measure both directions share.
     """
+    known = surroundings or Surroundings(roads_of(tracks, edges_m), height)
+    return rate_roadside(poles, edges_m, tracks, known, settings).table
+
+
+def rate_roadside(
+    poles: pd.DataFrame,
+    edges_m: Floats,
+    tracks: RouteTracks,
+    surroundings: Surroundings,
+    settings: HazardSettings,
+) -> Rated:
+    """Hazard of each object, with the cross-sections behind it; see `rate_poles`."""
     xy_m = poles[["x", "y"]].to_numpy(np.float64)
+    n = len(poles)
     offset_m, foot_m = edge_offsets(xy_m, edges_m, tracks, settings.edge_reach_m)
-    slope = side_slopes(foot_m, xy_m, height, settings.sample_m)
-    needed_m = clear_zone_m(settings.design_speed_kmh, settings.aadt, slope)
-    inside = offset_m <= needed_m
-    piece, station_m, _ = tracks.locate(xy_m)
-    density = objects_per_km(tracks, piece, station_m, inside, settings.window_m)
-    rating = _rating(offset_m, needed_m, slope, density, poles["sigma_major_m"], settings)
-    columns = [
-        offset_m,
-        tracks.side(xy_m),
-        needed_m,
-        inside,
-        slope,
-        slope_class(slope),
-        station_m,
-        density,
-        rating,
+    mean_slope = side_slopes(foot_m, xy_m, surroundings.height, settings.sample_m)
+    located = surroundings.roads.locate(xy_m)
+    edge, outward = own_edges(surroundings, located, offset_m, foot_m, xy_m)
+    sections = object_sections(surroundings, edge, outward, offset_m)
+    governing = [
+        governing_slope(section, offset, mean)
+        for section, offset, mean in zip(sections, offset_m, mean_slope, strict=True)
     ]
-    return pd.DataFrame(dict(zip(HAZARD_COLUMNS, columns, strict=True)), index=poles.index)
+    slope, sigma_slope = np.array(governing, np.float64).reshape(n, 2).T
+    bends = bends_at(surroundings, located)
+    known = _known_traffic(surroundings, located, settings)
+    zone = _zones(slope, sigma_slope, sections, bends, known, settings.clear_zone_m)
+    sigma_m = np.nan_to_num(poles["sigma_major_m"].to_numpy(np.float64))
+    shield = _shields(surroundings, located, offset_m, zone, known, bends, settings)
+    shielded = np.array([status == "full" for status, _, _ in shield], bool)
+    inside = (offset_m <= zone["clear_zone_m"].to_numpy()) if n else np.zeros(0, bool)
+    density = _density(surroundings.roads, located, inside & ~shielded, settings.window_m)
+    rating = _rating(offset_m, zone, slope, density, sigma_m, settings, shielded)
+    rhr = _hazard_ratings(
+        located, offset_m, sigma_m, slope, sigma_slope, sections, shield, settings.window_m
+    )
+    travel = np.where(located.side >= 0, 1.0, -1.0)
+    if surroundings.left_hand_traffic:
+        travel = -travel
+    weight = leaving(
+        offset_m,
+        bends["radius_m"].to_numpy(),
+        bends["outside"].to_numpy(),
+        bends["grade"].to_numpy() * travel,
+        Encroachments(settings.bend_outside, settings.bend_inside, settings.downhill),
+    )
+    least, most = (exposure(known[f"aadt_{end}"].to_numpy(), weight) for end in ("low", "high"))
+    exposed = np.where(least == most, most, np.nan)
+    hsm = _hsm(located, surroundings.roads, offset_m, ~shielded)
+    table = pd.DataFrame(
+        {
+            "offset_m": offset_m,
+            "side": located.side,
+            "clear_zone_m": zone["clear_zone_m"].to_numpy(),
+            "inside_clear_zone": inside,
+            "slope_rise_over_run": mean_slope,
+            "slope_class": slope_class(slope),
+            "station_m": located.station_m,
+            "objects_per_km": density,
+            "rating": rating,
+            "rank": rank_of(rating, rhr[:, 0], exposed, weight),
+            "route": _routes(surroundings.roads, located),
+            "shielded": np.array([status for status, _, _ in shield], object),
+            "barrier_offset_m": np.array([offset for _, offset, _ in shield], np.float64),
+            "hazard_rating_1_to_7": rhr[:, 0],
+            "hazard_rating_least": rhr[:, 1],
+            "hazard_rating_greatest": rhr[:, 2],
+            "clear_zone_least_m": zone["least_m"].to_numpy(),
+            "clear_zone_greatest_m": zone["greatest_m"].to_numpy(),
+            "curve_factor": zone["factor"].to_numpy(),
+            **_described(sections),
+            "design_speed_least_kmh": known["speed_low_kmh"].to_numpy(),
+            "design_speed_greatest_kmh": known["speed_high_kmh"].to_numpy(),
+            "aadt_least": known["aadt_low"].to_numpy(),
+            "aadt_greatest": known["aadt_high"].to_numpy(),
+            "lanes": known["lanes"].to_numpy(),
+            "offset_travelled_way_m": travelled_offset_m(located.offset_m, known),
+            "radius_m": bends["radius_m"].to_numpy(),
+            "grade_percent": 100 * bends["grade"].to_numpy(),
+            "paved_width_m": bends["paved_width_m"].to_numpy(),
+            "exposure_least_vehicles_per_day": least,
+            "exposure_greatest_vehicles_per_day": most,
+            "hsm_rating_factor": rating_factor(rhr[:, 0]),
+            "hsm_offset_factor": np.where(
+                np.isnan(offset_m), np.nan, offset_factor(np.maximum(offset_m, 0.0))
+            ),
+            **hsm,
+        },
+        index=poles.index,
+    )
+    table["reasons"] = _reasons(table, zone, shield, slope, sigma_slope, sections, settings)
+    columns = [*HAZARD_COLUMNS, *ROADSIDE_COLUMNS]
+    return Rated(table[columns], sections, edge, outward, located)
+
+
+def travelled_offset_m(offset_m: Floats, known: pd.DataFrame) -> Floats:
+    """Distance (n,) from the edge of the travelled way: lanes side by side about the centreline.
+
+    Parameters
+    ----------
+    offset_m : from the centreline. known : lanes, lane_width_m; NaN where unknown, as the result.
+    """
+    wide = known["lanes"].to_numpy(np.float64) * known["lane_width_m"].to_numpy(np.float64)
+    return np.asarray(np.abs(offset_m) - wide / 2, np.float64)
+
+
+def _known_traffic(
+    surroundings: Surroundings, located: Located, settings: HazardSettings
+) -> pd.DataFrame:
+    """Speed and traffic at each object: of the inventory, else the site's one pair."""
+    n = len(located.road)
+    if surroundings.inventory is None:
+        pair = {"speed": settings.design_speed_kmh, "aadt": settings.aadt}
+        return pd.DataFrame(
+            {
+                "segment": np.full(n, -1),
+                "speed_low_kmh": np.full(n, pair["speed"]),
+                "speed_high_kmh": np.full(n, pair["speed"]),
+                "aadt_low": np.full(n, pair["aadt"]),
+                "aadt_high": np.full(n, pair["aadt"]),
+                "lanes": np.full(n, np.nan),
+                "lane_width_m": np.full(n, np.nan),
+            }
+        )
+    known = surroundings.inventory.at(None, np.full(n, np.nan))
+    for number in np.unique(located.road[located.road >= 0]):
+        own = np.flatnonzero(located.road == number)
+        route = surroundings.inventory.route_of(surroundings.roads.roads[number])
+        found = surroundings.inventory.at(route, located.station_m[own])
+        for name in known.columns:
+            values = known[name].to_numpy().copy()
+            values[own] = found[name].to_numpy()
+            known[name] = values
+    return known
+
+
+def _zones(
+    slope: Floats,
+    sigma_slope: Floats,
+    sections: list[CrossSection | None],
+    bends: pd.DataFrame,
+    known: pd.DataFrame,
+    given_m: float = 0.0,
+) -> pd.DataFrame:
+    """Clear zone of each object: of the guide's tables, or everywhere as given (``given_m``).
+
+    Returns
+    -------
+    clear_zone_m (greatest for the measured slope), sure_m (least for it), least_m and greatest_m
+    (within one sigma of the slope too), factor (of the bend), runout_m (added)
+    """
+    names = ["clear_zone_m", "sure_m", "least_m", "greatest_m", "factor", "runout_m"]
+    if given_m > 0:
+        same = [*[np.full(len(slope), given_m)] * 4, np.ones(len(slope)), np.zeros(len(slope))]
+        return pd.DataFrame(dict(zip(names, same, strict=True)))
+    rows = []
+    for number in range(len(slope)):
+        speed = (known["speed_low_kmh"].iloc[number], known["speed_high_kmh"].iloc[number])
+        aadt = (known["aadt_low"].iloc[number], known["aadt_high"].iloc[number])
+        radius, outside = bends["radius_m"].iloc[number], bool(bends["outside"].iloc[number])
+        own = float(np.nan_to_num(slope[number]))
+        spread = float(np.nan_to_num(sigma_slope[number]))
+        sure, zone = clear_zone_range(speed, aadt, (own, own), radius, outside)
+        if np.isnan(slope[number]):
+            sure = zone = float(clear_zone_m(speed[1], aadt[1], [np.nan])[0])
+            sure = float(clear_zone_m(speed[0], aadt[0], [np.nan])[0])
+        more = runout_width_m(sections[number], zone)
+        slopes = (own - spread, own + spread)
+        least, greatest = clear_zone_range(speed, aadt, slopes, radius, outside)
+        factor = float(curve_factor([radius], speed[1], [outside])[0])
+        ends = (zone + more, sure + more, min(least, sure) + more, max(greatest, zone) + more)
+        rows.append((*ends, factor, more))
+    return pd.DataFrame(np.array(rows, np.float64).reshape(-1, 6), columns=names)
+
+
+def _shields(
+    surroundings: Surroundings,
+    located: Located,
+    offset_m: Floats,
+    zone: pd.DataFrame,
+    known: pd.DataFrame,
+    bends: pd.DataFrame,
+    settings: HazardSettings,
+) -> list[tuple[str, float, str]]:
+    """Shielding of each object: status, offset of the barrier, why."""
+    none = ("none", float("nan"), "")
+    found = []
+    for number in range(len(offset_m)):
+        if located.road[number] < 0 or not np.isfinite(offset_m[number]):
+            found.append(none)
+            continue
+        demand = Demand(
+            int(located.road[number]),
+            int(located.side[number]),
+            float(located.station_m[number]),
+            float(offset_m[number]),
+            float(zone["greatest_m"].iloc[number]),
+            float(known["speed_high_kmh"].iloc[number]),
+            float(known["aadt_high"].iloc[number]),
+            float(bends["paved_width_m"].iloc[number]) / 2,
+            runout_length_m=settings.runout_length_m,
+            deflection_m=settings.deflection_m,
+        )
+        found.append(shielding(demand, surroundings.barriers, surroundings.left_hand_traffic))
+    return found
+
+
+def _density(roads: Roads, located: Located, counted: Bools, window_m: float) -> Floats:
+    """Counted objects for each kilometre of road in a window around each; NaN without a road.
+
+    At the ends of a road the window is only as long as the road reaches.
+    """
+    density = np.full(len(counted), np.nan)
+    for number, road in enumerate(roads.roads):
+        rows = np.flatnonzero(located.road == number)
+        held = np.clip(located.station_m, road.start_m, road.end_m)
+        stations = np.sort(held[rows[counted[rows]]])
+        low, high = held[rows] - window_m / 2, held[rows] + window_m / 2
+        count = np.searchsorted(stations, high, "right") - np.searchsorted(stations, low, "left")
+        length_m = np.minimum(high, road.end_m) - np.maximum(low, road.start_m)
+        density[rows] = count / np.maximum(length_m, 1e-3) * 1000
+    return density
+
+
+def _hazard_ratings(
+    located: Located,
+    offset_m: Floats,
+    sigma_m: Floats,
+    slope: Floats,
+    sigma_slope: Floats,
+    sections: list[CrossSection | None],
+    shield: list[tuple[str, float, str]],
+    window_m: float,
+) -> Ints:
+    """Roadside hazard rating (n, 3) at each object: as measured, least, greatest within a sigma."""
+    n = len(offset_m)
+    if n == 0:
+        return np.zeros((0, 3), np.int64)
+    free = np.array([status != "full" for status, _, _ in shield], bool)
+    counted = free & np.isfinite(offset_m)
+    place = (located.road, located.side, located.station_m)
+    trouble = np.array([first_trouble_m(section) for section in sections])
+    rail = np.array([offset for _, offset, _ in shield], np.float64)
+    unknown = np.isnan(offset_m)
+    spread = np.nan_to_num(sigma_slope)
+    found = []
+    for sign in (0.0, 1.0, -1.0):
+        objects = nearest_ahead_m(*place, offset_m + sign * sigma_m, counted, window_m)
+        clear = np.where(unknown, np.nan, np.maximum(np.minimum(objects, trouble), 0.0))
+        found.append(hazard_rating(clear, np.minimum(slope + sign * spread, 0.0), rail))
+    ratings = np.column_stack(found)
+    ratings[unknown] = 0
+    ratings[:, 1] = ratings.min(axis=1)
+    ratings[:, 2] = ratings.max(axis=1)
+    return ratings
+
+
+def _hsm(located: Located, roads: Roads, offset_m: Floats, counted: Bools) -> dict[str, Floats]:
+    """Density and mean offset of fixed objects of both sides around each object."""
+    per_mile, mean = np.full(len(offset_m), np.nan), np.full(len(offset_m), np.nan)
+    for number in range(len(offset_m)):
+        if located.road[number] < 0:
+            continue
+        road = roads.roads[located.road[number]]
+        low = max(located.station_m[number] - _HSM_WINDOW_M / 2, road.start_m)
+        high = min(located.station_m[number] + _HSM_WINDOW_M / 2, road.end_m)
+        near = counted & np.isfinite(offset_m) & (located.road == located.road[number])
+        near &= (located.station_m >= low) & (located.station_m <= high)
+        found = fixed_objects(located.station_m, offset_m, near, max(high - low, 1.0))
+        per_mile[number], mean[number] = found["objects_per_mile"], found["mean_offset_m"]
+    return {"hsm_objects_per_mile": per_mile, "hsm_mean_offset_m": mean}
+
+
+def _routes(roads: Roads, located: Located) -> NDArray[np.object_]:
+    names = [road.name for road in roads.roads]
+    return np.array([names[n] if n >= 0 else "" for n in located.road], object)
+
+
+def _described(sections: list[CrossSection | None]) -> dict[str, NDArray]:
+    """Columns that tell each object's cross-section; NaN without one, 0 for what is not there."""
+    nan = float("nan")
+    rows = []
+    for section in sections:
+        if section is None:
+            rows.append((nan, nan, "", nan, nan, nan, nan, nan, nan, nan, nan))
+            continue
+        fore, sigma = section.foreslope()
+        heights = section.pieces.height_m(section.pieces.ends_m)
+        steps = section.steps()
+        back = section.backslope()[0]
+        has_ditch = any(e.kind == "backslope" for e in section.elements)
+        rows.append(
+            (
+                fore,
+                sigma,
+                slope_text(fore),
+                section.fall[0],
+                section.fall[1],
+                section.width_m("shoulder"),
+                float(heights[0] - heights.min()) if has_ditch else 0.0,
+                section.width_m("ditch bottom"),
+                back,
+                max((e.rise_m for e in steps if e.kind in ("kerb", "wall")), default=0.0),
+                max((-e.rise_m for e in steps if e.kind == "drop-off"), default=0.0),
+            )
+        )
+    names = [
+        "foreslope_rise_over_run",
+        "sigma_foreslope",
+        "foreslope_ratio",
+        "steepest_fall_1_5m_rise_over_run",
+        "sigma_steepest_fall",
+        "shoulder_width_m",
+        "ditch_depth_m",
+        "ditch_bottom_width_m",
+        "backslope_rise_over_run",
+        "kerb_m",
+        "drop_off_m",
+    ]
+    columns = list(zip(*rows, strict=True)) if rows else [()] * len(names)
+    return {
+        name: np.array(column, object if name == "foreslope_ratio" else np.float64)
+        for name, column in zip(names, columns, strict=True)
+    }
 
 
 def edge_offsets(
@@ -173,20 +584,94 @@ def objects_per_km(
 
 def _rating(
     offset_m: Floats,
-    needed_m: Floats,
+    zone: pd.DataFrame,
     slope: Floats,
     density: Floats,
-    sigma_m: pd.Series,
+    sigma_m: Floats,
     settings: HazardSettings,
+    shielded: Bools,
 ) -> NDArray[np.object_]:
-    inside = offset_m <= needed_m
+    greatest, sure = zone["clear_zone_m"].to_numpy(), zone["sure_m"].to_numpy()
+    inside, surely = offset_m <= greatest, offset_m <= sure
     kind = slope_class(slope)
     no_return = np.isin(kind, ["non-recoverable", "critical"])
     crowded = np.nan_to_num(density) > settings.dense_per_km
-    near = offset_m - np.nan_to_num(sigma_m.to_numpy(np.float64)) <= needed_m
+    near = offset_m - sigma_m <= greatest
     conditions = [
         np.isnan(offset_m),
-        inside & ((offset_m <= needed_m / 2) | no_return | crowded),
+        shielded,
+        surely & ((offset_m <= sure / 2) | no_return | crowded),
         inside | near | (kind == "critical"),
     ]
-    return np.select(conditions, ["unknown", "high", "medium"], "low").astype(object)
+    return np.select(conditions, ["unknown", "low", "high", "medium"], "low").astype(object)
+
+
+def _reasons(
+    table: pd.DataFrame,
+    zone: pd.DataFrame,
+    shield: list[tuple[str, float, str]],
+    slope: Floats,
+    sigma_slope: Floats,
+    sections: list[CrossSection | None],
+    settings: HazardSettings,
+) -> list[str]:
+    """Why each object is rated as it is, in words; marks in brackets name the source of a rule."""
+    return [
+        _reason(row, zone.iloc[n], shield[n], slope[n], sigma_slope[n], sections[n], settings)
+        for n, (_, row) in enumerate(table.iterrows())
+    ]
+
+
+def _reason(
+    row: pd.Series,
+    zone: pd.Series,
+    shield: tuple[str, float, str],
+    slope: float,
+    sigma: float,
+    section: CrossSection | None,
+    settings: HazardSettings,
+) -> str:
+    if np.isnan(row["offset_m"]):
+        return "no road edge is near"
+    said = []
+    if shield[0] != "none":
+        said.append(f"{shield[2]} [RDG 5]")
+    said.append(_zone_words(row, zone, "site" if settings.clear_zone_m > 0 else "RDG 3.1"))
+    kind = row["slope_class"]
+    if kind in ("critical", "non-recoverable"):
+        spread = f" (± {sigma:.2f})" if np.isfinite(sigma) else ""
+        said.append(
+            f"foreslope of {slope_text(slope)}{spread} before it, {kind}:"
+            f" steeper than {'1V:3H' if -slope > TRAVERSABLE_SLOPE else '1V:4H'} [RDG 3.3]"
+        )
+    elif section is None:
+        said.append("the ground before it is unknown")
+    if zone["runout_m"] > 0:
+        said.append(f"{zone['runout_m']:.1f} m of non-recoverable slope are added [RDG 3.3]")
+    if zone["factor"] > 1:
+        said.append(
+            f"outside of a bend of {row['radius_m']:.0f} m: clear zone times"
+            f" {zone['factor']:.1f} [RDG 3.2]"
+        )
+    if row["inside_clear_zone"] and row["objects_per_km"] > settings.dense_per_km:
+        said.append(
+            f"{row['objects_per_km']:.0f} fixed objects a kilometre here, more than"
+            f" {settings.dense_per_km:.0f} [site]"
+        )
+    if row["drop_off_m"] > 0:
+        said.append(f"drop-off of {row['drop_off_m']:.2f} m [FHWA SE]")
+    if row["hazard_rating_1_to_7"] >= 5:
+        said.append(f"roadside hazard rating {row['hazard_rating_1_to_7']} of 7 [FHWA RHR]")
+    return "; ".join(said)
+
+
+def _zone_words(row: pd.Series, zone: pd.Series, source: str) -> str:
+    low, high = zone["least_m"], zone["greatest_m"]
+    width = f"{high:.1f} m" if high - low < 0.05 else f"{low:.1f} to {high:.1f} m"
+    place = "on the road" if row["offset_m"] < 0 else f"{row['offset_m']:.1f} m from the edge"
+    if low < row["offset_m"] <= high:
+        verdict = f"perhaps inside the clear zone of {width}"
+    else:
+        inside = row["offset_m"] <= low
+        verdict = f"{'inside' if inside else 'outside'} the clear zone of {width}"
+    return f"{place}, {verdict} [{source}]"

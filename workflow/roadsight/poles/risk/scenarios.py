@@ -43,12 +43,17 @@ class RouteTracks:
     Parameters
     ----------
     frames : image rows with route, sequence, x, y (local metres), in any order.
+
+    Attributes
+    ----------
+    names : of the routes, by number.
     """
 
     def __init__(self, frames: pd.DataFrame) -> None:
         frames = frames.sort_values(["route", "sequence"], kind="stable")
         xy = frames[["x", "y"]].to_numpy(np.float64)
-        route = pd.factorize(frames["route"])[0]
+        route, names = pd.factorize(frames["route"])
+        self.names = [str(name) for name in names]
         known = np.isfinite(xy).all(axis=1)
         xy, route = xy[known], route[known]
         first = np.r_[True, np.diff(route) != 0][: len(xy)]

@@ -106,8 +106,9 @@ def _discs(xy: Floats, layer: Ints) -> _Discs:
         image = count.astype(np.float32)
         inner = _summed(image, core)
         peak = (inner >= _FEWEST_IN_SLICE) & (inner >= cv2.dilate(inner, wide))
-        peak &= _dense_around(image, inner) <= _MOST_DENSE
         row, column = np.nonzero(peak)
+        lone = _dense_around(image, inner, row, column) <= _MOST_DENSE
+        row, column = row[lone], column[lone]
         layers.append(np.full(len(row), number))
         offset = [_summed(image, core * reach)[row, column] for reach in _reaches(_CORE_CELLS)]
         middle = np.column_stack(offset) / inner[row, column, None]
@@ -116,20 +117,22 @@ def _discs(xy: Floats, layer: Ints) -> _Discs:
     return _Discs(np.concatenate(layers), np.concatenate(places), np.concatenate(counts))
 
 
-def _dense_around(image: Floats32, inner: Floats32) -> Ints:
-    """In how many of eight directions a neighbouring disc has a quarter of the own returns.
+def _dense_around(image: Floats32, inner: Floats32, row: Ints, column: Ints) -> Ints:
+    """In how many of eight directions (n,) a disc beside a cell has a quarter of its own returns.
 
     One that has nearly as many is a wall's: it counts as too many.
     """
-    dense = np.zeros(image.shape, np.int64)
+    dense = np.zeros(len(row), np.int64)
     most = _MOST_DENSE + 1
     reach = _CORE_CELLS + _WIDE_CELLS
+    padded = np.pad(image, reach)
+    own = inner[row, column]
     x, y = _reaches(reach)
     for turn in np.arange(_DIRECTIONS) * 2 * np.pi / _DIRECTIONS:
         away = np.hypot(x - _WIDE_CELLS * np.cos(turn), y - _WIDE_CELLS * np.sin(turn))
-        disc = (away <= _CORE_CELLS + 0.5).astype(np.float32)
-        beside = _summed(image, disc)
-        dense += np.where(beside > _WALL * inner, most, beside > _DENSE * inner)
+        down, right = np.nonzero(away <= _CORE_CELLS + 0.5)
+        beside = padded[row[:, None] + down, column[:, None] + right].sum(axis=1)
+        dense += np.where(beside > _WALL * own, most, beside > _DENSE * own)
     return dense
 
 

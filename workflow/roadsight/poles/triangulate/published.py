@@ -223,5 +223,6 @@ def swept_poles(
     links = find_links(rays, settings)
     different = rays.image[links.pairs[:, 0]] != rays.image[links.pairs[:, 1]]
     links = Links(links.pairs[different], links.along[different], links.place_m[different])
-    on = sweep_links(links, rays.depth_m, energy or Energy())
+    own = energy or Energy(settings.depth_weight, settings.spread_weight)
+    on = sweep_links(links, rays.depth_m, own)
     return cluster_rays(links, on, len(rays), settings.cluster_m)

@@ -39,6 +39,8 @@ class TriangulationSettings:
         share; rays correct it as far as they tell.
     max_sigma_m : a pole whose error ellipse is longer is withheld.
     sequence_m : images of one pole lie within this distance along a route (100 ft).
+    depth_weight, spread_weight : of ``sweep``: weights of its energy (0.2 in the first code, 0.02
+        with a videolog).
     beam : of ``listing``: groups that are followed up for each sighting.
     """
 
@@ -55,6 +57,8 @@ class TriangulationSettings:
     shared_variance: float = 0.04
     max_sigma_m: float = 5.0
     sequence_m: float = 30.48
+    depth_weight: float = 0.2
+    spread_weight: float = 0.2
     beam: int = 48
 
 

@@ -12,9 +12,9 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.places import longitudes_latitudes
 from roadsight.report.handover.layers import Layer
 from roadsight.report.handover.styles import Style
-from roadsight.report.site.sights import longitudes_latitudes
 
 _SPACE = "http://www.opengis.net/kml/2.2"
 _DOT = "http://maps.google.com/mapfiles/kml/shapes/placemark_circle.png"

@@ -13,9 +13,9 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.io.raster.rasters import Raster
 from roadsight.report.handover.styles import Category, Style
-from roadsight.report.site.sights import bearing_deg, longitudes_latitudes
 
 _SEEN = (
     Category("0", "seen by none", "#dc2626"),
@@ -28,6 +28,13 @@ _RATED = (
     Category("medium", "medium", "#f59e0b"),
     Category("low", "low", "#16a34a"),
     Category("unknown", "unknown", "#64748b"),
+)
+_BESIDE = (
+    Category("shoulder", "shoulder", "#94a3b8"),
+    Category("foreslope", "foreslope", "#dc2626"),
+    Category("ditch bottom", "ditch bottom", "#2563eb"),
+    Category("backslope", "backslope", "#f59e0b"),
+    Category("level", "level", "#16a34a"),
 )
 _KEPT = (Category("1", "kept", "#b45309"), Category("0", "withheld", "#cbd5e1"))
 _EDGE = Style("line", "#0f172a", size_mm=0.4)
@@ -234,6 +241,16 @@ _POLE_LAYERS = {
         "Poles by the hazard that they are to traffic.",
         Style("marker", _RATED[1].colour, size_mm=2.6, by="rating", categories=_RATED),
         "Point Z",
+    ),
+    "cross_sections": (
+        "What lies beside the road, square to it: slopes with their uncertainty.",
+        Style("line", _BESIDE[0].colour, size_mm=0.6, by="kind", categories=_BESIDE),
+        "LineString Z",
+    ),
+    "road_geometry": (
+        "Centreline by station: radius, grade, cross-slope, width with their uncertainty.",
+        Style("line", "#7c3aed", size_mm=0.3),
+        "LineString Z",
     ),
 }
 

@@ -27,6 +27,8 @@ from roadsight.report.poles.poles_view import poles_view
 from roadsight.report.site.effects import effect_rows
 from roadsight.report.site.plan_view import best_plan, plan_views
 
+_TOO_LONG = ("reasons", "route", "shielded")
+"""Columns of the hazard table that paper has no room for; the page and hazard.csv have them."""
 _WIDTH_MM = 164.0
 """Width of a map: an A4 page less its margins and the coordinates beside the map."""
 _THUMBNAIL_MM = 95.0
@@ -198,6 +200,7 @@ def _add_poles(
         content["map"] = content["map"] or "map-poles.svg"
         content["map_of"] = content["map_of"] or "Located poles"
     hazard = view["hazard"]
+    printed = [n for n, key in enumerate((hazard or {}).get("keys", [])) if key not in _TOO_LONG]
     checked = view["checked"]
     content["poles"] = {
         "map": "" if drawn is None else "map-poles.svg",
@@ -218,8 +221,8 @@ def _add_poles(
         "hazard": None
         if hazard is None
         else {
-            "titles": hazard["titles"],
-            "rows": [[str(cell["text"]) for cell in row["cells"]] for row in hazard["rows"]],
+            "titles": [hazard["titles"][n] for n in printed],
+            "rows": [[str(row["cells"][n]["text"]) for n in printed] for row in hazard["rows"]],
             "ratings": hazard["ratings"],
         },
     }

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Floats, Ints
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.places import longitudes_latitudes
 from roadsight.report.packing import pack, pack_points
-from roadsight.report.site.sights import longitudes_latitudes
 from roadsight.report.site.thinning import thin
 
 ACCEPTED, REJECTED, UNUSED = 0, 1, 2

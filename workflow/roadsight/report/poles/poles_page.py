@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bytes, Ints
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.top_rasters import TopRaster
+from roadsight.report.poles.hazard_charts import hazard_profiles
 from roadsight.report.poles.poles_cautions import pole_cautions
 from roadsight.report.poles.poles_depth import depth_checks
 from roadsight.report.poles.poles_images import choose_images, overlay, picture
@@ -49,7 +50,8 @@ class PolesResult:
     image_edges : u, v of the segmented edges of an image.
     read_image : image of a path, None where the images are not at hand.
     depth_fit : of one image, or None. validation : content of validation.json, or None.
-    files : names of the files that hold the poles.
+    files : names of the files that hold the poles. sections : cross-sections at poles and along
+        roads. profiles : their measured heights, by pole.
     """
 
     top: TopRaster
@@ -64,6 +66,8 @@ class PolesResult:
     depth_fit: dict[str, Any] | None
     validation: dict[str, Any] | None
     files: Sequence[str] = ()
+    sections: pd.DataFrame = field(default_factory=pd.DataFrame)
+    profiles: dict[str, Any] = field(default_factory=dict)
 
 
 def build_poles_page(
@@ -104,6 +108,7 @@ def build_poles_page(
         "depth_fit": result.depth_fit,
         "depth_checks": depth_checks(result.sightings, owner, result.poles),
         "hazard": _table(result.hazard),
+        "hazard_profiles": hazard_profiles(result.hazard, result.sections, result.profiles),
         "validation": plain(result.validation),
         "files": list(result.files),
         "cautions": [

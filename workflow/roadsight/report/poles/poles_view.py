@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from roadsight.poles.risk.hazard import ROADSIDE_COLUMNS
 from roadsight.report import wording
 from roadsight.report.poles import published
+from roadsight.report.poles.hazard_charts import profile_chart
 from roadsight.report.poles.poles_charts import (
     SOURCES,
     depth_check_chart,
@@ -28,7 +30,7 @@ _NAMES = {
 _COORDINATES = {
     ".gpkg": "coordinate system of the LiDAR",
     ".geojson": "WGS 84",
-    ".csv": "WGS 84 and local metres",
+    ".csv": "WGS 84 and coordinate system of the LiDAR",
     ".parquet": "local metres, with the poles that were withheld",
 }
 _HAZARD_FIRST = ("id", "pole", "kind")
@@ -40,7 +42,11 @@ _HAZARD_TITLES = {
     "slope_class": "Slope",
     "objects_per_km": "Fixed objects per km",
 }
-_HAZARD_HIDDEN = {"x", "y", "z", "latitude", "longitude", "station_m"}
+_HAZARD_TOLD = {"rank", "route", "shielded", "hazard_rating_1_to_7", "foreslope_ratio", "reasons"}
+"""Of the roadside columns, what the report's table shows; hazard.csv has all of them."""
+_HAZARD_HIDDEN = {"x", "y", "z", "latitude", "longitude", "station_m"} | (
+    set(ROADSIDE_COLUMNS) - _HAZARD_TOLD
+)
 _RATINGS = ("high", "medium", "low", "unknown")
 
 
@@ -77,6 +83,7 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
             if source in page["depth_checks"]
         ],
         "hazard": _hazard(page["hazard"], page["layers"]["poles"]),
+        "profiles": _profiles(page.get("hazard_profiles", []), page["layers"]["poles"]),
         "checked": None if validation is None else _checked(validation),
         "ablation": _ablation((validation or {}).get("ablation", [])),
         "files": _files(page["files"]),
@@ -231,15 +238,41 @@ def _hazard(table: dict[str, Any], poles: list[dict[str, Any]]) -> dict[str, Any
     records = [dict(zip(table["columns"], row, strict=True)) for row in table["rows"]]
     return {
         "ratings": _ratings(records),
+        "keys": keys,
         "titles": [_HAZARD_TITLES.get(key) or wording.label(key) for key in keys],
         "rows": [
             {
                 "pole": numbers.get(str(record.get("id", record.get("pole")))),
-                "cells": [_cell(key, record[key]) for key in keys],
+                "cells": [_cell(key, record[key]) | {"long": key == "reasons"} for key in keys],
             }
             for record in records
         ],
     }
+
+
+def _profiles(
+    profiles: Sequence[dict[str, Any]], poles: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Drawings of cross-sections with what they are of and why they are rated so."""
+    numbers = {pole["id"]: number for number, pole in enumerate(poles)}
+    return [
+        {
+            "svg": profile_chart(profile),
+            "id": profile["id"],
+            "pole": numbers.get(profile["id"]),
+            "rank": profile["rank"],
+            "place": _place(profile),
+            "reasons": profile["reasons"],
+        }
+        for profile in profiles
+    ]
+
+
+def _place(profile: dict[str, Any]) -> str:
+    """Route, station and side in words."""
+    side = {-1: "left", 1: "right"}.get(profile["side"], "side unknown")
+    station = wording.metres(profile["station_m"], 1)
+    return f"route {profile['route']}, {station}, {side}" if profile["route"] else side
 
 
 def _cell(key: str, value: Any) -> dict[str, Any]:
@@ -254,7 +287,8 @@ def _cell(key: str, value: Any) -> dict[str, Any]:
         }
     numeric = isinstance(value, int | float) and not isinstance(value, bool)
     text = wording.quantity("" if key == "objects_per_km" else key, _rounded(value))
-    return {"text": text, "sort": "" if value is None else value, "number": numeric}
+    sort = "" if value is None else value
+    return {"text": text, "sort": sort, "number": numeric}
 
 
 def _rounded(value: Any) -> Any:

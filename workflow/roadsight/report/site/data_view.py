@@ -19,6 +19,7 @@ def data_view(plan: dict[str, Any]) -> dict[str, Any] | None:
     rows = [
         *likely,
         ("Targets seen by two sensors or more", percent(found["share_seen_by_two"])),
+        *_again(plan),
         ("Sensors that see a target, mean", number(found["mean_sensors"], 2)),
         ("Road that neighbours both see, mean", _metres(found["mean_overlap_m"])),
         ("Points measured", _millions(found["points_per_s"], "points")),
@@ -55,6 +56,27 @@ def margins_view(plan: dict[str, Any]) -> dict[str, str] | None:
         name: f"{number(part['lost'])} ({percent(part['share'])})" if part["lost"] else "none"
         for name, part in found.items()
     }
+
+
+def _again(plan: dict[str, Any]) -> list[tuple[str, str]]:
+    """How the plan was chosen among those that cost as little."""
+    found = plan.get("second")
+    if found is None:
+        return []
+    share, before = percent(found["once_more"]), percent(found["once_more_before"])
+    if found["status"] == "optimal":
+        told = f"{share}: none of the plans that cost as little sees more; that is proven"
+    else:
+        bound = percent(found["once_more_bound"])
+        told = f"{share}, the most that was found among plans that cost as little; at most {bound}"
+    rows = [
+        ("Targets seen once more than asked", told),
+        ("in the first plan of that cost", before),
+        ("Targets seen twice more than asked", percent(found["twice_more"])),
+    ]
+    if "shared_road_m" in found:
+        rows.append(("Road with targets seen once more", metres(found["shared_road_m"])))
+    return rows
 
 
 def _probable(found: dict[str, Any] | None) -> list[tuple[str, str]]:

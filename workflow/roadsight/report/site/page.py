@@ -12,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.report.packing import pack, pack_points
 from roadsight.report.site.backdrops import Backdrop
 from roadsight.report.site.cautions import (
@@ -33,7 +34,7 @@ from roadsight.report.site.layers import (
     target_layer,
 )
 from roadsight.report.site.options_view import goal_proven
-from roadsight.report.site.sights import Sights, bearing_deg, longitudes_latitudes, sights_of
+from roadsight.report.site.sights import Sights, sights_of
 from roadsight.report.site.tolerance_view import lost_classes
 
 FORMAT = "roadsight.page/1"
@@ -203,6 +204,7 @@ def _plan(
         "histogram": sights.histogram.tolist(),
         **({} if plan.in_sight is None else _in_sight(plan.in_sight)),
         "objects": objects_in_the_way(result.get("objects", []), result.get("removals", [])),
+        **({"second": solution["second"]} if "second" in solution else {}),
         **({"tolerance": result["tolerance"]} if "tolerance" in result else {}),
         **({} if plan.lost_share is None else lost_classes(plan.lost_share)),
         **({"availability": solution["availability"]} if "availability" in solution else {}),

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
-from roadsight.report.site.sights import longitudes_latitudes
+from roadsight.geometry.places import longitudes_latitudes
 
 _SIDE = 5
 """Places a side at which the projection is asked; six coefficients need no more."""

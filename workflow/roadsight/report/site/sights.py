@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
-from pyproj import CRS, Transformer
 from scipy import sparse
 
-from roadsight.base.arrays import Floats, Ints
-from roadsight.geometry.crs import horizontal
-from roadsight.geometry.frames import Frame
+from roadsight.base.arrays import Ints
 from roadsight.placement.sight.coverage import detection_matrix
 
 
@@ -77,23 +72,3 @@ def sights_of(
     apart = positions[rows] - targets[["x", "y", "z"]].to_numpy(np.float64)[columns]
     distance = np.linalg.norm(apart, axis=1)
     return Sights(matrix, sparse.csr_matrix((distance, (rows, columns)), shape=matrix.shape))
-
-
-def longitudes_latitudes(frame: Frame, xy_m: NDArray) -> Floats | None:
-    """WGS 84 degrees (n, 2) of local positions (n, 2); None for a site without CRS."""
-    if frame.crs_wkt is None:
-        return None
-    x, y = frame.to_native(xy_m).T
-    return np.column_stack(_to_wgs84(frame.crs_wkt).transform(x, y))
-
-
-@lru_cache(maxsize=4)
-def _to_wgs84(crs_wkt: str) -> Transformer:
-    """Transformer from the horizontal part of a CRS; made once, for it takes milliseconds."""
-    crs = horizontal(CRS.from_wkt(crs_wkt))
-    return Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
-
-
-def bearing_deg(yaw_deg: float) -> float:
-    """Bearing clockwise from grid north of an angle counter-clockwise from east, [0, 360)."""
-    return (90.0 - yaw_deg) % 360.0

@@ -9,15 +9,18 @@ widest smooth ground.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.scene.grids import Grid, fill_gaps
+from roadsight.scene.pavement.choice import FINEST_M, SURE_SCANS
 from roadsight.scene.pavement.ground_raster import (
     CellMeans,
     LocalPlanes,
@@ -56,7 +59,7 @@ class RoadSettings:
         by 0.4 to 0.7 cm in levelled scans; unlevelled ones may add 5 cm.
     """
 
-    cell_m: float = 0.2
+    cell_m: float = FINEST_M
     step_m: float = 0.02
     rise: float = 0.1
     window_m: float = 1.2
@@ -77,6 +80,25 @@ class RoadSettings:
 
 
 @dataclass(frozen=True)
+class KnownRoad:
+    """What is known of the road before it is looked for; places in local metres.
+
+    Parameters
+    ----------
+    track_xy : (k, 2) where a vehicle drove, in order. seeds_xy : (k, 2) places on the road.
+    edges : lines that the road ends at. road : (n,) points that are said to be road.
+    water_xy : (k, 2) points of water. core : area that is road by another method.
+    """
+
+    track_xy: Floats | None = None
+    seeds_xy: Floats | None = None
+    edges: Sequence[shapely.Geometry] = ()
+    road: Bools | None = None
+    water_xy: Floats | None = None
+    core: shapely.Geometry | None = None
+
+
+@dataclass(frozen=True)
 class RoadSurface:
     """The road as cells of a grid.
 
@@ -86,8 +108,9 @@ class RoadSurface:
     bridged : cells without points that the surface was carried over.
     height_m : height of the surface. levelled_m : (n,) heights of the input's points with the
         scans' offsets removed. layer_m : spread of the points about the surface within a cell.
-    level_m : largest height error of a scan that was removed. seeded_by : "track", "scans" or
-        "ground". open_share : share of the outline that no step, grass or tone was seen at.
+    level_m : largest height error of a scan that was removed. seeded_by : what was known, of
+        "seeds", "classes", "track", "core"; else "scans" or "ground". open_share : share of the
+        outline that no step was seen at.
     unsure_share : area that a third more or less tolerance adds or takes, over the road's area.
     parts : connected surfaces. cell_points : median number of points in a road cell.
     """
@@ -138,7 +161,7 @@ def find_road(
     xyz_m: Floats,
     intensity: Floats | None = None,
     scan: Ints | None = None,
-    track_xy: Floats | None = None,
+    known: KnownRoad | None = None,
     settings: RoadSettings | None = None,
 ) -> RoadSurface:
     """Road surface among points near the ground.
@@ -147,13 +170,14 @@ def find_road(
     ----------
     xyz_m : (n, 3) points up to some decimetres from the ground, local metres.
     intensity : (n,) or None. scan : (n,) number of the scan or strip, or None.
-    track_xy : (k, 2) positions where a vehicle drove, in order, or None.
+    known : what is known of the road.
 
     Raises
     ------
-    InputError : too few points, or no smooth ground that is wide enough for a road.
+    InputError : too few points, a seed without ground, or no smooth ground that is wide enough for
+        a road.
     """
-    settings = settings or RoadSettings()
+    settings, known = settings or RoadSettings(), known or KnownRoad()
     if len(xyz_m) < 100:
         raise InputError(
             "too little ground for a road", found=f"{len(xyz_m)} points", allowed="at least 100"
@@ -163,7 +187,8 @@ def find_road(
     points = np.column_stack([xyz_m[:, :2], levelled])
     tones = np.zeros(len(points)) if intensity is None else intensity.astype(np.float64)
     ground = _describe(points, tones, cell_for(xyz_m, settings), settings)
-    seeds, seeded_by = _seeds(ground, xyz_m, scan, track_xy, settings)
+    ground = _bounded(ground, known)
+    seeds, seeded_by = _seeds(ground, xyz_m, scan, known, settings)
     grown = _grow_all(ground, seeds, seeded_by, settings)
     if not grown.any():
         raise InputError("no road found: no smooth ground wide enough", hint="give a track")
@@ -210,7 +235,7 @@ def road_points(surface: RoadSurface, xyz_m: Floats, settings: RoadSettings) -> 
     return surface.road.ravel()[cell] & (off < allowed)
 
 
-_SCALES_CELLS = (1.5, 2.5, 4.0, 6.5, 10.0)
+SCALES_CELLS = (1.5, 2.5, 4.0, 6.5, 10.0)
 """Each 1.6 times the last; 0.3 to 2 m at the finest cell."""
 _NEAR_M = 0.6
 """A cell this near to a point is measured if its plane is known."""
@@ -221,10 +246,10 @@ _STEP_WINDOW_M = 3.0
 def _describe(points: Floats, tones: Floats, cell_m: float, settings: RoadSettings) -> _Ground:
     cells = cell_means(points, tones, cell_m)
     # Half a centimetre: a quarter of the step that counts, so that chance steps are four spreads.
-    planes = local_planes(cells, _SCALES_CELLS, error_m=settings.step_m / 4)
+    planes = local_planes(cells, SCALES_CELLS, error_m=settings.step_m / 4)
     occupied = cells.count > 0
     near = ndimage.distance_transform_edt(~occupied) * cell_m <= max(_NEAR_M, 1.5 * cell_m)
-    step = _step_m(planes, cell_m)
+    step = step_heights_m(planes, cell_m)
     measured = planes.known & near
     # A cell without ground that is fit for a road is an obstacle, not a gap to be bridged.
     away = ndimage.distance_transform_edt(~measured) * cell_m
@@ -266,7 +291,7 @@ def _roughness(planes: LocalPlanes, cells: CellMeans) -> Floats:
     return np.where(planes.known, 0.5 * np.log(np.maximum(square, 0.0) + 1e-8), np.nan)
 
 
-def _step_m(planes: LocalPlanes, cell_m: float) -> Floats:
+def step_heights_m(planes: LocalPlanes, cell_m: float) -> Floats:
     """Height of the step in each window: slope beyond the street's, over the blurred step's width.
 
     A step of height h seen through a Gaussian of width s has slope h / (s sqrt(2 pi)).
@@ -375,30 +400,104 @@ _AHEAD_M = 5.0
 """The road goes on beyond the first and last position by more than a blind disc."""
 
 
-def _seeds(
-    ground: _Ground,
-    xyz_m: Floats,
-    scan: Ints,
-    track_xy: Floats | None,
-    settings: RoadSettings,
-) -> tuple[Bools, str]:
-    by = "track"
-    if track_xy is None or len(track_xy) == 0:
-        by = "scans"
-        track_xy, sure = scanner_positions(xyz_m, scan)
-        if not len(track_xy) or len(np.unique(scan)) < 2 or sure.mean() < 0.5:
-            return np.zeros_like(ground.measured), "ground"
-        track_xy = track_xy[sure]
-    line = driven_line(track_xy[:, :2])
+_SEED_M = 1.0
+"""Ground this near to a seed is where the road is looked for first."""
+_WATER_M = 2.0
+"""Water reflects few pulses: gaps this near to its points are water."""
+_SEED_OFF_M = 3.0
+"""A seed farther from any ground lies off the cloud or in an obstacle."""
+
+
+def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
+    """Ground without the cells at known edges and of water, which is no gap to be bridged."""
+    shut = np.zeros_like(ground.measured)
     grid = ground.cells.grid
+    if known.water_xy is not None and len(known.water_xy):
+        shut.ravel()[grid.flat(*known.water_xy.T)] = True
+        away = ndimage.distance_transform_edt(~shut) * grid.cell_size_m
+        shut |= ground.blank & (away <= _WATER_M)
+    for line in known.edges:
+        length = float(shapely.length(line))
+        steps = np.arange(0.0, length + grid.cell_size_m, grid.cell_size_m / 2)
+        xy = shapely.get_coordinates(shapely.line_interpolate_point(line, steps))
+        column, row = (xy / grid.cell_size_m - (grid.west, grid.south)).T.astype(int)
+        within = (column >= 0) & (row >= 0) & (column < grid.columns) & (row < grid.rows)
+        shut[row[within], column[within]] = True
+    if not shut.any():
+        return ground
+    return replace(ground, measured=ground.measured & ~shut, blank=ground.blank & ~shut)
+
+
+def _seeds(
+    ground: _Ground, xyz_m: Floats, scan: Ints, known: KnownRoad, settings: RoadSettings
+) -> tuple[Bools, str]:
+    """Cells from which the road grows, and what they are known by."""
     flat = ground.measured & (ground.cells.count > 0) & (ground.step_m < settings.step_m)
+    found: dict[str, Bools] = {}
+    if known.seeds_xy is not None and len(known.seeds_xy):
+        found["seeds"] = _at_seeds(ground, known.seeds_xy)
+    if known.road is not None and known.road.any():
+        found["classes"] = _said_road(ground, xyz_m, known.road) & flat
+    if known.track_xy is not None and len(known.track_xy):
+        found["track"] = _along_track(ground, flat, known.track_xy)
+    if known.core is not None:
+        row, column = np.nonzero(flat)
+        within = shapely.contains_xy(known.core, *ground.cells.grid.centres(column, row))
+        found["core"] = np.zeros_like(flat)
+        found["core"][row[within], column[within]] = True
+    found = {name: seed for name, seed in found.items() if seed.any()}
+    if found:
+        return np.logical_or.reduce(list(found.values())), ", ".join(found)
+    places, sure = scanner_positions(xyz_m, scan)
+    if len(np.unique(scan)) > 1 and sure.mean() >= SURE_SCANS:
+        seed = _along_track(ground, flat, places[sure])
+        if seed.any():
+            return seed, "scans"
+    return np.zeros_like(flat), "ground"
+
+
+def _at_seeds(ground: _Ground, seeds_xy: Floats) -> Bools:
+    """Measured ground around places (k, 2).
+
+    Raises
+    ------
+    InputError : one of them has none.
+    """
+    row, column = np.nonzero(ground.measured)
+    tree = cKDTree(np.column_stack(ground.cells.grid.centres(column, row)))
+    off_m, _ = tree.query(seeds_xy)
+    if (off_m > _SEED_OFF_M).any():
+        worst = int(np.argmax(off_m))
+        raise InputError(
+            f"seed {worst + 1} of {len(seeds_xy)} lies where no ground was measured",
+            found=f"{off_m[worst]:.1f} m from the nearest",
+            allowed=f"up to {_SEED_OFF_M:g} m",
+            hint="give x, y on the road in the cloud's own coordinates",
+        )
+    seed = np.zeros_like(ground.measured)
+    for place, off in zip(seeds_xy, off_m, strict=True):
+        near = tree.query_ball_point(place, max(_SEED_M, off + 1e-6))
+        seed[row[near], column[near]] = True
+    return seed
+
+
+def _said_road(ground: _Ground, xyz_m: Floats, road: Bools) -> Bools:
+    """Cells (rows, columns) most of whose points are said to be road."""
+    grid = ground.cells.grid
+    cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
+    said = np.bincount(cell, road, minlength=grid.rows * grid.columns).reshape(grid.shape)
+    return opened(ndimage.binary_closing(said > ground.cells.count / 2), 2.0) & ground.measured
+
+
+def _along_track(ground: _Ground, flat: Bools, track_xy: Floats) -> Bools:
+    """Flat ground of the lane that a vehicle drove in."""
+    line = driven_line(track_xy[:, :2])
     row, column = np.nonzero(flat)
-    x, y = grid.centres(column, row)
+    x, y = ground.cells.grid.centres(column, row)
     near = shapely.dwithin(line, shapely.points(x, y), _HALF_LANE_M)
     seed = np.zeros_like(flat)
     seed[row[near], column[near]] = True
-    seed = opened(ndimage.binary_closing(seed), 2.0) & ground.measured
-    return (seed, by) if seed.any() else (seed, "ground")
+    return opened(ndimage.binary_closing(seed), 2.0) & ground.measured
 
 
 def driven_line(xy_m: Floats) -> shapely.Geometry:
@@ -431,8 +530,16 @@ def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[
     height, _, _, _, total, _ = window_planes(weight, cells.height_m, cells.across, cells.up, sigma)
     away = ndimage.distance_transform_edt(~road) * cell_m
     near = (away <= max(settings.edge_reach_m, 1.5 * cell_m)) & (total > 0.05)
-    near &= ground.measured & (np.abs(ground.planes.height_m - height) < settings.edge_step_m)
+    # Beside a wall the window's plane is lifted by it, but not the cell's own mean.
+    own = (cells.count >= _OWN_POINTS) & (np.abs(cells.height_m - height) < settings.edge_step_m)
+    near &= (
+        ground.measured & (np.abs(ground.planes.height_m - height) < settings.edge_step_m)
+    ) | own
     return opened(road | near, 2.0) | road, height
+
+
+_OWN_POINTS = 4
+"""Points whose mean, at 1 cm of noise, is off by a fifth of the step that an edge may have."""
 
 
 def _enclosed(area: Bools, road: Bools) -> Bools:

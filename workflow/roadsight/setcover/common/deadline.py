@@ -12,11 +12,16 @@ class Deadline:
     """End of the time allowed, from now on, by the clock."""
 
     def __init__(self, seconds: float | None) -> None:
-        self._end = None if seconds is None else time.perf_counter() + seconds
+        self._start = time.perf_counter()
+        self._end = None if seconds is None else self._start + seconds
 
     def left_s(self) -> float:
         """Seconds left, infinite without a limit, never negative."""
         return float("inf") if self._end is None else max(self._end - time.perf_counter(), 0.0)
+
+    def spent_s(self) -> float:
+        """Seconds since it began."""
+        return time.perf_counter() - self._start
 
     def passed(self) -> bool:
         """Whether no time is left."""
@@ -49,10 +54,15 @@ class WorkLimit(Deadline):
 
     def __init__(self, seconds: float, payer: WorkLimit | None = None) -> None:
         self._left, self._payer = seconds, payer
+        self._spent = 0.0
 
     def left_s(self) -> float:
         """Work left, never negative."""
         return max(self._left, 0.0)
+
+    def spent_s(self) -> float:
+        """Work counted so far."""
+        return self._spent
 
     def clock_left_s(self) -> float:
         """The clock does not matter."""
@@ -65,6 +75,7 @@ class WorkLimit(Deadline):
     def spend(self, seconds: float) -> None:
         """Count work."""
         self._left -= seconds
+        self._spent += seconds
         if self._payer is not None:
             self._payer.spend(seconds)
 

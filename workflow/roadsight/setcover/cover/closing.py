@@ -15,6 +15,7 @@ from roadsight.setcover.cover.local_search import (
     LocalSearch,
     search_while_it_pays,
 )
+from roadsight.setcover.cover.long_search import LongSearch
 
 _ROOT_CUTS = 40
 """Most rounds of cuts at the root; on corridors two to thirteen do."""
@@ -51,12 +52,18 @@ class Closing:
     ----------
     local : keeps the best cover. gap : share of its cost that is close enough to the bound.
     ceiling : covers have to cost less to count, too, and the first that does is enough.
+    long : local search that shares the time, if any.
     """
 
     def __init__(
-        self, relaxation: Relaxation, local: LocalSearch, gap: float, ceiling: float
+        self,
+        relaxation: Relaxation,
+        local: LocalSearch,
+        gap: float,
+        ceiling: float,
+        long: LongSearch | None = None,
     ) -> None:
-        self.relaxation, self.local = relaxation, local
+        self.relaxation, self.local, self._long = relaxation, local, long
         self.gap, self.ceiling = gap, ceiling
         self._mean_cost = float(relaxation.instance.cost.mean())
         self._tried, self._enumerated_s = np.inf, 0.0
@@ -101,6 +108,9 @@ class Closing:
 
     def _search(self, bound: float, deadline: Deadline, is_long: bool) -> None:
         """Local search while cover and bound are farther apart than enumeration reaches."""
+        if self._long is not None:
+            enough = bound if np.isinf(self.ceiling) else self.goal
+            self._long.catch_up(enough, deadline)
         most_spare = MOST_SPARE if is_long else 1
         search_while_it_pays(self.local, bound, deadline, _ROOT_SLACK, most_spare)
 

@@ -13,7 +13,7 @@ _State = namedtuple(
     "_State", "inside member place score ready stamp count weight open spot occupant sizes"
 )
 """Search state: ``score`` is the weight gained by adding a choice, or lost by removing it;
-``sizes`` holds the numbers of members and of open targets."""
+``sizes`` holds the numbers of members, of open targets, and of entries read so far."""
 
 
 @njit(cache=True)
@@ -31,7 +31,7 @@ def _new_state(start, index, need, group):  # type: ignore[no-untyped-def]  # no
         np.arange(targets).astype(np.int32),
         np.arange(targets).astype(np.int32),
         np.full(group.max() + 1 if len(group) else 0, -1, np.int32),
-        np.array([0, targets], np.int64),
+        np.array([0, targets, 0], np.int64),
     )
 
 
@@ -44,6 +44,7 @@ def _add(choice, start, index, tstart, tindex, need, group, state):  # type: ign
     if group[choice] >= 0:
         state.occupant[group[choice]] = choice
     state.score[choice] = 0
+    state.sizes[2] += start[choice + 1] - start[choice]
     for p in range(start[choice], start[choice + 1]):
         t = index[p]
         state.count[t] += 1
@@ -55,6 +56,7 @@ def _add(choice, start, index, tstart, tindex, need, group, state):  # type: ign
             state.open[state.spot[t]] = last
             state.spot[last] = state.spot[t]
         if need[t] <= state.count[t] <= need[t] + 1:
+            state.sizes[2] += tstart[t + 1] - tstart[t]
             for q in range(tstart[t], tstart[t + 1]):
                 other = tindex[q]
                 if other == choice or state.inside[other] == (state.count[t] == need[t]):
@@ -73,6 +75,7 @@ def _remove(choice, start, index, tstart, tindex, need, group, state):  # type: 
     if group[choice] >= 0:
         state.occupant[group[choice]] = -1
     state.score[choice] = 0
+    state.sizes[2] += start[choice + 1] - start[choice]
     for p in range(start[choice], start[choice + 1]):
         t = index[p]
         state.count[t] -= 1
@@ -83,6 +86,7 @@ def _remove(choice, start, index, tstart, tindex, need, group, state):  # type: 
             state.spot[t] = state.sizes[1]
             state.sizes[1] += 1
         if need[t] - 1 <= state.count[t] <= need[t]:
+            state.sizes[2] += tstart[t + 1] - tstart[t]
             for q in range(tstart[t], tstart[t + 1]):
                 other = tindex[q]
                 if other == choice or state.inside[other] == (state.count[t] == need[t] - 1):
@@ -106,6 +110,7 @@ def _better(a, b, cost, state, sign):  # type: ignore[no-untyped-def]  # noqa: A
 @njit(cache=True)
 def _cheapest_loss(tabu, cost, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     best = -1
+    state.sizes[2] += state.sizes[0]
     for k in range(state.sizes[0]):
         choice = state.member[k]
         if choice != tabu and _better(choice, best, cost, state, -1):
@@ -164,8 +169,8 @@ def exchange(
     steps: int,
     weight: Ints,
     rng: np.random.Generator,
-) -> tuple[Bools, bool, int]:
-    """Members, whether they cover all at a cost of at most ``goal``, steps used.
+) -> tuple[Bools, bool, int, int]:
+    """Members, whether they cover all at a cost of at most ``goal``, steps used, entries read.
 
     A step takes out the choices that lose least until the rest is cheap enough, and covers open
     targets, drawn at random, as long as the goal allows; what stays open weighs one more.
@@ -189,7 +194,7 @@ def exchange(
     tabu = -1
     for step in range(1, steps + 1):
         if state.sizes[1] == 0 and total <= goal:
-            return state.inside.copy(), True, step
+            return state.inside.copy(), True, step, state.sizes[2]
         choice = _cheapest_loss(tabu, cost, state)
         while choice >= 0:
             _remove(choice, start, index, tstart, tindex, need, group, state)
@@ -216,13 +221,15 @@ def exchange(
                 break  # two choices of one group could replace each other for ever
         _weigh_open(tstart, tindex, state)
     weight[:] = state.weight
-    return state.inside.copy(), state.sizes[1] == 0 and total <= goal, steps
+    done = state.sizes[1] == 0 and total <= goal
+    return state.inside.copy(), done, steps, state.sizes[2]
 
 
 @njit(cache=True)
 def _best_ready(t, tstart, tindex, cost, total, goal, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Affordable choice over target t that gains most; -1: none."""
     best = -1
+    state.sizes[2] += tstart[t + 1] - tstart[t]
     for q in range(tstart[t], tstart[t + 1]):
         choice = tindex[q]
         if not state.ready[choice] or state.inside[choice] or total + cost[choice] > goal:
@@ -238,5 +245,6 @@ def _weigh_open(tstart, tindex, state):  # type: ignore[no-untyped-def]  # noqa:
     for k in range(state.sizes[1]):
         t = state.open[k]
         state.weight[t] += 1
+        state.sizes[2] += tstart[t + 1] - tstart[t]
         for q in range(tstart[t], tstart[t + 1]):
             state.score[tindex[q]] += 1

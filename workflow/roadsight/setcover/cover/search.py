@@ -18,6 +18,7 @@ from roadsight.setcover.common.tree import BestFirst, is_settled, tighten
 from roadsight.setcover.cover.branching import divide
 from roadsight.setcover.cover.closing import Closing
 from roadsight.setcover.cover.local_search import LocalSearch
+from roadsight.setcover.cover.long_search import LongSearch
 
 _WHOLE = 1e-6
 """Shares nearer than this to a whole number are whole: ten times the solver's own tolerance."""
@@ -46,6 +47,7 @@ class Search(BestFirst):
     that cost is refuted or reached, and its bound rises step by step: it is proven at any time.
 
     With a ``ceiling``, only covers that cost less count, and the first of them ends the search.
+    ``long`` is the local search that shares the time, if any.
     """
 
     def __init__(
@@ -54,12 +56,13 @@ class Search(BestFirst):
         local: LocalSearch,
         gap: float = 0.0,
         ceiling: float = np.inf,
+        long: LongSearch | None = None,
     ) -> None:
         super().__init__(gap)
         self.relaxation, self.local = relaxation, local
-        self.ceiling = ceiling
+        self.ceiling, self._long = ceiling, long
         self.instance: Instance = relaxation.instance
-        self._closing = Closing(relaxation, local, gap, ceiling)
+        self._closing = Closing(relaxation, local, gap, ceiling, long)
         choices, targets = self.instance.shape
         matrix = self.instance.by_choice
         small = choices * targets <= MAX_BITS
@@ -104,10 +107,12 @@ class Search(BestFirst):
         return bound
 
     def between(self, bound: float, deadline: Deadline) -> None:
-        """Look for a better cover again each time the tree has doubled."""
+        """Look for a better cover beside the tree, and each time the tree has doubled."""
+        enough = bound if np.isinf(self.ceiling) else self.instance.goal(self.ceiling)
+        if self._long is not None:
+            self._long.catch_up(enough, deadline)
         if self.nodes < _FIRST_RETRY or self.nodes & (self.nodes - 1):
             return
-        enough = bound if np.isinf(self.ceiling) else self.instance.goal(self.ceiling)
         self.local.run(self.nodes * _STEPS_PER_NODE, enough, deadline)
 
     def expand(self, node: Node, deadline: Deadline) -> tuple[float, tuple[Node, ...] | None]:

@@ -30,6 +30,7 @@ from roadsight.setcover.cover.local_search import (
     greedy_cover,
     search_while_it_pays,
 )
+from roadsight.setcover.cover.long_search import LongSearch
 from roadsight.setcover.cover.search import Outcome, Search
 
 
@@ -75,15 +76,20 @@ def _solve_part(
         return Outcome(best, bound, 0), None
     if is_large(instance) and best is not None:
         return _solve_large(instance, best, rng, deadline, gap)
-    relaxation, root = _root(instance, np.inf, deadline)
+    relaxation, root = _root(instance, np.inf, deadline.part(2))
     if np.isinf(root.bound):
         return Outcome(None, np.inf, 0), None
     bound = max(bound, instance.round_up(root.bound))
     local = LocalSearch(instance, best, root.target_dual > 0, rng)
     local.run(FIRST_STEPS, bound, deadline)
-    if _enough(instance, local.best, bound, gap) or not root.complete:
+    if _enough(instance, local.best, bound, gap):
         return Outcome(local.best, bound, 0), root.bound
-    search = Search(relaxation, local, gap)
+    if not root.complete:  # no tree will come, so what is left goes to better covers
+        LongSearch(local, np.zeros(instance.shape[0]), deadline).to_the_end(bound, deadline)
+        return Outcome(local.best, bound, 0), root.bound
+    long = LongSearch(local, root.reduced_cost, deadline)
+    long.ahead(bound, deadline)
+    search = Search(relaxation, local, gap, long=long)
     return _cut_and_branch(search, root, bound, rng, deadline), root.bound
 
 
@@ -115,6 +121,7 @@ def _solve_large(
     bound = instance.round_up(max(inner.bound, _simple_bound(instance)))
     local = LocalSearch(instance, best, inner.target_dual > 0, rng)
     search_while_it_pays(local, bound, deadline)
+    LongSearch(local, inner.reduced_cost, deadline).ahead(bound, deadline)
     if _enough(instance, local.best, bound, gap) or deadline.passed():
         return Outcome(local.best, bound, 0), inner.bound
     return _prove(local, bound, rng, deadline, gap), inner.bound
@@ -145,7 +152,8 @@ def _solve_core(
     local.run(FIRST_STEPS, enough, deadline)
     if local.cost <= enough or not root.complete:
         return Outcome(local.best, bound, 0)
-    search = Search(relaxation, local, gap, ceiling)
+    long = LongSearch(local, root.reduced_cost, deadline)
+    search = Search(relaxation, local, gap, ceiling, long)
     outcome = search.run(search.strengthen(root, deadline), deadline)
     return Outcome(outcome.best, max(outcome.bound, bound), outcome.nodes)
 

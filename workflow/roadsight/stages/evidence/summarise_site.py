@@ -115,6 +115,7 @@ def _plan(solution: dict[str, Any], candidates: int) -> dict[str, Any]:
         "seconds_cpu": solution["seconds_cpu"],
         "proven_area_m2": solution.get("proven_area_m2"),
         **({"availability": solution["availability"]} if "availability" in solution else {}),
+        **({"second": solution["second"]} if "second" in solution else {}),
         **({"options": _options(solution["options"])} if "options" in solution else {}),
     }
 

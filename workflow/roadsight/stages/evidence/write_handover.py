@@ -8,14 +8,12 @@ import sys
 from pathlib import Path
 
 import geopandas as gpd
-import shapely
 from pyproj import CRS
 
 from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import atomic_path, read_json
-from roadsight.io.records.tables import read_table
 from roadsight.io.vector.styled import StyledLayer, write_styled
 from roadsight.io.vector.vectors import read_layer
 from roadsight.report.handover.drawing import drawing
@@ -34,6 +32,9 @@ from roadsight.report.handover.styles import qml
 from roadsight.stages.command import run_stage
 
 log = logging.getLogger("write_handover")
+
+_POLE_LAYERS = ("poles", "rays", "ellipses", "hazard", "cross_sections", "road_geometry")
+"""Layers of poles.gpkg that go along."""
 
 
 def write_handover(arguments: argparse.Namespace) -> None:
@@ -92,15 +93,9 @@ def _poles(arguments: argparse.Namespace, frame: Frame) -> list[Layer]:
     if not arguments.poles:
         return []
     found: dict[str, gpd.GeoDataFrame] = {
-        name: read_layer(arguments.poles, name, frame) for name in ("poles", "rays", "ellipses")
+        name: read_layer(arguments.poles, name, frame) for name in _POLE_LAYERS
     }
     found["road_edges"] = read_layer(arguments.road_edges, "road_edges", frame)
-    if arguments.hazard:
-        rated = read_table(arguments.hazard)
-        heights = dict(
-            zip(found["poles"]["id"], shapely.get_z(found["poles"].geometry), strict=True)
-        )
-        found["hazard"] = points(rated.assign(z=rated["id"].map(heights)))
     return pole_layers(found)
 
 
@@ -110,7 +105,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("site", "frame", "layers", "project", "kml", "drawing"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--title", default="", help="name of the site for people")
-    for name in ("dem", "pavement", "edges", "unexamined", "poles", "road-edges", "hazard"):
+    for name in ("dem", "pavement", "edges", "unexamined", "poles", "road-edges"):
         parser.add_argument(f"--{name}", nargs="?", help="of the job that the site asks for")
     for name in ("solutions", "plan-layers", "obstacles"):
         parser.add_argument(f"--{name}", nargs="*", default=[], help="one a plan")

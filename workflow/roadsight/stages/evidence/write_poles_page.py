@@ -23,7 +23,7 @@ from roadsight.io.images.videologs import ImageSource
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.raster.top_rasters import read_top
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.tables import read_table
+from roadsight.io.records.tables import read_about, read_table
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
 from roadsight.poles.images.straightening import source_places, straightened
 from roadsight.poles.images.views import view_name
@@ -56,6 +56,8 @@ def write_poles_page(arguments: argparse.Namespace) -> None:
         _depth_fit(arguments, cameras, Frame.from_dict(about)),
         _validation(arguments),
         [Path(path).name for path in arguments.files],
+        read_table(arguments.sections) if arguments.sections else pd.DataFrame(),
+        read_about(arguments.sections).get("profiles", {}) if arguments.sections else {},
     )
     page = build_poles_page(arguments.title or arguments.site, summary, about, result)
     counts = page["counts"]
@@ -162,6 +164,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", nargs="+", required=True, help="shards in order")
     parser.add_argument("--title", default="", help="name of the site for people")
     parser.add_argument("--hazard", nargs="?", help="table of hazards by pole")
+    parser.add_argument("--sections", nargs="?", help="cross-sections at poles")
     parser.add_argument("--components", nargs="?", help="scores without each component")
     parser.add_argument("--validation", nargs="?", help="validation.json of a site with truth")
     parser.add_argument("--images", nargs="?", help="folder or archive of the images to embed")

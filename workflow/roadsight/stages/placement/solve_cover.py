@@ -15,20 +15,24 @@ from scipy import sparse
 from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.tables import read_table
-from roadsight.io.vector.vectors import write_layers
+from roadsight.io.records.tables import read_about, read_table
+from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.placement.candidates.siting import needs_by_area
 from roadsight.placement.plans.choices import posed_candidates
-from roadsight.placement.plans.plan_answer import Answer, answer
+from roadsight.placement.plans.handover import stations_m
+from roadsight.placement.plans.plan_answer import Answer, Better, answer
 from roadsight.placement.plans.plan_doubts import plan_doubts
 from roadsight.placement.plans.plan_problem import Asked, pose
+from roadsight.placement.plans.seen_again import see_again, stretches
 from roadsight.placement.plans.tolerance import solve_with_tolerance
 from roadsight.placement.sight.coverage import availability, times_seen
 from roadsight.placement.sight.detection import MIN_BEAMS
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.result import WITHIN_GAP
+from roadsight.setcover.plans.deployment import Deployment
 from roadsight.stages.command import run_stage
 from roadsight.stages.doubts import tell
 from roadsight.stages.placement.shared.allowed import add_allowed_arguments
@@ -54,45 +58,54 @@ def solve_cover(arguments: argparse.Namespace) -> None:
     matrix = plan.matrix(wanted["target"])
     answered = levelled = None
     robust: dict[str, Any] = {}
+    looked_at: Bools | None = None
     if arguments.robust:
-        matrix, wanted, beyond, robust = _with_tolerance(
+        matrix, wanted, beyond, robust, looked_at = _with_tolerance(
             arguments, asked, matrix, choices, candidates, wanted
         )
         uncovered = [*uncovered, *beyond]
+    again = _Again(arguments, frame, wanted, looked_at)
     if arguments.availability is not None:
         levelled = cover_at_level(arguments, detections, choices, candidates, wanted)
         cover = levelled.cover
         _check_solved(arguments, cover)
     elif asked is None:
-        cover = _cheapest(arguments, matrix, choices)
+        cover = _cheapest(arguments, matrix, choices, again)
     else:
         posed = pose(asked, matrix, choices, candidates, wanted)
-        answered = answer(asked, posed, choices, candidates, *_limits(arguments))
+        answered = answer(asked, posed, choices, candidates, *_limits(arguments), again)
         cover, wanted = answered.cover, posed.targets
         uncovered = [*uncovered, *posed.unseen]
     sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
     content = _content(arguments, cover, sensors, targets, uncovered)
-    content |= robust
+    content |= robust | ({"second": again.record} if again.record else {})
     content |= _proven_area(wanted, content["at_least"])
     if levelled is not None:
         wanted["availability"], content["availability"] = levelled.shares, levelled.record
         content["at_least"] = 1  # the level says how often, not how many sensors
     elif "availability" in detections:
-        chosen = sensors[["sensor", "candidate"]].apply(tuple, axis=1)
-        wanted["availability"] = availability(detections, set(chosen), wanted["target"])
+        chosen = set(sensors[["sensor", "candidate"]].apply(tuple, axis=1))
+        wanted["availability"] = availability(detections, chosen, wanted["target"])
         content["availability"] = described(wanted["availability"].to_numpy())
-    layers = {"sensors": _points(sensors), "targets": _points(wanted)}
+    layers = {"sensors": _points(_located(sensors, frame)), "targets": _points(wanted)}
     if answered is not None:
         content |= _option_content(answered, sensors)
         layers |= _option_layers(answered, candidates, choices)
-        layers["sensors"] = _points(sensors)
+        layers["sensors"] = _points(_located(sensors, frame))
     write_layers(arguments.layers, layers, frame, dict.fromkeys(layers, "Point Z"))
     _tell(arguments, content, candidates)
     write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
     write_json(arguments.solution, content)
-    found = (arguments.plan, len(sensors), cover.objective, cover.bound, cover.status)
+    _log_found(arguments.plan, cover, again.record)
+
+
+def _log_found(plan: str, cover: Cover, second: dict[str, Any] | None) -> None:
+    found = (plan, len(cover.chosen), cover.objective, cover.bound, cover.status)
     log.info("%s: %d sensors, cost %g, bound %g, %s", *found)
+    if second:
+        shares = 100 * second["once_more"], 100 * second["once_more_before"]
+        log.info("%.1f %% of the targets seen once more, before %.1f %%", *shares)
 
 
 def _tell(arguments: argparse.Namespace, content: dict[str, Any], candidates: pd.DataFrame) -> None:
@@ -110,8 +123,8 @@ def _with_tolerance(
     choices: pd.DataFrame,
     candidates: pd.DataFrame,
     wanted: pd.DataFrame,
-) -> tuple[sparse.csr_matrix, pd.DataFrame, list[str], dict[str, Any]]:
-    """The matrix of what sensors see with tolerance, its targets, and those that none sees so."""
+) -> tuple[sparse.csr_matrix, pd.DataFrame, list[str], dict[str, Any], Bools]:
+    """What sensors see with tolerance, its targets, those that none sees so; rows looked at."""
     sight = ChangedSight(arguments)
     column = pd.Index(sight.targets["target"]).get_indexer(wanted["target"])
     beyond: list[str] = []
@@ -163,11 +176,43 @@ def _with_tolerance(
     kept = wanted[seen].reset_index(drop=True)
     # Rows that were left out because the rounds ran out may have been part of a better cover.
     status = {} if exact else {"status": "time_limit"}
-    return reduced[:, seen], kept, beyond, {"robust": record, **status}
+    return reduced[:, seen], kept, beyond, {"robust": record, **status}, known
+
+
+class _Again:
+    """Among plans of one cost, the one that sees most again; its record, once there is one."""
+
+    def __init__(
+        self,
+        arguments: argparse.Namespace,
+        frame: Frame,
+        wanted: pd.DataFrame,
+        looked_at: Bools | None,
+    ) -> None:
+        self.record: dict[str, Any] | None = None
+        self._limit_s = arguments.second_time_limit_s if arguments.second == "True" else 0.0
+        self._allowed = looked_at
+        self._cell_m = 0.0
+        self._stretch: Ints | None = None
+        if arguments.edges and self._limit_s:
+            self._cell_m = float(read_about(arguments.targets)["cell_size_m"])
+            edges = list(read_layer(arguments.edges, "edges", frame).geometry)
+            places = wanted[["x", "y"]].to_numpy(np.float64)
+            self._stretch = stretches(stations_m(edges, places), self._cell_m)
+
+    def __call__(self, deployment: Deployment, cover: Cover) -> Cover:
+        """Cover of the same cost."""
+        better, self.record = see_again(
+            deployment, cover, self._limit_s, self._stretch, self._cell_m, self._allowed
+        )
+        return better
 
 
 def _cheapest(
-    arguments: argparse.Namespace, matrix: sparse.csr_matrix, choices: pd.DataFrame
+    arguments: argparse.Namespace,
+    matrix: sparse.csr_matrix,
+    choices: pd.DataFrame,
+    better: Better,
 ) -> Cover:
     """Cheapest cover, as a plan without options asks for."""
     limit_s, seed, gap = _limits(arguments)
@@ -179,7 +224,7 @@ def _cheapest(
     )
     cover = solve_cover_problem(problem, WorkLimit(limit_s), seed=seed, gap=gap)
     _check_solved(arguments, cover)
-    return cover
+    return better(Deployment(problem), cover)
 
 
 def _limits(arguments: argparse.Namespace) -> tuple[float, int, float]:
@@ -337,6 +382,20 @@ def _proven_area(targets: pd.DataFrame, at_least: int) -> dict[str, float]:
     return {"proven_area_m2": float(targets.loc[enough, "area_m2"].sum())}
 
 
+def _located(sensors: pd.DataFrame, frame: Frame) -> pd.DataFrame:
+    """The sensors' layer: number, azimuth clockwise from grid north, and where they are on a globe.
+
+    The number is that of the report, from 1.
+    """
+    table = sensors.copy()
+    table.insert(0, "number", np.arange(1, len(table) + 1))
+    table["azimuth_deg"] = [bearing_deg(float(yaw)) for yaw in table["yaw_deg"]]
+    degrees = longitudes_latitudes(frame, table[["x", "y"]].to_numpy(np.float64))
+    unknown = np.full((len(table), 2), np.nan)
+    table[["longitude", "latitude"]] = unknown if degrees is None else degrees
+    return table
+
+
 def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
     columns = table.drop(columns=[c for c in ("x", "y", "z", "native") if c in table])
     return gpd.GeoDataFrame(
@@ -369,6 +428,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--target-height-m", type=float, default=0.6)
     parser.add_argument("--time-limit-s", type=float, default=300.0)
     parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")
+    parser.add_argument("--second", choices=["True", "False"], default="False")
+    parser.add_argument("--second-time-limit-s", type=float, default=10.0)
+    parser.add_argument("--edges", nargs="?", help="the road, for the length seen by two")
     parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")
     add_allowed_arguments(parser)
     parser.add_argument("--seed", type=int, default=1)

@@ -27,7 +27,7 @@ from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camer
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.locate import locate
 from roadsight.poles.alignment.pose import pose_of
-from roadsight.poles.alignment.published import nelder_mead
+from roadsight.poles.alignment.published import PUBLISHED_BOUNDS, nelder_mead
 from roadsight.poles.alignment.solve import Fit, Task
 from roadsight.poles.alignment.verdict import (
     Limits,
@@ -92,6 +92,7 @@ def align_cameras(arguments: argparse.Namespace) -> None:
         sigma_heading_deg=arguments.max_sigma_heading_deg,
         sigma_lateral_m=arguments.max_sigma_lateral_m,
     )
+    bounds = (arguments.bound_m, arguments.bound_deg)
     own = [p for p in scene.places if shard_of(p.image, arguments.shards) == arguments.shard]
     by_hand = read_corrections(arguments)
     method = method_of(arguments.method, bool(scene.lenses))
@@ -105,7 +106,7 @@ def align_cameras(arguments: argparse.Namespace) -> None:
         drive = _drive(drives, place)
         task = scene.load(place)(*drive.expected(place))
         if dense is None:
-            row = aligned(task, method, limits, scene.landmarks)
+            row = aligned(task, method, limits, scene.landmarks, bounds)
             if place.image in scene.lenses:
                 row["focal_px"] = scene.lenses[place.image].focal_px
         else:
@@ -160,10 +161,15 @@ def aligned(
     method: str,
     limits: Limits,
     noise: LandmarkNoise | None = None,
+    bounds: tuple[float, float] = PUBLISHED_BOUNDS,
 ) -> dict[str, Any]:
     """Pose, uncertainty and verdict of one image by the method road, published or none.
 
     An image without an alignment keeps the expected pose.
+
+    Parameters
+    ----------
+    bounds : of the published method, m and degrees.
     """
     expected = np.asarray(np.linalg.inv(task.information), np.float64)
     nothing = np.full((len(task.seen.uv_px), 2), np.nan)
@@ -175,7 +181,9 @@ def aligned(
         reason = doubt(task, fits, limits)
         fit = fits[0]
     elif method == "published" and not reason:
-        unknowns, rms_px = nelder_mead(task.start, task.seen, task.there, task.mean)
+        unknowns, rms_px = nelder_mead(
+            task.start, task.seen, task.there, task.mean, bound_m=bounds[0], bound_deg=bounds[1]
+        )
         fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
     return _row(task, fit, reason)
 
@@ -256,7 +264,9 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--max-residual-px", type=float, default=limits.residual_px)
-    parser.add_argument("--max-sigma-heading-deg", type=float, default=limits.sigma_heading_deg)
+    parser.add_argument("--bound-m", type=float, default=PUBLISHED_BOUNDS[0])
+    parser.add_argument("--bound-deg", type=float, default=PUBLISHED_BOUNDS[1])
+    parser.add_argument("--max-sigma-heading-deg", type=float, default=0.15)
     parser.add_argument("--max-sigma-lateral-m", type=float, default=limits.sigma_lateral_m)
     return run_stage(parser, align_cameras, argv)
 

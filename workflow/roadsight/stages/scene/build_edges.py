@@ -11,10 +11,11 @@ import numpy as np
 import shapely
 from shapely import LineString, MultiPolygon
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
+from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.tables import read_table
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_lines, write_layers
 from roadsight.scene.edges.splines import FURTHEST_M, OutlineSettings, outline_edges, spline_line
@@ -36,7 +37,7 @@ def build_edges(arguments: argparse.Namespace) -> None:
         named = zip(lines["edge"], lines["kind"], lines.geometry, strict=True)
         edges = [(str(name), str(kind), line) for name, kind, line in named]
     else:
-        edges = _automatic(arguments, pavement)
+        edges = _automatic(arguments, frame, pavement)
     if not edges:
         raise InputError(
             "no edge long enough to carry candidates was found on the pavement outline",
@@ -60,12 +61,21 @@ def build_edges(arguments: argparse.Namespace) -> None:
 
 
 def _automatic(
-    arguments: argparse.Namespace, pavement: MultiPolygon
+    arguments: argparse.Namespace, frame: Frame, pavement: MultiPolygon
 ) -> list[tuple[str, str, LineString]]:
-    ground = read_table(arguments.clusters, ["x", "y", "z"]).to_numpy(np.float64)
+    ground = _measured_ground(read_raster(arguments.dem, frame))
     settings = OutlineSettings(arguments.knot_spacing_m, shortest_m=arguments.shortest_m)
     found = outline_edges(pavement, ground, settings)
     return [(f"{kind[0]}{n:02d}", kind, line) for n, (kind, line) in enumerate(found)]
+
+
+def _measured_ground(dem: Raster) -> Floats:
+    """Places (k, 3) of the terrain model that hold ground points, by which open ends are told."""
+    known = np.isfinite(dem.values) if dem.measured is None else dem.measured
+    row, column = np.nonzero(known)
+    x = dem.west_m + (column + 0.5) * dem.cell_size_m
+    y = dem.north_m - (row + 0.5) * dem.cell_size_m
+    return np.column_stack([x, y, dem.values[row, column]])
 
 
 def _moved_off(line: LineString, pavement: MultiPolygon, offset_m: float) -> LineString:
@@ -94,7 +104,7 @@ def _check_nearby(lines: gpd.GeoDataFrame, pavement: MultiPolygon, path: str) ->
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "frame", "pavement", "clusters", "out"):
+    for name in ("site", "frame", "pavement", "dem", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--digitised", nargs="?", help="digitised edges, any vector format")
     parser.add_argument("--digitised-crs", nargs="?", help="their CRS if the file names none")

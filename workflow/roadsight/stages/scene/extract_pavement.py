@@ -1,18 +1,23 @@
-"""The monitored area: found from smooth ground or given by the user."""
+"""The monitored area: found as one surface or from smooth ground, or given by the user."""
 
 from __future__ import annotations
 
 import argparse
 import logging
+import math
 import sys
-from dataclasses import fields
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+from numpy.typing import NDArray
 from shapely import MultiPolygon
 
+from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.doubts import Doubt
 from roadsight.base.engines import ENGINES
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
@@ -20,37 +25,72 @@ from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.site_bounds import tell_near
-from roadsight.io.vector.vectors import read_polygons, write_layers
+from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
+from roadsight.scene.pavement.choice import METHODS, Choice, choose_method
 from roadsight.scene.pavement.outline import (
     PavementSettings,
     inside,
     outline_pavement,
     pavement_settings_for,
 )
+from roadsight.scene.pavement.pavement_doubts import PavementFacts, pavement_doubts
+from roadsight.scene.pavement.road_surface import KnownRoad
+from roadsight.scene.whole import road_of, sharpen
 from roadsight.stages.command import run_stage
+from roadsight.stages.doubts import tell
 
 log = logging.getLogger("extract_pavement")
+
+
+_HALO_M = 5.0
+"""Ground around a tile that is looked at with it: a step is compared with three metres around."""
+
+
+@dataclass(frozen=True)
+class _Found:
+    """A pavement and how it was found.
+
+    Parameters
+    ----------
+    points : (n,) which points of the cloud lie on it, or None: ground inside the outline.
+    layer_m, open_share, unsure_share : as the method met them, NaN where they are still to be
+        measured, or unknown.
+    """
+
+    outline: MultiPolygon
+    method: str
+    doubts: list[Doubt]
+    points: Bools | None = None
+    layer_m: float = math.nan
+    open_share: float = math.nan
+    unsure_share: float = math.nan
 
 
 def extract_pavement(arguments: argparse.Namespace) -> None:
     """Write the pavement's polygons and its points."""
     about = read_json(arguments.frame)
     frame = Frame.from_dict(about)
-    if arguments.tma:
-        outline = _users_area(arguments.tma, frame)
-        told = "polygons of the monitored area"
-        tell_near(log, told, np.array(outline.geoms, object), about, arguments.tma)
-        source = "user"
-    else:
-        outline = _found_area(arguments)
-        source = "fpfh"
-    points = _pavement_points(arguments, outline)
+    cloud = CloudTiles(arguments.cloud)
+    found = _found(arguments, cloud, frame, about)
+    ground = read_table(arguments.ground)["ground"].to_numpy()
+    points, facts = _pavement_points(arguments, cloud, ground, found)
+    outline = found.outline
     if len(points) == 0:
         raise InputError(
             "no ground points inside the monitored area",
             where=arguments.tma or f"site {arguments.site}",
             hint="check the polygon's CRS and position",
         )
+    if arguments.doubts:
+        layer_m, open_share = found.layer_m, found.open_share
+        if found.method == "published":
+            layer_m, open_share = facts.layer_m, facts.open_m / max(facts.outline_m, 1e-9)
+        track_xy = _track(arguments, frame)
+        doubts = pavement_doubts(
+            outline, found.method, facts, layer_m, open_share, track_xy, found.unsure_share
+        )
+        tell([*found.doubts, *doubts], arguments.doubts, f"site {arguments.site}", log)
+    source = _SOURCE[found.method]
     parts = list(outline.geoms)
     layer = gpd.GeoDataFrame(
         {"part": range(len(parts)), "area_m2": [part.area for part in parts], "source": source},
@@ -61,51 +101,220 @@ def extract_pavement(arguments: argparse.Namespace) -> None:
     write_table(arguments.points, points, {"source": source, "area_m2": outline.area})
 
 
+_SOURCE = {"user": "user", "surface": "surface", "published": "fpfh", "sharpened": "fpfh, surface"}
+"""What the layer says of where its polygons come from."""
+
+
+def _found(
+    arguments: argparse.Namespace, cloud: CloudTiles, frame: Frame, about: dict[str, Any]
+) -> _Found:
+    """The pavement by the user's polygon, as one surface, or by FPFH and k-means.
+
+    Raises
+    ------
+    InputError : none is found.
+    """
+    if arguments.tma:
+        outline = _users_area(arguments.tma, frame)
+        told = "polygons of the monitored area"
+        tell_near(log, told, np.array(outline.geoms, object), about, arguments.tma)
+        return _Found(outline, "user", [])
+    profile = read_json(arguments.profile) if arguments.profile else {"extent_m": [0.0, 0.0]}
+    choice = choose_method(arguments.method, bool(arguments.seeds), profile)
+    log.info("%s: %s", choice.method, choice.why)
+    try:
+        if choice.method == "surface":
+            return _surface(arguments, cloud, frame, about, choice)
+        found = _Found(_published(arguments), "published", [choice.told()])
+        if arguments.method == "auto":
+            return _sharpened(arguments, cloud, found)
+        return found
+    except InputError as error:
+        raise InputError(str(error), where=f"site {arguments.site}") from error
+
+
+def _surface(
+    arguments: argparse.Namespace,
+    cloud: CloudTiles,
+    frame: Frame,
+    about: dict[str, Any],
+    choice: Choice,
+) -> _Found:
+    """The road as one surface, with all that is known of it."""
+    xyz_m, intensity, points = _whole(arguments, cloud)
+    known = KnownRoad(
+        _track(arguments, frame), _seeds(arguments.seeds, frame), _edges(arguments, frame, about)
+    )
+    road, surface = road_of(
+        xyz_m,
+        intensity,
+        points["scan"].astype(np.int64) if "scan" in points else None,
+        known,
+        classes=points["classification"],
+    )
+    seeded = {"scans": "the blind discs of the scans", "ground": "the smoothest ground"}
+    doubts = [
+        choice.told(),
+        Doubt(
+            "pavement_seeds",
+            "note",
+            f"grown from {seeded.get(surface.seeded_by, surface.seeded_by)}",
+        ),
+    ]
+    if surface.seeded_by == "ground":
+        text = "nothing says where the road is: give pavement.seeds or placement.track"
+        doubts.append(Doubt("pavement_unseeded", "doubt", text))
+    met = surface.layer_m, surface.open_share, surface.unsure_share
+    return _Found(road.outline, "surface", doubts, road.points, *met)
+
+
+def _whole(
+    arguments: argparse.Namespace, cloud: CloudTiles
+) -> tuple[Floats, Floats | None, dict[str, NDArray]]:
+    """Points (n, 3), their intensity where it is used and varies, and all columns."""
+    names = ["x", "y", "z", "intensity", "classification"]
+    points = cloud.read(names + (["scan"] if "scan" in cloud.columns else []))
+    use = arguments.intensity != "ignore" and len(np.unique(points["intensity"][:100_000])) > 1
+    intensity = points["intensity"].astype(np.float64) if use else None
+    return stack_xyz(points).astype(np.float64), intensity, points
+
+
+def _sharpened(arguments: argparse.Namespace, cloud: CloudTiles, found: _Found) -> _Found:
+    """Smooth ground with sharper edges, where the surface that runs on from it agrees with it."""
+    xyz_m, intensity, points = _whole(arguments, cloud)
+    sharp = sharpen(found.outline, xyz_m, intensity, classes=points["classification"])
+    if sharp is None:
+        text = "its edges are as smooth ground has them: too narrow or too wide for one surface"
+        return replace(found, doubts=[*found.doubts, Doubt("pavement_sharpened", "note", text)])
+    if not sharp.agrees:
+        measured, limit = sharp.weakest
+        text = (
+            "as one surface another road is found than by FPFH and k-means, which is kept: share"
+            " of both; give pavement.seeds"
+        )
+        doubt = Doubt("pavement_ways_differ", "doubt", text, round(measured, 3), limit)
+        return replace(found, doubts=[*found.doubts, doubt])
+    text = "its edges are where the surface from its middle ends; share of it that this keeps"
+    note = Doubt("pavement_sharpened", "note", text, round(sharp.kept, 3))
+    surface = sharp.surface
+    met = surface.layer_m, surface.open_share, surface.unsure_share
+    return _Found(sharp.road.outline, "sharpened", [*found.doubts, note], sharp.road.points, *met)
+
+
+def _seeds(text: str | None, frame: Frame) -> Floats | None:
+    """Places (k, 2) of ``x,y;x,y`` in native coordinates, local metres."""
+    if not text:
+        return None
+    places = [[float(value) for value in place.split(",")] for place in text.split(";")]
+    return frame.to_local(np.array(places)[:, :2])
+
+
+def _track(arguments: argparse.Namespace, frame: Frame) -> Floats | None:
+    """Where a vehicle drove (k, 2), local metres: the longest line of the file."""
+    if not arguments.track:
+        return None
+    lines = read_lines(arguments.track, frame, arguments.track_crs or None).geometry
+    longest = max(lines, key=lambda line: line.length)
+    return shapely.get_coordinates(longest)
+
+
+def _edges(
+    arguments: argparse.Namespace, frame: Frame, about: dict[str, Any]
+) -> list[shapely.Geometry]:
+    """Digitised edges, which the road ends at."""
+    if not arguments.edges:
+        return []
+    lines = read_lines(arguments.edges, frame, arguments.edges_crs or None).geometry.to_numpy()
+    tell_near(log, "edges", lines, about, arguments.edges)
+    return list(lines)
+
+
 def _users_area(path: str, frame: Frame) -> MultiPolygon:
     area = shapely.union_all(read_polygons(path, frame).geometry.to_numpy())
     parts = [part for part in shapely.get_parts(area) if part.geom_type == "Polygon"]
     return MultiPolygon(sorted(parts, key=lambda part: -part.area))
 
 
-def _found_area(arguments: argparse.Namespace) -> MultiPolygon:
+def _published(arguments: argparse.Namespace) -> MultiPolygon:
+    """Outline of the smooth ground that `cluster_fpfh` found."""
+    if not arguments.clusters:
+        raise InputError("lacks the classes of the ground", where="--clusters")
     columns = read_table(arguments.clusters)
     size_m = read_about(arguments.clusters)["voxel_size_m"]
     names = [field.name for field in fields(PavementSettings) if hasattr(arguments, field.name)]
-    settings = PavementSettings(**{name: getattr(arguments, name) for name in names})
+    given = {name: getattr(arguments, name) for name in names}
+    settings = PavementSettings(**{name: v for name, v in given.items() if v is not None})
     settings = pavement_settings_for(size_m, settings)
-    xyz, engine = columns[["x", "y", "z"]].to_numpy(np.float64), arguments.cluster_engine
-    try:
-        return outline_pavement(xyz, columns["smooth"].to_numpy(), settings, engine)
-    except InputError as error:
-        raise InputError(str(error), where=f"site {arguments.site}") from error
+    xyz = columns[["x", "y", "z"]].to_numpy(np.float64)
+    return outline_pavement(xyz, columns["smooth"].to_numpy(), settings, arguments.cluster_engine)
 
 
-def _pavement_points(arguments: argparse.Namespace, outline: MultiPolygon) -> pd.DataFrame:
-    """Ground points inside the outline, float32 local metres, in the cloud's order."""
-    cloud = CloudTiles(arguments.cloud)
-    ground = read_table(arguments.ground)["ground"].to_numpy()
+def _pavement_points(
+    arguments: argparse.Namespace, cloud: CloudTiles, ground: Bools, found: _Found
+) -> tuple[pd.DataFrame, PavementFacts]:
+    """Points on the pavement, float32 local metres, in the cloud's order; and what they tell."""
     starts = np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
+    parts, facts = [], PavementFacts()
+    size = cloud.tile_size_m
+    told = [name for name in ("classification", "scan") if name in cloud.columns]
+    for number, tile in enumerate(cloud.tiles):
+        rows = slice(starts[number], starts[number + 1])
+        points = cloud.read(("x", "y", "z", *told), [number])
+        xyz, low = stack_xyz(points), ground[rows]
+        exact = xyz.astype(np.float64)
+        on = inside(found.outline, exact[:, 0], exact[:, 1])
+        taken = on & low if found.points is None else found.points[rows]
+        parts.append(xyz[taken])
+        scan = points["scan"].astype(np.int64) if "scan" in points else None
+        facts.add_points(exact, points.get("classification"), low | taken, on, scan)
+        if arguments.doubts and found.method == "published":
+            west, south = tile.ix * size, tile.iy * size
+            core = (west, south, west + size, south + size)
+            around = _ground_around(cloud, ground, starts, core)
+            facts.add_rim(around, found.outline, core)
+    return pd.DataFrame(np.concatenate(parts), columns=["x", "y", "z"]), facts
+
+
+def _ground_around(
+    cloud: CloudTiles, ground: Bools, starts: Ints, core: tuple[float, float, float, float]
+) -> Floats:
+    """Ground points (n, 3) of a tile and of the strip around it."""
+    west, south, east, north = core
     parts = []
     for number, tile in enumerate(cloud.tiles):
-        mask = ground[starts[number] : starts[number] + tile.rows]
-        xyz = stack_xyz(cloud.read(("x", "y", "z"), [number]))[mask]
-        parts.append(xyz[inside(outline, xyz[:, 0], xyz[:, 1])])
-    return pd.DataFrame(np.concatenate(parts), columns=["x", "y", "z"])
+        low_x, low_y, _, high_x, high_y, _ = tile.bounds_m
+        if low_x > east + _HALO_M or high_x < west - _HALO_M:
+            continue
+        if low_y > north + _HALO_M or high_y < south - _HALO_M:
+            continue
+        xyz = stack_xyz(cloud.read(("x", "y", "z"), [number]))
+        xyz = xyz[ground[starts[number] : starts[number + 1]]].astype(np.float64)
+        near = (xyz[:, 0] >= west - _HALO_M) & (xyz[:, 0] < east + _HALO_M)
+        near &= (xyz[:, 1] >= south - _HALO_M) & (xyz[:, 1] < north + _HALO_M)
+        parts.append(xyz[near])
+    return np.concatenate(parts)
 
 
 def main(argv: list[str] | None = None) -> int:
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "cloud", "frame", "ground", "clusters", "pavement", "points"):
+    for name in ("site", "cloud", "frame", "ground", "pavement", "points"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--tma", nargs="?", help="polygon file of the monitored area")
-    parser.add_argument("--cluster-distance-m", type=float, default=0.2)
-    parser.add_argument("--vote-radius-m", type=float, default=0.5)
-    parser.add_argument("--outline-cell-m", type=float, default=0.25)
-    parser.add_argument("--closing-m", type=float, default=1.0)
-    parser.add_argument("--smallest-hole-m2", type=float, default=20.0)
-    parser.add_argument("--smallest-part-share", type=float, default=0.2)
-    parser.add_argument("--cluster-engine", choices=ENGINES, default="own")
+    parser.add_argument("--method", choices=METHODS, default="auto")
+    parser.add_argument("--profile", nargs="?", help="what auto decides by")
+    parser.add_argument("--clusters", nargs="?", help="published: smooth and rough ground")
+    parser.add_argument("--doubts", help="JSON with what the pavement rests on")
+    parser.add_argument("--seeds", nargs="?", help="surface: places on the road, x,y;x,y")
+    parser.add_argument("--track", nargs="?", help="surface: line file, where a vehicle drove")
+    parser.add_argument("--track-crs", nargs="?", help="its CRS if the file names none")
+    parser.add_argument("--edges", nargs="?", help="surface: digitised edges, any vector format")
+    parser.add_argument("--edges-crs", nargs="?", help="their CRS if the file names none")
+    parser.add_argument("--intensity", nargs="?", choices=["auto", "use", "ignore"], default="auto")
+    parser.add_argument("--cluster-engine", nargs="?", choices=ENGINES, default="own")
+    for field in fields(PavementSettings)[:6]:
+        name = f"--{field.name.replace('_', '-')}"
+        parser.add_argument(name, nargs="?", type=float, help="published")
     return run_stage(parser, extract_pavement, argv)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.tiles import COLOUR, CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json, write_json
+from roadsight.scene.pavement.scan_levels import count_scans
 from roadsight.scene.profile import (
     Cells,
     count_cells,
@@ -49,6 +50,7 @@ def profile_scene(arguments: argparse.Namespace) -> None:
         intensity,
         has_colour=set(COLOUR) <= set(cloud.columns),
     )
+    profile["scans"] = count_scans(lambda: _scans(cloud))
     log.info(
         "%.2f points per m2, %.3f m apart",
         profile["density_per_m2"]["median"],
@@ -65,6 +67,15 @@ def _cells(cloud: CloudTiles) -> tuple[Cells, Ints]:
         parts.append(count_cells(stack_xyz(points), points["classification"]))
         intensity += np.bincount(points["intensity"], minlength=_INTENSITIES)
     return join_cells(parts), intensity
+
+
+def _scans(cloud: CloudTiles) -> Iterator[tuple[Floats, Ints]]:
+    """Points and their scan numbers, tile by tile; one scan where the cloud tells none apart."""
+    told = "scan" in cloud.columns
+    for number in range(len(cloud.tiles)):
+        points = cloud.read(("x", "y", "z", *(["scan"] if told else [])), [number])
+        xyz_m = stack_xyz(points).astype(np.float64)
+        yield xyz_m, points["scan"] if told else np.zeros(len(xyz_m), np.int64)
 
 
 def _distances(cloud: CloudTiles, cells: Cells) -> Floats:

@@ -12,6 +12,7 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.errors import InputError
+from roadsight.geometry.crs import unit_name
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, Points, Tile, stack_xyz
 from roadsight.io.raster.rasters import Raster, read_raster
@@ -51,6 +52,7 @@ class SiteCloud:
     def __init__(self, site: SiteFolder, version: str) -> None:
         self._version = version
         frame = site.frame()
+        self._unit_m = frame.unit_m
         self._tiles = CloudTiles(site.file(CLOUD))
         self._starts = np.append(0, np.cumsum([tile.rows for tile in self._tiles.tiles]))
         self._ground = _ground_labels(site.results / GROUND, self._tiles.points)
@@ -60,12 +62,13 @@ class SiteCloud:
         self._lock = threading.Lock()
 
     def about(self) -> dict[str, Any]:
-        """Tiles with their boxes and numbers of points, and which colours make sense."""
+        """Tiles with boxes and numbers of points, the unit of x and y, which colours make sense."""
         return {
             "version": self._version,
             "points": self._tiles.points,
             "cells_m": [*CELLS_M, 0.0],
             "bytes_per_point": RECORD.itemsize,
+            "unit": {"name": unit_name(self._unit_m), "metres": self._unit_m},
             "has_ground": self._ground is not None,
             "has_heights": self._dem is not None,
             "tiles": [

@@ -109,6 +109,7 @@ class Layout:
         kinds = list(self.costs)
         return {
             "version": self.version,
+            "frame": {"origin": list(self.frame.origin), "unit_m": self.frame.unit_m},
             "sensors": [{"name": name, "cost": cost} for name, cost in self.costs.items()],
             "choices": {
                 "xyz": _flat(xyz),
@@ -271,6 +272,15 @@ class Layouts:
 
         Raises
         ------
+        InputError : as `asked`, or two sensors at one position.
+        """
+        return self.asked(stem, plan, asked).coverage(np.array(asked.rows, np.int64))
+
+    def asked(self, stem: str, plan: str, asked: WhatIf) -> Layout:
+        """The plan that a page asks about.
+
+        Raises
+        ------
         InputError : as `Layout`; or the plan was computed anew since the page read it.
         """
         layout = self.of(stem, plan)
@@ -278,7 +288,7 @@ class Layouts:
             raise InputError(
                 "was computed anew meanwhile", where=f"plan {plan}", hint="reload the page"
             )
-        return layout.coverage(np.array(asked.rows, np.int64))
+        return layout
 
 
 def _flat(table: Floats) -> list[float]:

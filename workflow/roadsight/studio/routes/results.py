@@ -6,6 +6,7 @@ from typing import Any
 
 from flask import Blueprint, Response, request
 
+from roadsight.studio.plans.exports import TYPES, Export, exported
 from roadsight.studio.project import Project
 from roadsight.studio.requests import body, version
 from roadsight.studio.results.layout import Layouts, WhatIf
@@ -25,6 +26,15 @@ def create(project: Project) -> Blueprint:
     @routes.post("/sites/<stem>/plans/<plan>/coverage")
     def coverage(stem: str, plan: str) -> dict[str, Any]:
         return layouts.coverage(stem, plan, body(WhatIf))
+
+    @routes.post("/sites/<stem>/plans/<plan>/export")
+    def export(stem: str, plan: str) -> Response:
+        asked = body(Export)
+        layout = layouts.asked(stem, plan, asked)
+        name, content = exported(project.site(stem), plan, layout, asked)
+        response = Response(content, mimetype=TYPES[asked.format])
+        response.headers.set("Content-Disposition", "attachment", filename=name)
+        return response
 
     @routes.get("/sites/<stem>/poles")
     def poles(stem: str) -> dict[str, Any]:

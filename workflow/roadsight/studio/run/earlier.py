@@ -1,4 +1,7 @@
-"""What steps took in earlier runs, by the benchmark files that they left."""
+"""What work steps were in earlier runs, by the benchmark files that they left.
+
+Work is time of the processor: the time that passed depends on what else the machine did then.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +9,11 @@ from collections.abc import Collection, Iterator
 from pathlib import Path
 from statistics import mean
 
-_SECONDS = "s"
+_CPU, _WALL = "cpu_time", "s"
 
 
 def earlier_seconds(results: Path, sites: Collection[str]) -> dict[str, float]:
-    """Mean seconds of a step of each rule: at the given sites, else at all others.
+    """Mean seconds of work of a step of each rule: at the given sites, else at all others.
 
     Parameters
     ----------
@@ -32,6 +35,15 @@ def _benchmarks(folder: Path) -> Iterator[tuple[str, float]]:
         try:
             head, first, *_ = path.read_text(encoding="utf-8").split("\n")
             named = dict(zip(head.split("\t"), first.split("\t"), strict=True))
-            yield path.stem, float(named[_SECONDS])
+            yield path.stem, _work_s(named)
         except (OSError, ValueError, KeyError):
             continue
+
+
+def _work_s(named: dict[str, str]) -> float:
+    """Seconds of the processor; those that passed where the step was too short to be watched."""
+    passed = float(named[_WALL])
+    try:
+        return float(named[_CPU]) or passed
+    except (KeyError, ValueError):
+        return passed

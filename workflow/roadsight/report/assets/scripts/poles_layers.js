@@ -144,6 +144,13 @@ function drawPoles(map) {
   if (state.pole !== null) drawPole(map, state.pole);
 }
 
+// Colour of a pole by name: its hazard where that layer is on.
+function poleColour({ layers, site }, pole) {
+  if (!layers.rated) return "pole";
+  const rating = site.hazardOf.get(pole.id)?.rating;
+  return `rated-${["high", "medium", "low"].includes(rating) ? rating : "unknown"}`;
+}
+
 function drawPole(map, i) {
   const { context, colour } = map;
   const pole = map.site.poles[i];
@@ -151,7 +158,7 @@ function drawPole(map, i) {
   const [x, y] = map.toScreen(pole.x, pole.y);
   const reach = (pole.sigma_major_m ?? 0) * map.scale + 12;
   if (x < -reach || y < -reach || x > map.width + reach || y > map.height + reach) return;
-  const fill = colour(chosen ? "accent" : "pole");
+  const fill = colour(chosen ? "accent" : poleColour(map, pole));
   if (pole.sigma_major_m !== null && pole.sigma_major_m * map.scale > 2) {
     const angle = ((pole.sigma_azimuth_deg ?? 0) - 90) * Math.PI / 180;
     const radii = [pole.sigma_major_m, pole.sigma_minor_m ?? 0].map((sigma) => SIGMAS_DRAWN * sigma * map.scale);

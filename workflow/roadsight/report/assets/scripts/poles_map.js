@@ -3,7 +3,7 @@
 class PolesMap extends PlanCanvas {
   constructor(canvas, site, state, tooltip) {
     super(canvas, site, state, tooltip);
-    this.layers = { raster: true, lidar: true, cameras: true, rays: true, dropped: false, poles: true };
+    this.layers = { raster: true, lidar: true, cameras: true, rays: true, dropped: false, poles: true, rated: false };
     this.kinds = null;
     this.recolour();
     if (site.raster) this.loadRaster(site.raster);

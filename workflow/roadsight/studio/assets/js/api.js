@@ -45,6 +45,18 @@ export async function getBlob(path, options) {
   return (await call(path, options)).blob();
 }
 
+// A file that the server makes of what is sent, saved as it names it.
+export async function download(path, content) {
+  const answer = await call(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(content) });
+  const [, name] = /filename="?([^";]+)"?/.exec(answer.headers.get("Content-Disposition") ?? "") ?? [, "export"];
+  const link = document.createElement("a");
+  link.href = URL.createObjectURL(await answer.blob());
+  link.download = name;
+  link.click();
+  setTimeout(() => URL.revokeObjectURL(link.href), 1000);
+  return name;
+}
+
 // version: of what the content rests on; the server refuses it where there is another one by now.
 export async function send(method, path, content, { version, ...options } = {}) {
   const headers = { "Content-Type": "application/json", ...(version === undefined ? {} : { "If-Match": version }) };

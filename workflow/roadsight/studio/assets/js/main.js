@@ -1,7 +1,8 @@
 // The frame around the pages: token, site, theme, keys, and which page is shown.
 
 import { get, takeToken } from "./api.js";
-import { button, el, note, showKeys, typing } from "./dom.js";
+import { button, el, failed, note, showKeys, typing } from "./dom.js";
+import { newSite } from "./new_site.js";
 
 const PAGES = {
   edges: { title: "Road edges", load: () => import("./edges/page.js") },
@@ -9,9 +10,10 @@ const PAGES = {
   results: { title: "Results", load: () => import("./results/page.js") },
   run: { title: "Run", load: () => import("./run/page.js") },
 };
+const GROUPS = { own: "Own sites", sample: "Generated samples", audit: "Audits and trade-offs", absent: "Cannot run here" };
 const KEYS = { "Alt 1…4": "page", "T": "theme", "?": "these keys" };
 const THEME = "roadsight-theme";
-const studio = (window.studio = { page: null, project: null });
+const studio = (window.studio = { page: null, project: null, refresh });
 
 const address = () => {
   const [, page, name] = /^#\/(\w+)\/([^/]+)$/.exec(location.hash) ?? [];
@@ -32,12 +34,27 @@ const flipTheme = () => setTheme(document.documentElement.dataset.theme === "dar
 
 function fillTop(page, site) {
   const list = document.getElementById("site");
-  list.replaceChildren(...studio.project.sites.map((one) => el("option", { value: one.stem }, one.stem)));
+  const groups = Object.entries(GROUPS).map(([group, label]) => el("optgroup", { label }, studio.project.sites.filter((one) => one.group === group).map(({ stem }) => el("option", { value: stem }, stem))));
+  list.replaceChildren(...groups.filter((group) => group.children.length));
   list.value = site.stem;
   list.title = site.title;
   list.onchange = () => { location.hash = addressOf(address().page, { stem: list.value }); };
-  document.getElementById("tabs").replaceChildren(...Object.entries(PAGES).map(([name, { title }]) =>
-    el("a", { href: addressOf(name, site), "aria-current": name === page ? "page" : null }, title)));
+  document.getElementById("tabs").replaceChildren(...Object.entries(PAGES).map(([name, { title }]) => tab(name, title, site, name === page)));
+}
+
+// A page that cannot work on the site says why, and leads nowhere.
+function tab(name, title, site, current) {
+  const reason = site.cannot[name];
+  const shown = { "aria-current": current ? "page" : null };
+  if (!reason) return el("a", { href: addressOf(name, site), ...shown }, title);
+  return el("a", { role: "link", "aria-disabled": "true", tabIndex: 0, ...shown }, title, " ", el("small", {}, reason));
+}
+
+// What is there of each site changes with runs and saves.
+async function refresh() {
+  studio.project = await get("project");
+  const { page, site } = address();
+  fillTop(page, site);
 }
 
 async function show() {
@@ -50,6 +67,7 @@ async function show() {
   main.replaceChildren(el("p", { className: "loading" }, "Loading…"));
   const turn = (studio.turn = Symbol(page));
   try {
+    if (site.cannot[page]) throw new Error(`This page cannot work on ${site.stem}: ${site.cannot[page]}.`);
     if (site.error) throw new Error(site.error);
     const opened = await (await PAGES[page].load()).open(site, studio.project);
     if (studio.turn !== turn) return opened.close?.();
@@ -64,11 +82,11 @@ async function show() {
 // What to do where a page cannot be shown.
 function problem(error, site) {
   const box = el("div", { className: "page" }, el("h1", {}, site.title), el("p", { className: "message bad", role: "alert" }, error.message));
-  if (site.command && !site.there?.cloud) {
+  if (site.command && !site.there.cloud) {
     box.append(el("p", {}, "This site has no results yet. Run first, in the project's folder:"), el("p", {}, el("code", {}, site.command)));
-    if (PAGES.run) box.append(el("p", {}, el("a", { href: addressOf("run", site) }, "or start it on the page Run")));
+    box.append(el("p", {}, el("a", { href: addressOf("run", site) }, "or start it on the page Run")));
   }
-  box.append(button("Try again", start));
+  box.append(el("p", {}, button("Try again", start)));
   return box;
 }
 
@@ -95,7 +113,7 @@ async function start() {
   }
   if (studio.project.broken) note(studio.project.broken, "bad", 60);
   if (!studio.project.sites.length) {
-    main.replaceChildren(el("div", { className: "page" }, el("p", { className: "message" }, "No site yet. Write one with: roadsight init CLOUD")));
+    main.replaceChildren(el("div", { className: "page" }, el("p", { className: "message" }, "No site yet. Add a cloud above, or write one with: roadsight init CLOUD")));
     return;
   }
   await show();
@@ -105,6 +123,11 @@ takeToken();
 setTheme(localStorage.getItem(THEME) ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
 document.getElementById("theme").onclick = flipTheme;
 document.getElementById("help").onclick = () => showKeys({ ...KEYS, ...studio.page?.keys });
+document.getElementById("add").onclick = () => newSite(async (stem) => {
+  await refresh();
+  location.hash = addressOf("run", { stem });
+});
+addEventListener("planschange", () => refresh().catch(failed));
 addEventListener("hashchange", () => { takeToken(); show(); });
 addEventListener("keydown", onKey);
 await start();

@@ -7,6 +7,7 @@ import { el, themeColour } from "../dom.js";
 import { Color, Scene, Vector3, WebGLRenderer } from "../vendor.js";
 import { FIELD_OF_VIEW_DEG, camerasOf } from "./cameras.js";
 import { modeNumber, pointMaterial } from "./material.js";
+import { Ruler } from "./ruler.js";
 import { COARSEST_PX, Tiles } from "./tiles.js";
 
 const FRAME_MS = { slow: 45, fast: 22 };
@@ -19,6 +20,7 @@ export class CloudView {
     this.canvas = el("canvas", { tabIndex: 0, "aria-label": "Map of the cloud: drag to move, wheel to zoom, right button to turn in 3D" });
     this.over = el("canvas", { className: "over" });
     this.element = el("div", { className: "view" }, this.canvas, this.over);
+    this.ruler = new Ruler(this);
     this.scene = new Scene();
     this.scene.matrixWorldAutoUpdate = false;
     this.material = pointMaterial();
@@ -27,8 +29,7 @@ export class CloudView {
     this.tiles = new Tiles(stem, about, this.scene, this.material, () => this.draw());
     this.tiles.onerror = options.onerror;
     this.ondraw = options.ondraw ?? (() => {});
-    this.budget = BUDGET.first;
-    this.stats = { frames: [], points: 0 };
+    Object.assign(this, { budget: BUDGET.first, stats: { frames: [], points: 0 } });
     Object.assign(this, camerasOf(about.tiles, this.canvas, () => this.moved()));
     this.setMode("plan");
     this.resizing = new ResizeObserver(() => this.resize());
@@ -262,6 +263,7 @@ export class CloudView {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, ...this.size);
     this.ondraw(context, this);
+    this.ruler.draw(context);
   }
 
   // Pixel of a place; null behind the camera.

@@ -103,7 +103,7 @@ export class Editor {
   }
 
   down(event) {
-    if (event.target !== this.view.canvas || event.button !== 0 || this.view.mode !== "plan") return;
+    if (event.target !== this.view.canvas || event.button !== 0 || this.view.mode !== "plan" || this.view.ruler.active) return;
     this.view.canvas.focus({ preventScroll: true });
     const pixel = this.at(event);
     this.pressed = { pixel, moved: false, handle: null };
@@ -144,7 +144,7 @@ export class Editor {
   }
 
   double(event) {
-    if (event.target !== this.view.canvas || this.view.mode !== "plan") return;
+    if (event.target !== this.view.canvas || this.view.mode !== "plan" || this.view.ruler.active) return;
     event.stopPropagation();
     if (this.tool !== "select") return this.finish();
     const hit = this.hit(this.at(event));

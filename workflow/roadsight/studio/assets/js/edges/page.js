@@ -17,7 +17,7 @@ const KEYS = {
   "Space": "place a point at the cross in the middle",
   "Enter": "finish what is drawn", "Esc": "finish, then let go",
   ", .": "point before, after", "Arrows": "move the chosen point by 0.1 m, with Shift by 1 m; else move the map",
-  "I": "split the segment", "Delete": "delete the point", "+ -": "zoom", "0": "show all", "P": "plan or 3D",
+  "I": "split the segment", "Delete": "delete the point", "+ -": "zoom", "0": "show all", "P": "plan or 3D", "D": "measure",
   "Ctrl Z": "undo", "Ctrl Y": "redo", "Ctrl S": "save",
 };
 
@@ -68,7 +68,7 @@ class EdgesPage {
       el("label", {}, "Colour", select(colours, "height", (name) => this.colour(name), { "data-colour": true })),
       el("label", {}, "Points", size),
       el("span", { className: "group", role: "group", "aria-label": "Layers" }, toggles),
-      button("All", () => this.showAll(), { title: "0" }));
+      button("All", () => this.showAll(), { title: "0" }), this.view.ruler.button);
   }
 
   setMode(mode) {
@@ -215,7 +215,7 @@ class EdgesPage {
     if ((event.ctrlKey || event.metaKey) && letter === "s") return this.save(), true;
     if (event.key === " " && event.target.tagName === "BUTTON") return false;
     if (event.key === "Enter" && event.target.tagName === "BUTTON") return false;
-    if (this.editor.onKey(event)) return true;
+    if (this.view.ruler.onKey(event) || this.editor.onKey(event)) return true;
     if (event.ctrlKey || event.metaKey || event.altKey) return false;
     if (letter === "p") {
       const mode = this.view.mode === "plan" ? "3d" : "plan";

@@ -33,12 +33,12 @@ class ResultsPage {
     return this;
   }
 
-  get keys() { return { P: "plan or 3D", ...(Object.keys(this.parts).length > 1 ? { J: "sensors or poles" } : {}), ...this.part?.keys }; }
+  get keys() { return { P: "plan or 3D", D: "measure", ...(Object.keys(this.parts).length > 1 ? { J: "sensors or poles" } : {}), ...this.part?.keys }; }
 
   bar() {
     this.modes = choice({ plan: "Plan", "3d": "3D" }, "plan", (mode) => this.setMode(mode), "View");
     const colours = el("label", {}, "Colour", select(COLOURS, "intensity", (name) => this.view.setColour(name)));
-    return el("div", { className: "bar" }, this.modes, colours);
+    return el("div", { className: "bar" }, this.modes, colours, this.view.ruler.button);
   }
 
   setMode(mode) {
@@ -79,7 +79,7 @@ class ResultsPage {
       const box = this.view.element.getBoundingClientRect();
       return [event.clientX - box.left, event.clientY - box.top];
     };
-    this.view.canvas.addEventListener("pointerdown", (event) => { this.pressed = event.button === 0 ? at(event) : null; });
+    this.view.canvas.addEventListener("pointerdown", (event) => { this.pressed = event.button === 0 && !this.view.ruler.active ? at(event) : null; });
     this.view.canvas.addEventListener("pointerup", (event) => {
       const pixel = at(event);
       const still = this.pressed && Math.hypot(pixel[0] - this.pressed[0], pixel[1] - this.pressed[1]) <= CLICK_PX;
@@ -90,6 +90,7 @@ class ResultsPage {
 
   onKey(event) {
     const { key } = event;
+    if (this.view.ruler.onKey(event)) return true;
     if (key === "p") this.setMode(this.view.mode === "plan" ? "3d" : "plan");
     else if (key === "j" && Object.keys(this.parts).length > 1) this.turnTo(this.name === "sensors" ? "poles" : "sensors");
     else if (!this.loading && !this.problem && this.part.onKey(event)) return true;

@@ -3,6 +3,7 @@
 import { get, getBlob, send, siteUrl } from "../api.js";
 import { button, digits, el, failed, note } from "../dom.js";
 import { History } from "../history.js";
+import { enlargeable } from "../enlarge.js";
 import { drawPoles } from "./draw_poles.js";
 
 const HIT_PX = 11;
@@ -180,7 +181,7 @@ export class Poles {
       const blob = await getBlob(siteUrl(this.page.site.stem, `poles/picture?image=${encodeURIComponent(image)}&view=${view}`));
       const bitmap = await createImageBitmap(blob);
       if (this.turn !== turn || this.page.closed) return;
-      this.picture = marked(bitmap, seen);
+      this.picture = enlargeable(marked(bitmap, seen), `Image ${image} with the pole marked`);
     } catch (error) {
       if (this.turn !== turn) return;
       this.picture = el("p", { className: "message", role: "status" }, error instanceof DOMException ? "This image cannot be read." : error.message);
@@ -250,7 +251,7 @@ export class Poles {
 
 // The image on a canvas with the pole's box and foot.
 function marked(bitmap, { image, u_min: left, v_min: top, u_max: right, v_max: bottom, u_foot: u, v_foot: v }) {
-  const canvas = el("canvas", { className: "shot", width: bitmap.width, height: bitmap.height, tabIndex: 0, role: "img", "aria-label": `Image ${image} with the pole marked` });
+  const canvas = el("canvas", { className: "shot", width: bitmap.width, height: bitmap.height, role: "img", "aria-label": `Image ${image} with the pole marked` });
   const context = canvas.getContext("2d");
   const wide = Math.max(2, bitmap.width / 250);
   context.drawImage(bitmap, 0, 0);

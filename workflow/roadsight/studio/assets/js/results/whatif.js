@@ -1,10 +1,13 @@
 // A plan's sensors: switch them off, move them, add others, and see at once what is covered.
 
-import { get, send, siteUrl } from "../api.js";
-import { button, digits, el, failed, select } from "../dom.js";
+import { download, get, send, siteUrl } from "../api.js";
+import { button, digits, el, failed, note, select } from "../dom.js";
+import { planForm } from "../plans/form.js";
+import { placesOf } from "../plans/places.js";
 import { drawLayout } from "./draw.js";
 
 const HIT_PX = 10;
+const FILES = { yaml: "Plan (YAML)", csv: "CSV", geojson: "GeoJSON" };
 const MOST_LISTED = 200;
 const SHOWN = { candidates: "Candidates", obstacles: "Obstacles" };
 
@@ -195,7 +198,7 @@ export class WhatIf {
     const plans = select(this.plans, this.plan, (plan) => { this.plan = plan; this.page.turnTo("sensors"); }, { "aria-label": "Plan", "data-do": "plan", className: "wide" });
     const layers = Object.entries(SHOWN).map(([name, text]) => el("label", {}, el("input", { type: "checkbox", checked: this.shown[name], "data-do": name, onchange: (event) => { this.shown[name] = event.target.checked; this.page.show(); } }), text));
     return [el("section", {}, el("h1", {}, "Plan"), el("div", { className: "row" }, plans), ...this.figures(), el("div", { className: "row" }, layers)),
-      this.sensorPart(), this.chosenPart(), this.uncoveredPart()].filter(Boolean);
+      this.sensorPart(), this.chosenPart(), this.keepPart(), this.uncoveredPart()].filter(Boolean);
   }
 
   figures() {
@@ -209,9 +212,9 @@ export class WhatIf {
     const change = this.changed
       ? [...fact("Lost, gained", el("span", {}, el("b", { "data-state": lost ? "rejected" : "" }, `−${lost}`), " ", el("b", { "data-state": gained ? "accepted" : "" }, `+${gained}`))),
         ...fact("Sensors, cost against the plan", `${signed(on - this.about.chosen.length)}, ${signed(Number((cost - this.planCost).toFixed(2)))}`)] : [];
-    return [el("dl", { className: "facts", role: "status" },
+    return [el("div", { role: "status" }, el("dl", { className: "facts" },
       fact("Sensors", String(on)), fact(this.changed ? "Cost" : `Cost (${proven})`, digits(cost, 2).replace(/\.00$/, "")),
-      fact("Targets covered", `${covered} of ${count}, ${digits((100 * covered) / Math.max(count, 1), 1)} %`), change),
+      fact("Targets covered", `${covered} of ${count}, ${digits((100 * covered) / Math.max(count, 1), 1)} %`), change)),
     el("div", { className: "row" },
       button(gain ? `Add best: covers ${gain} more` : "Nothing more can be covered", () => this.addBest(), { disabled: !gain, "data-do": "best" }),
       button("Undo", () => this.undo(), { disabled: !this.past.length, "data-do": "undo" }),
@@ -236,6 +239,21 @@ export class WhatIf {
     });
     return el("section", {}, el("h2", {}, "Sensors"), el("ul", { className: "list tall" }, rows),
       el("div", { className: "row" }, kinds, button("Add by a click", () => { this.adding = !this.adding; this.page.show(); }, { "aria-pressed": String(Boolean(this.adding)), "data-do": "add" })));
+  }
+
+  // As a plan of the site, or as files.
+  keepPart() {
+    const save = () => planForm(this.page.site, { base: this.plan, given: {
+      name: `${this.plan}-mine`, title: `${this.plans[this.plan]}, as drawn`, goal: "sensors", amount: this.rows.length, ...placesOf(this),
+    } }).catch(failed);
+    const files = Object.entries(FILES).map(([format, text]) => button(text, () => this.export(format), { "data-do": `export-${format}` }));
+    return el("section", {}, el("h2", {}, "Keep these sensors"),
+      el("div", { className: "row" }, button("Save as a plan…", save, { "data-do": "save-as" })), el("div", { className: "row" }, "Files", files));
+  }
+
+  export(format) {
+    const url = siteUrl(this.page.site.stem, `plans/${this.plan}/export`);
+    return download(url, { version: this.about.version, rows: this.rows, format }).then((name) => note(`Saved by the browser: ${name}`), failed);
   }
 
   chosenPart() {

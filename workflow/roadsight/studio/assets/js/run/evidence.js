@@ -2,6 +2,7 @@
 
 import { get, siteUrl } from "../api.js";
 import { el, select } from "../dom.js";
+import { enlargeable } from "../enlarge.js";
 
 const told = (error) => [el("p", { className: "message bad", role: "alert" }, error.message)];
 
@@ -41,9 +42,9 @@ function frontierPart({ studies }) {
 }
 
 function frontier({ title, svg, verdict, rows }) {
-  const chart = el("div", { className: "frontier" });
+  const chart = el("div");
   chart.innerHTML = svg;
   const table = el("table", {}, el("thead", {}, el("tr", {}, ["Level", "CPU s", "MiB", "Value", "Error"].map((text, n) => el("th", { scope: "col", className: n ? "number" : "" }, text)))),
     el("tbody", {}, rows.map((row) => el("tr", {}, el("th", { scope: "row" }, row.level, row.is_default ? " (default)" : ""), [row.cpu_s, row.mib, row.value, row.error].map((text) => el("td", { className: "number" }, text))))));
-  return el("figure", {}, el("figcaption", {}, el("b", {}, title), ` ${verdict}`), chart, el("details", {}, el("summary", {}, "Figures"), table));
+  return el("figure", {}, el("figcaption", {}, el("b", {}, title), ` ${verdict}`), enlargeable(chart.firstElementChild, `Chart ${title}`), el("details", {}, el("summary", {}, "Figures"), table));
 }

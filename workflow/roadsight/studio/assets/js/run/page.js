@@ -2,6 +2,7 @@
 
 import { get, send } from "../api.js";
 import { ask, button, choice, el, failed, note, select } from "../dom.js";
+import { PlanList } from "../plans/list.js";
 import { evidenceParts } from "./evidence.js";
 import { progressPart } from "./progress.js";
 import { stalePart } from "./stale.js";
@@ -18,6 +19,7 @@ class RunPage {
     Object.assign(this, { site, project, state: null, plan: null, order: { site: site.stem, target: "all", cores: 2 } });
     this.keys = { L: "look what is stale", S: "start", X: "stop" };
     this.panel = el("div", { className: "panel" });
+    this.plans = new PlanList(site);
     this.progress = el("section", { className: "part", "aria-label": "Progress" });
     this.stale = el("section", { className: "part", "aria-label": "What is stale" });
     this.evidence = el("div");
@@ -28,6 +30,7 @@ class RunPage {
     this.state = await get("run");
     if (this.state.order) Object.assign(this.order, { target: this.state.order.target, cores: this.state.order.cores, site: this.state.order.site && this.site.stem });
     this.show();
+    await this.plans.load();
     this.evidence.replaceChildren(...(await evidenceParts(this.site)));
     this.wait();
     return this;
@@ -57,6 +60,7 @@ class RunPage {
     const words = { done: "The run is finished", stopped: "The run was stopped", failed: "The run failed", lost: "The run ended without saying how" };
     note(words[this.state.status] ?? "The run ended", this.state.status === "done" ? "good" : "bad");
     this.plan = null;
+    window.studio.refresh().catch(failed);
     this.evidence.replaceChildren(...(await evidenceParts(this.site)));
     this.show();
   }
@@ -65,7 +69,7 @@ class RunPage {
 
   show() {
     const held = document.activeElement?.dataset?.do;
-    this.panel.replaceChildren(this.orderPart(), ...this.obstacles());
+    this.panel.replaceChildren(this.orderPart(), ...this.obstacles(), this.plans.element);
     this.progress.replaceChildren(...progressPart(this.state, this.lost));
     this.progress.hidden = !this.state.order && !this.lost;
     this.stale.replaceChildren(...stalePart(this.plan, this.looking, this.problem));
@@ -160,6 +164,7 @@ class RunPage {
   close() {
     this.closed = true;
     clearTimeout(this.timer);
+    this.plans.close();
   }
 }
 

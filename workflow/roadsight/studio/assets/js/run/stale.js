@@ -11,14 +11,14 @@ export function stalePart(plan, looking, problem) {
   if (!plan.jobs) return [...parts, el("p", { className: "message good", role: "status" }, "Nothing: all results are up to date.")];
   parts.push(el("p", { role: "status" }, summary(plan)));
   if (plan.open) parts.push(el("p", { className: "message" }, "The scene is looked at first; what it calls for may add steps to these."));
-  const head = ["Rule", "Steps", "Why", "Earlier"].map((text, n) => el("th", { scope: "col", className: n % 2 ? "number" : "" }, text));
+  const head = ["Rule", "Steps", "Why", "Core time"].map((text, n) => el("th", { scope: "col", className: n % 2 ? "number" : "" }, text));
   parts.push(el("div", { className: "scroll" }, el("table", { className: "stale" }, el("thead", {}, el("tr", {}, head)), el("tbody", {}, plan.rules.map(row)))));
   return parts;
 }
 
 function summary({ jobs, seconds, known, cores, rules }) {
   const own = rules.reduce((sum, rule) => sum + rule.own, 0);
-  const time = known ? ` Earlier, ${known === jobs ? "these" : `${known} of these`} took ${duration(seconds)} of work, so about ${duration(seconds / cores)} on ${cores} ${cores > 1 ? "cores" : "core"}.` : "";
+  const time = known ? ` Earlier, ${known === jobs ? "these" : `${known} of these`} took ${duration(seconds)} of a core's time, so about ${duration(seconds / cores)} on ${cores} ${cores > 1 ? "cores" : "core"}.` : "";
   return `${jobs} ${jobs > 1 ? "steps" : "step"}: ${own} stale by ${own === 1 ? "itself" : "themselves"}, ${jobs - own} because a step before runs.${time}`;
 }
 

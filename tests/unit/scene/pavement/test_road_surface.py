@@ -7,7 +7,7 @@ import pytest
 
 from roadsight.base.errors import InputError
 from roadsight.scene.pavement.ground_raster import cell_means, local_planes, window_planes
-from roadsight.scene.pavement.road_surface import RoadSettings, find_road, road_points
+from roadsight.scene.pavement.road_surface import KnownRoad, RoadSettings, find_road, road_points
 from roadsight.scene.pavement.scan_levels import level_scans, scanner_positions
 from roadsight.scene.pavement.surface_growth import grow
 
@@ -54,7 +54,7 @@ def test_a_street_ends_at_its_kerbs_whatever_the_registration(rng, layer_m):
 def test_a_track_seeds_the_road_where_scans_are_not_told_apart(rng):
     xyz, tone, _, road = street(rng)
     track = np.column_stack([np.linspace(5, 45, 10), np.full(10, 1.8)])
-    surface = find_road(xyz, tone, None, track)
+    surface = find_road(xyz, tone, None, KnownRoad(track_xy=track))
     assert surface.seeded_by == "track" and surface.parts == 1
     assert f1(road_points(surface, xyz, RoadSettings()), road) > 0.93
 

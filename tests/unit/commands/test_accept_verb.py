@@ -1,0 +1,81 @@
+"""The verb `roadsight accept` on a planned street written by hand."""
+
+import json
+
+import geopandas as gpd
+import numpy as np
+import pytest
+from shapely import Point
+
+from roadsight.__main__ import main
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.clouds import write_laz
+from roadsight.io.records.atomic import write_json
+from roadsight.io.vector.vectors import write_layers
+from tests.unit.placement.plans.test_acceptance import PLACE_M, scan, street
+from tests.unit.placement.stages.test_solve_cover_stage import FRAME
+
+OWN = Frame((0.0, 0.0, 0.0), 1.0, 1.0, FRAME.crs_wkt)
+"""A scan in the sensor's own frame: metres from its centre."""
+
+
+@pytest.fixture
+def accept(tmp_path, capsys):
+    plan = tmp_path / "placement" / "p"
+    plan.mkdir(parents=True)
+    (tmp_path / "scene").mkdir()
+    write_json(tmp_path / "scene" / "frame.json", FRAME.to_dict())
+    place = dict(zip("xyz", PLACE_M.tolist(), strict=True)) | {"yaw_deg": 30.0}
+    write_json(
+        plan / "solution.json", {"sensors": [place | {"sensor": "mine", "candidate": "left-1"}]}
+    )
+    feet = [Point(-9.0, 8.2, 0.0), Point(4.0, 8.0, 0.0)]
+    table = gpd.GeoDataFrame({"target": ["t0", "t1"], "sensors": [1, 2]}, geometry=feet)
+    write_layers(plan / "solution.gpkg", {"targets": table}, FRAME, {"targets": "Point Z"})
+    points = scan(PLACE_M, street(0))
+    source = {"point_source_id": np.ones(len(points), np.uint16)}
+    write_laz(plan / "scans.laz", points, FRAME, source)
+
+    def run(points, frame, *options):
+        write_laz(tmp_path / "scan.laz", points, frame)
+        argv = ["accept", str(tmp_path / "scan.laz"), "--plan", str(plan / "solution.json")]
+        code = main([*argv, "--sensor", "1", "-o", str(tmp_path / "out.json"), *options])
+        told = capsys.readouterr()
+        return json.loads((tmp_path / "out.json").read_text()) if code == 0 else told.err
+
+    return run
+
+
+def test_a_sensor_that_stands_as_planned_is_accepted_in_either_frame(accept):
+    position_m = PLACE_M + np.array([0.1, 0.0, 0.05])
+    measured = scan(position_m, street(0))
+    yaw = np.radians(30.0)
+    turn = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
+    found = accept((measured - position_m) @ turn, OWN)
+    assert found["verdict"] == "accepted"
+    assert found["moved_m"]["x"] == pytest.approx(0.1, abs=0.02)
+    assert found["moved_m"]["z"] == pytest.approx(0.05, abs=0.01)
+    placed = accept(measured - position_m + PLACE_M, FRAME)  # placed as if it stood as planned
+    assert placed["moved_m"]["x"] == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_sensor_beside_its_place_behind_a_truck_is_not(accept):
+    position_m = PLACE_M + np.array([0.4, 0.0, 0.0])
+    measured = scan(position_m, [*street(0), ((-12, 4, 0), (-4, 7, 3.5))])
+    found = accept(measured - position_m + PLACE_M, FRAME)
+    assert found["verdict"] == "not accepted"
+    assert any("m from its place" in reason for reason in found["reasons"])
+    assert accept(measured - position_m + PLACE_M, FRAME, "--move-m", "0.5")["moved_by_m"] > 0.3
+
+
+def test_a_scan_of_another_place_is_one_message(accept):
+    other = np.array([0.0, 0.0, 7.5])
+    told = accept(scan(other, street(3)) - other + PLACE_M, FRAME)
+    assert "another place" in told
+    assert told.count("\n") == 1
+
+
+def test_a_sensor_that_the_plan_lacks_is_refused(accept):
+    told = accept(scan(PLACE_M, street(0)), FRAME, "--sensor", "2")
+    assert "--sensor" in told
+    assert "1 to 1" in told

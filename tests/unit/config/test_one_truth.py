@@ -1,0 +1,95 @@
+"""A default that is written in two places is the same in both."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+import re
+
+import pytest
+from pydantic_core import PydanticUndefined
+
+import roadsight
+from roadsight.base.section import Section
+from roadsight.config.schema import Settings
+from tests.conftest import PROJECT
+
+RULE = re.compile(r"^rule (\w+):\n(.*?)(?=^(?:rule|checkpoint|def|use) |\Z)", re.M | re.S)
+
+
+def sections(model: type[Section] = Settings, prefix: str = "") -> dict[str, dict[str, object]]:
+    """Defaults of each section of config.yaml, by its name."""
+    found: dict[str, dict[str, object]] = {}
+    for name, field in model.model_fields.items():
+        kind = field.annotation
+        if inspect.isclass(kind) and issubclass(kind, Section):
+            found |= sections(kind, f"{prefix}{name}.")
+        elif field.default is not PydanticUndefined:
+            found.setdefault(prefix.rstrip("."), {})[name] = field.default
+    return found
+
+
+def parsers() -> list[tuple[str, str]]:
+    """Stage and section of each rule that hands a section on as options."""
+    pairs = set()
+    for file in sorted((PROJECT / "workflow" / "rules").rglob("*.smk")):
+        for _, body in RULE.findall(file.read_text("utf-8")):
+            module = re.search(r"python -m (roadsight\.stages\.[\w.]+)", body)
+            for section in re.findall(r'(?<!some_)flags\("([\w.]+)"', body):
+                if module:
+                    pairs.add((module.group(1), section))
+    return sorted(pairs)
+
+
+def _plain(value: object) -> object:
+    return list(value) if isinstance(value, tuple) else value
+
+
+@pytest.mark.parametrize(("module", "section"), parsers())
+def test_options_of_stages_have_the_defaults_of_their_section(module, section, monkeypatch):
+    stage, caught = importlib.import_module(module), []
+    monkeypatch.setattr(stage, "run_stage", lambda parser, *_: caught.append(parser) or 0)
+    stage.main([])
+    defaults = {action.dest: action.default for action in caught[0]._actions}
+    wanted = sections()[section]
+    drifted = {
+        name: (defaults[name], value)
+        for name, value in wanted.items()
+        if defaults.get(name) is not None and defaults[name] != value
+    }
+    assert not drifted, "option, then config.yaml"
+
+
+def test_settings_of_the_science_have_the_defaults_of_their_section():
+    drifted = {}
+    for found in pkgutil.walk_packages(roadsight.__path__, "roadsight."):
+        if not found.name.startswith(("roadsight.scene", "roadsight.poles", "roadsight.placement")):
+            continue
+        for name, kind in vars(importlib.import_module(found.name)).items():
+            own = dataclasses.is_dataclass(kind) and getattr(kind, "__module__", "") == found.name
+            if not (own and name.endswith(("Settings", "Reach"))):
+                continue
+            have = {
+                field.name: field.default
+                for field in dataclasses.fields(kind)
+                if field.default is not dataclasses.MISSING
+            }
+            for section, values in sections().items():
+                common = set(have) & set(values)
+                if len(common) >= max(2, len(have) // 3):
+                    drifted |= {
+                        f"{name}.{key}, {section}": (have[key], values[key])
+                        for key in common
+                        if _plain(have[key]) != _plain(values[key])
+                    }
+    # Of cameras that GPS alone placed, as the verb takes them; the workflow's are aligned.
+    for name in ("sigma_position_m", "pole_evidence"):
+        drifted.pop(f"TriangulationSettings.{name}, triangulation")
+    assert not drifted, "science, then config.yaml"
+
+
+def test_the_walk_finds_what_it_is_about():
+    assert len(parsers()) >= 15
+    assert len(sections()) >= 25

@@ -1,0 +1,83 @@
+"""Roads measured along routes: both directions, kilometres, and what is refused."""
+
+import numpy as np
+import pytest
+
+from roadsight.base.errors import InputError
+from roadsight.poles.risk.roads import Road, Roads
+from roadsight.poles.risk.routes import Route, check_routes, with_routes
+
+X = np.arange(0.0, 401.0)
+
+
+def road(name="drive-e", flip=False):
+    line = np.column_stack([X, 0 * X])
+    line = line[::-1] if flip else line
+    return Road(name, (name,), "", line, X.copy(), np.full(401, 3.0), np.full(401, 4.0))
+
+
+def route(name="SR 7", start=1200.0, low=-100.0, high=500.0, step=25.0, y=1.0, where="a.gpkg"):
+    x = np.arange(low, high + 1, step)
+    return Route(name, np.column_stack([x, y + 0 * x]), start + x - low, where)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_the_measure_is_the_routes_whichever_way_the_drive_went(flip):
+    roads, told = with_routes(Roads([road(flip=flip)]), [route()])
+    assert not told
+    own = roads.roads[0]
+    assert own.name == "SR 7"
+    assert own.drives == ("drive-e",)
+    assert (np.diff(own.station_m) > 0).all()
+    located = roads.locate(np.array([[100.0, -5.0], [300.0, 6.0]]))
+    assert located.station_m == pytest.approx([1400, 1600], abs=0.01)
+    assert located.side.tolist() == [1, -1]
+    # The wider side of the road stays where it was.
+    assert own.edge_m(located.station_m, located.side) == pytest.approx(
+        [3.0, 4.0] if flip else [4.0, 3.0]
+    )
+
+
+def test_measures_of_other_scale_and_beyond_the_routes_ends():
+    shorter = route(low=50.0, high=350.0)
+    stretched = Route("r", shorter.xy_m, 100 + 1.01 * (shorter.xy_m[:, 0] - 50))
+    roads, _ = with_routes(Roads([road()]), [stretched])
+    at = roads.locate(np.column_stack([[50.0, 200, 350, 0, 400], np.zeros(5)])).station_m
+    assert at == pytest.approx([100, 251.5, 403, 50, 453], abs=0.2)
+
+
+def test_segments_of_one_route_are_one_measure():
+    first, second = route(high=200.0), route(start=1500.0, low=200.0)
+    roads, told = with_routes(Roads([road()]), [second, first])
+    assert not told
+    assert roads.locate(np.array([[250.0, 2.0]])).station_m == pytest.approx([1550])
+
+
+def test_two_routes_on_one_road_are_refused():
+    with pytest.raises(InputError, match=r"two routes run along road drive-e.*SR 7 and US 1"):
+        with_routes(Roads([road()]), [route(), route("US 1", where="a.gpkg, feature 2")])
+
+
+def test_routes_that_follow_each_other_are_told():
+    roads, told = with_routes(Roads([road()]), [route(high=250.0), route("US 1", low=250.0)])
+    assert roads.roads[0].name == "SR 7"
+    assert "follow each other" in told[0]
+
+
+def test_roads_off_all_routes_keep_their_own_measure():
+    roads, told = with_routes(Roads([road()]), [route(y=80.0)])
+    assert roads.roads[0].name == "drive-e"
+    assert told == ["no route runs along road drive-e: its measure stays its own"]
+    crossing = Route("c", np.array([[200.0, -200.0], [200.0, 200.0]]), np.array([0.0, 400.0]))
+    assert with_routes(Roads([road()]), [crossing])[1]
+
+
+def test_falling_measures_and_turned_segments_are_refused():
+    one = route()
+    with pytest.raises(InputError, match=r"do not rise along its line.*turn the line"):
+        check_routes([Route("r", one.xy_m, one.measure_m[::-1], "r.gpkg, feature 1")])
+    first, second = route(high=200.0), route(start=1500.0, low=200.0)
+    turned = Route(second.name, second.xy_m[::-1], second.measure_m, "feature 2")
+    with pytest.raises(InputError, match="digitised against its measures"):
+        check_routes([first, turned])
+    check_routes([first, second])

@@ -1,0 +1,160 @@
+"""Plans saved from the studio: the workflow reads them as they were meant; files to take away."""
+
+from __future__ import annotations
+
+import io
+import json
+import shutil
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from roadsight.base.errors import InputError
+from roadsight.io.vector.point_tables import read_points
+from roadsight.io.vector.vectors import read_polygons
+from roadsight.studio.plans.exports import Export, exported
+from roadsight.studio.plans.plan_bodies import Barred, PlanBody, Standing
+from roadsight.studio.plans.plan_files import about_plans, remove_plan, save_plan
+from roadsight.studio.project import Project
+from roadsight.studio.results.layout import Layouts
+from tests.conftest import PROJECT
+from tests.helpers.report_site import ReportSite
+
+SETTINGS = {"shards": 1, "coverage": {"shards": 1, "uncoverable": "exclude"}}
+PLAN = "puck-32c-or-os-32"
+HEAD = "# Our road\nsite: tiny\nclouds: [x.laz]\njobs: [placement] # for now\n"
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory):
+    root = tmp_path_factory.mktemp("project")
+    shutil.copytree(PROJECT / "config", root / "config", ignore=shutil.ignore_patterns("sites"))
+    (root / "config/sites").mkdir()
+    (root / "Snakefile").touch()
+    ReportSite(root / "results", "tiny", hidden=0.1)
+    return root
+
+
+@pytest.fixture
+def project(source, monkeypatch):
+    folder = source / "config/sites"
+    shutil.rmtree(folder)
+    folder.mkdir()
+    (folder / "tiny.yaml").write_text(HEAD + yaml.safe_dump({"settings": SETTINGS}))
+    monkeypatch.chdir(source)
+    return Project(source)
+
+
+def native(project, x, y):
+    return project.site("tiny").frame().to_native(np.array([[x, y, 0.0]]))[0, :2].tolist()
+
+
+def what_if(project, **more):
+    x, y = native(project, 10.0, 5.0)
+    u, v = native(project, 20.0, -5.0)
+    body = {
+        "title": "Agreed: on the left", "sensors": ["OS1-32"], "base": PLAN,
+        "mandatory": [Standing(x=x, y=y, kind="OS1-32", height_m=4.5)],
+        "forbidden": [Barred(x=u, y=v, half_m=1.5)],
+    }  # fmt: skip
+    return PlanBody(**(body | more))
+
+
+def test_a_what_if_is_a_plan_that_the_workflow_reads(project):
+    changed = save_plan(project, "tiny", "agreed", what_if(project, at_least=2))
+    assert sorted(changed) == [
+        "config/sites/tiny.yaml",
+        "config/sites/tiny/agreed.forbidden.geojson",
+        "config/sites/tiny/agreed.mandatory.csv",
+    ]
+    text = (project.root / "config/sites/tiny.yaml").read_text()
+    assert text.startswith(HEAD)
+    site = project.site("tiny")
+    plan, frame = site.resolved.plans["agreed"], site.frame()
+    assert (plan.title, plan.sensors, plan.at_least) == ("Agreed: on the left", ["OS1-32"], 2)
+    points = read_points(plan.mandatory.file, frame, None, ["height_m"])
+    assert points[["x", "y", "height_m"]].to_numpy()[0] == pytest.approx([10, 5, 4.5], abs=1e-3)
+    assert points["kind"].tolist() == ["OS1-32"]
+    (square,) = read_polygons(plan.forbidden.file, frame).geometry
+    assert square.bounds == pytest.approx((18.5, -6.5, 21.5, -3.5), abs=1e-3)
+
+
+def test_saving_again_asks_first_and_keeps_what_is_not_given(project):
+    save_plan(project, "tiny", "agreed", what_if(project))
+    with pytest.raises(InputError, match="is the name of a plan already"):
+        save_plan(project, "tiny", "agreed", what_if(project))
+    edited = PlanBody(
+        title="Less", sensors=["OS1-32"], base="agreed", replace=True, goal="sensors", amount=3
+    )
+    assert save_plan(project, "tiny", "agreed", edited) == ["config/sites/tiny.yaml"]
+    plan = project.site("tiny").resolved.plans["agreed"]
+    assert plan.budget.sensors == 3 and plan.mandatory is not None and plan.forbidden is not None
+    none = edited.model_copy(update={"mandatory": [], "goal": "price", "amount": 0.5})
+    save_plan(project, "tiny", "agreed", none)
+    plan = project.site("tiny").resolved.plans["agreed"]
+    assert plan.mandatory is None and plan.price == 0.5 and plan.budget is None
+
+
+def test_places_that_are_left_are_added_to_those_that_the_base_forbids(project):
+    save_plan(project, "tiny", "agreed", what_if(project))
+    save_plan(project, "tiny", "second", what_if(project, base="agreed", mandatory=[]))
+    site = project.site("tiny")
+    file = site.resolved.plans["second"].forbidden.file
+    assert len(read_polygons(file, site.frame())) == 2
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"sensors": ["unheard-of"]}, "unknown sensor"),
+        ({"goal": "cost"}, "needs an amount"),
+        ({"base": "nothing"}, "no such plan"),
+        ({"mandatory": [Standing(x=1, y=2), Standing(x=1, y=2.001)]}, "at the place of another"),
+    ],
+)
+def test_what_is_wrong_is_told_and_nothing_is_written(project, change, told):
+    before = (project.root / "config/sites/tiny.yaml").read_bytes()
+    with pytest.raises(InputError, match=told):
+        save_plan(project, "tiny", "agreed", what_if(project, **change))
+    assert (project.root / "config/sites/tiny.yaml").read_bytes() == before
+    assert not (project.root / "config/sites/tiny").exists()
+
+
+def test_a_plan_of_all_sites_is_not_shadowed(project):
+    with pytest.raises(InputError, match="choose another one"):
+        save_plan(project, "tiny", PLAN, what_if(project, replace=True))
+
+
+def test_an_own_plan_is_taken_away_with_its_places(project):
+    before = (project.root / "config/sites/tiny.yaml").read_text()
+    save_plan(project, "tiny", "agreed", what_if(project))
+    own = {one["name"]: one for one in about_plans(project, project.site("tiny"))["plans"]}
+    assert own["agreed"]["own"] and own["agreed"]["mandatory"] and not own[PLAN]["own"]
+    remove_plan(project, "tiny", "agreed")
+    assert list((project.root / "config/sites/tiny").iterdir()) == []
+    assert yaml.safe_load((project.root / "config/sites/tiny.yaml").read_text()) == (
+        yaml.safe_load(before)
+    )
+    with pytest.raises(InputError, match="no plan of this site alone"):
+        remove_plan(project, "tiny", "agreed")
+
+
+def test_sensors_are_exported_where_they_stand_and_a_plan_reads_them(project, tmp_path):
+    layout, site = Layouts(project).of("tiny", PLAN), project.site("tiny")
+    rows = layout.chosen.tolist()
+
+    def export(kind):
+        return exported(site, PLAN, layout, Export(version=layout.version, rows=rows, format=kind))
+
+    name, content = export("csv")
+    table = pd.read_csv(io.BytesIO(content))
+    expected = layout.places.iloc[rows][["x", "y", "z"]].to_numpy()
+    assert layout.frame.to_local(table[["x", "y", "z"]]) == pytest.approx(expected, abs=2e-3)
+    (tmp_path / name).write_bytes(content)
+    points = read_points(tmp_path / name, layout.frame, None, ["height_m"])
+    assert points["kind"].tolist() == layout.choices["sensor"].iloc[rows].tolist()
+    assert len(json.loads(export("geojson")[1])["features"]) == len(rows)
+    plan = yaml.safe_load(export("yaml")[1])["placement"]["own_plans"][f"{PLAN}-as-drawn"]
+    assert plan["mandatory"] == {"file": name}

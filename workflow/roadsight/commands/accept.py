@@ -1,0 +1,201 @@
+"""``roadsight accept``: whether an installed sensor stands and sees as planned."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from roadsight.base.arrays import Floats
+from roadsight.base.errors import InputError
+from roadsight.config.schema import Tolerance
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.clouds import read_laz
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.vector.vectors import read_layer
+from roadsight.placement.plans.acceptance import (
+    SAME_PLACE,
+    SAME_STRUCTURE,
+    Planned,
+    Registered,
+    lost_targets,
+    planned_scan,
+    register,
+)
+from roadsight.placement.sensors.poses import Turn, local_from_sensor
+from roadsight.placement.sensors.sensors import Sensor, load_sensors
+
+_AGREEING = 0.8
+"""Share of the beams that must agree: a parked truck in the way hides less of a turn, leaves that
+fell or grew since the survey more."""
+_SENSOR_FRAME_M = 1_000.0
+"""Scans in the sensor's own frame lie within this of its origin."""
+_TARGET_M = 0.3
+"""Half of the targets' height and of their width."""
+
+
+def add_parser(verbs: argparse._SubParsersAction) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("accept", help="compare an installed sensor's scan with the plan")
+    parser.add_argument("scan", help="LAS or LAZ scan of one turn or more of the sensor")
+    parser.add_argument(
+        "--plan", required=True, type=Path, help="solution.json of the plan, amid its results"
+    )
+    parser.add_argument("--sensor", required=True, type=int, help="number of the sensor, from 1")
+    parser.add_argument("--scans", help="planned scans; default scans.laz beside the plan")
+    parser.add_argument("--frame", help="default scene/frame.json of the same results")
+    parser.add_argument("--sensors", default="config/sensors.yaml", help="definitions of sensors")
+    tolerance = Tolerance()
+    parser.add_argument("--move-m", type=float, default=tolerance.move_m)
+    parser.add_argument("--turn-deg", type=float, default=tolerance.turn_deg)
+    parser.add_argument("-o", "--out", required=True, help="JSON file to write")
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the pose found, what agrees, what is lost, and the verdict.
+
+    Raises
+    ------
+    InputError : a file is not usable, there is no such sensor, or the scan is of another place.
+    """
+    folder = arguments.plan.parent
+    frame_file = arguments.frame or folder.parent.parent / "scene" / "frame.json"
+    frame = Frame.from_dict(read_json(frame_file))
+    place = _place(arguments)
+    position_m = np.array([place[axis] for axis in "xyz"], np.float64)
+    planned = _planned(arguments, folder, frame, place, position_m)
+    found, scan_m = _fitted(arguments, frame, place, planned)
+    placed_m = scan_m @ found.rotation.T + found.shift_m
+    moved_m = found.rotation @ position_m + found.shift_m - position_m
+    targets = read_layer(folder / "solution.gpkg", "targets", frame)
+    feet_m = np.array([(p.x, p.y, p.z) for p in targets.geometry]).reshape(-1, 3)
+    middle_m = feet_m + np.array([0.0, 0.0, _TARGET_M])
+    seen, lost = lost_targets(planned, placed_m, position_m + moved_m, middle_m, _TARGET_M)
+    alone = lost & (targets["sensors"].to_numpy() <= 1)
+    content = _content(arguments, place, found, moved_m)
+    content["targets"] = {"seen": int(seen.sum()), "lost": int(lost.sum())}
+    content["targets"]["lost_to_the_plan"] = int(alone.sum())
+    content["lost"] = targets["target"][lost].astype(str).tolist()
+    content["reasons"] = _reasons(arguments, content)
+    content["verdict"] = "not accepted" if content["reasons"] else "accepted"
+    write_json(arguments.out, content)
+    _tell(arguments, content)
+
+
+def _place(arguments: argparse.Namespace) -> dict[str, Any]:
+    sensors: list[dict[str, Any]] = read_json(arguments.plan)["sensors"]
+    if not 1 <= arguments.sensor <= len(sensors):
+        raise InputError(
+            "is no sensor of the plan",
+            where="--sensor",
+            found=arguments.sensor,
+            allowed=f"1 to {len(sensors)}",
+        )
+    return sensors[arguments.sensor - 1]
+
+
+def _planned(
+    arguments: argparse.Namespace,
+    folder: Path,
+    frame: Frame,
+    place: dict[str, Any],
+    position_m: Floats,
+) -> Planned:
+    path = arguments.scans or folder / "scans.laz"
+    cloud = read_laz(path)
+    own = cloud.dims["point_source_id"] == arguments.sensor
+    if not own.any():
+        raise InputError("has no scan of the sensor", where=str(path), found=arguments.sensor)
+    sensors = load_sensors(arguments.sensors)
+    sensor = sensors.get(place["sensor"])
+    step = None
+    if isinstance(sensor, Sensor):
+        rows = float(np.median(np.abs(np.diff(np.sort(sensor.elevation_deg)))))
+        step = np.array([360.0 / sensor.columns, rows])
+    return planned_scan(frame.to_local(cloud.xyz[own]), position_m, step)
+
+
+def _fitted(
+    arguments: argparse.Namespace, frame: Frame, place: dict[str, Any], planned: Planned
+) -> tuple[Registered, Floats]:
+    """The scan, in the sensor's or in the site's frame, whichever fits, and its points."""
+    cloud = read_laz(arguments.scan).xyz
+    tries = []
+    if np.abs(np.median(cloud, axis=0)).max() < _SENSOR_FRAME_M:
+        turn = Turn(0.0, float(place.get("pitch_deg", 0.0)), float(place.get("roll_deg", 0.0)))
+        rotation = local_from_sensor(float(place["yaw_deg"]), turn)
+        tries.append(cloud @ rotation.T + planned.position_m)
+    tries.append(frame.to_local(cloud))
+    fits = [(register(points, planned), points) for points in tries]
+    found, points = max(fits, key=lambda fit: fit[0].share)
+    if not found.same_place:
+        raise InputError(
+            "is a scan of another place, or of another sensor of the plan",
+            where=arguments.scan,
+            found=f"{100 * found.share:.0f} % of its beams end where the plan's do,"
+            f" {100 * found.structure_share:.0f} % of those beside the ground",
+            allowed=f"{100 * SAME_PLACE:.0f} and {100 * SAME_STRUCTURE:.0f} % or more",
+            hint="scans are in the sensor's own frame, x ahead and z up, or in the site's",
+        )
+    return found, points
+
+
+def _content(
+    arguments: argparse.Namespace, place: dict[str, Any], found: Registered, moved_m: Floats
+) -> dict[str, Any]:
+    yaw, pitch, roll = Rotation.from_matrix(found.rotation).as_euler("ZYX", degrees=True)
+    tilt = np.degrees(np.arccos(np.clip(found.rotation[2, 2], -1.0, 1.0)))
+    return {
+        "scan": Path(arguments.scan).name,
+        "sensor": arguments.sensor,
+        "model": place["sensor"],
+        "candidate": place["candidate"],
+        "moved_m": {axis: float(d) for axis, d in zip("xyz", moved_m, strict=True)},
+        "moved_by_m": float(np.linalg.norm(moved_m)),
+        "turned_deg": {"yaw": float(yaw), "about_y": float(pitch), "about_x": float(roll)},
+        "tilted_deg": float(tilt),
+        "agreeing_share": found.share,
+        "agreeing_share_beside_ground": found.structure_share,
+        "tolerance": {"move_m": arguments.move_m, "turn_deg": arguments.turn_deg},
+    }
+
+
+def _reasons(arguments: argparse.Namespace, content: dict[str, Any]) -> list[str]:
+    """What keeps the sensor from being accepted; a full turn sees the same at any heading."""
+    reasons = []
+    if max(abs(part) for part in content["moved_m"].values()) > arguments.move_m:
+        reasons.append(f"stands {content['moved_by_m']:.2f} m from its place")
+    if content["tilted_deg"] > arguments.turn_deg:
+        reasons.append(f"leans by {content['tilted_deg']:.1f} degrees")
+    heading = load_sensors(arguments.sensors).get(content["model"])
+    if not isinstance(heading, Sensor) and abs(content["turned_deg"]["yaw"]) > arguments.turn_deg:
+        reasons.append(f"looks {content['turned_deg']['yaw']:.1f} degrees aside")
+    if content["agreeing_share"] < _AGREEING:
+        reasons.append(f"{100 * content['agreeing_share']:.0f} % of its beams end as planned")
+    lost = content["targets"]["lost_to_the_plan"]
+    if lost:
+        reasons.append(f"{lost} targets that only it was to see are out of its sight")
+    return reasons
+
+
+def _tell(arguments: argparse.Namespace, content: dict[str, Any]) -> None:
+    turned, targets = content["turned_deg"], content["targets"]
+    print(
+        f"sensor {content['sensor']} ({content['model']} at {content['candidate']}):"
+        f" {content['verdict']}"
+    )
+    print(
+        f"  {content['moved_by_m']:.3f} m from its place, tilted by {content['tilted_deg']:.2f}"
+        f" degrees, heading off by {turned['yaw']:.2f} degrees"
+    )
+    print(
+        f"  {100 * content['agreeing_share']:.1f} % of its beams end as planned;"
+        f" {targets['lost']} of {targets['seen']} targets lost"
+    )
+    for reason in content["reasons"]:
+        print(f"  not accepted: {reason}")
+    print(f"  {arguments.out}")

@@ -1,0 +1,128 @@
+"""``roadsight changes``: what is new, gone or moved between two surveys of poles."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import fields
+
+import numpy as np
+import pandas as pd
+from pyproj import CRS, Transformer
+
+from roadsight.base.errors import InputError
+from roadsight.io.records.sighting_tables import read_text_table, write_csv
+from roadsight.poles.risk.changes import STATUSES, ChangeSettings, changes
+
+_AXES = (("latitude", "longitude"), ("lat", "lon"))
+_SIGMAS = ("sigma_m", "sigma_major_m")
+_NUMBERS = {
+    "reach_m": "objects further apart are two, m",
+    "sigmas": "farther apart than so many standard deviations, an object has moved",
+    "sigma_m": "error of a place that states none, one axis, m",
+}
+
+
+def add_parser(verbs: argparse._SubParsersAction) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("changes", help="what changed between two surveys of poles")
+    told = "CSV with latitude, longitude (or lat, lon; or x, y in metres); further id, kind, sigma"
+    parser.add_argument("old", help=f"earlier survey, such as its poles.csv: {told}")
+    parser.add_argument("new", help="later survey, likewise")
+    for name, text in _NUMBERS.items():
+        default = getattr(ChangeSettings(), name)
+        flag = f"--{name.replace('_', '-')}"
+        parser.add_argument(flag, type=float, default=default, help=f"{text}; default {default:g}")
+    parser.add_argument(
+        "-o", "--out", required=True, help="CSV to write: status, ids, how far moved, place"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(arguments: argparse.Namespace) -> None:
+    """Write the changes.
+
+    Raises
+    ------
+    InputError : a table or a value is not usable, or one has degrees and the other none.
+    """
+    settings = _settings(arguments)
+    old, new = (_read(path) for path in (arguments.old, arguments.new))
+    degrees = ["latitude" in table for table in (old, new)]
+    if degrees[0] != degrees[1]:
+        raise InputError(
+            "one survey has latitude and longitude and the other has not",
+            where=f"{arguments.old} and {arguments.new}",
+            allowed="both with degrees, or both in the same metres",
+        )
+    if degrees[0]:
+        mover = _to_metres(pd.concat([old, new]))
+        for table in (old, new):
+            table["x"], table["y"] = mover.transform(table["longitude"], table["latitude"])
+        found = changes(old, new, settings)
+        back = mover.transform(found["x"], found["y"], direction="INVERSE")
+        found = found.drop(columns=["x", "y"]).assign(
+            latitude=np.round(back[1], 9), longitude=np.round(back[0], 9)
+        )
+    else:
+        found = changes(old, new, settings)
+    write_csv(arguments.out, found.round({"moved_m": 3, "limit_m": 3}))
+    counts = found["status"].value_counts()
+    told = ", ".join(f"{int(counts.get(name, 0))} {name}" for name in STATUSES)
+    print(f"{told}: {arguments.out}")
+
+
+def _read(path: str) -> pd.DataFrame:
+    """Objects of a survey: id, kind, places, sigma_m."""
+    table = read_text_table(path)
+    axes = next((pair for pair in _AXES if set(pair) <= set(table)), None)
+    names = list(axes) if axes else ["x", "y"]
+    if not set(names) <= set(table):
+        raise InputError(
+            "lacks columns",
+            where=path,
+            found=", ".join(table.columns),
+            allowed="latitude, longitude or lat, lon or x, y",
+        )
+    numbers = table[names].apply(pd.to_numeric, errors="coerce").to_numpy(np.float64)
+    wrong = ~np.isfinite(numbers).all(axis=1)
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise InputError(
+            "has no place",
+            where=f"{path}, line {row + 2}",
+            found=", ".join(table[names].iloc[row]),
+        )
+    sigma = next((name for name in _SIGMAS if name in table), None)
+    unknown = np.full(len(table), np.nan)
+    found = pd.DataFrame(
+        {
+            "id": table["id"] if "id" in table else [f"row {n + 1}" for n in range(len(table))],
+            "kind": table.get("kind", ""),
+            "sigma_m": unknown
+            if sigma is None
+            else pd.to_numeric(table[sigma], errors="coerce").to_numpy(np.float64),
+        }
+    )
+    repeated = found["id"][found["id"].duplicated()]
+    if len(repeated):
+        raise InputError("two objects share an id", where=path, found=repeated.iloc[0])
+    columns = ["latitude", "longitude"] if axes else ["x", "y"]
+    return found.assign(**dict(zip(columns, numbers.T, strict=True)))
+
+
+def _to_metres(places: pd.DataFrame) -> Transformer:
+    """Degrees into metres about the middle of the places, true to distances near it."""
+    middle = places[["latitude", "longitude"]].median() if len(places) else [0.0, 0.0]
+    latitude, longitude = (float(value) for value in middle)
+    own = CRS.from_proj4(f"+proj=aeqd +lat_0={latitude} +lon_0={longitude} +datum=WGS84 +units=m")
+    return Transformer.from_crs("EPSG:4326", own, always_xy=True)
+
+
+def _settings(arguments: argparse.Namespace) -> ChangeSettings:
+    values = {field.name: getattr(arguments, field.name) for field in fields(ChangeSettings)}
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0):
+            flag = f"--{name.replace('_', '-')}"
+            raise InputError("is not positive", where=flag, found=value, allowed="more than 0")
+    return ChangeSettings(**values)

@@ -1,0 +1,322 @@
+"""A commented starter site file from what is found in clouds."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import textwrap
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from roadsight.base.errors import InputError
+from roadsight.config.schema import Settings
+from roadsight.geometry.crs import StatedCrs, unit_name
+from roadsight.geometry.location import utm_code
+from roadsight.geometry.reference import UnitChoice, resolve
+from roadsight.geometry.site import centre_of, site_frame
+from roadsight.io.cloud.cloud_scan import CloudScan, Contents, kept_chunks, scan_cloud
+from roadsight.io.cloud.las_header import CloudHeader
+from roadsight.io.cloud.repeated import check_copies
+from roadsight.placement.candidates.targets import points_needed
+from roadsight.scene.profile import CELL_M, density, merge_counts
+
+_DATA_VARIABLE = "ROADSIGHT_DATA"
+"""Environment variable that names the folder of a user's clouds."""
+_WRITTEN_OUT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ø": "oe", "æ": "ae"})
+"""Letters that names of folders do without, as people who have them write them."""
+_CLASS_NAMES = {
+    0: "never classified",
+    1: "unclassified",
+    2: "ground",
+    3: "low vegetation",
+    4: "medium vegetation",
+    5: "high vegetation",
+    6: "building",
+    9: "water",
+    10: "rail",
+    11: "road surface",
+    14: "wire conductor",
+    15: "transmission tower",
+    17: "bridge deck",
+}
+
+
+FIRST_PLANS = ("os-64", "os-128")
+"""Plans of a first run: two sensors that most roads can be covered with."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A key of the site file as found.
+
+    Parameters
+    ----------
+    value : YAML value.
+    comment : what it rests on.
+    required : whether the user has to set it before the site can run.
+    """
+
+    value: str
+    comment: str
+    required: bool = False
+
+    def lines(self, key: str) -> str:
+        """Comment and key in the site file."""
+        comment = f"Required: {self.comment}" if self.required else self.comment
+        return f"{_comment(comment)}\n{key}: {self.value}"
+
+
+@dataclass(frozen=True)
+class Starter:
+    """What is to be said about clouds, and the site file that says it.
+
+    Parameters
+    ----------
+    name : of the site. text : of the file. found : sentences on the clouds. assumed : on keys that
+    were decided, by key. doubts : what the default settings cannot do. missing : what the user has
+    to fill in, by key.
+    """
+
+    name: str
+    text: str
+    found: list[str]
+    assumed: dict[str, str]
+    doubts: list[str]
+    missing: dict[str, str]
+
+
+def start_site(
+    clouds: Sequence[Path],
+    path: Path,
+    name: str,
+    title: str,
+    given: Mapping[str, str] | None = None,
+) -> Starter:
+    """Site file of clouds that is to lie at ``path``; nothing is written.
+
+    Parameters
+    ----------
+    name : of the site. title : its name for people. given : values of keys that the user knows.
+
+    Raises
+    ------
+    InputError : a cloud cannot be read, or they contradict each other.
+    """
+    check_copies(clouds)
+    contents = Contents()
+    scans = [scan_cloud(cloud, take=contents.take) for cloud in clouds]
+    findings, unit_m = find_keys(scans)
+    findings |= {
+        key: Finding(json.dumps(value), "as given")
+        for key, value in (given or {}).items()
+        if key in findings
+    }
+    density_m2 = None if unit_m is None else _density(scans, unit_m)
+    found = describe_clouds(scans, contents, unit_m, density_m2)
+    notes = [
+        f"{scan.header.path.name}: {note}"
+        for scan in scans
+        for note in (*scan.header.notes, *scan.header.stated.notes)
+    ]
+    text = site_text(name, [_written(cloud, path) for cloud in clouds], found, findings, title)
+    told = {
+        required: {key: f.comment for key, f in findings.items() if f.required == required}
+        for required in (False, True)
+    }
+    return Starter(name, text, [*found, *notes], told[False], doubts(density_m2), told[True])
+
+
+def doubts(density_m2: float | None) -> list[str]:
+    """What the default settings cannot do with the cloud.
+
+    Parameters
+    ----------
+    density_m2 : median of points per m2 where there are any; None if not known in metres.
+    """
+    targets = Settings().targets
+    needed = targets.min_points
+    if needed == "local":
+        needed = points_needed(2 * targets.radius_m, targets.cell_size_m)
+    if density_m2 is None or density_m2 >= needed:
+        return []
+    return [
+        f"{density_m2:.2g} points per m2 are sparse: a target is placed where a square metre has"
+        f" {needed} (targets.min_points), so most of the pavement would not be examined"
+    ]
+
+
+def site_name(text: str) -> str:
+    """Name of letters, digits, - and _ that the workflow accepts, from any text.
+
+    Umlauts are written out (``Mühle`` gives ``muehle``), other accents are left off.
+    """
+    plain = unicodedata.normalize("NFC", text.lower()).translate(_WRITTEN_OUT)
+    plain = unicodedata.normalize("NFKD", plain).encode("ascii", "ignore").decode()
+    name = re.sub(r"[^a-z0-9_-]+", "_", plain).strip("_-")
+    if not name:
+        raise InputError("has no letter or digit", where="--site", found=repr(text))
+    return name
+
+
+def find_keys(scans: Sequence[CloudScan]) -> tuple[dict[str, Finding], float | None]:
+    """CRS and unit keys of the site file: found, assumed, or required of the user.
+
+    Returns
+    -------
+    findings by key, and metres in one unit of x and y, or None while that is open
+
+    Raises
+    ------
+    InputError : the clouds contradict each other, or their CRS is of no use for lengths.
+    """
+    auto = Finding("auto", "auto takes the unit of the CRS; or metre, foot, us-survey-foot")
+    missing = next((scan.header for scan in scans if scan.header.stated.crs is None), None)
+    if missing is not None:
+        return {"crs": _missing_crs(missing), "units": auto, "vertical_units": auto}, None
+    stated = [(str(scan.header.path), scan.header.stated) for scan in scans]
+    lower, upper = _corners(scans)
+    centre = centre_of(lower, upper)
+    reference = resolve(stated, centre, UnitChoice(vertical_units="metre"))
+    if reference.crs is not None and reference.crs.is_geographic:
+        crs = Finding("auto", f"auto takes {reference.name} from the header, in degrees")
+        target = Finding(utm_code(*centre), "projected CRS to read the cloud in; the UTM zone here")
+        return {"crs": crs, "target_crs": target, "units": auto, "vertical_units": auto}, None
+    try:
+        site_frame(reference, lower, upper, str(scans[0].header.path))
+        crs = Finding("auto", f"auto takes {reference.name} from the header")
+    except InputError as error:
+        crs = Finding("null", f"the header's own cannot be right: {error}", True)
+    units = Finding("auto", f"auto takes that of the CRS, here {unit_name(reference.unit_m)}")
+    vertical = _vertical_units(stated, centre)
+    unit_m = None if crs.required else reference.unit_m
+    return {"crs": crs, "units": units, "vertical_units": vertical}, unit_m
+
+
+def _missing_crs(header: CloudHeader) -> Finding:
+    """What to say where a header names no CRS."""
+    problem = f" ({header.stated.problem})" if header.stated.problem else ""
+    reason = f"{header.path.name} names no CRS{problem}"
+    return Finding("null", f"EPSG code, WKT, or local for a cloud without one: {reason}", True)
+
+
+def _vertical_units(
+    stated: Sequence[tuple[str, StatedCrs]], centre: tuple[float, float]
+) -> Finding:
+    """Unit of z as it would be read, or why it has to be stated."""
+    try:
+        reference = resolve(stated, centre, UnitChoice())
+    except InputError as error:
+        return Finding("auto", str(error), True)
+    unit = unit_name(reference.vertical_unit_m)
+    return Finding("auto", "; ".join([f"here {unit}", *reference.notes]))
+
+
+def site_text(
+    name: str,
+    clouds: Sequence[str],
+    contents: Sequence[str],
+    findings: dict[str, Finding],
+    title: str = "",
+) -> str:
+    """Content of the site file."""
+    found = "\n".join(_comment(sentence) for sentence in contents)
+    paths = "\n".join(f"  - {json.dumps(cloud, ensure_ascii=False)}" for cloud in clouds)
+    keys = "\n".join(finding.lines(key) for key, finding in findings.items())
+    return f"""# Site file, written by `roadsight init`. Found in the clouds:
+{found}
+
+# Name of the site: its results go to results/{name}.
+site: {json.dumps(name)}
+# Name for people.
+title: {json.dumps(title or name, ensure_ascii=False)}
+# LAS or LAZ files: relative to this file, absolute, or with ${{VARIABLE}} from the environment.
+clouds:
+{paths}
+{keys}
+# What to compute: placement, or scene for ground, pavement and edges alone.
+jobs: [placement]
+placement:
+  # Plans of config/plans.yaml to solve: two for a first answer; null solves all everyday ones.
+  plans: [{", ".join(FIRST_PLANS)}]
+  # Digitised road edges (GeoJSON, GeoPackage, Shapefile, CSV); null finds them on the pavement.
+  edges: null
+  # Polygon of the area to be monitored; null takes the pavement that is found.
+  tma: null
+  # Polygons in which no sensor may stand; existing poles that may carry one (points, height_m).
+  # zones: zones.geojson
+  # mounts: poles.geojson
+"""
+
+
+def describe_clouds(
+    scans: Sequence[CloudScan],
+    contents: Contents,
+    unit_m: float | None,
+    density_m2: float | None,
+) -> list[str]:
+    """Extent, density, classes and other contents, one sentence each.
+
+    Parameters
+    ----------
+    unit_m : metres in one unit of x and y, or None if it is not known.
+    density_m2 : points per m2, None if it is not known.
+    """
+    lower, upper = _corners(scans)
+    length = unit_m or 1.0
+    unit = "m" if unit_m else "units of the cloud"
+    square = "m2" if unit_m else "square unit"
+    dense = _density(scans, length) if density_m2 is None else density_m2
+    size = " x ".join(f"{side:.1f}" for side in (upper - lower)[:2] * length)
+    total = contents.classes.total()
+    named = ", ".join(
+        f"{c} {_CLASS_NAMES.get(c, 'not a common class')} {n / total:.1%}"
+        for c, n in sorted(contents.classes.items())
+    )
+    dropped = sum(scan.withheld + scan.noise + scan.synthetic for scan in scans)
+    return [
+        f"{total} points, {dropped} withheld, noise or synthetic left out.",
+        f"Extent {size} {unit}; as stored x {lower[0]:.2f} to {upper[0]:.2f}, "
+        f"y {lower[1]:.2f} to {upper[1]:.2f}, z {lower[2]:.2f} to {upper[2]:.2f}.",
+        f"Density {dense:.2f} points per {square} where there are any (median).",
+        f"Classes: {named}.",
+        f"Intensity: {'yes' if contents.intense else 'no'}. "
+        f"Colour: {'yes' if all(scan.brightest for scan in scans) else 'no'}.",
+    ]
+
+
+def _density(scans: Sequence[CloudScan], unit_m: float) -> float:
+    """Median density of occupied ground, in points per m2."""
+    places, count = np.empty((2, 0), np.int64), np.empty(0, np.int64)
+    for scan in scans:
+        for chunk, *_ in kept_chunks(scan.header.path):
+            cells = np.floor(chunk.xyz[:, 1::-1].T * unit_m / CELL_M).astype(np.int64)
+            cells, chunk_count = merge_counts(cells, np.ones(len(chunk), np.int64))
+            places, count = merge_counts(np.hstack([places, cells]), np.append(count, chunk_count))
+    return density(places[1], places[0], count)["median"]
+
+
+def _corners(scans: Sequence[CloudScan]) -> tuple[np.ndarray, np.ndarray]:
+    lower = np.min([scan.lower for scan in scans], axis=0)
+    return lower, np.max([scan.upper for scan in scans], axis=0)
+
+
+def _written(cloud: Path, site_file: Path) -> str:
+    """Path of a cloud for the site file, so that both can move together."""
+    absolute = cloud.resolve()
+    data = os.environ.get(_DATA_VARIABLE)
+    if data and absolute.is_relative_to(Path(data).resolve()):
+        return f"${{{_DATA_VARIABLE}}}/{absolute.relative_to(Path(data).resolve()).as_posix()}"
+    if absolute.is_relative_to(Path.cwd()) and site_file.resolve().is_relative_to(Path.cwd()):
+        return Path(os.path.relpath(absolute, site_file.resolve().parent)).as_posix()
+    return absolute.as_posix()
+
+
+def _comment(text: str) -> str:
+    """Text as comment lines."""
+    lines = textwrap.wrap(text, 96, break_long_words=False, break_on_hyphens=False)
+    return "\n".join(f"# {line}" for line in lines)

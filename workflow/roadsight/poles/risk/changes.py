@@ -1,0 +1,140 @@
+"""What changed between two surveys: objects that are the same, moved, new or gone."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import linear_sum_assignment
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from roadsight.base.arrays import Floats, Ints
+
+COLUMNS = ("status", "id", "old_id", "new_id", "kind", "moved_m", "limit_m", "x", "y")
+STATUSES = ("same", "moved", "new", "gone")
+_NUMBERED = re.compile(r"(.*?)(\d+)$")
+
+
+@dataclass(frozen=True)
+class ChangeSettings:
+    """What counts as the same object.
+
+    Parameters
+    ----------
+    reach_m : objects further apart are two: one gone, one new.
+    sigmas : farther apart than so many standard deviations of both places, an object has moved.
+        3.03 is exceeded by chance in one of a hundred (two axes).
+    sigma_m : error of a place that states none, one axis.
+    """
+
+    reach_m: float = 5.0
+    sigmas: float = 3.03
+    sigma_m: float = 0.5
+
+
+def changes(
+    old: pd.DataFrame, new: pd.DataFrame, settings: ChangeSettings | None = None
+) -> pd.DataFrame:
+    """Objects of two surveys side by side.
+
+    Objects of one kind are paired so that as many as can be find a partner within reach, and of all
+    such pairings the one with the least sum of squared distances counts.
+
+    Parameters
+    ----------
+    old, new : id, kind, x, y (the same metres for both), sigma_m (one axis, NaN unknown).
+
+    Returns
+    -------
+    columns `COLUMNS`, by status, then id. ``id`` stays that of the old survey; new objects whose id
+    is taken get the next free number. ``limit_m`` : further apart counts as moved.
+    """
+    own = settings or ChangeSettings()
+    pairs = _pairs(old, new, own.reach_m)
+    rows: list[tuple] = []
+    for a, b in pairs:
+        first, second = old.iloc[a], new.iloc[b]
+        gap = float(np.hypot(second["x"] - first["x"], second["y"] - first["y"]))
+        sigma = float(np.hypot(_sigma(first, own), _sigma(second, own)))
+        limit = own.sigmas * sigma
+        status = "moved" if gap > limit else "same"
+        rows.append((status, first, second, gap, limit))
+    rows += [("gone", old.iloc[a], None, np.nan, np.nan) for a in _others(len(old), pairs[:, 0])]
+    rows += [("new", None, new.iloc[b], np.nan, np.nan) for b in _others(len(new), pairs[:, 1])]
+    taken = {str(name) for name in old["id"]}
+    found = []
+    for status, first, second, gap, limit in rows:
+        place = first if second is None else second
+        name = _free(str(second["id"]), taken) if first is None else str(first["id"])
+        taken.add(name)
+        ids = ["" if row is None else str(row["id"]) for row in (first, second)]
+        found.append((status, name, *ids, place["kind"], gap, limit, place["x"], place["y"]))
+    table = pd.DataFrame(found, columns=list(COLUMNS))
+    order = table["status"].map({name: n for n, name in enumerate(STATUSES)})
+    keys = table.assign(order=order).sort_values(["order", "id"], kind="stable").index
+    return table.loc[keys].reset_index(drop=True)
+
+
+def _pairs(old: pd.DataFrame, new: pd.DataFrame, reach_m: float) -> Ints:
+    """Rows of old and new that are one object (n, 2)."""
+    found: list[tuple[int, int]] = []
+    for kind in sorted(set(old["kind"]) & set(new["kind"])):
+        rows = [np.flatnonzero((table["kind"] == kind).to_numpy()) for table in (old, new)]
+        before, after = (table[["x", "y"]].to_numpy(np.float64) for table in (old, new))
+        near = _nearest(before[rows[0]], after[rows[1]], reach_m)
+        found += [(int(rows[0][a]), int(rows[1][b])) for a, b in near]
+    return np.array(sorted(found), np.int64).reshape(-1, 2)
+
+
+def _nearest(a_m: Floats, b_m: Floats, reach_m: float) -> list[tuple[int, int]]:
+    """Pairs of places (n, 2) within reach: as many as can be, then as near as can be."""
+    near = cKDTree(a_m).sparse_distance_matrix(cKDTree(b_m), reach_m, output_type="coo_matrix")
+    n, m = len(a_m), len(b_m)
+    rows, columns = near.row, near.col
+    if not len(rows):
+        return []
+    # Each cluster by itself: a long road has many objects, a cluster a few.
+    graph = coo_array((np.ones(len(rows)), (rows, n + columns)), shape=(n + m, n + m))
+    _, label = connected_components(graph, directed=False)
+    found = []
+    for cluster in np.unique(label[rows]):
+        left = np.flatnonzero(label[:n] == cluster)
+        right = np.flatnonzero(label[n:] == cluster)
+        gap = np.hypot(*np.moveaxis(a_m[left][:, None] - b_m[right][None], 2, 0))
+        # A pair out of reach costs more than all pairs within it together.
+        cost = np.where(gap <= reach_m, gap**2, (min(n, m) + 1) * reach_m**2)
+        chosen = linear_sum_assignment(cost)
+        found += [
+            (int(left[i]), int(right[j]))
+            for i, j in zip(*chosen, strict=True)
+            if gap[i, j] <= reach_m
+        ]
+    return sorted(found)
+
+
+def _others(count: int, used: Ints) -> Sequence[int]:
+    return np.setdiff1d(np.arange(count), used).tolist()
+
+
+def _sigma(row: pd.Series, settings: ChangeSettings) -> float:
+    sigma = float(row["sigma_m"])
+    return sigma if np.isfinite(sigma) and sigma > 0 else settings.sigma_m
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """A name that is not taken: itself, or with the next free number at its end."""
+    if name not in taken:
+        return name
+    parts = _NUMBERED.match(name)
+    stem, digits = (parts[1], parts[2]) if parts else (f"{name}-", "1")
+    numbers = [
+        int(found[2])
+        for found in map(_NUMBERED.match, taken)
+        if found is not None and found[1] == stem
+    ]
+    return f"{stem}{max(numbers, default=0) + 1:0{len(digits)}d}"

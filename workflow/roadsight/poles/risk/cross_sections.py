@@ -1,0 +1,250 @@
+"""What lies beside the road, from its edge outwards: shoulder, foreslope, ditch, backslope.
+
+Names follow the AASHTO Roadside Design Guide, 4th edition (2011), chapter 3: a foreslope falls
+from the shoulder, a backslope rises beyond the ditch; slopes are written 1V:nH.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from roadsight.base.arrays import Floats
+from roadsight.poles.risk.profiles import (
+    STEP_M,
+    Pieces,
+    Profile,
+    binned_profile,
+    fit_pieces,
+    steepest,
+)
+
+Height = Callable[[Floats, Floats], Floats]
+
+LEVEL_SLOPE = 0.1
+"""1V:10H: the guide counts flatter ground as level for placing barriers and as a drivable shoulder
+(RDG 5.6.2.1); shoulders are built with 2 to 8 %."""
+SHOULDER_M = 3.7
+"""Wider level ground beside the pavement is no shoulder: AASHTO's widest is 12 ft."""
+BOTTOM_M = 3.6
+"""Level ground between a foreslope and a backslope is a ditch's bottom up to this width."""
+KERB_M = 0.3
+"""Higher steps up are walls: kerbs are 0.1 to 0.2 m high."""
+KINDS = ("shoulder", "foreslope", "ditch bottom", "backslope", "level", "kerb", "drop-off", "wall")
+
+
+@dataclass(frozen=True)
+class Element:
+    """Part of a cross-section.
+
+    Parameters
+    ----------
+    kind : one of `KINDS`. start_m, end_m : from the road's edge; alike for steps.
+    sigma_width_m : of end_m - start_m. slope : rise over run; of a step NaN. rise_m : end to end.
+    """
+
+    kind: str
+    start_m: float
+    end_m: float
+    sigma_width_m: float
+    slope: float
+    sigma_slope: float
+    rise_m: float
+
+    @property
+    def width_m(self) -> float:
+        """Width in plan."""
+        return self.end_m - self.start_m
+
+    @property
+    def ratio(self) -> str:
+        """The slope as 1V:nH."""
+        return slope_text(self.slope)
+
+
+@dataclass(frozen=True)
+class CrossSection:
+    """Half a road's cross-section outside of its edge.
+
+    Parameters
+    ----------
+    profile, pieces : what was measured, and as straight pieces.
+    elements : from the edge outwards.
+    fall, rise : steepest mean slope over a window each way: slope, sigma, start (m).
+    """
+
+    profile: Profile
+    pieces: Pieces
+    elements: tuple[Element, ...]
+    fall: tuple[float, float, float]
+    rise: tuple[float, float, float]
+
+    def foreslope(self, up_to_m: float = np.inf, least_m: float = 0.5) -> tuple[float, float]:
+        """Slope and sigma of the steepest foreslope that starts before ``up_to_m``; else 0, NaN.
+
+        Parameters
+        ----------
+        least_m : narrower pieces count only where nothing wider falls.
+        """
+        found = [e for e in self.elements if e.kind == "foreslope" and e.start_m < up_to_m]
+        wide = [e for e in found if e.width_m >= least_m] or found
+        if not wide:
+            return 0.0, float("nan")
+        worst = min(wide, key=lambda e: e.slope)
+        return worst.slope, worst.sigma_slope
+
+    def backslope(self, up_to_m: float = np.inf) -> tuple[float, float]:
+        """Slope and sigma of the steepest backslope that starts before ``up_to_m``; else 0, NaN."""
+        found = [e for e in self.elements if e.kind == "backslope" and e.start_m < up_to_m]
+        if not found:
+            return 0.0, float("nan")
+        worst = max(found, key=lambda e: e.slope)
+        return worst.slope, worst.sigma_slope
+
+    def width_m(self, kind: str) -> float:
+        """Total width of the elements of a kind."""
+        return float(sum(e.width_m for e in self.elements if e.kind == kind))
+
+    def steps(self) -> list[Element]:
+        """Kerbs, drop-offs and walls."""
+        return [e for e in self.elements if e.kind in ("kerb", "drop-off", "wall")]
+
+
+def slope_text(slope: float) -> str:
+    """A slope as the guide writes it: 1V:2.3H, level, or unknown."""
+    if not np.isfinite(slope):
+        return "unknown"
+    return "level" if abs(slope) < 0.01 else f"1V:{1 / abs(slope):.1f}H"
+
+
+def cross_section(profile: Profile, window_m: float = 1.5) -> CrossSection | None:
+    """Cross-section of a profile; None where it has fewer than six heights."""
+    if len(profile) < 6:
+        return None
+    pieces = fit_pieces(profile)
+    return CrossSection(
+        profile,
+        pieces,
+        name_elements(pieces),
+        steepest(pieces, window_m, -1),
+        steepest(pieces, window_m, +1),
+    )
+
+
+def name_elements(pieces: Pieces) -> tuple[Element, ...]:
+    """Names of the pieces from the edge outwards, and the steps between them."""
+    kinds = [_slope_kind(slope) for slope in pieces.slope]
+    widths = np.diff(pieces.ends_m)
+    lead = 0
+    while lead < len(kinds) and kinds[lead] == "level":
+        lead += 1
+    # Level ground beside the pavement is a shoulder if something else follows it in time.
+    if 0 < lead < len(kinds) and widths[:lead].sum() <= SHOULDER_M:
+        kinds[:lead] = ["shoulder"] * lead
+    for number in range(1, len(kinds) - 1):
+        between = kinds[number - 1] == "foreslope" and kinds[number + 1] == "backslope"
+        if kinds[number] == "level" and between and widths[number] <= BOTTOM_M:
+            kinds[number] = "ditch bottom"
+    found: list[Element] = []
+    for number, kind in enumerate(kinds):
+        start, end = pieces.ends_m[number : number + 2]
+        sigma = float(np.hypot(*pieces.sigma_ends_m[number : number + 2]))
+        slope, sigma_slope = pieces.slope[number], pieces.sigma_slope[number]
+        found.append(
+            Element(
+                kind,
+                float(start),
+                float(end),
+                sigma,
+                float(slope),
+                float(sigma_slope),
+                float(slope * (end - start)),
+            )
+        )
+        if number < len(kinds) - 1 and abs(pieces.jump_m[number]) >= STEP_M * 0.8:
+            jump = float(pieces.jump_m[number])
+            name = "drop-off" if jump < 0 else ("kerb" if jump <= KERB_M else "wall")
+            sigma = float(pieces.sigma_ends_m[number + 1])
+            nan = float("nan")
+            found.append(Element(name, float(end), float(end), sigma, nan, nan, jump))
+    return tuple(found)
+
+
+def _slope_kind(slope: float) -> str:
+    if slope <= -LEVEL_SLOPE:
+        return "foreslope"
+    return "backslope" if slope >= LEVEL_SLOPE else "level"
+
+
+def profile_from_heights(
+    edge_m: Floats, outward: Floats, height: Height, reach_m: float, step_m: float = 0.1
+) -> Profile:
+    """Profile of a surface from the road's edge outwards.
+
+    Parameters
+    ----------
+    edge_m : (2,) place of the edge. outward : (2,) unit vector. height : see `Height`, NaN unknown.
+    """
+    run = np.arange(0.0, reach_m + step_m / 2, step_m)
+    places = edge_m + run[:, None] * outward
+    heights = np.asarray(height(places[:, 0], places[:, 1]), np.float64)
+    return binned_profile(run, heights - _level_at_edge(run, heights), step_m)
+
+
+def profile_from_points(
+    edge_m: Floats,
+    outward: Floats,
+    points_m: Floats,
+    reach_m: float,
+    half_length_m: float = 3.0,
+    bin_m: float = 0.2,
+    tree: cKDTree | None = None,
+) -> Profile:
+    """Profile of the ground points of a strip across the road, its slope along the road removed.
+
+    Parameters
+    ----------
+    points_m : (n, 3) ground points. half_length_m : the strip reaches so far either way along the
+        road. tree : of the points' plan places, if at hand.
+    """
+    middle = edge_m + outward * reach_m / 2
+    tree = cKDTree(points_m[:, :2]) if tree is None else tree
+    rows = np.array(
+        sorted(tree.query_ball_point(middle, np.hypot(reach_m / 2 + bin_m, half_length_m))), int
+    )
+    gap = points_m[rows, :2] - edge_m
+    run = gap @ outward
+    along = gap @ np.array([-outward[1], outward[0]])
+    near = (np.abs(along) <= half_length_m) & (run >= -bin_m / 2) & (run <= reach_m)
+    run, along, height = run[near], along[near], points_m[rows[near], 2]
+    if len(run) < 6:
+        none = np.zeros(0)
+        return Profile(none, none, none)
+    height = height - along * _along_slope(run, along, height, bin_m)
+    return binned_profile(run, height - _level_at_edge(run, height), bin_m)
+
+
+def _along_slope(run: Floats, along: Floats, height: Floats, bin_m: float) -> float:
+    """Slope along the road, from points of the same bin: these differ by it and by noise."""
+    number = np.floor(run / (2 * bin_m)).astype(np.int64)
+    _, group = np.unique(number, return_inverse=True)
+    count = np.bincount(group)
+    flat = along - (np.bincount(group, along) / count)[group]
+    rise = height - (np.bincount(group, height) / count)[group]
+    spread = float(flat @ flat)
+    if spread < 1e-6:
+        return 0.0
+    slope = float(flat @ rise) / spread
+    kept = np.abs(rise - slope * flat) <= 3 * 1.4826 * np.median(np.abs(rise - slope * flat)) + 1e-9
+    return float(flat[kept] @ rise[kept] / max(float(flat[kept] @ flat[kept]), 1e-6))
+
+
+def _level_at_edge(run: Floats, height: Floats) -> float:
+    """Height at the edge: the median of what is known within half a metre, else of all."""
+    known = np.isfinite(height)
+    near = known & (run <= 0.5)
+    chosen = near if near.any() else known
+    return float(np.median(height[chosen])) if chosen.any() else 0.0

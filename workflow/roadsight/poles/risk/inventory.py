@@ -1,0 +1,210 @@
+"""Speed, traffic and lanes along roads, as a road inventory states them by measures.
+
+What an inventory does not say stays unknown: it gives ranges (`SPEED_RANGE_KMH`, `AADT_RANGE`), not
+guesses. What contradicts itself is refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.arrays import Floats, Ints, Numbers
+from roadsight.base.errors import InputError
+from roadsight.poles.risk.clear_zone import AADT_RANGE, SPEED_RANGE_KMH
+from roadsight.poles.risk.roads import Road
+
+COLUMNS = ("route", "from_m", "to_m", "speed_kmh", "aadt", "lanes", "lane_width_m")
+"""Of an inventory; all but route, from and to NaN where unknown."""
+SAME_M = 0.5
+"""Segments may overlap or leave gaps up to this: measures in thousandths of a mile are 1.6 m, those
+in centimetres nothing."""
+LIMITS = {
+    "speed_kmh": (20.0, 140.0),
+    "aadt": (0.0, 500_000.0),
+    "lanes": (1.0, 20.0),
+    "lane_width_m": (2.0, 6.0),
+}
+"""Other values are slips of unit or column."""
+_DIRECTION = re.compile(r"[-_ ]?(?:[nsew]b?|[+-])$")
+"""What route names of drives end in: SR1427E, I40-EB, 12_n."""
+
+
+@dataclass(frozen=True)
+class Inventory:
+    """Segments of routes with what is known about them.
+
+    Parameters
+    ----------
+    segments : columns `COLUMNS`, by route and measure. messages : what lacks, one sentence each.
+    """
+
+    segments: pd.DataFrame
+    messages: tuple[str, ...] = ()
+
+    def routes(self) -> list[str]:
+        """Names of the routes."""
+        return sorted(set(self.segments["route"]))
+
+    def route_of(self, road: Road) -> str | None:
+        """The inventory's name of a road; the only route of an inventory is every road's."""
+        names = {_plain(name): name for name in self.routes()}
+        for wanted in (road.name, *road.drives):
+            for key in (_plain(wanted), _bare(wanted)):
+                if key in names:
+                    return names[key]
+        return next(iter(names.values())) if len(names) == 1 else None
+
+    def at(self, route: str | None, station_m: Floats) -> pd.DataFrame:
+        """What is known at stations (n,) of a route.
+
+        Returns
+        -------
+        speed_low_kmh, speed_high_kmh, aadt_low, aadt_high (equal where known), lanes and
+        lane_width_m (NaN where unknown), segment (its number, -1 for none)
+        """
+        station = np.asarray(station_m, np.float64)
+        number = np.full(len(station), -1, np.int64)
+        own = self.segments[self.segments["route"] == route]
+        for row, low, high in zip(own.index, own["from_m"], own["to_m"], strict=True):
+            number[(number < 0) & (station >= low) & (station <= high)] = row
+        found: dict[str, Numbers] = {"segment": number}
+        for name, limits in (("speed", SPEED_RANGE_KMH), ("aadt", AADT_RANGE)):
+            column, unit = ("speed_kmh", "_kmh") if name == "speed" else ("aadt", "")
+            values = self._values(column, number)
+            for end, limit in zip(("low", "high"), limits, strict=True):
+                found[f"{name}_{end}{unit}"] = np.where(np.isnan(values), limit, values)
+        for column in ("lanes", "lane_width_m"):
+            found[column] = self._values(column, number)
+        return pd.DataFrame(found)
+
+    def _values(self, column: str, number: Ints) -> Floats:
+        known = self.segments[column].to_numpy(np.float64)
+        values = np.full(len(number), np.nan)
+        values[number >= 0] = known[number[number >= 0]]
+        return values
+
+
+def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ()) -> Inventory:
+    """Segments in order, and one message for everything that lacks.
+
+    Parameters
+    ----------
+    table : columns `COLUMNS`, in any order; what lacks of the others is unknown.
+    where : the file. places : of each row in it, such as "line 3"; "row 1" and so on if empty.
+
+    Raises
+    ------
+    InputError : a measure is no number, measures fall, values are impossible, or segments overlap.
+    """
+    places = list(places) or [f"row {n + 1}" for n in range(len(table))]
+    table = table.reset_index(drop=True).assign(place=places)
+    table = table.assign(**{name: np.nan for name in LIMITS if name not in table})
+    for _, row in table.iterrows():
+        _check_row(row, where)
+    table = table.sort_values(["route", "from_m", "to_m"], kind="stable").reset_index(drop=True)
+    messages = []
+    for route, own in table.groupby("route", sort=True):
+        messages += _check_route(str(route), own, where)
+    messages += _lacking(table)
+    return Inventory(table[list(COLUMNS)], tuple(messages))
+
+
+def _check_row(row: pd.Series, where: str) -> None:
+    place = f"{where}, {row['place']}"
+    for name in ("from_m", "to_m"):
+        if not np.isfinite(row[name]):
+            raise InputError(f"{name} is no finite number", where=place, found=row[name])
+    if row["to_m"] <= row["from_m"]:
+        raise InputError(
+            "measures fall along the segment",
+            where=place,
+            found=f"from {row['from_m']:g} m to {row['to_m']:g} m",
+            allowed="a from below its to",
+            hint="exchange from and to; of a line also turn its vertices round",
+        )
+    for name, (least, most) in LIMITS.items():
+        if not np.isnan(row[name]) and not least <= row[name] <= most:
+            raise InputError(
+                f"{name} is impossible",
+                where=place,
+                found=f"{row[name]:g}",
+                allowed=f"{least:g} to {most:g}, or empty for unknown",
+                hint="check unit and column",
+            )
+
+
+def _check_route(route: str, own: pd.DataFrame, where: str) -> list[str]:
+    """Messages on gaps; overlaps are refused."""
+    ends, starts = own["to_m"].to_numpy()[:-1], own["from_m"].to_numpy()[1:]
+    reached = np.maximum.accumulate(ends) if len(ends) else ends
+    over = np.flatnonzero(reached - starts > SAME_M)
+    if len(over):
+        row = int(over[0])
+        before = int(np.argmax(own["to_m"].to_numpy()[: row + 1]))
+        raise InputError(
+            f"segments of route {route} overlap" + _more(len(over)),
+            where=f"{where}, {own['place'].iloc[before]} and {own['place'].iloc[row + 1]}",
+            found=f"one ends at {reached[row]:g} m, the next starts at {starts[row]:g} m",
+            allowed="segments that end where the next starts",
+            hint="correct the measures, or give the directions as routes of their own",
+        )
+    gaps = np.flatnonzero(starts - reached > SAME_M)
+    if not len(gaps):
+        return []
+    told = ", ".join(f"{reached[g]:g} to {starts[g]:g} m" for g in gaps[:3])
+    return [
+        f"route {route}: nothing is stated from {told}{_more(len(gaps) - 2)}; clear zones there are"
+        " ranges"
+    ]
+
+
+def _lacking(table: pd.DataFrame) -> list[str]:
+    """A message for each quantity that segments lack."""
+    found = []
+    for name, title in (("speed_kmh", "speed"), ("aadt", "AADT"), ("lanes", "number of lanes")):
+        lacking = table[table[name].isna()]
+        if not len(lacking):
+            continue
+        told = ", ".join(
+            f"{row.route} {row.from_m:g} to {row.to_m:g} m" for row in lacking.head(3).itertuples()
+        )
+        what = "clear zones are ranges there" if name != "lanes" else "two lanes are not assumed"
+        number = "all segments" if len(lacking) == len(table) else f"{len(lacking)} segments"
+        found.append(f"{number} state no {title} ({told}{_more(len(lacking) - 2)}); {what}")
+    return found
+
+
+def uncovered(inventory: Inventory, route: str | None, road: Road) -> str:
+    """A message where the stations of a road lie outside its inventory; else empty."""
+    if route is None:
+        told = ", ".join(inventory.routes()[:5])
+        return f"the inventory does not name road {road.name} (it names {told}): ranges there"
+    own = inventory.segments[inventory.segments["route"] == route]
+    low, high = float(own["from_m"].min()), float(own["to_m"].max())
+    if low - SAME_M <= road.start_m and road.end_m <= high + SAME_M:
+        return ""
+    hint = ""
+    if road.end_m < low or road.start_m > high:
+        hint = "; stations of a road start at its first image unless the inventory has lines"
+    return (
+        f"route {route} is stated from {low:.0f} to {high:.0f} m, the road runs from"
+        f" {road.start_m:.0f} to {road.end_m:.0f} m: ranges outside{hint}"
+    )
+
+
+def _more(count: int) -> str:
+    return f" and {count - 1} more" if count > 1 else ""
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[\s_-]", "", str(name)).lower()
+
+
+def _bare(name: str) -> str:
+    """Name of a route without the direction at its end."""
+    return _plain(_DIRECTION.sub("", str(name).strip().lower()))

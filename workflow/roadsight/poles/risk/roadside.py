@@ -1,0 +1,407 @@
+"""What lies beside the road at each object and station: cross-sections, speed, bends, barriers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+from scipy.spatial import cKDTree
+
+from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.poles.risk.clear_zone import RECOVERABLE_SLOPE, TRAVERSABLE_SLOPE
+from roadsight.poles.risk.cross_sections import (
+    CrossSection,
+    Height,
+    cross_section,
+    profile_from_heights,
+    profile_from_points,
+)
+from roadsight.poles.risk.inventory import Inventory
+from roadsight.poles.risk.road_geometry import COLUMNS as GEOMETRY_COLUMNS
+from roadsight.poles.risk.road_geometry import STRAIGHT_M, road_geometry
+from roadsight.poles.risk.roads import Located, Roads
+from roadsight.poles.risk.shielding import Barrier
+
+REACH_M = 12.0
+"""Cross-sections reach so far from the edge, or 3 m beyond their object: the guide's clear zone is
+11 m wide at 100 km/h on flat ground."""
+_LONGEST_M = 25.0
+"""They never reach further."""
+_BEYOND_M = 3.0
+_DEM_STEP_M = 0.25
+"""Spacing of heights from a terrain model: half its usual cell."""
+_ALIKE_M = 1.0
+"""An object's nearest edge is its road's own if it is this near where the centreline expects it;
+at mouths of side roads it is not."""
+SECTION_COLUMNS = (
+    "section",
+    "object",
+    "route",
+    "station_m",
+    "side",
+    "element",
+    "kind",
+    "start_m",
+    "end_m",
+    "width_m",
+    "sigma_width_m",
+    "slope_rise_over_run",
+    "sigma_slope",
+    "slope_ratio",
+    "rise_m",
+    "start_x",
+    "start_y",
+    "end_x",
+    "end_y",
+)
+"""Of the table of cross-sections, one element a row."""
+INVENTORY_COLUMNS = (
+    "lanes",
+    "lane_width_m",
+    "paved_shoulder_m",
+    "speed_least_kmh",
+    "speed_greatest_kmh",
+    "aadt_least",
+    "aadt_greatest",
+)
+"""Of the table of road geometry, what the inventory states."""
+
+
+@dataclass
+class Surroundings:
+    """What a site knows about its roads and roadsides.
+
+    Parameters
+    ----------
+    roads : see `roadsight.poles.risk.roads`. height : see `Height`, or None.
+    points_m : (n, 3) ground points near the roads, or None; cross-sections prefer them.
+    inventory : speed and traffic by measures, or None. barriers : along the roads.
+    left_hand_traffic : on which side vehicles drive.
+    """
+
+    roads: Roads
+    height: Height | None = None
+    points_m: Floats | None = None
+    inventory: Inventory | None = None
+    barriers: Sequence[Barrier] = ()
+    left_hand_traffic: bool = False
+    _tree: cKDTree | None = field(default=None, repr=False)
+    _geometry: dict[int, pd.DataFrame] = field(default_factory=dict, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.points_m is not None and len(self.points_m):
+            self._tree = cKDTree(self.points_m[:, :2])
+
+    def geometry(self, road: int) -> pd.DataFrame:
+        """Geometry of a road by station, made once."""
+        if road not in self._geometry:
+            self._geometry[road] = road_geometry(self.roads.roads[road], self.height)
+        return self._geometry[road]
+
+    def section(self, edge_m: Floats, outward: Floats, reach_m: float) -> CrossSection | None:
+        """Cross-section from an edge outwards; from ground points, else from heights."""
+        found = None
+        if self._tree is not None:
+            assert self.points_m is not None
+            found = cross_section(
+                profile_from_points(edge_m, outward, self.points_m, reach_m, tree=self._tree)
+            )
+        if found is None and self.height is not None:
+            found = cross_section(
+                profile_from_heights(edge_m, outward, self.height, reach_m, _DEM_STEP_M)
+            )
+        return found
+
+
+def own_edges(
+    surroundings: Surroundings, located: Located, offset_m: Floats, foot_m: Floats, xy_m: Floats
+) -> tuple[Floats, Floats]:
+    """Edge of each object's cross-section (n, 2) and the way outwards (n, 2); NaN where unknown.
+
+    Square to its road where the nearest edge is the road's own, else from the nearest edge.
+
+    Parameters
+    ----------
+    offset_m, foot_m : distance to the nearest edge and its place.
+    """
+    edge, outward = foot_m.copy(), np.full(foot_m.shape, np.nan)
+    away = xy_m - foot_m
+    long = np.hypot(*away.T)
+    good = (long > 1e-6) & (offset_m > 0)
+    outward[good] = away[good] / long[good, None]
+    for number, road in enumerate(surroundings.roads.roads):
+        side = located.side
+        half = road.edge_m(np.nan_to_num(located.station_m), side)
+        expected = np.abs(located.offset_m) - half
+        own = (located.road == number) & (np.abs(expected - offset_m) <= _ALIKE_M) & (side != 0)
+        station = located.station_m[own]
+        way = road.direction(station)
+        right = np.column_stack([way[:, 1], -way[:, 0]])
+        outward[own] = side[own, None] * right
+        edge[own] = road.place(station, side[own] * half[own])
+    return edge, outward
+
+
+def object_sections(
+    surroundings: Surroundings, edge_m: Floats, outward: Floats, offset_m: Floats
+) -> list[CrossSection | None]:
+    """Cross-section at each object, to beyond it; None where nothing is known."""
+    found: list[CrossSection | None] = []
+    for edge, way, offset in zip(edge_m, outward, offset_m, strict=True):
+        if not (np.isfinite(edge).all() and np.isfinite(way).all() and np.isfinite(offset)):
+            found.append(None)
+            continue
+        reach = float(np.clip(offset + _BEYOND_M, REACH_M, _LONGEST_M))
+        found.append(surroundings.section(edge, way, reach))
+    return found
+
+
+def station_sections(
+    surroundings: Surroundings, every_m: float
+) -> list[tuple[str, int, float, int, Floats, Floats, CrossSection]]:
+    """Cross-sections along both sides of every road, at whole multiples of ``every_m``.
+
+    Returns
+    -------
+    name, road, station (m), side, edge (2,), way outwards (2,), section; those that could be made
+    """
+    found = []
+    for number, road in enumerate(surroundings.roads.roads):
+        first = np.ceil(road.start_m / every_m) * every_m
+        stations = np.arange(first, road.end_m + 1e-6, every_m)
+        way = road.direction(stations)
+        for side, word in ((-1, "left"), (1, "right")):
+            half = road.edge_m(stations, np.full(len(stations), side))
+            edges = road.place(stations, side * np.nan_to_num(half))
+            outward = side * np.column_stack([way[:, 1], -way[:, 0]])
+            for row in np.flatnonzero(np.isfinite(half)):
+                section = surroundings.section(edges[row], outward[row], REACH_M)
+                if section is not None:
+                    name = f"{road.name} {stations[row]:.0f} {word}"
+                    found.append(
+                        (
+                            name,
+                            number,
+                            float(stations[row]),
+                            side,
+                            edges[row],
+                            outward[row],
+                            section,
+                        )
+                    )
+    return found
+
+
+def section_rows(
+    name: str,
+    owner: str,
+    route: str,
+    station_m: float,
+    side: int,
+    edge_m: Floats,
+    outward: Floats,
+    section: CrossSection,
+) -> list[tuple]:
+    """Rows of `SECTION_COLUMNS` of one cross-section."""
+    rows = []
+    for number, element in enumerate(section.elements, start=1):
+        start, end = edge_m + element.start_m * outward, edge_m + element.end_m * outward
+        rows.append(
+            (
+                name,
+                owner,
+                route,
+                station_m,
+                side,
+                number,
+                element.kind,
+                element.start_m,
+                element.end_m,
+                element.width_m,
+                element.sigma_width_m,
+                element.slope,
+                element.sigma_slope,
+                "" if np.isnan(element.slope) else element.ratio,
+                element.rise_m,
+                *start,
+                *end,
+            )
+        )
+    return rows
+
+
+def section_table(
+    surroundings: Surroundings,
+    names: Sequence[str],
+    located: Located,
+    edge_m: Floats,
+    outward: Floats,
+    sections: Sequence[CrossSection | None],
+    every_m: float,
+) -> pd.DataFrame:
+    """Elements of the cross-sections at objects and, every ``every_m``, along the roads.
+
+    Parameters
+    ----------
+    names : of the objects; the others as returned by `own_edges` and `object_sections`.
+    every_m : 0 for none along the roads.
+    """
+    roads = surroundings.roads.roads
+    rows: list[tuple] = []
+    for number, section in enumerate(sections):
+        if section is None:
+            continue
+        road = int(located.road[number])
+        route = roads[road].name if road >= 0 else ""
+        name = str(names[number])
+        place = (float(located.station_m[number]), int(located.side[number]))
+        rows += section_rows(
+            f"at {name}", name, route, *place, edge_m[number], outward[number], section
+        )
+    for name, road, station, side, edge, way, section in (
+        station_sections(surroundings, every_m) if every_m > 0 else []
+    ):
+        rows += section_rows(name, "", roads[road].name, station, side, edge, way, section)
+    return pd.DataFrame(rows, columns=list(SECTION_COLUMNS))
+
+
+def geometry_table(surroundings: Surroundings) -> pd.DataFrame:
+    """Geometry of all roads by station, with what the inventory states there.
+
+    Returns
+    -------
+    columns of `road_geometry`, and lanes, lane_width_m (as stated, else paved width over lanes: no
+    lane is wider), paved_shoulder_m (each side's, where lane widths are stated), speed_least_kmh,
+    speed_greatest_kmh, aadt_least, aadt_greatest; NaN where unknown
+    """
+    parts = []
+    for number, road in enumerate(surroundings.roads.roads):
+        table = surroundings.geometry(number)
+        told = dict.fromkeys(INVENTORY_COLUMNS, np.full(len(table), np.nan))
+        if surroundings.inventory is not None:
+            known = surroundings.inventory.at(
+                surroundings.inventory.route_of(road), table["station_m"].to_numpy()
+            )
+            lanes, wide = known["lanes"].to_numpy(), known["lane_width_m"].to_numpy()
+            paved = table["paved_width_m"].to_numpy()
+            told = {
+                "lanes": lanes,
+                "lane_width_m": np.where(np.isnan(wide), paved / lanes, wide),
+                "paved_shoulder_m": (paved - lanes * wide) / 2,
+                "speed_least_kmh": known["speed_low_kmh"].to_numpy(),
+                "speed_greatest_kmh": known["speed_high_kmh"].to_numpy(),
+                "aadt_least": known["aadt_low"].to_numpy(),
+                "aadt_greatest": known["aadt_high"].to_numpy(),
+            }
+        parts.append(table.assign(**told))
+    if parts:
+        return pd.concat(parts, ignore_index=True)
+    return pd.DataFrame(columns=[*GEOMETRY_COLUMNS, *INVENTORY_COLUMNS], dtype=np.float64)
+
+
+def bends_at(surroundings: Surroundings, located: Located) -> pd.DataFrame:
+    """Radius, whether on the outside of the bend, grade and paved width at located objects.
+
+    Returns
+    -------
+    radius_m (infinite where straight or unknown), outside, grade (rise over run along the measure),
+    paved_width_m
+    """
+    n = len(located.road)
+    radius, outside = np.full(n, np.inf), np.zeros(n, bool)
+    grade, width = np.full(n, np.nan), np.full(n, np.nan)
+    for number in np.unique(located.road[located.road >= 0]):
+        geometry = surroundings.geometry(int(number))
+        own = np.flatnonzero(located.road == number)
+        if not len(geometry):
+            continue
+        at = geometry["station_m"].to_numpy()
+        row = np.abs(at[None, :] - located.station_m[own, None]).argmin(axis=1)
+        near = geometry.iloc[row]
+        curvature = near["curvature_per_km"].to_numpy() / 1000
+        sigma = near["sigma_curvature_per_km"].to_numpy() / 1000
+        # Bends that the noise of the centreline explains are none.
+        bent = np.abs(curvature) > np.maximum(2 * sigma, 1 / STRAIGHT_M)
+        with np.errstate(divide="ignore"):
+            radius[own] = np.where(bent, 1 / np.abs(curvature), np.inf)
+        left_bend = curvature > 0
+        outside[own] = bent & (left_bend == (located.offset_m[own] > 0))
+        grade[own] = near["grade_percent"].to_numpy() / 100
+        width[own] = near["paved_width_m"].to_numpy()
+    columns = {"radius_m": radius, "outside": outside, "grade": grade, "paved_width_m": width}
+    return pd.DataFrame(columns)
+
+
+def governing_slope(
+    section: CrossSection | None, offset_m: float, mean_slope: float
+) -> tuple[float, float]:
+    """Slope that decides about an object, and its sigma: what a vehicle meets before it.
+
+    The steepest foreslope before the object; else the steepest backslope; else the mean slope from
+    edge to object (sigma NaN).
+    """
+    if section is None:
+        return mean_slope, float("nan")
+    reach = offset_m if np.isfinite(offset_m) else REACH_M
+    for slope, sigma in (section.foreslope(reach), section.backslope(reach)):
+        if np.isfinite(sigma):
+            return slope, sigma
+    level = [e for e in section.elements if e.start_m < reach and np.isfinite(e.slope)]
+    if not level:
+        return mean_slope, float("nan")
+    widest = max(level, key=lambda e: min(e.end_m, reach) - e.start_m)
+    return widest.slope, widest.sigma_slope
+
+
+def runout_width_m(section: CrossSection | None, within_m: float) -> float:
+    """Width of non-recoverable foreslopes (1V:4H to 1V:3H) that start within a clear zone.
+
+    Vehicles do not stop on them: the guide gives their width back beyond the toe (RDG 3.2).
+    """
+    if section is None:
+        return 0.0
+    return float(
+        sum(
+            e.width_m
+            for e in section.elements
+            if e.kind == "foreslope"
+            and e.start_m < within_m
+            and RECOVERABLE_SLOPE < -e.slope <= TRAVERSABLE_SLOPE
+        )
+    )
+
+
+def first_trouble_m(section: CrossSection | None) -> float:
+    """Distance from the edge to the first ground that cannot be driven; infinite for none.
+
+    That is a foreslope steeper than 1V:3H, a wall, or a drop of 0.3 m and more.
+    """
+    if section is None:
+        return float("inf")
+    starts = [
+        e.start_m
+        for e in section.elements
+        if (e.kind == "foreslope" and -e.slope > TRAVERSABLE_SLOPE)
+        or e.kind == "wall"
+        or (e.kind == "drop-off" and e.rise_m <= -0.3)
+    ]
+    return min(starts, default=float("inf"))
+
+
+def nearest_ahead_m(
+    road: Ints, side: Ints, station_m: Floats, offset_m: Floats, counted: Bools, window_m: float
+) -> Floats:
+    """Least offset of the counted objects of the same side within a window; infinite if none."""
+    least = np.full(len(road), np.inf)
+    for number in range(len(road)):
+        near = (
+            counted
+            & (road == road[number])
+            & (side == side[number])
+            & (np.abs(station_m - station_m[number]) <= window_m / 2)
+        )
+        if near.any():
+            least[number] = float(np.nanmin(offset_m[near]))
+    return least

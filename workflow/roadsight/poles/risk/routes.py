@@ -1,0 +1,173 @@
+"""Where roads lie along routes of a linear referencing system (LRS): lines with measures.
+
+A road that drives follow gets the name, the measure and the direction of the route that runs beside
+it, so that both directions of a road share one measure, and surveys of different years too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from roadsight.base.arrays import Bools, Floats
+from roadsight.base.errors import InputError
+from roadsight.poles.risk.roads import BESIDE_M, Road, Roads, beside, resampled
+
+_KNOTS_M = 10.0
+"""Measures are carried over so often; between, they go with the centreline's length. Nearer ones
+would repeat the corners of a digitised route."""
+_JOIN_M = 5.0
+"""Segments of one route join within this: digitised ends meet, gaps of a survey are longer."""
+_SHARED = 0.3
+"""A route that runs beside less of a road than this share is a crossing or a neighbour."""
+
+
+@dataclass(frozen=True)
+class Route:
+    """Line of a route.
+
+    Parameters
+    ----------
+    name : of the route. xy_m : (n, 2) vertices. measure_m : (n,) at each, rising.
+    where : file and feature that state it.
+    """
+
+    name: str
+    xy_m: Floats
+    measure_m: Floats
+    where: str = ""
+
+
+def check_routes(routes: Sequence[Route]) -> None:
+    """Refuse measures that fall along their line, and segments digitised against their measures.
+
+    Raises
+    ------
+    InputError : either of these, told with file and feature.
+    """
+    for route in routes:
+        if (np.diff(route.measure_m) <= 0).any() or not np.isfinite(route.measure_m).all():
+            raise InputError(
+                f"measures of route {route.name} do not rise along its line",
+                where=route.where,
+                found=f"{route.measure_m[0]:g} to {route.measure_m[-1]:g} m",
+                allowed="measures that rise from vertex to vertex",
+                hint="turn the line's vertices round, or exchange its from and to",
+            )
+    for name in dict.fromkeys(route.name for route in routes):
+        own = sorted((r for r in routes if r.name == name), key=lambda r: r.measure_m[0])
+        for before, after in pairwise(own):
+            ends, starts = before.xy_m[[0, -1]], after.xy_m[[0, -1]]
+            apart = np.hypot(*np.moveaxis(ends[:, None] - starts[None], 2, 0))
+            if apart[1, 0] > _JOIN_M and apart.min() <= _JOIN_M:
+                raise InputError(
+                    f"a segment of route {name} is digitised against its measures",
+                    where=f"{before.where} and {after.where}",
+                    found=f"{apart[1, 0]:.0f} m from the end of one to the start of the next",
+                    allowed="lines whose end is the start of the next",
+                    hint="turn the vertices of the one that runs the other way",
+                )
+
+
+def with_routes(roads: Roads, routes: Sequence[Route]) -> tuple[Roads, list[str]]:
+    """Roads with names and measures of the routes beside them, and what to tell about the rest.
+
+    Raises
+    ------
+    InputError : two routes run along the same stretch of a road; see also `check_routes`.
+    """
+    check_routes(routes)
+    found, told = [], []
+    for road in roads.roads:
+        shares = _shares(road, routes)
+        names = sorted(shares, key=lambda name: (-shares[name].sum(), name))
+        if not names:
+            told.append(f"no route runs along road {road.name}: its measure stays its own")
+            found.append(road)
+            continue
+        for other in names[1:]:
+            both = shares[names[0]] & shares[other]
+            if both.sum() >= _SHARED * shares[other].sum():
+                raise InputError(
+                    f"two routes run along road {road.name}",
+                    where=next(r.where for r in routes if r.name == other),
+                    found=f"{names[0]} and {other}",
+                    allowed="one route for each road",
+                    hint="leave one out of the file; its measures are events of the other",
+                )
+            told.append(
+                f"routes {names[0]} and {other} follow each other on road {road.name}:"
+                f" all of it is measured along {names[0]}"
+            )
+        own = [route for route in routes if route.name == names[0]]
+        found.append(_measured(road, names[0], own))
+    return Roads(found), told
+
+
+def _shares(road: Road, routes: Sequence[Route]) -> dict[str, Bools]:
+    """Which vertices of a road each route runs beside, for routes that do so enough."""
+    found: dict[str, Bools] = {}
+    tree = cKDTree(road.xy_m)
+    for route in routes:
+        if not beside(road.xy_m, route.xy_m):
+            continue
+        near = np.zeros(len(road.xy_m), bool)
+        for rows in tree.query_ball_point(resampled(route.xy_m, 2.0), BESIDE_M):
+            near[rows] = True
+        found[route.name] = found.get(route.name, np.zeros(len(near), bool)) | near
+    return {name: near for name, near in found.items() if near.mean() > 0.01}
+
+
+def _measured(road: Road, name: str, routes: Sequence[Route]) -> Road:
+    """The road with the measure of its route, turned round if that rises the other way."""
+    plan = np.r_[0.0, np.cumsum(np.hypot(*np.diff(road.xy_m, axis=0).T))]
+    knots = np.unique(np.r_[np.arange(0.0, plan[-1], _KNOTS_M), plan[-1]])
+    places = np.column_stack([np.interp(knots, plan, axis) for axis in road.xy_m.T])
+    measure, gap = _project(places, routes)
+    known = np.isfinite(measure) & (gap <= BESIDE_M)
+    at, value = knots[known], measure[known]
+    rising = bool(value[-1] >= value[0])
+    value = value if rising else -value
+    # Feet of corners may repeat: only what rises counts.
+    keep = np.r_[True, np.diff(np.maximum.accumulate(value)) > 1e-6]
+    at, value = at[keep], value[keep]
+    station = np.asarray(np.interp(plan, at, value), np.float64)
+    # Beyond the route's ends the measure goes on with the road's length.
+    station = np.where(plan < at[0], value[0] + plan - at[0], station)
+    station = np.where(plan > at[-1], value[-1] + plan - at[-1], station)
+    told = f"measure of route {name}"
+    if rising:
+        return replace(road, name=name, measured=told, station_m=station)
+    return replace(
+        road,
+        name=name,
+        measured=told,
+        xy_m=road.xy_m[::-1].copy(),
+        station_m=-station[::-1],
+        left_m=road.right_m[::-1].copy(),
+        right_m=road.left_m[::-1].copy(),
+    )
+
+
+def _project(places: Floats, routes: Sequence[Route]) -> tuple[Floats, Floats]:
+    """Measure at the foot of places (n,), NaN beyond the ends of lines, and the distance (n,)."""
+    measure, gap = np.full(len(places), np.nan), np.full(len(places), np.inf)
+    for route in routes:
+        start, way = route.xy_m[:-1], np.diff(route.xy_m, axis=0)
+        long = np.maximum((way**2).sum(axis=1), 1e-12)
+        along = ((places[:, None] - start) * way).sum(axis=2) / long
+        held = np.clip(along, 0.0, 1.0)
+        apart = np.hypot(*np.moveaxis(places[:, None] - start - held[..., None] * way, 2, 0))
+        piece = np.argmin(apart, axis=1)
+        rows = np.arange(len(places))
+        nearest, share = apart[rows, piece], along[rows, piece]
+        low, high = route.measure_m[piece], route.measure_m[piece + 1]
+        beyond = ((piece == 0) & (share < 0)) | ((piece == len(start) - 1) & (share > 1))
+        better = (nearest < gap) & ~beyond
+        measure[better] = (low + held[rows, piece] * (high - low))[better]
+        gap[better] = nearest[better]
+    return measure, gap

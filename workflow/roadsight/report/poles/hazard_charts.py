@@ -1,0 +1,140 @@
+"""Cross-sections of severe objects as drawings, made from the content of ``poles/page.json``."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from roadsight.report.charts import Chart
+from roadsight.report.wording import number
+
+MOST = 24
+"""Drawings of a site: the worst by rank. The layer `cross_sections` and the table have all."""
+_WIDE = 470.0
+_AXES = (70.0, 54.0)
+"""Pixels of a chart that its axes take, across and upwards (`roadsight.report.charts`)."""
+_LEAST, _TALLEST = 90.0, 300.0
+"""Heights of the plotted part, px: flat sections stay readable, cliffs do not fill the page."""
+_ROW_PX = 13.0
+_CHARACTER_PX = 6.0
+"""Height and width of the letters of a drawing."""
+_POST_M = 1.2
+"""How much of an object is drawn above its ground."""
+_PLACES = ("start_m", "end_m", "rise_m")
+_STEPS = ("kerb", "drop-off", "wall")
+
+
+def hazard_profiles(
+    hazard: pd.DataFrame, sections: pd.DataFrame, profiles: dict[str, Any]
+) -> list[dict[str, Any]]:
+    """Cross-sections of the worst objects that are rated high, by rank.
+
+    Parameters
+    ----------
+    hazard : table of rated objects. sections : see `roadsight.poles.risk.roadside.section_table`.
+    profiles : ``run_m`` and ``height_m`` (above the edge) of each object.
+    """
+    if not {"rank", "rating", "reasons"} <= set(hazard) or sections.empty:
+        return []
+    severe = hazard[(hazard["rating"] == "high") & hazard["id"].astype(str).isin(list(profiles))]
+    found = []
+    for row in severe.sort_values("rank", kind="stable").head(MOST).to_dict("records"):
+        name = str(row["id"])
+        own = sections[sections["object"] == name]
+        if own.empty:
+            continue
+        found.append(
+            {
+                "id": name,
+                "kind": str(row["kind"]),
+                "rank": int(row["rank"]),
+                "route": str(row["route"]),
+                "station_m": _finite(row["station_m"]),
+                "side": int(row["side"]),
+                "offset_m": _finite(row["offset_m"]),
+                "clear_zone_m": _finite(row["clear_zone_m"]),
+                "reasons": str(row["reasons"]),
+                "elements": [
+                    {
+                        "kind": str(element["kind"]),
+                        **{name: round(float(element[name]), 3) for name in _PLACES},
+                        "ratio": str(element["slope_ratio"]),
+                    }
+                    for element in own.to_dict("records")
+                ],
+                **profiles[name],
+            }
+        )
+    return found
+
+
+def profile_chart(profile: dict[str, Any]) -> str:
+    """Cross-section to scale: measured heights, straight pieces with slopes, object, clear zone."""
+    run, height = profile["run_m"], profile["height_m"]
+    level = float(height[0]) if height else 0.0
+    xs, ys, named = [], [], []
+    for element in profile["elements"]:
+        start = level
+        level += element["rise_m"]
+        xs += [element["start_m"], element["end_m"]]
+        ys += [start, level]
+        named.append((element, (element["start_m"] + element["end_m"]) / 2))
+    offset, zone = profile["offset_m"], profile["clear_zone_m"]
+    foot = float(np.interp(offset, xs, ys)) if offset is not None else 0.0
+    tops = [] if offset is None else [foot + _POST_M]
+    span = (min([*xs, offset or 0.0]) - 0.5, max([*xs, offset or 0.0]) + 0.5)
+    low, high = min([*height, *ys]) - 0.4, max([*height, *ys, *tops]) + 0.4
+    per_m = (_WIDE - _AXES[0]) / (span[1] - span[0])
+    texts = [_words(element) for element, _ in named]
+    middles = [
+        max(x, span[0] + _CHARACTER_PX * len(text) / 2 / per_m)
+        for (_, x), text in zip(named, texts, strict=True)
+    ]
+    rows = _rows(texts, middles, per_m)
+    low -= (max(rows, default=-1) + 1) * _ROW_PX / per_m
+    tall = float(np.clip((high - low) * per_m, _LEAST, _TALLEST))
+    # To scale: where the drawing is held taller, the heights' range gives way.
+    high += max(tall / per_m - (high - low), 0.0)
+    title = f"Cross-section at {profile['id']}: {profile['reasons']}"
+    labels = ("From the road edge outwards, m", "Height, m")
+    chart = Chart(title, *labels, span, (low, high), _WIDE, tall + _AXES[1])
+    if zone is not None and zone <= span[1]:
+        chart.level(zone, "reference", upright=True)
+        before = zone > span[0] + 0.6 * (span[1] - span[0])
+        aside = -0.15 if before else 0.15
+        words = f"clear zone {number(zone, 1)} m"
+        chart.note(zone + aside, high - 11 / per_m, words, "end" if before else "start")
+    chart.line(xs, ys, "fit")
+    chart.dots(run, height, "good faint")
+    if offset is not None:
+        chart.line([offset, offset], [foot, foot + _POST_M], "object")
+    ground = min([*height, *ys])
+    for text, middle, row in zip(texts, middles, rows, strict=True):
+        chart.note(middle, ground - ((row + 1) * _ROW_PX + 4) / per_m, text)
+    return chart.svg()
+
+
+def _rows(texts: list[str], middles: list[float], per_m: float) -> list[int]:
+    """Row below the ground for each text, the first in which it covers no other."""
+    ends: list[float] = []
+    found = []
+    for text, middle in zip(texts, middles, strict=True):
+        half = _CHARACTER_PX * len(text) / 2 / per_m
+        row = next((n for n, end in enumerate(ends) if middle - half > end), len(ends))
+        ends[row : row + 1] = [middle + half + 6 / per_m]
+        found.append(row)
+    return found
+
+
+def _words(element: dict[str, Any]) -> str:
+    if element["kind"] in _STEPS:
+        return f"{element['kind']} {number(abs(element['rise_m']), 2)} m"
+    if element["kind"] == element["ratio"]:
+        return str(element["kind"])
+    return f"{element['kind']} {element['ratio']}".strip()
+
+
+def _finite(value: Any) -> float | None:
+    return round(float(value), 3) if np.isfinite(value) else None

@@ -1,0 +1,373 @@
+"""Compiled search among the covers of one cost, see `second`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from roadsight.base.arrays import Bools, Floats, Ints, Ints32
+
+LEVELS = 2
+"""Further times that are counted: once more than asked, twice more."""
+_DIVIDED, _CLOSED = -1, -2
+"""What a node of the search is that is no leaf."""
+
+
+class Rules(NamedTuple):
+    """What covers are made of.
+
+    Parameters
+    ----------
+    start, target : targets of each choice, CSR (choices, targets), sorted.
+    tstart, choice : choices of each target, CSC.
+    need : (targets,) how often each is to be covered. weight : (targets,) 0 where need is 0.
+    cost : (choices,). set_start, sets : sets of each choice of which at most one is taken, CSR.
+    price : (targets,) what covering a target once costs at least, by a dual of the cover.
+    refund : most that prices may exceed costs by, in all; 0 or less.
+    gain : (choices,) how much a choice adds to a bound of the first level; base : the bound
+        without any.
+    most_gain, cost_of_most : gains in the order of gain by cost, and costs, summed up from 0.
+    stretch : (targets,) stretch of road of each target, -1 for none; stretches : how many.
+    order : (targets,) the rarest first.
+    allowed : (choices,) which may be taken.
+    """
+
+    start: Ints32
+    target: Ints32
+    tstart: Ints32
+    choice: Ints32
+    need: Ints
+    weight: Floats
+    cost: Floats
+    set_start: Ints32
+    sets: Ints32
+    price: Floats
+    refund: float
+    gain: Floats
+    base: float
+    most_gain: Floats
+    cost_of_most: Floats
+    stretch: Ints
+    stretches: int
+    order: Ints
+    allowed: Bools
+
+
+class _State(NamedTuple):
+    """``times`` that each target is covered, ``used`` sets, values, ``work`` done.
+
+    ``order`` : targets that are to be covered, the rarest first.
+    ``banned`` : (choices,) one more than the depth whose branches left it out, 0 for none.
+    ``value`` : weight seen once more and twice more, price of what is uncovered, gain taken.
+    """
+
+    order: Ints
+    times: Ints
+    used: Bools
+    banned: Ints
+    value: Floats
+    work: Ints
+
+
+@njit(cache=True)
+def _add(j: int, r: Rules, s: _State) -> None:
+    for p in range(r.start[j], r.start[j + 1]):
+        t = r.target[p]
+        spare = s.times[t] - r.need[t]
+        if spare < 0:
+            s.value[2] -= r.price[t]
+        elif spare < LEVELS:
+            s.value[spare] += r.weight[t]
+        s.times[t] += 1
+    for p in range(r.set_start[j], r.set_start[j + 1]):
+        s.used[r.sets[p]] = True
+    s.value[3] += r.gain[j]
+    s.work[0] += r.start[j + 1] - r.start[j]
+
+
+@njit(cache=True)
+def _remove(j: int, r: Rules, s: _State) -> None:
+    for p in range(r.start[j], r.start[j + 1]):
+        t = r.target[p]
+        s.times[t] -= 1
+        spare = s.times[t] - r.need[t]
+        if spare < 0:
+            s.value[2] += r.price[t]
+        elif spare < LEVELS:
+            s.value[spare] -= r.weight[t]
+    for p in range(r.set_start[j], r.set_start[j + 1]):
+        s.used[r.sets[p]] = False
+    s.value[3] -= r.gain[j]
+    s.work[0] += r.start[j + 1] - r.start[j]
+
+
+@njit(cache=True)
+def _fits(j: int, money: float, r: Rules, s: _State) -> bool:
+    if not r.allowed[j] or s.banned[j] or r.cost[j] > money:
+        return False
+    taken = 0
+    for p in range(r.set_start[j], r.set_start[j + 1]):
+        taken += s.used[r.sets[p]]
+    return taken == 0
+
+
+@njit(cache=True)
+def _stretches_seen(r: Rules, s: _State, j: int) -> int:
+    """Stretches with a target that is seen once more than asked; with choice j added, if any."""
+    seen = np.zeros(r.stretches, np.bool_)
+    for t in range(len(r.need)):
+        k = r.stretch[t]
+        if k >= 0 and r.need[t] > 0 and s.times[t] > r.need[t]:
+            seen[k] = True
+    if j >= 0:
+        for p in range(r.start[j], r.start[j + 1]):
+            t = r.target[p]
+            k = r.stretch[t]
+            if k >= 0 and r.need[t] > 0 and s.times[t] >= r.need[t]:
+                seen[k] = True
+    s.work[0] += len(r.need)
+    return int(seen.sum())
+
+
+@njit(cache=True)
+def _is_better(first: float, second: float, j: int, best: Floats, r: Rules, s: _State) -> bool:
+    """Whether a cover is better than the best; if so, it becomes the best's value."""
+    slack = 1e-9 * max(1.0, best[0])
+    if first < best[0] - slack:
+        return False
+    level = first <= best[0] + slack
+    if level and second < best[1] - slack:
+        return False
+    stretches = _stretches_seen(r, s, j)
+    if level and second <= best[1] + slack and stretches <= best[2]:
+        return False
+    best[0], best[1], best[2] = first, second, stretches
+    return True
+
+
+@njit(cache=True)
+def _kept(found: Ints, count: int, choice: Ints32, first: int, end: int) -> int:
+    """Number of the found choices, sorted, that are among those of a target, sorted as well."""
+    kept, q = 0, first
+    for c in range(count):
+        low, high = q, end
+        while low < high:
+            middle = (low + high) >> 1
+            if choice[middle] < found[c]:
+                low = middle + 1
+            else:
+                high = middle
+        q = low
+        if q == end:
+            break
+        if choice[q] == found[c]:
+            found[kept] = found[c]
+            kept += 1
+    return kept
+
+
+@njit(cache=True)
+def _last_choices(first: int, money: float, r: Rules, s: _State, found: Ints) -> int:
+    """Number of choices, into ``found``, that cover alone all that is left uncovered.
+
+    first : place of the first target left in the order.
+    """
+    tstart, choice, order, need, seen = r.tstart, r.choice, s.order, r.need, s.times
+    count, t, work = 0, order[first], 0
+    for q in range(r.tstart[t], r.tstart[t + 1]):
+        if _fits(r.choice[q], money, r, s):
+            found[count] = r.choice[q]
+            count += 1
+    s.work[0] += r.tstart[t + 1] - r.tstart[t]
+    if s.times[t] + 1 < r.need[t]:
+        return 0
+    for k in range(first + 1, len(order)):
+        other = order[k]
+        work += 1
+        lacking = need[other] - seen[other]
+        if lacking <= 0:
+            continue
+        if lacking > 1:
+            count = 0
+            break
+        kept = _kept(found, count, choice, tstart[other], tstart[other + 1])
+        work += 8 * count
+        count = kept
+        if not count:
+            break
+    s.work[0] += work
+    return count
+
+
+class _Stack(NamedTuple):
+    """By depth: place of the target that is divided, its next choice, choice taken, money left."""
+
+    place: Ints
+    turn: Ints
+    taken: Ints
+    left: Floats
+
+
+@njit(cache=True)
+def complete_covers(
+    inside: Bools, money: float, least_cost: float, r: Rules, best: Floats, most_work: int
+) -> tuple[Bools, bool, bool, int]:
+    """The best completion of some choices to a cover, if it is better than the best known.
+
+    Branches over the choices of the rarest target that is not covered; each choice is left out of
+    the branches behind it, so that no set comes up twice.
+
+    Parameters
+    ----------
+    inside : (choices,) taken for certain. money : what the others may cost.
+    least_cost : of any choice.
+    best : (3,) weight seen once more, twice more, stretches; of the best cover, changed in place.
+
+    Returns
+    -------
+    the cover found, whether one was, whether all were looked at, entries read.
+    """
+    depths = int(money / least_cost + 1e-9) + 2
+    s, k = (
+        _begin(inside, r),
+        _Stack(
+            np.zeros(depths, np.int64),
+            np.zeros(depths, np.int64),
+            np.full(depths, -1, np.int64),
+            np.full(depths, money),
+        ),
+    )
+    cover, is_found = inside.copy(), False
+    found = np.empty(len(r.cost), np.int64)
+    depth = 0
+    while depth >= 0:
+        if s.work[0] > most_work:
+            return cover, is_found, False, s.work[0]
+        last = _enter(depth, least_cost, best, r, s, k, found)
+        if last >= 0:
+            # A leaf: nothing is missing (last = 0), or one of the choices found.
+            for c in range(max(last, 1)):
+                j = found[c] if last else -1
+                first, second = _value_with(j, r, s)
+                if _is_better(first, second, j, best, r, s):
+                    is_found = True
+                    cover[:] = inside
+                    for d in range(depth):
+                        cover[k.taken[d]] = True
+                    if j >= 0:
+                        cover[j] = True
+        if last != _DIVIDED:
+            depth = _leave(depth, r, s, k)
+        while depth >= 0 and not _next_branch(depth, r, s, k):
+            depth = _leave_divided(depth, r, s, k)
+        depth += depth >= 0
+    return cover, is_found, True, s.work[0]
+
+
+@njit(cache=True)
+def _begin(inside: Bools, r: Rules) -> _State:
+    count = np.zeros(len(r.need), np.int64)
+    for j in np.flatnonzero(inside):
+        for p in range(r.start[j], r.start[j + 1]):
+            count[r.target[p]] += 1
+    s = _State(
+        r.order[(count < r.need)[r.order]],
+        np.zeros(len(r.need), np.int64),
+        np.zeros(r.sets.max() + 1 if len(r.sets) else 0, np.bool_),
+        np.zeros(len(r.cost), np.int64),
+        np.zeros(4),
+        np.zeros(1, np.int64),
+    )
+    s.value[2] = (r.price * r.need).sum()
+    for choice in range(len(inside)):
+        if inside[choice]:
+            _add(choice, r, s)
+            s.banned[choice] = -1
+    return s
+
+
+@njit(cache=True)
+def _enter(
+    depth: int, least_cost: float, best: Floats, r: Rules, s: _State, k: _Stack, found: Ints
+) -> int:
+    """What a node is: `_DIVIDED`, `_CLOSED`, or a leaf with so many choices that complete it."""
+    if _is_hopeless(k.left[depth], best[0], r, s):
+        return _CLOSED
+    place = k.place[depth]
+    while place < len(s.order) and s.times[s.order[place]] >= r.need[s.order[place]]:
+        place += 1
+    s.work[0] += 4 + place - k.place[depth]
+    if place == len(s.order):
+        return 0
+    if k.left[depth] < 2 * least_cost * (1 - 1e-9):
+        return _last_choices(place, k.left[depth], r, s, found) or _CLOSED
+    k.place[depth], k.turn[depth] = place, r.tstart[s.order[place]]
+    return _DIVIDED
+
+
+@njit(cache=True)
+def _value_with(j: int, r: Rules, s: _State) -> tuple[float, float]:
+    """Weight seen once more and twice more with choice j added, if any."""
+    first, second = s.value[0], s.value[1]
+    if j < 0:
+        return first, second
+    for p in range(r.start[j], r.start[j + 1]):
+        t = r.target[p]
+        spare = s.times[t] - r.need[t]
+        if spare == 0:
+            first += r.weight[t]
+        elif spare == 1:
+            second += r.weight[t]
+    s.work[0] += r.start[j + 1] - r.start[j]
+    return first, second
+
+
+@njit(cache=True)
+def _next_branch(depth: int, r: Rules, s: _State, k: _Stack) -> bool:
+    """Take the next choice of a node's target, for the node below; False where none is left."""
+    end = r.tstart[s.order[k.place[depth]] + 1]
+    while k.turn[depth] < end:
+        j = r.choice[k.turn[depth]]
+        k.turn[depth] += 1
+        s.work[0] += 1
+        if _fits(j, k.left[depth], r, s):
+            _add(j, r, s)
+            s.banned[j] = depth + 1
+            k.taken[depth] = j
+            k.left[depth + 1] = k.left[depth] - r.cost[j]
+            k.place[depth + 1] = k.place[depth]
+            return True
+    return False
+
+
+@njit(cache=True)
+def _leave(depth: int, r: Rules, s: _State, k: _Stack) -> int:
+    """Take out the choice that led to a node; the depth above."""
+    if depth:
+        _remove(k.taken[depth - 1], r, s)
+    return depth - 1
+
+
+@njit(cache=True)
+def _leave_divided(depth: int, r: Rules, s: _State, k: _Stack) -> int:
+    """The same; the choices that its branches left out may be taken again."""
+    first = r.tstart[s.order[k.place[depth]]]
+    for q in range(first, k.turn[depth]):
+        if s.banned[r.choice[q]] == depth + 1:
+            s.banned[r.choice[q]] = 0
+    return _leave(depth, r, s, k)
+
+
+@njit(cache=True)
+def _is_hopeless(money: float, best: float, r: Rules, s: _State) -> bool:
+    """Whether what is uncovered costs too much, or the best cannot be reached any more."""
+    if s.value[2] + r.refund > money + 1e-7 * max(1.0, money):
+        return True
+    k = np.searchsorted(r.cost_of_most, money, side="right") - 1
+    more = r.most_gain[k]
+    if k + 1 < len(r.most_gain):
+        step = r.cost_of_most[k + 1] - r.cost_of_most[k]
+        more += (money - r.cost_of_most[k]) / step * (r.most_gain[k + 1] - r.most_gain[k])
+    return r.base + s.value[3] + more < best - 1e-6 * max(1.0, best)

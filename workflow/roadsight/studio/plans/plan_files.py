@@ -1,0 +1,249 @@
+"""Plans of one site, kept in its site file (`placement.own_plans`) with their places beside it."""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import pandas as pd
+import shapely
+
+from roadsight.base.errors import InputError
+from roadsight.config.plan_options import FILES
+from roadsight.config.plans import Plan, load_plans
+from roadsight.io.vector.vectors import read_polygons, write_geojson
+from roadsight.placement.sensors.sensors import load_sensors
+from roadsight.studio.plans.plan_bodies import Barred, PlanBody, Standing
+from roadsight.studio.project import Project, SiteFolder
+from roadsight.studio.site_files import Writer, saving, write_site
+from roadsight.studio.site_text import with_value
+
+_SECTION, _KEY = "placement", "own_plans"
+_PLACES = {"mandatory": "mandatory.csv", "forbidden": "forbidden.geojson"}
+"""Files of places that the studio writes, named after their plan."""
+
+
+def about_plans(project: Project, site: SiteFolder) -> dict[str, Any]:
+    """Sensors that plans may use, and the plans of a site as the editor shows them."""
+    kinds = load_sensors(project.config().sensors_file)
+    own = site.resolved.site.placement.own_plans
+    plans = site.resolved.plans | own
+    return {
+        "sensors": [{"name": name, "cost": kind.cost} for name, kind in kinds.items()],
+        "plans": [_described(name, plan) | {"own": name in own} for name, plan in plans.items()],
+    }
+
+
+def _described(name: str, plan: Plan) -> dict[str, Any]:
+    goal, amount = _goal(plan)
+    return {
+        "name": name,
+        "title": plan.title,
+        "sensors": plan.sensors,
+        "at_least": plan.at_least,
+        "goal": goal,
+        "amount": amount,
+        **{option: plan.file_of(option) is not None for option in _PLACES},
+    }
+
+
+def _goal(plan: Plan) -> tuple[str, float | None]:
+    if plan.price is not None:
+        return "price", plan.price
+    if plan.budget is None:
+        return "cover", None
+    if plan.budget.sensors is not None:
+        return "sensors", plan.budget.sensors
+    return "cost", plan.budget.cost
+
+
+def save_plan(project: Project, stem: str, name: str, body: PlanBody) -> list[str]:
+    """Write a plan into the site file, its places beside it.
+
+    Returns
+    -------
+    files that changed, relative to the project
+
+    Raises
+    ------
+    InputError : the name is taken, anything is wrong in the plan, or the site file cannot be
+        changed; nothing is written then.
+    """
+    with saving(project, stem, "drawing") as site:
+        before = site.resolved.site.placement.own_plans.get(name)
+        _check_name(project, name, before is not None and not body.replace)
+        _check_places(body.mandatory or [])
+        files = _writers(site, body)
+        value = plan_value(site, body, {part: f"{stem}/{name}.{_PLACES[part]}" for part in files})
+        text = project.inside(site.resolved.file).read_bytes().decode()
+        text = with_value(text, _KEY, name, value, within=_SECTION)
+        own = {Path(file) for part in _PLACES if (file := _file(site, name, part)) and before}
+        beside = {f"{name}.{_PLACES[part]}": write for part, write in files.items()}
+        return write_site(project, site, text, beside, {project.inside(path) for path in own})
+
+
+def _file(site: SiteFolder, name: str, part: str) -> str | None:
+    """File of places that the site's own plan names."""
+    plan = site.resolved.site.placement.own_plans.get(name)
+    return site.resolved.beside(plan.file_of(part)) if plan else None
+
+
+def _check_name(project: Project, name: str, is_taken: bool) -> None:
+    config = project.config()
+    if is_taken or name in load_plans(config.plans_file, config.sensors_file):
+        raise InputError(
+            "is the name of a plan already", where="plan", found=name, hint="choose another one"
+        )
+
+
+def _check_places(places: Sequence[Standing]) -> None:
+    known = [(round(place.x, 2), round(place.y, 2)) for place in places]
+    twice = next((number for number, at in enumerate(known) if at in known[:number]), None)
+    if twice is not None:
+        raise InputError(
+            "stands at the place of another, and a plan has one sensor a place",
+            where=f"mandatory place {twice + 1}",
+            hint="move one of them",
+        )
+
+
+def _writers(site: SiteFolder, body: PlanBody) -> dict[str, Writer]:
+    """How to write the places that are given."""
+    files: dict[str, Writer] = {}
+    if body.mandatory:
+        files["mandatory"] = partial(write_standing, places=body.mandatory)
+    if body.forbidden:
+        frame = site.frame()
+        native = [[spot.x, spot.y, frame.origin[2]] for spot in body.forbidden]
+        middles = frame.to_local(native)[:, :2]
+        squares = _with_those_of(site, body.base, _squares(middles.tolist(), body.forbidden))
+        files["forbidden"] = partial(write_geojson, features=squares, frame=frame)
+    return files
+
+
+def _with_those_of(
+    site: SiteFolder, base: str | None, squares: gpd.GeoDataFrame
+) -> gpd.GeoDataFrame:
+    """Squares and the polygons that the base forbids already."""
+    own = site.resolved.site.placement.own_plans
+    plan = site.resolved.plans.get(base or "")
+    file = _file(site, base, "forbidden") if base in own else plan and plan.file_of("forbidden")
+    if not file or plan is None or plan.forbidden is None:
+        return squares
+    before = read_polygons(file, site.frame(), plan.forbidden.crs)
+    names = [f"before{number + 1}" for number in range(len(before))]
+    kept = gpd.GeoDataFrame({"name": names}, geometry=before.geometry.to_numpy())
+    return pd.concat([kept, squares], ignore_index=True)
+
+
+def _squares(middles: list[list[float]], spots: Sequence[Barred]) -> gpd.GeoDataFrame:
+    boxes = [
+        shapely.box(x - spot.half_m, y - spot.half_m, x + spot.half_m, y + spot.half_m)
+        for (x, y), spot in zip(middles, spots, strict=True)
+    ]
+    return gpd.GeoDataFrame({"name": [f"left{n + 1}" for n in range(len(boxes))]}, geometry=boxes)
+
+
+def write_standing(path: Path, places: Sequence[Standing]) -> None:
+    """Places of sensors as a table that a plan's ``mandatory`` reads."""
+    with path.open("w", encoding="utf-8", newline="") as stream:
+        rows = csv.writer(stream, lineterminator="\n")
+        rows.writerow(["id", "kind", "x", "y", "height_m"])
+        for number, place in enumerate(places, start=1):
+            height = "" if place.height_m is None else f"{place.height_m:g}"
+            rows.writerow([f"s{number}", place.kind, f"{place.x:.3f}", f"{place.y:.3f}", height])
+
+
+def plan_value(site: SiteFolder, body: PlanBody, files: dict[str, str]) -> dict[str, Any]:
+    """The plan as the site file holds it.
+
+    Parameters
+    ----------
+    files : of the places that are given, as the site file names them.
+
+    Raises
+    ------
+    InputError : no such base, or an amount is missing.
+    """
+    value: dict[str, Any] = {"title": body.title, "sensors": body.sensors}
+    value |= _further(site, body)
+    for part in _PLACES:
+        if getattr(body, part) is not None:
+            value.pop(part, None)
+    value |= {part: {"file": file} for part, file in files.items()}
+    if body.at_least is not None:
+        value["at_least"] = body.at_least
+    return value | _aim(body)
+
+
+def _aim(body: PlanBody) -> dict[str, Any]:
+    if body.goal == "cover":
+        return {}
+    if not body.amount:
+        raise InputError("needs an amount above zero", where=f"goal {body.goal}")
+    if body.goal == "price":
+        return {"price": body.amount}
+    if body.goal == "cost":
+        return {"budget": {"cost": body.amount}}
+    return {"budget": {"sensors": int(body.amount)}}
+
+
+def _further(site: SiteFolder, body: PlanBody) -> dict[str, Any]:
+    """Options of the base that the editor does not show."""
+    if body.base is None:
+        return {}
+    own = site.resolved.site.placement.own_plans
+    if body.base not in own and body.base not in site.resolved.plans:
+        raise InputError("no such plan", where=f"site {site.stem}", found=body.base)
+    plan = own.get(body.base)
+    if plan is None:
+        folder = site.resolved.file.parent
+        plan = site.resolved.plans[body.base].located(lambda path: os.path.relpath(path, folder))
+    shown = {"title", "sensors", "at_least", "budget", "price", "on_request"}
+    options = plan.model_dump(exclude=shown, exclude_defaults=True)
+    return {name: _defined(option) for name, option in options.items()}
+
+
+def _defined(option: Any) -> Any:
+    return (
+        {k: v for k, v in option.items() if v is not None} if isinstance(option, dict) else option
+    )
+
+
+def remove_plan(project: Project, stem: str, name: str) -> list[str]:
+    """Take a site's own plan out of its file, with the places that the studio wrote for it.
+
+    Raises
+    ------
+    InputError : it is no plan of the site alone, or the site file cannot be changed.
+    """
+    with saving(project, stem, "drawing") as site:
+        if name not in site.resolved.site.placement.own_plans:
+            raise InputError("is no plan of this site alone", where="plan", found=name)
+        text = project.inside(site.resolved.file).read_bytes().decode()
+        changed = with_value(text, _KEY, name, None, within=_SECTION)
+        folder = site.resolved.file.parent / site.stem
+        named = {part: _file(site, name, part) for part in _PLACES}
+        others = _named_elsewhere(site, name)
+        done = write_site(project, site, changed, {}, set())
+        for part, file in named.items():
+            path = project.inside(folder / f"{name}.{_PLACES[part]}")
+            if file and project.inside(file) == path and path not in others:
+                path.unlink(missing_ok=True)
+        return done
+
+
+def _named_elsewhere(site: SiteFolder, name: str) -> set[Path]:
+    own = site.resolved.site.placement.own_plans
+    return {
+        Path(located).resolve()
+        for other, plan in own.items()
+        if other != name
+        for option in FILES
+        if (located := site.resolved.beside(plan.file_of(option)))
+    }
