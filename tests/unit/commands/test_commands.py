@@ -119,7 +119,7 @@ def test_pavement_is_that_of_the_truth(truth, paved):
 
 def test_labels_of_the_file_give_way(sample, truth, paved, tmp_path):
     relabelled = laspy.read(sample / "cloud.laz")
-    relabelled.classification = np.where(truth[TRUTH_DIMENSION] == 5, 5, 11).astype(np.uint8)
+    relabelled.classification = np.where(truth[TRUTH_DIMENSION] == 5, 5, 2).astype(np.uint8)
     relabelled.write(tmp_path / "in.laz")
     assert main(["pavement", str(tmp_path / "in.laz"), "-o", str(tmp_path / "out.laz")]) == 0
     labels = np.asarray(laspy.read(tmp_path / "out.laz").classification)
