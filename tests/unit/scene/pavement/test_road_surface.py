@@ -16,7 +16,7 @@ KERB_M = 0.12
 LENGTH_M = 50.0
 
 
-def street(rng, layer_m=0.0, kerb_m=KERB_M, scans=6, per_m2=60):
+def street(rng, layer_m=0.0, kerb_m=KERB_M, scans=6, per_m2=60, drive=(15, 35)):
     """Points, intensity, scan and truth of a crowned street with kerbs, walks and lawns.
 
     Each scan has a blind disc of 3 m around its vehicle, and registration errors of ``layer_m``.
@@ -29,7 +29,7 @@ def street(rng, layer_m=0.0, kerb_m=KERB_M, scans=6, per_m2=60):
     z = 0.01 * x - 0.02 * np.minimum(np.abs(y), HALF_ROAD_M) + np.where(road, 0.0, kerb_m)
     z += np.where(lawn, rng.normal(0.04, 0.04, count), rng.normal(0, 0.004, count))
     scan = rng.integers(0, scans, count)
-    vehicle = np.linspace(15, 35, scans)[scan]
+    vehicle = np.linspace(*drive, scans)[scan]
     seen = np.hypot(x - vehicle, y - 1.8) > 2.5
     thin = rng.random(count) < np.clip(8.0 / np.maximum(np.hypot(x - vehicle, y - 1.8), 2.5), 0, 1)
     z += rng.normal(0, layer_m, scans)[scan] + rng.normal(0, layer_m / 30, scans)[scan] * (x - 25)
@@ -46,6 +46,16 @@ def f1(found, truth):
 @pytest.mark.parametrize("layer_m", [0.0, 0.01, 0.03, 0.05])
 def test_a_street_ends_at_its_kerbs_whatever_the_registration(rng, layer_m):
     xyz, tone, scan, road = street(rng, layer_m)
+    surface = find_road(xyz, tone, scan)
+    assert surface.seeded_by == "scans"
+    assert f1(road_points(surface, xyz, RoadSettings()), road) > 0.93
+
+
+@pytest.mark.parametrize("layer_m", [0.0, 0.03])
+def test_a_vehicle_that_stood_is_no_reason_to_look_across_the_street(rng, layer_m):
+    xyz, tone, scan, road = street(rng, layer_m, drive=(25, 25))
+    places, sure = scanner_positions(xyz, scan)
+    assert sure.all() and np.ptp(places, axis=0).max() < 1.0
     surface = find_road(xyz, tone, scan)
     assert surface.seeded_by == "scans"
     assert f1(road_points(surface, xyz, RoadSettings()), road) > 0.93

@@ -400,6 +400,12 @@ _AHEAD_M = 5.0
 """The road goes on beyond the first and last position by more than a blind disc."""
 
 
+_STANDING_M = 3.0
+"""Positions are up to 0.7 m off, so that a shorter drive has no direction."""
+_LOOK_M = 15.0
+"""Flat ground so far to both sides tells a street's direction; walks beside it are not met."""
+_SIDE_M = 2.0
+"""The line of a vehicle that stood reaches to a lane's length beyond its blind disc."""
 _SEED_M = 1.0
 """Ground this near to a seed is where the road is looked for first."""
 _WATER_M = 2.0
@@ -450,10 +456,31 @@ def _seeds(
         return np.logical_or.reduce(list(found.values())), ", ".join(found)
     places, sure = scanner_positions(xyz_m, scan)
     if len(np.unique(scan)) > 1 and sure.mean() >= SURE_SCANS:
-        seed = _along_track(ground, flat, places[sure])
+        seed = _along_track(ground, flat, _with_direction(ground, flat, places[sure]))
         if seed.any():
             return seed, "scans"
     return np.zeros_like(flat), "ground"
+
+
+def _with_direction(ground: _Ground, flat: Bools, places: Floats) -> Floats:
+    """Positions (k, 2) of scans in order; of a vehicle that stood, a line along its street.
+
+    The street runs where flat ground goes on for longest to both sides.
+    """
+    apart = places[:, None] - places[None]
+    if np.hypot(*apart.transpose(2, 0, 1)).max() >= _STANDING_M:
+        return places
+    middle = np.median(places, axis=0)
+    row, column = np.nonzero(flat & (ground.cells.count > 0))
+    off = np.column_stack(ground.cells.grid.centres(column, row)) - middle
+    off = off[np.hypot(*off.T) < _LOOK_M]
+    angles = np.linspace(0, np.pi, 36, endpoint=False)
+    along = np.column_stack([np.cos(angles), np.sin(angles)])
+    inside = np.abs(off @ np.column_stack([-along[:, 1], along[:, 0]]).T) < _HALF_LANE_M
+    ahead = off @ along.T > 0
+    both = np.minimum((inside & ahead).sum(axis=0), (inside & ~ahead).sum(axis=0))
+    best = along[int(np.argmax(both))]
+    return np.array([middle - _SIDE_M * best, middle + _SIDE_M * best])
 
 
 def _at_seeds(ground: _Ground, seeds_xy: Floats) -> Bools:
