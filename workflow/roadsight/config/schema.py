@@ -190,7 +190,7 @@ class Cover(Section):
         description="of the cheapest plans, the one that sees most targets once more than asked",
     )
     second_time_limit_s: float = Field(
-        default=10.0, gt=0, description="its limit for each plan, s; counted in steps of work"
+        default=3.0, gt=0, description="its limit for each plan, s; counted in steps of work"
     )
 
 

@@ -429,7 +429,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--time-limit-s", type=float, default=300.0)
     parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")
     parser.add_argument("--second", choices=["True", "False"], default="False")
-    parser.add_argument("--second-time-limit-s", type=float, default=10.0)
+    parser.add_argument("--second-time-limit-s", type=float, default=3.0)
     parser.add_argument("--edges", nargs="?", help="the road, for the length seen by two")
     parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")
     add_allowed_arguments(parser)
