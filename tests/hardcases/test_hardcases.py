@@ -36,6 +36,8 @@ NO_NUMERICS = {
     "measure_precision": "compares single and double precision",
     "measure_tradeoff": "runs other stages",
     "plan_effects": "compares measured numbers with thresholds",
+    "hazard_layers": "part of rate_hazard: writes what it found",
+    "roadside_inputs": "part of rate_hazard: reads what the user gave",
     "ahead": "threads around any stage",
     "progress": "shared by all stages",
     "render_depth_pairs": "the maps of render_depth_maps, whose cases hold for it",
