@@ -178,17 +178,20 @@ def find_road(
         a road.
     """
     settings, known = settings or RoadSettings(), known or KnownRoad()
-    if len(xyz_m) < 100:
+    if len(xyz_m) < _FEWEST_POINTS:
         raise InputError(
-            "too little ground for a road", found=f"{len(xyz_m)} points", allowed="at least 100"
+            "too little ground for a road",
+            found=f"{len(xyz_m)} points",
+            allowed=f"at least {_FEWEST_POINTS}",
         )
     scan = np.zeros(len(xyz_m), np.int64) if scan is None else scan
     levelled, shifts = level_scans(xyz_m, scan)
     points = np.column_stack([xyz_m[:, :2], levelled])
     tones = np.zeros(len(points)) if intensity is None else intensity.astype(np.float64)
-    ground = _describe(points, tones, cell_for(xyz_m, settings), settings)
-    ground = _bounded(ground, known)
-    seeds, seeded_by = _seeds(ground, xyz_m, scan, known, settings)
+    driven = _driven(xyz_m, scan)
+    cell_m = cell_for(_around(xyz_m, driven, known), settings)
+    ground = _bounded(_describe(points, tones, cell_m, settings), known)
+    seeds, seeded_by = _seeds(ground, xyz_m, driven, known, settings)
     grown = _grow_all(ground, seeds, seeded_by, settings)
     if not grown.any():
         raise InputError("no road found: no smooth ground wide enough", hint="give a track")
@@ -400,6 +403,10 @@ _AHEAD_M = 5.0
 """The road goes on beyond the first and last position by more than a blind disc."""
 
 
+_FEWEST_POINTS = 100
+"""Fewer points tell no spacing."""
+_ROADSIDE_M = 25.0
+"""Points this near to what is known of the road tell its spacing: four lanes and their sides."""
 _STANDING_M = 3.0
 """Positions are up to 0.7 m off, so that a shorter drive has no direction."""
 _LOOK_M = 15.0
@@ -434,8 +441,31 @@ def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
     return replace(ground, measured=ground.measured & ~shut, blank=ground.blank & ~shut)
 
 
+def _driven(xyz_m: Floats, scan: Ints) -> Floats:
+    """Where scanners stood (k, 2), in order; none where scans do not tell."""
+    if len(np.unique(scan)) < 2:
+        return np.empty((0, 2))
+    places, sure = scanner_positions(xyz_m, scan)
+    return places[sure] if sure.mean() >= SURE_SCANS else np.empty((0, 2))
+
+
+def _around(xyz_m: Floats, driven: Floats, known: KnownRoad) -> Floats:
+    """Points near what is known of the road; all of them where nothing is, or few are near.
+
+    Their spacing is the road's, whatever else the cloud holds.
+    """
+    given = [xy for xy in (driven, known.seeds_xy, known.track_xy) if xy is not None and len(xy)]
+    if not given:
+        return xyz_m
+    away, _ = cKDTree(np.concatenate(given)[:, :2]).query(
+        xyz_m[:, :2], distance_upper_bound=_ROADSIDE_M
+    )
+    near = np.isfinite(away)
+    return xyz_m[near] if near.sum() >= _FEWEST_POINTS else xyz_m
+
+
 def _seeds(
-    ground: _Ground, xyz_m: Floats, scan: Ints, known: KnownRoad, settings: RoadSettings
+    ground: _Ground, xyz_m: Floats, driven: Floats, known: KnownRoad, settings: RoadSettings
 ) -> tuple[Bools, str]:
     """Cells from which the road grows, and what they are known by."""
     flat = ground.measured & (ground.cells.count > 0) & (ground.step_m < settings.step_m)
@@ -454,9 +484,8 @@ def _seeds(
     found = {name: seed for name, seed in found.items() if seed.any()}
     if found:
         return np.logical_or.reduce(list(found.values())), ", ".join(found)
-    places, sure = scanner_positions(xyz_m, scan)
-    if len(np.unique(scan)) > 1 and sure.mean() >= SURE_SCANS:
-        seed = _along_track(ground, flat, _with_direction(ground, flat, places[sure]))
+    if len(driven):
+        seed = _along_track(ground, flat, _with_direction(ground, flat, driven))
         if seed.any():
             return seed, "scans"
     return np.zeros_like(flat), "ground"
