@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
-from roadsight.io.raster.rasters import Raster, near_measured, read_raster, write_raster
+from roadsight.io.raster.rasters import Raster, read_raster, write_raster
 from tests.helpers.las_files import wkt_of
 
 US_FOOT = 1200 / 3937
@@ -156,17 +156,6 @@ def test_measured_cells_come_back_as_they_were_written(tmp_path_factory, seed, r
     inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     slow = [bool(i and measured[r, c]) for i, r, c in zip(inside, row, column, strict=True)]
     assert found.is_measured(x, y).tolist() == slow
-
-
-def test_far_from_measured_cells_nothing_is_shown():
-    measured = np.zeros((9, 9), bool)
-    measured[4, 4] = True
-    raster = Raster(np.ones((9, 9), np.float32), 0.0, 9.0, 1.0, measured)
-    shown = np.isfinite(near_measured(raster, 2.0))
-    rows, columns = np.indices(shown.shape)
-    assert np.array_equal(shown, np.hypot(rows - 4, columns - 4) <= 2)
-    whole = Raster(raster.values, 0.0, 9.0, 1.0)
-    assert np.isfinite(near_measured(whole)).all()
 
 
 def test_a_large_raster_opens_fast_in_any_gis(tmp_path):

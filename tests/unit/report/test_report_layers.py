@@ -21,7 +21,7 @@ from roadsight.report.site.layers import (
     relief_layer,
     target_layer,
 )
-from roadsight.report.site.shading import NO_DATA, block_mean, hillshade
+from roadsight.report.site.shading import NO_DATA, block_mean, hillshade, near_measured
 from roadsight.report.site.thinning import sample_mask, thin
 
 
@@ -249,3 +249,12 @@ class TestLayers:
         layer = target_layer(table)
         assert layer["names"] == ["t1_2", "t2_2"]
         assert unpack(layer["xyz"]).tolist() == [1.5, 2.5, 7.0, 2.5, 2.5, 7.0]
+
+
+def test_far_from_measured_cells_no_relief_is_shown():
+    measured = np.zeros((9, 9), bool)
+    measured[4, 4] = True
+    shown = np.isfinite(near_measured(np.ones((9, 9)), measured, 1.0))
+    rows, columns = np.indices(shown.shape)
+    assert np.array_equal(shown, np.hypot(rows - 4, columns - 4) <= 2)
+    assert np.isfinite(near_measured(np.ones((9, 9)), None, 1.0)).all()

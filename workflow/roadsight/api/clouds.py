@@ -145,8 +145,7 @@ def read_cloud(
     --------
     >>> import roadsight
     >>> cloud = roadsight.read_cloud("street.laz")  # doctest: +SKIP
-    >>> cloud.xyz_m.shape, cloud.frame.crs_name  # doctest: +SKIP
-    ((417106, 3), 'RGF93 v1 / Lambert-93')
+    >>> xyz_m, native = cloud.xyz_m, cloud.frame.to_native(cloud.xyz_m)  # doctest: +SKIP
     """
     path = Path(path)
     native = read_laz(path)

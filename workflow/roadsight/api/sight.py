@@ -52,19 +52,34 @@ def depth_map(
     >>> ranges.shape, round(float(ranges[ranges > 0].min()), 1)
     ((64, 2048), 10.5)
     """
-    cloud, sensor = taken(points), _sensor(sensor)
-    place = _place(position_m)
-    offset = np.linalg.norm(cloud.xyz_m - place, axis=1)
-    if offset.min() > sensor.range_m:
+    sensor, place = _sensor(sensor), _place(position_m)
+    near_m = points_in_reach(taken(points).xyz_m, sensor, place)
+    return lidar_of_points(near_m).depth_map(sensor, place, yaw_deg)
+
+
+def points_in_reach(
+    xyz_m: Floats, sensor: Sensor, position_m: Floats, where: str = "position"
+) -> Floats:
+    """Points that a sensor may measure, and those beyond that tell the surfaces at its end.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3). position_m : (3,); both local metres. where : what gave it, for the message.
+
+    Raises
+    ------
+    InputError : the sensor stands out of reach of every point.
+    """
+    offset_m = np.linalg.norm(xyz_m - position_m, axis=1)
+    if offset_m.min() > sensor.range_m:
         raise InputError(
             "the sensor stands out of reach of the cloud",
-            where="position",
-            found=f"{offset.min():.0f} m from the nearest point",
+            where=where,
+            found=f"{offset_m.min():.0f} m from the nearest point",
             allowed=f"within {sensor.range_m:g} m, the sensor's range",
             hint="give the position in the cloud's own coordinates and units",
         )
-    lidar = lidar_of_points(cloud.xyz_m[offset <= sensor.range_m + _MARGIN_M])
-    return lidar.depth_map(sensor, place, yaw_deg)
+    return xyz_m[offset_m <= sensor.range_m + _MARGIN_M]
 
 
 def detection_matrix(

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from roadsight.api.clouds import Cloud
-from roadsight.api.sight import CATALOGUE, depth_map
-from roadsight.base.arrays import Floats, Floats32
+from roadsight.api.sight import CATALOGUE, points_in_reach
 from roadsight.base.errors import InputError
 from roadsight.commands.cloud_arguments import add_cloud_arguments, check_output, load_cloud
 from roadsight.io.images.depth_networks import network_for
 from roadsight.io.records.atomic import atomic_path
 from roadsight.placement.depth.models import MODELS, model_of_points
-from roadsight.placement.sensors.sensors import Sensor, load_sensor
+from roadsight.placement.depth.surfel_lidar import lidar_of_points
+from roadsight.placement.sensors.sensors import load_sensor
 
 _NETWORK = Path(__file__).parents[3] / "resources" / "models" / "depth_unet.onnx"
 
@@ -56,16 +55,12 @@ def run(arguments: argparse.Namespace) -> None:
     sensor = load_sensor(arguments.sensors, arguments.sensor)
     cloud = load_cloud(arguments)
     position = cloud.frame.to_local(arguments.at)
-    nearest_m = float(np.sqrt(((cloud.xyz_m - position) ** 2).sum(axis=1).min()))
-    if nearest_m > sensor.range_m:
-        raise InputError(
-            "the sensor stands out of reach of the cloud",
-            where="--at",
-            found=f"{nearest_m:.0f} m from the nearest point",
-            allowed=f"within {sensor.range_m:g} m, the sensor's range",
-            hint="give the position in the cloud's own coordinates and units",
-        )
-    range_m = _depth(cloud, sensor, position, arguments)
+    near_m = points_in_reach(cloud.xyz_m, sensor, position, "--at")
+    if arguments.model == "surfel":
+        range_m = lidar_of_points(near_m).depth_map(sensor, position, arguments.azimuth_deg)
+    else:
+        model = model_of_points(arguments.model, network_for(arguments.model, arguments.network))
+        range_m = model(cloud.xyz_m, sensor, position, arguments.azimuth_deg)
     with atomic_path(arguments.out) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(
             stream,
@@ -74,16 +69,3 @@ def run(arguments: argparse.Namespace) -> None:
             elevation_deg=sensor.elevation_deg,
         )
     print(f"{(range_m > 0).sum()} of {range_m.size} beams return: {arguments.out}")
-
-
-def _depth(
-    cloud: Cloud,
-    sensor: Sensor,
-    position_m: Floats,
-    arguments: argparse.Namespace,
-) -> Floats32:
-    yaw_deg = arguments.azimuth_deg
-    if arguments.model != "surfel":
-        model = model_of_points(arguments.model, network_for(arguments.model, arguments.network))
-        return model(cloud.xyz_m, sensor, position_m, yaw_deg)
-    return depth_map(cloud, sensor, position_m, yaw_deg)

@@ -10,7 +10,6 @@ import rasterio
 from numpy.typing import ArrayLike
 from pyproj import CRS
 from rasterio.errors import RasterioError
-from scipy.ndimage import distance_transform_edt
 
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.errors import InputError
@@ -95,17 +94,6 @@ class Raster:
         return np.divide(
             total, weight, out=np.full(column.shape, np.nan), where=inside & (weight > 0)
         )
-
-
-def near_measured(raster: Raster, reach_m: float = 2.0) -> Floats32:
-    """Values that are measured or so near to measured ones; NaN elsewhere.
-
-    Wide gaps are filled by long triangles, which say nothing of the ground and look like ridges.
-    """
-    if raster.measured is None or not raster.measured.any():
-        return raster.values
-    distance_m = distance_transform_edt(~raster.measured, sampling=raster.cell_size_m)
-    return np.where(distance_m <= reach_m, raster.values, np.float32(np.nan))
 
 
 def write_raster(

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
 
-from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.arrays import Bools, Bytes, Floats
 
 _SUN_AZIMUTH_DEG = 315.0
 """Light from the north-west, as maps have it: from the south, hills would look like hollows."""
@@ -13,6 +14,8 @@ _SUN_ALTITUDE_DEG = 45.0
 """Height of the light above the horizon."""
 _EXAGGERATION = 2.0
 """Slopes are drawn this much steeper: roadsides are too flat to show otherwise."""
+_NEAR_M = 2.0
+"""Filled cells within this of measured ones are shown: gaps between scan lines."""
 NO_DATA = 0
 """Byte of cells without a height; shades go from 1 to 255."""
 
@@ -38,6 +41,21 @@ def block_mean(heights_m: NDArray, cell_size_m: float, most_cells: int) -> tuple
     total = np.where(known, blocks, 0.0).sum(axis=(1, 3))
     means = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     return means, cell_size_m * factor
+
+
+def near_measured(heights_m: NDArray, measured: Bools | None, cell_size_m: float) -> NDArray:
+    """Heights that are measured or within 2 m of measured ones; NaN elsewhere.
+
+    Wide gaps are filled by long triangles, which say nothing of the ground and look like ridges.
+
+    Parameters
+    ----------
+    heights_m, measured : (rows, columns); None where a raster does not tell: all stay.
+    """
+    if measured is None or not measured.any():
+        return heights_m
+    away_m = distance_transform_edt(~measured, sampling=cell_size_m)
+    return np.where(away_m <= _NEAR_M, heights_m, np.nan)
 
 
 def hillshade(heights_m: NDArray, cell_size_m: float) -> Bytes:

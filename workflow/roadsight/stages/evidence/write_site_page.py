@@ -18,7 +18,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.cloud.tiles import COLOUR, CloudTiles, stack_xyz
 from roadsight.io.raster.orthophotos import read_orthophoto
-from roadsight.io.raster.rasters import Raster, near_measured, read_raster
+from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.detections import read_detections
 from roadsight.io.records.tables import read_table
@@ -27,6 +27,7 @@ from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, load_sen
 from roadsight.report.site.backdrops import Backdrop, backdrops
 from roadsight.report.site.layers import CloudSample
 from roadsight.report.site.page import Placement, PlanResult, Relief, Scene, build_page
+from roadsight.report.site.shading import near_measured
 from roadsight.report.site.thinning import sample_mask, thin
 from roadsight.stages.command import run_stage
 
@@ -50,10 +51,11 @@ def write_site_page(arguments: argparse.Namespace) -> None:
     cloud, below = sample_cloud(arguments.cloud, dem)
     if arguments.orthophoto and below:
         below = {"orthophoto": _orthophoto(arguments.orthophoto, frame, cloud.xyz_m), **below}
+    heights_m = near_measured(dem.values, dem.measured, dem.cell_size_m)
     scene = Scene(
         about,
         cloud,
-        Relief(near_measured(dem), dem.west_m, dem.north_m, dem.cell_size_m),
+        Relief(heights_m, dem.west_m, dem.north_m, dem.cell_size_m),
         read_layer(arguments.pavement, "pavement", frame),
         read_layer(arguments.edges, "edges", frame),
         below,
