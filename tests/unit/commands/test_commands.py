@@ -117,13 +117,25 @@ def test_pavement_is_that_of_the_truth(truth, paved):
     assert f1(labels == 11, truth[TRUTH_DIMENSION] == TruthClass.ROAD) > 0.9
 
 
-def test_labels_of_the_file_give_way(sample, truth, paved, tmp_path):
+def relabelled_pavement(sample, truth, folder, label):
+    """Labels of `roadsight pavement` where the file gives all but vegetation one class."""
     relabelled = laspy.read(sample / "cloud.laz")
-    relabelled.classification = np.where(truth[TRUTH_DIMENSION] == 5, 5, 2).astype(np.uint8)
-    relabelled.write(tmp_path / "in.laz")
-    assert main(["pavement", str(tmp_path / "in.laz"), "-o", str(tmp_path / "out.laz")]) == 0
-    labels = np.asarray(laspy.read(tmp_path / "out.laz").classification)
+    relabelled.classification = np.where(truth[TRUTH_DIMENSION] == 5, 5, label).astype(np.uint8)
+    relabelled.write(folder / "in.laz")
+    assert main(["pavement", str(folder / "in.laz"), "-o", str(folder / "out.laz")]) == 0
+    return np.asarray(laspy.read(folder / "out.laz").classification)
+
+
+def test_labels_of_the_file_give_way(sample, truth, paved, tmp_path):
+    labels = relabelled_pavement(sample, truth, tmp_path, 2)
     assert np.array_equal(labels == 11, np.asarray(paved.classification) == 11)
+    assert set(np.unique(labels)) == {1, 2, 5, 11}
+
+
+def test_a_road_class_that_is_everywhere_widens_no_road(sample, truth, paved, tmp_path):
+    labels = relabelled_pavement(sample, truth, tmp_path, 11)
+    found, alone = labels == 11, np.asarray(paved.classification) == 11
+    assert 2 * (found & alone).sum() / (found.sum() + alone.sum()) > 0.98
     assert set(np.unique(labels)) == {1, 2, 5, 11}
 
 
