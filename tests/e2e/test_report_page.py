@@ -231,3 +231,135 @@ def test_page_reads_without_scripts(browser, report, tmp_path):
     )
     for title, _ in PLANS.values():
         assert f"Chosen sensors {title}" in headings
+
+
+def pressed(page, x, y):
+    for kind in ("mousePressed", "mouseReleased"):
+        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **MOUSE)
+
+
+def said(page):
+    """What the line below the map says."""
+    page.run("drawn()")
+    return page.run("shown('[data-coordinates]')[0].textContent")
+
+
+def test_the_background_of_the_map_can_be_chosen(page):
+    names = page.run("[...shown('[data-below]')[0].options].map((o) => o.value)")
+    assert names == ["relief", "colour", "intensity", "height", "plain"]
+    picture = "shown('canvas.map')[0].toDataURL()"
+    looks = set()
+    for name in names:
+        page.run(
+            f"(() => {{ const s = shown('[data-below]')[0]; s.value = '{name}';"
+            " s.dispatchEvent(new Event('change', { bubbles: true })); })()"
+        )
+        page.run("drawn()")
+        looks.add(page.run(picture))
+    assert len(looks) == len(names)
+
+
+def test_the_ruler_measures_as_the_map_is_scaled(page):
+    click(page, '[data-map="measure"]')
+    assert page.run("shown('[data-map=\"measure\"]')[0].getAttribute('aria-pressed')") == "true"
+    x, y = page.run("middleOf('canvas.map')")
+    lengths = []
+    for right in (60, 120):
+        pressed(page, x - 60, y)
+        pressed(page, x - 60 + right, y)
+        lengths.append(float(re.match(r"[\d.,]+", said(page)).group().replace(",", "")))
+        page.run("press('Escape')")
+    assert lengths[0] > 0
+    assert lengths[1] == pytest.approx(2 * lengths[0], abs=0.02)
+    page.run("press('Escape')")
+    assert said(page).startswith("E ")
+
+
+def test_coordinates_are_native_ones_and_lead_to_an_online_map(page):
+    x, y = page.run("middleOf('canvas.map')")
+    page.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+    east, north = (
+        float(value.replace(",", ""))
+        for value in re.match(r"E ([\d,.]+), N ([\d,.]+)", said(page)).groups()
+    )
+    rows = page.run(
+        "shown('[data-sensor-row]').map((row) => [...row.cells].slice(9, 11)"
+        ".map((cell) => Number(cell.textContent.replaceAll(',', ''))))"
+    )
+    assert min(abs(e - east) + abs(n - north) for e, n in rows) < 200
+    address = page.run("shown('.map-status a')[0].href")
+    lat, lon = (float(v) for v in re.search(r"mlat=([-\d.]+)&mlon=([-\d.]+)", address).groups())
+    told = [float(v) for v in re.findall(r"([\d.]+)°", said(page))]
+    assert told == pytest.approx([lat, lon], abs=2e-6)
+    assert [a for a in page.requests if not a.startswith("data:")] == [page.run("location.href")]
+
+
+def test_a_site_without_crs_has_no_online_map(page):
+    click(page, ".site-link", 1)
+    page.until("Object.keys(colours()).length > 5")
+    assert said(page).startswith("x ")
+    assert page.run("shown('.map-status a').length") == 0
+
+
+def test_typed_prices_cost_the_plans(page):
+    page.run("shown('.prices summary')[0].click()")
+    assert page.run("shown('[data-plan-price]').length") == 0
+    page.run(
+        "shown('[data-price]').forEach((input, i) => { input.value = 1000 * (i + 1);"
+        " input.dispatchEvent(new Event('input', { bubbles: true })); })"
+    )
+    prices = page.run("shown('[data-price]').map((i) => [i.dataset.price, i.valueAsNumber])")
+    shown = page.run(
+        "shown('td[data-plan-price]').map((c) => [c.dataset.planPrice, c.textContent])"
+    )
+    assert len(shown) == len(PLANS)
+    for name, text in shown:
+        click(page, f'[data-choose-plan="{name}"]')
+        models = page.run(
+            "shown('[data-sensor-row]').map((row) => row.cells[1].firstChild.textContent)"
+        )
+        cost = sum(dict(prices)[model] for model in models)
+        assert int(text.replace(",", "")) == cost
+
+
+def test_a_chosen_row_lies_in_the_map(page):
+    click(page, '[data-choose-plan="vlp-16"]')
+    for number in (0, 1):
+        for _ in range(12):  # so near that no other sensor is in view
+            page.run("press('+')")
+        click(page, "[data-choose-sensor]", number)
+        assert pixels(page, "accent") > 100
+
+
+def test_paper_is_light_and_maps_keep_their_shape(browser, report):
+    browser.set_theme(dark=True)
+    page = opened(browser, report)
+    dark = page.run("colours()")
+    page.run("window.dispatchEvent(new Event('beforeprint'))")
+    assert page.run("getComputedStyle(document.documentElement).getPropertyValue('--ground')") != ""
+    assert page.run("colours()") != dark
+    dark_screen = {"features": [{"name": "prefers-color-scheme", "value": "dark"}]}
+    browser.call("Emulation.setEmulatedMedia", media="print", **dark_screen)
+    shape = page.run(
+        "(() => { const m = shown('canvas.map')[0]; const box = m.getBoundingClientRect();"
+        " return [m.width / m.height, box.width / box.height,"
+        " getComputedStyle(m).objectFit]; })()"
+    )
+    assert shape[2] == "contain" or shape[0] == pytest.approx(shape[1], rel=0.02)
+    assert page.run("document.querySelector('.site:not([hidden]) .still')?.src.length ?? 0") > 1000
+    browser.call("Emulation.setEmulatedMedia", media="", **dark_screen)
+    page.run("window.dispatchEvent(new Event('afterprint'))")
+    page.run("drawn()")
+    assert page.run("colours()") == dark
+    browser.set_theme(dark=False)
+
+
+def test_a_phone_scrolls_past_the_map(browser, report):
+    size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": False}
+    browser.call("Emulation.setDeviceMetricsOverride", **size)
+    page = opened(browser, report)
+    root = "document.documentElement"
+    assert page.run(f"{root}.scrollWidth - {root}.clientWidth") <= 0
+    assert page.run("getComputedStyle(shown('canvas.map')[0]).touchAction") == "pan-y"
+    size |= {"width": 1280, "height": 720}
+    browser.call("Emulation.setDeviceMetricsOverride", **size)

@@ -36,7 +36,7 @@ _BELOW = {
     "height": "Height above ground, to 12 m",
     "plain": "Nothing",
 }
-"""Backgrounds of the map and their titles."""
+"""Backgrounds of the map and their titles, in the order in which they are offered."""
 _UNIT_SIGNS = {"metre": "m", "foot": "ft", "us-survey-foot": "US ft"}
 
 
@@ -158,10 +158,8 @@ def _scene(page: _Page) -> dict[str, Any]:
 
 def _below(page: _Page) -> list[tuple[str, str]]:
     """What the map may lie on, as name and title; the first one is shown."""
-    pictures = list(page["layers"].get("below", {}))
-    names = [name for name in pictures if name == "orthophoto"]
-    names += ["relief", *(name for name in pictures if name not in names), "plain"]
-    return [(name, _BELOW[name]) for name in names]
+    there = {"relief", "plain", *page["layers"]["below"]}
+    return [(name, title) for name, title in _BELOW.items() if name in there]
 
 
 def _is_priced(page: _Page) -> bool:

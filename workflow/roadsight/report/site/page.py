@@ -37,7 +37,7 @@ from roadsight.report.site.options_view import goal_proven
 from roadsight.report.site.sights import Sights, sights_of
 from roadsight.report.site.tolerance_view import lost_classes
 
-FORMAT = "roadsight.page/1"
+FORMAT = "roadsight.page/2"
 """Of the page's content; the report refuses others."""
 IN_SIGHT = (0.5, 0.8, 0.9, 0.95)
 """Borders of the classes of the share of the time in sight, one fewer than the map has colours."""
