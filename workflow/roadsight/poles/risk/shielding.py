@@ -36,7 +36,8 @@ _BESIDE_ROAD_M = 15.0
 """Barriers further from the road's edge are of another road."""
 _ON_IT_M = 0.1
 """Objects this near a barrier's line are of it: its own ends and posts."""
-_RUNOUT_SPEEDS_KMH = (50.0, 60.0, 80.0, 100.0, 110.0, 130.0)
+_RUNOUT_SPEEDS_KMH = (50.0, 64.4, 80.5, 100.0, 112.7, 130.0)
+"""Greatest speed of each row: 60, 80 and 110 km/h stand beside 40, 50 and 70 mph."""
 _RUNOUT_AADT = (1000.0, 5000.0, 10_000.0)
 """Limits between the table's classes of traffic."""
 _RUNOUT_M = np.array(
