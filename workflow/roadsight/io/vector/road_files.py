@@ -45,8 +45,8 @@ def read_inventory(
     """Segments of an inventory, where each stands in its file, and their lines if it has any.
 
     A CSV table or a line layer with columns route, from and to (in m, km, ft, usft, mi or usmi:
-    ``from_mi``), and speed_kmh or speed_mph, aadt, lanes, lane_width_m (or _ft); names in any case,
-    empty is unknown.
+    ``from_mi``), and speed_kmh or speed_mph, aadt, lanes, lane_width_m (or _ft), carriageway; names
+    in any case, empty is unknown.
 
     Parameters
     ----------
@@ -174,6 +174,8 @@ def _segments(table: pd.DataFrame, path: Any, places: list[str]) -> pd.DataFrame
     for name in ("aadt", "lanes"):
         values = _numbers(table[name], 1.0, path, places, name) if name in table else unknown
         found[name] = values
+    ways = table["carriageway"] if "carriageway" in table else pd.Series("", index=table.index)
+    found["carriageway"] = ways.fillna("").astype(str).str.strip().str.lower().to_numpy()
     return pd.DataFrame(found)[list(COLUMNS)]
 
 

@@ -18,8 +18,11 @@ from roadsight.base.errors import InputError
 from roadsight.poles.risk.clear_zone import AADT_RANGE, SPEED_RANGE_KMH
 from roadsight.poles.risk.roads import Road
 
-COLUMNS = ("route", "from_m", "to_m", "speed_kmh", "aadt", "lanes", "lane_width_m")
-"""Of an inventory; all but route, from and to NaN where unknown."""
+COLUMNS = ("route", "from_m", "to_m", "speed_kmh", "aadt", "lanes", "lane_width_m", "carriageway")
+"""Of an inventory; numbers but from and to NaN where unknown, carriageway empty."""
+CARRIAGEWAYS = ("two-way", "divided", "one-way")
+"""What traffic a road has: of both directions; the same, but none reaches the other's side; of one,
+which is that of its longest drive, and AADT is its own."""
 SAME_M = 0.5
 """Segments may overlap or leave gaps up to this: measures in thousandths of a mile are 1.6 m, those
 in centimetres nothing."""
@@ -65,7 +68,8 @@ class Inventory:
         Returns
         -------
         speed_low_kmh, speed_high_kmh, aadt_low, aadt_high (equal where known), lanes and
-        lane_width_m (NaN where unknown), segment (its number, -1 for none)
+        lane_width_m (NaN where unknown), carriageway (empty likewise), segment (its number, -1 for
+        none)
         """
         station = np.asarray(station_m, np.float64)
         number = np.full(len(station), -1, np.int64)
@@ -80,7 +84,8 @@ class Inventory:
                 found[f"{name}_{end}{unit}"] = np.where(np.isnan(values), limit, values)
         for column in ("lanes", "lane_width_m"):
             found[column] = self._values(column, number)
-        return pd.DataFrame(found)
+        ways = np.append(self.segments["carriageway"].to_numpy(object), "")
+        return pd.DataFrame(found).assign(carriageway=ways[number])
 
     def _values(self, column: str, number: Ints) -> Floats:
         known = self.segments[column].to_numpy(np.float64)
@@ -104,6 +109,8 @@ def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ())
     places = list(places) or [f"row {n + 1}" for n in range(len(table))]
     table = table.reset_index(drop=True).assign(place=places)
     table = table.assign(**{name: np.nan for name in LIMITS if name not in table})
+    if "carriageway" not in table:
+        table = table.assign(carriageway="")
     for _, row in table.iterrows():
         _check_row(row, where)
     table = table.sort_values(["route", "from_m", "to_m"], kind="stable").reset_index(drop=True)
@@ -136,6 +143,13 @@ def _check_row(row: pd.Series, where: str) -> None:
                 allowed=f"{least:g} to {most:g}, or empty for unknown",
                 hint="check unit and column",
             )
+    if row["carriageway"] not in ("", *CARRIAGEWAYS):
+        raise InputError(
+            "carriageway is of no kind",
+            where=place,
+            found=row["carriageway"],
+            allowed=", ".join(CARRIAGEWAYS) + ", or empty for the site's own",
+        )
 
 
 def _check_route(route: str, own: pd.DataFrame, where: str) -> list[str]:

@@ -150,6 +150,7 @@ def _measured(road: Road, name: str, routes: Sequence[Route]) -> Road:
         station_m=-station[::-1],
         left_m=road.right_m[::-1].copy(),
         right_m=road.left_m[::-1].copy(),
+        travel=-road.travel,
     )
 
 

@@ -95,8 +95,8 @@ def given_roads(
     barriers: list[Barrier] = []
     if arguments.barriers:
         lines, names = read_barriers(arguments.barriers, frame, arguments.barriers_crs or None)
-        barriers, lost = barriers_along([line / scale for line in lines], names, roads)
-        told += [f"barrier {name} lies along no road" for name in lost]
+        barriers, more = barriers_along([line / scale for line in lines], names, roads)
+        told += more
     for message in told:
         log.warning("%s", message)
     return roads, inventory, barriers, told
