@@ -33,8 +33,8 @@ LIMITS = {
     "lane_width_m": (2.0, 6.0),
 }
 """Other values are slips of unit or column."""
-_DIRECTION = re.compile(r"[-_ ]?(?:[nsew]b?|[+-])$")
-"""What route names of drives end in: SR1427E, I40-EB, 12_n."""
+_DIRECTION = re.compile(r"(?:(?<=\d)|[-_ ])(?:[nsew]b?|[+-])$")
+"""What route names of drives end in, after a digit or a mark: SR1427E, I40-EB, 12_n."""
 
 
 @dataclass(frozen=True)
@@ -54,13 +54,13 @@ class Inventory:
         return sorted(set(self.segments["route"]))
 
     def route_of(self, road: Road) -> str | None:
-        """The inventory's name of a road; the only route of an inventory is every road's."""
+        """The inventory's name of a road, by the road's name or its drives'; None for none."""
         names = {_plain(name): name for name in self.routes()}
         for wanted in (road.name, *road.drives):
             for key in (_plain(wanted), _bare(wanted)):
                 if key in names:
                     return names[key]
-        return next(iter(names.values())) if len(names) == 1 else None
+        return None
 
     def at(self, route: str | None, station_m: Floats) -> pd.DataFrame:
         """What is known at stations (n,) of a route.
@@ -113,6 +113,15 @@ def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ())
         table = table.assign(carriageway="")
     for _, row in table.iterrows():
         _check_row(row, where)
+    alike: dict[str, str] = {}
+    for route, place in zip(table["route"], table["place"], strict=True):
+        if alike.setdefault(_plain(route), route) != route:
+            raise InputError(
+                "two names of routes differ in blanks, hyphens or case alone",
+                where=f"{where}, {place}",
+                found=f"{alike[_plain(route)]} and {route}",
+                allowed="one name for each route, and names that differ in letters or digits",
+            )
     table = table.sort_values(["route", "from_m", "to_m"], kind="stable").reset_index(drop=True)
     messages = []
     for route, own in table.groupby("route", sort=True):
@@ -197,17 +206,17 @@ def uncovered(inventory: Inventory, route: str | None, road: Road) -> str:
     """A message where the stations of a road lie outside its inventory; else empty."""
     if route is None:
         told = ", ".join(inventory.routes()[:5])
-        return f"the inventory does not name road {road.name} (it names {told}): ranges there"
+        return (
+            f"the inventory does not name road {road.name} (it names {told}): ranges there; name"
+            " its drives after the route, or give roads.routes"
+        )
     own = inventory.segments[inventory.segments["route"] == route]
     low, high = float(own["from_m"].min()), float(own["to_m"].max())
     if low - SAME_M <= road.start_m and road.end_m <= high + SAME_M:
         return ""
-    hint = ""
-    if road.end_m < low or road.start_m > high:
-        hint = "; stations of a road start at its first image unless the inventory has lines"
     return (
         f"route {route} is stated from {low:.0f} to {high:.0f} m, the road runs from"
-        f" {road.start_m:.0f} to {road.end_m:.0f} m: ranges outside{hint}"
+        f" {road.start_m:.0f} to {road.end_m:.0f} m: ranges outside"
     )
 
 

@@ -17,7 +17,6 @@ from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.io.vector.road_files import UNITS_M
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.clear_zone import SOURCE
 from roadsight.poles.risk.hazard import (
@@ -31,6 +30,7 @@ from roadsight.poles.risk.inventory import CARRIAGEWAYS
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, geometry_table, section_table
 from roadsight.poles.risk.roadside_rating import SOURCES
+from roadsight.poles.risk.routes import UNITS_M
 from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.risk.shielding import Barrier, barrier_ends
 from roadsight.stages.command import run_stage
