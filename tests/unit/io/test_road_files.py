@@ -54,11 +54,10 @@ def test_an_inventory_as_a_line_layer_in_any_crs_is_a_route_too(tmp_path, crs):
     assert routes[0].measure_m[1] == pytest.approx(500 + 250 * length / (length + 150), abs=0.01)
 
 
-def with_measures(path, *parts):
-    """A layer of one feature whose parts (n, 3), local metres, have measures."""
+def with_measures(path, *parts, many=True):
+    """A layer of one feature, a MultiLineString if ``many``, of parts (n, 3) with measures."""
     native = [np.column_stack([FEET.to_native(part[:, :2]), part[:, 2]]) for part in parts]
     text = ", ".join(f"({', '.join(' '.join(map(str, v)) for v in part)})" for part in native)
-    many = len(parts) > 1
     line = shapely.from_wkt(f"MULTILINESTRING M ({text})" if many else f"LINESTRING M {text}")
     flat = shapely.from_wkt(shapely.force_2d(line).wkt)
     frame = gpd.GeoDataFrame({"name": ["SR 7"]}, geometry=[flat], crs="EPSG:6543")
@@ -72,7 +71,7 @@ def with_measures(path, *parts):
 
 
 def test_measures_in_vertices(tmp_path):
-    path = with_measures(tmp_path / "lrs.gpkg", np.column_stack([LINE, [1.0, 1.1, 1.2]]))
+    path = with_measures(tmp_path / "lrs.gpkg", np.column_stack([LINE, [1, 1.1, 1.2]]), many=False)
     (route,) = read_routes(path, FEET, unit="mi")
     assert route.name == "SR 7"
     assert route.xy_m == pytest.approx(LINE, abs=0.01)

@@ -101,8 +101,9 @@ def read_routes(
     for row, (name, line) in enumerate(zip(names, features.geometry, strict=True)):
         where = f"{path}, feature {row + 1}"
         parts = _parts(line, where)
-        if stored is not None and stored[row] is not None:
-            measures = [measure * UNITS_M[unit] for measure in stored[row]]
+        own = None if stored is None else stored[row]
+        if own is not None:
+            measures = [measure * UNITS_M[unit] for measure in own]
         elif bounds[0] is not None and bounds[1] is not None:
             measures = _along(parts, float(bounds[0][row]), float(bounds[1][row]))
         elif suffix == ".gpx":
