@@ -28,6 +28,7 @@ def test_the_measure_is_the_routes_whichever_way_the_drive_went(flip):
     own = roads.roads[0]
     assert own.name == "SR 7"
     assert own.drives == ("drive-e",)
+    assert own.travel == (-1 if flip else 1)
     assert (np.diff(own.station_m) > 0).all()
     located = roads.locate(np.array([[100.0, -5.0], [300.0, 6.0]]))
     assert located.station_m == pytest.approx([1400, 1600], abs=0.01)
