@@ -277,8 +277,7 @@ def _tone(cells: CellMeans) -> Floats:
         return np.full(cells.count.shape, np.nan)
     weight = cells.weight
     total = smooth(weight, 1.5)
-    # A tenth of the typical value keeps the logarithm from blowing up the darkest returns.
-    value = smooth(weight * np.log(cells.intensity + 0.1 * typical), 1.5)
+    value = smooth(weight * _log_tone(cells.intensity, typical), 1.5)
     known = total > 0.3
     tone = np.where(known, value / np.maximum(total, 1e-9), np.nan)
     lower = ndimage.percentile_filter(fill_gaps(tone), 35, size=5, mode="nearest")
@@ -586,16 +585,46 @@ def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[
     height, _, _, _, total, _ = window_planes(weight, cells.height_m, cells.across, cells.up, sigma)
     away = ndimage.distance_transform_edt(~road) * cell_m
     near = (away <= max(settings.edge_reach_m, 1.5 * cell_m)) & (total > 0.05)
+    fewest = np.clip((5 * _layer_m(cells, road) / settings.edge_step_m) ** 2, 2, _OWN_POINTS)
     # Beside a wall the window's plane is lifted by it, but not the cell's own mean.
-    own = (cells.count >= _OWN_POINTS) & (np.abs(cells.height_m - height) < settings.edge_step_m)
+    own = (cells.count >= fewest) & (np.abs(cells.height_m - height) < settings.edge_step_m)
     near &= (
         ground.measured & (np.abs(ground.planes.height_m - height) < settings.edge_step_m)
     ) | own
-    return opened(road | near, 2.0) | road, height
+    whole = opened(road | near, 2.0) | road
+    inner = ndimage.distance_transform_edt(road) * cell_m > _RIM_M
+    toned = whole & (inner | _as_toned(cells, inner, settings))
+    # Paint is not the edge: a cell of another tone between two of the road's stays.
+    return opened(ndimage.binary_closing(toned) & whole, 2.0) | (inner & whole), height
 
 
 _OWN_POINTS = 4
 """Points whose mean, at 1 cm of noise, is off by a fifth of the step that an edge may have."""
+_RIM_M = 0.6
+"""The growth looks at tones through windows, of which the lower third counts, and so may run on by
+three cells where bright ground begins: on a street of 8 m without kerbs it is 0.45 m too wide on
+either side without this rim, 0 to 0.06 m too narrow with it."""
+
+
+def _as_toned(cells: CellMeans, road: Bools, settings: RoadSettings) -> Bools:
+    """Cells whose own tone is that of the road beside them, or that hold no point."""
+    occupied = cells.count > 0
+    typical = float(np.median(cells.intensity[occupied]))
+    if typical <= 0.0 or np.ptp(cells.intensity[occupied]) == 0.0:
+        return np.ones(road.shape, bool)
+    tone = np.where(occupied, _log_tone(cells.intensity, typical), 0.0)
+    sigma = max(1.0 / cells.grid.cell_size_m, 3.0)
+    weight = np.where(road, cells.weight, 0.0)
+    total = np.maximum(smooth(weight, sigma), 1e-9)
+    mean = smooth(weight * tone, sigma) / total
+    variance = np.maximum(smooth(weight * tone**2, sigma) / total - mean**2, 0.0)
+    allowed = settings.tone_spreads * np.hypot(np.sqrt(variance), settings.tone_ratio)
+    return (np.abs(tone - mean) < allowed) | ~occupied
+
+
+def _log_tone(intensity: Floats, typical: float) -> Floats:
+    """Logarithm of the intensity; a tenth of the typical one keeps the darkest from blowing up."""
+    return np.log(intensity + 0.1 * typical)
 
 
 def _enclosed(area: Bools, road: Bools) -> Bools:
