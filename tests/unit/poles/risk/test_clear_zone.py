@@ -51,5 +51,12 @@ def test_no_curve_factor_beyond_900_m_or_inside():
     assert curve_factor([901.0, 200.0, np.nan], 100, [True, False, True]).tolist() == [1, 1, 1]
 
 
+@pytest.mark.parametrize(
+    ("aadt", "length_m"), [(999, 61), (1000, 64), (4999, 64), (5000, 76), (10_000, 76), (10_001, 91)]
+)
+def test_so_do_classes_of_traffic_of_runout_lengths(aadt, length_m):
+    assert runout_m(100, aadt) == length_m
+
+
 def test_runout_length_that_is_public():
     assert runout_m(100, 7000) == 76

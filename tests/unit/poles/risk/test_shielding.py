@@ -123,3 +123,29 @@ def test_barriers_are_cut_where_they_cross_and_their_ends_are_objects():
     assert (ends["kind"] == "barrier end").all()
     backwards = rail(300, 100)[0]
     assert backwards.station_m[0] == 100
+
+
+BENT = np.array([[100.0, -5], [150, -5], [150, 5], [200, 5]])
+"""Crosses the road."""
+
+
+@pytest.mark.parametrize("line", [BENT, BENT[::-1], np.array([[100.0, -5], [390, -5]])])
+def test_only_ends_of_the_line_are_ends_not_cuts(line):
+    half = np.where((X > 210) & (X < 330), np.nan, 3.5)
+    road = Road("a", ("a",), "", ROADS.roads[0].xy_m, X, half, half)
+    found, _ = barriers_along([line], ["rail"], Roads([road]))
+    assert len(found) == 2
+    ends = barrier_ends(found)
+    assert sorted(ends["id"]) == ["rail end", "rail start"]
+    places = ends.set_index("id").loc[["rail start", "rail end"], ["x", "y"]]
+    assert places.to_numpy() == pytest.approx(line[[0, -1]])
+
+
+def test_a_part_that_leaves_the_road_or_goes_round_has_no_end_there():
+    away = np.array([[100.0, -5], [150, -5], [200, -90]])
+    found, _ = barriers_along([away], ["rail"], ROADS)
+    assert barrier_ends(found)["id"].tolist() == ["rail start"]
+    ring = np.array([[100.0, -5], [150, -5], [150, -7], [100, -7], [100, -5]])
+    found, _ = barriers_along([ring], ["ring"], ROADS)
+    assert found
+    assert barrier_ends(found).empty

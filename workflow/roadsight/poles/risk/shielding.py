@@ -38,8 +38,10 @@ _ON_IT_M = 0.1
 """Objects this near a barrier's line are of it: its own ends and posts."""
 _RUNOUT_SPEEDS_KMH = (50.0, 64.4, 80.5, 100.0, 112.7, 130.0)
 """Greatest speed of each row: 60, 80 and 110 km/h stand beside 40, 50 and 70 mph."""
-_RUNOUT_AADT = (1000.0, 5000.0, 10_000.0)
-"""Limits between the table's classes of traffic."""
+_RUNOUT_AADT = (1000.0, 5000.0, np.nextafter(10_000.0, np.inf))
+"""Least traffic of each of the table's classes but the first, vehicles a day: "under 1,000", "1,000
+to 5,000", "5,000 to 10,000", "over 10,000". Of the two classes that name 5,000 the longer one is
+taken."""
 _RUNOUT_M = np.array(
     [
         [21.0, 24.0, 27.0, 34.0],
@@ -60,8 +62,9 @@ class Barrier:
     Parameters
     ----------
     name : of the user's line. road : number of the road. side : -1 left, +1 right of it.
-    station_m : (n,) ascending. offset_m : (n,) from the road's edge. ends_m : (2, 2) places of the
-        first and the last station.
+    station_m : (n,) ascending. offset_m : (n,) from the road's edge.
+    ends_m : (2, 2) places of the first and the last vertex of the user's line; NaN where this is a
+        part of it that was cut before them.
     """
 
     name: str
@@ -84,6 +87,7 @@ def barriers_along(
     found, told = [], []
     for line, name in zip(lines_m, names, strict=True):
         places = resampled(line, _STEP_M)
+        closed = bool(np.hypot(*(places[0] - places[-1])) < _STEP_M)
         at = roads.locate(places)
         edge = np.full(len(places), np.nan)
         for number, road in enumerate(roads.roads):
@@ -106,7 +110,8 @@ def barriers_along(
                 continue
             rows = part[np.argsort(at.station_m[part], kind="stable")]
             side = 1 if at.offset_m[rows[0]] > 0 else -1
-            ends = places[rows[[0, -1]]]
+            ends = places[[0, -1]].copy()
+            ends[[closed or part[0] > 0, closed or part[-1] < len(places) - 1]] = np.nan
             road_number = int(at.road[rows[0]])
             found.append(Barrier(name, road_number, side, at.station_m[rows], offset[rows], ends))
     return found, told
@@ -211,10 +216,14 @@ def _behind(demand: Demand, barrier: Barrier) -> tuple[str, float, str]:
 
 
 def barrier_ends(barriers: Sequence[Barrier]) -> pd.DataFrame:
-    """Ends of barriers as objects: id, kind, x, y (local metres)."""
+    """Ends of barriers as objects: id, kind, x, y (local metres).
+
+    Places at which a line was cut are no ends: the barrier goes on there.
+    """
     rows = [
-        (f"{barrier.name} {word}", "barrier end", *barrier.ends_m[end])
+        (f"{barrier.name} {word}", "barrier end", *place)
         for barrier in barriers
-        for end, word in ((0, "start"), (1, "end"))
+        for word, place in zip(("start", "end"), barrier.ends_m, strict=True)
+        if np.isfinite(place).all()
     ]
     return pd.DataFrame(rows, columns=["id", "kind", "x", "y"])
