@@ -133,7 +133,7 @@ READERS = {
         "summarise_site",
         "write_poles_page",
     },
-    "rate_hazard": {"write_poles_page", "write_handover"},
+    "rate_hazard": {"write_poles_page", "write_handover", "summarise_site"},
     "validate_poles": {"summarise_site", "write_poles_page"},
     "summarise_site": {"write_poles_page"},
     "write_poles_page": {"write_report", "write_pdf"},

@@ -97,11 +97,15 @@ def test_routes_inventory_and_barriers_go_through_the_whole_run(copy_of_road):
     assert offsets == pytest.approx(np.full(len(offsets), RAIL_M), abs=0.2)
     ends = table.loc[table["kind"] == "barrier end", "id"].tolist()
     assert sorted(ends) == ["left end", "left start", "right end", "right start"]
-    inputs = json.loads((poles.parent / "summary.json").read_text())["inputs"]
-    given = {name.rsplit("/", 1)[-1] for name in inputs if "/given/" in name}
+    summary = json.loads((poles.parent / "summary.json").read_text())
+    given = {name.rsplit("/", 1)[-1] for name in summary["inputs"] if "/given/" in name}
     assert given >= {"ride.gpx", "inventory.csv", "rails.shp", "rails.dbf", "rails.prj"}
     page = (poles / "page.json").read_text()
     assert "SR-1427" in page
+    (lacks,) = [told for told in summary["warnings"] if told["code"] == "inventory_without_aadt"]
+    assert lacks["measured"] > lacks["limit"]
+    cautions = [caution["text"] for caution in json.loads(page)["cautions"]]
+    assert any(lacks["message"][1:] in text for text in cautions)
     assert copy_of_road.stale_rules() == set()
     check_what_makes_it_stale(copy_of_road)
     check_one_message(copy_of_road)

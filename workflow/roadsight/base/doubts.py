@@ -6,7 +6,7 @@ beside the answer to the summary, the report's first screen and the log; a refus
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
@@ -55,6 +55,17 @@ def refuse(doubts: Iterable[Doubt], where: str) -> None:
     for doubt in doubts:
         if doubt.severity == "refused":
             raise InputError(doubt.message, where=where, found=doubt.measured, allowed=doubt.limit)
+
+
+_LISTED = 3
+"""Names that a sentence can hold."""
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for a message, each once: the first few, and how many more there are."""
+    once = list(dict.fromkeys(names))
+    more = f" and {len(once) - _LISTED} more" if len(once) > _LISTED else ""
+    return ", ".join(once[:_LISTED]) + more
 
 
 _RANK = {"refused": 0, "doubt": 1, "note": 2}

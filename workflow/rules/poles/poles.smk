@@ -91,6 +91,7 @@ rule rate_hazard:
         sections="results/{site}/poles/cross_sections.parquet",
         geometry="results/{site}/poles/road_geometry.csv",
         layers="results/{site}/poles/poles.gpkg",
+        doubts="results/{site}/doubts/rate_hazard.json",
     log:
         log_of("rate_hazard"),
     benchmark:
@@ -120,7 +121,7 @@ rule rate_hazard:
         " --carriageway {params.carriageway}"
         " --scale-factor {params.scale_factor} {params.options}"
         " --out {output.hazard} --csv {output.csv} --sections {output.sections}"
-        " --geometry-csv {output.geometry} --layers {output.layers} > {log} 2>&1"
+        " --geometry-csv {output.geometry} --layers {output.layers} --doubts {output.doubts} > {log} 2>&1"
 
 
 rule validate_poles:

@@ -52,7 +52,8 @@ def test_no_curve_factor_beyond_900_m_or_inside():
 
 
 @pytest.mark.parametrize(
-    ("aadt", "length_m"), [(999, 61), (1000, 64), (4999, 64), (5000, 76), (10_000, 76), (10_001, 91)]
+    ("aadt", "length_m"),
+    [(999, 61), (1000, 64), (4999, 64), (5000, 76), (10_000, 76), (10_001, 91)],
 )
 def test_so_do_classes_of_traffic_of_runout_lengths(aadt, length_m):
     assert runout_m(100, aadt) == length_m

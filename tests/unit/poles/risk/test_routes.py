@@ -62,15 +62,22 @@ def test_two_routes_on_one_road_are_refused():
 def test_routes_that_follow_each_other_are_told():
     roads, told = with_routes(Roads([road()]), [route(high=250.0), route("US 1", low=250.0)])
     assert roads.roads[0].name == "SR 7"
-    assert "follow each other" in told[0]
+    (doubt,) = told
+    assert doubt.code == "routes_follow"
+    assert "follow each other" in doubt.message
+    assert doubt.measured == pytest.approx(0.4, abs=0.05)
+    assert doubt.limit < 0.3
 
 
 def test_roads_off_all_routes_keep_their_own_measure():
     roads, told = with_routes(Roads([road()]), [route(y=80.0)])
     assert roads.roads[0].name == "drive-e"
-    assert told == ["no route runs along road drive-e: its measure stays its own"]
+    (doubt,) = told
+    assert doubt.code == "road_without_route"
+    assert "road drive-e: its measure stays its own" in doubt.message
+    assert (doubt.measured, doubt.limit) == (pytest.approx(80), 12)
     crossing = Route("c", np.array([[200.0, -200.0], [200.0, 200.0]]), np.array([0.0, 400.0]))
-    assert with_routes(Roads([road()]), [crossing])[1]
+    assert [doubt.code for doubt in with_routes(Roads([road()]), [crossing])[1]] == [doubt.code]
 
 
 def test_falling_measures_and_turned_segments_are_refused():
@@ -128,5 +135,7 @@ def test_a_route_that_only_touches_a_road_measures_nothing():
     x = np.array([-7.0, -1.0])
     roads, told = with_routes(Roads([road()]), [Route("s", np.column_stack([x, 0 * x]), x + 7)])
     assert roads.roads[0].name == "drive-e"
-    (message,) = told
-    assert message.startswith("route s runs along too little of road drive-e")
+    (doubt,) = told
+    assert doubt.code == "route_too_short"
+    assert "route s runs along too little of road drive-e" in doubt.message
+    assert doubt.measured < doubt.limit

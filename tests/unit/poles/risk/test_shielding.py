@@ -105,8 +105,10 @@ def test_barriers_where_no_edge_is_known_are_told_and_count_for_nothing():
     (barrier,) = found
     assert barrier.station_m[-1] == pytest.approx(210, abs=1)
     assert barrier.offset_m == pytest.approx(np.full(len(barrier.offset_m), 1.5))
-    (message,) = told
-    assert message.startswith("barrier rail: no edge of its road is known along 45% of it")
+    (doubt,) = told
+    assert (doubt.code, doubt.severity, doubt.limit) == ("barrier_without_edge", "doubt", 0)
+    assert doubt.measured == pytest.approx(0.45, abs=0.01)
+    assert "barrier rail (45%)" in doubt.message
 
 
 def test_barriers_are_cut_where_they_cross_and_their_ends_are_objects():
@@ -115,7 +117,11 @@ def test_barriers_are_cut_where_they_cross_and_their_ends_are_objects():
         ["bent", "far"],
         ROADS,
     )
-    assert told == ["barrier far lies along no road"]
+    (doubt,) = told
+    assert (doubt.code, doubt.limit) == ("barrier_without_road", 15)
+    # From its edge, which is 3.5 m from the centreline.
+    assert doubt.measured == pytest.approx(86.5)
+    assert "barrier far lies along no road" in doubt.message
     assert sorted(barrier.side for barrier in found) == [-1, 1]
     ends = barrier_ends(rail(100, 300))
     assert ends["id"].tolist() == ["rail start", "rail end"]
@@ -127,6 +133,15 @@ def test_barriers_are_cut_where_they_cross_and_their_ends_are_objects():
 
 BENT = np.array([[100.0, -5], [150, -5], [150, 5], [200, 5]])
 """Crosses the road."""
+
+
+def test_many_barriers_of_other_roads_are_one_doubt():
+    lines = [np.array([[0.0, y], [9, y]]) for y in (90.0, 60, 70, 80, 95)]
+    _, (doubt,) = barriers_along(lines, [f"b{n}" for n in range(5)], ROADS)
+    assert "barrier b0, b1, b2 and 2 more" in doubt.message
+    assert doubt.measured == pytest.approx(56.5)
+    _, (doubt,) = barriers_along(lines, ["b"] * 5, Roads([]))
+    assert doubt.measured is None
 
 
 @pytest.mark.parametrize("line", [BENT, BENT[::-1], np.array([[100.0, -5], [390, -5]])])

@@ -17,7 +17,7 @@ from roadsight.commands import triangulate as verb
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import write_raster
-from roadsight.io.records.atomic import write_json
+from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.vectors import read_layer
@@ -30,6 +30,7 @@ OUTPUTS = {
     "layers": "gpkg",
     "geometry-csv": "csv",
     "sections": "parquet",
+    "doubts": "json",
 }
 POLES = np.array([[20.0, 8.0], [42, -7], [60, 8], [85, 9], [100, -8], [121, 8]])
 
@@ -239,9 +240,9 @@ def test_inventory_routes_and_barriers_reach_the_hazard(site, poles, tmp_path, c
     arguments = [*common, "--poles", poles["poles"], "--dem", str(site / "dem.tif")]
     arguments += [*given_roads(tmp_path), *(f"--{k}={v}" for k, v in out.items())]
     assert rate_hazard.main([*arguments, "--measure-unit", "mi"]) == 0
-    told = read_about(out["out"])["told"]
-    assert any("state no AADT" in message for message in told)
-    assert all(message in caplog.text for message in told)
+    told = {doubt["code"]: doubt for doubt in read_json(out["doubts"])}
+    assert set(told) == {"inventory_without_aadt"}
+    assert all(doubt["message"] in caplog.text for doubt in told.values())
     table = pd.read_csv(out["csv"]).set_index("id")
     own = table[table["kind"] == "pole"]
     x = FEET.to_local(own[["x", "y"]].to_numpy())[:, 0]
@@ -272,12 +273,13 @@ def test_inventory_routes_and_barriers_reach_the_hazard(site, poles, tmp_path, c
     stated = geometry["station_m"] < 1060
     assert geometry.loc[~stated, "lane_width_m"].median() == pytest.approx(4.0, abs=0.1)
     assert geometry.loc[stated, "paved_shoulder_m"].median() == pytest.approx(0.5, abs=0.1)
-    assert not any("first image" in message for message in told)
+    assert "measures_from_first_image" not in told
     without = [argument for argument in arguments if not argument.startswith("--routes")]
     assert rate_hazard.main(without) == 0
-    told = read_about(out["out"])["told"]
-    assert any("counted from each road's first image" in message for message in told)
-    assert any("does not name road r (it names SR 7)" in message for message in told)
+    told = {doubt["code"]: doubt for doubt in read_json(out["doubts"])}
+    assert set(told) == {"measures_from_first_image", "road_unnamed"}
+    assert "does not name road r (it names SR 7)" in told["road_unnamed"]["message"]
+    assert told["road_unnamed"]["measured"] == pytest.approx(np.ptp(geometry["station_m"]), abs=10)
     unnamed = pd.read_csv(out["csv"])
     assert (unnamed["clear_zone_greatest_m"] > unnamed["clear_zone_least_m"]).all()
     overlap = tmp_path / "inventory.csv"

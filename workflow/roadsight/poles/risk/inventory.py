@@ -43,11 +43,10 @@ class Inventory:
 
     Parameters
     ----------
-    segments : columns `COLUMNS`, by route and measure. messages : what lacks, one sentence each.
+    segments : columns `COLUMNS`, by route and measure.
     """
 
     segments: pd.DataFrame
-    messages: tuple[str, ...] = ()
 
     def routes(self) -> list[str]:
         """Names of the routes."""
@@ -95,7 +94,7 @@ class Inventory:
 
 
 def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ()) -> Inventory:
-    """Segments in order, and one message for everything that lacks.
+    """Segments in order.
 
     Parameters
     ----------
@@ -123,11 +122,9 @@ def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ())
                 allowed="one name for each route, and names that differ in letters or digits",
             )
     table = table.sort_values(["route", "from_m", "to_m"], kind="stable").reset_index(drop=True)
-    messages = []
     for route, own in table.groupby("route", sort=True):
-        messages += _check_route(str(route), own, where)
-    messages += _lacking(table)
-    return Inventory(table[list(COLUMNS)], tuple(messages))
+        _check_route(str(route), own, where)
+    return Inventory(table[list(COLUMNS)])
 
 
 def _check_row(row: pd.Series, where: str) -> None:
@@ -161,67 +158,22 @@ def _check_row(row: pd.Series, where: str) -> None:
         )
 
 
-def _check_route(route: str, own: pd.DataFrame, where: str) -> list[str]:
-    """Messages on gaps; overlaps are refused."""
+def _check_route(route: str, own: pd.DataFrame, where: str) -> None:
+    """Refuse segments that overlap."""
     ends, starts = own["to_m"].to_numpy()[:-1], own["from_m"].to_numpy()[1:]
     reached = np.maximum.accumulate(ends) if len(ends) else ends
     over = np.flatnonzero(reached - starts > SAME_M)
     if len(over):
         row = int(over[0])
         before = int(np.argmax(own["to_m"].to_numpy()[: row + 1]))
+        more = f" and {len(over) - 1} more" if len(over) > 1 else ""
         raise InputError(
-            f"segments of route {route} overlap" + _more(len(over)),
+            f"segments of route {route} overlap" + more,
             where=f"{where}, {own['place'].iloc[before]} and {own['place'].iloc[row + 1]}",
             found=f"one ends at {reached[row]:g} m, the next starts at {starts[row]:g} m",
             allowed="segments that end where the next starts",
             hint="correct the measures, or give the directions as routes of their own",
         )
-    gaps = np.flatnonzero(starts - reached > SAME_M)
-    if not len(gaps):
-        return []
-    told = ", ".join(f"{reached[g]:g} to {starts[g]:g} m" for g in gaps[:3])
-    return [
-        f"route {route}: nothing is stated from {told}{_more(len(gaps) - 2)}; clear zones there are"
-        " ranges"
-    ]
-
-
-def _lacking(table: pd.DataFrame) -> list[str]:
-    """A message for each quantity that segments lack."""
-    found = []
-    for name, title in (("speed_kmh", "speed"), ("aadt", "AADT"), ("lanes", "number of lanes")):
-        lacking = table[table[name].isna()]
-        if not len(lacking):
-            continue
-        told = ", ".join(
-            f"{row.route} {row.from_m:g} to {row.to_m:g} m" for row in lacking.head(3).itertuples()
-        )
-        what = "clear zones are ranges there" if name != "lanes" else "two lanes are not assumed"
-        number = "all segments" if len(lacking) == len(table) else f"{len(lacking)} segments"
-        found.append(f"{number} state no {title} ({told}{_more(len(lacking) - 2)}); {what}")
-    return found
-
-
-def uncovered(inventory: Inventory, route: str | None, road: Road) -> str:
-    """A message where the stations of a road lie outside its inventory; else empty."""
-    if route is None:
-        told = ", ".join(inventory.routes()[:5])
-        return (
-            f"the inventory does not name road {road.name} (it names {told}): ranges there; name"
-            " its drives after the route, or give roads.routes"
-        )
-    own = inventory.segments[inventory.segments["route"] == route]
-    low, high = float(own["from_m"].min()), float(own["to_m"].max())
-    if low - SAME_M <= road.start_m and road.end_m <= high + SAME_M:
-        return ""
-    return (
-        f"route {route} is stated from {low:.0f} to {high:.0f} m, the road runs from"
-        f" {road.start_m:.0f} to {road.end_m:.0f} m: ranges outside"
-    )
-
-
-def _more(count: int) -> str:
-    return f" and {count - 1} more" if count > 1 else ""
 
 
 def _plain(name: str) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.doubts import Doubt
 from roadsight.base.errors import InputError
 from roadsight.poles.risk.roads import BESIDE_M, Road, Roads, beside, resampled
 
@@ -29,6 +30,8 @@ UNITS_M = {
 _KNOTS_M = 10.0
 """Measures are carried over so often; between, they go with the centreline's length. Nearer ones
 would repeat the corners of a digitised route."""
+_FEWEST = 2
+"""Places with a measure that tell which way it rises."""
 _JOIN_M = 5.0
 """Segments of one route join within this: digitised ends meet, gaps of a survey are longer."""
 _SCALE = 0.05
@@ -37,6 +40,8 @@ road, its slopes and the projection of a state make 1 or 2 %."""
 _ROUNDED_M = 16.1
 """And by this: measures in hundredths of a mile."""
 _SHARED = 0.3
+"""Routes that share more than this of the shorter one's way along a road contradict each other."""
+_LEAST_BESIDE = 0.01
 """A route that runs beside less of a road than this share is a crossing or a neighbour."""
 
 
@@ -87,20 +92,27 @@ def check_routes(routes: Sequence[Route]) -> None:
                 )
 
 
-def with_routes(roads: Roads, routes: Sequence[Route]) -> tuple[Roads, list[str]]:
-    """Roads with names and measures of the routes beside them, and what to tell about the rest.
+def with_routes(roads: Roads, routes: Sequence[Route]) -> tuple[Roads, list[Doubt]]:
+    """Roads with names and measures of the routes beside them, and doubts about the rest.
 
     Raises
     ------
     InputError : two routes run along the same stretch of a road; see also `check_routes`.
     """
     check_routes(routes)
-    found, told = [], []
+    found: list[Road] = []
+    told: list[Doubt] = []
     for road in roads.roads:
         shares = _shares(road, routes)
         names = sorted(shares, key=lambda name: (-shares[name].sum(), name))
         if not names:
-            told.append(f"no route runs along road {road.name}: its measure stays its own")
+            _, apart = _project(resampled(road.xy_m, _KNOTS_M), routes)
+            text = (
+                f"no route runs along road {road.name}: its measure stays its own; median distance"
+                " to the nearest, m"
+            )
+            measured = round(float(np.median(apart)), 1)
+            told.append(Doubt("road_without_route", "doubt", text, measured, BESIDE_M))
             found.append(road)
             continue
         for other in names[1:]:
@@ -113,19 +125,25 @@ def with_routes(roads: Roads, routes: Sequence[Route]) -> tuple[Roads, list[str]
                     allowed="one route for each road",
                     hint="leave one out of the file; its measures are events of the other",
                 )
-            told.append(
-                f"routes {names[0]} and {other} follow each other on road {road.name}:"
-                f" all of it is measured along {names[0]}"
+            text = (
+                f"routes {names[0]} and {other} follow each other on road {road.name}: all of it is"
+                f" measured along {names[0]}; share of it along {other}"
             )
+            share = round(float(shares[other].mean()), 3)
+            told.append(Doubt("routes_follow", "doubt", text, share, _LEAST_BESIDE))
         own = [route for route in routes if route.name == names[0]]
         _check_scale(names[0], own)
-        measured = _measured(road, names[0], own)
-        if measured is None:
-            told.append(
+        at, value = _known_measures(road, own)
+        if len(at) < _FEWEST or value[-1] == value[0]:
+            text = (
                 f"route {names[0]} runs along too little of road {road.name} to tell its direction:"
-                " its measure stays its own"
+                " its measure stays its own; places whose measure is known"
             )
-        found.append(measured or road)
+            known = len(np.unique(value))
+            told.append(Doubt("route_too_short", "doubt", text, known, _FEWEST))
+            found.append(road)
+        else:
+            found.append(_measured(road, names[0], at, value))
     return Roads(found), told
 
 
@@ -162,15 +180,17 @@ def _shares(road: Road, routes: Sequence[Route]) -> dict[str, Bools]:
         for rows in tree.query_ball_point(resampled(route.xy_m, 2.0), BESIDE_M):
             near[rows] = True
         found[route.name] = found.get(route.name, np.zeros(len(near), bool)) | near
-    return {name: near for name, near in found.items() if near.mean() > 0.01}
+    return {name: near for name, near in found.items() if near.mean() > _LEAST_BESIDE}
 
 
-def _measured(road: Road, name: str, routes: Sequence[Route]) -> Road | None:
-    """The road with the measure of its route, turned round if that rises the other way.
+def _plan_m(road: Road) -> Floats:
+    """Length (n,) along the centreline to each vertex."""
+    return np.r_[0.0, np.cumsum(np.hypot(*np.diff(road.xy_m, axis=0).T))]
 
-    None where the route runs along so little of it that its direction cannot be told.
-    """
-    plan = np.r_[0.0, np.cumsum(np.hypot(*np.diff(road.xy_m, axis=0).T))]
+
+def _known_measures(road: Road, routes: Sequence[Route]) -> tuple[Floats, Floats]:
+    """Places along a road (k,), m from its first vertex, and the route's measure at each."""
+    plan = _plan_m(road)
     knots = np.unique(np.r_[np.arange(0.0, plan[-1], _KNOTS_M), plan[-1]])
     places = np.column_stack([np.interp(knots, plan, axis) for axis in road.xy_m.T])
     measure, gap = _project(places, routes)
@@ -181,9 +201,17 @@ def _measured(road: Road, name: str, routes: Sequence[Route]) -> Road | None:
     foot = Roads([replace(road, station_m=plan)]).locate(ends)
     met = (np.abs(foot.offset_m) <= BESIDE_M) & (foot.station_m >= 0) & (foot.station_m <= plan[-1])
     at, first = np.unique(np.r_[knots[known], foot.station_m[met]], return_index=True)
-    value = np.r_[measure[known], stated[met]][first]
-    if len(at) < 2 or value[-1] == value[0]:
-        return None
+    return at, np.r_[measure[known], stated[met]][first]
+
+
+def _measured(road: Road, name: str, at: Floats, value: Floats) -> Road:
+    """The road with the measure of its route, turned round if that rises the other way.
+
+    Parameters
+    ----------
+    at, value : as `_known_measures` returns them, two or more.
+    """
+    plan = _plan_m(road)
     rising = bool(value[-1] >= value[0])
     value = value if rising else -value
     # Feet of corners may repeat: only what rises counts.

@@ -22,7 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import Bools, Floats
+from roadsight.base.doubts import Doubt, listed
 from roadsight.poles.risk.roads import Roads, resampled
 
 TERMINAL_M = 3.81
@@ -77,14 +78,16 @@ class Barrier:
 
 def barriers_along(
     lines_m: Sequence[Floats], names: Sequence[str], roads: Roads
-) -> tuple[list[Barrier], list[str]]:
-    """Barriers by road, side and station, and what to tell of lines that cannot be placed.
+) -> tuple[list[Barrier], list[Doubt]]:
+    """Barriers by road, side and station, and doubts about lines that cannot be placed.
 
     Parameters
     ----------
     lines_m : (n, 2) vertices of each line. A line that changes road or side is cut there.
     """
-    found, told = [], []
+    found: list[Barrier] = []
+    lost: list[tuple[str, float]] = []
+    bare: list[tuple[str, Bools]] = []
     for line, name in zip(lines_m, names, strict=True):
         places = resampled(line, _STEP_M)
         closed = bool(np.hypot(*(places[0] - places[-1])) < _STEP_M)
@@ -97,12 +100,10 @@ def barriers_along(
         near = offset <= _BESIDE_ROAD_M
         unknown = np.isnan(offset) & (np.abs(at.offset_m) <= _BESIDE_ROAD_M)
         if unknown.any():
-            told.append(
-                f"barrier {name}: no edge of its road is known along {unknown.mean():.0%} of it,"
-                " which counts for nothing"
-            )
+            bare.append((name, unknown))
         elif not near.any():
-            told.append(f"barrier {name} lies along no road")
+            apart = np.where(np.isnan(offset), np.abs(at.offset_m), offset)
+            lost.append((name, float(apart.min())))
         key = np.where(near, 2 * at.road + (at.side > 0), -1)
         cuts = np.flatnonzero(np.diff(key)) + 1
         for part in np.split(np.arange(len(places)), cuts):
@@ -114,7 +115,37 @@ def barriers_along(
             ends[[closed or part[0] > 0, closed or part[-1] < len(places) - 1]] = np.nan
             road_number = int(at.road[rows[0]])
             found.append(Barrier(name, road_number, side, at.station_m[rows], offset[rows], ends))
-    return found, told
+    return found, _barrier_doubts(lost, bare)
+
+
+def _barrier_doubts(
+    lost: Sequence[tuple[str, float]], bare: Sequence[tuple[str, Bools]]
+) -> list[Doubt]:
+    """Doubts about barriers that count for nothing.
+
+    Parameters
+    ----------
+    lost : names of those along no road, and how far each is from one, m (NaN without roads).
+    bare : names of others, and along which of their places no edge is known.
+    """
+    found = []
+    if lost:
+        text = (
+            f"barrier {listed([name for name, _ in lost])} lies along no road and counts for"
+            " nothing: look at its place and CRS; least distance from a road's edge, m"
+        )
+        least = min(apart for _, apart in lost)
+        measured = round(least, 1) if np.isfinite(least) else None
+        found.append(Doubt("barrier_without_road", "doubt", text, measured, _BESIDE_ROAD_M))
+    if bare:
+        told = listed([f"{name} ({places.mean():.0%})" for name, places in bare])
+        text = (
+            f"no edge of the road is known along parts of barrier {told}, which count for nothing:"
+            " share of these barriers"
+        )
+        share = float(np.concatenate([places for _, places in bare]).mean())
+        found.append(Doubt("barrier_without_edge", "doubt", text, round(share, 3), 0))
+    return found
 
 
 def runout_m(design_speed_kmh: float, aadt: float) -> float:

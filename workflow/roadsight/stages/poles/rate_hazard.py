@@ -34,6 +34,7 @@ from roadsight.poles.risk.routes import UNITS_M
 from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.risk.shielding import Barrier, barrier_ends
 from roadsight.stages.command import run_stage
+from roadsight.stages.doubts import tell
 from roadsight.stages.poles.hazard_layers import (
     GEOMETRY,
     geometry_lines,
@@ -68,6 +69,8 @@ def rate_hazard(arguments: argparse.Namespace) -> None:
     roads, inventory, barriers, told = given_roads(
         arguments, frame, roads_of(tracks, edges_m / scale), scale
     )
+    if arguments.doubts:
+        tell(told, arguments.doubts, f"poles {arguments.poles}", log)
     points = None
     if arguments.cloud and arguments.ground:
         points = ground_near_roads(arguments.cloud, arguments.ground, roads, scale)
@@ -88,7 +91,7 @@ def rate_hazard(arguments: argparse.Namespace) -> None:
     table = pd.concat([known, rated.table, measured], axis=1)
     log.info("%d poles: %s", len(table), table["rating"].value_counts().to_dict())
     about = {"clear_zone": SOURCE, "rule": RULE, "settings": vars(settings)}
-    about |= {"sources": SOURCES, "told": told}
+    about |= {"sources": SOURCES}
     write_table(arguments.out, table, about)
     write_csv(arguments.csv, in_native(table, frame))
     sections = section_table(
@@ -198,6 +201,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--layers", help="GeoPackage of all layers")
     parser.add_argument("--geometry-csv", help="road geometry by station")
     parser.add_argument("--sections", help="cross-sections, for the report")
+    parser.add_argument("--doubts", help="JSON with what the hazard rests on")
     parser.add_argument("--section-every-m", type=float, default=20.0, help="0: at objects only")
     for name in ("inventory", "routes", "barriers"):
         parser.add_argument(f"--{name}", nargs="?", help="file of the user")

@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 import argparse
-import logging
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats
+from roadsight.base.doubts import Doubt
 from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.road_files import read_barriers, read_inventory, read_routes
-from roadsight.poles.risk.inventory import Inventory, check_inventory, uncovered
+from roadsight.poles.risk.inventory import Inventory, check_inventory
+from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts
 from roadsight.poles.risk.roads import Roads
 from roadsight.poles.risk.roadside import REACH_M
 from roadsight.poles.risk.routes import Route, with_routes
 from roadsight.poles.risk.shielding import Barrier, barriers_along
 from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells
-
-log = logging.getLogger("rate_hazard")
 
 THINNED_M = 0.1
 """One mean ground point a cell of this width: half a bin of a cross-section. Clouds of 24 points/m2
@@ -72,16 +71,15 @@ def ground_near_roads(cloud: str, ground: str, roads: Roads, scale: float) -> Fl
 
 def given_roads(
     arguments: argparse.Namespace, frame: Frame, roads: Roads, scale: float
-) -> tuple[Roads, Inventory | None, list[Barrier], list[str]]:
-    """Roads measured along their routes, the inventory, the barriers, and what to tell of them."""
-    told: list[str] = []
+) -> tuple[Roads, Inventory | None, list[Barrier], list[Doubt]]:
+    """Roads measured along their routes, the inventory, the barriers, and doubts about them."""
+    told: list[Doubt] = []
     inventory: Inventory | None = None
     routes: list[Route] = []
     if arguments.inventory:
         crs = arguments.inventory_crs or None
         table, places, routes = read_inventory(arguments.inventory, frame, crs)
         inventory = check_inventory(table, arguments.inventory, places)
-        told += inventory.messages
     if arguments.routes:
         crs = arguments.routes_crs or None
         routes = read_routes(arguments.routes, frame, crs, arguments.measure_unit)
@@ -90,18 +88,10 @@ def given_roads(
         roads, more = with_routes(roads, on_ground)
         told += more
     if inventory is not None:
-        own = [uncovered(inventory, inventory.route_of(road), road) for road in roads.roads]
-        told += [message for message in own if message]
-        if not routes:
-            told.append(
-                "measures of the inventory are counted from each road's first image: it has no"
-                " lines, and no routes are given (roads.routes)"
-            )
+        told += inventory_doubts(inventory, roads.roads, bool(routes))
     barriers: list[Barrier] = []
     if arguments.barriers:
         lines, names = read_barriers(arguments.barriers, frame, arguments.barriers_crs or None)
         barriers, more = barriers_along([line / scale for line in lines], names, roads)
         told += more
-    for message in told:
-        log.warning("%s", message)
-    return roads, inventory, barriers, told
+    return roads, inventory, barriers, [*told, *edge_doubts(roads.roads)]
