@@ -3,24 +3,44 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.signal import lfilter
 
 from roadsight.poles.risk.road_geometry import COLUMNS, road_geometry
-from roadsight.poles.risk.roads import Road, roads_of
+from roadsight.poles.risk.roads import Road, road_along, roads_of
 from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.videolog import random_drives, shots
 
+STEP_M = 0.25
+"""Between the points of an edge."""
 
-@pytest.fixture(scope="module", params=[1, 2])
+
+def across_errors(n, kind, rng):
+    """How far each of n points of an edge lies off: independent, or as those of a scan's contours.
+
+    Edges of the generated airborne scan are 3.4 cm off, a fifth of it (of the variance) by itself,
+    the rest alike over 6 m.
+    """
+    if kind == "independent":
+        return rng.normal(0, 0.05, n)
+    keep = np.exp(-STEP_M / 6.0)
+    slow = lfilter([np.sqrt(1 - keep**2)], [1, -keep], rng.normal(0, 0.031, n))
+    return slow + rng.normal(0, 0.015, n)
+
+
+@pytest.fixture(
+    scope="module", params=[(1, "independent"), (2, "independent"), (1, "scan"), (2, "scan")]
+)
 def found(request):
     """A generated road, its geometry and the true stations of the rows."""
-    site, rng = build_rural(request.param, 500.0, detail=0.01), np.random.default_rng(1)
+    seed, errors = request.param
+    site, rng = build_rural(seed, 500.0, detail=0.01), np.random.default_rng(1)
     places = [s for drive in random_drives(site.seed) for s in shots(site, drive, site.seed)]
     rows = [(s.route, s.sequence, *s.gps_xy_m) for s in places]
     frames = pd.DataFrame(rows, columns=["route", "sequence", "x", "y"])
-    half, along = site.ground.section.pavement_m, np.arange(-20, 520, 0.25)
-    edges = np.concatenate([site.line.plan(along, side * half) for side in (1, -1)])
-    edges += rng.normal(0, 0.05, edges.shape)
+    half, along = site.ground.section.pavement_m, np.arange(-20, 520, STEP_M)
+    sides = [side * half + across_errors(len(along), errors, rng) for side in (1, -1)]
+    edges = np.concatenate([site.line.plan(along, side) for side in sides])
 
     def height(x, y):
         exact = site.height(np.column_stack([x, y]))
@@ -42,13 +62,42 @@ def test_radii_are_within_five_percent(found):
     with np.errstate(invalid="ignore"):  # straight and exactly so
         off = np.abs(geometry["radius_m"].to_numpy() * np.abs(curvature) - 1)
     assert arc.sum() > 10
-    assert off[arc].max() < 0.05
-    assert np.quantile(off[bent], 0.9) < 0.05  # transitions and all
+    assert np.quantile(off[arc], 0.95) < 0.05
+    assert np.quantile(off[bent], 0.9) < 0.07  # transitions and all
     assert (geometry["bend"][bent] == np.where(curvature[bent] > 0, "left", "right")).all()
     sigmas = (geometry["curvature_per_km"] / 1000 - curvature) / (
         geometry["sigma_curvature_per_km"] / 1000
     )
     assert 0.5 < np.sqrt((sigmas**2).mean()) < 2
+
+
+@pytest.mark.parametrize(("radius_m", "turn_deg"), [(30, 90), (60, 60), (60, 90), (100, 60)])
+def test_tight_bends_that_are_shorter_than_the_longest_fit(radius_m, turn_deg):
+    s = np.arange(0, 400, STEP_M)
+    ease = radius_m / 3
+    ends = 150 + np.cumsum([0, ease, np.radians(turn_deg) * radius_m - ease, ease])
+    curvature = np.interp(s, ends, np.array([0, 1, 1, 0]) / radius_m)
+    heading = np.cumsum(curvature) * STEP_M
+    line = np.column_stack([np.cumsum(np.cos(heading)), np.cumsum(np.sin(heading))]) * STEP_M
+    left, rng = np.column_stack([-np.sin(heading), np.cos(heading)]), np.random.default_rng(1)
+    sides = [side * 3.5 + across_errors(len(s), "scan", rng) for side in (1, -1)]
+    edges = np.concatenate([line + left * side[:, None] for side in sides])
+    geometry = road_geometry(road_along(line[::4], edges, "a"), None, 1.0)
+    gap = np.hypot(*np.moveaxis(geometry[["x", "y"]].to_numpy()[:, None] - line[None], 2, 0))
+    station = s[gap.argmin(axis=1)]
+    arc = (station > ends[1]) & (station < ends[2])
+    off = np.abs(geometry["radius_m"].to_numpy()[arc] / radius_m - 1)
+    assert arc.sum() > 25
+    assert np.median(off) < 0.05
+    assert (geometry["bend"][arc] == "left").all()
+
+
+def test_a_road_shorter_than_a_fit_is_fitted_as_a_whole():
+    turn = np.arange(0, 41) / 150
+    line = 150 * np.column_stack([np.sin(turn), 1 - np.cos(turn)])
+    three = np.full(41, 3.0)
+    road = Road("a", ("a",), "", line, np.arange(41.0), three, three)
+    assert road_geometry(road, None)["radius_m"].to_numpy() == pytest.approx(150, rel=0.02)
 
 
 def test_grades_are_within_0_2_percent(found):
