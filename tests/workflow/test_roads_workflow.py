@@ -71,6 +71,7 @@ def give_roads(checkout: Checkout) -> None:
 @pytest.mark.full
 def test_routes_inventory_and_barriers_go_through_the_whole_run(copy_of_road):
     before = pd.read_csv(copy_of_road.folder / "results/tiny_road/poles/hazard.csv")
+    check_offsets(copy_of_road, before)
     give_roads(copy_of_road)
     assert "rate_hazard" in copy_of_road.stale_rules()
     result = copy_of_road.snakemake("--cores", "2")
@@ -109,6 +110,19 @@ def test_routes_inventory_and_barriers_go_through_the_whole_run(copy_of_road):
     assert copy_of_road.stale_rules() == set()
     check_what_makes_it_stale(copy_of_road)
     check_one_message(copy_of_road)
+
+
+def check_offsets(checkout: Checkout, hazard: pd.DataFrame) -> None:
+    """Offsets are those of the generated road, in the mouth of a side road too."""
+    truth = pd.read_csv(checkout.folder / "results/tiny_road/sample/truth_poles.csv")
+    known = truth[["latitude", "longitude"]].to_numpy() * [111_000.0, 90_500.0]
+    found = hazard[["latitude", "longitude"]].to_numpy() * [111_000.0, 90_500.0]
+    apart = np.hypot(*np.moveaxis(found[:, None] - known[None], 2, 0))
+    own = truth.iloc[apart.argmin(axis=1)]
+    near = (apart.min(axis=1) < 1.0) & (own["station_m"] > 0).to_numpy()
+    error = hazard["offset_m"].to_numpy() - own["edge_distance_m"].to_numpy()
+    assert near.sum() >= 4
+    assert np.abs(error[near]).max() < 0.25
 
 
 def check_what_makes_it_stale(checkout: Checkout) -> None:

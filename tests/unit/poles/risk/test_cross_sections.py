@@ -13,7 +13,14 @@ from roadsight.poles.risk.cross_sections import (
     profile_from_points,
     slope_text,
 )
-from roadsight.poles.risk.profiles import Profile, binned_profile, fit_pieces, noise_of, steepest
+from roadsight.poles.risk.profiles import (
+    LEAST_SIGMA_M,
+    Profile,
+    binned_profile,
+    fit_pieces,
+    noise_of,
+    steepest,
+)
 from roadsight.synthetic.rural.rural_road import build_rural
 from tests.helpers.rural_sections import (
     edge_and_outward,
@@ -48,6 +55,24 @@ def differences(section, hinges, slopes):
             )
         )
     return np.abs(rows)
+
+
+@pytest.mark.parametrize(("many", "share"), [(1, 1.06), (3, 0.72), (20, 0.237), (60, 0.137)])
+def test_a_bin_knows_as_much_as_its_heights(many, share, rng):
+    run = np.repeat(np.arange(0.05, 100, 0.1), many)
+    found = binned_profile(run, rng.normal(0, 0.03, len(run)), 0.1, 0.03)
+    # The mean of n normal heights has sigma 1 / sqrt(n), the median a quarter more.
+    assert found.height_m.std() < 0.03 * share
+    noise = np.sqrt(found.sigma_m**2 - LEAST_SIGMA_M**2)
+    assert (found.height_m / noise).std() == pytest.approx(1.0, abs=0.12)
+
+
+def test_grass_and_stones_are_no_ground(rng):
+    run = np.repeat(np.arange(0.05, 50, 0.1), 20)
+    height = rng.normal(0, 0.03, len(run))
+    grown = np.tile(np.arange(20) < 3, 500)
+    found = binned_profile(run, np.where(grown, height + 0.4, height), 0.1, 0.03)
+    assert abs(found.height_m.mean()) < 0.003
 
 
 @pytest.fixture(scope="module", params=[1, 3])

@@ -100,7 +100,9 @@ def test_inventories_decide_by_station_and_lack_gives_ranges(scene):
     table = scene.rated(inventory=inventory).table
     first = table["station_m"] < 150
     assert (table["design_speed_greatest_kmh"][first] == 60).all()
-    assert (table["clear_zone_greatest_m"][first] <= 3.0 * 1.5).all()
+    bare = first & ~table["reasons"].str.contains("non-recoverable slope are added")
+    assert bare.sum() > 5
+    assert (table["clear_zone_greatest_m"][bare] <= 3.0 * 1.5).all()
     last = table[~first]
     assert (last["design_speed_least_kmh"] == 60).all()
     assert (last["design_speed_greatest_kmh"] == 110).all()

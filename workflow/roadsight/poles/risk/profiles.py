@@ -25,6 +25,12 @@ STEP_M = 0.05
 """Lower steps are texture. FHWA's Safety Edge guidance starts to treat drop-offs at 2 inches."""
 _FEWEST = 3
 """Bins of a piece: two make a slope, three show that it is straight."""
+_FEW_HEIGHTS = 4
+"""Of so many in a bin none is told to be an outlier."""
+_OUTLIER = 3.0
+"""Heights further from the median than so many sigmas are of grass or stones. Means of the others
+know a third more than the median does: slopes of generated ditch bottoms are within 0.033 instead
+of 0.040 (95 %), those beside them within 0.013 instead of 0.016."""
 _ROUNDS = 12
 """Rounds in which hinges move; on exact sections they rest after 4 to 6."""
 _NARROWEST_M = 0.3
@@ -85,7 +91,7 @@ class Pieces:
 def binned_profile(
     run_m: ArrayLike, height_m: ArrayLike, bin_m: float = 0.1, sigma_m: float | None = None
 ) -> Profile:
-    """Profile of scattered heights: the median of each bin.
+    """Profile of scattered heights: the mean of each bin without outliers, of few the median.
 
     Parameters
     ----------
@@ -99,13 +105,21 @@ def binned_profile(
     run, height = run[order], height[order]
     number = np.floor(run / bin_m + 1e-6).astype(np.int64)
     _, first, count = np.unique(number, return_index=True, return_counts=True)
-    groups = [slice(a, a + n) for a, n in zip(first, count, strict=True)]
-    middle = np.array([run[g].mean() for g in groups])
-    level = np.array([np.median(height[g]) for g in groups])
-    # The median of n normal heights has sigma 1.25 / sqrt(n), of one or two 1 / sqrt(n).
-    share = np.where(count > 2, 1.2533, 1.0) / np.sqrt(count)
+    bins = [_bin(run[a : a + n], height[a : a + n]) for a, n in zip(first, count, strict=True)]
+    middle, level, share = np.array(bins).reshape(-1, 3).T
     own = noise_of(middle, level, share) if sigma_m is None else sigma_m
     return Profile(middle, level, np.hypot(own * share, LEAST_SIGMA_M))
+
+
+def _bin(run: Floats, height: Floats) -> tuple[float, float, float]:
+    """Mean run and height of a bin, and their sigma for heights of sigma 1."""
+    if len(height) <= _FEW_HEIGHTS:
+        # The median of n normal heights has sigma 1.25 / sqrt(n), of one or two 1 / sqrt(n).
+        wide = 1.2533 if len(height) > 2 else 1.0
+        return float(run.mean()), float(np.median(height)), wide / float(np.sqrt(len(height)))
+    off = np.abs(height - np.median(height))
+    kept = off <= _OUTLIER * 1.4826 * np.median(off) + 1e-9
+    return float(run[kept].mean()), float(height[kept].mean()), 1.0 / float(np.sqrt(kept.sum()))
 
 
 def noise_of(run_m: Floats, height_m: Floats, share: Floats | None = None) -> float:
