@@ -191,7 +191,7 @@ class _Again:
     ) -> None:
         self.record: dict[str, Any] | None = None
         self._limit_s = arguments.second_time_limit_s if arguments.second == "True" else 0.0
-        self._allowed = looked_at
+        self._allowed, self._gap = looked_at, arguments.gap
         self._cell_m = 0.0
         self._stretch: Ints | None = None
         if arguments.edges and self._limit_s:
@@ -203,7 +203,13 @@ class _Again:
     def __call__(self, deployment: Deployment, cover: Cover) -> Cover:
         """Cover of the same cost."""
         better, self.record = see_again(
-            deployment, cover, self._limit_s, self._stretch, self._cell_m, self._allowed
+            deployment,
+            cover,
+            self._limit_s,
+            self._stretch,
+            self._cell_m,
+            self._allowed,
+            self._gap,
         )
         return better
 
