@@ -24,6 +24,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.io.vector.known_road import read_seeds, read_track
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
 from roadsight.scene.pavement.choice import METHODS, Choice, choose_method
@@ -85,7 +86,7 @@ def extract_pavement(arguments: argparse.Namespace) -> None:
         layer_m, open_share = found.layer_m, found.open_share
         if found.method == "published":
             layer_m, open_share = facts.layer_m, facts.open_m / max(facts.outline_m, 1e-9)
-        track_xy = _track(arguments, frame)
+        track_xy = read_track(arguments.track, frame, arguments.track_crs or None)
         doubts = pavement_doubts(
             outline, found.method, facts, layer_m, open_share, track_xy, found.unsure_share
         )
@@ -143,7 +144,9 @@ def _surface(
     """The road as one surface, with all that is known of it."""
     xyz_m, intensity, points = _whole(arguments, cloud)
     known = KnownRoad(
-        _track(arguments, frame), _seeds(arguments.seeds, frame), _edges(arguments, frame, about)
+        read_track(arguments.track, frame, arguments.track_crs or None),
+        read_seeds(arguments.seeds, frame, "pavement.seeds"),
+        _edges(arguments, frame, about),
     )
     road, surface = road_of(
         xyz_m,
@@ -199,23 +202,6 @@ def _sharpened(arguments: argparse.Namespace, cloud: CloudTiles, found: _Found) 
     surface = sharp.surface
     met = surface.layer_m, surface.open_share, surface.unsure_share
     return _Found(sharp.road.outline, "sharpened", [*found.doubts, note], sharp.road.points, *met)
-
-
-def _seeds(text: str | None, frame: Frame) -> Floats | None:
-    """Places (k, 2) of ``x,y;x,y`` in native coordinates, local metres."""
-    if not text:
-        return None
-    places = [[float(value) for value in place.split(",")] for place in text.split(";")]
-    return frame.to_local(np.array(places)[:, :2])
-
-
-def _track(arguments: argparse.Namespace, frame: Frame) -> Floats | None:
-    """Where a vehicle drove (k, 2), local metres: the longest line of the file."""
-    if not arguments.track:
-        return None
-    lines = read_lines(arguments.track, frame, arguments.track_crs or None).geometry
-    longest = max(lines, key=lambda line: line.length)
-    return shapely.get_coordinates(longest)
 
 
 def _edges(
