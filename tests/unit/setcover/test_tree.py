@@ -141,3 +141,9 @@ def test_choices_of_both_targets_are_free_and_sorted():
     free = np.array([True, True, False, True, True])
     assert choices_of_both(covers, 0, 1, free).tolist() == [0, 4]
     assert choices_of_both(covers, 1, 1, free).tolist() == [0, 3, 4]
+
+
+def test_nothing_is_done_beside_a_tree_that_is_empty():
+    tree = Told()
+    assert tree.prove(everything(), 1.0, Deadline(None)) is None
+    assert len(tree.next) == tree.nodes - 1 == len(BOUNDS) - 1

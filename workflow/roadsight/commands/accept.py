@@ -148,10 +148,10 @@ def _target(folder: Path, model: str) -> Target:
     shards = sorted(folder.parent.glob(f"round-*/detection/{model}/*.parquet"))
     usual = Targets()
     said = read_about(shards[0]) if shards else {}
-    sides = (said.get("length_m"), said.get("width_m"))
-    radius_m = said.get("radius_m", usual.radius_m) if None in sides else min(sides) / 2
+    boxes = "width_m" in said
+    radius_m = min(said["length_m"], said["width_m"]) / 2 if boxes else said.get("radius_m")
     return Target(
-        float(radius_m),
+        float(usual.radius_m if radius_m is None else radius_m),
         float(said.get("height_m", usual.height_m)),
         int(said.get("min_beams", usual.min_beams)),
     )

@@ -52,8 +52,8 @@ SAME_STRUCTURE = 0.3
 """The same of beams that end on anything but level ground, which is alike anywhere: 0.2 on another
 street as level as this, nearly 1 at the place itself."""
 _FEWEST_BEAMS = 2
-"""Beams of the measured scan that must reach a target: rows lie a little beside where they were
-planned, so that fewer meet a target than the plan counts. Where the plan asks for fewer, so many."""
+"""Beams of the measured scan that must reach a target, or as few as the plan asks for: rows lie a
+little beside where they were planned, so that fewer meet a target than the plan counts."""
 _FEWEST = 100
 """Planes and points from which a pose can be found."""
 

@@ -72,9 +72,9 @@ def second_objective(
     """Of the covers that cost no more than one, the one that sees the most more than asked for.
 
     Groups, mandatory and forbidden choices, cliques and needs are kept to. Nothing is proven about
-    the cost: ``chosen`` should be the cheapest. Where a cheaper cover comes up, it is taken, and the
-    best of its cost is sought. The answer depends on nothing but the limit of work, which also pays
-    for the bound.
+    the cost: ``chosen`` should be the cheapest. Where a cheaper cover comes up, it is taken, and
+    the best of its cost is sought. The answer depends on nothing but the limit of work, which also
+    pays for the bound.
 
     Parameters
     ----------
@@ -126,18 +126,16 @@ def chosen_again(
     start = time.process_time()
     found = second_objective(deployment, cover.chosen, limit, stretch)
     seconds = cover.seconds_cpu + time.process_time() - start
-    cheaper = math.fsum(deployment.cost[found.chosen]) < math.fsum(
-        deployment.cost[cover.chosen]
-    ) * (1 - _CHEAPER)
+    before, after = (math.fsum(deployment.cost[rows]) for rows in (cover.chosen, found.chosen))
     again = replace(cover, chosen=found.chosen, seconds_cpu=seconds)
-    if not cheaper:
+    if after > before * (1 - _CHEAPER):
         return again, found
     value = deployment.objective(found.chosen)
     proven = cover.bound > deployment.goal(value)
     bound = value if proven else min(cover.bound, value)
     near = WITHIN_GAP if is_within(gap, value, bound) else cover.status
-    changes = {"objective": value, "bound": bound, "gap": relative_gap(value, bound)}
-    return replace(again, status=OPTIMAL if proven else near, **changes), found
+    again = replace(again, objective=value, bound=bound, gap=relative_gap(value, bound))
+    return replace(again, status=OPTIMAL if proven else near), found
 
 
 class _Search:
@@ -242,9 +240,7 @@ class _Search:
         return math.fsum(self._cost[cover]) * (1 + _TOLERANCE)
 
 
-def _rules(
-    deployment: Deployment, money: float, limit: WorkLimit, stretch: Ints | None
-) -> Rules:
+def _rules(deployment: Deployment, money: float, limit: WorkLimit, stretch: Ints | None) -> Rules:
     """What covers are made of, with the bounds that the limit allows, each by a share of it."""
     problem = deployment.problem
     matrix, need = problem.matrix, problem.at_least

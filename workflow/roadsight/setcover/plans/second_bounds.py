@@ -54,13 +54,13 @@ class Most(NamedTuple):
 
 
 def prices(deployment: Deployment, limit: WorkLimit) -> tuple[Floats, float]:
-    """What covering each target once costs at least (targets,), and the most that this exceeds
-    costs by (0 or less): weak duality.
+    """What covering each target once costs at least, and the most that this exceeds costs by.
 
-    For any cover, the prices of what it covers, as often as asked, and the excess add up to no more
-    than its cost. They are the duals of the linear relaxation, and where work ran out before it was
-    solved, the best of three that hold as well: those of the last step, the same lowered until no
-    choice is worth more than it costs, and the least share of cost that a choice asks of a target.
+    For any cover, the prices (targets,) of what it covers, as often as asked, and the excess (0 or
+    less) add up to no more than its cost: weak duality. The prices are the duals of the linear
+    relaxation. Where work ran out before it was solved, they are the best of three that hold as
+    well: the duals of its last step, the same lowered until no choice is worth more than it costs,
+    and the least share of cost that a choice asks of a target.
     """
     problem = deployment.problem
     asked = problem.at_least > 0
@@ -109,9 +109,7 @@ def _least(value: Floats, instance: Instance) -> Floats:
     return least
 
 
-def seen_at_most(
-    deployment: Deployment, weight: Floats, money: float, limit: WorkLimit
-) -> Most:
+def seen_at_most(deployment: Deployment, weight: Floats, money: float, limit: WorkLimit) -> Most:
     """A Lagrangian bound of the weight that is seen once more than asked, by subgradient steps.
 
     With u >= 0 (targets,), no choices within the money see more than ``sum(max(w - u, 0)) -

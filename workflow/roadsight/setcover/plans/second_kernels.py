@@ -14,8 +14,8 @@ LEVELS = 2
 _DIVIDED, _CLOSED = -1, -2
 """What a node of the search is that is no leaf."""
 _NODE_WORK = 150
-"""Work of a node, in entries that are added or removed. This and the next four are a fit to 12 cases:
-the plans of the generated highway and roads of 10 to 1,000 sensors that see 4 to 80 targets each."""
+"""Work of a node, in entries that are added or removed. This and the next four are a fit to 12
+cases: plans of the generated highway, and roads of 10 to 1,000 sensors that see 4 to 80 targets."""
 _CHOICE_WORK = 20
 """Work of adding or removing a choice, beside its entries."""
 _FIT_WORK = 5
