@@ -37,6 +37,12 @@ class Scene(Section):
     overlap: Literal["use", "leave_out"] = Field(
         default="use", description="points that are flagged as overlap of flight lines"
     )
+    pulse_share: float = Field(
+        default=1.0,
+        gt=0,
+        le=1,
+        description="pulses that take part, as a share: what a sparser survey would have given",
+    )
 
 
 class Ground(Section):
