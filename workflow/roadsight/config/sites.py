@@ -281,6 +281,10 @@ class RoadsInputs(Section):
     traffic: Literal["right", "left"] = Field(
         default="right", description="side of the road on which vehicles drive"
     )
+    carriageway: Literal["two-way", "divided", "one-way"] = Field(
+        default="two-way",
+        description="where the inventory states none; one-way: AADT is of that one direction",
+    )
 
 
 class Truth(Section):
