@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from roadsight.api.sight import CATALOGUE
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.config.schema import Tolerance
-from roadsight.config.sensing import Targets
+from roadsight.config.sections.sensing import Targets, Tolerance
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json

@@ -18,8 +18,9 @@ from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.doubts import Doubt
-from roadsight.base.engines import ENGINES
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.scene import Pavement
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
@@ -27,7 +28,7 @@ from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.known_road import read_seeds, read_track
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
-from roadsight.scene.pavement.choice import METHODS, Choice, choose_method
+from roadsight.scene.pavement.choice import Choice, choose_method
 from roadsight.scene.pavement.outline import (
     PavementSettings,
     inside,
@@ -287,7 +288,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("site", "cloud", "frame", "ground", "pavement", "points"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--tma", nargs="?", help="polygon file of the monitored area")
-    parser.add_argument("--method", choices=METHODS, default="auto")
+    add_settings(parser, Pavement, "method", "intensity", "cluster_engine", may_lack=True)
     parser.add_argument("--profile", nargs="?", help="what auto decides by")
     parser.add_argument("--clusters", nargs="?", help="published: smooth and rough ground")
     parser.add_argument("--doubts", help="JSON with what the pavement rests on")
@@ -296,8 +297,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--track-crs", nargs="?", help="its CRS if the file names none")
     parser.add_argument("--edges", nargs="?", help="surface: digitised edges, any vector format")
     parser.add_argument("--edges-crs", nargs="?", help="their CRS if the file names none")
-    parser.add_argument("--intensity", nargs="?", choices=["auto", "use", "ignore"], default="auto")
-    parser.add_argument("--cluster-engine", nargs="?", choices=ENGINES, default="own")
     for field in fields(PavementSettings)[:6]:
         name = f"--{field.name.replace('_', '-')}"
         parser.add_argument(name, nargs="?", type=float, help="published")
