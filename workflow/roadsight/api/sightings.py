@@ -49,13 +49,15 @@ def triangulate(
     if isinstance(sightings, (str, os.PathLike)):
         table = read_sightings(sightings)
     else:
-        table = pd.DataFrame(sightings)
-        if isinstance(sightings, gpd.GeoDataFrame) and sightings.crs is not None:
+        is_placed = isinstance(sightings, gpd.GeoDataFrame) and sightings.crs is not None
+        table = pd.DataFrame(
+            sightings.drop(columns=sightings.geometry.name) if is_placed else sightings
+        )
+        table.columns = table.columns.str.strip().str.lower()
+        if is_placed:
             crs = sightings.crs
             places = sightings.geometry.to_crs(_WGS84)
-            table = table.drop(columns=sightings.geometry.name)
             table = table.assign(lat=places.y.to_numpy(), lon=places.x.to_numpy())
-        table.columns = table.columns.str.strip().str.lower()
         texts = table.astype(object).where(table.notna(), "").astype(str)
         table = checked_sightings(texts, "sightings")
     poles = triangulate_geographic(table, settings)
