@@ -71,7 +71,7 @@ def is_installed() -> bool:
 def is_usable() -> bool:
     """Whether Open3D can be loaded.
 
-    It is loaded, which takes a second, only where a system library is missing: versions need others.
+    It is loaded, which takes a second, only where a library is missing: not all versions need all.
     """
     if not is_installed():
         return False

@@ -222,7 +222,7 @@ export class WhatIf {
   }
 
   get planCost() {
-    return this.about.chosen.reduce((sum, row) => sum + this.about.sensors[this.about.choices.sensor[row]].cost, 0);
+    return this.about.chosen.reduce((sum, row) => sum + this.about.choices.cost[row], 0);
   }
 
   sensorPart() {
