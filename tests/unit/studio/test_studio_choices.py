@@ -144,3 +144,20 @@ def test_a_zone_that_is_drawn_later_makes_another_version(street):
     again = layouts.of("tiny", "mine")
     assert again.version != first.version
     assert again.coverage(again.chosen)["cost"] == 3 * len(again.chosen)
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"availability": 0.9}, "90 % of the time"),
+        ({"robust": "tolerance"}, "with tolerance"),
+        ({"spacing_m": 1.0}, None),
+    ],
+)
+def test_what_is_not_counted_is_said(street, options, told):
+    street.write({}, {}, {})
+    street.solve({})
+    street.write({}, {}, options)
+    notes = Layouts(Project(street.root)).of("tiny", "mine").about()["notes"]
+    assert len(notes) == (told is not None)
+    assert all(told in note and "not counted here" in note for note in notes)

@@ -101,6 +101,7 @@ class Layout:
                 "sensor": [kinds.index(name) for name in self.choices["sensor"]],
                 "position": self.choices["position"].tolist(),
                 "name": self.choices["candidate"].tolist(),
+                "posed": self.choices["posed"].tolist(),
                 "cost": self.choices["cost"].tolist(),
                 "sees": np.diff(self.matrix.indptr).tolist(),
             },
