@@ -49,12 +49,11 @@ def triangulate(
     if isinstance(sightings, (str, os.PathLike)):
         table = read_sightings(sightings)
     else:
-        is_placed = isinstance(sightings, gpd.GeoDataFrame) and sightings.crs is not None
-        table = pd.DataFrame(
-            sightings.drop(columns=sightings.geometry.name) if is_placed else sightings
-        )
+        table = pd.DataFrame(sightings)
+        if isinstance(sightings, gpd.GeoDataFrame) and sightings.crs is not None:
+            table = table.drop(columns=sightings.geometry.name)
         table.columns = table.columns.str.strip().str.lower()
-        if is_placed:
+        if isinstance(sightings, gpd.GeoDataFrame) and sightings.crs is not None:
             crs = sightings.crs
             places = sightings.geometry.to_crs(_WGS84)
             table = table.assign(lat=places.y.to_numpy(), lon=places.x.to_numpy())
