@@ -64,6 +64,5 @@ def test_its_lock_counts_where_it_is_asked_for(tmp_path: Path) -> None:
 
     assert readers() == set()
     checkout.edit("config/sites/tiny.yaml", "  shards: 2\n", ENGINES)
-    found = readers()
-    assert {"build_surfels", "render_depth_maps", "find_obstacles"} <= found
-    assert not found & {"ingest_cloud", "build_dem", "place_targets"}
+    rays = {"render_depth_maps", "find_obstacles", "render_scans", "measure_tolerance"}
+    assert readers() == {"extract_pavement", "try_removals", *rays}

@@ -9,13 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from roadsight.config.environment import prepare_environment
-from roadsight.config.load import (
-    asked_of_open3d,
-    check_engines,
-    load_config,
-    load_site,
-    load_sites,
-)
+from roadsight.config.load import check_engines, load_config, load_site, load_sites
 from roadsight.config.named import NamedValue
 from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
@@ -31,7 +25,6 @@ let_stops_through()
 
 LOCK = "envs/requirements.lock"
 OPEN3D_LOCK = "envs/requirements-open3d.lock"
-ENGINES_SOURCE = "workflow/roadsight/base/engines.py"
 PAPER_ASSETS = ["workflow/roadsight/report/assets/paper/report.typ"]
 REPORT_ASSETS = sorted(
     {str(path) for path in Path("workflow/roadsight/report/assets").rglob("*.*")}
@@ -100,21 +93,16 @@ def site_field(path):
 
 @lru_cache(maxsize=None)
 def sources(stage):
-    """Source files that a stage imports, and locks: editing one of them makes it stale."""
-    files = [*stage_sources(stage), LOCK]
-    if ENGINES_SOURCE not in files:
-        return files
-    return lambda wildcards: [*files, *open3d_locks(wildcards)]
+    """Source files that a stage imports, and the lock: editing one of them makes it stale."""
+    return [*stage_sources(stage), LOCK]
 
 
-def open3d_locks(wildcards):
-    """The lock of Open3D, where a site or a study asks it for a step."""
-    site = SITES.get(wildcards.get("site"))
-    study = TRADEOFFS.studies.get(wildcards.get("study"))
-    is_asked = (site and asked_of_open3d(site.settings)) or (
-        study and "open3d" in study.levels.values()
-    )
-    return [OPEN3D_LOCK] if is_asked else []
+def sources_with(stage, engine):
+    """The same, and the lock of Open3D where ``engine``, of wildcards, hands it a step."""
+    return lambda wildcards: [
+        *sources(stage),
+        *([OPEN3D_LOCK] if engine(wildcards) == "open3d" else []),
+    ]
 
 
 def log_of(stage, *wildcards):

@@ -88,19 +88,10 @@ def check_engines(sites: Mapping[str, ResolvedSite]) -> None:
     InputError : a setting asks for it, and it or a system library that it needs is missing.
     """
     for resolved in sites.values():
-        for setting in asked_of_open3d(resolved.settings):
-            open3d(f"{resolved.file}: {setting}")
-
-
-def asked_of_open3d(settings: Settings) -> list[str]:
-    """Settings that ask Open3D to do a step, such as ``lidar.engine``."""
-    return [
-        f"{section}.{name}"
-        for section, values in settings.model_dump().items()
-        if isinstance(values, dict)
-        for name, value in values.items()
-        if name.endswith("engine") and value == "open3d"
-    ]
+        for section, values in resolved.settings.model_dump().items():
+            for name, value in values.items() if isinstance(values, dict) else ():
+                if name.endswith("engine") and value == "open3d":
+                    open3d(f"{resolved.file}: {section}.{name}")
 
 
 def load_site(name: str, config: Config) -> ResolvedSite:
