@@ -84,10 +84,11 @@ def test_without_a_change_nothing_runs(in_base: Checkout, tmp_path: Path):
 def test_the_same_change_in_the_site_file_gives_the_same_bytes(
     in_base: Checkout, copy_of_finished: Checkout, tmp_path: Path
 ):
-    variant = prepared(in_base, tmp_path / "variant", {"cover": {"at_least": 2}}, ("os-64",))
+    changes = {"targets": {"cell_size_m": 2.0}}
+    variant = prepared(in_base, tmp_path / "variant", changes, ("os-64",))
     variant.run([SOLUTION], cores=2)
     copy_of_finished.edit(
-        "config/sites/tiny.yaml", "  shards: 2\n", "  shards: 2\n  cover: {at_least: 2}\n"
+        "config/sites/tiny.yaml", "min_points: 10", "min_points: 10, cell_size_m: 2.0"
     )
     copy_of_finished.edit("config/sites/tiny.yaml", "[os-32, os-64]", "[os-64]")
     result = copy_of_finished.snakemake(f"results/tiny/{SOLUTION}", "--cores", "2")

@@ -16,6 +16,7 @@ from roadsight.effects.catalogue import load_audit_sites
 from roadsight.base.errors import InputError
 from roadsight.io.records.checksums import CachedChecksums
 from roadsight.io.records.sources import stage_sources
+from roadsight.io.vector.layer_names import with_companions
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
 from snakemake_logger_plugin_roadsight.stopping import let_stops_through
@@ -137,14 +138,14 @@ def cloud_checksums(wildcards):
 
 
 def beside_site(path):
-    """Optional file that the site file names, as a list of inputs."""
+    """Optional file that the site file names, as a list of inputs: with all of a shapefile."""
 
     def files(wildcards):
         content = SITES[wildcards.site].site
         for part in path.split("."):
             content = getattr(content, part)
         found = SITES[wildcards.site].beside(content)
-        return [] if found is None else [found]
+        return [] if found is None else with_companions(found)
 
     return files
 

@@ -99,6 +99,10 @@ def test_places_on_the_road_choose_the_surface(rng):
         assert f1(one.points, road) > 0.9
     with pytest.raises(InputError, match="seed 1 of 1"):
         roadsight.pavement(xyz, seeds_xy=[[900.0, 0.0]])
+    with pytest.raises(InputError, match=r"seeds_xy\[1\]: is no place"):
+        roadsight.pavement(xyz, seeds_xy=[[25.0, 0.0], [np.nan, 0.0]])
+    with pytest.raises(InputError, match="method: has no use for seeds_xy"):
+        roadsight.pavement(xyz, method="published", seeds_xy=[[25.0, 0.0]])
 
 
 def test_a_detection_matrix_is_that_of_its_depth_maps(file):

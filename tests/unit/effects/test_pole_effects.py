@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -11,11 +13,14 @@ from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.lens import RadialLens
 from roadsight.geometry.north import SiteNorth
+from roadsight.io.raster.rasters import write_raster
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.alignment.drive import Reach, near_edges, places_of
 from roadsight.poles.alignment.roadside import RoadEdges
-from roadsight.poles.risk.hazard import HazardSettings
+from roadsight.stages.poles import rate_hazard
 from roadsight.stages.poles.alignment_inputs import lowered
-from roadsight.stages.poles.rate_hazard import grid_scale, rate_on_ground
+from roadsight.stages.poles.rate_hazard import grid_scale
 from roadsight.synthetic.rendering.images import Camera, Finish, RuralRenderer
 from roadsight.synthetic.rendering.rendering_look import drive_look
 from roadsight.synthetic.rural.rural_road import build_rural
@@ -46,24 +51,47 @@ class TestScale:
         assert grid_scale(poles.iloc[:0], MERCATOR) == 1.0
         assert grid_scale(poles, Frame((0, 0, 0))) == 1.0
 
-    def site(self, scale):
-        edges = np.column_stack([np.arange(-50, 250, 0.25), np.full(1200, 4.0)])
-        poles = pd.DataFrame({"x": [60.0, 100.0], "y": [9.0, 7.0], "sigma_major_m": [0.2, 0.3]})
-        track = pd.DataFrame({"x": np.arange(0.0, 200.0, 8.0), "y": 0.0})
-        frames = (scale * track).assign(route="r", sequence=range(25))
+    def rated(self, folder, scale, decision):
+        """Hazard that the stage writes for one road, in a grid of that scale."""
+        folder.mkdir()
+        write_json(folder / "frame.json", MERCATOR.to_dict())
+        edges = np.column_stack([np.arange(-50, 250, 0.25), np.full(1200, 4.0), np.zeros(1200)])
+        edges = np.concatenate([edges, edges * [1, -1, 1]])
+        write_table(folder / "edges.parquet", pd.DataFrame(scale * edges, columns=list("xyz")))
+        track = pd.DataFrame({"x": scale * np.arange(0.0, 200.0, 8.0), "y": 0.0})
+        write_table(folder / "frames.parquet", track.assign(route="r", sequence=range(25)))
+        y = np.arange(20, -20, -0.5) - 0.25
+        slope = np.repeat(-0.1 * np.abs(y)[:, None], 600, axis=1)
+        corner = (-50.0 * scale, 20.0 * scale)
+        write_raster(folder / "dem.tif", slope, MERCATOR, *corner, 0.5 * scale)
+        poles = pd.DataFrame({"x": [60.0, 100.0], "y": [9.0, -7.2], "sigma_major_m": [0.2, 0.3]})
+        latitude, longitude = SiteNorth(MERCATOR).to_geographic(
+            scale * poles[["x", "y"]].to_numpy()
+        )
+        poles = (scale * poles).assign(
+            id=["p", "q"], kind="pole", kept=True, latitude=latitude, longitude=longitude
+        )
+        write_table(folder / "poles.parquet", poles)
+        files = ("frame.json", "frames.parquet", "edges.parquet", "poles.parquet")
+        arguments = [f"--{Path(name).stem}={folder / name}" for name in files]
+        arguments += [f"--dem={folder / 'dem.tif'}", f"--scale-factor={decision}"]
+        out = folder / "hazard.parquet"
+        assert rate_hazard.main([*arguments, f"--out={out}", f"--csv={folder / 'h.csv'}"]) == 0
+        return read_table(out)
 
-        def height(x, y):
-            return -0.1 * (y / scale)
-
-        return scale * poles, scale * edges, frames, height, HazardSettings()
-
-    def test_the_rating_is_that_on_the_ground_whatever_the_grid(self):
-        expected = rate_on_ground(*self.site(1.0), 1.0)
-        found = rate_on_ground(*self.site(1.6), 1.6)
-        pd.testing.assert_frame_equal(found, expected, rtol=1e-9)
-        assert expected["offset_m"].tolist() == pytest.approx([5.0, 3.0], abs=0.02)
-        ignored = rate_on_ground(*self.site(1.6), 1.0)
-        assert ignored["offset_m"].iloc[0] == pytest.approx(8.0, abs=0.02)
+    def test_the_rating_is_that_on_the_ground_whatever_the_grid(self, tmp_path):
+        poles = pd.DataFrame({"x": [60.0, 100.0], "y": [9.0, -7.2]})
+        scale = grid_scale(poles, MERCATOR)
+        assert scale > 1.5
+        expected = self.rated(tmp_path / "ground", 1.0, "skip")
+        found = self.rated(tmp_path / "grid", scale, "simulate")
+        places = ["x", "y", "latitude", "longitude"]
+        pd.testing.assert_frame_equal(
+            found.drop(columns=places), expected.drop(columns=places), rtol=1e-3, atol=1e-3
+        )
+        assert expected["offset_m"].tolist() == pytest.approx([5.0, 3.2], abs=0.02)
+        ignored = self.rated(tmp_path / "ignored", scale, "skip")
+        assert ignored["offset_m"].iloc[0] == pytest.approx(5.0 * scale, abs=0.1)
 
 
 def test_far_edges_are_lowered_by_the_drop_of_the_horizon():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
@@ -13,7 +14,7 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.external_weights import network_sha256, weight_files
 from roadsight.io.records.checksums import sha256
-from roadsight.io.vector.layer_names import split_layer
+from roadsight.io.vector.layer_names import split_layer, with_companions
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vector_sources import with_known_heights
 from roadsight.io.vector.vectors import read_lines
@@ -110,3 +111,13 @@ def test_a_swap_of_axes_is_told():
     swapped = FRAME.to_local(native[:, ::-1])
     with pytest.raises(InputError, match="axes exchanged"):
         tell_near(logging.getLogger("x"), "poles", swapped, ABOUT, "p.csv")
+
+
+def test_a_shapefile_comes_with_all_of_its_files(tmp_path):
+    path = tmp_path / "rails.shp"
+    geometry = [shapely.LineString([(0, 0), (9, 9)])]
+    gpd.GeoDataFrame({"name": ["a"]}, geometry=geometry, crs="EPSG:25832").to_file(path)
+    (tmp_path / "rails.dbf").rename(tmp_path / "rails.DBF")
+    found = {Path(name).suffix for name in with_companions(path)}
+    assert found == {".shp", ".DBF", ".shx", ".prj", ".cpg"}
+    assert with_companions("roads.gpkg|layername=edges") == ["roads.gpkg"]

@@ -14,6 +14,7 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.frames import Frame
 from roadsight.io.vector.road_files import read_barriers, read_inventory, read_routes
 from roadsight.poles.risk.inventory import check_inventory
+from roadsight.poles.risk.routes import check_routes
 
 FEET = Frame((900_000.0, 700_000.0, 2000.0), 1200 / 3937, 1200 / 3937, CRS("EPSG:6543").to_wkt())
 LINE = np.array([[0.0, 0.0], [100.0, 10.0], [250.0, 10.0]])
@@ -37,6 +38,7 @@ def test_an_inventory_of_miles_and_miles_an_hour(tmp_path):
     assert table["to_m"].tolist() == pytest.approx([804.672, 1609.344])
     assert table["speed_kmh"].iloc[0] == pytest.approx(72.42, abs=0.01)
     assert table[["speed_kmh", "aadt", "lanes"]].iloc[1].isna().all()
+    assert table["carriageway"].tolist() == ["", ""]
     messages = check_inventory(table, str(path), places).messages
     assert len(messages) == 3
     assert messages[0].startswith("1 segments state no speed")
@@ -52,21 +54,54 @@ def test_an_inventory_as_a_line_layer_in_any_crs_is_a_route_too(tmp_path, crs):
     assert routes[0].measure_m[1] == pytest.approx(500 + 250 * length / (length + 150), abs=0.01)
 
 
-def test_measures_in_vertices(tmp_path):
-    native = np.column_stack([FEET.to_native(LINE), [1.0, 1.1, 1.2]])
-    line = shapely.from_wkt(f"LINESTRING M ({', '.join(' '.join(map(str, v)) for v in native)})")
-    flat = shapely.LineString(native[:, :2])
+def with_measures(path, *parts, many=True):
+    """A layer of one feature, a MultiLineString if ``many``, of parts (n, 3) with measures."""
+    native = [np.column_stack([FEET.to_native(part[:, :2]), part[:, 2]]) for part in parts]
+    text = ", ".join(f"({', '.join(' '.join(map(str, v)) for v in part)})" for part in native)
+    line = shapely.from_wkt(f"MULTILINESTRING M ({text})" if many else f"LINESTRING M {text}")
+    flat = shapely.from_wkt(shapely.force_2d(line).wkt)
     frame = gpd.GeoDataFrame({"name": ["SR 7"]}, geometry=[flat], crs="EPSG:6543")
     # GDAL's Python side writes no measures: they are put into the file itself.
-    pyogrio.write_dataframe(frame, tmp_path / "lrs.gpkg", layer="lrs", SPATIAL_INDEX="NO")
+    pyogrio.write_dataframe(frame, path, layer="lrs", SPATIAL_INDEX="NO")
     header = b"GP\x00\x01" + struct.pack("<i", 6543)
-    with sqlite3.connect(tmp_path / "lrs.gpkg") as file:
+    with sqlite3.connect(path) as file:
         file.execute("update lrs set geom = ?", (header + shapely.to_wkb(line, flavor="iso"),))
         file.execute("update gpkg_geometry_columns set m = 1")
-    (route,) = read_routes(tmp_path / "lrs.gpkg", FEET, unit="mi")
+    return path
+
+
+def test_measures_in_vertices(tmp_path):
+    path = with_measures(tmp_path / "lrs.gpkg", np.column_stack([LINE, [1, 1.1, 1.2]]), many=False)
+    (route,) = read_routes(path, FEET, unit="mi")
     assert route.name == "SR 7"
     assert route.xy_m == pytest.approx(LINE, abs=0.01)
     assert route.measure_m == pytest.approx(1609.344 * np.array([1.0, 1.1, 1.2]))
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3])
+def test_each_part_keeps_its_measures_whatever_its_direction_or_repeated_vertices(tmp_path, parts):
+    whole = np.array([[0.0, 0, 0], [10, 0, 10], [10, 0, 10], [20, 0, 20]])
+    before = np.array([[-10.0, 0, 90], [0, 0, 100]])
+    other = np.array([[20.0, 0, 20], [30, 0, 30]])
+    given = [whole, other, before][:parts]
+    routes = read_routes(with_measures(tmp_path / "lrs.gpkg", *given), FEET)
+    assert len(routes) == parts
+    for route, part in zip(routes, given, strict=True):
+        kept = part[np.r_[True, np.diff(part[:, 0]) != 0]]
+        assert route.xy_m == pytest.approx(kept[:, :2], abs=0.01)
+        assert route.measure_m.tolist() == kept[:, 2].tolist()
+    assert routes[-1].where.endswith("feature 1" if parts == 1 else f"feature 1, part {parts}")
+
+
+def test_measures_between_columns_run_on_over_parts_as_stored(tmp_path):
+    parts = [np.array([[0.0, 0], [60, 0]]), np.array([[60.0, 0], [60, 0], [100, 0]])]
+    line = shapely.MultiLineString([FEET.to_native(part) for part in parts])
+    columns = {"route": ["7"], "from_m": [500.0], "to_m": [600.0]}
+    path = tmp_path / "i.gpkg"
+    gpd.GeoDataFrame(columns, geometry=[line], crs="EPSG:6543").to_file(path)
+    for routes in (read_routes(path, FEET), read_inventory(path, FEET)[2]):
+        assert [route.measure_m.round(3).tolist() for route in routes] == [[500, 560], [560, 600]]
+        check_routes(routes)
 
 
 def test_routes_as_tables_and_tracks(tmp_path):

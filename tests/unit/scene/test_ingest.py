@@ -18,7 +18,7 @@ from tests.helpers.las_files import DATA, needs_data, random_points, wkt_of, wri
 US_FOOT = 1200 / 3937
 UTM = wkt_of("EPSG:25832")
 NOTHING_DROPPED = dict.fromkeys(
-    ("withheld", "noise", "synthetic", "overlap", "repeated", "outside"), 0
+    ("withheld", "noise", "synthetic", "overlap", "repeated", "outside", "thinned"), 0
 )
 
 
@@ -292,3 +292,36 @@ def test_real_cloud_in_feet_reprojected_to_metres(tmp_path):
     diagonals = [np.hypot(*about["bounds_m"][3:5]) for about in (feet, metres)]
     assert diagonals[0] == pytest.approx(diagonals[1], rel=0.05)
     assert tiles.points == 110000
+
+
+@pytest.mark.parametrize("timed", [True, False])
+def test_a_share_of_the_pulses_is_what_a_sparser_survey_gives(tmp_path, timed):
+    """Pulses that files tell apart stay whole, wherever the file or the chunk ends."""
+    xyz = random_points(8000)
+    pulse = np.repeat(np.arange(4000), 2)
+    dims = {"gps_time": 1000.0 + pulse} if timed else {}
+    parts = [slice(0, 5000), slice(5000, 8000)]
+    clouds = [
+        write_las(
+            tmp_path / f"{number}.laz",
+            xyz[part],
+            UTM,
+            intensity=pulse[part],
+            **{name: values[part] for name, values in dims.items()},
+        )
+        for number, part in enumerate(parts)
+    ]
+    tiles, about = run(tmp_path, clouds, pulse_share=0.25, chunk_points=333)
+    kept = tiles.read(["intensity"])["intensity"]
+    assert len(kept) == pytest.approx(2000, abs=160)
+    assert about["points"] + about["dropped"]["thinned"] == 8000
+    _, count = np.unique(kept, return_counts=True)
+    assert set(count) == ({2} if timed else {1, 2})
+    again, _ = run(tmp_path, clouds, pulse_share=0.25)
+    np.testing.assert_array_equal(again.read(["intensity"])["intensity"], kept)
+
+
+def test_a_share_without_a_point_is_refused(tmp_path):
+    cloud = write_las(tmp_path / "a.laz", random_points(100), UTM)
+    with pytest.raises(InputError, match=r"scene\.pulse_share"):
+        run(tmp_path, [cloud], pulse_share=1e-9)

@@ -1,5 +1,7 @@
 """The airborne cloud of the rural site against the site itself."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -117,3 +119,31 @@ def test_the_same_seed_gives_the_same_points(renderer):
 def test_no_density_is_refused(renderer):
     with pytest.raises(InputError, match="pulses_per_m2"):
         next(scan_rural(renderer, np.random.default_rng(1), AirborneScanner(pulses_per_m2=0.0)))
+
+
+def test_a_survey_may_miss_the_poles(renderer, cloud):
+    scanner = replace(SCANNER, hits_poles=False)
+    rng = np.random.default_rng(1)
+    found = np.concatenate([part.object_id for part in scan_rural(renderer, rng, scanner)])
+    thin = np.concatenate([of_kind(renderer, cloud, k) for k in ("utility pole", "wire")])
+    assert thin.any()
+    numbers = [i for i, k in enumerate(renderer.site.kinds) if k in ("utility pole", "wire")]
+    assert not np.isin(found, numbers).any()
+    assert len(found) > 0.98 * len(cloud.object_id)
+
+
+@pytest.mark.parametrize(
+    ("scheme", "wire", "pole", "road"),
+    [("none", {0}, {0}, 0), ("unclassified", {1}, {1}, 1), ("lines", {14}, {15}, 11)],
+)
+def test_classes_of_other_producers(renderer, scheme, wire, pole, road):
+    scanner = AirborneScanner(pulses_per_m2=10.0, class_scheme=scheme)
+    parts = list(scan_rural(renderer, np.random.default_rng(1), scanner))
+    classes, objects = (
+        np.concatenate([getattr(part, name) for part in parts])
+        for name in ("classification", "object_id")
+    )
+    kinds = np.array(renderer.site.kinds)[objects]
+    assert set(classes[kinds == "wire"]) == wire
+    assert set(classes[kinds == "utility pole"]) == pole
+    assert (classes[kinds == "ground"] == road).any()

@@ -1,5 +1,7 @@
 """Drives of the generated videolog: cameras, mounts, GPS, tables."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,6 +13,7 @@ from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.videolog import (
     GpsNoise,
     attitude_of,
+    drifting,
     mounted,
     random_drives,
     shots,
@@ -123,3 +126,27 @@ def test_drives_repeat_and_differ_by_seed(site):
     one, two = (shots(site, random_drives(5)[0], 5) for _ in range(2))
     np.testing.assert_array_equal(one[7].gps_xy_m, two[7].gps_xy_m)
     np.testing.assert_array_equal(one[7].cameras["left"].rotation, two[7].cameras["left"].rotation)
+
+
+def test_unkind_drives_differ_in_what_they_say_alone(site):
+    kind, unkind = (
+        random_drives(5, principal_point_px=px, gps=gps)
+        for px, gps in ((0.0, None), (15.0, drifting(3.0)))
+    )
+    for one, other in zip(kind, unkind, strict=True):
+        assert other.intrinsics.cx_px - one.intrinsics.cx_px == 15.0
+        assert other.intrinsics.cy_px - one.intrinsics.cy_px == 15.0
+        assert other.intrinsics.focal_px == one.intrinsics.focal_px
+        assert other.mount == one.mount
+        true, stated = (
+            np.array([shot.gps_xy_m - shot.cameras["front"].position_m[:2] for shot in places])
+            for places in (shots(site, one, 5), shots(site, other, 5))
+        )
+        assert np.abs(true - stated).max() > 0.5
+
+
+def test_a_drift_stays_within_its_bound_for_19_of_20_places():
+    rng = np.random.default_rng(2)
+    gps = replace(drifting(3.0), white_sigma_m=0.0)
+    errors = np.array([gps.draw(8.0 * np.arange(126), rng) for _ in range(400)])
+    assert (np.abs(errors) < 3.0).mean() == pytest.approx(0.954, abs=0.02)

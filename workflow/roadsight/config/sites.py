@@ -65,6 +65,20 @@ class Sample(Section):
     hfov_deg: float = Field(
         default=0.0, ge=0, le=110, description="rural: first camera, degrees; 0: about 20"
     )
+    principal_point_px: float = Field(
+        default=0.0,
+        ge=-60,
+        le=60,
+        description="rural: optical axis right of and below the images' middle, px",
+    )
+    gps_drift_m: float = Field(
+        default=0.0, ge=0, le=20, description="rural: slow error of positions, m; 0: about 1.4"
+    )
+    pole_returns: bool = Field(default=True, description="rural: whether the laser hits poles")
+    class_scheme: Literal["usual", "none", "unclassified", "lines"] = Field(
+        default="usual",
+        description="rural: usual, all 0 (none), all 1, or wires 14, poles 15 and other things 64",
+    )
     k1: float = Field(default=0.0, ge=-1, le=1, description="rural: radial distortion of lenses")
     k2: float = Field(default=0.0, ge=-1, le=1, description="rural: the same, second coefficient")
 
@@ -266,6 +280,10 @@ class RoadsInputs(Section):
     )
     traffic: Literal["right", "left"] = Field(
         default="right", description="side of the road on which vehicles drive"
+    )
+    carriageway: Literal["two-way", "divided", "one-way"] = Field(
+        default="two-way",
+        description="where the inventory states none; one-way: AADT is of that one direction",
     )
 
 

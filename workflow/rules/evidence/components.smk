@@ -32,6 +32,7 @@ rule compare_components:
     conda:
         ENVIRONMENT
     params:
+        truth=layered_site("truth.poles", known_poles),
         truth_crs=site_field("truth.poles_crs"),
         truth_kind=known_pole_kind,
         calibrate=stage_options(
@@ -55,5 +56,5 @@ rule compare_components:
         " --image-edges {input.image_edges} --pole-axes {input.pole_axes} --masks {input.masks}"
         " --depth {input.depth} --road-edges {input.road_edges} --columns {input.columns}"
         " --terrain {input.terrain} --voxels {input.voxels} --dem {input.dem}"
-        " --frame {input.frame} --truth {input.truth:q} --truth-crs={params.truth_crs:q}"
+        " --frame {input.frame} --truth {params.truth:q} --truth-crs={params.truth_crs:q}"
         " --truth-kind={params.truth_kind:q} --out {output.components} > {log} 2>&1"

@@ -89,7 +89,8 @@ def lists_json(wildcards):
 def listed_files(wildcards):
     """Files among the lists, without the layers that they name."""
     lists = given_lists(wildcards)
-    return [split_layer(one["path"])[0] for one in lists if one["kind"] != "folder"]
+    named = [one["path"] for one in lists if one["kind"] != "folder"]
+    return [file for path in named for file in with_companions(path)]
 
 
 def listed_images(wildcards):

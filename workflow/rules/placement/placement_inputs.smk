@@ -1,7 +1,6 @@
 """Helpers of the placement rules: plans, sensors, rounds and shards."""
 
 from roadsight.base.validation import check_path
-from roadsight.io.vector.layer_names import split_layer
 from roadsight.placement.sensors.light import wavelength_nm
 from roadsight.placement.sensors.sensors import what_it_sees
 
@@ -147,7 +146,7 @@ def plan_file(option):
 
     def files(wildcards):
         found = plans_of(wildcards.site)[wildcards.plan].file_of(option)
-        return [] if found is None else [split_layer(found)[0]]
+        return [] if found is None else with_companions(found)
 
     return files
 

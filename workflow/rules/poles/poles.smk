@@ -108,6 +108,7 @@ rule rate_hazard:
         barriers_crs=site_field("roads.barriers_crs"),
         measure_unit=site_field("roads.measure_unit"),
         traffic=site_field("roads.traffic"),
+        carriageway=site_field("roads.carriageway"),
     shell:
         "python -m roadsight.stages.poles.rate_hazard --poles {input.poles} --frame {input.frame}"
         " --frames {input.frames} --edges {input.edges} --dem {input.dem}"
@@ -116,6 +117,7 @@ rule rate_hazard:
         " --routes {params.routes:q} --routes-crs={params.routes_crs:q}"
         " --barriers {params.barriers:q} --barriers-crs={params.barriers_crs:q}"
         " --measure-unit {params.measure_unit} --traffic {params.traffic}"
+        " --carriageway {params.carriageway}"
         " --scale-factor {params.scale_factor} {params.options}"
         " --out {output.hazard} --csv {output.csv} --sections {output.sections}"
         " --geometry-csv {output.geometry} --layers {output.layers} > {log} 2>&1"

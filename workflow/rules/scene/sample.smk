@@ -65,10 +65,11 @@ rule generate_rural:
         pulses_per_m2=site_field("sample.pulses_per_m2"),
         length_m=site_field("sample.length_m"),
         scene=rural_options,
+        survey=rural_survey,
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.scene.generate_rural --seed {params.seed}"
-        " --length-m {params.length_m} --pulses-per-m2 {params.pulses_per_m2} {params.scene}"
+        " --length-m {params.length_m} --pulses-per-m2 {params.pulses_per_m2} {params.scene} {params.survey}"
         " --cloud {output.cloud} --truth {output.truth} --poles {output.poles}"
         " --cameras {output.cameras} --videolog {output.videolog} > {log} 2>&1"
 

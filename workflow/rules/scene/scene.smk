@@ -34,12 +34,13 @@ rule ingest_cloud:
         extent_crs=extent_crs,
         tile_size_m=setting("scene.tile_size_m"),
         overlap=setting("scene.overlap"),
+        pulse_share=setting("scene.pulse_share"),
     shell:
         "RAYON_NUM_THREADS={threads} python -m roadsight.stages.scene.ingest_cloud --site {wildcards.site}"
         " --crs={params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
         " --target-crs={params.target_crs:q} --extent={params.extent:q} --extent-files {params.extent_files:q}"
         " --extent-crs={params.extent_crs:q} --tile-size-m {params.tile_size_m}"
-        " --overlap {params.overlap} --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
+        " --overlap {params.overlap} --pulse-share {params.pulse_share} --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
 
 
 checkpoint profile_scene:

@@ -9,12 +9,14 @@ from hypothesis import strategies as st
 from roadsight.poles.risk.clear_zone import clear_zone_m, slope_class
 from roadsight.poles.risk.hazard import (
     HazardSettings,
-    edge_offsets,
-    objects_per_km,
     rate_poles,
+    rate_roadside,
     side_slopes,
 )
+from roadsight.poles.risk.roads import roads_of
+from roadsight.poles.risk.roadside import Surroundings, edges_at
 from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.risk.shielding import barriers_along
 
 X = np.arange(0, 400, 0.3)
 EDGES = np.concatenate([np.column_stack([X, np.full(len(X), y)]) for y in (-4.0, 4.0)])
@@ -33,7 +35,7 @@ def poles_at(*places):
     [
         (50, 500, 0.0, 3.0),
         (60, 7000, -0.2, 5.5),
-        (61, 1000, 0.0, 5.0),
+        (65, 1000, 0.0, 5.0),
         (100, 10_000, -0.25, 13.5),
         (110, 3000, 0.3, 6.0),
         (130, 700, np.nan, 6.0),
@@ -57,13 +59,41 @@ def test_slope_classes():
     assert slope_class(slopes).tolist() == expected
 
 
+def line(x, y):
+    return np.column_stack(np.broadcast_arrays(x, y)).astype(float)
+
+
+def offsets(places, edges):
+    roads = roads_of(TRACK, edges)
+    return edges_at(roads, roads.locate(places), places, edges, 30.0)
+
+
 def test_offsets_are_negative_on_the_road_and_unknown_far_away():
-    places = np.array([[100.0, 7.0], [100.0, 3.0], [100.0, 90.0]])
-    offset_m, foot = edge_offsets(places, EDGES, TRACK, 30.0)
-    assert offset_m[:2] == pytest.approx([3.0, -1.0], abs=0.01)
-    assert np.isnan(offset_m[2])
-    assert foot[0] == pytest.approx([100, 4], abs=0.2)
-    assert np.isnan(edge_offsets(places, np.empty((0, 2)), TRACK, 30.0)[0]).all()
+    places = np.array([[100.0, 7.0], [100.0, 3.0], [100.0, 90.0], [410.0, 7.0]])
+    found = offsets(places, np.concatenate([EDGES, line(np.arange(400, 420, 0.3), 4.0)]))
+    assert found.offset_m[[0, 1, 3]] == pytest.approx([3.0, -1.0, 3.0], abs=0.01)
+    assert np.isnan(found.offset_m[2])
+    assert found.place_m[:2] == pytest.approx(np.array([[100, 4], [100, 4]]), abs=0.2)
+    assert found.outward[[0, 1, 3]] == pytest.approx(np.array([[0, 1]] * 3), abs=0.1)
+    assert np.isnan(offsets(places, np.empty((0, 2))).offset_m).all()
+
+
+@pytest.mark.parametrize("other_m", [8.0, 12.0, 18.0])
+def test_pavement_beside_the_road_changes_no_offset(other_m, rng):
+    beside = [line(X, y) for y in (-other_m - 6, -other_m, other_m, other_m + 6)]
+    side = rng.choice([-1, 1], 200)
+    places = np.column_stack([rng.uniform(20, 380, 200), side * rng.uniform(4.5, 25, 200)])
+    alone, found = offsets(places, EDGES), offsets(places, np.concatenate([EDGES, *beside]))
+    assert found.offset_m == pytest.approx(alone.offset_m, abs=0.05)
+    assert found.outward == pytest.approx(alone.outward, abs=0.05)
+
+
+def test_the_mouth_of_a_side_road_does_not_put_poles_on_the_road():
+    mouth = (EDGES[:, 1] > 0) & (EDGES[:, 0] > 94) & (EDGES[:, 0] < 110)
+    sides = [line(x, np.arange(4, 40, 0.3)) for x in (94.0, 110.0)]
+    edges = np.concatenate([EDGES[~mouth], *sides])
+    places = np.array([[102, 10.05], [102, 10.2], [97, 6], [108, 30], [102, 3.5]])
+    assert offsets(places, edges).offset_m == pytest.approx(places[:, 1] - 4, abs=0.2)
 
 
 @pytest.mark.parametrize("slope", [-0.3, 0.0, 0.2])
@@ -84,14 +114,83 @@ def test_side_slope_is_unknown_without_heights_or_room():
 
 def test_density_agrees_with_counting(rng):
     stations = rng.uniform(0, 400, 60)
-    places = np.column_stack([stations, np.full(60, 6.0)])
     counted = rng.random(60) < 0.7
-    piece, station_m, _ = TRACK.locate(places)
-    density = objects_per_km(TRACK, piece, station_m, counted, 100.0)
+    poles = poles_at(*zip(stations, np.where(counted, 6.0, 20.0), strict=True))
+    density = rate_poles(poles, EDGES, TRACK, None, HazardSettings())["objects_per_km"]
     for own, value in zip(stations, density, strict=True):
         count = (np.abs(stations[counted] - own) <= 50).sum()
         length = min(own + 50, 400) - max(own - 50, 0)
-        assert value == pytest.approx(count / length * 1000, rel=1e-6)
+        assert value == pytest.approx(count / length * 1000, rel=1e-3)
+
+
+def test_bends_widen_clear_zones_on_unknown_ground_too():
+    angle = np.radians(np.arange(0, 60, 0.08))
+    arc = np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    middle = np.array([0.0, 200.0])
+    edges = np.concatenate([middle + r * (arc - [0, 1]) for r in (196.0, 204.0)])
+    drive = 200 * arc[::50]
+    frames = pd.DataFrame(drive, columns=["x", "y"]).assign(route="a", sequence=range(len(drive)))
+    track = RouteTracks(frames)
+    places = middle + np.array([[207.0], [193.0]]) * (arc[len(arc) // 2] - [0, 1])
+    unknown = rate_poles(poles_at(*places), edges, track, None, HazardSettings())
+    level = rate_poles(poles_at(*places), edges, track, lambda x, y: 0 * x, HazardSettings())
+    assert unknown["curve_factor"].tolist() == [1.5, 1.0]
+    for name in ("clear_zone_m", "clear_zone_least_m", "clear_zone_greatest_m", "rating"):
+        assert unknown[name].tolist() == level[name].tolist()
+    assert unknown["clear_zone_m"].tolist() == [8.25, 5.5]
+
+
+class TestTraffic:
+    """A pole on either side at 200 m, 4 m from the edge, 2.5 m behind rails on both sides."""
+
+    def rated(self, carriageway, rails=(), left=False, flip=False, ground=None):
+        frames = {"route": "a", "sequence": range(51), "x": np.arange(0, 408, 8.0), "y": -1.5}
+        if flip:
+            frames["x"] = frames["x"][::-1]
+        tracks = RouteTracks(pd.DataFrame(frames))
+        roads = roads_of(tracks, EDGES)
+        lines = [line(np.array(ends), y) for ends in rails for y in (-5.5, 5.5)]
+        barriers, told = barriers_along(lines, [f"r{n}" for n in range(len(lines))], roads)
+        assert not told
+        known = Surroundings(
+            roads, ground, barriers=barriers, left_hand_traffic=left, carriageway=carriageway
+        )
+        poles = poles_at((200, -8), (200, 8))
+        table = rate_roadside(poles, EDGES, known, HazardSettings(clear_zone_m=9.0)).table
+        return table.assign(y=poles["y"])
+
+    def test_one_way_traffic_is_all_of_its_aadt(self):
+        two, divided, one = (self.rated(way) for way in ("two-way", "divided", "one-way"))
+        column = "exposure_greatest_vehicles_per_day"
+        assert one[column].to_numpy() == pytest.approx(2 * two[column].to_numpy())
+        assert divided[column].tolist() == two[column].tolist()
+        assert one["carriageway"].tolist() == ["one-way"] * 2
+
+    @pytest.mark.parametrize("left", [False, True])
+    def test_opposing_traffic_asks_for_barrier_only_where_it_can_reach(self, left):
+        # Beyond the pole as its own side's traffic sees it the rail ends at once.
+        ahead = {-1.0: (100.0, 205.0), 1.0: (195.0, 300.0)}
+        for way, expected in (("two-way", "partial"), ("divided", "full")):
+            for side, ends in ahead.items():
+                table = self.rated(way, [ends], left)
+                own = table[table["y"] == (8.0 * side if not left else -8.0 * side)]
+                assert own["shielded"].tolist() == [expected]
+
+    @pytest.mark.parametrize("flip", [False, True])
+    def test_one_way_traffic_comes_from_one_end_on_both_sides(self, flip):
+        before = (195.0, 300.0) if flip else (100.0, 205.0)
+        table = self.rated("one-way", [before], flip=flip)
+        assert table["shielded"].tolist() == ["full", "full"]
+        assert "none" not in self.rated("divided", [before], flip=flip)["shielded"].tolist()
+        assert (self.rated("divided", [before], flip=flip)["shielded"] == "full").sum() == 1
+
+    def test_a_barrier_lowers_the_hazard_rating_only_along_its_length_of_need(self):
+        bare, partial, full = (
+            self.rated("two-way", rails, ground=steep)["hazard_rating_1_to_7"].tolist()
+            for rails in ((), [(190.0, 210.0)], [(10.0, 390.0)])
+        )
+        assert partial == bare == [6, 6]
+        assert full == [4, 4]
 
 
 def test_ratings():
@@ -105,12 +204,13 @@ def test_ratings():
     assert rated["clear_zone_m"].iloc[0] == 5.5
 
 
+def steep(x, y):
+    """A foreslope of 1V:2.5H either side of a level road."""
+    return -0.4 * np.maximum(np.abs(y) - 4, 0) + 0.0 * x
+
+
 def test_steep_slopes_and_crowds_raise_the_rating():
     choice = HazardSettings()
-
-    def steep(x, y):
-        return -0.4 * (np.abs(y) - 4) + 0.0 * x
-
     assert rate_poles(poles_at((150, 9)), EDGES, TRACK, steep, choice)["rating"].tolist() == [
         "high"
     ]

@@ -80,10 +80,44 @@ def test_roads_that_an_inventory_does_not_cover():
     assert two.route_of(road("NC-12 NB", ("NC-12 NB",))) == "NC12"
     assert two.route_of(road("I40", ("I40",))) is None
     assert "does not name road I40" in uncovered(two, None, road("I40"))
-    assert "start at its first image" in uncovered(
-        inventory(("SR1427", 8000, 9000, 80, 1, 2)), "SR1427", road()
-    )
+    elsewhere = uncovered(inventory(("SR1427", 8000, 9000, 80, 1, 2)), "SR1427", road())
+    assert "from 8000 to 9000 m, the road runs from 0 to 1000 m" in elsewhere
+    # One route in the file is not every road's.
+    assert inventory(*GOOD).route_of(road("Elm Street", ("elm_1",))) is None
     assert "from 0 to 1000 m" in uncovered(inventory(*GOOD), "SR1427", road(end_m=1400.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "route"),
+    [
+        ("SR1427E", "SR1427"),
+        ("I40-EB", "I40"),
+        ("12_n", "12"),
+        ("Main St W", "Main St"),
+        ("Maine", None),
+        ("Vines", None),
+        ("Main", None),
+    ],
+)
+def test_only_directions_are_left_out_of_names(name, route):
+    names = ("SR1427", "I40", "12", "Main St", "Vine", "Mai")
+    known = inventory(*[(one, 0, 500, 80, 3000, 2) for one in names])
+    assert known.route_of(road(name, (name,))) == route
+
+
+def test_names_that_differ_in_blanks_and_hyphens_are_refused():
+    with pytest.raises(InputError, match=r"row 3.*differ in blanks.*SR1427 and SR-1427"):
+        inventory(*GOOD, ("SR-1427", 1000, 1500, 80, 3000, 2))
+
+
+def test_carriageways_are_known_by_station_and_checked():
+    rows = pd.DataFrame({"route": "a", "from_m": [0.0, 100.0], "to_m": [100.0, 200.0]})
+    known = check_inventory(rows.assign(carriageway=["one-way", ""]), "i.csv")
+    found = known.at("a", np.array([50.0, 150, 300]))["carriageway"]
+    assert found.tolist() == ["one-way", "", ""]
+    assert inventory(*GOOD).at("SR1427", np.array([50.0]))["carriageway"].tolist() == [""]
+    with pytest.raises(InputError, match=r"row 2.*carriageway.*found two.*two-way, divided"):
+        check_inventory(rows.assign(carriageway=["", "two"]), "i.csv")
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ class Scene:
     def rated(self, **more):
         height = exact_height(self.site)
         known = Surroundings(self.roads, height, self.points, _geometry=self.geometry, **more)
-        return rate_roadside(self.poles, self.edges, self.tracks, known, RULES)
+        return rate_roadside(self.poles, self.edges, known, RULES)
 
 
 @pytest.fixture(scope="module", params=[1, 3])

@@ -28,6 +28,7 @@ def test_the_measure_is_the_routes_whichever_way_the_drive_went(flip):
     own = roads.roads[0]
     assert own.name == "SR 7"
     assert own.drives == ("drive-e",)
+    assert own.travel == (-1 if flip else 1)
     assert (np.diff(own.station_m) > 0).all()
     located = roads.locate(np.array([[100.0, -5.0], [300.0, 6.0]]))
     assert located.station_m == pytest.approx([1400, 1600], abs=0.01)
@@ -81,3 +82,51 @@ def test_falling_measures_and_turned_segments_are_refused():
     with pytest.raises(InputError, match="digitised against its measures"):
         check_routes([first, turned])
     check_routes([first, second])
+
+
+@pytest.mark.parametrize(
+    ("metres", "message"),
+    [
+        (1 / 1609.344, "what is read as m were mi"),
+        (1 / 1000, "what is read as m were km"),
+        (1 / 0.3048, "what is read as m were ft"),
+        (0.3048, "what is read as ft were m"),
+        (1.1, "check the measures and their unit"),
+    ],
+)
+def test_measures_in_another_unit_are_refused_with_the_one_that_fits(metres, message):
+    one = route()
+    wrong = Route(one.name, one.xy_m, one.measure_m * metres, "lrs.gpkg, feature 1")
+    with pytest.raises(InputError, match=f"do not go with the length.*{message}"):
+        with_routes(Roads([road()]), [wrong])
+    # Of a route elsewhere nobody asks.
+    with_routes(Roads([road()]), [route("US 1"), Route("b", wrong.xy_m + 500, wrong.measure_m)])
+
+
+def test_measures_in_hundredths_of_a_mile_are_as_good_as_they_can_be():
+    short = route(low=100.0, high=150.0, start=1207.0)
+    rounded = Route("r", short.xy_m[[0, -1]], np.array([0.75, 0.79]) * 1609.344)
+    roads, told = with_routes(Roads([road()]), [rounded])
+    assert not told
+    assert roads.roads[0].name == "r"
+
+
+@pytest.mark.parametrize("flip", [False, True])
+@pytest.mark.parametrize(("low", "high"), [(101.0, 109.0), (98.0, 102.0), (0.0, 5.0)])
+def test_a_route_shorter_than_the_spacing_of_knots(low, high, flip):
+    x = np.array([low, high])
+    short = Route("s", np.column_stack([x, 1 + 0 * x]), 700 + x - low)
+    roads, told = with_routes(Roads([road(flip=flip)]), [short])
+    assert not told
+    at = roads.locate(np.array([[low, -5.0], [high, 5.0], [300.0, 5.0]]))
+    assert at.station_m == pytest.approx([700, 700 + high - low, 1000 - low], abs=0.5)
+    assert at.side.tolist() == [1, -1, -1]
+
+
+def test_a_route_that_only_touches_a_road_measures_nothing():
+    # It ends beside the road's first metre and goes on away from it.
+    x = np.array([-7.0, -1.0])
+    roads, told = with_routes(Roads([road()]), [Route("s", np.column_stack([x, 0 * x]), x + 7)])
+    assert roads.roads[0].name == "drive-e"
+    (message,) = told
+    assert message.startswith("route s runs along too little of road drive-e")

@@ -26,6 +26,7 @@ def rail(low, high, y=-5.0, name="rail"):
 
 def demand(station_m=200.0, offset_m=4.5, side=1, **more):
     base = {"clear_zone_m": 6.0, "speed_kmh": 80.0, "aadt": 3000.0, "half_road_m": 3.5}
+    base["from_low"] = side > 0
     return Demand(0, side, station_m, offset_m, **(base | more))
 
 
@@ -59,7 +60,7 @@ def test_length_of_need_is_upstream_of_the_object(low, high, side, status):
     found = shielding(demand(side=side), rail(low, high, y=-5.0 * side))
     assert found[0] == status
     mirrored = shielding(
-        demand(side=side), rail(400 - high, 400 - low, y=-5.0 * side), left_hand_traffic=True
+        demand(side=side, from_low=side < 0), rail(400 - high, 400 - low, y=-5.0 * side)
     )
     assert mirrored[0] == status
 
@@ -70,6 +71,12 @@ def test_opposing_traffic_asks_for_barrier_beyond_the_object():
     assert shielding(wide, rail(150, 230))[0] == "full"
     divided = demand(clear_zone_m=9.0, divided=True)
     assert shielding(divided, rail(150, 210))[0] == "full"
+    unknown = {"clear_zone_m": 9.0, "half_road_m": np.nan}
+    status, _, why = shielding(demand(**unknown), rail(100, 300))
+    assert status == "partial"
+    assert "width is unknown" in why
+    assert shielding(demand(**unknown, divided=True), rail(150, 210))[0] == "full"
+    assert shielding(demand(clear_zone_m=4.0, half_road_m=np.nan), rail(150, 210))[0] == "full"
 
 
 def test_objects_before_close_behind_or_across():
@@ -81,13 +88,34 @@ def test_objects_before_close_behind_or_across():
     assert shielding(demand(), [*rail(190, 210), *rail(100, 300, name="long")])[0] == "full"
 
 
+@pytest.mark.parametrize("gap", [(161, 240), (180, 220)])
+def test_an_edge_that_is_unknown_for_a_while_is_taken_from_either_side(gap):
+    half = np.where((gap[0] < X) & (gap[1] > X), np.nan, 3.5)
+    road = Road("a", ("a",), "", ROADS.roads[0].xy_m, X, half, half)
+    found, told = barriers_along([np.array([[100.0, -5], [300, -5]])], ["rail"], Roads([road]))
+    assert told == []
+    status, offset, _ = shielding(demand(), found)
+    assert (status, offset) == ("full", pytest.approx(1.5))
+
+
+def test_barriers_where_no_edge_is_known_are_told_and_count_for_nothing():
+    half = np.where(X > 150, np.nan, 3.5)
+    road = Road("a", ("a",), "", ROADS.roads[0].xy_m, X, half, half)
+    found, told = barriers_along([np.array([[100.0, -5], [300, -5]])], ["rail"], Roads([road]))
+    (barrier,) = found
+    assert barrier.station_m[-1] == pytest.approx(210, abs=1)
+    assert barrier.offset_m == pytest.approx(np.full(len(barrier.offset_m), 1.5))
+    (message,) = told
+    assert message.startswith("barrier rail: no edge of its road is known along 45% of it")
+
+
 def test_barriers_are_cut_where_they_cross_and_their_ends_are_objects():
-    found, lost = barriers_along(
+    found, told = barriers_along(
         [np.array([[100.0, -5], [150, -5], [150, 5], [200, 5]]), np.array([[0.0, 90], [9, 90]])],
         ["bent", "far"],
         ROADS,
     )
-    assert lost == ["far"]
+    assert told == ["barrier far lies along no road"]
     assert sorted(barrier.side for barrier in found) == [-1, 1]
     ends = barrier_ends(rail(100, 300))
     assert ends["id"].tolist() == ["rail start", "rail end"]

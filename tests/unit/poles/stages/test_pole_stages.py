@@ -272,6 +272,14 @@ def test_inventory_routes_and_barriers_reach_the_hazard(site, poles, tmp_path, c
     stated = geometry["station_m"] < 1060
     assert geometry.loc[~stated, "lane_width_m"].median() == pytest.approx(4.0, abs=0.1)
     assert geometry.loc[stated, "paved_shoulder_m"].median() == pytest.approx(0.5, abs=0.1)
+    assert not any("first image" in message for message in told)
+    without = [argument for argument in arguments if not argument.startswith("--routes")]
+    assert rate_hazard.main(without) == 0
+    told = read_about(out["out"])["told"]
+    assert any("counted from each road's first image" in message for message in told)
+    assert any("does not name road r (it names SR 7)" in message for message in told)
+    unnamed = pd.read_csv(out["csv"])
+    assert (unnamed["clear_zone_greatest_m"] > unnamed["clear_zone_least_m"]).all()
     overlap = tmp_path / "inventory.csv"
     overlap.write_text("route,from_m,to_m\nSR 7,1000,1100\nSR 7,1050,1200\n")
     assert rate_hazard.main(arguments) == 2

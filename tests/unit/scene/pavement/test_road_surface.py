@@ -69,6 +69,30 @@ def test_a_track_seeds_the_road_where_scans_are_not_told_apart(rng):
     assert f1(road_points(surface, xyz, RoadSettings()), road) > 0.93
 
 
+@pytest.mark.parametrize(("verge", "turn_deg"), [(80.0, 0.0), (80.0, 33.0), (10.0, 60.0)])
+def test_without_a_kerb_the_road_ends_where_its_tone_ends(rng, verge, turn_deg):
+    """Rough verges that fall by 6 % leave its plane so gently that height says little."""
+    count = int(LENGTH_M * 24 * 60)
+    x, y = rng.uniform(0, LENGTH_M, count), rng.uniform(-12, 12, count)
+    beside = np.maximum(np.abs(y) - HALF_ROAD_M, 0.0)
+    road = beside == 0.0
+    z = 0.01 * x - 0.06 * beside + rng.normal(0, np.where(road, 0.004, 0.05))
+    paint = np.abs(np.abs(y) - HALF_ROAD_M + 0.5) < 0.07
+    tone = np.where(paint, 90.0, np.where(road, 25.0, verge)) * rng.uniform(0.8, 1.2, count)
+    turn = np.radians(turn_deg)
+    along, across = [np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]
+    xyz = np.column_stack([np.column_stack([x, y]) @ [along, across], z])
+    track = np.array([[5.0, 1.8], [45.0, 1.8]]) @ [along, across]
+    surface = find_road(xyz, tone, None, KnownRoad(track_xy=track))
+    rows, columns = np.nonzero(surface.road)
+    centres = np.column_stack(surface.grid.centres(columns, rows))
+    offset = np.abs(centres @ across)
+    middle = np.abs(centres @ along - LENGTH_M / 2) < LENGTH_M / 2 - 2
+    half_m = middle.sum() * surface.grid.cell_size_m**2 / (LENGTH_M - 4) / 2
+    assert half_m == pytest.approx(HALF_ROAD_M, abs=0.15)
+    assert offset[middle].max() < HALF_ROAD_M + 0.5
+
+
 def test_points_far_away_change_nothing(rng):
     xyz, tone, scan, _ = street(rng)
     x, y = rng.uniform(200, 260, (2, 30_000))
@@ -171,6 +195,7 @@ def growth(height, seed, step=0.02):
         np.zeros((*shape, 1)),
         np.array([4.0]),
         np.array([0.1]),
+        np.array([np.inf]),
         np.full(shape, step),
         nothing,
         1.0,

@@ -50,6 +50,21 @@ def point_keys(
     return found
 
 
+def in_share(xyz: Floats, steps: Floats, time: NDArray | None, share: float) -> Bools:
+    """Points (n,) that a survey with a share of the pulses would have measured.
+
+    Whole pulses are left out where the file tells them by their times, else single returns.
+
+    Parameters
+    ----------
+    xyz, steps, time : as of `point_keys`. share : of the pulses, 0 to 1.
+    """
+    timed = time is not None and bool(np.any(time))
+    nothing = np.zeros(len(xyz), np.int64)
+    keys = point_keys(np.zeros_like(xyz) if timed else xyz, steps, time, nothing, nothing)
+    return keys.astype(np.float64) < share * 2.0**64
+
+
 def key_steps(scales: Floats) -> Floats:
     """A tenth of the finest decimal step (3,) of some clouds, whose scales are (clouds, 3)."""
     return np.asarray(10.0 ** (np.floor(np.log10(np.atleast_2d(scales).min(axis=0)) + 1e-9) - 1))

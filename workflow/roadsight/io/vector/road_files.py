@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -23,17 +23,8 @@ from roadsight.io.records.text_tables import read_cells
 from roadsight.io.vector.layer_names import split_layer
 from roadsight.io.vector.vector_sources import load_local
 from roadsight.poles.risk.inventory import COLUMNS
-from roadsight.poles.risk.routes import Route
+from roadsight.poles.risk.routes import UNITS_M, Route
 
-UNITS_M = {
-    "m": 1.0,
-    "km": 1000.0,
-    "ft": 0.3048,
-    "usft": 1200 / 3937,
-    "mi": 1609.344,
-    "usmi": 5280 * 1200 / 3937,
-}
-"""Metres in the units of measures, by the ends of column names: from_mi, to_mi."""
 _SPEEDS_KMH = {"speed_kmh": 1.0, "speed_mph": 1.609344}
 _ROUTE = ("route", "route_id", "routeid", "road", "name", "id", "edge")
 """Columns that may name a route, the first that is there."""
@@ -45,8 +36,8 @@ def read_inventory(
     """Segments of an inventory, where each stands in its file, and their lines if it has any.
 
     A CSV table or a line layer with columns route, from and to (in m, km, ft, usft, mi or usmi:
-    ``from_mi``), and speed_kmh or speed_mph, aadt, lanes, lane_width_m (or _ft); names in any case,
-    empty is unknown.
+    ``from_mi``), and speed_kmh or speed_mph, aadt, lanes, lane_width_m (or _ft), carriageway; names
+    in any case, empty is unknown.
 
     Parameters
     ----------
@@ -71,10 +62,10 @@ def read_inventory(
     bounds = table[["from_m", "to_m"]].to_numpy(np.float64)
     for row, line in enumerate(features.geometry):
         where = f"{path}, {places[row]}"
-        xy = _vertices(line, where)
+        parts = _parts(line, where)
         if np.isfinite(bounds[row]).all():
-            measure = _along(xy, float(bounds[row, 0]), float(bounds[row, 1]))
-            routes.append(Route(str(table["route"].iloc[row]), xy, measure, where))
+            measures = _along(parts, float(bounds[row, 0]), float(bounds[row, 1]))
+            routes += _routes(str(table["route"].iloc[row]), parts, measures, where)
     return table, places, routes
 
 
@@ -109,13 +100,14 @@ def read_routes(
     found = []
     for row, (name, line) in enumerate(zip(names, features.geometry, strict=True)):
         where = f"{path}, feature {row + 1}"
-        xy = _vertices(line, where)
-        if stored is not None and stored[row] is not None:
-            measure = np.asarray(stored[row]) * UNITS_M[unit]
+        parts = _parts(line, where)
+        own = None if stored is None else stored[row]
+        if own is not None:
+            measures = [measure * UNITS_M[unit] for measure in own]
         elif bounds[0] is not None and bounds[1] is not None:
-            measure = _along(xy, float(bounds[0][row]), float(bounds[1][row]))
+            measures = _along(parts, float(bounds[0][row]), float(bounds[1][row]))
         elif suffix == ".gpx":
-            measure = _along(xy)
+            measures = _along(parts)
         else:
             raise InputError(
                 "states no measures",
@@ -124,7 +116,7 @@ def read_routes(
                 allowed="measures in the vertices (M), or columns from_m and to_m (or _km, _mi)",
                 hint="in QGIS, `Add route measures` or a table join writes them",
             )
-        found.append(Route(name, *_distinct(xy, measure), where))
+        found += _routes(name, parts, measures, where)
     return found
 
 
@@ -145,9 +137,10 @@ def read_barriers(
         names = [text or name for text, name in zip(own, names, strict=True)]
     lines, titles = [], []
     for name, geometry in zip(names, features.geometry, strict=True):
-        parts = shapely.get_parts(_merged(geometry))
+        many = geometry.geom_type == "MultiLineString"
+        parts = _parts(shapely.line_merge(geometry) if many else geometry, f"{path}, {name}")
         for number, part in enumerate(parts, start=1):
-            lines.append(_vertices(part, f"{path}, {name}"))
+            lines.append(part)
             titles.append(name if len(parts) == 1 else f"{name}.{number}")
     return lines, titles
 
@@ -174,6 +167,8 @@ def _segments(table: pd.DataFrame, path: Any, places: list[str]) -> pd.DataFrame
     for name in ("aadt", "lanes"):
         values = _numbers(table[name], 1.0, path, places, name) if name in table else unknown
         found[name] = values
+    ways = table["carriageway"] if "carriageway" in table else pd.Series("", index=table.index)
+    found["carriageway"] = ways.fillna("").astype(str).str.strip().str.lower().to_numpy()
     return pd.DataFrame(found)[list(COLUMNS)]
 
 
@@ -224,28 +219,37 @@ def _named(table: pd.DataFrame, path: Any) -> list[str]:
     return [str(v) if pd.notna(v) and str(v) else stem for v in table[column]]
 
 
-def _merged(geometry: shapely.Geometry) -> shapely.Geometry:
-    return shapely.line_merge(geometry) if geometry.geom_type == "MultiLineString" else geometry
+def _parts(geometry: shapely.Geometry, where: str) -> list[Floats]:
+    """Vertices (n, 2) of each part of a line, in the order in which they are stored."""
+    parts = list(shapely.get_parts(geometry))
+    if not parts or any(part.geom_type != "LineString" for part in parts):
+        raise InputError(
+            "is no line", where=where, found=geometry.geom_type, allowed="a line of parts or of one"
+        )
+    return [shapely.get_coordinates(part) for part in parts]
 
 
-def _vertices(geometry: shapely.Geometry, where: str) -> Floats:
-    """Vertices (n, 2) of a line of one part."""
-    line = _merged(geometry)
-    if line.geom_type != "LineString":
-        raise InputError("is no line of one part", where=where, found=line.geom_type)
-    return shapely.get_coordinates(line)
+def _along(parts: Sequence[Floats], start: float = 0.0, end: float | None = None) -> list[Floats]:
+    """Measures (n,) of each part that go with the length from the first vertex, gaps included."""
+    step = np.hypot(*np.diff(np.concatenate(parts), axis=0).T)
+    measure = np.r_[0.0, np.cumsum(step)]
+    if end is not None:
+        measure = start + measure * (end - start) / max(measure[-1], 1e-9)
+    return np.split(measure, np.cumsum([len(xy) for xy in parts])[:-1])
 
 
-def _along(xy: Floats, start: float = 0.0, end: float | None = None) -> Floats:
-    """Measures (n,) that go with a line's length."""
-    length = np.r_[0.0, np.cumsum(np.hypot(*np.diff(xy, axis=0).T))]
-    return length if end is None else start + length * (end - start) / max(length[-1], 1e-9)
-
-
-def _distinct(xy: Floats, measure: Floats) -> tuple[Floats, Floats]:
-    """Without repeated vertices."""
-    moved = np.r_[True, np.hypot(*np.diff(xy, axis=0).T) > 1e-6]
-    return xy[moved], measure[moved]
+def _routes(
+    name: str, parts: Sequence[Floats], measures: Sequence[Floats], where: str
+) -> list[Route]:
+    """A route for each part of a feature, without repeated vertices."""
+    found = []
+    for number, (xy, measure) in enumerate(zip(parts, measures, strict=True), start=1):
+        place = where if len(parts) == 1 else f"{where}, part {number}"
+        moved = np.r_[True, np.hypot(*np.diff(xy, axis=0).T) > 1e-6]
+        if moved.sum() < 2:
+            raise InputError("is a line without length", where=place)
+        found.append(Route(name, xy[moved], measure[moved], place))
+    return found
 
 
 @contextmanager
@@ -256,21 +260,19 @@ def _quiet_measures() -> Iterator[None]:
         yield
 
 
-def _stored_measures(file: str, layer: str | None) -> list[Floats | None]:
-    """Measures in the vertices of each feature, None for features that have none."""
+def _stored_measures(file: str, layer: str | None) -> list[list[Floats] | None]:
+    """Measures in the vertices of each part of each feature, None for features that have none."""
     chosen = {"layer": layer} if layer else {}
     with _quiet_measures():
         # Only by way of Arrow do measures come along.
         geometries = pyogrio.read_dataframe(file, use_arrow=True, **chosen).geometry
-    found: list[Floats | None] = []
+    found: list[list[Floats] | None] = []
     for geometry in geometries:
-        line = geometry
-        if line is not None and line.geom_type == "MultiLineString" and len(line.geoms) == 1:
-            line = line.geoms[0]
-        if line is None or line.geom_type != "LineString" or not shapely.has_m(line):
+        if geometry is None or not shapely.has_m(geometry):
             found.append(None)
             continue
-        found.append(shapely.get_coordinates(line, include_m=True)[:, -1])
+        parts = shapely.get_parts(geometry)
+        found.append([shapely.get_coordinates(part, include_m=True)[:, -1] for part in parts])
     return found
 
 
@@ -299,7 +301,7 @@ def _route_table(
         rows = np.flatnonzero(names == name)
         if len(rows) < 2:
             raise InputError("has fewer than two vertices", where=f"{path}, route {name}")
-        found.append(Route(name, *_distinct(local[rows], measure[rows]), f"{path}, route {name}"))
+        found += _routes(name, [local[rows]], [measure[rows]], f"{path}, route {name}")
     return found
 
 

@@ -38,10 +38,12 @@ TRAVERSABLE_SLOPE = 1 / 3
 _FLAT_SLOPE = 1 / 6
 """1V:6H: up to this either way the guide's flattest columns hold."""
 
-_SPEEDS_KMH = (60.0, 80.0, 90.0, 100.0, np.inf)
-"""Greatest speed of each of the table's classes."""
-_AADT = (750.0, 1500.0, 6000.0, np.inf)
-"""Greatest traffic of each of the table's classes, vehicles a day."""
+_SPEEDS_KMH = (64.4, 80.5, 90.0, 100.0, np.inf)
+"""Greatest speed of each of the table's classes, metric or in miles an hour: 60 km/h or 40 mph, 80
+km/h or 50 mph, 90 km/h, 100 km/h."""
+_AADT = (750.0, 1500.0, np.nextafter(6000.0, np.inf))
+"""Least traffic of each of the table's classes but the first, vehicles a day: "under 750", "750 to
+1500", "1500 to 6000", "over 6000". Of the two classes that name 1500 the wider one is taken."""
 # Columns: foreslope 1V:6H or flatter, foreslope 1V:5H to 1V:4H, backslope 1V:3H,
 # backslope 1V:5H to 1V:4H, backslope 1V:6H or flatter.
 _WIDTHS_M = np.array(
@@ -93,7 +95,7 @@ def clear_zone_m(design_speed_kmh: float, aadt: float, slope: ArrayLike) -> Floa
     """
     rise = np.nan_to_num(np.asarray(slope, np.float64))
     speed = int(np.searchsorted(_SPEEDS_KMH, design_speed_kmh))
-    traffic = int(np.searchsorted(_AADT, aadt, side="right" if aadt < _AADT[0] else "left"))
+    traffic = int(np.searchsorted(_AADT, aadt, side="right"))
     back = np.where(rise <= _FLAT_SLOPE, 4, np.where(rise <= RECOVERABLE_SLOPE, 3, 2))
     column = np.where(rise <= 0, np.where(-rise <= _FLAT_SLOPE, 0, 1), back)
     return _WIDTHS_M[speed, traffic, column]
@@ -103,8 +105,8 @@ _CURVE_RADII_M = (
     900.0, 700.0, 600.0, 500.0, 450.0, 400.0, 350.0, 300.0, 250.0, 200.0, 150.0, 100.0,
 )  # fmt: skip
 """Rows of the guide's table 3.2. Wider bends than 900 m need no adjustment."""
-_CURVE_SPEEDS_KMH = (60.0, 70.0, 80.0, 90.0, 100.0, 110.0)
-"""Its columns."""
+_CURVE_SPEEDS_KMH = (64.4, 72.5, 80.5, 90.0, 100.0, 110.0)
+"""Greatest speed of its columns: 60, 70 and 80 km/h stand beside 40, 45 and 50 mph."""
 _LARGEST_FACTOR = 1.5
 """Of the table; taken where the table is empty because the bend is too tight for the speed."""
 _E = float("nan")

@@ -19,16 +19,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.risk.clear_zone import (
     TRAVERSABLE_SLOPE,
-    clear_zone_m,
     clear_zone_range,
     curve_factor,
     slope_class,
@@ -36,13 +35,14 @@ from roadsight.poles.risk.clear_zone import (
 from roadsight.poles.risk.cross_sections import CrossSection, slope_text
 from roadsight.poles.risk.roads import Located, Roads, roads_of
 from roadsight.poles.risk.roadside import (
+    Edges,
     Surroundings,
     bends_at,
+    edges_at,
     first_trouble_m,
     governing_slope,
     nearest_ahead_m,
     object_sections,
-    own_edges,
     runout_width_m,
 )
 from roadsight.poles.risk.roadside_rating import (
@@ -75,6 +75,21 @@ HAZARD_COLUMNS = [
     "rating",
 ]
 """What every version of the table has."""
+_NAN = float("nan")
+_UNKNOWN: dict[str, float | str] = {
+    "foreslope_rise_over_run": _NAN,
+    "sigma_foreslope": _NAN,
+    "foreslope_ratio": "",
+    "steepest_fall_1_5m_rise_over_run": _NAN,
+    "sigma_steepest_fall": _NAN,
+    "shoulder_width_m": _NAN,
+    "ditch_depth_m": _NAN,
+    "ditch_bottom_width_m": _NAN,
+    "backslope_rise_over_run": _NAN,
+    "kerb_m": _NAN,
+    "drop_off_m": _NAN,
+}
+"""Columns that tell an object's cross-section, and what they hold where there is none."""
 ROADSIDE_COLUMNS = [
     "rank",
     "route",
@@ -86,22 +101,13 @@ ROADSIDE_COLUMNS = [
     "clear_zone_least_m",
     "clear_zone_greatest_m",
     "curve_factor",
-    "foreslope_rise_over_run",
-    "sigma_foreslope",
-    "foreslope_ratio",
-    "steepest_fall_1_5m_rise_over_run",
-    "sigma_steepest_fall",
-    "shoulder_width_m",
-    "ditch_depth_m",
-    "ditch_bottom_width_m",
-    "backslope_rise_over_run",
-    "kerb_m",
-    "drop_off_m",
+    *_UNKNOWN,
     "design_speed_least_kmh",
     "design_speed_greatest_kmh",
     "aadt_least",
     "aadt_greatest",
     "lanes",
+    "carriageway",
     "offset_travelled_way_m",
     "radius_m",
     "grade_percent",
@@ -189,24 +195,23 @@ def rate_poles(
     the road; ``side`` and ``station_m`` are along ``route``, whose measure both directions share.
     """
     known = surroundings or Surroundings(roads_of(tracks, edges_m), height)
-    return rate_roadside(poles, edges_m, tracks, known, settings).table
+    return rate_roadside(poles, edges_m, known, settings).table
 
 
 def rate_roadside(
     poles: pd.DataFrame,
     edges_m: Floats,
-    tracks: RouteTracks,
     surroundings: Surroundings,
     settings: HazardSettings,
 ) -> Rated:
     """Hazard of each object, with the cross-sections behind it; see `rate_poles`."""
     xy_m = poles[["x", "y"]].to_numpy(np.float64)
     n = len(poles)
-    offset_m, foot_m = edge_offsets(xy_m, edges_m, tracks, settings.edge_reach_m)
-    mean_slope = side_slopes(foot_m, xy_m, surroundings.height, settings.sample_m)
     located = surroundings.roads.locate(xy_m)
-    edge, outward = own_edges(surroundings, located, offset_m, foot_m, xy_m)
-    sections = object_sections(surroundings, edge, outward, offset_m)
+    edges = edges_at(surroundings.roads, located, xy_m, edges_m, settings.edge_reach_m)
+    offset_m = edges.offset_m
+    mean_slope = side_slopes(edges.place_m, xy_m, surroundings.height, settings.sample_m)
+    sections = object_sections(surroundings, edges.place_m, edges.outward, offset_m)
     governing = [
         governing_slope(section, offset, mean)
         for section, offset, mean in zip(sections, offset_m, mean_slope, strict=True)
@@ -216,7 +221,8 @@ def rate_roadside(
     known = _known_traffic(surroundings, located, settings)
     zone = _zones(slope, sigma_slope, sections, bends, known, settings.clear_zone_m)
     sigma_m = np.nan_to_num(poles["sigma_major_m"].to_numpy(np.float64))
-    shield = _shields(surroundings, located, offset_m, zone, known, bends, settings)
+    travel = _travel(surroundings, located, known)
+    shield = _shields(surroundings, located, edges, zone, known, travel, settings)
     shielded = np.array([status == "full" for status, _, _ in shield], bool)
     inside = (offset_m <= zone["clear_zone_m"].to_numpy()) if n else np.zeros(0, bool)
     density = _density(surroundings.roads, located, inside & ~shielded, settings.window_m)
@@ -224,9 +230,6 @@ def rate_roadside(
     rhr = _hazard_ratings(
         located, offset_m, sigma_m, slope, sigma_slope, sections, shield, settings.window_m
     )
-    travel = np.where(located.side >= 0, 1.0, -1.0)
-    if surroundings.left_hand_traffic:
-        travel = -travel
     weight = leaving(
         offset_m,
         bends["radius_m"].to_numpy(),
@@ -234,9 +237,13 @@ def rate_roadside(
         bends["grade"].to_numpy() * travel,
         Encroachments(settings.bend_outside, settings.bend_inside, settings.downhill),
     )
-    least, most = (exposure(known[f"aadt_{end}"].to_numpy(), weight) for end in ("low", "high"))
+    one_way = (known["carriageway"] == "one-way").to_numpy()
+    least, most = (
+        exposure(known[f"aadt_{end}"].to_numpy(), weight, one_way) for end in ("low", "high")
+    )
     exposed = np.where(least == most, most, np.nan)
     hsm = _hsm(located, surroundings.roads, offset_m, ~shielded)
+    told = [_described(section) for section in sections]
     table = pd.DataFrame(
         {
             "offset_m": offset_m,
@@ -258,12 +265,16 @@ def rate_roadside(
             "clear_zone_least_m": zone["least_m"].to_numpy(),
             "clear_zone_greatest_m": zone["greatest_m"].to_numpy(),
             "curve_factor": zone["factor"].to_numpy(),
-            **_described(sections),
+            **{
+                name: np.array([row[name] for row in told], object if none == "" else np.float64)
+                for name, none in _UNKNOWN.items()
+            },
             "design_speed_least_kmh": known["speed_low_kmh"].to_numpy(),
             "design_speed_greatest_kmh": known["speed_high_kmh"].to_numpy(),
             "aadt_least": known["aadt_low"].to_numpy(),
             "aadt_greatest": known["aadt_high"].to_numpy(),
             "lanes": known["lanes"].to_numpy(),
+            "carriageway": known["carriageway"].to_numpy(),
             "offset_travelled_way_m": travelled_offset_m(located.offset_m, known),
             "radius_m": bends["radius_m"].to_numpy(),
             "grade_percent": 100 * bends["grade"].to_numpy(),
@@ -280,7 +291,7 @@ def rate_roadside(
     )
     table["reasons"] = _reasons(table, zone, shield, slope, sigma_slope, sections, settings)
     columns = [*HAZARD_COLUMNS, *ROADSIDE_COLUMNS]
-    return Rated(table[columns], sections, edge, outward, located)
+    return Rated(table[columns], sections, edges.place_m, edges.outward, located)
 
 
 def travelled_offset_m(offset_m: Floats, known: pd.DataFrame) -> Floats:
@@ -310,6 +321,7 @@ def _known_traffic(
                 "aadt_high": np.full(n, pair["aadt"]),
                 "lanes": np.full(n, np.nan),
                 "lane_width_m": np.full(n, np.nan),
+                "carriageway": np.full(n, surroundings.carriageway, object),
             }
         )
     known = surroundings.inventory.at(None, np.full(n, np.nan))
@@ -321,7 +333,16 @@ def _known_traffic(
             values = known[name].to_numpy().copy()
             values[own] = found[name].to_numpy()
             known[name] = values
+    known["carriageway"] = known["carriageway"].replace("", surroundings.carriageway)
     return known
+
+
+def _travel(surroundings: Surroundings, located: Located, known: pd.DataFrame) -> Floats:
+    """1 where the traffic beside an object (n,) runs with rising measure, else -1."""
+    ways = np.array([road.travel for road in surroundings.roads.roads] or [1])
+    usual = np.where((located.side >= 0) != surroundings.left_hand_traffic, 1.0, -1.0)
+    one_way = (known["carriageway"] == "one-way").to_numpy()
+    return np.where(one_way, ways[np.maximum(located.road, 0)], usual)
 
 
 def _zones(
@@ -351,9 +372,6 @@ def _zones(
         own = float(np.nan_to_num(slope[number]))
         spread = float(np.nan_to_num(sigma_slope[number]))
         sure, zone = clear_zone_range(speed, aadt, (own, own), radius, outside)
-        if np.isnan(slope[number]):
-            sure = zone = float(clear_zone_m(speed[1], aadt[1], [np.nan])[0])
-            sure = float(clear_zone_m(speed[0], aadt[0], [np.nan])[0])
         more = runout_width_m(sections[number], zone)
         slopes = (own - spread, own + spread)
         least, greatest = clear_zone_range(speed, aadt, slopes, radius, outside)
@@ -366,32 +384,34 @@ def _zones(
 def _shields(
     surroundings: Surroundings,
     located: Located,
-    offset_m: Floats,
+    edges: Edges,
     zone: pd.DataFrame,
     known: pd.DataFrame,
-    bends: pd.DataFrame,
+    travel: Floats,
     settings: HazardSettings,
 ) -> list[tuple[str, float, str]]:
     """Shielding of each object: status, offset of the barrier, why."""
     none = ("none", float("nan"), "")
     found = []
-    for number in range(len(offset_m)):
-        if located.road[number] < 0 or not np.isfinite(offset_m[number]):
+    for number, offset in enumerate(edges.offset_m):
+        if located.road[number] < 0 or not np.isfinite(offset):
             found.append(none)
             continue
         demand = Demand(
             int(located.road[number]),
             int(located.side[number]),
             float(located.station_m[number]),
-            float(offset_m[number]),
+            float(offset),
             float(zone["greatest_m"].iloc[number]),
             float(known["speed_high_kmh"].iloc[number]),
             float(known["aadt_high"].iloc[number]),
-            float(bends["paved_width_m"].iloc[number]) / 2,
+            float(edges.half_m[number]),
+            from_low=bool(travel[number] > 0),
+            divided=known["carriageway"].iloc[number] != "two-way",
             runout_length_m=settings.runout_length_m,
             deflection_m=settings.deflection_m,
         )
-        found.append(shielding(demand, surroundings.barriers, surroundings.left_hand_traffic))
+        found.append(shielding(demand, surroundings.barriers))
     return found
 
 
@@ -430,7 +450,8 @@ def _hazard_ratings(
     counted = free & np.isfinite(offset_m)
     place = (located.road, located.side, located.station_m)
     trouble = np.array([first_trouble_m(section) for section in sections])
-    rail = np.array([offset for _, offset, _ in shield], np.float64)
+    # What a barrier shields in part may be hit beside or behind it: only a full one counts.
+    rail = np.array([rail if status == "full" else np.nan for status, rail, _ in shield], float)
     unknown = np.isnan(offset_m)
     spread = np.nan_to_num(sigma_slope)
     found = []
@@ -466,71 +487,27 @@ def _routes(roads: Roads, located: Located) -> NDArray[np.object_]:
     return np.array([names[n] if n >= 0 else "" for n in located.road], object)
 
 
-def _described(sections: list[CrossSection | None]) -> dict[str, NDArray]:
-    """Columns that tell each object's cross-section; NaN without one, 0 for what is not there."""
-    nan = float("nan")
-    rows = []
-    for section in sections:
-        if section is None:
-            rows.append((nan, nan, "", nan, nan, nan, nan, nan, nan, nan, nan))
-            continue
-        fore, sigma = section.foreslope()
-        heights = section.pieces.height_m(section.pieces.ends_m)
-        steps = section.steps()
-        back = section.backslope()[0]
-        has_ditch = any(e.kind == "backslope" for e in section.elements)
-        rows.append(
-            (
-                fore,
-                sigma,
-                slope_text(fore),
-                section.fall[0],
-                section.fall[1],
-                section.width_m("shoulder"),
-                float(heights[0] - heights.min()) if has_ditch else 0.0,
-                section.width_m("ditch bottom"),
-                back,
-                max((e.rise_m for e in steps if e.kind in ("kerb", "wall")), default=0.0),
-                max((-e.rise_m for e in steps if e.kind == "drop-off"), default=0.0),
-            )
-        )
-    names = [
-        "foreslope_rise_over_run",
-        "sigma_foreslope",
-        "foreslope_ratio",
-        "steepest_fall_1_5m_rise_over_run",
-        "sigma_steepest_fall",
-        "shoulder_width_m",
-        "ditch_depth_m",
-        "ditch_bottom_width_m",
-        "backslope_rise_over_run",
-        "kerb_m",
-        "drop_off_m",
-    ]
-    columns = list(zip(*rows, strict=True)) if rows else [()] * len(names)
+def _described(section: CrossSection | None) -> dict[str, Any]:
+    """What is told about one cross-section: values of `_UNKNOWN`; 0 for what is not there."""
+    if section is None:
+        return dict(_UNKNOWN)
+    fore, sigma = section.foreslope()
+    heights = section.pieces.height_m(section.pieces.ends_m)
+    steps = section.steps()
+    has_ditch = any(e.kind == "backslope" for e in section.elements)
     return {
-        name: np.array(column, object if name == "foreslope_ratio" else np.float64)
-        for name, column in zip(names, columns, strict=True)
+        "foreslope_rise_over_run": fore,
+        "sigma_foreslope": sigma,
+        "foreslope_ratio": slope_text(fore),
+        "steepest_fall_1_5m_rise_over_run": section.fall[0],
+        "sigma_steepest_fall": section.fall[1],
+        "shoulder_width_m": section.width_m("shoulder"),
+        "ditch_depth_m": float(heights[0] - heights.min()) if has_ditch else 0.0,
+        "ditch_bottom_width_m": section.width_m("ditch bottom"),
+        "backslope_rise_over_run": section.backslope()[0],
+        "kerb_m": max((e.rise_m for e in steps if e.kind in ("kerb", "wall")), default=0.0),
+        "drop_off_m": max((-e.rise_m for e in steps if e.kind == "drop-off"), default=0.0),
     }
-
-
-def edge_offsets(
-    xy_m: Floats, edges_m: Floats, tracks: RouteTracks, reach_m: float
-) -> tuple[Floats, Floats]:
-    """Distance to the nearest road edge and that edge's place (n, 2); NaN beyond ``reach_m``.
-
-    Negative where the edge lies beyond the pole as seen from the track, so the pole is on the road.
-    """
-    offset_m, foot_m = np.full(len(xy_m), np.nan), np.full((len(xy_m), 2), np.nan)
-    if len(edges_m) == 0 or len(xy_m) == 0:
-        return offset_m, foot_m
-    distance, row = cKDTree(edges_m[:, :2]).query(xy_m)
-    near = distance <= reach_m
-    offset_m[near], foot_m[near] = distance[near], edges_m[row[near], :2]
-    _, _, on_track = tracks.locate(xy_m)
-    outward = xy_m - on_track
-    on_road = ((foot_m - xy_m) * outward).sum(axis=1) > 0
-    return np.where(on_road, -offset_m, offset_m), foot_m
 
 
 def side_slopes(foot_m: Floats, xy_m: Floats, height: Height | None, sample_m: float) -> Floats:
@@ -555,31 +532,6 @@ def side_slopes(foot_m: Floats, xy_m: Floats, height: Height | None, sample_m: f
                 centred @ (heights[known] - heights[known].mean()) / (centred @ centred)
             )
     return slopes
-
-
-def objects_per_km(
-    tracks: RouteTracks,
-    piece: Ints,
-    station_m: Floats,
-    counted: Bools,
-    window_m: float,
-) -> Floats:
-    """Counted objects for each kilometre of road in a window around each; NaN without a track.
-
-    At the ends of a route the window is only as long as the route reaches.
-    """
-    density = np.full(len(station_m), np.nan)
-    if len(tracks) == 0:
-        return density
-    route = tracks.route[piece]
-    for own in np.unique(route):
-        rows = np.flatnonzero(route == own)
-        stations = np.sort(station_m[rows[counted[rows]]])
-        low, high = station_m[rows] - window_m / 2, station_m[rows] + window_m / 2
-        count = np.searchsorted(stations, high, "right") - np.searchsorted(stations, low, "left")
-        length_m = np.minimum(high, tracks.route_length_m(own)) - np.maximum(low, 0.0)
-        density[rows] = count / np.maximum(length_m, 1e-3) * 1000
-    return density
 
 
 def _rating(

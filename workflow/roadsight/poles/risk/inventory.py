@@ -18,8 +18,11 @@ from roadsight.base.errors import InputError
 from roadsight.poles.risk.clear_zone import AADT_RANGE, SPEED_RANGE_KMH
 from roadsight.poles.risk.roads import Road
 
-COLUMNS = ("route", "from_m", "to_m", "speed_kmh", "aadt", "lanes", "lane_width_m")
-"""Of an inventory; all but route, from and to NaN where unknown."""
+COLUMNS = ("route", "from_m", "to_m", "speed_kmh", "aadt", "lanes", "lane_width_m", "carriageway")
+"""Of an inventory; numbers but from and to NaN where unknown, carriageway empty."""
+CARRIAGEWAYS = ("two-way", "divided", "one-way")
+"""What traffic a road has: of both directions; the same, but none reaches the other's side; of one,
+which is that of its longest drive, and AADT is its own."""
 SAME_M = 0.5
 """Segments may overlap or leave gaps up to this: measures in thousandths of a mile are 1.6 m, those
 in centimetres nothing."""
@@ -30,8 +33,8 @@ LIMITS = {
     "lane_width_m": (2.0, 6.0),
 }
 """Other values are slips of unit or column."""
-_DIRECTION = re.compile(r"[-_ ]?(?:[nsew]b?|[+-])$")
-"""What route names of drives end in: SR1427E, I40-EB, 12_n."""
+_DIRECTION = re.compile(r"(?:(?<=\d)|[-_ ])(?:[nsew]b?|[+-])$")
+"""What route names of drives end in, after a digit or a mark: SR1427E, I40-EB, 12_n."""
 
 
 @dataclass(frozen=True)
@@ -51,13 +54,13 @@ class Inventory:
         return sorted(set(self.segments["route"]))
 
     def route_of(self, road: Road) -> str | None:
-        """The inventory's name of a road; the only route of an inventory is every road's."""
+        """The inventory's name of a road, by the road's name or its drives'; None for none."""
         names = {_plain(name): name for name in self.routes()}
         for wanted in (road.name, *road.drives):
             for key in (_plain(wanted), _bare(wanted)):
                 if key in names:
                     return names[key]
-        return next(iter(names.values())) if len(names) == 1 else None
+        return None
 
     def at(self, route: str | None, station_m: Floats) -> pd.DataFrame:
         """What is known at stations (n,) of a route.
@@ -65,7 +68,8 @@ class Inventory:
         Returns
         -------
         speed_low_kmh, speed_high_kmh, aadt_low, aadt_high (equal where known), lanes and
-        lane_width_m (NaN where unknown), segment (its number, -1 for none)
+        lane_width_m (NaN where unknown), carriageway (empty likewise), segment (its number, -1 for
+        none)
         """
         station = np.asarray(station_m, np.float64)
         number = np.full(len(station), -1, np.int64)
@@ -80,7 +84,8 @@ class Inventory:
                 found[f"{name}_{end}{unit}"] = np.where(np.isnan(values), limit, values)
         for column in ("lanes", "lane_width_m"):
             found[column] = self._values(column, number)
-        return pd.DataFrame(found)
+        ways = np.append(self.segments["carriageway"].to_numpy(object), "")
+        return pd.DataFrame(found).assign(carriageway=ways[number])
 
     def _values(self, column: str, number: Ints) -> Floats:
         known = self.segments[column].to_numpy(np.float64)
@@ -104,8 +109,19 @@ def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ())
     places = list(places) or [f"row {n + 1}" for n in range(len(table))]
     table = table.reset_index(drop=True).assign(place=places)
     table = table.assign(**{name: np.nan for name in LIMITS if name not in table})
+    if "carriageway" not in table:
+        table = table.assign(carriageway="")
     for _, row in table.iterrows():
         _check_row(row, where)
+    alike: dict[str, str] = {}
+    for route, place in zip(table["route"], table["place"], strict=True):
+        if alike.setdefault(_plain(route), route) != route:
+            raise InputError(
+                "two names of routes differ in blanks, hyphens or case alone",
+                where=f"{where}, {place}",
+                found=f"{alike[_plain(route)]} and {route}",
+                allowed="one name for each route, and names that differ in letters or digits",
+            )
     table = table.sort_values(["route", "from_m", "to_m"], kind="stable").reset_index(drop=True)
     messages = []
     for route, own in table.groupby("route", sort=True):
@@ -136,6 +152,13 @@ def _check_row(row: pd.Series, where: str) -> None:
                 allowed=f"{least:g} to {most:g}, or empty for unknown",
                 hint="check unit and column",
             )
+    if row["carriageway"] not in ("", *CARRIAGEWAYS):
+        raise InputError(
+            "carriageway is of no kind",
+            where=place,
+            found=row["carriageway"],
+            allowed=", ".join(CARRIAGEWAYS) + ", or empty for the site's own",
+        )
 
 
 def _check_route(route: str, own: pd.DataFrame, where: str) -> list[str]:
@@ -183,17 +206,17 @@ def uncovered(inventory: Inventory, route: str | None, road: Road) -> str:
     """A message where the stations of a road lie outside its inventory; else empty."""
     if route is None:
         told = ", ".join(inventory.routes()[:5])
-        return f"the inventory does not name road {road.name} (it names {told}): ranges there"
+        return (
+            f"the inventory does not name road {road.name} (it names {told}): ranges there; name"
+            " its drives after the route, or give roads.routes"
+        )
     own = inventory.segments[inventory.segments["route"] == route]
     low, high = float(own["from_m"].min()), float(own["to_m"].max())
     if low - SAME_M <= road.start_m and road.end_m <= high + SAME_M:
         return ""
-    hint = ""
-    if road.end_m < low or road.start_m > high:
-        hint = "; stations of a road start at its first image unless the inventory has lines"
     return (
         f"route {route} is stated from {low:.0f} to {high:.0f} m, the road runs from"
-        f" {road.start_m:.0f} to {road.end_m:.0f} m: ranges outside{hint}"
+        f" {road.start_m:.0f} to {road.end_m:.0f} m: ranges outside"
     )
 
 

@@ -40,6 +40,9 @@ _EDGE_M = 0.6
 _WIDTH_OFF_M = 0.3
 """Sections of other width than their neighbours by more are mouths of side roads, unless the
 neighbours scatter more (four deviations)."""
+_GAP_M = 100.0
+"""Edges are carried over gaps up to this: mouths of side roads are shorter (12 and 13 m, generated
+rural road), with turning lanes too; over longer gaps a road may get wider or narrower."""
 _BEYOND_M = 60.0
 """Centrelines go on straight so far beyond their ends, for objects ahead of the last image."""
 
@@ -80,6 +83,7 @@ class Road:
     left_m, right_m : (n,) distance from the centreline to the edge, NaN where none was found.
     noise_m : how much midways between edges, a vertex each, scatter about the centreline; NaN
         without edges.
+    travel : 1 where its longest drive went with rising measure, -1 against it.
     """
 
     name: str
@@ -90,6 +94,7 @@ class Road:
     left_m: Floats
     right_m: Floats
     noise_m: float = float("nan")
+    travel: int = 1
 
     @property
     def start_m(self) -> float:
@@ -125,6 +130,14 @@ class Road:
         """Distance (n,) from the centreline to the edge on a side, NaN where unknown."""
         left = np.interp(station_m, self.station_m, self.left_m)
         right = np.interp(station_m, self.station_m, self.right_m)
+        return np.where(np.asarray(side) < 0, left, right)
+
+    def bridged_edge_m(self, station_m: Floats, side: Ints) -> Floats:
+        """As `edge_m`, carried over gaps of up to 100 m and on for 60 m beyond its ends."""
+        station = np.asarray(station_m, np.float64)
+        left, right = (
+            _bridged(station, self.station_m, half) for half in (self.left_m, self.right_m)
+        )
         return np.where(np.asarray(side) < 0, left, right)
 
 
@@ -261,6 +274,19 @@ def resampled(line_m: Floats, step_m: float) -> Floats:
     count = max(int(np.ceil(along[-1] / step_m)), 2)
     at = np.linspace(0.0, along[-1], count + 1)
     return np.column_stack([np.interp(at, along, c) for c in line.T])
+
+
+def _bridged(station: Floats, at: Floats, value: Floats) -> Floats:
+    """Values at stations, straight between known ones; NaN in gaps and far beyond the ends."""
+    known = np.isfinite(value)
+    if not known.any():
+        return np.full(len(station), np.nan)
+    at, value = at[known], value[known]
+    after = np.searchsorted(at, station)
+    low = np.r_[at[0] - _BEYOND_M, at][after]
+    high = np.r_[at, at[-1] + _BEYOND_M][after]
+    far = (station < low) | (station > high) | (high - low > _GAP_M)
+    return np.where(far, np.nan, np.interp(station, at, value))
 
 
 def _track_line(tracks: RouteTracks, route: int) -> Floats | None:

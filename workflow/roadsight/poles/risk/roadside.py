@@ -32,9 +32,6 @@ _LONGEST_M = 25.0
 _BEYOND_M = 3.0
 _DEM_STEP_M = 0.25
 """Spacing of heights from a terrain model: half its usual cell."""
-_ALIKE_M = 1.0
-"""An object's nearest edge is its road's own if it is this near where the centreline expects it;
-at mouths of side roads it is not."""
 SECTION_COLUMNS = (
     "section",
     "object",
@@ -79,6 +76,8 @@ class Surroundings:
     points_m : (n, 3) ground points near the roads, or None; cross-sections prefer them.
     inventory : speed and traffic by measures, or None. barriers : along the roads.
     left_hand_traffic : on which side vehicles drive.
+    carriageway : one of `roadsight.poles.risk.inventory.CARRIAGEWAYS`, where the inventory states
+        none.
     """
 
     roads: Roads
@@ -87,6 +86,7 @@ class Surroundings:
     inventory: Inventory | None = None
     barriers: Sequence[Barrier] = ()
     left_hand_traffic: bool = False
+    carriageway: str = "two-way"
     _tree: cKDTree | None = field(default=None, repr=False)
     _geometry: dict[int, pd.DataFrame] = field(default_factory=dict, repr=False)
 
@@ -115,33 +115,62 @@ class Surroundings:
         return found
 
 
-def own_edges(
-    surroundings: Surroundings, located: Located, offset_m: Floats, foot_m: Floats, xy_m: Floats
-) -> tuple[Floats, Floats]:
-    """Edge of each object's cross-section (n, 2) and the way outwards (n, 2); NaN where unknown.
-
-    Square to its road where the nearest edge is the road's own, else from the nearest edge.
+@dataclass(frozen=True)
+class Edges:
+    """The road's edge beside each object.
 
     Parameters
     ----------
-    offset_m, foot_m : distance to the nearest edge and its place.
+    offset_m : (n,) from it, negative inside the road's edges; NaN where no edge is near.
+    place_m, outward : (n, 2) of the edge, and the way outwards; NaN where unknown.
+    half_m : (n,) from the located road's edge to its centreline; NaN where unknown.
     """
-    edge, outward = foot_m.copy(), np.full(foot_m.shape, np.nan)
-    away = xy_m - foot_m
-    long = np.hypot(*away.T)
-    good = (long > 1e-6) & (offset_m > 0)
-    outward[good] = away[good] / long[good, None]
-    for number, road in enumerate(surroundings.roads.roads):
-        side = located.side
-        half = road.edge_m(np.nan_to_num(located.station_m), side)
-        expected = np.abs(located.offset_m) - half
-        own = (located.road == number) & (np.abs(expected - offset_m) <= _ALIKE_M) & (side != 0)
-        station = located.station_m[own]
+
+    offset_m: Floats
+    place_m: Floats
+    outward: Floats
+    half_m: Floats
+
+
+def edges_at(
+    roads: Roads, located: Located, xy_m: Floats, edges_m: Floats, reach_m: float
+) -> Edges:
+    """The edge of each object's own road; where that is unknown, the nearest edge of any road.
+
+    Other pavement beside the road, such as a frontage road, a car park or the mouth of a side
+    road, decides about nothing where the road's own edge is known.
+
+    Parameters
+    ----------
+    located, xy_m : the objects. edges_m : (n, 2 or more) edge points of all roads.
+    reach_m : an edge further away is not the object's.
+    """
+    half, place = np.full(len(xy_m), np.nan), np.full((len(xy_m), 2), np.nan)
+    outward, beyond = place.copy(), np.zeros(len(xy_m), bool)
+    for number, road in enumerate(roads.roads):
+        own = located.road == number
+        station, side = located.station_m[own], located.side[own]
+        half[own] = road.bridged_edge_m(station, side)
+        # Beyond its ends a road may bend: the nearest edge tells more there.
+        beyond[own] = (station < road.start_m) | (station > road.end_m)
         way = road.direction(station)
-        right = np.column_stack([way[:, 1], -way[:, 0]])
-        outward[own] = side[own, None] * right
-        edge[own] = road.place(station, side[own] * half[own])
-    return edge, outward
+        away = np.where(side == 0, np.nan, side)
+        outward[own] = away[:, None] * np.column_stack([way[:, 1], -way[:, 0]])
+        place[own] = road.place(station, np.where(side < 0, -1, 1) * half[own])
+    offset = np.abs(located.offset_m) - half
+    other = np.isnan(offset) | beyond
+    if len(edges_m) and other.any():
+        distance, row = cKDTree(edges_m[:, :2]).query(xy_m[other])
+        place[other] = edges_m[row, :2]
+        away = xy_m[other] - place[other]
+        # On the road is what lies before the edge as seen from the centreline.
+        before = (away * (xy_m[other] - located.foot_m[other])).sum(axis=1) < 0
+        offset[other] = np.where(before, -distance, distance)
+        outward[other] = np.where(before | (distance < 1e-6), np.nan, 1.0)[:, None] * away
+        outward[other] /= np.maximum(distance, 1e-6)[:, None]
+    far = ~(np.abs(offset) <= reach_m)
+    offset[far], place[far], outward[far] = np.nan, np.nan, np.nan
+    return Edges(offset, place, outward, half)
 
 
 def object_sections(
@@ -245,7 +274,7 @@ def section_table(
 
     Parameters
     ----------
-    names : of the objects; the others as returned by `own_edges` and `object_sections`.
+    names : of the objects; the others as returned by `edges_at` and `object_sections`.
     every_m : 0 for none along the roads.
     """
     roads = surroundings.roads.roads

@@ -167,9 +167,15 @@ def leaving(
     return np.asarray(bends * offset_factor(np.maximum(offset_m, 0.0)))
 
 
-def exposure(aadt: ArrayLike, weight: ArrayLike) -> Floats:
-    """Vehicles a day in one direction times `leaving`: to rank by, no number of crashes."""
-    return np.asarray(np.asarray(aadt, np.float64) / 2 * np.asarray(weight, np.float64))
+def exposure(aadt: ArrayLike, weight: ArrayLike, one_way: ArrayLike = False) -> Floats:
+    """Vehicles a day in one direction times `leaving`: to rank by, no number of crashes.
+
+    Parameters
+    ----------
+    aadt : of both directions; of one where ``one_way``.
+    """
+    share = np.where(np.asarray(one_way, bool), 1.0, 0.5)
+    return np.asarray(np.asarray(aadt, np.float64) * share * np.asarray(weight, np.float64))
 
 
 def fixed_objects(

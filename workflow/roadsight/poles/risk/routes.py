@@ -17,11 +17,25 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.poles.risk.roads import BESIDE_M, Road, Roads, beside, resampled
 
+UNITS_M = {
+    "m": 1.0,
+    "km": 1000.0,
+    "ft": 0.3048,
+    "usft": 1200 / 3937,
+    "mi": 1609.344,
+    "usmi": 5280 * 1200 / 3937,
+}
+"""Metres in the units of measures, by the ends of column names: from_mi, to_mi."""
 _KNOTS_M = 10.0
 """Measures are carried over so often; between, they go with the centreline's length. Nearer ones
 would repeat the corners of a digitised route."""
 _JOIN_M = 5.0
 """Segments of one route join within this: digitised ends meet, gaps of a survey are longer."""
+_SCALE = 0.05
+"""Measures differ from the length of their line by no more than this share: lines drawn along a
+road, its slopes and the projection of a state make 1 or 2 %."""
+_ROUNDED_M = 16.1
+"""And by this: measures in hundredths of a mile."""
 _SHARED = 0.3
 """A route that runs beside less of a road than this share is a crossing or a neighbour."""
 
@@ -104,8 +118,37 @@ def with_routes(roads: Roads, routes: Sequence[Route]) -> tuple[Roads, list[str]
                 f" all of it is measured along {names[0]}"
             )
         own = [route for route in routes if route.name == names[0]]
-        found.append(_measured(road, names[0], own))
+        _check_scale(names[0], own)
+        measured = _measured(road, names[0], own)
+        if measured is None:
+            told.append(
+                f"route {names[0]} runs along too little of road {road.name} to tell its direction:"
+                " its measure stays its own"
+            )
+        found.append(measured or road)
     return Roads(found), told
+
+
+def _check_scale(name: str, routes: Sequence[Route]) -> None:
+    """Refuse measures that are in another unit than read, with the unit that would fit."""
+    length = sum(float(np.hypot(*np.diff(route.xy_m, axis=0).T).sum()) for route in routes)
+    measured = sum(float(route.measure_m[-1] - route.measure_m[0]) for route in routes)
+    if abs(measured - length) <= max(_SCALE * length, _ROUNDED_M):
+        return
+    fits = [
+        f"they would fit if what is read as {read} were {unit}: see roads.measure_unit, or name"
+        f" the unit in the column"
+        for read, one in UNITS_M.items()
+        for unit, other in UNITS_M.items()
+        if abs(measured * other / one - length) <= _SCALE * length
+    ]
+    raise InputError(
+        f"measures of route {name} do not go with the length of its line",
+        where=routes[0].where,
+        found=f"{measured:.4g} m of measure along {length:.4g} m",
+        allowed=f"measures within {_SCALE:.0%} of the length",
+        hint=fits[0] if fits else "check the measures and their unit",
+    )
 
 
 def _shares(road: Road, routes: Sequence[Route]) -> dict[str, Bools]:
@@ -122,14 +165,25 @@ def _shares(road: Road, routes: Sequence[Route]) -> dict[str, Bools]:
     return {name: near for name, near in found.items() if near.mean() > 0.01}
 
 
-def _measured(road: Road, name: str, routes: Sequence[Route]) -> Road:
-    """The road with the measure of its route, turned round if that rises the other way."""
+def _measured(road: Road, name: str, routes: Sequence[Route]) -> Road | None:
+    """The road with the measure of its route, turned round if that rises the other way.
+
+    None where the route runs along so little of it that its direction cannot be told.
+    """
     plan = np.r_[0.0, np.cumsum(np.hypot(*np.diff(road.xy_m, axis=0).T))]
     knots = np.unique(np.r_[np.arange(0.0, plan[-1], _KNOTS_M), plan[-1]])
     places = np.column_stack([np.interp(knots, plan, axis) for axis in road.xy_m.T])
     measure, gap = _project(places, routes)
     known = np.isfinite(measure) & (gap <= BESIDE_M)
-    at, value = knots[known], measure[known]
+    # Routes end between knots: their own ends tell too.
+    ends = np.concatenate([route.xy_m[[0, -1]] for route in routes])
+    stated = np.concatenate([route.measure_m[[0, -1]] for route in routes])
+    foot = Roads([replace(road, station_m=plan)]).locate(ends)
+    met = (np.abs(foot.offset_m) <= BESIDE_M) & (foot.station_m >= 0) & (foot.station_m <= plan[-1])
+    at, first = np.unique(np.r_[knots[known], foot.station_m[met]], return_index=True)
+    value = np.r_[measure[known], stated[met]][first]
+    if len(at) < 2 or value[-1] == value[0]:
+        return None
     rising = bool(value[-1] >= value[0])
     value = value if rising else -value
     # Feet of corners may repeat: only what rises counts.
@@ -150,6 +204,7 @@ def _measured(road: Road, name: str, routes: Sequence[Route]) -> Road:
         station_m=-station[::-1],
         left_m=road.right_m[::-1].copy(),
         right_m=road.left_m[::-1].copy(),
+        travel=-road.travel,
     )
 
 

@@ -36,7 +36,8 @@ _BESIDE_ROAD_M = 15.0
 """Barriers further from the road's edge are of another road."""
 _ON_IT_M = 0.1
 """Objects this near a barrier's line are of it: its own ends and posts."""
-_RUNOUT_SPEEDS_KMH = (50.0, 60.0, 80.0, 100.0, 110.0, 130.0)
+_RUNOUT_SPEEDS_KMH = (50.0, 64.4, 80.5, 100.0, 112.7, 130.0)
+"""Greatest speed of each row: 60, 80 and 110 km/h stand beside 40, 50 and 70 mph."""
 _RUNOUT_AADT = (1000.0, 5000.0, 10_000.0)
 """Limits between the table's classes of traffic."""
 _RUNOUT_M = np.array(
@@ -74,25 +75,30 @@ class Barrier:
 def barriers_along(
     lines_m: Sequence[Floats], names: Sequence[str], roads: Roads
 ) -> tuple[list[Barrier], list[str]]:
-    """Barriers by road, side and station, and the names of lines beside no road.
+    """Barriers by road, side and station, and what to tell of lines that cannot be placed.
 
     Parameters
     ----------
     lines_m : (n, 2) vertices of each line. A line that changes road or side is cut there.
     """
-    found, lost = [], []
+    found, told = [], []
     for line, name in zip(lines_m, names, strict=True):
         places = resampled(line, _STEP_M)
         at = roads.locate(places)
         edge = np.full(len(places), np.nan)
         for number, road in enumerate(roads.roads):
             own = at.road == number
-            edge[own] = road.edge_m(at.station_m[own], at.side[own])
-        offset = np.abs(at.offset_m) - np.nan_to_num(edge)
-        near = (at.road >= 0) & (offset <= _BESIDE_ROAD_M)
-        if not near.any():
-            lost.append(name)
-            continue
+            edge[own] = road.bridged_edge_m(at.station_m[own], at.side[own])
+        offset = np.abs(at.offset_m) - edge
+        near = offset <= _BESIDE_ROAD_M
+        unknown = np.isnan(offset) & (np.abs(at.offset_m) <= _BESIDE_ROAD_M)
+        if unknown.any():
+            told.append(
+                f"barrier {name}: no edge of its road is known along {unknown.mean():.0%} of it,"
+                " which counts for nothing"
+            )
+        elif not near.any():
+            told.append(f"barrier {name} lies along no road")
         key = np.where(near, 2 * at.road + (at.side > 0), -1)
         cuts = np.flatnonzero(np.diff(key)) + 1
         for part in np.split(np.arange(len(places)), cuts):
@@ -103,7 +109,7 @@ def barriers_along(
             ends = places[rows[[0, -1]]]
             road_number = int(at.road[rows[0]])
             found.append(Barrier(name, road_number, side, at.station_m[rows], offset[rows], ends))
-    return found, lost
+    return found, told
 
 
 def runout_m(design_speed_kmh: float, aadt: float) -> float:
@@ -135,6 +141,7 @@ class Demand:
     road, side, station_m, offset_m : of the object; offset from the road's edge.
     clear_zone_m : greatest that the inputs allow. speed_kmh, aadt : greatest likewise.
     half_road_m : from the road's edge to its centreline, NaN if unknown.
+    from_low : whether the traffic beside it comes from lower stations.
     divided : whether no opposing traffic can reach it.
     runout_length_m : given instead of the table's; 0: the table's. deflection_m : of the barriers.
     """
@@ -147,14 +154,13 @@ class Demand:
     speed_kmh: float
     aadt: float
     half_road_m: float
+    from_low: bool = True
     divided: bool = False
     runout_length_m: float = 0.0
     deflection_m: float = DEFLECTION_M
 
 
-def shielding(
-    demand: Demand, barriers: Sequence[Barrier], left_hand_traffic: bool = False
-) -> tuple[str, float, str]:
+def shielding(demand: Demand, barriers: Sequence[Barrier]) -> tuple[str, float, str]:
     """``none``, ``partial`` or ``full``, offset of the barrier (m, NaN for none), and why.
 
     Of several barriers before an object the one that shields it best counts.
@@ -164,13 +170,13 @@ def shielding(
     for barrier in barriers:
         if barrier.road != demand.road or barrier.side != demand.side:
             continue
-        found = _behind(demand, barrier, left_hand_traffic)
+        found = _behind(demand, barrier)
         if order.index(found[0]) > order.index(best[0]):
             best = found
     return best
 
 
-def _behind(demand: Demand, barrier: Barrier, left_hand: bool) -> tuple[str, float, str]:
+def _behind(demand: Demand, barrier: Barrier) -> tuple[str, float, str]:
     low, high = float(barrier.station_m[0]), float(barrier.station_m[-1])
     if not low <= demand.station_m <= high:
         return "none", float("nan"), ""
@@ -182,12 +188,12 @@ def _behind(demand: Demand, barrier: Barrier, left_hand: bool) -> tuple[str, flo
     near = length_of_need_m(reach, offset, runout)
     half = demand.half_road_m
     far = 0.0
-    if not demand.divided and np.isfinite(half) and demand.offset_m + half <= demand.clear_zone_m:
-        far = length_of_need_m(demand.offset_m + half, offset + half, runout)
-    # Right of rising measure, right-hand traffic comes from lower stations.
-    from_low = (demand.side > 0) != left_hand
-    before, after = (near, far) if from_low else (far, near)
     lacks = []
+    if not demand.divided and np.isnan(half) and demand.offset_m <= demand.clear_zone_m:
+        lacks.append("too short perhaps for opposing traffic, for the road's width is unknown")
+    elif not demand.divided and demand.offset_m + half <= demand.clear_zone_m:
+        far = length_of_need_m(demand.offset_m + half, offset + half, runout)
+    before, after = (near, far) if demand.from_low else (far, near)
     for need, there, where in (
         (before, demand.station_m - low - TERMINAL_M, "before"),
         (after, high - demand.station_m - TERMINAL_M, "after"),

@@ -131,12 +131,13 @@ class RoadSurface:
 
 @dataclass(frozen=True)
 class _Ground:
-    """What the growth looks at, all (rows, columns)."""
+    """What the growth looks at, all (rows, columns); nothing passes cells that are shut."""
 
     cells: CellMeans
     planes: LocalPlanes
     measured: Bools
     blank: Bools
+    shut: Bools
     looks: Floats
     step_m: Floats
     bridge_m: Floats
@@ -263,7 +264,7 @@ def _describe(points: Floats, tones: Floats, cell_m: float, settings: RoadSettin
     # Along a gap the crossfall changes by about 1 %; the gap is twice as wide as it is deep.
     bridge = 0.01 * 2 * wide
     measured = measured & (np.hypot(planes.east, planes.north) < settings.steepest)
-    return _Ground(cells, planes, measured, blank, looks, step, bridge)
+    return _Ground(cells, planes, measured, blank, np.zeros_like(blank), looks, step, bridge)
 
 
 def _tone(cells: CellMeans) -> Floats:
@@ -277,8 +278,7 @@ def _tone(cells: CellMeans) -> Floats:
         return np.full(cells.count.shape, np.nan)
     weight = cells.weight
     total = smooth(weight, 1.5)
-    # A tenth of the typical value keeps the logarithm from blowing up the darkest returns.
-    value = smooth(weight * np.log(cells.intensity + 0.1 * typical), 1.5)
+    value = smooth(weight * _log_tone(cells), 1.5)
     known = total > 0.3
     tone = np.where(known, value / np.maximum(total, 1e-9), np.nan)
     lower = ndimage.percentile_filter(fill_gaps(tone), 35, size=5, mode="nearest")
@@ -309,7 +309,7 @@ def step_heights_m(planes: LocalPlanes, cell_m: float) -> Floats:
 
 def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: float = 1.0) -> Bools:
     cell_m, planes = ground.cells.grid.cell_size_m, ground.planes
-    step = factor * settings.step_m
+    step, sigma = factor * settings.step_m, max(settings.window_m / cell_m, 3.0)
     # A height that is itself unsure may be off by two of its errors, but never by half a kerb.
     allowed = np.minimum(np.hypot(step, 2 * planes.error_m), 1.5 * step)
     return grow(
@@ -322,14 +322,32 @@ def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
         ground.looks,
         np.array([settings.tone_spreads, settings.rough_spreads]),
         np.array([settings.tone_ratio, settings.rough_ratio]),
+        _usual_spread(ground, seed & ground.measured, sigma),
         allowed,
         ground.bridge_m,
         settings.rise * cell_m,
-        max(settings.window_m / cell_m, 3.0),
+        sigma,
         max(2, round(0.6 / cell_m)),
         max(1, round(settings.narrowest_m / 2 / cell_m)),
         0.3,
     )
+
+
+def _usual_spread(ground: _Ground, seed: Bools, sigma: float) -> Floats:
+    """Spread of each look about its mean in the growth's window, in nine tenths of the seeds."""
+    usual = []
+    for look in np.moveaxis(ground.looks, -1, 0):
+        known = seed & np.isfinite(look)
+        _, variance = _local_spread(look, known, sigma)
+        usual.append(np.sqrt(np.percentile(variance[known], 90)) if known.any() else np.inf)
+    return _MOST_SPREAD * np.array(usual)
+
+
+_MOST_SPREAD = 2.0
+"""Times the seeds' spread that counts at most. Windows make a ramp of an edge, whose spread would
+allow the next step up it: from 3 on, a dark street leaks over verges three times as bright. F1 of
+five streets is 92.2 (lowest 78) with 2 and 92.6 (80) without a limit; at 5 cm of noise 90.7 and
+88.6."""
 
 
 def _grow_all(ground: _Ground, seeds: Bools, seeded_by: str, settings: RoadSettings) -> Bools:
@@ -438,7 +456,7 @@ def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
         shut[row[within], column[within]] = True
     if not shut.any():
         return ground
-    return replace(ground, measured=ground.measured & ~shut, blank=ground.blank & ~shut)
+    return replace(ground, measured=ground.measured & ~shut, blank=ground.blank & ~shut, shut=shut)
 
 
 def _driven(xyz_m: Floats, scan: Ints) -> Floats:
@@ -586,16 +604,52 @@ def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[
     height, _, _, _, total, _ = window_planes(weight, cells.height_m, cells.across, cells.up, sigma)
     away = ndimage.distance_transform_edt(~road) * cell_m
     near = (away <= max(settings.edge_reach_m, 1.5 * cell_m)) & (total > 0.05)
+    fewest = np.clip((5 * _layer_m(cells, road) / settings.edge_step_m) ** 2, 2, _OWN_POINTS)
     # Beside a wall the window's plane is lifted by it, but not the cell's own mean.
-    own = (cells.count >= _OWN_POINTS) & (np.abs(cells.height_m - height) < settings.edge_step_m)
+    own = (cells.count >= fewest) & (np.abs(cells.height_m - height) < settings.edge_step_m)
     near &= (
         ground.measured & (np.abs(ground.planes.height_m - height) < settings.edge_step_m)
     ) | own
-    return opened(road | near, 2.0) | road, height
+    near = ndimage.binary_propagation(road, mask=(road | near) & ~ground.shut)
+    whole = opened(near, 2.0) | road
+    inner = ndimage.distance_transform_edt(road) * cell_m > _RIM_M
+    toned = whole & (inner | _as_toned(ground, inner, settings))
+    # Paint is not the edge: a cell of another tone between two of the road's stays.
+    return opened(ndimage.binary_closing(toned) & whole, 2.0) | (inner & whole), height
 
 
 _OWN_POINTS = 4
 """Points whose mean, at 1 cm of noise, is off by a fifth of the step that an edge may have."""
+_RIM_M = 0.6
+"""The growth looks at tones through windows, of which the lower third counts, and so may run on by
+three cells where bright ground begins: on a street of 8 m without kerbs it is 0.45 m too wide on
+either side without this rim, 0 to 0.06 m too narrow with it."""
+
+
+def _as_toned(ground: _Ground, road: Bools, settings: RoadSettings) -> Bools:
+    """Cells whose own tone is that of the road beside them, or that hold no point."""
+    cells, looks = ground.cells, ground.looks[..., 0]
+    occupied, known = cells.count > 0, road & np.isfinite(looks)
+    if not known.any():
+        return np.ones(road.shape, bool)
+    tone = np.where(occupied, _log_tone(cells), 0.0)
+    sigma = max(1.0 / cells.grid.cell_size_m, 3.0)
+    mean, variance = _local_spread(looks, known, sigma)
+    allowed = settings.tone_spreads * np.hypot(np.sqrt(variance), settings.tone_ratio)
+    return (np.abs(tone - mean) < allowed) | ~occupied
+
+
+def _local_spread(look: Floats, known: Bools, sigma: float) -> tuple[Floats, Floats]:
+    """Mean and variance of a look where it is known, in a Gaussian window of ``sigma`` cells."""
+    total = np.maximum(smooth(known.astype(np.float64), sigma), 1e-9)
+    value = np.where(known, look, 0.0)
+    mean = smooth(value, sigma) / total
+    return mean, np.maximum(smooth(value**2, sigma) / total - mean**2, 0.0)
+
+
+def _log_tone(cells: CellMeans) -> Floats:
+    """Logarithm of the intensity; a tenth of the typical one keeps the darkest from blowing up."""
+    return np.log(cells.intensity + 0.1 * float(np.median(cells.intensity[cells.count > 0])))
 
 
 def _enclosed(area: Bools, road: Bools) -> Bools:

@@ -92,6 +92,7 @@ def grow(  # noqa: PLR0912, PLR0915
     looks: Floats,
     allowed_look: Floats,
     least_look: Floats,
+    most_look: Floats,
     allowed_m: Floats,
     bridge_m: Floats,
     allowed_rise: float,
@@ -105,14 +106,15 @@ def grow(  # noqa: PLR0912, PLR0915
     A cell within ``reach`` of the surface is fit when the squares of its departures, each in units
     of what is allowed, add up to less than 1: height and rise from the plane of the grown cells
     under a Gaussian window of ``sigma`` cells, and each look from their mean, in units of
-    their spread (at least ``least_look``). A blank cell (nothing measured) is fit and takes the
-    plane's height. A fit cell joins if a disc of ``radius`` cells that covers it is all grown or
-    fit, a ``share`` of it grown: nothing passes a gap narrower than the disc.
+    their spread, up to ``most_look``, and ``least_look`` beside it. A blank cell (nothing
+    measured) is fit and takes the plane's height. A fit cell joins if a disc of ``radius`` cells
+    that covers it is all grown or fit, a ``share`` of it grown: nothing passes a gap narrower than
+    the disc.
 
     Parameters
     ----------
     seed, passable, blank : (rows, columns). height_m : plane height. east, north : rise per cell.
-    looks : (rows, columns, k), NaN where unknown. allowed_look, least_look : (k,).
+    looks : (rows, columns, k), NaN where unknown. allowed_look, least_look, most_look : (k,).
     allowed_m : (rows, columns). bridge_m : (rows, columns) allowed in addition where no measured
     cell has been grown within five cells. allowed_rise : per cell.
     """
@@ -170,7 +172,10 @@ def grow(  # noqa: PLR0912, PLR0915
             for k in range(kinds):
                 apart = looks[r, c, k] - mean[k]
                 if not math.isnan(apart):
-                    off += apart**2 / (allowed_look[k] ** 2 * (variance[k] + least_look[k] ** 2))
+                    off += apart**2 / (
+                        allowed_look[k] ** 2
+                        * (min(variance[k], most_look[k] ** 2) + least_look[k] ** 2)
+                    )
             fit[r, c] = off < 1.0
         joined = [(0, 0)]
         joined.clear()

@@ -10,15 +10,15 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import Hazard
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.io.vector.road_files import UNITS_M
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.clear_zone import SOURCE
 from roadsight.poles.risk.hazard import (
@@ -26,12 +26,13 @@ from roadsight.poles.risk.hazard import (
     HazardSettings,
     Height,
     Rated,
-    rate_poles,
     rate_roadside,
 )
+from roadsight.poles.risk.inventory import CARRIAGEWAYS
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, geometry_table, section_table
 from roadsight.poles.risk.roadside_rating import SOURCES
+from roadsight.poles.risk.routes import UNITS_M
 from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.risk.shielding import Barrier, barrier_ends
 from roadsight.stages.command import run_stage
@@ -80,9 +81,10 @@ def rate_hazard(arguments: argparse.Namespace) -> None:
         inventory,
         barriers,
         arguments.traffic == "left",
+        arguments.carriageway,
     )
     objects = _with_barrier_ends(poles, barriers, frame, scale)
-    rated = rate_roadside(_divided(objects, scale), edges_m / scale, tracks, surroundings, settings)
+    rated = rate_roadside(_divided(objects, scale), edges_m / scale, surroundings, settings)
     measured = _measure(rated.table, arguments.measure_unit)
     known = objects[["id", "kind", "x", "y", "latitude", "longitude"]]
     table = pd.concat([known, rated.table, measured], axis=1)
@@ -171,29 +173,6 @@ def grid_scale(poles: pd.DataFrame, frame: Frame) -> float:
     return float(SiteNorth(frame).scale(poles[["x", "y"]].to_numpy(np.float64)).mean())
 
 
-def rate_on_ground(
-    poles: pd.DataFrame,
-    edges_m: Floats,
-    frames: pd.DataFrame,
-    height: Height | None,
-    settings: HazardSettings,
-    scale: float,
-) -> pd.DataFrame:
-    """Hazard with distances on the ground: `rate_poles` in a grid without its scale.
-
-    Parameters
-    ----------
-    scale : metres of the grid for each metre on the ground.
-    """
-    return rate_poles(
-        _divided(poles, scale),
-        edges_m / scale,
-        RouteTracks(frames.assign(**{name: frames[name] / scale for name in PLAN})),
-        _on_ground(height, scale),
-        settings,
-    )
-
-
 def _divided(poles: pd.DataFrame, scale: float) -> pd.DataFrame:
     return poles.assign(**{name: poles[name] / scale for name in (*PLAN, "sigma_major_m")})
 
@@ -221,12 +200,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--layers", help="GeoPackage of all layers")
     parser.add_argument("--geometry-csv", help="road geometry by station")
     parser.add_argument("--sections", help="cross-sections, for the report")
-    parser.add_argument("--section-every-m", type=float, default=20.0, help="0: at objects only")
+    add_settings(parser, Hazard, "section_every_m")
     for name in ("inventory", "routes", "barriers"):
         parser.add_argument(f"--{name}", nargs="?", help="file of the user")
         parser.add_argument(f"--{name}-crs", default="", help="its CRS if it names none")
     parser.add_argument("--measure-unit", choices=tuple(UNITS_M), default="m")
     parser.add_argument("--traffic", choices=("right", "left"), default="right", help="drives so")
+    parser.add_argument("--carriageway", choices=CARRIAGEWAYS, default="two-way")
     parser.add_argument("--scale-factor", choices=("simulate", "skip"), default="skip")
     for name, default in vars(HazardSettings()).items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=default)

@@ -92,11 +92,16 @@ def given_roads(
     if inventory is not None:
         own = [uncovered(inventory, inventory.route_of(road), road) for road in roads.roads]
         told += [message for message in own if message]
+        if not routes:
+            told.append(
+                "measures of the inventory are counted from each road's first image: it has no"
+                " lines, and no routes are given (roads.routes)"
+            )
     barriers: list[Barrier] = []
     if arguments.barriers:
         lines, names = read_barriers(arguments.barriers, frame, arguments.barriers_crs or None)
-        barriers, lost = barriers_along([line / scale for line in lines], names, roads)
-        told += [f"barrier {name} lies along no road" for name in lost]
+        barriers, more = barriers_along([line / scale for line in lines], names, roads)
+        told += more
     for message in told:
         log.warning("%s", message)
     return roads, inventory, barriers, told

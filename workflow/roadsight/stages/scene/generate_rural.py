@@ -16,10 +16,15 @@ from roadsight.io.images.videolog_shards import write_csv
 from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.command import run_stage
 from roadsight.synthetic.rendering.images import RuralRenderer
-from roadsight.synthetic.rural.airborne_scanner import AirborneScanner, Returns, scan_rural
+from roadsight.synthetic.rural.airborne_scanner import (
+    CLASS_SCHEMES,
+    AirborneScanner,
+    Returns,
+    scan_rural,
+)
 from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.rural_truth import rural_layers
-from roadsight.synthetic.rural.videolog import random_drives, shots
+from roadsight.synthetic.rural.videolog import GpsNoise, drifting, random_drives, shots
 from roadsight.synthetic.rural.videolog_tables import (
     CAMERA_DECIMALS,
     POLE_DECIMALS,
@@ -36,14 +41,24 @@ OBJECT_DIMENSION = "truth_object"
 def generate_rural(arguments: argparse.Namespace) -> None:
     """Build the site, scan it, drive along it, and write cloud, truth and tables."""
     site = build_rural(arguments.seed, arguments.length_m, relief=arguments.relief)
-    scanner = AirborneScanner(pulses_per_m2=arguments.pulses_per_m2)
+    scanner = AirborneScanner(
+        pulses_per_m2=arguments.pulses_per_m2,
+        hits_poles=arguments.pole_returns == "yes",
+        class_scheme=arguments.class_scheme,
+    )
     rng = np.random.default_rng([arguments.seed, 31])
     xyz_m, dims = _cloud(scan_rural(RuralRenderer(site), rng, scanner))
     write_laz(arguments.cloud, xyz_m, site.frame(), dims)
     write_layers(arguments.truth, rural_layers(site), site.frame())
     write_csv(arguments.poles, pole_table(site), POLE_DECIMALS)
     sides = arguments.side_views == "yes"
-    drives = random_drives(arguments.seed, hfov_deg=arguments.hfov_deg, side_views=sides)
+    drives = random_drives(
+        arguments.seed,
+        hfov_deg=arguments.hfov_deg,
+        side_views=sides,
+        principal_point_px=arguments.principal_point_px,
+        gps=drifting(arguments.gps_drift_m) if arguments.gps_drift_m else GpsNoise(),
+    )
     places = [place for drive in drives for place in shots(site, drive, arguments.seed)]
     write_csv(arguments.videolog, videolog_table(site, places), VIDEOLOG_DECIMALS)
     write_csv(arguments.cameras, camera_table(site, places), CAMERA_DECIMALS)
@@ -73,6 +88,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--relief", type=float, default=1.0, help="heights; 0 is level")
     parser.add_argument("--hfov-deg", type=float, default=0.0, help="first camera; 0: about 20")
     parser.add_argument("--side-views", choices=("yes", "no"), default="yes")
+    parser.add_argument("--principal-point-px", type=float, default=0.0, help="from the middle")
+    parser.add_argument("--gps-drift-m", type=float, default=0.0, help="0: about 1.4")
+    parser.add_argument("--pole-returns", choices=("yes", "no"), default="yes")
+    parser.add_argument("--class-scheme", choices=CLASS_SCHEMES, default="usual")
     parser.add_argument("--cloud", required=True, help="LAZ to write, classified")
     parser.add_argument("--truth", required=True, help="GeoPackage to write")
     parser.add_argument("--poles", required=True, help="CSV of every post to write")

@@ -11,7 +11,7 @@ import argparse
 import logging
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,8 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.scene import Scene
 from roadsight.geometry.crs import METRES_PER_UNIT, unit_name
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice, resolve
@@ -27,7 +29,7 @@ from roadsight.geometry.site import Reprojection, SiteFrame, centre_of, reprojec
 from roadsight.io.cloud.chunks import Chunk
 from roadsight.io.cloud.cloud_scan import CloudScan, Take, kept_chunks, scan_cloud
 from roadsight.io.cloud.clouds import CHUNK_POINTS, read_extent, read_header
-from roadsight.io.cloud.point_filter import OVERLAPS
+from roadsight.io.cloud.point_filter import in_share
 from roadsight.io.cloud.repeated import RepeatedSample, check_copies, first_ones, steps_of
 from roadsight.io.cloud.tile_draft import TileDraft, colour_shift, is_coloured, tile_columns
 from roadsight.io.cloud.tile_writer import TileWriter
@@ -53,6 +55,7 @@ def ingest(
     chunk_points: int = CHUNK_POINTS,
     overlap: str = "use",
     extent: Callable[[Frame], Within] | None = None,
+    pulse_share: float = 1.0,
 ) -> None:
     """Read ``clouds``, check them and write the tiled cloud and its frame.
 
@@ -65,6 +68,7 @@ def ingest(
     chunk_points : points looked at together; the result does not depend on it.
     overlap : whether points of overlapping flight lines take part, see `kept_chunks`.
     extent : gives, in the site's frame, which places belong to the site; None: all.
+    pulse_share : of the pulses that take part, see `in_share`.
 
     Raises
     ------
@@ -72,7 +76,7 @@ def ingest(
         the extent holds no point.
     """
     _check_arguments(clouds, tile_size_m)
-    moved = target_crs or extent is not None
+    moved = target_crs or extent is not None or pulse_share < 1.0
     promised, coloured = (None, False) if moved else _promised(clouds, choice)
     with TileDraft(cloud_path, tile_size_m, promised, coloured) as draft:
         sample = RepeatedSample(steps_of(clouds))
@@ -92,14 +96,16 @@ def ingest(
             told = "clouds overlap, or hold copies: %d points are there twice and count once"
             log.warning(told, repeated)
         tiles = None if repeated else draft.finish(site.frame, scans)
-    outside = 0
+    outside = thinned = 0
+    steps = steps_of(clouds)
     within = None if extent is None else extent(site.frame)
     if tiles is None:
         log.info("reading again: the points differ from what the headers say, or are not all kept")
         with TileWriter(cloud_path, tile_size_m, is_coloured(scans)) as writer:
             for scan, ones in zip(scans, first, strict=True):
                 shift, done = colour_shift(scan.brightest), 0
-                for chunk, *_ in kept_chunks(scan.header.path, move, chunk_points, overlap):
+                times = pulse_share < 1.0
+                for chunk, *_ in kept_chunks(scan.header.path, move, chunk_points, overlap, times):
                     part = None if ones is None else ones[done : done + len(chunk)]
                     done += len(chunk)
                     kept = chunk if part is None else chunk.select(part)
@@ -107,12 +113,22 @@ def ingest(
                         inside = within(site.frame.to_local(kept.xyz[:, :2]))
                         outside += int(np.count_nonzero(~inside))
                         kept = kept.select(inside)
+                    if pulse_share < 1.0:
+                        chosen = in_share(kept.xyz, steps, kept.time, pulse_share)
+                        thinned += int(np.count_nonzero(~chosen))
+                        kept = kept.select(chosen)
                     writer.append(tile_columns(kept, site.frame, shift))
             _check_extent(outside, scans, repeated)
+            _check_share(
+                pulse_share, thinned, sum(scan.points for scan in scans) - repeated - outside
+            )
             tiles = writer.finish()
     if outside:
         log.info("the extent leaves %d points out", outside)
-    write_json(frame_path, describe(site, scans, tiles, tile_size_m, repeated, outside))
+    if thinned:
+        log.warning("scene.pulse_share: %d points of left out pulses take no part", thinned)
+    dropped = {"repeated": repeated, "outside": outside, "thinned": thinned}
+    write_json(frame_path, describe(site, scans, tiles, tile_size_m, dropped))
     log.info("%d points in %d tiles", sum(tile.rows for tile in tiles), len(tiles))
 
 
@@ -158,10 +174,9 @@ def describe(
     scans: Sequence[CloudScan],
     tiles: Sequence[Tile],
     tile_size_m: float,
-    repeated: int = 0,
-    outside: int = 0,
+    dropped: Mapping[str, int],
 ) -> dict[str, Any]:
-    """Content of ``scene/frame.json``."""
+    """Content of ``scene/frame.json``; ``dropped`` counts points left out beside the filter's."""
     corners = np.array([tile.bounds_m for tile in tiles])
     bounds_m = [*corners[:, :3].min(axis=0).tolist(), *corners[:, 3:].max(axis=0).tolist()]
     return site.frame.to_dict() | {
@@ -180,8 +195,7 @@ def describe(
             "noise": sum(scan.noise for scan in scans),
             "synthetic": sum(scan.synthetic for scan in scans),
             "overlap": sum(scan.overlap for scan in scans),
-            "repeated": repeated,
-            "outside": outside,
+            **dropped,
         },
     }
 
@@ -195,6 +209,17 @@ def _check_extent(outside: int, scans: Sequence[CloudScan], repeated: int) -> No
             where="extent",
             allowed=f"part of x {west:.10g} to {east:.10g}, y {south:.10g} to {north:.10g}",
             hint="give it in the clouds' coordinates, or a file that names its CRS",
+        )
+
+
+def _check_share(pulse_share: float, thinned: int, points: int) -> None:
+    """Refuse a share of the pulses that leaves nothing."""
+    if thinned and thinned == points:
+        raise InputError(
+            "leaves no point",
+            where="scene.pulse_share",
+            found=pulse_share,
+            allowed=f"more than {1 / points:.2g} of {points} points",
         )
 
 
@@ -239,8 +264,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--units", choices=UNITS, default="auto")
     parser.add_argument("--vertical-units", choices=UNITS, default="auto")
     parser.add_argument("--target-crs", nargs="?", help="reproject to this projected CRS")
-    parser.add_argument("--tile-size-m", type=float, default=50.0)
-    parser.add_argument("--overlap", choices=OVERLAPS, default="use")
+    add_settings(parser, Scene, "tile_size_m", "overlap", "pulse_share")
     parser.add_argument("--extent", nargs="?", help="KIND=VALUE, see `read_extent`")
     parser.add_argument("--extent-files", nargs="*", type=Path, default=[])
     parser.add_argument("--extent-crs", nargs="?", help="of extent files that name none")
@@ -261,6 +285,7 @@ def _run(arguments: argparse.Namespace) -> None:
             arguments.frame,
             overlap=arguments.overlap,
             extent=_extent(arguments),
+            pulse_share=arguments.pulse_share,
         )
     except InputError as error:
         raise InputError(str(error), where=f"site {arguments.site}") from error

@@ -60,7 +60,12 @@ def render_videolog(arguments: argparse.Namespace) -> None:
 
 def _drives(arguments: argparse.Namespace) -> tuple[Drive, Drive]:
     sides = arguments.side_views == "yes"
-    return random_drives(arguments.seed, hfov_deg=arguments.hfov_deg, side_views=sides)
+    return random_drives(
+        arguments.seed,
+        hfov_deg=arguments.hfov_deg,
+        side_views=sides,
+        principal_point_px=arguments.principal_point_px,
+    )
 
 
 def _lens(camera: Intrinsics, arguments: argparse.Namespace) -> RadialLens | None:
@@ -81,6 +86,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--relief", type=float, default=1.0, help="heights; 0 is level")
     parser.add_argument("--hfov-deg", type=float, default=0.0, help="first camera; 0: about 20")
     parser.add_argument("--side-views", choices=("yes", "no"), default="yes")
+    parser.add_argument("--principal-point-px", type=float, default=0.0, help="from the middle")
     parser.add_argument("--k1", type=float, default=0.0, help="of all lenses, focal length 1")
     parser.add_argument("--k2", type=float, default=0.0)
     parser.add_argument("--shard", type=int, default=0)

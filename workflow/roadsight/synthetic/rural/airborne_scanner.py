@@ -40,6 +40,10 @@ _MEDIUM_M = 2.0
 """Plants below this are medium vegetation (class 4), those above it high (class 5)."""
 _EDGE_M = 1.0
 """Points within this distance of the pavement's edge may have the wrong class."""
+CLASS_SCHEMES = ("usual", "none", "unclassified", "lines")
+"""What producers say of points: ASPRS classes with poles in the vegetation; 0; 1; wires 14, poles
+15 and what is left 64."""
+_LINE = (Material.POLE_WOOD, Material.FITTING, Material.WIRE, Material.STEEL_POST)
 _OPEN = (Material.LEAVES, Material.BUSH, Material.WIRE)
 """What lets a part of a pulse through."""
 
@@ -54,6 +58,7 @@ class AirborneScanner:
     flight_height_m : above the road. line_offset_m : of the two flight lines from the site's axis.
     range_sigma_m, plan_sigma_m : noise along and across the pulse.
     edge_error_share : points within a metre of the pavement's edge with the wrong class.
+    hits_poles : whether returns on poles and wires are kept. class_scheme : of `CLASS_SCHEMES`.
     """
 
     pulses_per_m2: float = 24.0
@@ -63,6 +68,8 @@ class AirborneScanner:
     range_sigma_m: float = 0.02
     plan_sigma_m: float = 0.02
     edge_error_share: float = 0.01
+    hits_poles: bool = True
+    class_scheme: str = "usual"
 
 
 @dataclass(frozen=True)
@@ -118,6 +125,7 @@ def _strip(
     classes, reflectance = _surfaces(renderer, hits)
     classes = _edge_errors(renderer, hits, classes, scanner.edge_error_share, rng)
     along = ray[pulse]
+    classes = _in_scheme(renderer, hits, classes, scanner.class_scheme)
     noise = rng.normal(0.0, scanner.plan_sigma_m, (len(pulse), 3))
     noise += along * rng.normal(0.0, scanner.range_sigma_m, (len(pulse), 1))
     mesh = renderer.site.mesh
@@ -125,7 +133,7 @@ def _strip(
     strength = reflectance * (0.35 + 0.65 * facing) * 0.75 ** (number - 1.0)
     strength *= np.exp(rng.normal(0.0, 0.08, len(pulse)))
     count = np.bincount(pulse, minlength=len(road))
-    return Returns(
+    found = Returns(
         hits.place_m + noise,
         classes,
         np.clip(65535.0 * strength, 1.0, 65535.0).astype(np.uint16),
@@ -135,6 +143,22 @@ def _strip(
         angle[pulse],
         mesh.object_id[hits.triangle],
     )
+    if scanner.hits_poles:
+        return found
+    kept = ~np.isin(mesh.material[hits.triangle], _LINE)
+    columns = found.__dataclass_fields__
+    return Returns(**{name: getattr(found, name)[kept] for name in columns})
+
+
+def _in_scheme(renderer: RuralRenderer, hits: Cast, classes: Bytes, scheme: str) -> Bytes:
+    """Classes as another producer delivers them."""
+    if scheme == "usual":
+        return classes
+    if scheme != "lines":
+        return np.full_like(classes, 0 if scheme == "none" else 1)
+    material = renderer.site.mesh.material[hits.triangle]
+    line = [material == Material.WIRE, np.isin(material, _LINE), classes == 1]
+    return np.select(line, [np.uint8(14), np.uint8(15), np.uint8(64)], classes)
 
 
 def _aims(
