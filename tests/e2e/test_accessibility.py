@@ -142,8 +142,8 @@ def studio(tmp_path_factory):
 
 PAGES = {
     "edges/tiny": "studio.page?.view?.settled",
-    "results/tiny": "studio.page?.part?.about",
-    "results/drive": "studio.page?.part",
+    "results/tiny": "studio.page?.part?.about && studio.page.view.settled",
+    "results/drive": "studio.page?.part && studio.page.view.settled",
     "registration/drive": "studio.page",
     "run/tiny": "document.querySelector('[data-do=edit-mine]')",
     "run/empty": "studio.page",

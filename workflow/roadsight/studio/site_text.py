@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import yaml
@@ -9,6 +10,8 @@ import yaml
 from roadsight.base.errors import InputError
 
 Value = str | dict[str, Any] | None
+_BREAKS = "\x85\u2028\u2029"
+"""Ends of lines for YAML, besides those that it escapes by itself."""
 
 
 def with_value(text: str, section: str, key: str, value: Value, within: str | None = None) -> str:
@@ -134,7 +137,8 @@ def _cut_lines(text: str, first: yaml.Node, last: yaml.Node) -> str:
 
 def _scalar(value: Value) -> str:
     """A text or a mapping as YAML on one line."""
-    written = yaml.safe_dump(
-        value, width=10_000, default_flow_style=True, sort_keys=False, allow_unicode=True
-    )
+    dump = partial(yaml.safe_dump, width=10_000, default_flow_style=True, sort_keys=False)
+    written = dump(value, allow_unicode=True)
+    if any(mark in written for mark in _BREAKS):
+        written = dump(value)  # escapes them
     return written.removesuffix("\n").removesuffix("\n...").strip()
