@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import yaml
@@ -137,8 +136,8 @@ def _cut_lines(text: str, first: yaml.Node, last: yaml.Node) -> str:
 
 def _scalar(value: Value) -> str:
     """A text or a mapping as YAML on one line."""
-    dump = partial(yaml.safe_dump, width=10_000, default_flow_style=True, sort_keys=False)
-    written = dump(value, allow_unicode=True)
+    options = {"width": 10_000, "default_flow_style": True, "sort_keys": False}
+    written = str(yaml.safe_dump(value, allow_unicode=True, **options))
     if any(mark in written for mark in _BREAKS):
-        written = dump(value)  # escapes them
+        written = str(yaml.safe_dump(value, **options))  # escapes them
     return written.removesuffix("\n").removesuffix("\n...").strip()
