@@ -136,7 +136,7 @@ def _cut_lines(text: str, first: yaml.Node, last: yaml.Node) -> str:
 
 def _scalar(value: Value) -> str:
     """A text or a mapping as YAML on one line."""
-    options = {"width": 10_000, "default_flow_style": True, "sort_keys": False}
+    options: dict[str, Any] = {"width": 10_000, "default_flow_style": True, "sort_keys": False}
     written = str(yaml.safe_dump(value, allow_unicode=True, **options))
     if any(mark in written for mark in _BREAKS):
         written = str(yaml.safe_dump(value, **options))  # escapes them
