@@ -22,6 +22,9 @@ from roadsight.config.sections.poles import Voxels
 from roadsight.config.sections.scene import Pavement
 from tests.conftest import PROJECT
 
+RULES = re.compile(
+    r"^(?:rule|checkpoint) (\w+):\n(.*?)(?=^(?:rule|checkpoint|def|use|if) |\Z)", re.M | re.S
+)
 RULE = re.compile(r"^rule (\w+):\n(.*?)(?=^(?:rule|checkpoint|def|use) |\Z)", re.M | re.S)
 
 
@@ -52,11 +55,8 @@ def parsers() -> list[tuple[str, str]]:
 def asked() -> dict[str, set[str]]:
     """Settings that rules hand on one by one or by section, by the module of their stage."""
     found: dict[str, set[str]] = {}
-    rule = re.compile(
-        r"^(?:rule|checkpoint) (\w+):\n(.*?)(?=^(?:rule|checkpoint|def|use|if) |\Z)", re.M | re.S
-    )
     for file in sorted((PROJECT / "workflow" / "rules").rglob("*.smk")):
-        for _, body in rule.findall(file.read_text("utf-8")):
+        for _, body in RULES.findall(file.read_text("utf-8")):
             module = re.search(r"python -m (roadsight\.stages\.[\w.]+)", body)
             if module:
                 names = set(re.findall(r'setting\("[\w.]+\.(\w+)"\)', body))
@@ -88,6 +88,43 @@ def test_no_stage_writes_the_default_of_a_setting_again():
         if repeated := names & written(source):
             twice[module] = repeated
     assert not twice
+
+
+def taken(source: str) -> set[str]:
+    """Settings that a module makes options of, one by one or the whole section."""
+    found = set()
+    for call in ast.walk(ast.parse(source)):
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "add_settings":
+            names = [a.value for a in call.args[2:] if isinstance(a, ast.Constant)]
+            kind = ast.unparse(call.args[1]).rpartition(".")[2]
+            whole = {
+                name
+                for field in Settings.model_fields.values()
+                if getattr(field.annotation, "__name__", "") == kind
+                for name in field.annotation.model_fields
+            }
+            found |= set(names) if len(call.args) > 2 else whole
+    return found
+
+
+def test_rules_hand_on_each_setting_that_their_stage_takes():
+    """Else a default would decide whose change makes nothing stale."""
+    lacking = {}
+    for file in sorted((PROJECT / "workflow" / "rules").rglob("*.smk")):
+        beside = "".join(part.read_text("utf-8") for part in file.parent.glob("*_inputs.smk"))
+        for name, body in RULES.findall(file.read_text("utf-8")):
+            module = re.search(r"python -m (roadsight\.stages\.[\w.]+)", body)
+            if not module:
+                continue
+            options = taken(inspect.getsource(importlib.import_module(module.group(1))))
+            for section in re.findall(r'flags\(\s*"([\w.]+)"', body):
+                options -= set(sections()[section])
+            missing = {
+                o for o in options if not re.search(f"--{o.replace('_', '-')}[ =]", body + beside)
+            }
+            if missing:
+                lacking[name] = missing
+    assert not lacking
 
 
 def test_sections_make_options():
