@@ -78,6 +78,58 @@ def test_what_is_wrong_with_a_plan_is_told_beside_it(plan, project):
     plan.until("!document.querySelector('dialog')")
 
 
+def test_places_may_have_decimal_commas_and_come_back_as_written(plan):
+    module = "import('/assets/js/plans/places.js')"
+    lines = ["412345,12; 5400000,5; OS1-32", "1.5, 2, OS1-32, 4", "1,5\t2\t\t4,5\ta@y+30p-10r+0"]
+    written = "\n".join(lines)
+    places, again = plan.run(f"""{module}.then(({{ readStanding, standingText }}) => {{
+        const places = readStanding({written!r});
+        return [places, readStanding(standingText(places))]; }})""")
+    squares = "1,5;2;3\n1.5, 2, 3"
+    barred = plan.run(f"{module}.then(({{ readBarred }}) => readBarred({squares!r}))")
+    assert places == again
+    assert [tuple(place.values()) for place in places] == [
+        (412345.12, 5400000.5, "OS1-32", None, ""),
+        (1.5, 2, "OS1-32", 4, ""),
+        (1.5, 2, "", 4.5, "a@y+30p-10r+0"),
+    ]
+    assert barred == [{"x": 1.5, "y": 2, "half_m": 3}] * 2
+
+
+def test_a_plan_that_somebody_else_changed_is_not_overwritten(plan, project):
+    click(plan, "[data-do=save-as]")
+    plan.until("document.querySelector('dialog.form')")
+    fill(plan, "plan-name", "mine")
+    site = project / "config/sites/tiny.yaml"
+    content = yaml.safe_load(site.read_text())
+    other = {"title": "Other", "sensors": ["VLP-16"]}
+    content.setdefault("placement", {})["own_plans"] = {"other": other}
+    site.write_text(yaml.safe_dump(content))
+    click(plan, "[data-do=save-plan]")
+    plan.until("document.querySelector('dialog [role=alert] .message')")
+    assert "changed meanwhile" in text(plan, "dialog [role=alert]")
+    assert own_plans(project) == {"other": other}
+    key(plan, "Escape")
+
+
+def test_figures_that_could_not_be_counted_are_marked(plan):
+    assert "Figures of before" not in text(plan, ".panel")
+    version = plan.run(f"{PART}.about.version")
+    plan.run(f"{PART}.about.version = 'old'")
+    click(plan, "[data-do=on0]")
+    plan.until(f"!{PART}.turn")
+    assert "Figures of before" in text(plan, ".panel")
+    plan.run(f"{PART}.about.version = {version!r}")
+    click(plan, "[data-do=on0]")
+    plan.until(f"!{PART}.turn && !{PART}.outdated")
+    assert "Figures of before" not in text(plan, ".panel")
+
+
+def test_what_a_what_if_does_not_count_is_said(plan):
+    plan.run(f"{PART}.about.notes = ['That is not counted here.']; studio.page.show()")
+    assert "That is not counted here." in text(plan, ".panel")
+
+
 def test_files_are_taken_away(plan, tmp_path):
     plan.call("Page.setDownloadBehavior", behavior="allow", downloadPath=str(tmp_path))
     for kind, name in (

@@ -12,7 +12,7 @@ from pyproj import CRS
 from shapely import LineString, Polygon
 
 from roadsight.config.schema import Settings
-from roadsight.config.sensing import Targets
+from roadsight.config.sections.sensing import Targets
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.cloud.tile_writer import TileWriter

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -46,3 +48,21 @@ def test_a_job_by_open3d(finished: Checkout, copy_of_finished: Checkout) -> None
             for run in (own, peer)
         ]
         assert len(found[0]) == len(found[1])
+
+
+def test_its_lock_counts_where_it_is_asked_for(tmp_path: Path) -> None:
+    needs_open3d()
+    checkout = Checkout.copy_to(tmp_path / "project")
+
+    def readers() -> set[str]:
+        """Rules that read the lock of Open3D."""
+        told = checkout.snakemake("--cores", "1", "--dry-run")
+        assert told.returncode == 0, told.stdout[-4000:] + told.stderr[-4000:]
+        jobs = re.findall(r"^(?:local)?rule (\w+):\n((?: .*\n)+)", told.stdout, re.MULTILINE)
+        assert {name for name, text in jobs if "envs/requirements.lock" in text}
+        return {name for name, text in jobs if "envs/requirements-open3d.lock" in text}
+
+    assert readers() == set()
+    checkout.edit("config/sites/tiny.yaml", "  shards: 2\n", ENGINES)
+    rays = {"render_depth_maps", "find_obstacles", "render_scans", "measure_tolerance"}
+    assert readers() == {"extract_pavement", "try_removals", *rays}

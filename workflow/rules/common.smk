@@ -25,6 +25,7 @@ prepare_environment()
 let_stops_through()
 
 LOCK = "envs/requirements.lock"
+OPEN3D_LOCK = "envs/requirements-open3d.lock"
 PAPER_ASSETS = ["workflow/roadsight/report/assets/paper/report.typ"]
 REPORT_ASSETS = sorted(
     {str(path) for path in Path("workflow/roadsight/report/assets").rglob("*.*")}
@@ -49,9 +50,10 @@ for path in workflow.configfiles:
 CONFIG = clearly(load_config, config)
 ASKED_SITES = clearly(load_sites, CONFIG)
 # Conda environments bring Open3D with them, whatever this interpreter has.
-if not workflow.deployment_settings.deployment_method:
+BRINGS_OPEN3D = bool(workflow.deployment_settings.deployment_method)
+if not BRINGS_OPEN3D:
     clearly(check_engines, ASKED_SITES)
-TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file)
+TRADEOFFS = clearly(load_tradeoffs, CONFIG.tradeoffs_file, BRINGS_OPEN3D or None)
 # Sites of trade-offs and of audits have rules like any other, but only the targets `tradeoffs` and
 # `audit` ask for them. They solve their own plans, whatever plans a run asks for.
 OWN_PLANS = CONFIG.model_copy(update={"plans": []})
@@ -94,6 +96,14 @@ def site_field(path):
 def sources(stage):
     """Source files that a stage imports, and the lock: editing one of them makes it stale."""
     return [*stage_sources(stage), LOCK]
+
+
+def sources_with(stage, engine):
+    """The same, and the lock of Open3D where ``engine``, of wildcards, hands it a step."""
+    return lambda wildcards: [
+        *sources(stage),
+        *([OPEN3D_LOCK] if engine(wildcards) == "open3d" else []),
+    ]
 
 
 def log_of(stage, *wildcards):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import logging
 import subprocess
 import sys
 
@@ -98,6 +99,10 @@ def test_places_on_the_road_choose_the_surface(rng):
         assert f1(one.points, road) > 0.9
     with pytest.raises(InputError, match="seed 1 of 1"):
         roadsight.pavement(xyz, seeds_xy=[[900.0, 0.0]])
+    with pytest.raises(InputError, match=r"seeds_xy\[1\]: is no place"):
+        roadsight.pavement(xyz, seeds_xy=[[25.0, 0.0], [np.nan, 0.0]])
+    with pytest.raises(InputError, match="method: has no use for seeds_xy"):
+        roadsight.pavement(xyz, method="published", seeds_xy=[[25.0, 0.0]])
 
 
 def test_a_detection_matrix_is_that_of_its_depth_maps(file):
@@ -147,6 +152,30 @@ def test_layers_of_sightings_come_back_in_their_crs():
     assert float(apart.iloc[0]) < 0.01
 
 
+def test_names_of_a_layer_may_be_written_in_any_way():
+    points = gpd.points_from_xy([-0.1, -0.1001], [51.5, 51.5], crs="EPSG:4326")
+    columns = {"Lat": [0, 0], "Lon": [0, 0], " Bearing ": [315.0, 0.0], "Depth": [9.8, 6.9]}
+    found = roadsight.triangulate(gpd.GeoDataFrame(columns, geometry=points))
+    plain = {"lat": [51.5, 51.5], "lon": [-0.1, -0.1001]}
+    plain |= {"bearing": [315.0, 0.0], "depth": [9.8, 6.9]}
+    expected = roadsight.triangulate(pd.DataFrame(plain))
+    assert found.drop(columns="geometry").equals(expected.drop(columns="geometry"))
+
+
+def test_one_job_may_be_named_without_a_list():
+    assert roadsight.estimate(6.3, jobs="poles") == roadsight.estimate(6.3, jobs=["poles"])
+
+
+def test_a_step_that_fails_leaves_the_callers_log_alone(monkeypatch):
+    root = logging.getLogger()
+    for handlers in ([], [logging.NullHandler()]):
+        monkeypatch.setattr(root, "handlers", handlers)
+        before, level = handlers[:], root.level
+        with pytest.raises(InputError, match=r"no\.laz"):
+            roadsight.align("no.csv", "no.laz", "no")
+        assert (root.handlers, root.level) == (before, level)
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -164,6 +193,10 @@ def test_layers_of_sightings_come_back_in_their_crs():
         (lambda: roadsight.triangulate(pd.DataFrame({"lat": [1.0]})), "lacks the column lon"),
         (lambda: roadsight.estimate(-1), "miles: is not positive; found -1"),
         (lambda: roadsight.estimate(1, trees=3), "trees: is no amount"),
+        (lambda: roadsight.estimate(1, points_m=-5), "points_m: is not positive; found -5"),
+        (lambda: roadsight.estimate(1, images=float("nan")), "images: is not positive"),
+        (lambda: roadsight.estimate(1, jobs=["pole"]), "jobs: is no job; found pole"),
+        (lambda: roadsight.estimate(1, jobs=[]), "jobs: is no job; found none"),
         (lambda: roadsight.align("no.csv", "no.laz", "no"), "no.laz"),
     ],
 )

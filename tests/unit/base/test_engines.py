@@ -48,6 +48,13 @@ def test_whoever_installs_is_told(capsys):
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.usefixtures("missing")
+def test_what_is_installed_may_be_unusable(monkeypatch):
+    assert engines.is_installed() and not engines.is_usable()
+    monkeypatch.setattr(importlib, "import_module", lambda name: object())
+    assert engines.is_usable()  # a version that needs none of what is missing
+
+
 def test_what_cannot_be_loaded_for_another_reason_says_why(monkeypatch):
     def fail(name):
         raise ImportError("no module named dash")

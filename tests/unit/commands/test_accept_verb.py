@@ -1,26 +1,44 @@
 """The verb `roadsight accept` on a planned street written by hand."""
 
+import argparse
 import json
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pytest
 from shapely import Point
 
 from roadsight.__main__ import main
+from roadsight.api.sight import CATALOGUE
+from roadsight.commands.accept import add_parser
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import write_json
+from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import write_layers
+from roadsight.placement.candidates.tilt import tilt_rotation
+from roadsight.placement.sensors.poses import AS_MOUNTED, local_from_sensor
 from tests.unit.placement.plans.test_acceptance import PLACE_M, scan, street
 from tests.unit.placement.stages.test_solve_cover_stage import FRAME
 
+SENSORS = {
+    "sensors": {
+        "mine": {
+            "kind": "spinning",
+            "azimuth_step_deg": 1.0,
+            "elevations_deg": list(range(-45, 11)),
+            "range_m": 60.0,
+        }
+    }
+}
 OWN = Frame((0.0, 0.0, 0.0), 1.0, 1.0, FRAME.crs_wkt)
 """A scan in the sensor's own frame: metres from its centre."""
 
 
 @pytest.fixture
 def accept(tmp_path, capsys):
+    """Runs the verb on a plan of one sensor, `tmp_path` being its results."""
     plan = tmp_path / "placement" / "p"
     plan.mkdir(parents=True)
     (tmp_path / "scene").mkdir()
@@ -36,10 +54,13 @@ def accept(tmp_path, capsys):
     source = {"point_source_id": np.ones(len(points), np.uint16)}
     write_laz(plan / "scans.laz", points, FRAME, source)
 
+    write_json(tmp_path / "sensors.yaml", SENSORS)  # JSON is YAML
+
     def run(points, frame, *options):
         write_laz(tmp_path / "scan.laz", points, frame)
         argv = ["accept", str(tmp_path / "scan.laz"), "--plan", str(plan / "solution.json")]
-        code = main([*argv, "--sensor", "1", "-o", str(tmp_path / "out.json"), *options])
+        argv += ["--sensor", "1", "--sensors", str(tmp_path / "sensors.yaml")]
+        code = main([*argv, "-o", str(tmp_path / "out.json"), *options])
         told = capsys.readouterr()
         return json.loads((tmp_path / "out.json").read_text()) if code == 0 else told.err
 
@@ -79,3 +100,51 @@ def test_a_sensor_that_the_plan_lacks_is_refused(accept):
     told = accept(scan(PLACE_M, street(0)), FRAME, "--sensor", "2")
     assert "--sensor" in told
     assert "1 to 1" in told
+
+
+def test_a_mount_that_was_planned_to_lean_may_lean(accept, tmp_path):
+    normal = np.array([0.06, -0.03, 1.0]) / np.linalg.norm([0.06, -0.03, 1.0])
+    turn = local_from_sensor(30.0, AS_MOUNTED, tilt_rotation(normal))
+    own = (scan(PLACE_M, street(0)) - PLACE_M) @ turn
+    upright = accept(own, OWN)
+    assert any("leans" in reason for reason in upright["reasons"])
+    names = ("normal_x", "normal_y", "normal_z")
+    lean = pd.DataFrame([{"candidate": "left-1", **dict(zip(names, normal, strict=True))}])
+    (tmp_path / "placement" / "round-0").mkdir()
+    write_table(tmp_path / "placement" / "round-0" / "tilts.parquet", lean)
+    leaning = accept(own, OWN)
+    assert leaning["tilted_deg"] < 0.1
+    assert leaning["verdict"] == "accepted"
+    # Tilts of an earlier run, whose effect is skipped now, are none of the plan's.
+    write_json(tmp_path / "effects.json", [{"effect": "mount_tilt", "decision": "skip"}])
+    assert accept(own, OWN)["tilted_deg"] == pytest.approx(upright["tilted_deg"])
+
+
+def test_targets_are_those_that_the_plan_detected(accept, tmp_path):
+    points = scan(PLACE_M, street(0))
+    usual = accept(points, FRAME)
+    assert usual["target"] == {"radius_m": 0.25, "height_m": 0.6, "min_beams": 8}
+    folder = tmp_path / "placement" / "round-0" / "detection" / "mine"
+    folder.mkdir(parents=True)
+    about = {"sensor": "mine", "length_m": 4.5, "width_m": 1.8, "height_m": 1.5, "min_beams": 2}
+    none = pd.DataFrame({"candidate": [], "target": [], "hits": []})
+    write_table(folder / "0.parquet", none, about)
+    found = accept(points, FRAME)
+    assert found["target"] == {"radius_m": 0.9, "height_m": 1.5, "min_beams": 2}
+    assert found["targets"]["seen"] > usual["targets"]["seen"]
+
+
+def test_a_model_that_the_sensors_file_lacks_is_refused(accept, tmp_path):
+    other = tmp_path / "other.yaml"
+    write_json(other, {"sensors": {"theirs": SENSORS["sensors"]["mine"]}})
+    told = accept(scan(PLACE_M, street(0)), FRAME, "--sensors", str(other))
+    assert told.count("\n") == 1
+    for part in ("other.yaml", "mine", "theirs", "--sensors"):
+        assert part in told
+
+
+def test_the_catalogue_of_sensors_is_the_package_s_own():
+    parser = argparse.ArgumentParser()
+    add_parser(parser.add_subparsers())
+    asked = parser.parse_args(["accept", "s.laz", "--plan", "p", "--sensor", "1", "-o", "o"])
+    assert asked.sensors == str(CATALOGUE)

@@ -389,6 +389,19 @@ def test_seeds_that_are_no_places_or_off_the_cloud_are_one_message(tmp_path, cap
     assert "x,y;x,y" in refused([*argv, "--seeds=1,2;three"], tmp_path, capsys)
     assert "x,y;x,y" in refused([*argv, "--seeds=1,2,3,4,5"], tmp_path, capsys)
     assert "seed 1 of 1" in refused([*argv, "--seeds=0,0"], tmp_path, capsys)
+    for wrong in ("nan,2", "3,inf"):
+        told = refused([*argv, f"--seeds=1,2;{wrong};5,6"], tmp_path, capsys)
+        assert "--seeds: seed 2 of 3" in told
+        assert wrong in told
+
+
+@pytest.mark.parametrize("verb", ["pavement", "edges"])
+@pytest.mark.parametrize("places", [["--seeds=1,2"], ["--track", "drive.gpkg"]])
+def test_places_with_a_method_that_ignores_them_are_refused_first(verb, places, tmp_path, capsys):
+    argv = [verb, tmp_path / "no.laz", "-o", tmp_path / f"out{SUFFIXES.get(verb, '.laz')}"]
+    told = refused([*argv, *places, "--method", "published"], tmp_path, capsys)
+    assert places[0].partition("=")[0] in told
+    assert "published" in told
 
 
 def test_as_a_program(tmp_path):

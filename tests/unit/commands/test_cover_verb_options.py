@@ -1,5 +1,6 @@
 """Options of the verb `roadsight cover` on a matrix whose answers are plain to see."""
 
+import itertools
 import json
 
 import numpy as np
@@ -16,9 +17,9 @@ SEEN = [[1, 1, 1, 0, 0, 0], [1, 1, 1, 0, 0, 0], [0, 0, 0, 1, 1, 1], [0, 0, 0, 1,
 @pytest.fixture
 def cover(tmp_path):
     matrix = tmp_path / "m.npz"
-    sparse.save_npz(matrix, sparse.csr_matrix(np.array(SEEN)))
 
-    def run(*options, **arrays):
+    def run(*options, sees=SEEN, **arrays):
+        sparse.save_npz(matrix, sparse.csr_matrix(np.array(sees)))
         for name, values in arrays.items():
             np.save(tmp_path / f"{name}.npy", values)
             options += (f"--{name}", str(tmp_path / f"{name}.npy"))
@@ -68,10 +69,42 @@ def test_a_failure_may_take_only_so_much(cover):
 
 
 def test_of_the_cheapest_rows_those_that_cover_most_once_more(cover):
-    plain, found = cover(), cover("--second", "120")
-    assert found["objective"] == plain["objective"]
-    assert found["second"]["status"] == "optimal"
-    assert found["second"]["covered_once_more"] == found["second"]["bound_once_more"]
+    # Rows 0 and 2 cover nothing twice; row 0 and one that reaches over as far do.
+    wide = [[1, 1, 1, 0, 0, 0], [1, 1, 0, 0, 0, 0], [0, 0, 0, 1, 1, 1], [0, 0, 1, 1, 1, 1],
+            [0, 1, 1, 1, 1, 1]]  # fmt: skip
+    plain, found = cover(sees=wide), cover("--second", "120", sees=wide)
+    assert plain["objective"] == found["objective"] == 2
+    assert plain["chosen"] != found["chosen"] == [0, 4]
+    second = {"covered_once_more": 2, "bound_once_more": 2, "covered_twice_more": 0}
+    assert found["second"] == second | {"status": "optimal"}
+    assert "second" not in plain
+
+
+def test_a_second_objective_is_the_same_every_time_and_counted_in(cover, monkeypatch):
+    """Its limit counts work, so that a clock that stands still changes nothing."""
+    rng = np.random.default_rng(5)
+    at, place = rng.random(60) * 40, rng.random(200) * 40
+    near = np.abs(at[:, None] - place) < 6
+    near[np.arange(200) % 60, np.arange(200)] = True
+    found = cover("--second", "0.05", sees=near)
+    monkeypatch.setattr("time.perf_counter", lambda: 0.0)
+    monkeypatch.setattr("time.process_time", itertools.count().__next__)
+    again = cover("--second", "0.05", sees=near)
+    assert again["chosen"] == found["chosen"]
+    assert again["second"] == found["second"]
+    # A clock that moves by 1 s whenever it is read: once each for cover and second objective.
+    assert again["seconds_cpu"] >= 2
+
+
+@pytest.mark.parametrize(
+    "options",
+    [["--second", "0"], ["--second", "nan"], ["--second", "5", "--keep-share", "0.5"],
+     ["--curve", "1"], ["--curve", "3", "--price", "1"]],
+)  # fmt: skip
+def test_what_is_added_is_checked_before_anything_is_read(options, tmp_path, capsys):
+    argv = ["cover", str(tmp_path / "no.npz"), *options, "-o", str(tmp_path / "s.json")]
+    assert main(argv) == 2
+    assert options[0] in capsys.readouterr().err
 
 
 def test_a_second_objective_goes_with_no_budget(cover, capsys):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
+import ast
 import dataclasses
 import importlib
 import inspect
@@ -12,10 +14,17 @@ import pytest
 from pydantic_core import PydanticUndefined
 
 import roadsight
+from roadsight.base.options import add_settings
 from roadsight.base.section import Section
 from roadsight.config.schema import Settings
+from roadsight.config.sections.placement import Cover
+from roadsight.config.sections.poles import Voxels
+from roadsight.config.sections.scene import Pavement
 from tests.conftest import PROJECT
 
+RULES = re.compile(
+    r"^(?:rule|checkpoint) (\w+):\n(.*?)(?=^(?:rule|checkpoint|def|use|if) |\Z)", re.M | re.S
+)
 RULE = re.compile(r"^rule (\w+):\n(.*?)(?=^(?:rule|checkpoint|def|use) |\Z)", re.M | re.S)
 
 
@@ -41,6 +50,100 @@ def parsers() -> list[tuple[str, str]]:
                 if module:
                     pairs.add((module.group(1), section))
     return sorted(pairs)
+
+
+def asked() -> dict[str, set[str]]:
+    """Settings that rules hand on one by one or by section, by the module of their stage."""
+    found: dict[str, set[str]] = {}
+    for file in sorted((PROJECT / "workflow" / "rules").rglob("*.smk")):
+        for _, body in RULES.findall(file.read_text("utf-8")):
+            module = re.search(r"python -m (roadsight\.stages\.[\w.]+)", body)
+            if module:
+                names = set(re.findall(r'setting\("[\w.]+\.(\w+)"\)', body))
+                for section in re.findall(r'(?<!some_)flags\("([\w.]+)"', body):
+                    names |= set(sections()[section])
+                found.setdefault(module.group(1), set()).update(names)
+    return found
+
+
+def written(source: str) -> set[str]:
+    """Options of a stage whose default is written as a literal."""
+    found = set()
+    for call in ast.walk(ast.parse(source)):
+        if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "add_argument":
+            literal = [
+                keyword
+                for keyword in call.keywords
+                if keyword.arg == "default" and isinstance(keyword.value, ast.Constant | ast.List)
+            ]
+            if literal and isinstance(call.args[0], ast.Constant):
+                found.add(str(call.args[0].value).lstrip("-").replace("-", "_"))
+    return found
+
+
+def test_no_stage_writes_the_default_of_a_setting_again():
+    twice = {}
+    for module, names in asked().items():
+        source = inspect.getsource(importlib.import_module(module))
+        if repeated := names & written(source):
+            twice[module] = repeated
+    assert not twice
+
+
+def taken(source: str) -> set[str]:
+    """Settings that a module makes options of, one by one or the whole section."""
+    found = set()
+    for call in ast.walk(ast.parse(source)):
+        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "add_settings":
+            names = [a.value for a in call.args[2:] if isinstance(a, ast.Constant)]
+            kind = ast.unparse(call.args[1]).rpartition(".")[2]
+            whole = {
+                name
+                for field in Settings.model_fields.values()
+                if getattr(field.annotation, "__name__", "") == kind
+                for name in field.annotation.model_fields
+            }
+            found |= set(names) if len(call.args) > 2 else whole
+    return found
+
+
+def test_rules_hand_on_each_setting_that_their_stage_takes():
+    """Else a default would decide whose change makes nothing stale."""
+    lacking = {}
+    for file in sorted((PROJECT / "workflow" / "rules").rglob("*.smk")):
+        beside = "".join(part.read_text("utf-8") for part in file.parent.glob("*_inputs.smk"))
+        for name, body in RULES.findall(file.read_text("utf-8")):
+            module = re.search(r"python -m (roadsight\.stages\.[\w.]+)", body)
+            if not module:
+                continue
+            options = taken(inspect.getsource(importlib.import_module(module.group(1))))
+            for section in re.findall(r'flags\(\s*"([\w.]+)"', body):
+                options -= set(sections()[section])
+            missing = {
+                o for o in options if not re.search(f"--{o.replace('_', '-')}[ =]", body + beside)
+            }
+            if missing:
+                lacking[name] = missing
+    assert not lacking
+
+
+def test_sections_make_options():
+    parser = argparse.ArgumentParser()
+    add_settings(parser, Pavement, "method", "voxel_size_m", "sample")
+    add_settings(parser, Voxels, "road_classes")
+    add_settings(parser, Cover, "second_objective")
+    usual = parser.parse_args([])
+    assert usual.voxel_size_m == Pavement().voxel_size_m and usual.second_objective is True
+    assert usual.road_classes == Voxels().road_classes
+    given = ["--sample", "7", "--road-classes", "2", "11", "--second-objective", "False"]
+    said = parser.parse_args([*given, "--method", "published"])
+    assert (said.sample, said.road_classes, said.second_objective) == (7, [2, 11], False)
+    assert said.method == "published"
+    for wrong in (["--method", "best"], ["--sample", "x"], ["--second-objective", "maybe"]):
+        with pytest.raises(SystemExit):
+            parser.parse_args(wrong)
+    with pytest.raises(TypeError, match="effects"):
+        add_settings(parser, Settings, "effects")
 
 
 def _plain(value: object) -> object:

@@ -9,7 +9,7 @@ import pytest
 
 from roadsight.base.errors import InputError
 from roadsight.config.schema import Settings
-from roadsight.config.sensing import Targets
+from roadsight.config.sections.sensing import Targets
 from roadsight.effects.circumstances import SETTINGS, Circumstances
 from roadsight.effects.quantities import QUANTITIES
 from roadsight.evidence.metrics import METRICS

@@ -379,13 +379,11 @@ def test_a_shared_step_costs_what_it_costs_once_its_kernels_are_compiled():
     assert with_base_costs({"solve_cover": own}, base) == {"solve_cover": own}
 
 
-def test_studies_of_open3d_are_left_out_where_it_is_missing(tmp_path, monkeypatch):
+def test_studies_of_open3d_are_left_out_where_it_cannot_be_loaded(tmp_path, monkeypatch):
     engines = {**STUDY, "knob": "pavement.fpfh_engine", "levels": ["open3d", "own"]}
-    for installed, expected in ((True, {"s", "engines"}), (False, {"s"})):
-        monkeypatch.setattr(
-            "roadsight.evidence.studies.is_installed", lambda found=installed: found
-        )
-        (tmp_path / "t.yaml").write_text(
-            yaml.safe_dump(FILE | {"studies": {"s": STUDY, "engines": engines}})
-        )
-        assert set(load_tradeoffs(tmp_path / "t.yaml").studies) == expected
+    file = tmp_path / "t.yaml"
+    file.write_text(yaml.safe_dump(FILE | {"studies": {"s": STUDY, "engines": engines}}))
+    for usable, expected in ((True, {"s", "engines"}), (False, {"s"})):
+        monkeypatch.setattr("roadsight.evidence.studies.is_usable", lambda found=usable: found)
+        assert set(load_tradeoffs(file).studies) == expected
+        assert set(load_tradeoffs(file, True).studies) == {"s", "engines"}

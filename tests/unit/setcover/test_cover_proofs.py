@@ -13,7 +13,9 @@ from roadsight.setcover.common.deadline import Deadline, WorkLimit
 from roadsight.setcover.common.parity_cuts import parity_cuts
 from roadsight.setcover.common.reductions import reduce_problem
 from roadsight.setcover.common.relaxation import Node, Relaxation
-from roadsight.setcover.cover import core, interior
+from roadsight.setcover.cover import core, interior, long_search
+from roadsight.setcover.cover.local_search import LocalSearch, greedy_cover
+from roadsight.setcover.cover.long_search import LongSearch
 
 
 def relaxed(matrix, at_least=1):
@@ -211,3 +213,42 @@ def test_a_core_that_runs_out_of_work_keeps_its_bound(on_cores):
     for cover in found:
         assert cover.bound <= best.objective <= cover.objective
         assert cover.status == ("optimal" if cover.bound == cover.objective else "time_limit")
+
+
+class _Endless(Deadline):
+    """No limit, but it counts work, and refuses to go on for ever."""
+
+    def __init__(self):
+        super().__init__(None)
+        self.work_s = 0.0
+
+    def spent_s(self):
+        return self.work_s
+
+    def spend(self, seconds):
+        self.work_s += seconds
+        assert self.work_s < 5.0, "goes on for ever"
+
+
+def _searched(bound, deadline):
+    (part,) = reduce_problem(CoverProblem(ring(15, 4))).parts
+    every, targets = np.zeros(part.shape[0]), np.ones(part.shape[1], bool)
+    local = LocalSearch(part, greedy_cover(part), targets, np.random.default_rng(1))
+    LongSearch(local, every, deadline).to_the_end(bound, deadline)
+    return local.cost
+
+
+def test_a_search_without_proof_and_without_a_limit_ends(monkeypatch):
+    monkeypatch.setattr(long_search, "_BESIDE_S", 0.5)
+    deadline = _Endless()
+    assert _searched(0.0, deadline) == 4
+    assert deadline.work_s >= 0.5
+    proven = _Endless()
+    _searched(4.0, proven)
+    assert proven.work_s < 0.5
+
+
+def test_a_search_without_proof_uses_all_of_its_limit():
+    limit = WorkLimit(0.3)
+    assert _searched(0.0, limit) == 4
+    assert limit.passed()

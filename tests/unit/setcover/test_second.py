@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import time
 from itertools import combinations
 
 import numpy as np
 import pytest
 from scipy import sparse
 
-from roadsight.setcover import CoverProblem
+from roadsight.setcover import Cover, CoverProblem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.plans.deploy import solve_deployment
 from roadsight.setcover.plans.deployment import Deployment
-from roadsight.setcover.plans.second import second_objective
+from roadsight.setcover.plans.second import chosen_again, second_objective
+from roadsight.setcover.plans.second_bounds import prices
 
 
 def _case(rng):
@@ -102,3 +104,85 @@ def test_no_target_is_no_trouble():
     assert len(found.chosen) == 0
     assert found.proven
     assert found.total == 0.0
+
+
+def _row_of_sensors(sensors, each):
+    """Stretches of road that one of six sensors each can see, and a first, dear cover of them."""
+    rng = np.random.default_rng(1)
+    number = np.arange(sensors * each)
+    first = np.repeat(np.arange(sensors), 6) * each - rng.integers(0, each, 6 * sensors)
+    last = np.repeat(np.arange(1, sensors + 1), 6) * each + rng.integers(0, 2, 6 * sensors)
+    sees = (number >= first[:, None]) & (number < last[:, None])
+    return Deployment(CoverProblem(sparse.csr_matrix(sees))), 6 * np.arange(sensors)
+
+
+@pytest.mark.parametrize("sensors", [40, 300])
+def test_counted_work_is_about_the_time_it_takes(sensors):
+    deployment, chosen = _row_of_sensors(sensors, 3)
+    second_objective(deployment, chosen, WorkLimit(0.01))  # compiles
+    limit, start = WorkLimit(0.6), time.process_time()
+    second_objective(deployment, chosen, limit)
+    # 0.9 to 1.2 on an idle core; a factor of 7.6 to 12 where attempts are not counted.
+    assert 0.3 < (time.process_time() - start) / limit.spent_s() < 3
+    assert limit.spent_s() < 0.65
+
+
+def test_a_cheaper_cover_is_told_as_one():
+    """Of two dear rows and a cheap one that sees as much, from the dear ones."""
+    sees = np.array([[1, 1, 0, 0], [0, 0, 1, 1], [1, 1, 1, 1], [1, 1, 1, 0]])
+    deployment = Deployment(CoverProblem(sparse.csr_matrix(sees), [2.0, 2.0, 3.0, 2.0]))
+    chosen = np.array([0, 1])
+    unproven = Cover("time_limit", chosen, 4.0, 2.5, 0.375, 7.0)
+    cover, found = chosen_again(deployment, unproven, WorkLimit(5.0))
+    assert cover.chosen.tolist() == [2]
+    assert (cover.objective, cover.bound, cover.gap, cover.status) == (3.0, 3.0, 0.0, "optimal")
+    assert (found.value[0], found.before[0], found.bound, found.proven) == (0.0, 0.0, 0.0, True)
+    lower = Cover("time_limit", chosen, 4.0, 1.5, 0.625, 7.0)
+    cover, _ = chosen_again(deployment, lower, WorkLimit(5.0))
+    assert (cover.objective, cover.bound, cover.gap, cover.status) == (3.0, 1.5, 0.5, "time_limit")
+    within, _ = chosen_again(deployment, lower, WorkLimit(5.0), gap=0.5)
+    assert within.status == "within_gap"
+    assert cover.seconds_cpu > 7.0
+
+
+def test_from_a_dear_cover_the_best_of_the_cost_found_is_proven():
+    rng = np.random.default_rng(11)
+    solved = cheapest = 0
+    while solved < 30:
+        deployment, stretch = _case(rng)
+        best = solve_deployment(deployment).cover
+        every = np.flatnonzero(~deployment.problem.forbidden)
+        dear = next(
+            (
+                np.array(rows)
+                for size in range(len(every), len(best.chosen), -1)
+                for rows in combinations(every, size)
+                if np.isfinite(deployment.objective(np.array(rows)))
+            ),
+            None,
+        )
+        if best.status != "optimal" or dear is None:
+            continue
+        solved += 1
+        value = deployment.objective(dear)
+        unproven = Cover("time_limit", dear, value, best.bound, 0.5, 0.0)
+        cover, found = chosen_again(deployment, unproven, WorkLimit(20.0), stretch)
+        assert found.proven
+        assert cover.objective == pytest.approx(deployment.objective(cover.chosen))
+        told = (found.value[0], found.value[1], found.stretches)
+        assert told == _best(deployment, stretch, cover.objective)
+        cheapest += cover.objective <= best.objective + 1e-9
+        assert (cover.status == "optimal") == (cover.objective <= best.objective + 1e-9)
+    assert cheapest > 10
+
+
+@pytest.mark.parametrize("work_s", [1e-9, 1e-3, 1e-2, 10.0])
+def test_prices_hold_and_are_worth_something_wherever_work_stops(work_s):
+    deployment = _road()
+    best = solve_deployment(deployment, WorkLimit(5.0)).cover
+    price, excess = prices(deployment, WorkLimit(work_s))
+    need = deployment.problem.at_least
+    worth = float(price @ need) + excess
+    assert 0.2 * best.bound < worth <= best.objective + 1e-6
+    reduced = np.asarray(deployment.cost) - deployment.problem.matrix @ price
+    assert np.minimum(reduced, 0.0).sum() >= excess - 1e-9

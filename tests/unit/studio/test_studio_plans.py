@@ -19,6 +19,7 @@ from roadsight.studio.plans.plan_bodies import Barred, PlanBody, Standing
 from roadsight.studio.plans.plan_files import about_plans, remove_plan, save_plan
 from roadsight.studio.project import Project
 from roadsight.studio.results.layout import Layouts
+from roadsight.studio.site_files import OutdatedError
 from tests.conftest import PROJECT
 from tests.helpers.report_site import ReportSite
 
@@ -63,7 +64,7 @@ def what_if(project, **more):
 
 
 def test_a_what_if_is_a_plan_that_the_workflow_reads(project):
-    changed = save_plan(project, "tiny", "agreed", what_if(project, at_least=2))
+    changed, _ = save_plan(project, "tiny", "agreed", what_if(project, at_least=2))
     assert sorted(changed) == [
         "config/sites/tiny.yaml",
         "config/sites/tiny/agreed.forbidden.geojson",
@@ -88,7 +89,7 @@ def test_saving_again_asks_first_and_keeps_what_is_not_given(project):
     edited = PlanBody(
         title="Less", sensors=["OS1-32"], base="agreed", replace=True, goal="sensors", amount=3
     )
-    assert save_plan(project, "tiny", "agreed", edited) == ["config/sites/tiny.yaml"]
+    assert save_plan(project, "tiny", "agreed", edited)[0] == ["config/sites/tiny.yaml"]
     plan = project.site("tiny").resolved.plans["agreed"]
     assert plan.budget.sensors == 3 and plan.mandatory is not None and plan.forbidden is not None
     none = edited.model_copy(update={"mandatory": [], "goal": "price", "amount": 0.5})
@@ -108,10 +109,13 @@ def test_places_that_are_left_are_added_to_those_that_the_base_forbids(project):
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"sensors": ["unheard-of"]}, "unknown sensor"),
+        ({"sensors": ["unheard-of"], "mandatory": []}, "unknown sensor"),
         ({"goal": "cost"}, "needs an amount"),
         ({"base": "nothing"}, "no such plan"),
         ({"mandatory": [Standing(x=1, y=2), Standing(x=1, y=2.001)]}, "at the place of another"),
+        ({"mandatory": [Standing(x=1, y=2, kind="5400000")]}, "place 1: names no sensor of the"),
+        ({"sensors": ["OS1-32", "VLP-16"], "mandatory": [Standing(x=1, y=2)]}, "found nothing"),
+        ({"goal": "sensors", "amount": 2.7}, "is no whole number; found 2.7"),
     ],
 )
 def test_what_is_wrong_is_told_and_nothing_is_written(project, change, told):
@@ -120,6 +124,75 @@ def test_what_is_wrong_is_told_and_nothing_is_written(project, change, told):
         save_plan(project, "tiny", "agreed", what_if(project, **change))
     assert (project.root / "config/sites/tiny.yaml").read_bytes() == before
     assert not (project.root / "config/sites/tiny").exists()
+
+
+def test_places_that_are_taken_out_take_their_file_along_and_may_come_back(project):
+    folder = project.root / "config/sites/tiny"
+    save_plan(project, "tiny", "agreed", what_if(project))
+    save_plan(project, "tiny", "agreed", what_if(project, mandatory=[], replace=True))
+    assert [path.name for path in folder.iterdir()] == ["agreed.forbidden.geojson"]
+    save_plan(project, "tiny", "agreed", what_if(project, replace=True))
+    assert (folder / "agreed.mandatory.csv").exists()
+
+
+def test_a_file_that_another_plan_names_stays(project):
+    save_plan(project, "tiny", "agreed", what_if(project))
+    other = PlanBody(title="Other", sensors=["OS1-32"], base="agreed")
+    save_plan(project, "tiny", "other", other)
+    save_plan(project, "tiny", "agreed", what_if(project, mandatory=[], replace=True))
+    remove_plan(project, "tiny", "agreed")
+    names = sorted(path.name for path in (project.root / "config/sites/tiny").iterdir())
+    assert names == ["agreed.forbidden.geojson", "agreed.mandatory.csv"]
+
+
+def test_a_plan_that_is_solved_on_request_stays_so_and_keeps_what_it_forbids(project):
+    save_plan(project, "tiny", "agreed", what_if(project))
+    file = project.root / "config/sites/tiny.yaml"
+    content = yaml.safe_load(file.read_text())
+    content["placement"]["own_plans"]["agreed"]["on_request"] = True
+    file.write_text(yaml.safe_dump(content))
+    assert "agreed" not in project.site("tiny").resolved.plans
+    x, y = native(project, 30.0, -5.0)
+    more = what_if(project, base="agreed", replace=True, forbidden=[Barred(x=x, y=y, half_m=1.0)])
+    save_plan(project, "tiny", "agreed", more)
+    site = project.site("tiny")
+    plan = site.resolved.site.placement.own_plans["agreed"]
+    assert plan.on_request
+    places = read_polygons(site.resolved.beside(plan.forbidden.file), site.frame())
+    assert sorted(round(p.centroid.x) for p in places.geometry) == [20, 30]
+    new = more.model_copy(update={"replace": False, "forbidden": None})
+    save_plan(project, "tiny", "next", new)
+    assert not project.site("tiny").resolved.plans["next"].on_request
+
+
+def test_what_changed_meanwhile_is_not_overwritten(project):
+    shown = about_plans(project, project.site("tiny"))["version"]
+    save_plan(project, "tiny", "agreed", what_if(project), shown)
+    mine = what_if(project, replace=True)
+    with pytest.raises(OutdatedError, match="open the plan again"):
+        save_plan(project, "tiny", "agreed", mine, shown)
+    with pytest.raises(OutdatedError, match="open the plan again"):
+        remove_plan(project, "tiny", "agreed", shown)
+    now = about_plans(project, project.site("tiny"))["version"]
+    path = project.root / "config/sites/tiny/agreed.mandatory.csv"
+    path.write_text(path.read_text().replace("4.5", "5.5"))
+    with pytest.raises(OutdatedError):
+        save_plan(project, "tiny", "agreed", mine, now)
+    remove_plan(project, "tiny", "agreed", about_plans(project, project.site("tiny"))["version"])
+
+
+def test_a_level_is_left_out_where_places_are_given_and_this_is_said(project):
+    file = project.root / "config/sites/tiny.yaml"
+    level = {"title": "Level", "sensors": ["OS1-32"], "availability": 0.9}
+    content = yaml.safe_load(file.read_text()) | {"placement": {"own_plans": {"level": level}}}
+    file.write_text(yaml.safe_dump(content))
+    kept = PlanBody(title="Kept", sensors=["OS1-32"], base="level")
+    assert save_plan(project, "tiny", "kept", kept)[1] == ""
+    _, dropped = save_plan(project, "tiny", "drawn", what_if(project, base="level"))
+    assert "availability: 0.9 of the plan level is left out" in dropped
+    own = project.site("tiny").resolved.site.placement.own_plans
+    assert own["kept"].availability == 0.9 and own["drawn"].availability is None
+    assert own["drawn"].mandatory is not None
 
 
 def test_a_plan_of_all_sites_is_not_shadowed(project):
@@ -158,3 +231,7 @@ def test_sensors_are_exported_where_they_stand_and_a_plan_reads_them(project, tm
     assert len(json.loads(export("geojson")[1])["features"]) == len(rows)
     plan = yaml.safe_load(export("yaml")[1])["placement"]["own_plans"][f"{PLAN}-as-drawn"]
     assert plan["mandatory"] == {"file": name}
+    assert plan["budget"] == {"sensors": len(rows)}
+    nothing = Export(version=layout.version, rows=[], format="yaml")
+    with pytest.raises(InputError, match="no sensor stands"):
+        exported(site, PLAN, layout, nothing)

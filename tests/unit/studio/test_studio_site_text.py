@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 import yaml
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
@@ -84,6 +84,8 @@ KEYS = st.sampled_from(["edges", "zones", "mounts", "tma", "plans"])
 TEXT = st.text(max_size=12)
 
 
+@example({}, False, "edges", "\x85")
+@example({"zones": "z"}, True, "edges", "a \u2028 b")
 @given(st.dictionaries(KEYS, TEXT), st.booleans(), KEYS, st.none() | TEXT)
 def test_only_that_value_changes(section, flow, key, value):
     content = {"site": "a", "placement": section, "settings": {"shards": 2}}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,8 @@ from roadsight.evidence.estimate import estimate as estimate_runs
 A_MILE = Amounts(points_m=5.4, candidates=7_900, sensors=1, targets=35_700, plans=1, images=796)
 """A mile of the North Carolina study: 34,012,557 points on 6.3 miles, 43 million images on 54,000.
 Candidates and targets are those of the generated highway, 1,228 and 5,552 on 250 m."""
+JOBS = ("placement", "poles")
+"""What a run may do."""
 _SHARDS = 4
 """Of a run that nobody says more of."""
 
@@ -23,7 +26,7 @@ def estimate(
     miles: float,
     *,
     run_miles: float = 10.0,
-    jobs: Sequence[str] = ("placement", "poles"),
+    jobs: Sequence[str] = JOBS,
     cores: int = 2,
     costs: Path = SHIPPED,
     **amounts: float,
@@ -33,7 +36,7 @@ def estimate(
     Parameters
     ----------
     miles : length of the road. run_miles : of one run.
-    jobs : "placement", "poles" or both. cores : at one time.
+    jobs : one or more of "placement" and "poles". cores : at one time.
     amounts : of one run, where they are known: points_m (millions), candidates, targets, images,
         sensors (kinds), plans, shards.
 
@@ -43,7 +46,7 @@ def estimate(
 
     Raises
     ------
-    InputError : a number that is not positive, or an amount of no such name.
+    InputError : a number that is not positive, no such job, or an amount of no such name.
 
     Examples
     --------
@@ -52,15 +55,22 @@ def estimate(
     >>> 0 < needs.core_h < 10, needs.runs
     (True, 1)
     """
-    for name, value in (("miles", miles), ("run_miles", run_miles), ("cores", cores)):
-        if not value > 0:
-            raise InputError("is not positive", where=name, found=value, allowed="more than 0")
     unknown = sorted(set(amounts) - set(vars(A_MILE)))
     if unknown:
         raise InputError("is no amount", where=unknown[0], allowed=", ".join(vars(A_MILE)))
+    numbers = {"miles": miles, "run_miles": run_miles, "cores": cores, **amounts}
+    for name, value in numbers.items():
+        if not 0 < value < math.inf:
+            raise InputError("is not positive", where=name, found=value, allowed="more than 0")
+    asked = (jobs,) if isinstance(jobs, str) else tuple(jobs)
+    wrong = [job for job in asked if job not in JOBS]
+    if wrong or not asked:
+        raise InputError(
+            "is no job", where="jobs", found=wrong[0] if wrong else "none", allowed=", ".join(JOBS)
+        )
     table = read_costs(costs)
     runs, a_run = runs_of(miles, run_miles, amounts)
-    return estimate_runs(table.steps, table.stored, table.dag, a_run, tuple(jobs), runs, cores)
+    return estimate_runs(table.steps, table.stored, table.dag, a_run, asked, runs, cores)
 
 
 def runs_of(miles: float, run_miles: float, amounts: dict[str, float]) -> tuple[int, Amounts]:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import logging
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -75,11 +77,23 @@ def align(
     drive = Drive(str(videolog), Path(cloud), str(images), **options)  # type: ignore[arg-type]
     told = io.StringIO()
     try:
-        with contextlib.redirect_stderr(told):
+        with _own_log(), contextlib.redirect_stderr(told):
             return cameras_of(drive)
     except SystemExit as ended:
         lines = [line for line in told.getvalue().splitlines() if line.startswith("roadsight: ")]
         raise InputError(lines[-1][11:] if lines else "a step ended early") from ended
+
+
+@contextlib.contextmanager
+def _own_log() -> Iterator[None]:
+    """Leave the caller's logging as it was: a stage sets up the log of a program of its own."""
+    root = logging.getLogger()
+    handlers, level = root.handlers[:], root.level
+    try:
+        yield
+    finally:
+        root.handlers[:] = handlers
+        root.setLevel(level)
 
 
 def cameras_of(drive: Drive) -> pd.DataFrame:

@@ -90,7 +90,7 @@ def pavement(
 
     Raises
     ------
-    InputError : no usable cloud, or no pavement is found.
+    InputError : no usable cloud, no pavement is found, or a place with the published method.
 
     Examples
     --------
@@ -98,12 +98,24 @@ def pavement(
     >>> road = roadsight.pavement("street.laz")  # doctest: +SKIP
     >>> area_m2, points = road.outline.area, road.points.sum()  # doctest: +SKIP
     """
-    known = KnownRoad(track_xy=_places(track_xy), seeds_xy=_places(seeds_xy))
+    if method == "published" and not (seeds_xy is None and track_xy is None):
+        raise InputError(
+            "has no use for seeds_xy and track_xy",
+            where="method",
+            found=method,
+            allowed="surface or auto",
+        )
+    known = KnownRoad(_places(track_xy, "track_xy"), _places(seeds_xy, "seeds_xy"))
     return _pavement(taken(points), method, intensity, ground, seed, known)
 
 
-def _places(xy_m: Floats | None) -> Floats | None:
-    return None if xy_m is None else np.asarray(xy_m, np.float64).reshape(-1, 2)
+def _places(xy_m: Floats | None, name: str) -> Floats | None:
+    if xy_m is None:
+        return None
+    places = np.asarray(xy_m, np.float64).reshape(-1, 2)
+    for row in np.flatnonzero(~np.isfinite(places).all(axis=1)):
+        raise InputError("is no place", where=f"{name}[{row}]", found=places[row], allowed="x, y")
+    return places
 
 
 def _pavement(

@@ -12,7 +12,7 @@ from scipy import sparse
 from roadsight.api.clouds import Points, taken
 from roadsight.base.arrays import Floats, Floats32
 from roadsight.base.errors import InputError
-from roadsight.config.sensing import Targets
+from roadsight.config.sections.sensing import Targets
 from roadsight.placement.depth.surfel_lidar import SurfelLidar, lidar_of_points
 from roadsight.placement.sensors.sensors import Sensor, load_sensor
 from roadsight.placement.sight.sight import Sight, count_beams

@@ -51,11 +51,12 @@ def triangulate(
     else:
         table = pd.DataFrame(sightings)
         if isinstance(sightings, gpd.GeoDataFrame) and sightings.crs is not None:
+            table = table.drop(columns=sightings.geometry.name)
+        table.columns = table.columns.str.strip().str.lower()
+        if isinstance(sightings, gpd.GeoDataFrame) and sightings.crs is not None:
             crs = sightings.crs
             places = sightings.geometry.to_crs(_WGS84)
-            table = table.drop(columns=sightings.geometry.name)
             table = table.assign(lat=places.y.to_numpy(), lon=places.x.to_numpy())
-        table.columns = table.columns.str.strip().str.lower()
         texts = table.astype(object).where(table.notna(), "").astype(str)
         table = checked_sightings(texts, "sightings")
     poles = triangulate_geographic(table, settings)

@@ -64,8 +64,24 @@ def open3d(where: str = "") -> Any:
 
 
 def is_installed() -> bool:
-    """Whether Open3D's package is here; whether it can be loaded, `open3d` tells."""
+    """Whether Open3D's package is here; whether it can be loaded, `is_usable` tells."""
     return importlib.util.find_spec("open3d") is not None
+
+
+def is_usable() -> bool:
+    """Whether Open3D can be loaded.
+
+    It is loaded, which takes a second, only where a library is missing: not all versions need all.
+    """
+    if not is_installed():
+        return False
+    if not missing_libraries():
+        return True
+    try:
+        open3d()
+    except InputError:
+        return False
+    return True
 
 
 def missing_libraries() -> list[str]:

@@ -9,32 +9,36 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from roadsight.api.sight import CATALOGUE
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.config.schema import Tolerance
+from roadsight.config.sections.sensing import Targets, Tolerance
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.poses import read_tilts
+from roadsight.io.records.tables import read_about
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.plans.acceptance import (
     SAME_PLACE,
     SAME_STRUCTURE,
     Planned,
     Registered,
+    Target,
     lost_targets,
     planned_scan,
     register,
 )
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
-from roadsight.placement.sensors.sensors import Sensor, load_sensors
+from roadsight.placement.sensors.sensors import AnySensor, Sensor, load_sensors
 
+_LEAN = "mount_tilt"
+"""Effect by which mounts lean with the road."""
 _AGREEING = 0.8
 """Share of the beams that must agree: a parked truck in the way hides less of a turn, leaves that
 fell or grew since the survey more."""
 _SENSOR_FRAME_M = 1_000.0
 """Scans in the sensor's own frame lie within this of its origin."""
-_TARGET_M = 0.3
-"""Half of the targets' height and of their width."""
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -47,7 +51,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument("--sensor", required=True, type=int, help="number of the sensor, from 1")
     parser.add_argument("--scans", help="planned scans; default scans.laz beside the plan")
     parser.add_argument("--frame", help="default scene/frame.json of the same results")
-    parser.add_argument("--sensors", default="config/sensors.yaml", help="definitions of sensors")
+    parser.add_argument("--sensors", default=str(CATALOGUE), help="sensors file")
     tolerance = Tolerance()
     parser.add_argument("--move-m", type=float, default=tolerance.move_m)
     parser.add_argument("--turn-deg", type=float, default=tolerance.turn_deg)
@@ -67,20 +71,22 @@ def run(arguments: argparse.Namespace) -> None:
     frame = Frame.from_dict(read_json(frame_file))
     place = _place(arguments)
     position_m = np.array([place[axis] for axis in "xyz"], np.float64)
-    planned = _planned(arguments, folder, frame, place, position_m)
-    found, scan_m = _fitted(arguments, frame, place, planned)
+    sensor = _sensor(arguments.sensors, place["sensor"])
+    planned = _planned(arguments, folder, frame, sensor, position_m)
+    found, scan_m = _fitted(arguments, frame, _rotation(folder, place), planned)
     placed_m = scan_m @ found.rotation.T + found.shift_m
     moved_m = found.rotation @ position_m + found.shift_m - position_m
     targets = read_layer(folder / "solution.gpkg", "targets", frame)
     feet_m = np.array([(p.x, p.y, p.z) for p in targets.geometry]).reshape(-1, 3)
-    middle_m = feet_m + np.array([0.0, 0.0, _TARGET_M])
-    seen, lost = lost_targets(planned, placed_m, position_m + moved_m, middle_m, _TARGET_M)
+    target = _target(folder, place["sensor"])
+    seen, lost = lost_targets(planned, placed_m, position_m + moved_m, feet_m, target)
     alone = lost & (targets["sensors"].to_numpy() <= 1)
     content = _content(arguments, place, found, moved_m)
+    content["target"] = target._asdict()
     content["targets"] = {"seen": int(seen.sum()), "lost": int(lost.sum())}
     content["targets"]["lost_to_the_plan"] = int(alone.sum())
     content["lost"] = targets["target"][lost].astype(str).tolist()
-    content["reasons"] = _reasons(arguments, content)
+    content["reasons"] = _reasons(arguments, content, whole_turn=isinstance(sensor, Sensor))
     content["verdict"] = "not accepted" if content["reasons"] else "accepted"
     write_json(arguments.out, content)
     _tell(arguments, content)
@@ -98,11 +104,63 @@ def _place(arguments: argparse.Namespace) -> dict[str, Any]:
     return sensors[arguments.sensor - 1]
 
 
+def _sensor(path: str, name: str) -> AnySensor:
+    """Definition of the plan's model.
+
+    Raises
+    ------
+    InputError : the file is not usable, or has no such model.
+    """
+    sensors = load_sensors(path)
+    if name not in sensors:
+        raise InputError(
+            "lacks the model of the plan",
+            where=path,
+            found=name,
+            allowed=", ".join(sensors),
+            hint="give the sensors file of the plan with --sensors",
+        )
+    return sensors[name]
+
+
+def _rotation(folder: Path, place: dict[str, Any]) -> Floats:
+    """Axes (3, 3) of the sensor as planned, local frame, the lean of its mount included."""
+    turn = Turn(0.0, float(place.get("pitch_deg", 0.0)), float(place.get("roll_deg", 0.0)))
+    tilt = _tilts(folder).get(str(place.get("position", place["candidate"])))
+    return local_from_sensor(float(place["yaw_deg"]), turn, tilt)
+
+
+def _tilts(folder: Path) -> dict[str, Floats]:
+    """How mounts lean by the plan's results; upright where these skip the effect."""
+    effects = folder.parent.parent / "effects.json"
+    decided = read_json(effects) if effects.is_file() else []
+    if any(one["effect"] == _LEAN and one["decision"] == "skip" for one in decided):
+        return {}
+    return read_tilts(sorted(folder.parent.glob("round-*/tilts.parquet")))
+
+
+def _target(folder: Path, model: str) -> Target:
+    """What the plan's detections say of its targets; the settings' defaults without any.
+
+    Of boxes, a cylinder as wide as their shorter side.
+    """
+    shards = sorted(folder.parent.glob(f"round-*/detection/{model}/*.parquet"))
+    usual = Targets()
+    said = read_about(shards[0]) if shards else {}
+    boxes = "width_m" in said
+    radius_m = min(said["length_m"], said["width_m"]) / 2 if boxes else said.get("radius_m")
+    return Target(
+        float(usual.radius_m if radius_m is None else radius_m),
+        float(said.get("height_m", usual.height_m)),
+        int(said.get("min_beams", usual.min_beams)),
+    )
+
+
 def _planned(
     arguments: argparse.Namespace,
     folder: Path,
     frame: Frame,
-    place: dict[str, Any],
+    sensor: AnySensor,
     position_m: Floats,
 ) -> Planned:
     path = arguments.scans or folder / "scans.laz"
@@ -110,8 +168,6 @@ def _planned(
     own = cloud.dims["point_source_id"] == arguments.sensor
     if not own.any():
         raise InputError("has no scan of the sensor", where=str(path), found=arguments.sensor)
-    sensors = load_sensors(arguments.sensors)
-    sensor = sensors.get(place["sensor"])
     step = None
     if isinstance(sensor, Sensor):
         rows = float(np.median(np.abs(np.diff(np.sort(sensor.elevation_deg)))))
@@ -120,14 +176,17 @@ def _planned(
 
 
 def _fitted(
-    arguments: argparse.Namespace, frame: Frame, place: dict[str, Any], planned: Planned
+    arguments: argparse.Namespace, frame: Frame, rotation: Floats, planned: Planned
 ) -> tuple[Registered, Floats]:
-    """The scan, in the sensor's or in the site's frame, whichever fits, and its points."""
+    """The scan, in the sensor's or in the site's frame, whichever fits, and its points (n, 3).
+
+    Parameters
+    ----------
+    rotation : (3, 3) axes of the sensor as planned, in the local frame.
+    """
     cloud = read_laz(arguments.scan).xyz
     tries = []
     if np.abs(np.median(cloud, axis=0)).max() < _SENSOR_FRAME_M:
-        turn = Turn(0.0, float(place.get("pitch_deg", 0.0)), float(place.get("roll_deg", 0.0)))
-        rotation = local_from_sensor(float(place["yaw_deg"]), turn)
         tries.append(cloud @ rotation.T + planned.position_m)
     tries.append(frame.to_local(cloud))
     fits = [(register(points, planned), points) for points in tries]
@@ -164,15 +223,16 @@ def _content(
     }
 
 
-def _reasons(arguments: argparse.Namespace, content: dict[str, Any]) -> list[str]:
+def _reasons(
+    arguments: argparse.Namespace, content: dict[str, Any], *, whole_turn: bool
+) -> list[str]:
     """What keeps the sensor from being accepted; a full turn sees the same at any heading."""
     reasons = []
     if max(abs(part) for part in content["moved_m"].values()) > arguments.move_m:
         reasons.append(f"stands {content['moved_by_m']:.2f} m from its place")
     if content["tilted_deg"] > arguments.turn_deg:
         reasons.append(f"leans by {content['tilted_deg']:.1f} degrees")
-    heading = load_sensors(arguments.sensors).get(content["model"])
-    if not isinstance(heading, Sensor) and abs(content["turned_deg"]["yaw"]) > arguments.turn_deg:
+    if not whole_turn and abs(content["turned_deg"]["yaw"]) > arguments.turn_deg:
         reasons.append(f"looks {content['turned_deg']['yaw']:.1f} degrees aside")
     if content["agreeing_share"] < _AGREEING:
         reasons.append(f"{100 * content['agreeing_share']:.0f} % of its beams end as planned")

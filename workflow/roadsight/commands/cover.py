@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import argparse
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from roadsight.base.errors import InputError
-from roadsight.commands.cover_options import Asked, asked_of, curve_of, swaps_of
+from roadsight.commands.cover_options import Asked, asked_of, check_additions, curve_of, swaps_of
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.matrices import read_matrix, read_vector
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
-from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.plans.deploy import solve_deployment
-from roadsight.setcover.plans.second import second_objective
+from roadsight.setcover.plans.second import chosen_again
 
 _FIRST = 5
 """Columns that a message names of those that nothing covers."""
@@ -58,7 +57,8 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
         "--second",
         type=float,
         metavar="SECONDS",
-        help="of the cheapest, choose the rows that cover most targets once more; so long at most",
+        help="of the cheapest, choose the rows that cover most targets once more; at most so long,"
+        " counted in steps of work",
     )
     parser.add_argument("--time-limit", type=float, help="seconds; default none")
     parser.add_argument("--seed", type=int, default=1)
@@ -74,6 +74,7 @@ def run(arguments: argparse.Namespace) -> None:
     InputError : a file or value is not usable, or no choice of rows is feasible.
     """
     _check_numbers(arguments)
+    check_additions(arguments)
     often = arguments.at_least if arguments.needs is None else read_vector(arguments.needs)
     problem = CoverProblem(
         read_matrix(arguments.matrix),
@@ -109,12 +110,7 @@ def _second(
     """The rows that cover most targets once more for the same cost, and how far that is proven."""
     if arguments.second is None:
         return cover, {}
-    deployment = asked.deployment
-    if not deployment.complete or deployment.keep:
-        raise InputError("goes with no --budget, --price or --keep-share", where="--second")
-    if not (math.isfinite(arguments.second) and arguments.second > 0):
-        raise InputError("is no time", where="--second", found=arguments.second, allowed="above 0")
-    found = second_objective(deployment, cover.chosen, Deadline(arguments.second))
+    cover, found = chosen_again(asked.deployment, cover, WorkLimit(arguments.second))
     proven = found.proven and cover.status == "optimal"
     record = {
         "covered_once_more": float(found.value[0]),
@@ -122,7 +118,7 @@ def _second(
         "covered_twice_more": float(found.value[1]),
         "status": "optimal" if proven else "time_limit",
     }
-    return replace(cover, chosen=found.chosen), {"second": record}
+    return cover, {"second": record}
 
 
 def _vector(path: str | None) -> Any:

@@ -72,17 +72,27 @@ def asked_of(arguments: argparse.Namespace, problem: CoverProblem) -> Asked:
     return Asked(deployment, not (common["cliques"] or arguments.keep_share), False)
 
 
-def curve_of(arguments: argparse.Namespace, asked: Asked, cover: Cover) -> list[dict[str, Any]]:
-    """Coverage of budgets up to the cost of the answer, or up to the budget.
+def check_additions(arguments: argparse.Namespace) -> None:
+    """Refuse a second objective or a curve that the other options leave no room for.
 
     Raises
     ------
-    InputError : fewer than two points, or a price, which no budget goes with.
+    InputError : the limit is no time, fewer than two points, or an option they do not go with.
     """
-    if arguments.curve < 2:
-        raise InputError("is too small", where="--curve", found=arguments.curve, allowed="2 points")
-    if arguments.price is not None:
+    second, curve = arguments.second, arguments.curve
+    if second is not None and not (math.isfinite(second) and second > 0):
+        raise InputError("is no time", where="--second", found=second, allowed="above 0 s")
+    others = arguments.budget is not None or arguments.price is not None or arguments.keep_share
+    if second is not None and others:
+        raise InputError("goes with no --budget, --price or --keep-share", where="--second")
+    if curve is not None and curve < 2:
+        raise InputError("is too small", where="--curve", found=curve, allowed="2 points")
+    if curve is not None and arguments.price is not None:
         raise InputError("goes with no --price", where="--curve", hint="leave one of them out")
+
+
+def curve_of(arguments: argparse.Namespace, asked: Asked, cover: Cover) -> list[dict[str, Any]]:
+    """Coverage of budgets up to the cost of the answer, or up to the budget."""
     deployment = asked.deployment
     charge = deployment.charge
     most = deployment.budget if asked.counts else math.fsum(charge[cover.chosen])

@@ -9,7 +9,11 @@ import geopandas as gpd
 from roadsight.api.scene import edges, pavement
 from roadsight.base.errors import InputError
 from roadsight.commands.cloud_arguments import add_cloud_arguments, check_output, load_cloud
-from roadsight.commands.pavement import add_pavement_arguments, known_places
+from roadsight.commands.pavement import (
+    add_pavement_arguments,
+    check_pavement_arguments,
+    known_places,
+)
 from roadsight.io.vector.vectors import write_layers
 
 
@@ -25,6 +29,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
 def run(arguments: argparse.Namespace) -> None:
     """Write layers ``edges`` and ``pavement`` in the cloud's CRS."""
     check_output(arguments, ".gpkg")
+    check_pavement_arguments(arguments)
     cloud = load_cloud(arguments)
     seeds_xy, track_xy = known_places(arguments, cloud.frame)
     road = pavement(

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import argparse
 
-import numpy as np
-import shapely
-
 from roadsight.api.clouds import labels_of, write_labelled
 from roadsight.api.scene import ground, pavement
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.commands.cloud_arguments import add_cloud_arguments, check_output, load_cloud
 from roadsight.geometry.frames import Frame
-from roadsight.io.vector.vectors import read_lines
+from roadsight.io.vector.known_road import read_seeds, read_track
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -54,25 +51,34 @@ def known_places(
 
     Raises
     ------
-    InputError : a seed is no pair of numbers, or the track cannot be read.
+    InputError : as `read_seeds` and `read_track`.
     """
-    try:
-        places = [place.split(",") for place in arguments.seeds.split(";") if place]
-        pairs = [(float(x), float(y)) for x, y in places]
-    except ValueError as error:
+    seeds_xy = read_seeds(arguments.seeds, frame, "--seeds")
+    return seeds_xy, read_track(arguments.track, frame)
+
+
+def check_pavement_arguments(arguments: argparse.Namespace) -> None:
+    """Refuse places on the road with a method that has no use for them.
+
+    Raises
+    ------
+    InputError : ``--seeds`` or ``--track`` with ``--method published``.
+    """
+    given = [f"--{name}" for name in ("seeds", "track") if getattr(arguments, name)]
+    if given and arguments.method == "published":
         raise InputError(
-            "are no places", where="--seeds", found=arguments.seeds, allowed="x,y;x,y"
-        ) from error
-    track = None
-    if arguments.track:
-        lines = read_lines(arguments.track, frame, None).geometry
-        track = shapely.get_coordinates(max(lines, key=lambda line: line.length))
-    return frame.to_local(np.array(pairs)) if pairs else None, track
+            "have no use in this method",
+            where=" and ".join(given),
+            found="--method published",
+            allowed="--method surface or auto",
+            hint="leave them out, or let the surface grow from them",
+        )
 
 
 def run(arguments: argparse.Namespace) -> None:
     """Write the cloud with ground and road labels, all other dimensions kept."""
     check_output(arguments, ".laz", ".las")
+    check_pavement_arguments(arguments)
     cloud = load_cloud(arguments)
     seeds_xy, track_xy = known_places(arguments, cloud.frame)
     labelled = ground(cloud)

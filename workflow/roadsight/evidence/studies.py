@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from roadsight.base.engines import is_installed
+from roadsight.base.engines import is_usable
 from roadsight.base.errors import InputError
 from roadsight.base.section import Count, Name, Section
 from roadsight.base.texts import read_yaml
@@ -156,8 +156,12 @@ class Tradeoffs(Section):
     studies: dict[Name, Study] = Field(min_length=1, description="studies by name")
 
 
-def load_tradeoffs(path: str | os.PathLike[str]) -> Tradeoffs:
-    """Read and check the file; studies of Open3D are left out where it is not installed.
+def load_tradeoffs(path: str | os.PathLike[str], has_open3d: bool | None = None) -> Tradeoffs:
+    """Read and check the file; studies of Open3D are left out where it cannot be loaded.
+
+    Parameters
+    ----------
+    has_open3d : whether the steps will have it, whatever this interpreter has; None: as it has.
 
     Raises
     ------
@@ -175,7 +179,7 @@ def load_tradeoffs(path: str | os.PathLike[str]) -> Tradeoffs:
         for level in study.levels:
             at = f"{where}: studies.{name}.levels.{level}"
             validated(Settings, merged(Settings().model_dump(), study.changes(level)), at)
-    if is_installed():
+    if is_usable() if has_open3d is None else has_open3d:
         return found
     kept = {n: s for n, s in found.studies.items() if "open3d" not in s.levels.values()}
     return found.model_copy(update={"studies": kept})

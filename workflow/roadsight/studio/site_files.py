@@ -21,7 +21,7 @@ from roadsight.studio.project import FRAME, Project, SiteFolder
 from roadsight.studio.site_text import with_value
 
 Writer = Callable[[Path], Any]
-Part = Literal["drawing", "decisions", "registration"]
+Part = Literal["drawing", "decisions", "registration", "plans"]
 _SAMPLE_EDGES = "sample/edges.geojson"
 _FILES: dict[Part, tuple[str, dict[str, str], tuple[str, ...]]] = {
     "drawing": (
@@ -35,6 +35,7 @@ _FILES: dict[Part, tuple[str, dict[str, str], tuple[str, ...]]] = {
         {"baseline": "baseline.json", "corrections": "corrections.csv"},
         (FRAME, "poles/frames.parquet"),
     ),
+    "plans": ("placement", {}, ()),
 }
 """Of each part that people save: section, its keys with the files that the studio writes for them,
 and the results that it rests on."""
@@ -50,6 +51,9 @@ def site_version(site: SiteFolder, part: Part) -> str:
     """A short text that changes with what a part of a site was read from."""
     section, keys, results = _FILES[part]
     named = [site.resolved.beside(_named(site, section, key)) for key in keys]
+    plans = site.resolved.site.placement.own_plans if part == "plans" else {}
+    files = (plan.file_of(option) for plan in plans.values() for option in FILES)
+    named += [site.resolved.beside(file) for file in files]
     paths = [*(site.results / name for name in results), *(Path(n) if n else None for n in named)]
     contents = [
         [str(path), hashlib.sha256(path.read_bytes()).hexdigest()]
@@ -57,6 +61,7 @@ def site_version(site: SiteFolder, part: Part) -> str:
         else [str(path), ""]
         for path in paths
     ]
+    contents += [[name, plan.model_dump_json()] for name, plan in plans.items()]
     return hashlib.sha256(json.dumps(contents).encode()).hexdigest()[:16]
 
 
@@ -80,7 +85,9 @@ def saving(
             raise OutdatedError(
                 "its files have changed meanwhile, so nothing was saved",
                 where=f"site {stem}",
-                hint="reload the page; what you have not saved stays",
+                hint="open the plan again"
+                if part == "plans"
+                else "reload the page; what you have not saved stays",
             )
         yield site
 

@@ -9,6 +9,8 @@ import yaml
 from roadsight.base.errors import InputError
 
 Value = str | dict[str, Any] | None
+_BREAKS = "\x85\u2028\u2029"
+"""Ends of lines for YAML, besides those that it escapes by itself."""
 
 
 def with_value(text: str, section: str, key: str, value: Value, within: str | None = None) -> str:
@@ -134,7 +136,8 @@ def _cut_lines(text: str, first: yaml.Node, last: yaml.Node) -> str:
 
 def _scalar(value: Value) -> str:
     """A text or a mapping as YAML on one line."""
-    written = yaml.safe_dump(
-        value, width=10_000, default_flow_style=True, sort_keys=False, allow_unicode=True
-    )
+    options: dict[str, Any] = {"width": 10_000, "default_flow_style": True, "sort_keys": False}
+    written = str(yaml.safe_dump(value, allow_unicode=True, **options))
+    if any(mark in written for mark in _BREAKS):
+        written = str(yaml.safe_dump(value, **options))  # escapes them
     return written.removesuffix("\n").removesuffix("\n...").strip()

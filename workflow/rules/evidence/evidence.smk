@@ -8,7 +8,10 @@ OUTPUTS          results/tradeoffs/: tradeoffs.csv, tradeoffs.md, index.html
 rule measure_tradeoff:
     input:
         base=base_of_study,
-        code=sources("measure_tradeoff"),
+        code=sources_with(
+            "measure_tradeoff",
+            lambda wildcards: STUDIES[wildcards.study].levels[wildcards.level],
+        ),
     output:
         level="results/tradeoffs/levels/{study}-{level}.json",
     log:

@@ -24,7 +24,7 @@ rule solve_cover:
         tilts=if_robust(only_if("mount_tilt", tilts_of_all_rounds)),
         air=if_robust(air_of_site),
         reflectivity=if_robust(placement_effect("reflectivity", "reflectivity.json")),
-        code=sources("solve_cover"),
+        code=sources_with("solve_cover", engine_of_cover),
     output:
         solution="results/{site}/placement/{plan}/solution.json",
         layers="results/{site}/placement/{plan}/solution.gpkg",
@@ -90,7 +90,7 @@ rule find_obstacles:
         objects=rules.gather_objects.output.members,
         zones=beside_site("placement.zones"),
         cabinets=beside_site("placement.cabinets"),
-        code=sources("find_obstacles"),
+        code=sources_with("find_obstacles", setting("lidar.engine")),
     output:
         obstacles="results/{site}/placement/{plan}/obstacles.gpkg",
     log:
@@ -130,7 +130,7 @@ rule render_scans:
         rain=placement_effect("rain", "rain.json"),
         fog=placement_effect("fog", "fog.json"),
         surfaces=placement_effect("reflectivity", "surfaces.parquet"),
-        code=sources("render_scans"),
+        code=sources_with("render_scans", setting("lidar.engine")),
     output:
         scans="results/{site}/placement/{plan}/scans.laz",
     log:
@@ -219,7 +219,7 @@ rule measure_tolerance:
         fog=placement_effect("fog", "fog.json"),
         reflectivity=placement_effect("reflectivity", "reflectivity.json"),
         decided=after_profile("partial_hits", "curvature_refraction"),
-        code=sources("measure_tolerance"),
+        code=sources_with("measure_tolerance", setting("lidar.engine")),
     output:
         tolerance="results/{site}/placement/{plan}/tolerance.json",
         layers="results/{site}/placement/{plan}/tolerance.gpkg",
@@ -265,7 +265,7 @@ rule try_removals:
         zones=beside_site("placement.zones"),
         cabinets=beside_site("placement.cabinets"),
         decided=after_profile("partial_hits", "curvature_refraction"),
-        code=sources("try_removals"),
+        code=sources_with("try_removals", setting("lidar.engine")),
     output:
         removals="results/{site}/placement/{plan}/removals.json",
     log:

@@ -118,7 +118,7 @@ rule render_depth_maps:
         network=depth_network,
         tilts=only_if("mount_tilt", tilts_of_map),
         decided=after_profile("hole_filling", "curvature_refraction"),
-        code=sources("render_depth_maps"),
+        code=sources_with("render_depth_maps", setting("lidar.engine")),
     output:
         depth=ensure(
             "results/{site}/placement/round-{round}/depth/{sensor}/{shard}.parquet",

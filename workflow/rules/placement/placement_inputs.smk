@@ -349,6 +349,11 @@ def change_arguments(wildcards):
     return NamedValue("changes", text)
 
 
+def engine_of_cover(wildcards):
+    """Who sends rays for a cover that holds with tolerance; nobody for others."""
+    return setting("lidar.engine")(wildcards) if is_robust(wildcards) else ""
+
+
 def robust_arguments(wildcards):
     """Arguments of a cover that holds with tolerance; nothing for others."""
     if not is_robust(wildcards):

@@ -109,7 +109,7 @@ rule cluster_fpfh:
         cloud=rules.ingest_cloud.output.cloud,
         ground=rules.build_dem.output.ground,
         profile=rules.profile_scene.output.profile,
-        code=sources("cluster_fpfh"),
+        code=sources_with("cluster_fpfh", setting("pavement.fpfh_engine")),
     output:
         clusters="results/{site}/scene/fpfh_clusters.parquet",
     log:
@@ -148,7 +148,7 @@ rule extract_pavement:
         edges=of_pavement("surface", edges_file),
         track=of_pavement("surface", beside_site("placement.track")),
         tma=beside_site("placement.tma"),
-        code=sources("extract_pavement"),
+        code=sources_with("extract_pavement", setting("pavement.cluster_engine")),
     output:
         pavement="results/{site}/scene/pavement.gpkg",
         points="results/{site}/scene/pavement.parquet",

@@ -35,7 +35,7 @@ rule build_surfels:
     input:
         cloud=rules.ingest_cloud.output.cloud,
         traffic=traffic_mask,
-        code=sources("build_surfels"),
+        code=sources_with("build_surfels", setting("lidar.outlier_engine")),
     output:
         surfels="results/{site}/scene/surfels.parquet",
     log:

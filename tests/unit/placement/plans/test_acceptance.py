@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from roadsight.placement.plans.acceptance import (
+    Target,
     lost_targets,
     planned_scan,
     register,
@@ -14,6 +15,7 @@ from roadsight.placement.plans.acceptance import (
 
 PLACE_M = np.array([3.0, 2.0, 6.0])
 STEP_DEG = np.array([1.0, 1.0])
+POLE = Target(0.25, 0.6, 8)
 
 
 def scan(position_m, boxes, rotation=None):
@@ -65,9 +67,9 @@ def test_a_known_pose_is_found_with_noise_and_a_truck(moved_m, turned_deg):
     assert np.degrees(off) < 0.1
     assert 0.75 < found.share < 0.99
     assert found.same_place
-    middle = np.array([[-9.0, 8.2, 0.3], [8.0, -6.0, 0.3], [4.0, 8.0, 0.3]])
+    feet = np.array([[-9.0, 8.2, 0.0], [8.0, -6.0, 0.0], [4.0, 8.0, 0.0]])
     placed = as_placed @ found.rotation.T + found.shift_m
-    seen, lost = lost_targets(planned, placed, position_m, middle, 0.6)
+    seen, lost = lost_targets(planned, placed, position_m, feet, Target(0.5, 1.0, 8))
     assert seen.tolist() == [True, True, True]
     assert lost.tolist() == [True, False, False]
 
@@ -86,4 +88,19 @@ def test_scans_with_next_to_nothing_agree_with_nothing():
     assert register(np.zeros((5, 3)), planned).share == 0.0
     empty = planned_scan(nothing, PLACE_M)
     assert register(planned.xyz_m, empty).share == 0.0
-    assert lost_targets(planned, nothing, PLACE_M, np.empty((0, 3)), 0.3)[0].shape == (0,)
+    assert lost_targets(planned, nothing, PLACE_M, np.empty((0, 3)), POLE)[0].shape == (0,)
+
+
+def test_what_is_seen_and_lost_follows_the_targets_that_the_plan_asks_for():
+    whole = scan(PLACE_M, street(0))
+    planned = planned_scan(whole, PLACE_M, STEP_DEG)
+    feet = np.array([[-4.0, 6.0, 0.0], [4.0, 8.0, 0.0], [-20.0, 5.0, 0.0]])
+
+    def seen(*target):
+        return lost_targets(planned, whole, PLACE_M, feet, Target(*target))[0].sum()
+
+    assert seen(0.25, 0.6, 8) < seen(0.25, 0.6, 0) <= seen(0.6, 2.0, 0)
+    assert seen(0.6, 2.0, 8) > seen(0.25, 0.6, 8) > seen(0.25, 0.6, 200) == 0
+    # One beam that comes back is enough where the plan asks for no more.
+    seen_by_one, lost = lost_targets(planned, whole, PLACE_M, feet, Target(0.05, 0.6, 0))
+    assert not (seen_by_one & lost).any()

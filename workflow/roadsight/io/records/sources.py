@@ -10,6 +10,9 @@ from functools import cache
 from pathlib import Path
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[3]
+_DECLARED = "roadsight.config.sections"
+"""Settings are declared there; their values reach a stage as its rule's params, so that a sentence
+about one makes no result stale."""
 _CHAPTERS = ("scene", "placement", "poles", "evidence", "truth")
 
 
@@ -68,7 +71,7 @@ def _imports(path: Path) -> list[str]:
             module = statement.module
             names += [module, *(f"{module}.{alias.name}" for alias in statement.names)]
     own = [name for name in dict.fromkeys(names) if name.partition(".")[0] == "roadsight"]
-    return [name for name in own if _file(name)]
+    return [name for name in own if _file(name) and not name.startswith(_DECLARED)]
 
 
 def _statements(block: ast.AST) -> Iterator[ast.AST]:

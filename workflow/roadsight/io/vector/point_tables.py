@@ -27,6 +27,7 @@ def read_points(
     frame: Frame,
     default_crs: str | None = None,
     attributes: Sequence[str] = (),
+    texts: Sequence[str] = (),
 ) -> pd.DataFrame:
     """Points of a CSV table (lat, lon or native x, y) or of any vector file, in local metres.
 
@@ -35,11 +36,12 @@ def read_points(
     Parameters
     ----------
     default_crs : CRS of a vector file that names none, see `load_local`.
-    attributes : further columns that are numbers where they are given.
+    attributes : further columns that are numbers where they are given. texts : and of text.
 
     Returns
     -------
-    columns id (text), kind (text, "" if not given), x, y, and the attributes (NaN if not given)
+    columns id (text), kind (text, "" if not given), x, y, the attributes (NaN if not given) and
+    the texts ("" if not given)
 
     Raises
     ------
@@ -49,7 +51,7 @@ def read_points(
     if Path(path).suffix.lower() != ".csv":
         features = load_local(Path(path), frame, default_crs)
         middle = shapely.get_coordinates(shapely.centroid(features.geometry.to_numpy()))
-        return _named(middle, features, attributes, path)
+        return _named(middle, features, attributes, texts, path)
     table = read_text_table(path)
     axes = next((pair for pair in _AXES if set(pair) <= set(table.columns)), None)
     if axes is None:
@@ -72,7 +74,7 @@ def read_points(
             found=table[list(axes)].iloc[row].tolist(),
             hint=_hint(frame, axes, numbers[row]),
         )
-    return _named(local, table, attributes, path)
+    return _named(local, table, attributes, texts, path)
 
 
 def _hint(frame: Frame, axes: tuple[str, str], place: Floats) -> str:
@@ -87,6 +89,7 @@ def _named(
     xy_m: np.ndarray,
     table: pd.DataFrame | gpd.GeoDataFrame,
     attributes: Sequence[str],
+    texts: Sequence[str],
     path: str | os.PathLike[str],
 ) -> pd.DataFrame:
     column = next((name for name in _NAMES if name in table), None)
@@ -97,6 +100,8 @@ def _named(
     points = pd.DataFrame({"id": names, "kind": kinds, "x": xy_m[:, 0], "y": xy_m[:, 1]})
     for name in attributes:
         points[name] = attribute_numbers(table, name, path)
+    for name in texts:
+        points[name] = table[name].fillna("").astype(str).to_numpy() if name in table else ""
     return points
 
 

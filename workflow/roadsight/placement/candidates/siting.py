@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.placement.sensors.poses import split_pose
 
 
 def needs_by_area(
@@ -81,11 +82,13 @@ def snapped(
     """Row of the matrix for each point that must carry a sensor.
 
     A point takes the nearest place of candidates; of its heights (and poses) the one nearest to the
-    stated height, or else the one from which its sensor sees most targets, the lowest of equals.
+    stated height, then the one turned as the stated candidate is; or else the one from which its
+    sensor sees most targets, the lowest of equals.
 
     Parameters
     ----------
-    points : columns id, kind (sensor; may be "" where the plan has one), x, y, height_m (or NaN).
+    points : columns id, kind (sensor; may be "" where the plan has one), x, y, height_m (or NaN),
+        candidate (in its pose; "" or no such column: none is stated).
     choices : columns sensor and position (row of ``candidates``). matrix : rows = choices.
     forbidden : (m,) candidates that must carry none.
 
@@ -116,12 +119,21 @@ def snapped(
             raise InputError(f"{sensor} sees no target from there in any pose", where=at)
         height_m = candidates["height_m"].to_numpy(np.float64)[position[all_rows]]
         stated_m = float(str(point.height_m))
-        if np.isfinite(stated_m):
-            order = np.lexsort((height_m, -seen[all_rows], np.abs(height_m - stated_m)))
-        else:
-            order = np.lexsort((height_m, -seen[all_rows]))
+        off_m = np.abs(height_m - stated_m) if np.isfinite(stated_m) else np.zeros(len(height_m))
+        off_deg = _turned_apart(
+            str(getattr(point, "candidate", "")), choices["candidate"].iloc[all_rows]
+        )
+        order = np.lexsort((height_m, -seen[all_rows], off_deg, off_m))
         rows.append(int(all_rows[order[0]]))
     return rows
+
+
+def _turned_apart(stated: str, names: pd.Series) -> Floats:
+    """Angles (n,) by which poses differ from a stated one, added up; 0 where none is stated."""
+    if split_pose(stated)[0] == stated:
+        return np.zeros(len(names))
+    turns = np.array([split_pose(name)[1] for name in (stated, *names.astype(str))])
+    return np.asarray(np.abs((turns[1:] - turns[0] + 180.0) % 360.0 - 180.0).sum(axis=1))
 
 
 def _sensor(kind: str, sensors: Sequence[str], where: str) -> str:

@@ -8,13 +8,13 @@ from neighbouring beams, not from neighbouring points: rings on the ground are f
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from roadsight.base.arrays import Bools, Floats
-from roadsight.placement.sight.detection import MIN_BEAMS
 
 _BEAMS = 25
 """Neighbouring beams of a plane: a window of 5 by 5."""
@@ -52,10 +52,18 @@ SAME_STRUCTURE = 0.3
 """The same of beams that end on anything but level ground, which is alike anywhere: 0.2 on another
 street as level as this, nearly 1 at the place itself."""
 _FEWEST_BEAMS = 2
-"""Beams of the measured scan that must reach a target: rows lie a little beside where they were
-planned, so that fewer meet a target than the plan counts."""
+"""Beams of the measured scan that must reach a target, or as few as the plan asks for: rows lie a
+little beside where they were planned, so that fewer meet a target than the plan counts."""
 _FEWEST = 100
 """Planes and points from which a pose can be found."""
+
+
+class Target(NamedTuple):
+    """Size of all targets, metres, and the beams of which the plan asked for more."""
+
+    radius_m: float
+    height_m: float
+    min_beams: int
 
 
 @dataclass(frozen=True)
@@ -237,7 +245,7 @@ def _compared(points: Floats, planned: Planned, rotation: Floats, shift_m: Float
 
 
 def lost_targets(
-    planned: Planned, measured_m: Floats, position_m: Floats, middle_m: Floats, radius_m: float
+    planned: Planned, measured_m: Floats, position_m: Floats, feet_m: Floats, target: Target
 ) -> tuple[Bools, Bools]:
     """Targets that the planned scan sees, and those of them that the measured one does not.
 
@@ -247,28 +255,41 @@ def lost_targets(
     Parameters
     ----------
     measured_m : (n, 3) measured points where they belong. position_m : (3,) of the sensor found.
-    middle_m : (t, 3) middles of the targets. radius_m : of their outline.
+    feet_m : (t, 3) of the targets. All in local metres.
 
     Returns
     -------
     (t,) seen as planned, (t,) of these lost
     """
-    before = _in_sight(planned.xyz_m, planned.position_m, middle_m, radius_m, MIN_BEAMS)
-    after = _in_sight(measured_m, position_m, middle_m, radius_m, _FEWEST_BEAMS)
+    asked = target.min_beams + 1
+    before = _in_sight(planned.xyz_m, planned.position_m, feet_m, target, asked)
+    after = _in_sight(measured_m, position_m, feet_m, target, min(asked, _FEWEST_BEAMS))
     return before, before & ~after
 
 
 def _in_sight(
-    xyz_m: Floats, position_m: Floats, middle_m: Floats, radius_m: float, fewest: int
+    xyz_m: Floats, position_m: Floats, feet_m: Floats, target: Target, fewest: int
 ) -> Bools:
-    if not len(xyz_m) or not len(middle_m):
-        return np.zeros(len(middle_m), bool)
-    offset, away = xyz_m - position_m, middle_m - position_m
+    if not len(xyz_m) or not len(feet_m):
+        return np.zeros(len(feet_m), bool)
+    half_m = np.array([0.0, 0.0, target.height_m / 2])
+    offset, away = xyz_m - position_m, feet_m + half_m - position_m
     range_m = np.maximum(np.linalg.norm(offset, axis=1), 1e-9)
-    distance_m = np.maximum(np.linalg.norm(away, axis=1), radius_m)
-    tree = cKDTree(offset / range_m[:, None])
-    beams = tree.query_ball_point(away / distance_m[:, None], radius_m / distance_m)
-    reach_m = distance_m - radius_m
-    past = [int((range_m[own] >= reach_m[k]).sum()) for k, own in enumerate(beams)]
-    count = np.array([len(own) for own in beams])
-    return (np.array(past) >= fewest) & (2 * np.array(past) >= count)
+    distance_m = np.maximum(np.linalg.norm(away, axis=1), target.radius_m)
+    rays, ahead = offset / range_m[:, None], away / distance_m[:, None]
+    level = np.maximum(np.hypot(ahead[:, 0], ahead[:, 1]), 1e-9)
+    aside = np.column_stack([-ahead[:, 1], ahead[:, 0], np.zeros(len(ahead))]) / level[:, None]
+    upward = np.cross(ahead, aside)
+    # A cylinder from above shows less of its side and more of its top.
+    high_m = target.height_m / 2 * level + target.radius_m * np.abs(ahead[:, 2])
+    around = np.hypot(target.radius_m, high_m) / distance_m
+    beams = cKDTree(rays).query_ball_point(ahead, around)
+    reach_m = distance_m - target.radius_m
+    seen = np.zeros(len(feet_m), bool)
+    for k, near in enumerate(beams):
+        own = rays[near]
+        on = np.abs(own @ aside[k]) * distance_m[k] <= target.radius_m
+        on &= np.abs(own @ upward[k]) * distance_m[k] <= high_m[k]
+        past = int((range_m[near][on] >= reach_m[k]).sum())
+        seen[k] = past >= fewest and 2 * past >= on.sum()
+    return seen

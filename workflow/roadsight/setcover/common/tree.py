@@ -84,7 +84,8 @@ class BestFirst(ABC):
             below = max(self.round_up(below), bound)
             if children is None:
                 return self.cut_short(bound, below, [entry[0] for entry in queue])
-            self.between(queue[0][0] if queue else below, deadline)
+            if queue or children:
+                self.between(queue[0][0] if queue else below, deadline)
             for child in children:
                 pushed += 1
                 heapq.heappush(queue, (below, depth - 1, -pushed, child))

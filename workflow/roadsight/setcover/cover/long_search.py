@@ -8,6 +8,8 @@ Caprara, Fischetti and Toth (1999).
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
@@ -46,7 +48,8 @@ class LongSearch:
     Parameters
     ----------
     local : the search; it keeps the best cover.
-    reduced_cost : (m,) of the relaxation. deadline : that of the proof.
+    reduced_cost : (m,) of the relaxation, in steps, as far as it was solved.
+    deadline : that of the proof.
     """
 
     def __init__(self, local: LocalSearch, reduced_cost: Floats, deadline: Deadline) -> None:
@@ -68,16 +71,19 @@ class LongSearch:
             self._burst(due_s, bound, deadline)
 
     def to_the_end(self, bound: float, deadline: Deadline) -> None:
-        """Search until the limit, where no proof will come."""
+        """Search until the limit, where no proof will come; without one, as long as it pays."""
         instance, local = self._local.instance, self._local
-        while instance.round_up(bound) < local.cost and not deadline.passed():
+        endless = math.isinf(deadline.left_s())
+        while bound <= instance.goal(local.cost) and not deadline.passed():
+            if endless and self._used_s >= _BESIDE_S + _PATIENCE * self._found_s:
+                break
             self._burst(self._used_s + _BURST_S, bound, deadline)
 
     def catch_up(self, bound: float, deadline: Deadline) -> None:
         """Search until it has worked as long as the proof, or does not pay any more."""
         instance, local = self._local.instance, self._local
         proof_s = deadline.spent_s() - self._begun_s - self._used_s
-        while instance.round_up(bound) < local.cost and not deadline.passed():
+        while bound <= instance.goal(local.cost) and not deadline.passed():
             due_s = min(proof_s - _HEAD_S, _BESIDE_S + _PATIENCE * self._found_s)
             if due_s - self._used_s < _BURST_S:
                 break

@@ -85,7 +85,7 @@ def _solve_part(
     if _enough(instance, local.best, bound, gap):
         return Outcome(local.best, bound, 0), root.bound
     if not root.complete:  # no tree will come, so what is left goes to better covers
-        LongSearch(local, np.zeros(instance.shape[0]), deadline).to_the_end(bound, deadline)
+        LongSearch(local, root.reduced_cost, deadline).to_the_end(bound, deadline)
         return Outcome(local.best, bound, 0), root.bound
     long = LongSearch(local, root.reduced_cost, deadline)
     long.ahead(bound, deadline)

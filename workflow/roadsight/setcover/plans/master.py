@@ -9,17 +9,13 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Floats, Ints32
 from roadsight.setcover.common.deadline import Deadline
-from roadsight.setcover.common.relaxation import Node, quiet_highs
+from roadsight.setcover.common.relaxation import Node, quiet_highs, run_simplex
 from roadsight.setcover.plans.cuts import Cut, Cuts
 
 MOST_CONSTRAINTS = 1_200
 """Constraints of the linear program above which slack cuts leave between nodes."""
 _SLACK = 1e-6
 """Distance from a right side, and above the goal, that counts: ten times the solver's tolerance."""
-_ITERATION_S = 4e-7
-"""Work of an iteration by the root of the entries of the linear program, in seconds, measured."""
-_RUN_S = 2.5e-8
-"""Work of setting a linear program up by its entries, in seconds, measured."""
 _SEARCH_S = 3e-9
 """Work of a search for violated cuts by entry of the matrix, in seconds, measured."""
 
@@ -129,14 +125,7 @@ class Master:
         self._delete(slack & (np.array(self._branch) < 0))
 
     def _run(self, deadline: Deadline) -> None:
-        entries = self._highs.getNumNz()
-        iteration_s = _ITERATION_S * max(entries, 1) ** 0.5
-        clock_s = max(deadline.clock_left_s(), 1e-3)
-        self._highs.setOptionValue("time_limit", self._highs.getRunTime() + clock_s)
-        self._highs.setOptionValue("simplex_iteration_limit", deadline.count_left(iteration_s))
-        self._highs.run()
-        iterations = max(self._highs.getInfo().simplex_iteration_count, 0)
-        deadline.spend(iteration_s * iterations + _RUN_S * entries)
+        deadline.spend(run_simplex(self._highs, deadline))
         deadline.spend(_SEARCH_S * self.cuts.by_choice.nnz)
 
     def _stopped(self, bound: float) -> Relaxed:

@@ -2,44 +2,43 @@
 
 The covers that share all but r choices with the best one are looked at exhaustively, for r = 1, 2,
 3 and so on, and from 1 again after each find. With nothing shared, that is the proof. Where work
-runs out before, a Lagrangian bound says how much more there could be at most (Fisher 1981).
+runs out before, a Lagrangian bound says how much more there could be at most (`second_bounds`).
+
+Weights are in any unit of the caller's (the workflow's are 1 for each target), costs in another.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import combinations
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import chain, combinations
 
 import numpy as np
-from scipy import sparse
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.setcover.common.deadline import Deadline
-from roadsight.setcover.common.problem import Instance
-from roadsight.setcover.common.relaxation import Node, Relaxation
+from roadsight.setcover.common.deadline import WorkLimit
+from roadsight.setcover.common.result import OPTIMAL, WITHIN_GAP, Cover, is_within, relative_gap
 from roadsight.setcover.plans.deployment import Deployment
+from roadsight.setcover.plans.second_bounds import prices, seen_at_most
 from roadsight.setcover.plans.second_kernels import LEVELS, Rules, complete_covers
 
-_ENTRY_S = 8e-9
-"""Work by entry of the matrix that the search reads, in seconds, measured."""
-_BOUND_STEPS = 400
-"""Most steps to the bound: on the sample it is within 0.1 % of what 1,500 steps give."""
-_BOUND_SHARE = 4
-"""The bound has one of so many shares of the work."""
-_BOUND_ENTRY_S = 3e-9
-"""Work of a step of the bound by entry of the matrix, in seconds, measured."""
-_STALLED = 20
-"""After so many steps without a better bound, steps get shorter."""
-_NEAR = 0.1
-"""The first step goes for a bound lower by this share: about how far bound and covers are apart."""
-_SHORTER = 0.7
-"""Factor by which they do."""
+_ENTRY_S = 7.5e-9
+"""Work by entry that the search adds or removes, in seconds: the middle of 6 to 9.5 on the cases of
+`second_kernels`."""
+_ATTEMPT_S = 3e-5
+"""Work of calling the search for some shared choices, in seconds, measured there."""
+_SET_S = 2e-7
+"""Work of putting a set of choices in its place by what each pair of it has in common, measured."""
+_SETUP_S = 1.5e-8
+"""Work of laying out the problem by entry of its matrix, in seconds, measured there."""
 _SORTED = 20_000
 """Up to so many sets of choices are sorted by what they have in common: those find more."""
 _TOLERANCE = 1e-9
 """Share of a sum by which two are alike."""
+_CHEAPER = 1e-7
+"""Share of its cost that a cover must save to be cheaper: as far as costs are proven."""
 
 
 @dataclass(frozen=True)
@@ -48,13 +47,13 @@ class Second:
 
     Parameters
     ----------
-    chosen : its sorted choices.
-    value, before : (levels,) weight that is seen once more than asked for, and twice more; of
+    chosen : (k,) its sorted choices.
+    value, before : (`LEVELS`,) weight that is seen once more than asked for, and twice more; of
         this cover, and of the one it began with.
     total : weight of all targets that ask for something.
-    stretches, stretches_before : with a target that is seen once more than asked for.
+    stretches, stretches_before : how many have a target that is seen once more than asked for.
     bound : most weight that any cover of the cost sees once more than asked for.
-    proven : whether none is better, in the order once more, twice more, stretches.
+    proven : whether none of the cost is better, in the order once more, twice more, stretches.
     """
 
     chosen: Ints
@@ -68,18 +67,23 @@ class Second:
 
 
 def second_objective(
-    deployment: Deployment, chosen: Ints, limit: Deadline, stretch: Ints | None = None
+    deployment: Deployment, chosen: Ints, limit: WorkLimit, stretch: Ints | None = None
 ) -> Second:
     """Of the covers that cost no more than one, the one that sees the most more than asked for.
 
     Groups, mandatory and forbidden choices, cliques and needs are kept to. Nothing is proven about
-    the cost: ``chosen`` should be the cheapest. The answer depends on nothing but the limit of
-    work.
+    the cost: ``chosen`` should be the cheapest. Where a cheaper cover comes up, it is taken, and
+    the best of its cost is sought. The answer depends on nothing but the limit of work, which also
+    pays for the bound.
 
     Parameters
     ----------
-    deployment : complete, without ``keep``, costs above 0. chosen : sorted, allowed choices.
+    deployment : complete, without ``keep``, costs above 0.
+    chosen : (k,) sorted choices of a cover that is allowed (not checked).
     stretch : (targets,) number of the stretch of road of each target, -1 for none; None: no road.
+
+    Source: own. The bound is Lagrangian (Fisher 1981); searching all that shares a part with the
+    best is local branching (Fischetti and Lodi 2003) with enumeration instead of a program.
     """
     if not (deployment.problem.at_least > 0).any():
         nothing = np.zeros(LEVELS)
@@ -102,11 +106,49 @@ def second_objective(
     )
 
 
+def chosen_again(
+    deployment: Deployment,
+    cover: Cover,
+    limit: WorkLimit,
+    stretch: Ints | None = None,
+    gap: float = 0.0,
+) -> tuple[Cover, Second]:
+    """A cover with the choices of the best of its cost, and what is known of them.
+
+    Its bound stays: it is of the cost. Where the best turns out cheaper than a cover that was not
+    proven, objective, gap and status are those of what is chosen. ``seconds_cpu`` counts both.
+
+    Parameters
+    ----------
+    deployment, limit, stretch : as `second_objective` takes them. cover : of the deployment, with
+        choices. gap : share of the objective that was allowed for the proof.
+    """
+    start = time.process_time()
+    found = second_objective(deployment, cover.chosen, limit, stretch)
+    seconds = cover.seconds_cpu + time.process_time() - start
+    before, after = (math.fsum(deployment.cost[rows]) for rows in (cover.chosen, found.chosen))
+    again = replace(cover, chosen=found.chosen, seconds_cpu=seconds)
+    if after > before * (1 - _CHEAPER):
+        return again, found
+    value = deployment.objective(found.chosen)
+    proven = cover.bound > deployment.goal(value)
+    bound = value if proven else min(cover.bound, value)
+    near = WITHIN_GAP if is_within(gap, value, bound) else cover.status
+    again = replace(again, objective=value, bound=bound, gap=relative_gap(value, bound))
+    return replace(again, status=OPTIMAL if proven else near), found
+
+
 class _Search:
-    """Search in growing neighbourhoods of the best cover."""
+    """Search in growing neighbourhoods of the best cover.
+
+    Attributes
+    ----------
+    cover : (choices,) the best so far. rules : what covers are made of.
+    best : (4,) its value, as `complete_covers` takes it.
+    """
 
     def __init__(
-        self, deployment: Deployment, chosen: Ints, limit: Deadline, stretch: Ints | None
+        self, deployment: Deployment, chosen: Ints, limit: WorkLimit, stretch: Ints | None
     ) -> None:
         problem = deployment.problem
         self._limit = limit
@@ -114,9 +156,11 @@ class _Search:
         self.cover = np.zeros(len(problem.costs), bool)
         self.cover[chosen] = True
         self._cost = np.asarray(deployment.cost)
-        self._money = math.fsum(self._cost[chosen]) * (1 + _TOLERANCE)
-        self.rules = _rules(deployment, self._money, self.cover, limit, stretch)
-        self.best = self._value()
+        self._least_cost = float(self._cost.min())
+        self._money = self._spent(self.cover)
+        self.rules = _rules(deployment, self._money, limit, stretch)
+        self.best = np.array([-1.0, -1.0, -1.0, 0.0])
+        self._complete(self.cover, 0.0)
 
     def most(self, inside: Bools) -> float:
         """Most that choices add to the bound within the money, with some inside for certain."""
@@ -129,62 +173,75 @@ class _Search:
         apart = 1
         while True:
             free = np.flatnonzero(self.cover & ~self._must)
-            if apart >= len(free):
-                return self._try(np.flatnonzero(self._must)) is not None
-            answer = self._neighbourhood(free, apart)
+            if apart < len(free):
+                answer = self._neighbourhood(free, apart)
+            else:
+                money = self._money
+                answer = self._try(np.empty(0, np.int64), self._must)
+                if answer is not None and self._money == money:
+                    return True
             if answer is None:
                 return False
             apart = 1 if answer else apart + 1
 
     def _neighbourhood(self, free: Ints, apart: int) -> bool | None:
         """Whether a better cover was found that shares all but so many; None: out of work."""
-        inside = np.flatnonzero(self.cover)
+        cover = self.cover
         for out in self._together(free, apart):
-            answer = self._try(np.setdiff1d(inside, out))
+            answer = self._try(out, cover)
             if answer is not False:
                 return answer
         return False
 
-    def _together(self, free: Ints, apart: int) -> Iterator[tuple[int, ...]]:
-        """So many choices at a time; those first that see the most targets in common."""
-        sets = combinations(free.tolist(), apart)
-        if apart == 1 or math.comb(len(free), apart) > _SORTED:
-            return sets
+    def _together(self, free: Ints, apart: int) -> Iterable[Ints]:
+        """Sets (apart,) of so many choices; those first that see the most targets in common."""
+        sets, count = combinations(free.tolist(), apart), math.comb(len(free), apart)
+        if apart == 1 or count > _SORTED:
+            return (np.array(out, np.int64) for out in sets)
+        table = np.fromiter(chain.from_iterable(sets), np.int64, count * apart)
+        table = table.reshape(count, apart)
         rows = self._matrix[free].astype(np.int64)
-        common = (rows @ rows.T).toarray()
-        number = {int(choice): k for k, choice in enumerate(free)}
+        common, at = (rows @ rows.T).toarray(), np.searchsorted(free, table)
+        pairs = list(combinations(range(apart), 2))
+        shared = sum(common[at[:, a], at[:, b]] for a, b in pairs)
+        self._limit.spend(_SET_S * count * (1 + len(pairs)) + _SETUP_S * rows.nnz)
+        return table[np.argsort(-shared, kind="stable")]
 
-        def shared(out: tuple[int, ...]) -> int:
-            return -sum(int(common[number[a], number[b]]) for a, b in combinations(out, 2))
+    def _try(self, out: Ints, cover: Bools) -> bool | None:
+        """Whether a better cover was found that has all choices of one but some; None: out of work.
 
-        return iter(sorted(sets, key=shared))
-
-    def _try(self, shared: Ints) -> bool | None:
-        """Whether a better cover was found that contains some choices; None: out of work."""
-        inside = np.zeros(len(self.cover), bool)
-        inside[shared] = True
-        left = self._money - math.fsum(self._cost[shared])
+        Parameters
+        ----------
+        out : (r,) choices that it need not have. cover : (choices,) of the others.
+        """
         if self._limit.passed():
             return None
-        clock = min(self._limit.clock_left_s() / _ENTRY_S, 2.0**62)
-        most = min(self._limit.count_left(_ENTRY_S), int(clock))
-        cover, found, complete, work = complete_covers(
-            inside, left, float(self._cost.min()), self.rules, self.best, most
-        )
-        self._limit.spend(work * _ENTRY_S)
-        if found:
-            self.cover = cover
+        inside = cover.copy()
+        inside[out] = False
+        found, complete = self._complete(inside, self._money - math.fsum(self._cost[inside]))
         return found if complete else None
 
-    def _value(self) -> Floats:
-        best = np.full(3, -1.0)
-        complete_covers(self.cover, 0.0, 1.0, self.rules, best, 2**62)
-        return best
+    def _complete(self, inside: Bools, money: float) -> tuple[bool, bool]:
+        """Whether a better cover was found within some money, and whether all were looked at."""
+        most = int(min(max(self._limit.left_s() / _ENTRY_S, 1.0), 2.0**62))
+        slack = _CHEAPER * self._money
+        cover, found, complete, work = complete_covers(
+            inside, money, self._least_cost, slack, self.rules, self.best, most
+        )
+        self._limit.spend(work * _ENTRY_S + _ATTEMPT_S)
+        if found:
+            self.cover = cover
+        if self.best[3] > slack:
+            self._money, self.best[3] = self._spent(cover), 0.0
+        return found, complete
+
+    def _spent(self, cover: Bools) -> float:
+        """Cost of a cover, with room for rounding."""
+        return math.fsum(self._cost[cover]) * (1 + _TOLERANCE)
 
 
-def _rules(
-    deployment: Deployment, money: float, cover: Bools, limit: Deadline, stretch: Ints | None
-) -> Rules:
+def _rules(deployment: Deployment, money: float, limit: WorkLimit, stretch: Ints | None) -> Rules:
+    """What covers are made of, with the bounds that the limit allows, each by a share of it."""
     problem = deployment.problem
     matrix, need = problem.matrix, problem.at_least
     by_target = matrix.tocsc()
@@ -192,11 +249,9 @@ def _rules(
     sets = deployment.exclusive.T.tocsr()
     sets.sort_indices()
     weight = np.where(need > 0, deployment.weights, 0.0)
-    allowed = ~problem.forbidden
-    price, refund = _prices(deployment, limit.part(_BOUND_SHARE))
-    share, base, gain = _multipliers(
-        matrix, np.asarray(deployment.cost), need, weight, allowed, money, limit
-    )
+    limit.spend(_SETUP_S * matrix.nnz)
+    price, refund = prices(deployment, limit)
+    most = seen_at_most(deployment, weight, money, limit)
     road = np.full(len(need), -1, np.int64) if stretch is None else stretch.astype(np.int64)
     order = np.argsort(np.diff(by_target.indptr), kind="stable")
     return Rules(
@@ -211,98 +266,15 @@ def _rules(
         sets.indices,
         price,
         refund,
-        gain,
-        base,
-        *share,
+        most.gain,
+        most.base,
+        most.gains,
+        most.costs,
         road,
         int(road.max(initial=-1)) + 1,
         order[need[order] > 0],
-        allowed,
+        ~problem.forbidden,
     )
-
-
-def _prices(deployment: Deployment, limit: Deadline) -> tuple[Floats, float]:
-    """What covering each target once costs at least, and the most that this exceeds costs by.
-
-    For any cover, the prices of what it covers, as often as asked, and the (negative) excess add
-    up to no more than its cost: weak duality.
-    """
-    problem = deployment.problem
-    asked = problem.at_least > 0
-    cost = np.asarray(deployment.cost)
-    by_choice = problem.matrix[:, np.flatnonzero(asked)].tocsr()
-    by_choice.sort_indices()
-    none = np.full(len(cost), -1, np.int64)
-    need = problem.at_least[asked].astype(np.int32)
-    instance = Instance(by_choice, cost, need, none, np.arange(len(cost)), False)
-    node = Node(~problem.forbidden, problem.mandatory.copy())
-    solution = Relaxation(instance).solve(node, np.inf, limit)
-    price = np.zeros(len(asked))
-    if not solution.complete:
-        return price, 0.0
-    price[asked] = np.maximum(solution.target_dual, 0.0)
-    reduced = cost - problem.matrix @ price
-    free = ~problem.forbidden & ~problem.mandatory
-    return price, float(np.minimum(reduced[free], 0.0).sum())
-
-
-def _multipliers(
-    matrix: sparse.csr_matrix,
-    cost: Floats,
-    need: Ints,
-    weight: Floats,
-    allowed: Bools,
-    money: float,
-    limit: Deadline,
-) -> tuple[tuple[Floats, Floats], float, Floats]:
-    """A Lagrangian bound of the weight that is seen once more than asked, by subgradient steps.
-
-    With u >= 0 (targets,), no choices within the money see more than ``sum(max(w - u, 0)) -
-    sum(need u)`` and the gains ``A u`` of the choices: the dearest of them that the money buys.
-
-    Returns
-    -------
-    gains and costs in the order of gain by cost, summed up; the bound without choices; gains
-    """
-    by_target = matrix.T.tocsr()
-    steps = min(_BOUND_STEPS, limit.part(_BOUND_SHARE).count_left(_BOUND_ENTRY_S * matrix.nnz))
-    u, length, stalled = 0.5 * weight, 1.0, 0
-    best, best_u = math.inf, u
-    for _ in range(steps):
-        gain = np.where(allowed, matrix @ u, 0.0)
-        share, value = _bought(gain, cost, money)
-        value += _base(u, need, weight)
-        if value < best - 1e-6 * max(1.0, abs(best) if math.isfinite(best) else 1.0):
-            best, best_u, stalled = value, u, 0
-        else:
-            stalled += 1
-            if stalled >= _STALLED:
-                length, stalled, u = _SHORTER * length, 0, best_u
-                continue
-        slope = by_target @ share - need - (u < weight)
-        slope[((u <= 0) & (slope > 0)) | (need == 0)] = 0.0
-        square = float((slope**2).sum())
-        if square < _TOLERANCE:
-            break
-        u = np.maximum(u - length * _NEAR * abs(value) / square * slope, 0.0)
-    limit.spend(steps * _BOUND_ENTRY_S * matrix.nnz)
-    gain = np.where(allowed, matrix @ best_u, 0.0)
-    order = np.argsort(-gain / cost, kind="stable")
-    sums = tuple(np.concatenate([[0.0], np.cumsum(part[order])]) for part in (gain, cost))
-    return (sums[0], sums[1]), _base(best_u, need, weight), gain
-
-
-def _base(u: Floats, need: Ints, weight: Floats) -> float:
-    return float(np.maximum(weight - u, 0.0).sum() - (u * need).sum())
-
-
-def _bought(gain: Floats, cost: Floats, money: float) -> tuple[Floats, float]:
-    """Share of each choice that is bought, the best gain by cost first, and what they gain."""
-    order = np.argsort(-gain / cost, kind="stable")
-    before = np.cumsum(cost[order]) - cost[order]
-    share = np.zeros(len(cost))
-    share[order] = np.clip((money - before) / cost[order], 0.0, 1.0)
-    return share, float(share @ gain)
 
 
 def _floored(bound: float, weights: Floats) -> float:

@@ -11,6 +11,8 @@ import pandas as pd
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Lidar
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.detections import read_detections, write_detections
 from roadsight.io.records.kept import Kept, key_of, key_of_step
@@ -164,7 +166,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     add_detection_arguments(parser)
     parser.add_argument("--kept", help="rows of an earlier run, taken over where nothing changed")
-    parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
+    add_settings(parser, Lidar, "azimuth_stride")
     return run_stage(parser, build_detection_shard, argv)
 
 

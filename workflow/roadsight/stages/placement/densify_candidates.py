@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Floats
+from roadsight.base.options import add_settings
+from roadsight.config.sections.placement import Coverage
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.poses import FOR_SENSORS
@@ -87,7 +89,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--targets", required=True)
     parser.add_argument("--candidates", nargs="+", required=True, help="of all rounds before")
     parser.add_argument("--plans", nargs="+", required=True, help="plan=sensor,sensor")
-    parser.add_argument("--radius-m", type=float, default=30.0)
+    add_settings(parser, Coverage, "radius_m")
     return run_stage(parser, densify_candidates, argv)
 
 

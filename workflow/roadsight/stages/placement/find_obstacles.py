@@ -12,7 +12,8 @@ import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from roadsight.base.engines import ENGINES
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
@@ -219,7 +220,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--objects", nargs="?", help="surfels of the objects of the scene")
     add_allowed_arguments(parser)
     parser.add_argument("--target-height-m", type=float, default=0.6)
-    parser.add_argument("--engine", choices=ENGINES, default="own", help="who casts rays")
+    add_settings(parser, Lidar, "engine")
     return run_stage(parser, find_obstacles, argv)
 
 

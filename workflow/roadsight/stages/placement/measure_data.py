@@ -14,6 +14,8 @@ import shapely
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json
@@ -190,9 +192,8 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     for name in ("detections", "depth", "candidates"):
         parser.add_argument(f"--{name}", nargs="+", required=True)
-    parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
+    add_settings(parser, Lidar, "azimuth_stride", "frames_hz")
     add_sight_arguments(parser)
-    parser.add_argument("--frames-hz", type=float, default=10.0)
     for name, curve in (("lidar", LIDAR_CURVE), ("camera", CAMERA_CURVE)):
         parser.add_argument(f"--{name}-curve", type=float, nargs=2, default=curve)
     return run_stage(parser, measure_data, argv)

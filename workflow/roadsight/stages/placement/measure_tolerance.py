@@ -9,6 +9,8 @@ import sys
 import geopandas as gpd
 import numpy as np
 
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.vector.vectors import write_layers
@@ -75,7 +77,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("solution", "targets", "surfels", "frame", "sensors-file", "out", "layers"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
-    parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
+    add_settings(parser, Lidar, "azimuth_stride")
     add_sight_arguments(parser)
     add_change_arguments(parser)
     return run_stage(parser, measure_tolerance, argv)

@@ -16,6 +16,8 @@ from shapely import MultiPolygon
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.placement import Candidates
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import read_raster
@@ -175,16 +177,20 @@ def add_candidate_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments that the regular and the denser candidates share."""
     for name in ("site", "edges", "pavement", "dem", "cloud", "frame", "out"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--spacing-m", type=float, default=4.0)
-    parser.add_argument("--height-min-m", type=float, default=4.0)
-    parser.add_argument("--height-max-m", type=float, default=10.0)
-    parser.add_argument("--height-step-m", type=float, default=0.5)
-    parser.add_argument("--search-radius-m", type=float, default=0.5)
-    parser.add_argument("--gap-factor", type=float, default=2.0)
+    add_settings(
+        parser,
+        Candidates,
+        "spacing_m",
+        "height_min_m",
+        "height_max_m",
+        "height_step_m",
+        "search_radius_m",
+        "gap_factor",
+        "arm_m",
+    )
     parser.add_argument("--zones", nargs="?", help="polygons in which no sensor may stand")
     parser.add_argument("--mounts", nargs="?", help="existing poles that may carry sensors")
     parser.add_argument("--ground", nargs="?", help="which points are ground; unknown if absent")
-    parser.add_argument("--arm-m", type=float, default=0.75, help="from a pole to its sensor")
     parser.add_argument("--overhead-cover", choices=["simulate", "skip"], default="simulate")
 
 

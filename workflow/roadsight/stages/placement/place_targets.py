@@ -14,6 +14,8 @@ from shapely import LineString, MultiPolygon
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Targets
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
@@ -116,9 +118,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--frame", required=True)
     parser.add_argument("--edges", nargs="*", default=[], help="that bound the road")
     parser.add_argument("--box", type=float, nargs=3, help="targets are boxes, which have headings")
-    parser.add_argument("--inset-m", default="0", help="metres, or local: as well as it is known")
-    parser.add_argument("--cell-size-m", type=float, default=1.0)
-    parser.add_argument("--min-points", default="25", help="a number, or local: by the density")
+    add_settings(parser, Targets, "inset_m", "min_points")
+    add_settings(parser, Targets, "cell_size_m")
     parser.add_argument("--width-m", type=float, default=0.5, help="of a target")
     parser.add_argument("--unexamined", help="polygons without targets")
     parser.add_argument("--doubts", help="JSON with what the targets rest on")

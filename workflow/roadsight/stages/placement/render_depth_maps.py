@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats, Floats32
-from roadsight.base.engines import ENGINES
+from roadsight.base.options import add_settings
 from roadsight.base.shards import shard_of
+from roadsight.config.sections.sensing import Lidar
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.images.depth_networks import network_for
 from roadsight.io.records.depth_maps import (
@@ -25,7 +26,7 @@ from roadsight.io.records.depth_maps import (
 from roadsight.io.records.kept import Kept, key_of, key_of_step
 from roadsight.io.records.poses import read_poses, read_tilts
 from roadsight.io.records.surfels import read_surfels
-from roadsight.placement.depth.models import MODELS, model_of_points
+from roadsight.placement.depth.models import model_of_points
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.rays import as_seen_from
 from roadsight.placement.sensors.sensors import Sensor, load_sensor, what_it_sees
@@ -135,15 +136,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--sensor", required=True, help="name in the sensors file")
     parser.add_argument("--sensors", required=True, help="sensors file")
-    parser.add_argument("--model", choices=MODELS, default="surfel")
-    parser.add_argument("--engine", choices=ENGINES, default="own", help="of the model surfel")
+    add_settings(
+        parser, Lidar, "model", "engine", "azimuth_stride", "min_cell_points", "neighbours"
+    )
     parser.add_argument("--surfels", required=True, help="used by the model surfel")
     parser.add_argument("--cloud", required=True, help="used by the other models")
     parser.add_argument("--network", nargs="?", help="ONNX file of the models unet and unet_mask")
     parser.add_argument("--traffic", nargs="?", help="mask of points to leave out")
-    parser.add_argument("--azimuth-stride", type=int, default=1, help="simulate every n-th azimuth")
-    parser.add_argument("--min-cell-points", type=int, default=5)
-    parser.add_argument("--neighbours", type=int, default=10)
     parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
     parser.add_argument("--panorama", action="store_true", help="it serves all sensors")
     parser.add_argument("--kept", help="maps of an earlier run, taken over where nothing changed")

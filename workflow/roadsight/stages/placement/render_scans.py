@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
-from roadsight.base.engines import ENGINES
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import read_json
@@ -120,7 +121,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean, all rounds")
     parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
     parser.add_argument("--surfaces", nargs="*", default=[], help="reflectivity of surfaces")
-    parser.add_argument("--engine", choices=ENGINES, default="own", help="who casts rays")
+    add_settings(parser, Lidar, "engine")
     return run_stage(parser, render_scans, argv)
 
 

@@ -14,6 +14,9 @@ from scipy import sparse
 
 from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections import placement
+from roadsight.config.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.io.records.atomic import read_json, write_json
@@ -191,7 +194,7 @@ class _Again:
     ) -> None:
         self.record: dict[str, Any] | None = None
         self._limit_s = arguments.second_time_limit_s if arguments.second == "True" else 0.0
-        self._allowed = looked_at
+        self._allowed, self._gap = looked_at, arguments.gap
         self._cell_m = 0.0
         self._stretch: Ints | None = None
         if arguments.edges and self._limit_s:
@@ -203,7 +206,13 @@ class _Again:
     def __call__(self, deployment: Deployment, cover: Cover) -> Cover:
         """Cover of the same cost."""
         better, self.record = see_again(
-            deployment, cover, self._limit_s, self._stretch, self._cell_m, self._allowed
+            deployment,
+            cover,
+            self._limit_s,
+            self._stretch,
+            self._cell_m,
+            self._allowed,
+            self._gap,
         )
         return better
 
@@ -411,7 +420,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("candidates", "detections"):
         parser.add_argument(f"--{name}", nargs="+", required=True)
     parser.add_argument("--sensors", nargs="+", required=True, help="name=cost")
-    parser.add_argument("--at-least", type=int, default=1)
+    add_settings(parser, placement.Cover, "at_least", "time_limit_s", "gap", "second_time_limit_s")
     parser.add_argument("--options", default="", help="options of the plan as JSON")
     for name in FILES:
         parser.add_argument(f"--{name}", nargs="*", default=[], help="file of the option")
@@ -422,16 +431,13 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--surfels", nargs="?", help="the scene; needed with --robust")
     parser.add_argument("--sensors-file", help="needed with --robust")
     parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
-    parser.add_argument("--azimuth-stride", type=int, default=1)
+    add_settings(parser, Lidar, "azimuth_stride")
     add_sight_arguments(parser)
     add_change_arguments(parser)
     parser.add_argument("--target-height-m", type=float, default=0.6)
-    parser.add_argument("--time-limit-s", type=float, default=300.0)
-    parser.add_argument("--gap", type=float, default=0.0, help="share too much that is allowed")
     parser.add_argument("--second", choices=["True", "False"], default="False")
-    parser.add_argument("--second-time-limit-s", type=float, default=3.0)
     parser.add_argument("--edges", nargs="?", help="the road, for the length seen by two")
-    parser.add_argument("--uncoverable", choices=["error", "exclude"], default="error")
+    add_settings(parser, placement.Coverage, "uncoverable")
     add_allowed_arguments(parser)
     parser.add_argument("--seed", type=int, default=1)
     return run_stage(parser, solve_cover, argv)

@@ -9,6 +9,8 @@ import sys
 import numpy as np
 import pandas as pd
 
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
@@ -40,7 +42,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("candidates", "dem", "frame", "out"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--mounting", choices=["levelled", "normal"], default="normal")
+    add_settings(parser, Lidar, "mounting")
     return run_stage(parser, tilt_mounts, argv)
 
 

@@ -13,6 +13,9 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.options import add_settings
+from roadsight.config.sections.placement import Cover, Coverage
+from roadsight.config.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.surfels import read_surfels
@@ -171,10 +174,10 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     for name in ("candidates", "detections", "costs"):
         parser.add_argument(f"--{name}", nargs="+", required=True)
-    parser.add_argument("--felled", type=int, default=1, help="objects that are tried")
-    parser.add_argument("--time-limit-s", type=float, default=60.0)
+    add_settings(parser, Coverage, "felled")
+    add_settings(parser, Cover, "time_limit_s")
     parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
-    parser.add_argument("--azimuth-stride", type=int, default=1, help="beams that each stands for")
+    add_settings(parser, Lidar, "azimuth_stride")
     add_sight_arguments(parser)
     add_change_arguments(parser)
     add_allowed_arguments(parser)

@@ -13,7 +13,9 @@ import pandas as pd
 
 from roadsight.base.errors import InputError
 from roadsight.base.matches import tell_named
+from roadsight.base.options import add_settings
 from roadsight.base.shards import shard_of
+from roadsight.config.sections.poles import Alignment
 from roadsight.geometry.cameras import compass_deg
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
@@ -266,7 +268,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--max-residual-px", type=float, default=limits.residual_px)
     parser.add_argument("--bound-m", type=float, default=PUBLISHED_BOUNDS[0])
     parser.add_argument("--bound-deg", type=float, default=PUBLISHED_BOUNDS[1])
-    parser.add_argument("--max-sigma-heading-deg", type=float, default=0.15)
+    add_settings(parser, Alignment, "max_sigma_heading_deg")
     parser.add_argument("--max-sigma-lateral-m", type=float, default=limits.sigma_lateral_m)
     return run_stage(parser, align_cameras, argv)
 

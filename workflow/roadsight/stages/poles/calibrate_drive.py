@@ -12,6 +12,8 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import Calibration
 from roadsight.io.images.baselines import read_baselines
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table
@@ -193,16 +195,7 @@ def main(argv: list[str] | None = None) -> int:
     help_ = 'JSON by image size, {"2000x1200": {...}}, or "all"'
     parser.add_argument("--baseline", nargs="?", help=help_)
     parser.add_argument("--matches", nargs="*", default=[], help="tables of shared points")
-    parser.add_argument(
-        "--hfov-deg", type=float, default=0.0, help="field of view, if known to 10 %%; 0: unknown"
-    )
-    parser.add_argument("--images", type=int, default=60, help="of a drive, for its calibration")
-    parser.add_argument(
-        "--start",
-        choices=("edges", "landmarks"),
-        default="edges",
-        help="whether the road edges or the poles say first where the camera looks",
-    )
+    add_settings(parser, Calibration, "images", "hfov_deg", "start")
     model, sides = DriftModel(), ViewOffsets()
     parser.add_argument("--gps-sigma-m", type=float, default=model.sigma_m, help="slow error")
     parser.add_argument("--gps-length-m", type=float, default=model.length_m, help="of its path")

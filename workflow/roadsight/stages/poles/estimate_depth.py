@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import Networks
 from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.images.label_images import LabelImages
 from roadsight.io.images.models import open_model
@@ -137,12 +139,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--shard", type=int, default=0)
     parser.add_argument("--shards", type=int, default=1)
     parser.add_argument("--threads", type=int, default=1, help="threads of a network")
-    parser.add_argument(
-        "--image-height-px",
-        type=int,
-        default=0,
-        help="height that networks of any size see, px; 0 leaves it to the manifest",
-    )
+    add_settings(parser, Networks, "image_height_px")
     return run_stage(parser, estimate_depth, argv)
 
 

@@ -13,6 +13,8 @@ import pandas as pd
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import Sightings
 from roadsight.geometry.cameras import Intrinsics, compass_deg
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -22,7 +24,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.poles.alignment.landmarks import Turns
 from roadsight.poles.calibration.calibration_table import Key, from_content
-from roadsight.poles.images.pole_masks import KINDS, MaskSettings
+from roadsight.poles.images.pole_masks import MaskSettings
 from roadsight.poles.images.stitching import ViewOffsets, merge_views, side_intrinsics
 from roadsight.poles.images.views import VIEWS, View, usable, views_of
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
@@ -251,9 +253,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--left-yaw-deg", type=float, default=ViewOffsets.left_deg)
     parser.add_argument("--right-yaw-deg", type=float, default=ViewOffsets.right_deg)
     parser.add_argument("--grid-convergence", choices=("simulate", "skip"), default="simulate")
-    parser.add_argument("--kinds", nargs="+", choices=sorted(KINDS), default=["pole"])
-    parser.add_argument("--bearing", choices=("fused", "image", "lidar"), default="fused")
-    parser.add_argument("--height-rule", choices=("metric", "published", "none"), default="metric")
+    add_settings(parser, Sightings, "kinds", "bearing", "height_rule")
     for name, default in _numbers():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=default)
     return run_stage(parser, measure_poles, argv)

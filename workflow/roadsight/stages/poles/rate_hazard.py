@@ -11,6 +11,8 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import Hazard
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
@@ -202,7 +204,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--geometry-csv", help="road geometry by station")
     parser.add_argument("--sections", help="cross-sections, for the report")
     parser.add_argument("--doubts", help="JSON with what the hazard rests on")
-    parser.add_argument("--section-every-m", type=float, default=20.0, help="0: at objects only")
+    add_settings(parser, Hazard, "section_every_m")
     for name in ("inventory", "routes", "barriers"):
         parser.add_argument(f"--{name}", nargs="?", help="file of the user")
         parser.add_argument(f"--{name}-crs", default="", help="its CRS if it names none")

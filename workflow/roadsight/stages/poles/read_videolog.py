@@ -14,6 +14,8 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import Videolog
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.cloud.tiles import CloudTiles
@@ -214,8 +216,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--top", nargs="?", help="overhead view, for the height of the road")
     parser.add_argument("--outside-m", type=float, default=30.0)
-    parser.add_argument("--every", type=int, default=1, help="use every n-th image of a route")
-    parser.add_argument("--heading-images", type=int, default=3)
+    add_settings(parser, Videolog, "every", "heading_images")
     parser.add_argument("--standing-m", type=float, default=0.5)
     parser.add_argument("--jump-m", type=float, default=50.0)
     parser.add_argument("--jump-factor", type=float, default=5.0)

@@ -15,6 +15,8 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Ints
 from roadsight.base.matches import tell_matches
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import Triangulation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
@@ -153,9 +155,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--dem", help="ground heights, for z")
     parser.add_argument("--decisions", nargs="?", help="accepted, rejected, moved poles, CSV")
     parser.add_argument("--voxels", nargs="?", help="withhold poles near road, bridge, building")
-    parser.add_argument("--min-views", type=int, default=3, help="of a pole not in the cloud")
-    parser.add_argument("--clearance-m", type=float, default=1.524, help="how near; 5 ft")
-    parser.add_argument("--method", choices=("packing", "listing", "sweep"), default="packing")
+    add_settings(parser, Triangulation, "min_views", "clearance_m", "method")
     # Of aligned cameras; the science's own defaults are for cameras that GPS alone placed.
     aligned = {"sigma_position_m": 0.7, "pole_evidence": 3.0}
     for name, default in (vars(TriangulationSettings()) | aligned).items():

@@ -13,6 +13,8 @@ import pandas as pd
 import shapely
 
 from roadsight.base.arrays import Floats
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import Validation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
@@ -159,8 +161,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--truth-crs", nargs="?", help="CRS of a vector file that names none")
     parser.add_argument("--pavement", nargs="?", help="GeoPackage, to find extraneous features")
     parser.add_argument("--pavement-layer", default="pavement")
-    parser.add_argument("--reach-m", type=float, default=25.0, help="of cameras, for known poles")
-    parser.add_argument("--match-m", type=float, default=25.0, help="largest error of a match")
+    add_settings(parser, Validation, "reach_m", "match_m")
     parser.add_argument("--curve-radius-m", type=float, default=300.0)
     return run_stage(parser, validate_poles, argv)
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from dataclasses import fields
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Bools, Floats32
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.scene import Ground
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import write_raster
@@ -91,23 +94,13 @@ def _agreement(cloud: CloudTiles, ground: Bools, grid: Grid, heights_m: Floats32
     return found
 
 
-_HELP = {
-    "pillar_width_m": "width of the finest pillar, m; doubled where points are sparse",
-    "height_threshold_m": "points higher than this above their pillar's ground are off-ground, m",
-    "coarse_cell_m": "cell of the coarse ground surface, m",
-    "max_object_width_m": "widest object that is not ground (a building), m",
-    "slope": "slope, rise over run, that is kept without help from the ground beside it",
-    "coarse_tolerance_m": "how far from the coarse surface a pillar's ground may lie, m",
-}
+_FILTER = tuple(field.name for field in fields(GroundSettings))
 """Settings of the ground filter, as options of the stage and of the verb ``ground``."""
 
 
 def add_ground_arguments(parser: argparse.ArgumentParser) -> None:
-    """All settings of the ground filter as options, with their defaults."""
-    for name, text in _HELP.items():
-        option = f"--{name.replace('_', '-')}"
-        default = getattr(GroundSettings(), name)
-        parser.add_argument(option, type=float, default=default, help=f"{text} ({default})")
+    """All settings of the ground filter as options."""
+    add_settings(parser, Ground, *_FILTER)
 
 
 def ground_settings_of(arguments: argparse.Namespace) -> GroundSettings:
@@ -117,7 +110,7 @@ def ground_settings_of(arguments: argparse.Namespace) -> GroundSettings:
     ------
     InputError : one of them is not above zero.
     """
-    given = {name: getattr(arguments, name) for name in _HELP}
+    given = {name: getattr(arguments, name) for name in _FILTER}
     for name, value in given.items():
         if not 0 < value < float("inf"):
             raise InputError(
@@ -148,9 +141,8 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("site", "cloud", "frame", "profile", "dem", "ground"):
         parser.add_argument(f"--{name}", required=True)
     add_ground_arguments(parser)
-    parser.add_argument("--dem-cell-m", type=float, default=0.5)
+    add_settings(parser, Ground, "dem_cell_m", "dem_fill_m")
     parser.add_argument("--doubts", help="JSON with what the ground rests on")
-    parser.add_argument("--dem-fill-m", type=float, default=20.0)
     return run_stage(parser, build_dem, argv)
 
 

@@ -13,6 +13,8 @@ from shapely import LineString, MultiPolygon
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.scene import Edges
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
@@ -108,9 +110,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--digitised", nargs="?", help="digitised edges, any vector format")
     parser.add_argument("--digitised-crs", nargs="?", help="their CRS if the file names none")
-    parser.add_argument("--offset-m", type=float, default=0.5)
-    parser.add_argument("--knot-spacing-m", type=float, default=6.0)
-    parser.add_argument("--shortest-m", type=float, default=12.0)
+    add_settings(parser, Edges, "offset_m", "knot_spacing_m", "shortest_m")
     return run_stage(parser, build_edges, argv)
 
 

@@ -7,7 +7,8 @@ import logging
 import sys
 
 from roadsight.base.arrays import Floats32
-from roadsight.base.engines import ENGINES
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Lidar
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.records.surfels import write_surfels
 from roadsight.scene.surfels.local import build_local_surfels
@@ -74,14 +75,9 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("cloud", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--traffic", nargs="?", help="mask of points to leave out")
-    parser.add_argument(
-        "--surfel-size-m", type=float, default=0.1, help="edge of the finest voxels"
+    add_settings(
+        parser, Lidar, "surfel_size_m", "outlier_radius_m", "outlier_neighbours", "outlier_engine"
     )
-    parser.add_argument(
-        "--outlier-radius-m", type=float, default=0.0, help="0: points that stand alone stay"
-    )
-    parser.add_argument("--outlier-neighbours", type=int, default=2)
-    parser.add_argument("--outlier-engine", choices=ENGINES, default="own")
     return run_stage(parser, write_scene_surfels, argv)
 
 

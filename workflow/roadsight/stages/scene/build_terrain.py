@@ -9,6 +9,8 @@ import sys
 import numpy as np
 
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import TerrainMesh, Voxels
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.tables import read_table
 from roadsight.io.records.terrains import write_terrain
@@ -69,9 +71,8 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "--ground", nargs="?", help="ground labels; class 2 of the cloud if not given"
     )
-    parser.add_argument("--road-classes", type=int, nargs="*", default=[ROAD])
-    parser.add_argument("--bridge-classes", type=int, nargs="*", default=[BRIDGE])
-    parser.add_argument("--terrain-cell-m", type=float, default=1.0)
+    add_settings(parser, Voxels, "road_classes", "bridge_classes")
+    add_settings(parser, TerrainMesh, "terrain_cell_m")
     parser.add_argument(
         "--longest-m", type=float, default=30.0, help="longest side of a triangle at the outside"
     )

@@ -12,8 +12,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from roadsight.base.engines import ENGINES
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.scene import Pavement
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
@@ -153,12 +154,16 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("cloud", "ground", "profile", "out"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--voxel-size-m", type=float, default=0.1)
-    parser.add_argument("--neighbours", type=int, default=10)
-    parser.add_argument("--intensity", choices=["auto", "use", "ignore"], default="auto")
-    parser.add_argument("--intensity-weight", type=float, default=1.5)
-    parser.add_argument("--sample", type=int, default=100_000)
-    parser.add_argument("--fpfh-engine", choices=ENGINES, default="own")
+    add_settings(
+        parser,
+        Pavement,
+        "voxel_size_m",
+        "neighbours",
+        "intensity",
+        "intensity_weight",
+        "sample",
+        "fpfh_engine",
+    )
     parser.add_argument("--seed", type=int, default=1)
     return run_stage(parser, cluster_fpfh, argv)
 

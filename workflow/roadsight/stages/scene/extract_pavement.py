@@ -18,15 +18,17 @@ from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.doubts import Doubt
-from roadsight.base.engines import ENGINES
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.scene import Pavement
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.io.vector.known_road import read_seeds, read_track
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
-from roadsight.scene.pavement.choice import METHODS, Choice, choose_method
+from roadsight.scene.pavement.choice import Choice, choose_method
 from roadsight.scene.pavement.outline import (
     PavementSettings,
     inside,
@@ -85,7 +87,7 @@ def extract_pavement(arguments: argparse.Namespace) -> None:
         layer_m, open_share = found.layer_m, found.open_share
         if found.method == "published":
             layer_m, open_share = facts.layer_m, facts.open_m / max(facts.outline_m, 1e-9)
-        track_xy = _track(arguments, frame)
+        track_xy = read_track(arguments.track, frame, arguments.track_crs or None)
         doubts = pavement_doubts(
             outline, found.method, facts, layer_m, open_share, track_xy, found.unsure_share
         )
@@ -143,7 +145,9 @@ def _surface(
     """The road as one surface, with all that is known of it."""
     xyz_m, intensity, points = _whole(arguments, cloud)
     known = KnownRoad(
-        _track(arguments, frame), _seeds(arguments.seeds, frame), _edges(arguments, frame, about)
+        read_track(arguments.track, frame, arguments.track_crs or None),
+        read_seeds(arguments.seeds, frame, "pavement.seeds"),
+        _edges(arguments, frame, about),
     )
     road, surface = road_of(
         xyz_m,
@@ -199,23 +203,6 @@ def _sharpened(arguments: argparse.Namespace, cloud: CloudTiles, found: _Found) 
     surface = sharp.surface
     met = surface.layer_m, surface.open_share, surface.unsure_share
     return _Found(sharp.road.outline, "sharpened", [*found.doubts, note], sharp.road.points, *met)
-
-
-def _seeds(text: str | None, frame: Frame) -> Floats | None:
-    """Places (k, 2) of ``x,y;x,y`` in native coordinates, local metres."""
-    if not text:
-        return None
-    places = [[float(value) for value in place.split(",")] for place in text.split(";")]
-    return frame.to_local(np.array(places)[:, :2])
-
-
-def _track(arguments: argparse.Namespace, frame: Frame) -> Floats | None:
-    """Where a vehicle drove (k, 2), local metres: the longest line of the file."""
-    if not arguments.track:
-        return None
-    lines = read_lines(arguments.track, frame, arguments.track_crs or None).geometry
-    longest = max(lines, key=lambda line: line.length)
-    return shapely.get_coordinates(longest)
 
 
 def _edges(
@@ -301,7 +288,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("site", "cloud", "frame", "ground", "pavement", "points"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--tma", nargs="?", help="polygon file of the monitored area")
-    parser.add_argument("--method", choices=METHODS, default="auto")
+    add_settings(parser, Pavement, "method", "intensity", "cluster_engine", may_lack=True)
     parser.add_argument("--profile", nargs="?", help="what auto decides by")
     parser.add_argument("--clusters", nargs="?", help="published: smooth and rough ground")
     parser.add_argument("--doubts", help="JSON with what the pavement rests on")
@@ -310,8 +297,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--track-crs", nargs="?", help="its CRS if the file names none")
     parser.add_argument("--edges", nargs="?", help="surface: digitised edges, any vector format")
     parser.add_argument("--edges-crs", nargs="?", help="their CRS if the file names none")
-    parser.add_argument("--intensity", nargs="?", choices=["auto", "use", "ignore"], default="auto")
-    parser.add_argument("--cluster-engine", nargs="?", choices=ENGINES, default="own")
     for field in fields(PavementSettings)[:6]:
         name = f"--{field.name.replace('_', '-')}"
         parser.add_argument(name, nargs="?", type=float, help="published")

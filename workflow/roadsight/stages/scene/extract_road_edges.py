@@ -15,6 +15,8 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import RoadEdges
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.raster.top_rasters import TopRaster, read_top
@@ -180,7 +182,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("top", "frame", "edges", "lines"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--method", choices=METHODS, default="contours")
+    add_settings(parser, RoadEdges, "method")
     parser.add_argument("--cloud", nargs="?", help="curbs: where they are looked for")
     parser.add_argument("--frames", nargs="?", help="curbs: the track that they lie beside")
     for field in fields(EdgeSettings):

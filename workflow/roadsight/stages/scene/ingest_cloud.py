@@ -20,6 +20,8 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.scene import Scene
 from roadsight.geometry.crs import METRES_PER_UNIT, unit_name
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice, resolve
@@ -27,7 +29,7 @@ from roadsight.geometry.site import Reprojection, SiteFrame, centre_of, reprojec
 from roadsight.io.cloud.chunks import Chunk
 from roadsight.io.cloud.cloud_scan import CloudScan, Take, kept_chunks, scan_cloud
 from roadsight.io.cloud.clouds import CHUNK_POINTS, read_extent, read_header
-from roadsight.io.cloud.point_filter import OVERLAPS, in_share
+from roadsight.io.cloud.point_filter import in_share
 from roadsight.io.cloud.repeated import RepeatedSample, check_copies, first_ones, steps_of
 from roadsight.io.cloud.tile_draft import TileDraft, colour_shift, is_coloured, tile_columns
 from roadsight.io.cloud.tile_writer import TileWriter
@@ -262,9 +264,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--units", choices=UNITS, default="auto")
     parser.add_argument("--vertical-units", choices=UNITS, default="auto")
     parser.add_argument("--target-crs", nargs="?", help="reproject to this projected CRS")
-    parser.add_argument("--tile-size-m", type=float, default=50.0)
-    parser.add_argument("--overlap", choices=OVERLAPS, default="use")
-    parser.add_argument("--pulse-share", type=float, default=1.0, help="of the pulses, 0 to 1")
+    add_settings(parser, Scene, "tile_size_m", "overlap", "pulse_share")
     parser.add_argument("--extent", nargs="?", help="KIND=VALUE, see `read_extent`")
     parser.add_argument("--extent-files", nargs="*", type=Path, default=[])
     parser.add_argument("--extent-crs", nargs="?", help="of extent files that name none")

@@ -10,6 +10,8 @@ import numpy as np
 import pandas as pd
 import shapely
 
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import POSITION, CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import Raster, read_raster
@@ -77,7 +79,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("cloud", "frame", "dem", "pavement", "out"):
         parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--clear-below-m", type=float, default=4.5, help="no vehicle is higher")
+    add_settings(parser, Lidar, "clear_below_m")
     return run_stage(parser, mark_traffic, argv)
 
 

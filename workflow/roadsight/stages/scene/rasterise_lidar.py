@@ -14,13 +14,15 @@ import shapely
 
 from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.poles import Voxels
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, Points, Tile
 from roadsight.io.cloud.voxel_tables import VoxelTableWriter
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.raster.top_rasters import TopRasterWriter
 from roadsight.io.records.atomic import read_json
-from roadsight.scene.classes import BRIDGE, ROAD, class_table, is_road
+from roadsight.scene.classes import ROAD, class_table, is_road
 from roadsight.scene.pavement.paved import PavedArea
 from roadsight.scene.voxels.settled_voxels import Settled, join, settle_area
 from roadsight.scene.voxels.voxel_classes import ClassRuns, VoxelGrid, add_runs, count_classes
@@ -152,9 +154,7 @@ def main(argv: list[str] | None = None) -> int:
         parser.add_argument(f"--{name}", required=True)
     for name in ("pavement", "dem"):
         parser.add_argument(f"--{name}", nargs="?", help="for a cloud without road class")
-    parser.add_argument("--voxel-size-m", type=float, default=0.3048)
-    parser.add_argument("--road-classes", type=int, nargs="*", default=[ROAD])
-    parser.add_argument("--bridge-classes", type=int, nargs="*", default=[BRIDGE])
+    add_settings(parser, Voxels, "voxel_size_m", "road_classes", "bridge_classes")
     parser.add_argument("--road-source", choices=("auto", "class", "pavement"), default="auto")
     parser.add_argument(
         "--least-road-share",

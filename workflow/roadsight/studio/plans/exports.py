@@ -10,6 +10,7 @@ import geopandas as gpd
 import numpy as np
 import yaml
 
+from roadsight.base.errors import InputError
 from roadsight.io.vector.vectors import write_geojson
 from roadsight.studio.plans.plan_bodies import PlanBody
 from roadsight.studio.plans.plan_files import plan_value
@@ -32,13 +33,14 @@ def exported(site: SiteFolder, plan: str, layout: Layout, asked: Export) -> tupl
 
     Raises
     ------
-    InputError : no such candidates, or two sensors at one position.
+    InputError : no such candidates, two sensors that exclude each other, or a plan of none.
     """
     rows = np.array(asked.rows, np.int64)
     layout.coverage(rows)  # refuses what cannot stand
     table_name = f"{site.stem}-{plan}-sensors.csv"
     if asked.format == "yaml":
-        return f"{site.stem}-{plan}-plan.yaml", _plan_text(site, plan, table_name).encode()
+        text = _plan_text(site, plan, table_name, len(rows))
+        return f"{site.stem}-{plan}-plan.yaml", text.encode()
     features = _features(layout, rows)
     name = table_name if asked.format == "csv" else f"{site.stem}-{plan}-sensors.geojson"
     with tempfile.TemporaryDirectory() as folder:
@@ -68,12 +70,20 @@ def _features(layout: Layout, rows: np.ndarray) -> gpd.GeoDataFrame:
     )
 
 
-def _plan_text(site: SiteFolder, plan: str, table: str) -> str:
+def _plan_text(site: SiteFolder, plan: str, table: str, sensors: int) -> str:
+    """A plan of exactly those sensors: as many as stand, and all of them mandatory."""
+    if not sensors:
+        raise InputError("no sensor stands", where=f"plan {plan}", hint="let one stand first")
     base = site.resolved.plans[plan]
     body = PlanBody(
-        title=f"{base.title}, as drawn", sensors=base.sensors, base=plan, at_least=base.at_least
+        title=f"{base.title}, as drawn",
+        sensors=base.sensors,
+        base=plan,
+        at_least=base.at_least,
+        goal="sensors",
+        amount=sensors,
     )
-    value = plan_value(site, body, {"mandatory": table})
+    value, dropped = plan_value(site, body, {"mandatory": table})
     content = {"placement": {"own_plans": {f"{plan}-as-drawn": value}}}
-    head = f"# Into the site file; {table} beside it.\n"
+    head = f"# Into the site file; {table} beside it.\n" + (f"# {dropped}\n" if dropped else "")
     return head + yaml.safe_dump(content, sort_keys=False, allow_unicode=True)

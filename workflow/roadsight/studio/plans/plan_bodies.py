@@ -25,12 +25,14 @@ class Standing(_Body):
     Parameters
     ----------
     kind : its sensor; "" where the plan has one. height_m : above ground; None: any.
+    candidate : the candidate in the pose that is meant; "": the pose that sees most.
     """
 
     x: _Native
     y: _Native
     kind: _Text = ""
     height_m: Annotated[float, Field(ge=0, le=100)] | None = None
+    candidate: _Text = ""
 
 
 class Barred(_Body):

@@ -14,18 +14,20 @@ import pandas as pd
 import shapely
 
 from roadsight.base.errors import InputError
-from roadsight.config.plan_options import FILES
+from roadsight.config.plan_options import FILES, PlanOptions
 from roadsight.config.plans import Plan, load_plans
 from roadsight.io.vector.vectors import read_polygons, write_geojson
 from roadsight.placement.sensors.sensors import load_sensors
 from roadsight.studio.plans.plan_bodies import Barred, PlanBody, Standing
 from roadsight.studio.project import Project, SiteFolder
-from roadsight.studio.site_files import Writer, saving, write_site
+from roadsight.studio.site_files import Writer, saving, site_version, write_site
 from roadsight.studio.site_text import with_value
 
 _SECTION, _KEY = "placement", "own_plans"
 _PLACES = {"mandatory": "mandatory.csv", "forbidden": "forbidden.geojson"}
 """Files of places that the studio writes, named after their plan."""
+_ANY_PLAN = set(Plan.model_fields) - set(PlanOptions.model_fields)
+"""What a plan may have beside options."""
 
 
 def about_plans(project: Project, site: SiteFolder) -> dict[str, Any]:
@@ -34,6 +36,7 @@ def about_plans(project: Project, site: SiteFolder) -> dict[str, Any]:
     own = site.resolved.site.placement.own_plans
     plans = site.resolved.plans | own
     return {
+        "version": site_version(site, "plans"),
         "sensors": [{"name": name, "cost": kind.cost} for name, kind in kinds.items()],
         "plans": [_described(name, plan) | {"own": name in own} for name, plan in plans.items()],
     }
@@ -62,29 +65,60 @@ def _goal(plan: Plan) -> tuple[str, float | None]:
     return "cost", plan.budget.cost
 
 
-def save_plan(project: Project, stem: str, name: str, body: PlanBody) -> list[str]:
+def save_plan(
+    project: Project, stem: str, name: str, body: PlanBody, version: str | None = None
+) -> tuple[list[str], str]:
     """Write a plan into the site file, its places beside it.
+
+    Parameters
+    ----------
+    version : as `saving`.
 
     Returns
     -------
-    files that changed, relative to the project
+    files that changed, relative to the project; and what the base asks for and this plan cannot, in
+    a sentence, or ""
 
     Raises
     ------
     InputError : the name is taken, anything is wrong in the plan, or the site file cannot be
         changed; nothing is written then.
     """
-    with saving(project, stem, "drawing") as site:
+    with saving(project, stem, "plans", version) as site:
         before = site.resolved.site.placement.own_plans.get(name)
         _check_name(project, name, before is not None and not body.replace)
-        _check_places(body.mandatory or [])
+        _check_places(body.mandatory or [], body.sensors)
         files = _writers(site, body)
-        value = plan_value(site, body, {part: f"{stem}/{name}.{_PLACES[part]}" for part in files})
+        named = {part: f"{stem}/{name}.{_PLACES[part]}" for part in files}
+        value, dropped = plan_value(site, body, named)
+        if before is not None and before.on_request:
+            value["on_request"] = True
         text = project.inside(site.resolved.file).read_bytes().decode()
         text = with_value(text, _KEY, name, value, within=_SECTION)
         own = {Path(file) for part in _PLACES if (file := _file(site, name, part)) and before}
         beside = {f"{name}.{_PLACES[part]}": write for part, write in files.items()}
-        return write_site(project, site, text, beside, {project.inside(path) for path in own})
+        changed = write_site(project, site, text, beside, {project.inside(path) for path in own})
+        _remove_unnamed(project, site, name)
+        return changed, dropped
+
+
+def _remove_unnamed(project: Project, site: SiteFolder, name: str) -> None:
+    """Remove the places that the studio wrote for a plan and that no plan names any more.
+
+    Parameters
+    ----------
+    site : as it was before; the plan that it has there had named them.
+    """
+    now = project.site(site.stem).resolved
+    own, others = now.site.placement.own_plans.values(), now.plans.values()
+    files = {now.beside(plan.file_of(option)) for plan in own for option in FILES}
+    files |= {plan.file_of(option) for plan in others for option in FILES}
+    named = {Path(file).resolve() for file in files if file}
+    for part, kind in _PLACES.items():
+        path = project.inside(site.resolved.file.parent / site.stem / f"{name}.{kind}")
+        file = _file(site, name, part)
+        if file and project.inside(file) == path and path not in named:
+            path.unlink(missing_ok=True)
 
 
 def _file(site: SiteFolder, name: str, part: str) -> str | None:
@@ -101,7 +135,15 @@ def _check_name(project: Project, name: str, is_taken: bool) -> None:
         )
 
 
-def _check_places(places: Sequence[Standing]) -> None:
+def _check_places(places: Sequence[Standing], sensors: Sequence[str]) -> None:
+    for number, place in enumerate(places, start=1):
+        if place.kind not in sensors and (place.kind or len(sensors) > 1):
+            raise InputError(
+                "names no sensor of the plan",
+                where=f"mandatory place {number}",
+                found=place.kind or "nothing",
+                allowed=", ".join(sensors),
+            )
     known = [(round(place.x, 2), round(place.y, 2)) for place in places]
     twice = next((number for number, at in enumerate(known) if at in known[:number]), None)
     if twice is not None:
@@ -131,11 +173,12 @@ def _with_those_of(
 ) -> gpd.GeoDataFrame:
     """Squares and the polygons that the base forbids already."""
     own = site.resolved.site.placement.own_plans
-    plan = site.resolved.plans.get(base or "")
-    file = _file(site, base, "forbidden") if base in own else plan and plan.file_of("forbidden")
-    if not file or plan is None or plan.forbidden is None:
+    plan = own.get(base or "") or site.resolved.plans.get(base or "")
+    if plan is None or plan.forbidden is None:
         return squares
-    before = read_polygons(file, site.frame(), plan.forbidden.crs)
+    file = plan.forbidden.file
+    path = site.resolved.layered(file) if base in own else file
+    before = read_polygons(path, site.frame(), plan.forbidden.crs)
     names = [f"before{number + 1}" for number in range(len(before))]
     kept = gpd.GeoDataFrame({"name": names}, geometry=before.geometry.to_numpy())
     return pd.concat([kept, squares], ignore_index=True)
@@ -153,14 +196,17 @@ def write_standing(path: Path, places: Sequence[Standing]) -> None:
     """Places of sensors as a table that a plan's ``mandatory`` reads."""
     with path.open("w", encoding="utf-8", newline="") as stream:
         rows = csv.writer(stream, lineterminator="\n")
-        rows.writerow(["id", "kind", "x", "y", "height_m"])
+        rows.writerow(["id", "kind", "x", "y", "height_m", "candidate"])
         for number, place in enumerate(places, start=1):
             height = "" if place.height_m is None else f"{place.height_m:g}"
-            rows.writerow([f"s{number}", place.kind, f"{place.x:.3f}", f"{place.y:.3f}", height])
+            at = (f"{place.x:.3f}", f"{place.y:.3f}", height)
+            rows.writerow([f"s{number}", place.kind, *at, place.candidate])
 
 
-def plan_value(site: SiteFolder, body: PlanBody, files: dict[str, str]) -> dict[str, Any]:
-    """The plan as the site file holds it.
+def plan_value(
+    site: SiteFolder, body: PlanBody, files: dict[str, str]
+) -> tuple[dict[str, Any], str]:
+    """The plan as the site file holds it; and what had to be left out of the base, in a sentence.
 
     Parameters
     ----------
@@ -178,7 +224,14 @@ def plan_value(site: SiteFolder, body: PlanBody, files: dict[str, str]) -> dict[
     value |= {part: {"file": file} for part, file in files.items()}
     if body.at_least is not None:
         value["at_least"] = body.at_least
-    return value | _aim(body)
+    value |= _aim(body)
+    if "availability" not in value or not value.keys() - _ANY_PLAN:
+        return value, ""
+    level = value.pop("availability")
+    return value, (
+        f"availability: {level:g} of the plan {body.base} is left out, since it goes with no place,"
+        " budget or other option."
+    )
 
 
 def _aim(body: PlanBody) -> dict[str, Any]:
@@ -186,6 +239,8 @@ def _aim(body: PlanBody) -> dict[str, Any]:
         return {}
     if not body.amount:
         raise InputError("needs an amount above zero", where=f"goal {body.goal}")
+    if body.goal == "sensors" and body.amount % 1:
+        raise InputError("is no whole number", where=f"goal {body.goal}", found=body.amount)
     if body.goal == "price":
         return {"price": body.amount}
     if body.goal == "cost":
@@ -215,35 +270,22 @@ def _defined(option: Any) -> Any:
     )
 
 
-def remove_plan(project: Project, stem: str, name: str) -> list[str]:
+def remove_plan(project: Project, stem: str, name: str, version: str | None = None) -> list[str]:
     """Take a site's own plan out of its file, with the places that the studio wrote for it.
+
+    Parameters
+    ----------
+    version : as `saving`.
 
     Raises
     ------
     InputError : it is no plan of the site alone, or the site file cannot be changed.
     """
-    with saving(project, stem, "drawing") as site:
+    with saving(project, stem, "plans", version) as site:
         if name not in site.resolved.site.placement.own_plans:
             raise InputError("is no plan of this site alone", where="plan", found=name)
         text = project.inside(site.resolved.file).read_bytes().decode()
         changed = with_value(text, _KEY, name, None, within=_SECTION)
-        folder = site.resolved.file.parent / site.stem
-        named = {part: _file(site, name, part) for part in _PLACES}
-        others = _named_elsewhere(site, name)
         done = write_site(project, site, changed, {}, set())
-        for part, file in named.items():
-            path = project.inside(folder / f"{name}.{_PLACES[part]}")
-            if file and project.inside(file) == path and path not in others:
-                path.unlink(missing_ok=True)
+        _remove_unnamed(project, site, name)
         return done
-
-
-def _named_elsewhere(site: SiteFolder, name: str) -> set[Path]:
-    own = site.resolved.site.placement.own_plans
-    return {
-        Path(located).resolve()
-        for other, plan in own.items()
-        if other != name
-        for option in FILES
-        if (located := site.resolved.beside(plan.file_of(option)))
-    }

@@ -3,27 +3,25 @@
 from __future__ import annotations
 
 import threading
-from pathlib import Path
 from typing import Annotated, Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 from pydantic import BaseModel, ConfigDict, Field
-from scipy import sparse
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.config.plans import Plan
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.detections import read_detections
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
-from roadsight.placement.plans.choices import choices_of, posed_candidates
+from roadsight.placement.plans.choices import posed_candidates
 from roadsight.placement.sensors.sensors import load_sensors
-from roadsight.placement.sight.coverage import detection_matrix, times_seen
+from roadsight.placement.sight.coverage import times_seen
 from roadsight.studio.project import Project, SiteFolder
+from roadsight.studio.results.plan_choices import choices_to_try, plan_files, state_of
 
-TARGETS = "placement/targets.parquet"
 _MOST_SENSORS = 5000
 """Sensors of a layout that are taken from a page."""
 _SUMMARY = (
@@ -53,46 +51,30 @@ class Layout:
     ----------
     site : where it lies. plan : its name. sensors_file : definitions of sensors.
 
+    Attributes
+    ----------
+    choices, places, matrix, chosen : as `PlanChoices`, and where the choices stand and look.
+    needed : (targets,) sensors that each needs. notes : what is not counted, in sentences.
+
     Raises
     ------
     InputError : no such plan, or a result is not there yet or damaged.
     """
 
     def __init__(self, site: SiteFolder, plan: str, sensors_file: str) -> None:
-        self.files = plan_files(site, plan)
-        self.version = state_of(self.files)
+        self.files = plan_files(site, plan, sensors_file)
+        self.version = state_of(site, plan, self.files)
         self.frame = site.frame()
         self.solution = read_json(self.files["solution"])
-        kinds = load_sensors(sensors_file)
-        sensors = site.resolved.plans[plan].sensors
-        costs = {name: kinds[name].cost for name in sensors}
-        candidates = pd.concat(
-            [read_table(path) for name, path in self.files.items() if name.startswith("round")],
-            ignore_index=True,
-        )
         self.targets = read_table(self.files["targets"])
-        shards = [path for name, path in self.files.items() if name.startswith("shard")]
-        detections = read_detections(shards)
-        self.choices = choices_of(costs, candidates, detections)
-        self.places = posed_candidates(self.choices, candidates)
-        pairs = pd.MultiIndex.from_frame(self.choices[["sensor", "candidate"]])
-        self.matrix: sparse.csr_matrix = detection_matrix(
-            detections, pairs, pd.Index(self.targets["target"])
-        )
-        self.chosen = self._chosen(pairs)
+        kinds, asked = load_sensors(sensors_file), site.resolved.plans[plan]
+        self.costs = {name: kinds[name].cost for name in asked.sensors}
+        found = choices_to_try(site, plan, self.files, self.costs, self.solution, self.targets)
+        self.choices, self.matrix, self.chosen = found.choices, found.matrix, found.chosen
+        self.places = posed_candidates(self.choices, found.candidates)
         self.needed = self._needed()
-        self.costs = costs
-
-    def _chosen(self, pairs: pd.MultiIndex) -> Ints:
-        named = [(one["sensor"], one["candidate"]) for one in self.solution["sensors"]]
-        rows = pairs.get_indexer(pd.MultiIndex.from_tuples(named)) if named else np.empty(0)
-        if (rows < 0).any():
-            raise InputError(
-                "names sensors that are no candidates any more",
-                where=str(self.files["solution"]),
-                hint="run the workflow",
-            )
-        return rows.astype(np.int64)
+        self.notes = _not_counted(asked)
+        self._found = found
 
     def _needed(self) -> Ints:
         """How many sensors each target needs (n,): the plan's, or its areas' own number."""
@@ -119,12 +101,15 @@ class Layout:
                 "sensor": [kinds.index(name) for name in self.choices["sensor"]],
                 "position": self.choices["position"].tolist(),
                 "name": self.choices["candidate"].tolist(),
+                "posed": self.choices["posed"].tolist(),
+                "cost": self.choices["cost"].tolist(),
                 "sees": np.diff(self.matrix.indptr).tolist(),
             },
             "targets": _flat(self.targets[["x", "y", "z"]].to_numpy(np.float64)),
             "chosen": self.chosen.tolist(),
             "solution": {name: self.solution.get(name) for name in _SUMMARY},
-            "coverage": self.coverage(self.chosen),
+            "notes": self.notes,
+            "coverage": self._counted(self.chosen),
             **self._obstacles(),
         }
 
@@ -144,9 +129,12 @@ class Layout:
 
         Raises
         ------
-        InputError : no such choices, or two at one position.
+        InputError : no such choices, or two that exclude each other.
         """
         self._check(rows)
+        return self._counted(rows)
+
+    def _counted(self, rows: Ints) -> dict[str, Any]:
         times = times_seen(self.matrix, rows)
         covered = times >= self.needed
         before = times_seen(self.matrix, self.chosen) >= self.needed
@@ -171,12 +159,17 @@ class Layout:
         position = self.choices["position"].to_numpy()[rows]
         if len(np.unique(position)) < len(position):
             raise InputError("two sensors at one position", where="studio")
+        if self._found.are_crowded(rows):
+            raise InputError(
+                "two sensors stand nearer to each other than the plan's spacing_m",
+                where="studio",
+                hint="move one of them",
+            )
 
     def _next(self, rows: Ints, covered: Bools) -> tuple[int | None, int]:
         """Free choice that sees most uncovered targets; the cheaper, then the first, of equals."""
         gain = np.asarray(self.matrix[:, ~covered].sum(axis=1)).ravel().astype(np.int64)
-        position = self.choices["position"].to_numpy()
-        gain[np.isin(position, position[rows])] = 0
+        gain[self._found.excluded(rows)] = 0
         cost = self.choices["cost"].to_numpy(np.float64)
         best = int(np.lexsort((np.arange(len(gain)), cost, -gain))[0]) if len(gain) else 0
         return (best, int(gain[best])) if len(gain) and gain[best] > 0 else (None, 0)
@@ -212,37 +205,24 @@ class Layout:
         }
 
 
+def _not_counted(plan: Plan) -> list[str]:
+    """What a plan asks for and a what-if does not count, in sentences."""
+    notes = []
+    if plan.availability is not None:
+        notes.append(
+            f"The plan asks that sensors see each target {100 * plan.availability:g} % of the time,"
+            " past traffic. That is not counted here: a target counts that a sensor sees at all."
+        )
+    if plan.robust is not None:
+        notes.append(
+            "The plan counts what sensors see with tolerance. That is not counted here: sensors"
+            " count as if they stood exactly so."
+        )
+    return notes
+
+
 def _column(layer: gpd.GeoDataFrame, name: str) -> list[Any]:
     return layer[name].tolist() if name in layer else []
-
-
-def plan_files(site: SiteFolder, plan: str) -> dict[str, Path]:
-    """Files of a plan by a short name; all but the layers and obstacles are there.
-
-    Raises
-    ------
-    InputError : no such plan, or a file is not there yet.
-    """
-    if plan not in site.resolved.plans:
-        raise InputError("no such plan", where=f"site {site.stem}", found=plan)
-    settings, folder = site.resolved.settings, f"placement/{plan}"
-    names = {"solution": f"{folder}/solution.json", "targets": TARGETS}
-    for number in range(settings.coverage.rounds + 1):
-        names[f"round {number}"] = f"placement/round-{number}/candidates.parquet"
-        shards = settings.coverage.shards if number else settings.shards
-        for sensor in site.resolved.plans[plan].sensors:
-            for shard in range(shards):
-                name = f"placement/round-{number}/detection/{sensor}/{shard}.parquet"
-                names[f"shard {number} {sensor} {shard}"] = name
-    found = {short: site.file(name) for short, name in names.items()}
-    own = {"obstacles": "obstacles.gpkg", "layers": "solution.gpkg"}
-    return found | {short: site.results / folder / name for short, name in own.items()}
-
-
-def state_of(files: dict[str, Path]) -> str:
-    """A text that changes when a file does."""
-    states = [path.stat().st_mtime_ns if path.exists() else 0 for path in files.values()]
-    return f"{max(states)}-{sum(states) % 10**12}"
 
 
 class Layouts:
@@ -261,10 +241,11 @@ class Layouts:
         InputError : as `Layout`.
         """
         site = self._project.site(stem)
-        key = (stem, plan, state_of(plan_files(site, plan)))
+        sensors_file = self._project.config().sensors_file
+        key = (stem, plan, state_of(site, plan, plan_files(site, plan, sensors_file)))
         with self._lock:
             if self._known is None or self._known[0] != key:
-                self._known = (key, Layout(site, plan, self._project.config().sensors_file))
+                self._known = (key, Layout(site, plan, sensors_file))
             return self._known[1]
 
     def coverage(self, stem: str, plan: str, asked: WhatIf) -> dict[str, Any]:
@@ -272,7 +253,7 @@ class Layouts:
 
         Raises
         ------
-        InputError : as `asked`, or two sensors at one position.
+        InputError : as `asked` and `Layout.coverage`.
         """
         return self.asked(stem, plan, asked).coverage(np.array(asked.rows, np.int64))
 
@@ -281,12 +262,14 @@ class Layouts:
 
         Raises
         ------
-        InputError : as `Layout`; or the plan was computed anew since the page read it.
+        InputError : as `Layout`; or the plan has changed since the page read it.
         """
         layout = self.of(stem, plan)
         if layout.version != asked.version:
             raise InputError(
-                "was computed anew meanwhile", where=f"plan {plan}", hint="reload the page"
+                "was computed anew meanwhile, or what it may use has changed",
+                where=f"plan {plan}",
+                hint="reload the page",
             )
         return layout
 

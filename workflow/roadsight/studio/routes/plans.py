@@ -9,7 +9,7 @@ from flask import Blueprint
 from roadsight.studio.plans.plan_bodies import PlanBody
 from roadsight.studio.plans.plan_files import about_plans, remove_plan, save_plan
 from roadsight.studio.project import Project
-from roadsight.studio.requests import body
+from roadsight.studio.requests import body, version
 
 
 def create(project: Project) -> Blueprint:
@@ -22,10 +22,11 @@ def create(project: Project) -> Blueprint:
 
     @routes.put("/sites/<stem>/plans/<plan>")
     def save(stem: str, plan: str) -> dict[str, Any]:
-        return {"changed": save_plan(project, stem, plan, body(PlanBody))}
+        changed, dropped = save_plan(project, stem, plan, body(PlanBody), version())
+        return {"changed": changed, "dropped": dropped}
 
     @routes.delete("/sites/<stem>/plans/<plan>")
     def remove(stem: str, plan: str) -> dict[str, Any]:
-        return {"changed": remove_plan(project, stem, plan)}
+        return {"changed": remove_plan(project, stem, plan, version())}
 
     return routes

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
-from roadsight.base.engines import ENGINES
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Lidar, Tolerance
 from roadsight.io.records.poses import read_tilts
 from roadsight.io.records.surfels import read_surfels
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
@@ -24,10 +25,8 @@ from roadsight.stages.placement.shared.detection_inputs import read_shaped_targe
 
 def add_change_arguments(parser: argparse.ArgumentParser) -> None:
     """How far sensors may be from their plan, and who casts the rays that tell."""
-    parser.add_argument("--move-m", type=float, default=0.2)
-    parser.add_argument("--turn-deg", type=float, default=1.0)
-    parser.add_argument("--other-height-m", type=float, default=0.5)
-    parser.add_argument("--engine", choices=ENGINES, default="own", help="who casts rays")
+    add_settings(parser, Tolerance, "move_m", "turn_deg", "other_height_m")
+    add_settings(parser, Lidar, "engine")
 
 
 class ChangedSight:

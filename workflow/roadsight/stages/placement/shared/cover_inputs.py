@@ -44,7 +44,9 @@ def read_asked(arguments: argparse.Namespace, frame: Frame) -> Asked | None:
         f"site {arguments.site}, plan {arguments.plan}",
         _areas(arguments.areas[0], frame, crs["areas"]) if arguments.areas else None,
         read_polygons(zones[0], frame, crs["forbidden"]) if zones else None,
-        read_points(fixed[0], frame, crs["mandatory"], ["height_m"]) if fixed else None,
+        read_points(fixed[0], frame, crs["mandatory"], ["height_m"], ["candidate"])
+        if fixed
+        else None,
         read_points(poles[0], frame, crs["poles"], ["cost", "height_min_m", "height_max_m"])
         if poles
         else None,

@@ -9,6 +9,8 @@ import pandas as pd
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_settings
+from roadsight.config.sections.sensing import Targets
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 from roadsight.placement.sensors.aimed import Camera, Radar, Rosette
@@ -30,8 +32,7 @@ def add_detection_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_sight_arguments(parser: argparse.ArgumentParser) -> None:
     """Arguments of every stage that asks what a sensor measures of targets."""
-    parser.add_argument("--radius-m", type=float, default=0.25)
-    parser.add_argument("--height-m", type=float, default=0.6)
+    add_settings(parser, Targets, "radius_m", "height_m")
     parser.add_argument("--box", type=float, nargs=3, help="length, width, height instead, m")
     parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")
     parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")

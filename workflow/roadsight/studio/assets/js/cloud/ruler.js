@@ -24,7 +24,7 @@ export class Ruler {
   // view: of the cloud, in plan.
   constructor(view) {
     Object.assign(this, { view, active: false, points: [], unit: view.about.unit });
-    this.scale = el("div", { className: "scale", "aria-label": "Scale" });
+    this.scale = el("div", { className: "scale", role: "group", "aria-label": "Scale" });
     this.told = el("div", { className: "measured", role: "status" });
     this.button = button("Measure", () => this.turn(!this.active), { title: "D", "aria-pressed": "false", "data-do": "measure" });
     view.element.append(el("div", { className: "corner" }, this.told, this.scale));

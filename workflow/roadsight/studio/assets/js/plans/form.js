@@ -6,8 +6,8 @@ import { barredText, readBarred, readStanding, standingText } from "./places.js"
 
 const GOALS = { cover: "see every target, as cheaply as possible", sensors: "see most with so many sensors", cost: "see most for so much cost", price: "pay so much for a target unseen" };
 const PLACES = {
-  mandatory: { title: "Mandatory places", hint: "a line each: x, y, sensor, height in m (x and y as in the cloud's files)", write: standingText, read: readStanding },
-  forbidden: { title: "Forbidden places", hint: "a line each: x, y, half the side of the square in m; they are added to those of the plan that it is based on", write: barredText, read: readBarred },
+  mandatory: { title: "Mandatory places", hint: "a line each: x; y; sensor; height in m; candidate with its pose, for sensors that are aimed (x and y as in the cloud's files)", write: standingText, read: readStanding },
+  forbidden: { title: "Forbidden places", hint: "a line each: x; y; half the side of the square in m; they are added to those of the plan that it is based on", write: barredText, read: readBarred },
 };
 
 // base: name of the plan it starts from; edit: whether that plan itself is changed; given: fields and
@@ -18,8 +18,8 @@ export async function planForm(site, { base = "", edit = false, given = {} } = {
 }
 
 class Form {
-  constructor(site, { sensors, plans }, base, edit, given) {
-    Object.assign(this, { site, plans, edit, given });
+  constructor(site, { sensors, plans, version }, base, edit, given) {
+    Object.assign(this, { site, plans, version, edit, given });
     this.base = plans.find(({ name }) => name === base) ?? null;
     this.name = el("input", { type: "text", required: true, pattern: "[a-z0-9][a-z0-9_\\-]*", maxLength: 60, disabled: edit, "data-do": "plan-name" });
     this.title = el("input", { type: "text", required: true, maxLength: 200, "data-do": "plan-title" });
@@ -90,12 +90,13 @@ class Form {
     try {
       const sensors = this.boxes.map((box) => box.firstChild).filter(({ checked }) => checked).map(({ value }) => value);
       if (!sensors.length) throw new Error("Choose at least one sensor.");
-      const { changed } = await send("PUT", siteUrl(this.site.stem, `plans/${encodeURIComponent(name)}`), {
+      const { changed, dropped } = await send("PUT", siteUrl(this.site.stem, `plans/${encodeURIComponent(name)}`), {
         title: this.title.value, sensors, at_least: this.least.value === "" ? null : Number(this.least.value),
         goal: this.goal.value, amount: this.amount.hidden ? null : Number(this.amount.value),
         mandatory: this.places("mandatory"), forbidden: this.places("forbidden"), base: this.base?.name ?? null, replace: this.edit,
-      });
+      }, { version: this.version });
       this.dialog.close();
+      if (dropped) note(dropped, "warn");
       note(changed.length ? `Saved: ${changed.join(", ")}. The page Run solves plan ${name}.` : "Saved; no file changed.");
       dispatchEvent(new Event("planschange"));
     } catch (error) {

@@ -15,7 +15,8 @@ export class PlanList {
   async load() {
     if (!this.site.jobs.includes("placement")) return;
     try {
-      const { plans } = await get(siteUrl(this.site.stem, "plans"));
+      const { plans, version } = await get(siteUrl(this.site.stem, "plans"));
+      this.version = version;
       this.show(plans.filter(({ own }) => own));
     } catch (error) {
       failed(error);
@@ -33,7 +34,7 @@ export class PlanList {
   async remove(name) {
     if (!(await ask(`Remove plan ${name}?`, "It goes from the site file, with the places that were saved for it. Results stay.", "Remove"))) return;
     try {
-      await send("DELETE", siteUrl(this.site.stem, `plans/${encodeURIComponent(name)}`), {});
+      await send("DELETE", siteUrl(this.site.stem, `plans/${encodeURIComponent(name)}`), {}, { version: this.version });
       note(`Removed: plan ${name}.`);
       dispatchEvent(new Event("planschange"));
     } catch (error) {

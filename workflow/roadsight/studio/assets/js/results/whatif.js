@@ -29,6 +29,7 @@ export class WhatIf {
     this.about = answer;
     this.sensors = answer.chosen.map((row, number) => ({ row, before: row, number, on: true }));
     this.coverage = answer.coverage;
+    [this.outdated, this.turn] = [false, null];
     [this.chosen, this.moving, this.kind, this.past] = [null, false, 0, []];
   }
 
@@ -59,13 +60,15 @@ export class WhatIf {
       const answer = await send("POST", siteUrl(this.page.site.stem, `plans/${this.plan}/coverage`), { version: this.about.version, rows: this.rows });
       if (this.turn !== turn || this.page.closed) return;
       this.coverage = answer;
+      this.outdated = false;
       this.tookMs = performance.now() - began;
-      this.page.show();
     } catch (error) {
+      if (this.turn === turn) this.outdated = true;
       failed(error);
     } finally {
       if (this.turn === turn) this.turn = null;
     }
+    if (!this.turn && !this.page.closed) this.page.show();
   }
 
   taken(row, except = null) {
@@ -212,7 +215,9 @@ export class WhatIf {
     const change = this.changed
       ? [...fact("Lost, gained", el("span", {}, el("b", { "data-state": lost ? "rejected" : "" }, `−${lost}`), " ", el("b", { "data-state": gained ? "accepted" : "" }, `+${gained}`))),
         ...fact("Sensors, cost against the plan", `${signed(on - this.about.chosen.length)}, ${signed(Number((cost - this.planCost).toFixed(2)))}`)] : [];
-    return [el("div", { role: "status" }, el("dl", { className: "facts" },
+    const outdated = this.outdated ? [el("p", { className: "message bad" }, "Figures of before: the last change could not be counted.")] : [];
+    return [...this.about.notes.map((text) => el("p", { className: "message" }, text)),
+    el("div", { role: "status" }, outdated, el("dl", { className: "facts" },
       fact("Sensors", String(on)), fact(this.changed ? "Cost" : `Cost (${proven})`, digits(cost, 2).replace(/\.00$/, "")),
       fact("Targets covered", `${covered} of ${count}, ${digits((100 * covered) / Math.max(count, 1), 1)} %`), change)),
     el("div", { className: "row" },
@@ -222,7 +227,7 @@ export class WhatIf {
   }
 
   get planCost() {
-    return this.about.chosen.reduce((sum, row) => sum + this.about.sensors[this.about.choices.sensor[row]].cost, 0);
+    return this.about.chosen.reduce((sum, row) => sum + this.about.choices.cost[row], 0);
   }
 
   sensorPart() {
