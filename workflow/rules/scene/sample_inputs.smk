@@ -17,7 +17,9 @@ def rural_survey(wildcards):
     options = [f"--gps-drift-m {sample.gps_drift_m}"] if sample.gps_drift_m else []
     options += [] if sample.pole_returns else ["--pole-returns no"]
     usual = sample.class_scheme == "usual"
-    return " ".join(options + ([] if usual else [f"--class-scheme {sample.class_scheme}"]))
+    return " ".join(
+        options + ([] if usual else [f"--class-scheme {sample.class_scheme}"])
+    )
 
 
 def rural_lens(wildcards):
