@@ -17,6 +17,7 @@ from roadsight.io.images.image_shards import ImageShard, ImageShardWriter
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
+from roadsight.poles.alignment.landmarks import Turns
 from roadsight.poles.images.classes import PixelClass
 from roadsight.stages.poles import measure_poles, trace_image_edges
 from tests.helpers.onnx_bytes import pointwise
@@ -143,6 +144,29 @@ def test_a_pole_in_two_views_is_kept_once(frames):
     assert set(found.loc[~found["kept"], "reason"]) == {"same as in the front view"}
     beside = found[found["view"] == "right"]["bearing_grid_deg"]
     assert np.abs(wrap_deg(beside - [350.0, 15.0])).max() < 0.3
+
+
+@pytest.mark.parametrize(("said", "kept"), [("found", False), ("given", True)])
+def test_a_side_view_whose_yaw_the_drive_does_not_tell(frames, monkeypatch, said, kept):
+    """Its bearings would be off by as much as the guess is."""
+    write_site(frames)
+    table = read_table(frames / "frames.parquet")
+    table["right_path"] = "right/" + table["path"]
+    write_table(frames / "frames.parquet", table)
+    poles = [place(*one) for one in TRUTH]
+    for name, part in (("masks", 0), ("depth", 1)):
+        with ImageShardWriter(frames / f"{name}.zip") as shard:
+            shard.write("a0", np.zeros_like(rendered(poles)[part]))
+            shard.write("a0.right", rendered(poles, replace(CAMERA, yaw_deg=20.0))[part])
+    camera = read_table(frames / "cameras.parquet").iloc[0]
+    key = str(table["route"].iloc[0]), int(camera["width_px"]), int(camera["height_px"])
+    monkeypatch.setattr(measure_poles, "_side_views", lambda _: {key: Turns()})
+    assert measure(frames, "--right-yaw-deg", "20", "--side-views", said) == 0
+    found = read_table(frames / "sightings.parquet")
+    found = found[found["view"] == "right"]
+    assert len(found) and (found["kept"].any()) == kept
+    if not kept:
+        assert set(found["reason"]) == {"yaw of the side view not found"}
 
 
 def test_edges_are_written_by_image_and_empty_ones_say_why(frames):

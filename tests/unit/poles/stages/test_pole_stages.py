@@ -21,6 +21,7 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.vectors import read_layer
+from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.stages.poles import rate_hazard, triangulate_poles, validate_poles
 
 FEET = Frame((900_000.0, 700_000.0, 2000.0), 1200 / 3937, 1200 / 3937, CRS("EPSG:6543").to_wkt())
@@ -52,7 +53,8 @@ def site(tmp_path_factory):
     sightings = pd.DataFrame(
         rows, columns=["image", "sequence", "x", "bearing_grid_deg", "depth_m"]
     ).assign(route="r", kind="pole", y=0.0, sigma_bearing_deg=0.3, sigma_depth_m=1.0, kept=True)
-    sightings["depth_lidar_m"] = np.nan
+    nothing = dict.fromkeys(NETWORK_COLUMNS, np.nan)
+    sightings = sightings.assign(view="front", depth_from="network", **nothing)
     write_table(folder / "s0.parquet", sightings.iloc[::2])
     write_table(folder / "s1.parquet", sightings.iloc[1::2])
     write_table(folder / "none.parquet", sightings.iloc[:0])

@@ -137,6 +137,10 @@ class Sightings(Section):
     min_width_px: Positive = Field(default=4.0, description="thinner objects are dropped, px")
     min_height_px: Positive = Field(default=40.0, description="lower objects are dropped, px")
     wire_px: Positive = Field(default=30.0, description="what is thinner upright is wire, px")
+    side_views: Literal["found", "given"] = Field(
+        default="found",
+        description="a side view whose yaw the drive does not tell: left out, or as given",
+    )
     left_yaw_deg: Degrees = Field(default=-60.0, description="left view from the front, degrees")
     right_yaw_deg: Degrees = Field(default=60.0, description="right view from the front, degrees")
 

@@ -101,8 +101,12 @@ def measure_poles(arguments: argparse.Namespace) -> None:
         mask = masks.read(view.name)
         pose = poses[view.image]
         key = routes[view.image], int(pose["width_px"]), int(pose["height_px"])
-        camera = _camera(view, pose, _offsets(found.get(key, Turns()), given), mask.shape)
+        turns = found.get(key, Turns())
+        camera = _camera(view, pose, _offsets(turns, given), mask.shape)
         table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
+        unturned = key in found and not np.isfinite(turns.sigma_deg[VIEWS.index(view.view)])
+        if unturned and arguments.side_views == "found" and len(table):
+            table = table.assign(kept=False, reason=_UNTURNED)
         if len(table):
             tables.append(table.assign(image=view.image, view=view.view))
     sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
@@ -117,6 +121,10 @@ def _side_views(path: str | None) -> dict[Key, Turns]:
     """Yaw of the side views of each drive, where its calibration found them."""
     drives = read_json(path)["drives"] if path else []
     return {calibration.key: calibration.turns for calibration in map(from_content, drives)}
+
+
+_UNTURNED = "yaw of the side view not found"
+"""A side view at a guessed yaw gives bearings that are off by as much as the guess."""
 
 
 def _offsets(turns: Turns, given: ViewOffsets) -> ViewOffsets:
@@ -253,7 +261,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--left-yaw-deg", type=float, default=ViewOffsets.left_deg)
     parser.add_argument("--right-yaw-deg", type=float, default=ViewOffsets.right_deg)
     parser.add_argument("--grid-convergence", choices=("simulate", "skip"), default="simulate")
-    add_settings(parser, Sightings, "kinds", "bearing", "height_rule")
+    add_settings(parser, Sightings, "kinds", "bearing", "height_rule", "side_views")
     for name, default in _numbers():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=default)
     return run_stage(parser, measure_poles, argv)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
+from dataclasses import replace
 from typing import Any
 
 import geopandas as gpd
@@ -25,6 +26,8 @@ from roadsight.io.records.pole_decisions import read_decisions
 from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.vectors import write_geojson, write_layers
+from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
+from roadsight.poles.sightings.network_scale import network_scales, with_scales
 from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
 from roadsight.poles.triangulate.rays import TriangulationSettings
@@ -33,6 +36,13 @@ from roadsight.stages.command import run_stage
 
 log = logging.getLogger("triangulate_poles")
 
+_LEAST_ANCHORED = 0.1
+"""Share of sightings that end at a column of the cloud below which it shows no poles. With columns
+it is half or more."""
+_FAR_M = 60.0
+"""Where a cloud has no returns on poles, a camera of 20 degrees sees a pole from no nearer than 30
+m: on the generated rural road 22 of 30 poles are found with this, 4 with 40 m. Where it has, far
+rays add groups of other things: 6 beside 31."""
 _STRUCTURES = (6, 11, 17)
 """ASPRS classes of buildings, road surface and bridge decks."""
 _CORNERS = 32
@@ -44,12 +54,21 @@ _KINDS = {"poles": "Point", "ellipses": "Polygon", "rays": "LineString"}
 def triangulate_poles(arguments: argparse.Namespace) -> None:
     """Write poles, their ellipses and the rays that show them."""
     frame = Frame.from_dict(read_json(arguments.frame))
-    columns = [*SIGHTING_COLUMNS, "depth_lidar_m"]
+    columns = [*SIGHTING_COLUMNS, "view", "depth_from", *NETWORK_COLUMNS]
     parts = [read_table(path, columns) for path in arguments.sightings]
     sightings = pd.concat(parts, ignore_index=True)
     settings = _settings(arguments)
+    network = network_scales(sightings)
+    for scale in network:
+        log.warning(
+            "%s, %s view: the depth network's distances are %.2f of those of %d feet on the ground"
+            " and are divided by that",
+            *(scale.route, scale.view, scale.ratio, scale.pairs),
+        )
+    sightings = with_scales(sightings, network)
     in_cloud = sightings["depth_lidar_m"].notna().to_numpy()
     sightings = sightings.assign(anchored=in_cloud)
+    settings = replace(settings, max_distance_m=_reach_m(sightings, settings.max_distance_m))
     poles, pole_of, scales = site_poles(sightings, settings, arguments.method)
     poles = withhold_thin(poles, pole_of, in_cloud, arguments.min_views)
     if arguments.voxels:
@@ -62,6 +81,7 @@ def triangulate_poles(arguments: argparse.Namespace) -> None:
     log.info("%d sightings, %d poles, %d kept", len(sightings), len(poles), kept.sum())
     about: dict[str, Any] = {"method": arguments.method, "settings": vars(settings)}
     about |= {"depth_scale": scales, "sightings": len(sightings)}
+    about["network_scales"] = [vars(scale) for scale in network]
     write_table(arguments.poles, poles, about)
     layers = {
         "poles": _points(poles),
@@ -71,6 +91,19 @@ def triangulate_poles(arguments: argparse.Namespace) -> None:
     write_layers(arguments.layers, layers, frame, _KINDS)
     write_csv(arguments.csv, in_native(poles[kept].drop(columns=["kept", "reason"]), frame))
     write_geojson(arguments.geojson, _points(poles[kept].reset_index(drop=True)), frame)
+
+
+def _reach_m(sightings: pd.DataFrame, usual_m: float) -> float:
+    """How far sightings count: farther than usual where the cloud shows next to no pole."""
+    kept = sightings["kept"].to_numpy(bool)
+    anchored = sightings["anchored"].to_numpy(bool)[kept]
+    if len(anchored) == 0 or anchored.mean() >= _LEAST_ANCHORED or usual_m >= _FAR_M:
+        return usual_m
+    log.warning(
+        "%.0f %% of the sightings end at something of the cloud: those up to %g m count",
+        *(100 * anchored.mean(), _FAR_M),
+    )
+    return _FAR_M
 
 
 def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFrame:
