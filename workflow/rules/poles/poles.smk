@@ -55,6 +55,7 @@ rule triangulate_poles:
         layers="results/{site}/poles/placed.gpkg",
         csv="results/{site}/poles/poles.csv",
         geojson="results/{site}/poles/poles.geojson",
+        doubts="results/{site}/doubts/triangulate_poles.json",
     log:
         log_of("triangulate_poles"),
     benchmark:
@@ -67,7 +68,7 @@ rule triangulate_poles:
         "python -m roadsight.stages.poles.triangulate_poles --sightings {input.sightings}"
         " --frame {input.frame} --dem {input.dem} --voxels {input.voxels} {params.options}"
         " --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
-        " --geojson {output.geojson} > {log} 2>&1"
+        " --geojson {output.geojson} --doubts {output.doubts} > {log} 2>&1"
 
 
 rule rate_hazard:

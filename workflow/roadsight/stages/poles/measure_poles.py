@@ -29,6 +29,7 @@ from roadsight.poles.images.stitching import ViewOffsets, merge_views, side_intr
 from roadsight.poles.images.views import VIEWS, View, usable, views_of
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.poles.sightings.sightings import Evidence, SightingSettings, measure_view
+from roadsight.poles.triangulate.pole_doubts import UNTURNED
 from roadsight.stages.command import run_stage
 from roadsight.stages.poles.alignment_inputs import read_columns
 from roadsight.stages.progress import logged
@@ -106,7 +107,7 @@ def measure_poles(arguments: argparse.Namespace) -> None:
         table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
         unturned = key in found and not np.isfinite(turns.sigma_deg[VIEWS.index(view.view)])
         if unturned and arguments.side_views == "found" and len(table):
-            table = table.assign(kept=False, reason=_UNTURNED)
+            table = table.assign(kept=False, reason=UNTURNED)
         if len(table):
             tables.append(table.assign(image=view.image, view=view.view))
     sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
@@ -121,10 +122,6 @@ def _side_views(path: str | None) -> dict[Key, Turns]:
     """Yaw of the side views of each drive, where its calibration found them."""
     drives = read_json(path)["drives"] if path else []
     return {calibration.key: calibration.turns for calibration in map(from_content, drives)}
-
-
-_UNTURNED = "yaw of the side view not found"
-"""A side view at a guessed yaw gives bearings that are off by as much as the guess."""
 
 
 def _offsets(turns: Turns, given: ViewOffsets) -> ViewOffsets:

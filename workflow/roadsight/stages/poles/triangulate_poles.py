@@ -30,19 +30,14 @@ from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.sightings.network_scale import network_scales, with_scales
 from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
+from roadsight.poles.triangulate.pole_doubts import pole_doubts, reach_m
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import POLE_COLUMNS, SIGHTING_COLUMNS, site_poles
 from roadsight.stages.command import run_stage
+from roadsight.stages.doubts import tell
 
 log = logging.getLogger("triangulate_poles")
 
-_LEAST_ANCHORED = 0.1
-"""Share of sightings that end at a column of the cloud below which it shows no poles. With columns
-it is half or more."""
-_FAR_M = 60.0
-"""Where a cloud has no returns on poles, a camera of 20 degrees sees a pole from no nearer than 30
-m: on the generated rural road 22 of 30 poles are found with this, 4 with 40 m. Where it has, far
-rays add groups of other things: 6 beside 31."""
 _STRUCTURES = (6, 11, 17)
 """ASPRS classes of buildings, road surface and bridge decks."""
 _CORNERS = 32
@@ -54,21 +49,18 @@ _KINDS = {"poles": "Point", "ellipses": "Polygon", "rays": "LineString"}
 def triangulate_poles(arguments: argparse.Namespace) -> None:
     """Write poles, their ellipses and the rays that show them."""
     frame = Frame.from_dict(read_json(arguments.frame))
-    columns = [*SIGHTING_COLUMNS, "view", "depth_from", *NETWORK_COLUMNS]
+    columns = [*SIGHTING_COLUMNS, "view", "reason", "depth_from", *NETWORK_COLUMNS]
     parts = [read_table(path, columns) for path in arguments.sightings]
     sightings = pd.concat(parts, ignore_index=True)
     settings = _settings(arguments)
     network = network_scales(sightings)
-    for scale in network:
-        log.warning(
-            "%s, %s view: the depth network's distances are %.2f of those of %d feet on the ground"
-            " and are divided by that",
-            *(scale.route, scale.view, scale.ratio, scale.pairs),
-        )
     sightings = with_scales(sightings, network)
     in_cloud = sightings["depth_lidar_m"].notna().to_numpy()
     sightings = sightings.assign(anchored=in_cloud)
-    settings = replace(settings, max_distance_m=_reach_m(sightings, settings.max_distance_m))
+    settings = replace(settings, max_distance_m=reach_m(sightings, settings.max_distance_m))
+    if arguments.doubts:
+        doubts = pole_doubts(sightings, network)
+        tell(doubts, arguments.doubts, "poles", log)
     poles, pole_of, scales = site_poles(sightings, settings, arguments.method)
     poles = withhold_thin(poles, pole_of, in_cloud, arguments.min_views)
     if arguments.voxels:
@@ -91,19 +83,6 @@ def triangulate_poles(arguments: argparse.Namespace) -> None:
     write_layers(arguments.layers, layers, frame, _KINDS)
     write_csv(arguments.csv, in_native(poles[kept].drop(columns=["kept", "reason"]), frame))
     write_geojson(arguments.geojson, _points(poles[kept].reset_index(drop=True)), frame)
-
-
-def _reach_m(sightings: pd.DataFrame, usual_m: float) -> float:
-    """How far sightings count: farther than usual where the cloud shows next to no pole."""
-    kept = sightings["kept"].to_numpy(bool)
-    anchored = sightings["anchored"].to_numpy(bool)[kept]
-    if len(anchored) == 0 or anchored.mean() >= _LEAST_ANCHORED or usual_m >= _FAR_M:
-        return usual_m
-    log.warning(
-        "%.0f %% of the sightings end at something of the cloud: those up to %g m count",
-        *(100 * anchored.mean(), _FAR_M),
-    )
-    return _FAR_M
 
 
 def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFrame:
@@ -186,6 +165,7 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("frame", "poles", "layers", "csv", "geojson"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--dem", help="ground heights, for z")
+    parser.add_argument("--doubts", help="JSON with what the poles rest on")
     parser.add_argument("--decisions", nargs="?", help="accepted, rejected, moved poles, CSV")
     parser.add_argument("--voxels", nargs="?", help="withhold poles near road, bridge, building")
     add_settings(parser, Triangulation, "min_views", "clearance_m", "method")

@@ -1,0 +1,39 @@
+"""Doubts about located poles."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from roadsight.poles.sightings.network_scale import NetworkScale
+from roadsight.poles.triangulate.pole_doubts import FAR_M, UNTURNED, pole_doubts, reach_m
+
+
+def sightings(anchored, others=10, lost=0):
+    kept = pd.DataFrame({"kept": True, "anchored": [True] * anchored + [False] * others})
+    left = pd.DataFrame({"kept": False, "anchored": False, "reason": [UNTURNED] * lost})
+    return pd.concat([kept.assign(reason=""), left], ignore_index=True)
+
+
+@pytest.mark.parametrize(("anchored", "reach"), [(0, FAR_M), (1, FAR_M), (2, 40.0), (10, 40.0)])
+def test_far_rays_count_where_the_cloud_shows_no_poles(anchored, reach):
+    table = sightings(anchored)
+    assert reach_m(table, 40.0) == reach
+    codes = [doubt.code for doubt in pole_doubts(table, [])]
+    assert codes == (["poles_not_in_cloud"] if reach == FAR_M else [])
+
+
+def test_a_wider_reach_is_never_narrowed():
+    assert reach_m(sightings(0), 80.0) == 80.0
+    assert reach_m(sightings(0, others=0), 40.0) == 40.0
+
+
+def test_what_was_scaled_and_left_out_is_told():
+    network = [NetworkScale("a", "front", 0.6, 0.2, 90), NetworkScale("b", "front", 1.1, 0.1, 40)]
+    found = pole_doubts(sightings(9, lost=7), network)
+    told = [(doubt.code, doubt.severity, doubt.measured) for doubt in found]
+    assert told == [
+        ("network_scale", "doubt", 0.6),
+        ("network_scale", "note", 1.1),
+        ("side_views_left_out", "doubt", 7),
+    ]

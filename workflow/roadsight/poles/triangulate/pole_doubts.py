@@ -1,0 +1,72 @@
+"""What located poles rest on, beside the errors that are stated of each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.doubts import Doubt, Severity
+from roadsight.poles.sightings.network_scale import NetworkScale
+
+LEAST_ANCHORED = 0.1
+"""Share of sightings that end at a column of the cloud below which it shows no poles. With columns
+it is half or more."""
+FAR_M = 60.0
+"""Where a cloud has no returns on poles, a camera of 20 degrees sees a pole from no nearer than 30
+m: on the generated rural road 22 of 30 poles are found with this, 4 with 40 m. Where it has, far
+rays add groups of other things: 6 beside 31."""
+UNTURNED = "yaw of the side view not found"
+"""Reason why a sighting is left out: a side view at a guessed yaw gives bearings that are off by as
+much as the guess is."""
+_LARGE = 0.2
+"""Logarithm of a network's scale from which it is a doubt: a fifth of the distance."""
+
+
+def anchored_share(sightings: pd.DataFrame) -> float:
+    """Share of the kept sightings that end at something of the cloud; 1 without any.
+
+    Parameters
+    ----------
+    sightings : columns kept and anchored.
+    """
+    kept = sightings["kept"].to_numpy(bool)
+    return float(sightings["anchored"].to_numpy(bool)[kept].mean()) if kept.any() else 1.0
+
+
+def reach_m(sightings: pd.DataFrame, usual_m: float) -> float:
+    """How far sightings count: farther than usual where the cloud shows next to no pole."""
+    return max(usual_m, FAR_M) if anchored_share(sightings) < LEAST_ANCHORED else usual_m
+
+
+def pole_doubts(sightings: pd.DataFrame, network: Sequence[NetworkScale]) -> list[Doubt]:
+    """Doubts about the poles of a site.
+
+    Parameters
+    ----------
+    sightings : columns kept, anchored, reason. network : cameras whose network was scaled.
+    """
+    found = []
+    for one in network:
+        text = (
+            f"{one.route}, {one.view} view: distances of the depth network over those of"
+            f" {one.pairs} feet on the ground, by which they are divided"
+        )
+        severity: Severity = "doubt" if abs(np.log(one.ratio)) > _LARGE else "note"
+        found.append(Doubt("network_scale", severity, text, round(one.ratio, 3)))
+    share = anchored_share(sightings)
+    if share < LEAST_ANCHORED:
+        text = (
+            "the cloud shows next to no poles, so that their places rest on rays alone: share of"
+            " sightings that end at one; a denser survey places them better"
+        )
+        found.append(Doubt("poles_not_in_cloud", "doubt", text, round(share, 3), LEAST_ANCHORED))
+    lost = int((sightings["reason"] == UNTURNED).sum())
+    if lost:
+        text = (
+            "sightings of side views are left out, for nothing tells their yaw; if it is known,"
+            " give sightings.left_yaw_deg, right_yaw_deg and side_views: given"
+        )
+        found.append(Doubt("side_views_left_out", "doubt", text, lost, 0))
+    return found
