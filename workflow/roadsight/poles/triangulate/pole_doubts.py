@@ -58,15 +58,15 @@ def pole_doubts(sightings: pd.DataFrame, network: Sequence[NetworkScale]) -> lis
     share = anchored_share(sightings)
     if share < LEAST_ANCHORED:
         text = (
-            "the cloud shows next to no poles, so that their places rest on rays alone: share of"
-            " sightings that end at one; a denser survey places them better"
+            "the cloud shows next to no poles, so that their places rest on rays alone (a denser"
+            " survey places them better): share of sightings that end at one"
         )
         found.append(Doubt("poles_not_in_cloud", "doubt", text, round(share, 3), LEAST_ANCHORED))
     lost = int((sightings["reason"] == UNTURNED).sum())
     if lost:
         text = (
-            "sightings of side views are left out, for nothing tells their yaw; if it is known,"
-            " give sightings.left_yaw_deg, right_yaw_deg and side_views: given"
+            "nothing tells the yaw of side views (give sightings.left_yaw_deg, right_yaw_deg and"
+            " side_views: given, if it is known): sightings left out"
         )
         found.append(Doubt("side_views_left_out", "doubt", text, lost, 0))
     return found
