@@ -118,6 +118,7 @@ STEPS: dict[str, Step] = {
         for name in (
             "read_videolog",
             "calibrate_drive",
+            "turn_side_views",
             "triangulate_poles",
             "rate_hazard",
             "write_poles_page",

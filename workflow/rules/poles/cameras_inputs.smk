@@ -41,6 +41,13 @@ def calibration_if_aligned(wildcards):
     return [found] if aligns(wildcards) else []
 
 
+def side_turns_if_used(wildcards):
+    """Yaw of the side views from what images share, where cameras are aligned and views are used."""
+    after_profile("side_views")(wildcards)
+    used = used_views(wildcards) != "front" and aligns(wildcards)
+    return [f"results/{wildcards.site}/poles/side_turns.json"] if used else []
+
+
 def cameras_of_videolog(wildcards):
     """Cameras that come with the videolog: the site's file, or those of the generated site."""
     if SITES[wildcards.site].site.poles.cameras == "sample":

@@ -6,10 +6,37 @@ USUAL STEPS      sightings, triangulation, hazard
 """
 
 
+rule turn_side_views:
+    input:
+        frames=rules.read_videolog.output.frames,
+        calibration=rules.calibrate_drive.output.calibration,
+        cameras=all_cameras,
+        images=rendered_images,
+        drive=distorting_drive,
+        code=sources("turn_side_views"),
+    output:
+        turns="results/{site}/poles/side_turns.json",
+    log:
+        log_of("turn_side_views"),
+    benchmark:
+        benchmark_of("turn_side_views")
+    conda:
+        ENVIRONMENT
+    params:
+        images=images_path,
+        images_sha256=image_digest(),
+        lenses=given_lenses,
+    shell:
+        "python -m roadsight.stages.poles.turn_side_views --frames {input.frames}"
+        " --calibration {input.calibration} --cameras {input.cameras} --images {params.images:q}"
+        " --drive {input.drive} --lenses {params.lenses:q} --out {output.turns} > {log} 2>&1"
+
+
 rule measure_poles:
     input:
         frames=rules.read_videolog.output.frames,
         calibration=calibration_if_aligned,
+        turns=side_turns_if_used,
         cameras=cameras_of_shard,
         masks=without_distortion("masks"),
         depth=without_distortion("depth"),
@@ -36,7 +63,7 @@ rule measure_poles:
         grid_convergence=decision_on("grid_convergence"),
     shell:
         "python -m roadsight.stages.poles.measure_poles --frames {input.frames}"
-        " --calibration {input.calibration} --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
+        " --calibration {input.calibration} --turns {input.turns} --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
         " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --frame {input.frame} {params.options}"
         " --views {params.views} --grid-convergence {params.grid_convergence}"
         " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings} > {log} 2>&1"

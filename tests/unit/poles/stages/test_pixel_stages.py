@@ -160,7 +160,7 @@ def test_a_side_view_whose_yaw_the_drive_does_not_tell(frames, monkeypatch, said
             shard.write("a0.right", rendered(poles, replace(CAMERA, yaw_deg=20.0))[part])
     camera = read_table(frames / "cameras.parquet").iloc[0]
     key = str(table["route"].iloc[0]), int(camera["width_px"]), int(camera["height_px"])
-    monkeypatch.setattr(measure_poles, "_side_views", lambda _: {key: Turns()})
+    monkeypatch.setattr(measure_poles, "_side_views", lambda *_: {key: Turns()})
     assert measure(frames, "--right-yaw-deg", "20", "--side-views", said) == 0
     found = read_table(frames / "sightings.parquet")
     found = found[found["view"] == "right"]

@@ -80,7 +80,7 @@ def measure_poles(arguments: argparse.Namespace) -> None:
     """Write the sightings of every image of the shard whose camera was accepted."""
     settings = _settings(arguments)
     given = ViewOffsets(arguments.left_yaw_deg, arguments.right_yaw_deg)
-    found = _side_views(arguments.calibration)
+    found = _side_views(arguments.calibration, arguments.turns)
     frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
     cameras = read_table(arguments.cameras)
     accepted = cameras[cameras["accepted"]].set_index("image")
@@ -118,10 +118,17 @@ def measure_poles(arguments: argparse.Namespace) -> None:
     write_table(arguments.out, table, {"settings": asdict(settings), "offsets": asdict(given)})
 
 
-def _side_views(path: str | None) -> dict[Key, Turns]:
-    """Yaw of the side views of each drive, where its calibration found them."""
-    drives = read_json(path)["drives"] if path else []
-    return {calibration.key: calibration.turns for calibration in map(from_content, drives)}
+def _side_views(calibrated: str | None, matched: str | None) -> dict[Key, Turns]:
+    """Yaw of the side views of each drive, where its calibration or shared points found them."""
+    drives = read_json(calibrated)["drives"] if calibrated else []
+    found = {calibration.key: calibration.turns for calibration in map(from_content, drives)}
+    for turn in read_json(matched)["turns"] if matched else []:
+        key = turn["route"], turn["width_px"], turn["height_px"]
+        deg, sigma = (list(part) for part in (found[key].deg, found[key].sigma_deg))
+        number = VIEWS.index(turn["view"])
+        deg[number], sigma[number] = turn["turn_deg"], turn["sigma_deg"]
+        found[key] = Turns((deg[0], deg[1], deg[2]), (sigma[0], sigma[1], sigma[2]))
+    return found
 
 
 def _offsets(turns: Turns, given: ViewOffsets) -> ViewOffsets:
@@ -249,6 +256,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     for name in ("frames", "cameras", "masks", "depth", "dem", "frame", "out"):
         parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--turns", nargs="?", help="yaw of side views, from what images share")
     parser.add_argument("--columns", nargs="?", help="pole-like columns of the cloud")
     parser.add_argument("--calibration", nargs="?", help="has the yaw of side views, if found")
     parser.add_argument("--voxels", nargs="?", help="only for the bearing `lidar`")

@@ -1,0 +1,145 @@
+"""Yaw of side views that the drive's calibration did not find, from what images share."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import sys
+from collections.abc import Iterator
+from functools import lru_cache
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.arrays import Floats
+from roadsight.geometry.cameras import Intrinsics, cam_from_world
+from roadsight.io.images.videologs import ImageSource
+from roadsight.io.records.atomic import read_json, write_json
+from roadsight.io.records.tables import read_table
+from roadsight.poles.calibration.calibration_table import from_content
+from roadsight.poles.drive.drive_lenses import lens_of, with_given
+from roadsight.poles.images.image_matches import Features, features, matched
+from roadsight.poles.images.side_matches import Votes, agreed_turn, turn_votes
+from roadsight.poles.images.stitching import side_intrinsics
+from roadsight.poles.images.views import VIEWS
+from roadsight.stages.command import run_stage
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("turn_side_views")
+_PLACES = 40
+"""Places of a drive that are looked at, evenly along it; eighteen were enough on the generated
+rural road."""
+_NEAREST_M, _FARTHEST_M = 3.0, 30.0
+"""Way between the two places of a pair: shorter, nothing new enters the side view; longer, it shows
+other things."""
+
+
+def turn_side_views(arguments: argparse.Namespace) -> None:
+    """Write the yaw of each side view that the calibration leaves open, by drive and view."""
+    frames = read_table(arguments.frames)
+    cameras = pd.concat([read_table(path) for path in arguments.cameras], ignore_index=True)
+    posed = frames.merge(cameras[cameras["accepted"]], on="image", suffixes=("_frame", ""))
+    images = ImageSource(arguments.images)
+    lenses = None
+    if arguments.drive:
+        lenses = with_given(read_json(arguments.drive)["lenses"], json.loads(arguments.lenses))
+
+    @lru_cache(maxsize=8)
+    def found(path: str) -> Features:
+        return features(images.read(path))
+
+    turns = []
+    for drive in map(from_content, read_json(arguments.calibration)["drives"]):
+        route, width, height = drive.key
+        own = posed[
+            (posed["route"].astype(str) == route)
+            & (posed["width_px"] == width)
+            & (posed["height_px"] == height)
+        ].sort_values("sequence", kind="stable")
+        for number, view in enumerate(VIEWS[1:], start=1):
+            pairs = list(_pairs(own, f"{view}_path"))
+            if np.isfinite(drive.turns.sigma_deg[number]) or not pairs:
+                continue
+            chosen = pairs[:: -(-len(pairs) // _PLACES)]
+            votes = []
+            for one, other in logged(chosen, len(chosen), log, f"pairs, {route} {view}"):
+                votes.append(_votes(one, other, f"{view}_path", found, images, lenses))
+            deg, sigma = agreed_turn(
+                Votes(
+                    np.concatenate([part.turn_deg for part in votes]),
+                    np.concatenate([part.weight for part in votes]),
+                )
+            )
+            log.info("%s %s view: %.2f +- %.2f degrees", route, view, deg, sigma)
+            if np.isfinite(sigma):
+                key = {"route": route, "width_px": width, "height_px": height}
+                turns.append(key | {"view": view, "turn_deg": deg, "sigma_deg": sigma})
+    write_json(arguments.out, {"turns": turns})
+
+
+def _pairs(drive: pd.DataFrame, path: str) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+    """Places of a drive that follow each other, the later with an image of the side view."""
+    rows = drive.to_dict("records")
+    for one, other in pairwise(rows):
+        gap_m = float(np.hypot(other["x"] - one["x"], other["y"] - one["y"]))
+        if _NEAREST_M <= gap_m <= _FARTHEST_M and isinstance(other.get(path), str) and other[path]:
+            yield one, other
+
+
+def _votes(
+    one: dict[str, Any],
+    other: dict[str, Any],
+    path: str,
+    found: Any,
+    images: ImageSource,
+    lenses: list[dict[str, Any]] | None,
+) -> Votes:
+    """Votes of what an earlier front view and a later side view share."""
+    first, second = found(one["path"]), found(other[path])
+    numbers = matched(first, second)
+    here, there = first.uv_px[numbers[:, 0]], second.uv_px[numbers[:, 1]]
+    front = _intrinsics(one)
+    height, width = images.read(other[path]).shape[:2]
+    side = side_intrinsics(_intrinsics(other), width, height)
+    if lenses is not None:
+        size = front.width_px, front.height_px
+        lens = lens_of(lenses, (str(one["route"]), *size), size[::-1])
+        here, there = lens.undistort(here), lens.undistort(there)
+        known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
+        here, there = here[known], there[known]
+    way_m = np.array([other[name] - one[name] for name in "xyz"])
+    return turn_votes(_rays(front, here) @ _turned(one), way_m, _rays(side, there), _turned(other))
+
+
+def _intrinsics(row: dict[str, Any]) -> Intrinsics:
+    names = ("focal_px", "cx_px", "cy_px")
+    return Intrinsics(int(row["width_px"]), int(row["height_px"]), *(float(row[n]) for n in names))
+
+
+def _turned(row: dict[str, Any]) -> Floats:
+    return cam_from_world(*(float(row[f"{name}_deg"]) for name in ("heading", "pitch", "roll")))
+
+
+def _rays(camera: Intrinsics, uv_px: Floats) -> Floats:
+    middle = np.array([camera.cx_px, camera.cy_px])
+    return np.column_stack([(uv_px - middle) / camera.focal_px, np.ones(len(uv_px))])
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    for name in ("frames", "calibration", "images", "out"):
+        parser.add_argument(f"--{name}", required=True)
+    parser.add_argument("--cameras", nargs="+", required=True, help="cameras of all shards")
+    parser.add_argument("--drive", nargs="?", help="profile whose lenses distort; none: pinholes")
+    parser.add_argument(
+        "--lenses", default="[]", help="given lenses as JSON: route, k1, k2, focal_px"
+    )
+    return run_stage(parser, turn_side_views, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
