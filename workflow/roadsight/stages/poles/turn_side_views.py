@@ -6,7 +6,7 @@ import argparse
 import json
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Hashable, Iterator, Mapping
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -29,6 +29,7 @@ from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("turn_side_views")
+_Row = Mapping[Hashable, Any]
 _PLACES = 40
 """Places of a drive that are looked at, evenly along it; eighteen were enough on the generated
 rural road."""
@@ -80,7 +81,7 @@ def turn_side_views(arguments: argparse.Namespace) -> None:
     write_json(arguments.out, {"turns": turns})
 
 
-def _pairs(drive: pd.DataFrame, path: str) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
+def _pairs(drive: pd.DataFrame, path: str) -> Iterator[tuple[_Row, _Row]]:
     """Places of a drive that follow each other, the later with an image of the side view."""
     rows = drive.to_dict("records")
     for one, other in pairwise(rows):
@@ -90,8 +91,8 @@ def _pairs(drive: pd.DataFrame, path: str) -> Iterator[tuple[dict[str, Any], dic
 
 
 def _votes(
-    one: dict[str, Any],
-    other: dict[str, Any],
+    one: _Row,
+    other: _Row,
     path: str,
     found: Any,
     images: ImageSource,
@@ -114,12 +115,12 @@ def _votes(
     return turn_votes(_rays(front, here) @ _turned(one), way_m, _rays(side, there), _turned(other))
 
 
-def _intrinsics(row: dict[str, Any]) -> Intrinsics:
+def _intrinsics(row: _Row) -> Intrinsics:
     names = ("focal_px", "cx_px", "cy_px")
     return Intrinsics(int(row["width_px"]), int(row["height_px"]), *(float(row[n]) for n in names))
 
 
-def _turned(row: dict[str, Any]) -> Floats:
+def _turned(row: _Row) -> Floats:
     return cam_from_world(*(float(row[f"{name}_deg"]) for name in ("heading", "pitch", "roll")))
 
 
