@@ -6,7 +6,14 @@ import pandas as pd
 import pytest
 
 from roadsight.poles.sightings.network_scale import NetworkScale
-from roadsight.poles.triangulate.pole_doubts import FAR_M, UNTURNED, pole_doubts, reach_m
+from roadsight.poles.triangulate.pole_doubts import (
+    FAR_M,
+    FAR_SIGMA_M,
+    UNTURNED,
+    far_reaching,
+    pole_doubts,
+)
+from roadsight.poles.triangulate.rays import TriangulationSettings
 
 
 def sightings(anchored, others=10, lost=0):
@@ -18,14 +25,18 @@ def sightings(anchored, others=10, lost=0):
 @pytest.mark.parametrize(("anchored", "reach"), [(0, FAR_M), (1, FAR_M), (2, 40.0), (10, 40.0)])
 def test_far_rays_count_where_the_cloud_shows_no_poles(anchored, reach):
     table = sightings(anchored)
-    assert reach_m(table, 40.0) == reach
+    settings = far_reaching(table, TriangulationSettings())
+    assert settings.max_distance_m == reach
+    assert settings.max_sigma_m == (FAR_SIGMA_M if reach == FAR_M else 5.0)
     codes = [doubt.code for doubt in pole_doubts(table, [])]
     assert codes == (["poles_not_in_cloud"] if reach == FAR_M else [])
 
 
 def test_a_wider_reach_is_never_narrowed():
-    assert reach_m(sightings(0), 80.0) == 80.0
-    assert reach_m(sightings(0, others=0), 40.0) == 40.0
+    wide = TriangulationSettings(max_distance_m=80.0)
+    assert far_reaching(sightings(0), wide) is wide
+    usual = TriangulationSettings()
+    assert far_reaching(sightings(0, others=0), usual) is usual
 
 
 def test_what_was_scaled_and_left_out_is_told():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from dataclasses import replace
 from typing import Any
 
 import geopandas as gpd
@@ -30,7 +29,7 @@ from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.sightings.network_scale import network_scales, with_scales
 from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
-from roadsight.poles.triangulate.pole_doubts import pole_doubts, reach_m
+from roadsight.poles.triangulate.pole_doubts import far_reaching, pole_doubts
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import POLE_COLUMNS, SIGHTING_COLUMNS, site_poles
 from roadsight.stages.command import run_stage
@@ -57,7 +56,7 @@ def triangulate_poles(arguments: argparse.Namespace) -> None:
     sightings = with_scales(sightings, network)
     in_cloud = sightings["depth_lidar_m"].notna().to_numpy()
     sightings = sightings.assign(anchored=in_cloud)
-    settings = replace(settings, max_distance_m=reach_m(sightings, settings.max_distance_m))
+    settings = far_reaching(sightings, settings)
     if arguments.doubts:
         doubts = pole_doubts(sightings, network)
         tell(doubts, arguments.doubts, "poles", log)
