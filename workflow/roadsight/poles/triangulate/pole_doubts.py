@@ -21,8 +21,8 @@ rural road 28 of 30 poles are found with this and 24 with 40 m, and without side
 of 20 degrees sees a pole from no nearer than 30 m, 22 and 4. Where it has, far rays add groups of
 other things: 6 beside 31."""
 FAR_SIGMA_M = 1.0
-"""Longest error ellipse of a pole that may rest on far rays: there, 28 of 30 poles and 1 other thing
-stay with this, 28 and 10 with the usual 5 m."""
+"""Longest error ellipse of a pole that may rest on far rays: there, 28 of 30 poles and 1 other
+thing stay with this, 28 and 10 with the usual 5 m."""
 UNTURNED = "yaw of the side view not found"
 """Reason why a sighting is left out: a side view at a guessed yaw gives bearings that are off by as
 much as the guess is."""
