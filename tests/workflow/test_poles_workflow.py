@@ -168,7 +168,10 @@ SETTINGS = [
     ("alignment: {max_residual_px: 3}", after("align_cameras")),
     ("alignment: {bound_m: 0.5}", after("align_cameras")),
     ("effects: {terrain_occlusion: skip}", {"plan_effects"} | after("calibrate_drive")),
-    ("effects: {side_views: skip}", {"plan_effects"} | after("segment_images", "estimate_depth")),
+    (
+        "effects: {side_views: skip}",
+        {"plan_effects"} | after("segment_images", "estimate_depth") - {"turn_side_views"},
+    ),
     ("effects: {grid_convergence: skip}", {"plan_effects"} | after("measure_poles")),
     ("effects: {scale_factor: simulate}", {"plan_effects"} | after("rate_hazard")),
     ("sightings: {farthest_m: 50}", after("measure_poles")),

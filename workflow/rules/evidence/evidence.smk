@@ -10,7 +10,7 @@ rule measure_tradeoff:
         base=base_of_study,
         code=sources_with(
             "measure_tradeoff",
-            lambda wildcards: STUDIES[wildcards.study].levels[wildcards.level],
+            lambda wildcards: STUDIES[wildcards.study].levels[level_name(wildcards)],
         ),
     output:
         level="results/tradeoffs/levels/{study}-{level}.json",
