@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
-from roadsight.geometry.cameras import Intrinsics
+from roadsight.geometry.cameras import Intrinsics, cam_from_world
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.image_edges import trace_edges
 from roadsight.poles.images.image_matches import features, matched
@@ -14,6 +14,8 @@ from roadsight.poles.images.lanes import fit_curve
 from roadsight.poles.images.manifest import LabelMap
 from roadsight.poles.images.networks import folder_mask, packed_depth
 from roadsight.poles.images.pole_masks import find_instances
+from roadsight.poles.images.side_matches import agreed_turn, turn_votes
+from roadsight.poles.images.stitching import turned
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.poles.sightings.sighting_depth import ground_distances, sample_depth
 
@@ -91,6 +93,24 @@ def a_fence_among_other_things(rng: np.random.Generator) -> Errors:
         moved = other.uv_px[found[:, 1]] - one.uv_px[found[:, 0]]
         shares.append(float(np.mean(np.abs(moved - [20, 0]).max(axis=1) > 2.0)))
     return shares[0], shares[1] if len(matched(one, other)) > 30 else 1.0
+
+
+@hard_case("turn_side_views", bound=0.3, unit="deg")
+def most_matches_of_a_side_view_are_wrong(rng: np.random.Generator) -> Errors:
+    """Each match gives two yaws and leaves look like other leaves: the mean yaw is no yaw."""
+    true_deg, way_m = 21.0, np.array([0.0, 8.0, 0.0])
+    front = cam_from_world(0.0, 0.0, 0.0)
+    beside = np.radians(0.6 * true_deg + rng.uniform(-6, 6, 400))
+    far_m = rng.uniform(15, 60, 400)
+    points = np.column_stack(
+        [far_m * np.sin(beside), far_m * np.cos(beside), rng.uniform(-2, 8, 400)]
+    )
+    sides = (points - way_m) @ turned(front, true_deg).T
+    mixed = np.flatnonzero(rng.random(400) < 0.6)
+    sides[mixed] = sides[rng.permutation(mixed)]
+    votes = turn_votes(points, way_m, sides, front)
+    usual = float(np.mean(votes.turn_deg[np.abs(votes.turn_deg) < 90.0]))
+    return abs(usual - true_deg), abs(agreed_turn(votes)[0] - true_deg)
 
 
 @hard_case("trace_pole_axes", bound=0.5, unit="poles lost")
