@@ -6,7 +6,7 @@ import argparse
 import json
 import logging
 import sys
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from functools import lru_cache
 from itertools import pairwise
 from typing import Any
@@ -30,6 +30,8 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("turn_side_views")
 _Row = Mapping[Hashable, Any]
+_Seen = tuple[Features, tuple[int, int]]
+"""Points of an image, and its width and height."""
 _PLACES = 40
 """Places of a drive that are looked at, evenly along it; eighteen were enough on the generated
 rural road."""
@@ -49,8 +51,9 @@ def turn_side_views(arguments: argparse.Namespace) -> None:
         lenses = with_given(read_json(arguments.drive)["lenses"], json.loads(arguments.lenses))
 
     @lru_cache(maxsize=8)
-    def found(path: str) -> Features:
-        return features(images.read(path))
+    def found(path: str) -> _Seen:
+        image = images.read(path)
+        return features(image), (image.shape[1], image.shape[0])
 
     turns = []
     for drive in map(from_content, read_json(arguments.calibration)["drives"]):
@@ -67,7 +70,7 @@ def turn_side_views(arguments: argparse.Namespace) -> None:
             chosen = pairs[:: -(-len(pairs) // _PLACES)]
             votes = []
             for one, other in logged(chosen, len(chosen), log, f"pairs, {route} {view}"):
-                votes.append(_votes(one, other, f"{view}_path", found, images, lenses))
+                votes.append(_votes(one, other, f"{view}_path", found, lenses))
             deg, sigma = agreed_turn(
                 Votes(
                     np.concatenate([part.turn_deg for part in votes]),
@@ -94,17 +97,15 @@ def _votes(
     one: _Row,
     other: _Row,
     path: str,
-    found: Any,
-    images: ImageSource,
+    found: Callable[[str], _Seen],
     lenses: list[dict[str, Any]] | None,
 ) -> Votes:
     """Votes of what an earlier front view and a later side view share."""
-    first, second = found(one["path"]), found(other[path])
+    (first, _), (second, size_px) = found(one["path"]), found(other[path])
     numbers = matched(first, second)
     here, there = first.uv_px[numbers[:, 0]], second.uv_px[numbers[:, 1]]
     front = _intrinsics(one)
-    height, width = images.read(other[path]).shape[:2]
-    side = side_intrinsics(_intrinsics(other), width, height)
+    side = side_intrinsics(_intrinsics(other), *size_px)
     if lenses is not None:
         size = front.width_px, front.height_px
         lens = lens_of(lenses, (str(one["route"]), *size), size[::-1])
