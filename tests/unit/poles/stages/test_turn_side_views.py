@@ -13,6 +13,7 @@ from roadsight.io.images.videolog_shards import JpegShardWriter
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import write_table
 from roadsight.poles.alignment.landmarks import Turns
+from roadsight.poles.alignment.pose import FOCAL
 from roadsight.stages.poles import turn_side_views
 from roadsight.synthetic.rendering.images import RuralRenderer
 from roadsight.synthetic.rendering.rendering_look import drive_look, random_finish
@@ -20,6 +21,7 @@ from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.videolog import random_drives, shots
 
 SEED = 3
+LENS_SIGMA = 0.0065
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +67,10 @@ def drive(tmp_path_factory):
 
 
 def run(drive, monkeypatch, turns):
-    found = SimpleNamespace(key=drive.key, turns=turns)
+    covariance = np.zeros((13, 13))
+    covariance[FOCAL, FOCAL] = LENS_SIGMA**2
+    mount = SimpleNamespace(covariance=covariance)
+    found = SimpleNamespace(key=drive.key, turns=turns, mount=mount)
     monkeypatch.setattr(turn_side_views, "from_content", lambda _: found)
     write_json(drive.folder / "calibration.json", {"drives": [{}]})
     files = {"frames": "frames.parquet", "calibration": "calibration.json"}
@@ -80,7 +85,7 @@ def test_a_side_view_is_turned_by_what_it_shares_with_the_front_view(drive, monk
     assert (turn["route"], turn["width_px"], turn["height_px"]) == drive.key
     assert turn["view"] == "right"
     assert turn["turn_deg"] == pytest.approx(drive.turn_deg, abs=0.2)
-    assert turn["sigma_deg"] < 0.2
+    assert turn["sigma_deg"] == pytest.approx(LENS_SIGMA * drive.turn_deg, rel=0.2)
 
 
 def test_a_yaw_that_is_known_is_left_alone(drive, monkeypatch):

@@ -23,11 +23,11 @@ _RIVAL_DEG = 2.0
 """Bins that are farther from the best one are its rivals."""
 _CLEARER = 3.0
 """Weight of the best yaw over that of its best rival, else the yaw stays unknown. On the generated
-rural road it is 10 for either side, in every sixth place."""
+rural road it is 10 at least for either side, in every sixth place."""
 _FEWEST = 12
 """Votes that must agree on a yaw."""
 _LEAST_SIGMA_DEG = 0.02
-"""Standard deviation that many votes do not get below: errors of lens and poses are shared."""
+"""Standard deviation that many votes do not get below: errors of poses are shared."""
 _SIGMA_PER_MAD = 1.4826
 """Standard deviation over median absolute deviation, of a normal distribution."""
 _SHARPEST = 0.3

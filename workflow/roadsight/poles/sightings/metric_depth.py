@@ -16,7 +16,7 @@ from roadsight.base.arrays import Bools, Floats, Ints
 
 _TUKEY = 4.685
 """Tuning constant of the bisquare: 95 % efficiency where errors are normal."""
-_TO_SIGMA = 1.4826
+TO_SIGMA = 1.4826
 """Standard deviation over median absolute deviation, of a normal distribution."""
 _ROUNDS = 30
 """Rounds of least absolute errors, and as many of the bisquare after them."""
@@ -126,7 +126,7 @@ def _bisquare(basis: Floats, d: Floats, w: Floats) -> tuple[Floats, float, Float
             np.linalg.lstsq(basis * root[:, None], d * root, rcond=None)[0], np.float64
         )
         residual = d - basis @ solution
-        scatter = _TO_SIGMA * _weighted_median(np.abs(residual), w)
+        scatter = TO_SIGMA * _weighted_median(np.abs(residual), w)
         if turn < _ROUNDS:
             robust = w / np.maximum(np.abs(residual), max(0.1 * scatter, floor))
         else:

@@ -11,14 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from roadsight.poles.sightings.metric_depth import fuse_depths
+from roadsight.poles.sightings.metric_depth import TO_SIGMA, fuse_depths
 
 _FEWEST = 12
 """Objects with both distances from which a camera's scale is found."""
 _SURE = 3.0
 """Standard errors by which a scale must differ from 1."""
-_SIGMA_PER_MAD = 1.4826
-"""Standard deviation over median absolute deviation, of a normal distribution."""
 _KINDS = ("network", "ground", "lidar")
 """Ways to a distance, in the order in which `COLUMNS` has them."""
 COLUMNS = tuple(f"{part}depth_{kind}_m" for kind in _KINDS for part in ("", "sigma_"))
@@ -57,7 +55,7 @@ def network_scales(sightings: pd.DataFrame) -> list[NetworkScale]:
         if len(logs) < _FEWEST:
             continue
         middle = float(np.median(logs))
-        sigma = _SIGMA_PER_MAD * float(np.median(np.abs(logs - middle)))
+        sigma = TO_SIGMA * float(np.median(np.abs(logs - middle)))
         # A median errs by a quarter more than a mean does.
         if abs(middle) > _SURE * 1.25 * sigma / np.sqrt(len(logs)):
             ratio = float(np.exp(middle))

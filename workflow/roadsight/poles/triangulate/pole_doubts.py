@@ -71,7 +71,8 @@ def pole_doubts(sightings: pd.DataFrame, network: Sequence[NetworkScale]) -> lis
     if share < LEAST_ANCHORED:
         text = (
             "the cloud shows next to no poles, so that their places rest on rays alone (a denser"
-            " survey places them better): share of sightings that end at one"
+            f" survey places them better), sightings up to {FAR_M:g} m count, and what is not"
+            f" known to {FAR_SIGMA_M:g} m is withheld: share of sightings that end at one"
         )
         found.append(Doubt("poles_not_in_cloud", "doubt", text, round(share, 3), LEAST_ANCHORED))
     lost = int((sightings["reason"] == UNTURNED).sum())

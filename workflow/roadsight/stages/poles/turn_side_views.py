@@ -19,6 +19,7 @@ from roadsight.geometry.cameras import Intrinsics, cam_from_world
 from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table
+from roadsight.poles.alignment.pose import FOCAL
 from roadsight.poles.calibration.calibration_table import from_content
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
 from roadsight.poles.images.image_matches import Features, features, matched
@@ -77,8 +78,11 @@ def turn_side_views(arguments: argparse.Namespace) -> None:
                     np.concatenate([part.weight for part in votes]),
                 )
             )
+            # Votes agree whatever the lens; a longer one with views turned less looks the same.
+            lens_sigma = float(np.sqrt(drive.mount.covariance[FOCAL, FOCAL]))
+            sigma = float(np.hypot(sigma, deg * lens_sigma))
             log.info("%s %s view: %.2f +- %.2f degrees", route, view, deg, sigma)
-            if np.isfinite(sigma):
+            if np.isfinite(deg):
                 key = {"route": route, "width_px": width, "height_px": height}
                 turns.append(key | {"view": view, "turn_deg": deg, "sigma_deg": sigma})
     write_json(arguments.out, {"turns": turns})
@@ -108,8 +112,9 @@ def _votes(
     side = side_intrinsics(_intrinsics(other), *size_px)
     if lenses is not None:
         size = front.width_px, front.height_px
-        lens = lens_of(lenses, (str(one["route"]), *size), size[::-1])
-        here, there = lens.undistort(here), lens.undistort(there)
+        key = str(one["route"]), *size
+        here = lens_of(lenses, key, size[::-1]).undistort(here)
+        there = lens_of(lenses, key, size_px[::-1]).undistort(there)
         known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
         here, there = here[known], there[known]
     way_m = np.array([other[name] - one[name] for name in "xyz"])
