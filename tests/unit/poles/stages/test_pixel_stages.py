@@ -289,3 +289,25 @@ def test_depth_the_wrong_way_round_names_the_key_to_change(frames, capsys):
     assert near[39, 0] > near[0, 0] > 0
     assert estimate_depth.main([*base, manifest(frames, [[0, 0, 0]], **spec)]) == 0
     assert not ImageShard(frames / "depth.zip").read("a0").any()
+
+
+def test_bearings_in_a_side_view_carry_the_error_of_its_yaw(frames, monkeypatch):
+    write_site(frames)
+    table = read_table(frames / "frames.parquet")
+    table["right_path"] = "right/" + table["path"]
+    write_table(frames / "frames.parquet", table)
+    poles = [place(*one) for one in TRUTH]
+    for name, part in (("masks", 0), ("depth", 1)):
+        with ImageShardWriter(frames / f"{name}.zip") as shard:
+            shard.write("a0", np.zeros_like(rendered(poles)[part]))
+            shard.write("a0.right", rendered(poles, replace(CAMERA, yaw_deg=20.0))[part])
+    camera = read_table(frames / "cameras.parquet").iloc[0]
+    key = str(table["route"].iloc[0]), int(camera["width_px"]), int(camera["height_px"])
+    stated = []
+    for sigma in (0.0, 0.5):
+        turns = Turns((0.0, -20.0, 20.0), (0.0, np.inf, sigma))
+        monkeypatch.setattr(measure_poles, "_side_views", lambda *_, found=turns: {key: found})
+        assert measure(frames, "--bearing", "image") == 0
+        seen = read_table(frames / "sightings.parquet").query("view == 'right' and kept")
+        stated.append(seen["sigma_bearing_deg"].to_numpy())
+    assert len(stated[0]) and stated[1] == pytest.approx(np.hypot(stated[0], 0.5), rel=0.02)

@@ -6,7 +6,7 @@ import argparse
 import logging
 import sys
 from collections.abc import Iterator
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pandas as pd
@@ -103,9 +103,13 @@ def measure_poles(arguments: argparse.Namespace) -> None:
         pose = poses[view.image]
         key = routes[view.image], int(pose["width_px"]), int(pose["height_px"])
         turns = found.get(key, Turns())
+        turn_sigma_deg = turns.sigma_deg[VIEWS.index(view.view)]
         camera = _camera(view, pose, _offsets(turns, given), mask.shape)
+        if np.isfinite(turn_sigma_deg):
+            wider_deg = float(np.hypot(camera.sigma_heading_deg, turn_sigma_deg))
+            camera = replace(camera, sigma_heading_deg=wider_deg)
         table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
-        unturned = key in found and not np.isfinite(turns.sigma_deg[VIEWS.index(view.view)])
+        unturned = key in found and not np.isfinite(turn_sigma_deg)
         if unturned and arguments.side_views == "found" and len(table):
             table = table.assign(kept=False, reason=UNTURNED)
         if len(table):
