@@ -124,6 +124,18 @@ def test_a_wire_is_a_string_of_narrow_crossed_squares(rng):
     assert np.diff(stations).max() < 0.1
 
 
+@pytest.mark.parametrize("direction", [(0, 0, 1), (0, 1, 0), (1, 0, 0), (1, 1, 0), (1, 2, 3)])
+def test_a_perfect_line_is_seen_from_all_sides(direction):
+    direction = np.array(direction) / np.linalg.norm(direction)
+    line = np.array([3.05, 4.05, 5.05]) + np.linspace(0, 3, 600)[:, None] * direction
+    surfels = build_surfels(sum_moments(line, 0.1))
+    np.testing.assert_allclose(np.linalg.norm(surfels.normal, axis=1), 1, atol=1e-5)
+    inside = np.abs((surfels.centre_m - line.mean(axis=0)) @ direction) < 1
+    assert np.abs(surfels.normal[inside] @ direction).max() < 1e-3
+    across = np.linalg.svd(surfels.normal[inside], full_matrices=False)[1]
+    assert across[1] > 0.5 * across[0]
+
+
 def test_lone_points_become_small_crosses():
     points = np.array([[0, 0, 0], [50, 0, 0], [0, 70, 9.0]])
     surfels = build_surfels(sum_moments(points, 0.1))

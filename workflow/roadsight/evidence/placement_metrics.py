@@ -17,6 +17,7 @@ from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.detections import read_detections
 from roadsight.io.records.poses import read_poses
 from roadsight.io.records.tables import read_table
+from roadsight.placement.sensors.rays import NOT_CAST_M
 from roadsight.placement.sensors.sensors import Sensor
 
 _MAPS = 6
@@ -53,7 +54,10 @@ def range_rmse_m(results: Results) -> float:
 
 
 def maps(results: Results) -> Iterator[tuple[Floats32, Floats32]]:
-    """A few depth maps of the first spinning sensor, and the exact ones."""
+    """Beams (n,) that were cast of a few depth maps of the first spinning sensor, and exact ones.
+
+    Half of the others look into the sky, where any model is right.
+    """
     name, sensor = _spinning(results)
     folder = results.folder / "placement/round-0"
     poses = read_poses(folder / "candidates.parquet")
@@ -61,7 +65,8 @@ def maps(results: Results) -> Iterator[tuple[Floats32, Floats32]]:
     scene, simulated = results.scene, sensor.thinned(results.stride)
     for candidate, range_m in _spread([pair for path in files for pair in DepthMaps(path)]):
         pose = poses[candidate]
-        yield range_m, scene.depth_map(simulated, pose[:3], float(pose[3]))
+        cast = range_m != NOT_CAST_M
+        yield range_m[cast], scene.depth_map(simulated, pose[:3], float(pose[3]))[cast]
 
 
 def detections_wrong(results: Results) -> float:

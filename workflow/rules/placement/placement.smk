@@ -114,6 +114,7 @@ rule render_depth_maps:
         candidates="results/{site}/placement/round-{round}/candidates.parquet",
         surfels=seen_surfels,
         cloud=rules.ingest_cloud.output.cloud,
+        targets=rules.place_targets.output.targets,
         traffic=traffic_mask,
         network=depth_network,
         tilts=only_if("mount_tilt", tilts_of_map),
@@ -143,6 +144,7 @@ rule render_depth_maps:
         curvature=decision_on("curvature_refraction"),
         min_cell_points=setting("lidar.min_cell_points"),
         neighbours=setting("lidar.neighbours"),
+        room_m=target_room,
         panorama=panorama_flag,
         kept="results/{site}/placement/kept/round-{round}/depth/{sensor}/{shard}.parquet",
     shell:
@@ -151,7 +153,7 @@ rule render_depth_maps:
         " --sensor {wildcards.sensor} --sensors {params.sensors_file:q} --model {params.model}"
         " --engine {params.engine} --azimuth-stride {params.azimuth_stride}"
         " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
-        " --network {input.network:q}"
+        " --network {input.network:q} --targets {input.targets} --room-m {params.room_m}"
         " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
         " {params.panorama} --kept {params.kept}"
         " --tilts {input.tilts} --curvature {params.curvature} --out {output.depth} > {log} 2>&1"

@@ -2,6 +2,7 @@
 
 from roadsight.placement.sight.probability import Curve
 from roadsight.placement.sight.shapes import Box, shape_of
+from roadsight.placement.sight.wanted import room_for
 
 
 def box_of(site):
@@ -14,6 +15,12 @@ def target_box(wildcards):
     """Size of boxes as arguments; nothing for cylinders."""
     box = box_of(wildcards.site)
     return "" if box is None else f"--box {box.length_m} {box.width_m} {box.height_m}"
+
+
+def target_room(wildcards):
+    """Radius and height about each target in which beams are cast."""
+    shape = shape_of(SITES[wildcards.site].settings.targets.model_dump())
+    return NamedValue("targets room", "{} {}".format(*room_for(shape)))
 
 
 def target_height(wildcards):

@@ -19,6 +19,7 @@ from roadsight.io.records.surfels import read_surfels
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.depth.models import model_of_points
+from roadsight.placement.sensors.rays import NOT_CAST_M
 from roadsight.placement.sensors.sensors import load_sensor
 from roadsight.placement.sight.detection import count_hits
 from roadsight.stages.placement import build_detection_shard, place_targets, render_depth_maps
@@ -143,6 +144,20 @@ def test_networks_render_what_their_function_gives(site, model, capsys):
     np.testing.assert_allclose(found, expected, atol=0.002)
 
 
+def test_only_beams_towards_targets_are_cast_and_detection_is_the_same(site):
+    towards = ("--targets", str(site / "targets.parquet"))
+    for name, extra in (("whole", ()), ("part", towards)):
+        assert render(site, f"{name}.parquet", *extra) == 0
+        assert detect(site, f"{name}.parquet", f"seen-{name}.parquet") == 0
+    whole, part = (dict(DepthMaps(site / f"{name}.parquet")) for name in ("whole", "part"))
+    for name, depth in part.items():
+        cast = depth != NOT_CAST_M
+        assert 0.1 < cast.mean() < 0.9
+        np.testing.assert_array_equal(depth[cast], whole[name][cast])
+    seen = [(site / f"seen-{name}.parquet").read_bytes() for name in ("whole", "part")]
+    assert seen[0] == seen[1]
+
+
 def test_the_wall_hides_what_is_behind_it(site):
     assert render(site, "all.parquet") == 0
     assert detect(site, "all.parquet", "seen.parquet") == 0
@@ -226,6 +241,22 @@ class TestSmallChanges:
         _, fresh = self.run(site, capsys, caplog, kept=False, candidates="moved")
         assert found == fresh
         assert found != same
+
+    def test_fewer_targets_take_over_all_and_more_targets_what_they_can(self, site, caplog):
+        caplog.set_level("INFO")
+        targets = read_table(site / "targets.parquet")
+        write_table(site / "near.parquet", targets[targets["x"] < 6].reset_index(drop=True))
+        kept = ("--kept", str(site / "kept/window.parquet"))
+        made = {}
+        for name, taken in (("targets", 0), ("near", 8), ("targets", 0)):
+            caplog.clear()
+            towards = ("--targets", str(site / f"{name}.parquet"))
+            assert render(site, "now.parquet", *towards, *kept) == 0
+            assert render(site, "fresh.parquet", *towards) == 0
+            made[name] = (site / "now.parquet").read_bytes()
+            assert made[name] == (site / "fresh.parquet").read_bytes()
+            assert f"{taken} of 8 maps are those of an earlier run" in caplog.text
+        assert made["targets"] != made["near"]
 
     def test_another_cloud_or_setting_takes_over_nothing(self, site, capsys, caplog):
         depth = ("--kept", str(site / "kept/other.parquet"))

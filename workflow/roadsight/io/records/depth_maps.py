@@ -1,7 +1,7 @@
 """Depth maps of many candidates in one Parquet file, one row per candidate.
 
 Ranges are whole steps in 16 bits, differences along each row, compressed by Zstandard; the file's
-metadata says of which sensor they are.
+metadata says of which sensor they are. No step stands for no return, one for a beam not cast.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import WholeFile
+from roadsight.placement.sensors.rays import NOT_CAST_M
 
 _KEY = b"roadsight"
 """Of the file's metadata."""
-_VERSION = 1
+_VERSION = 2
 """Of the layout; files of another are refused."""
 _LEVEL = 3
 """Of Zstandard: its own default."""
@@ -90,15 +91,11 @@ class DepthMapWriter(WholeFile):
         self._writer.close()
 
     def append(self, candidate: str, range_m: Floats32) -> None:
-        """Add the depth map (rows, columns), metres, 0 where nothing returns, of a candidate."""
+        """Add a candidate's depth map (rows, columns), metres, 0 for no return, or `NOT_CAST_M`."""
         if range_m.shape != (self._info.rows, self._info.columns):
             raise ValueError(f"depth map of shape {range_m.shape} in a file of {self._info}")
         steps = _encode(range_m, self._info.step_m)
-        self.append_stored(candidate, self._compressor.compress(steps.tobytes()))
-
-    def append_stored(self, candidate: str, stored: bytes) -> None:
-        """Add a map as another file of the same kind stores it (`DepthMaps.stored`)."""
-        self._pending.append((candidate, stored))
+        self._pending.append((candidate, self._compressor.compress(steps.tobytes())))
         if len(self._pending) == _MAPS_IN_GROUP:
             self._flush()
 
@@ -136,7 +133,7 @@ class DepthMaps:
         return int(self._file.metadata.num_rows)
 
     def __iter__(self) -> Iterator[tuple[str, Floats32]]:
-        """Candidates and their depth maps (rows, columns), metres, 0 where nothing returns.
+        """Candidates and their depth maps (rows, columns), metres, 0 for no return, or `NOT_CAST_M`.
 
         Raises
         ------
@@ -145,7 +142,7 @@ class DepthMaps:
         try:
             for batch in self._file.iter_batches(batch_size=_MAPS_IN_GROUP, use_threads=False):
                 for candidate, steps in zip(*batch.columns, strict=True):
-                    yield candidate.as_py(), self._decode(steps.as_buffer())
+                    yield candidate.as_py(), self.decode(steps.as_buffer())
         except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
             raise self._damaged(error) from error
 
@@ -165,7 +162,7 @@ class DepthMaps:
                     continue
                 rows = self._file.read_row_group(group, use_threads=False).filter(found)
                 for row in rows.to_pylist():
-                    yield row["candidate"], self._decode(row["steps"])
+                    yield row["candidate"], self.decode(row["steps"])
         except (OSError, pa.ArrowException, zstandard.ZstdError, ValueError) as error:
             raise self._damaged(error) from error
 
@@ -200,7 +197,13 @@ class DepthMaps:
         except (OSError, pa.ArrowException, ValueError) as error:
             raise self._damaged(error) from error
 
-    def _decode(self, content: pa.Buffer | bytes) -> Floats32:
+    def decode(self, content: pa.Buffer | bytes) -> Floats32:
+        """The map that `stored` gives as bytes.
+
+        Raises
+        ------
+        ValueError, zstandard.ZstdError : they are none.
+        """
         shape = (self.info.rows, self.info.columns)
         size = 2 * shape[0] * shape[1]
         raw = zstandard.ZstdDecompressor().decompress(content, max_output_size=size)
@@ -218,13 +221,15 @@ class DepthMaps:
 
 @njit(cache=True)
 def _encode(range_m: Floats32, step_m: float) -> NDArray[np.uint16]:
-    """Whole steps, at least 1 for a return, as differences along each row modulo 2**16."""
+    """Whole steps, at least 2 for a return, as differences along each row modulo 2**16."""
     steps = np.empty(range_m.shape, np.uint16)
     for row in range(range_m.shape[0]):
         before = 0
         for column in range(range_m.shape[1]):
             value = range_m[row, column]
-            here = max(int(value / step_m + 0.5), 1) if value > 0 else 0
+            here = 0
+            if value > 0:
+                here = 1 if value <= NOT_CAST_M else max(int(value / step_m + 0.5), 2)
             steps[row, column] = (here - before) & 0xFFFF
             before = here
     return steps
@@ -237,5 +242,5 @@ def _decode(steps: NDArray[np.uint16], step_m: float) -> Floats32:
         here = 0
         for column in range(steps.shape[1]):
             here = (here + int(steps[row, column])) & 0xFFFF
-            range_m[row, column] = here * step_m
+            range_m[row, column] = NOT_CAST_M if here == 1 else here * step_m
     return range_m

@@ -10,12 +10,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.engines import Engine
 from roadsight.placement.depth.ray_engines import rays_at
 from roadsight.placement.depth.votes import View, VoteSettings, seen_from_here
 from roadsight.placement.sensors.earth import rise_m
-from roadsight.placement.sensors.rays import beam_directions
+from roadsight.placement.sensors.rays import NOT_CAST_M, beam_directions
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.scene.surfels.local import build_local_surfels
 from roadsight.scene.surfels.samples import Samples, build_samples
@@ -115,6 +115,7 @@ class SurfelLidar:
         yaw_deg: float,
         tilt: Floats | None = None,
         curved: bool = False,
+        wanted: Bools | None = None,
     ) -> Floats32:
         """Range of every beam's first return, metres, 0 for none; shape (rows, columns).
 
@@ -122,13 +123,18 @@ class SurfelLidar:
         ----------
         position_m : (3,) local metres. yaw_deg : sensor x from local x, counter-clockwise.
         tilt : as `beam_directions` takes it. curved : beams rise above the level (`rise_m`).
+        wanted : (rows, columns), beams to cast; the others are `NOT_CAST_M`. None: all.
         """
-        directions = beam_directions(sensor, yaw_deg, tilt).reshape(-1, 3)
+        if wanted is None:
+            wanted = np.ones(sensor.shape, bool)
+        directions = beam_directions(sensor, yaw_deg, tilt)[wanted]
         range_m = self.cast(position_m, directions, sensor.range_m)
         if curved:
             range_m = self.cast(position_m, risen(directions, range_m), sensor.range_m)
         range_m[np.isinf(range_m)] = 0.0
-        return range_m.reshape(sensor.shape)
+        depth_m = np.full(sensor.shape, NOT_CAST_M, np.float32)
+        depth_m[wanted] = range_m
+        return depth_m
 
 
 def lidar_of_points(xyz_m: Floats, surfel_size_m: float = SURFEL_M) -> SurfelLidar:

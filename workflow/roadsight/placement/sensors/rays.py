@@ -12,6 +12,10 @@ from roadsight.base.arrays import Floats, Floats32
 from roadsight.placement.sensors.earth import rise_m
 from roadsight.placement.sensors.sensors import Sensor
 
+NOT_CAST_M = 2.0**-10
+"""Range in a depth map of a beam that was not cast, a millimetre and a number of any precision. It
+hides all that is behind it, so that a target which would need the beam is not taken for seen."""
+
 
 def sensor_from_local(xyz_m: ArrayLike, position_m: ArrayLike, yaw_deg: float) -> Floats:
     """Eq. 1: local points (..., 3) in the frame of a sensor at ``position_m`` (3,), metres."""

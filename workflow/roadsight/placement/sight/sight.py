@@ -54,7 +54,8 @@ def count_beams(
     size_m : radius and height of every target, or the box that it is.
     tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame; None: levelled.
     """
-    targets_xyz_m = _as_met(targets_xyz_m, position_m, sight)
+    if sight.curved:
+        targets_xyz_m = as_met(targets_xyz_m, position_m)
     hits = _counted(range_m, sensor, position_m, yaw_deg, targets_xyz_m, size_m, sight, tilt)
     if sight.min_range_m > 0:
         hits[_nearest_m(targets_xyz_m, position_m, size_m) < sight.min_range_m] = 0
@@ -117,16 +118,15 @@ def beams_by_height(
     Of cylinders and levelled sensors those are counted in closed form, so that a beam that just
     grazes one may count there and not here.
     """
-    feet_m = _as_met(feet_m, position_m, sight)
+    if sight.curved:
+        feet_m = as_met(feet_m, position_m)
     pose = (position_m, yaw_deg, tilt)
     limits = (sight.max_range_m, sight.footprints)
     return beams_on(range_m, sensor, *pose, feet_m, shape, *limits, bands)
 
 
-def _as_met(feet_m: Floats, position_m: ArrayLike, sight: Sight) -> Floats:
-    """Targets as straight beams meet them: where beams are curved, what is far lies deeper."""
-    if not sight.curved:
-        return feet_m
+def as_met(feet_m: Floats, position_m: ArrayLike) -> Floats:
+    """Feet (n, 3 or more) as straight beams meet them where beams are curved: far ones deeper."""
     offset = feet_m[:, :2] - np.asarray(position_m)[:2]
     feet_m = feet_m.copy()
     feet_m[:, 2] -= rise_m(np.hypot(*offset.T))

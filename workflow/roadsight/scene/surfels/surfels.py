@@ -171,10 +171,23 @@ def _line_surfels(cells: NDArray[np.floating], planes: Planes, voxels: VoxelMome
     along = ((place + 0.5) / count[line] - 0.5) * length[line]
     middle = planes.centroid - (planes.centroid * planes.axis).sum(axis=1)[:, None] * planes.axis
     centre = (cells + middle)[line] + along[:, None] * planes.axis[line]
-    second = np.cross(planes.axis, planes.normal)
-    normal = np.concatenate([planes.normal[line], second[line]])
+    first = _across(planes.axis, planes.normal)
+    normal = np.concatenate([first[line], np.cross(planes.axis, first)[line]])
     half_m = np.tile(half[line] * voxels.edge_m, 2)
     return _as_surfels(np.tile(centre * voxels.edge_m, (2, 1)), normal, half_m)
+
+
+def _across(axis: NDArray[np.floating], normal: NDArray[np.floating]) -> NDArray[np.floating]:
+    """Unit vectors (n, 3) across the axes, the normals where they are.
+
+    Points on a perfect line lie in any plane through it, and the normal that was fitted may lie
+    along it: one across the coordinate axis that is least along the line will do.
+    """
+    least = np.eye(3)[np.abs(axis).argmin(axis=1)]
+    lost = np.abs((axis * normal).sum(axis=1)) > 0.5
+    second = np.cross(axis, np.where(lost[:, None], least, normal))
+    other = np.cross(second, axis)
+    return np.asarray(other / np.linalg.norm(other, axis=1, keepdims=True))
 
 
 def _as_surfels(centre_m: NDArray, normal: NDArray, half_m: NDArray) -> Surfels:

@@ -6,12 +6,11 @@ import argparse
 import logging
 import sys
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.options import add_settings
 from roadsight.base.shards import shard_of
 from roadsight.config.sections.sensing import Lidar
@@ -26,17 +25,19 @@ from roadsight.io.records.depth_maps import (
 from roadsight.io.records.kept import Kept, key_of, key_of_step
 from roadsight.io.records.poses import read_poses, read_tilts
 from roadsight.io.records.surfels import read_surfels
+from roadsight.io.records.tables import read_table
 from roadsight.placement.depth.models import model_of_points
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
-from roadsight.placement.sensors.rays import as_seen_from
+from roadsight.placement.sensors.rays import NOT_CAST_M, as_seen_from
 from roadsight.placement.sensors.sensors import Sensor, load_sensor, what_it_sees
+from roadsight.placement.sight.wanted import beams_wanted
 from roadsight.stages.command import run_stage
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("render_depth_maps")
 
 Tilt = Floats | None
-Render = Callable[[Sensor, ArrayLike, float, Tilt], Floats32]
+Render = Callable[[Sensor, ArrayLike, float, Tilt, Bools], Floats32]
 
 
 def render_depth_maps(arguments: argparse.Namespace) -> None:
@@ -76,22 +77,50 @@ def _write(
     known: set[str],
 ) -> None:
     """Maps in the order of their candidates: those that an earlier run made, and new ones."""
-    log.info("%d of %d maps are those of an earlier run", len(known), len(poses))
-    stored = DepthMaps(kept.path).stored(known) if known else iter(())
+    earlier = DepthMaps(kept.path) if known else None
+    stored = earlier.stored(known) if earlier else iter(())
     waiting: dict[str, bytes] = {}
     render = None
     what = f"{arguments.sensor} depth maps"
+    taken, feet_m = 0, _feet_m(arguments)
     for name, (*position_m, yaw_deg) in logged(poses.items(), len(poses), log, what):
-        if name in known:
+        tilt = tilts.get(name)
+        wanted = _wanted(arguments, sensor, (position_m, yaw_deg), feet_m, tilt)
+        if earlier is not None and name in known:
             while name not in waiting:
                 found, content = next(stored)
                 waiting[found] = content
-            writer.append_stored(name, waiting.pop(name))
-            continue
+            range_m = earlier.decode(waiting.pop(name))
+            if np.all(range_m[wanted] != NOT_CAST_M):
+                range_m[~wanted] = NOT_CAST_M
+                writer.append(name, range_m)
+                taken += 1
+                continue
         if render is None:
-            missing = [pose for other, pose in poses.items() if other not in known]
-            render = _renderer(arguments, sensor, np.stack(missing))
-        writer.append(name, render(sensor, position_m, yaw_deg, tilts.get(name)))
+            render = _renderer(arguments, sensor, np.stack([*poses.values()]))
+        writer.append(name, render(sensor, position_m, yaw_deg, tilt, wanted))
+    log.info("%d of %d maps are those of an earlier run", taken, len(poses))
+
+
+def _feet_m(arguments: argparse.Namespace) -> Floats | None:
+    """Feet (n, 3) of the targets for which beams are cast; None: for all that there is."""
+    if not arguments.targets or arguments.model != "surfel":
+        return None
+    return read_table(arguments.targets, ["x", "y", "z"]).to_numpy(np.float64)
+
+
+def _wanted(
+    arguments: argparse.Namespace,
+    sensor: Sensor,
+    pose: tuple[ArrayLike, float],
+    feet_m: Floats | None,
+    tilt: Tilt,
+) -> Bools:
+    """Beams (rows, columns) to cast from a pose."""
+    if feet_m is None:
+        return np.ones(sensor.shape, bool)
+    curved = arguments.curvature == "simulate"
+    return beams_wanted(sensor, *pose, feet_m, tuple(arguments.room_m), tilt, curved)
 
 
 def _step(arguments: argparse.Namespace, sensor: Sensor) -> str:
@@ -108,7 +137,14 @@ def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: Floats) -> R
     curved = arguments.curvature == "simulate"
     if arguments.model == "surfel":
         lidar = SurfelLidar(read_surfels(arguments.surfels), engine=arguments.engine)
-        return partial(lidar.depth_map, curved=curved)
+
+
+        def cast(
+            sensor: Sensor, position_m: ArrayLike, yaw_deg: float, tilt: Tilt, wanted: Bools
+        ) -> Floats32:
+            return lidar.depth_map(sensor, position_m, yaw_deg, tilt, curved, wanted)
+
+        return cast
     west, south = poses[:, :2].min(axis=0) - sensor.range_m
     east, north = poses[:, :2].max(axis=0) + sensor.range_m
     cloud = StandingCloud(arguments.cloud, arguments.traffic)
@@ -121,7 +157,9 @@ def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: Floats) -> R
         neighbours=arguments.neighbours,
     )
 
-    def render(sensor: Sensor, position_m: ArrayLike, yaw_deg: float, tilt: Tilt) -> Floats32:
+    def render(
+        sensor: Sensor, position_m: ArrayLike, yaw_deg: float, tilt: Tilt, _: Bools
+    ) -> Floats32:
         seen = as_seen_from(xyz_m, position_m, tilt, curved)
         return model(seen, sensor, position_m, yaw_deg)
 
@@ -141,6 +179,10 @@ def main(argv: list[str] | None = None) -> int:
     )
     parser.add_argument("--surfels", required=True, help="used by the model surfel")
     parser.add_argument("--cloud", required=True, help="used by the other models")
+    parser.add_argument("--targets", help="only beams that may meet one of them are cast")
+    parser.add_argument(
+        "--room-m", type=float, nargs=2, default=[0.5, 1.0], help="radius and height of a target"
+    )
     parser.add_argument("--network", nargs="?", help="ONNX file of the models unet and unet_mask")
     parser.add_argument("--traffic", nargs="?", help="mask of points to leave out")
     parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean")

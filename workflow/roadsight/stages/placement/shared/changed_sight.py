@@ -20,6 +20,7 @@ from roadsight.placement.sensors.poses import AS_MOUNTED, Turn, local_from_senso
 from roadsight.placement.sensors.sensors import Sensor, load_sensors
 from roadsight.placement.sight.shapes import Box
 from roadsight.placement.sight.sight import count_beams
+from roadsight.placement.sight.wanted import beams_wanted, room_for
 from roadsight.stages.placement.shared.detection_inputs import read_shaped_targets, sight_of
 
 
@@ -45,6 +46,7 @@ class ChangedSight:
         self._tilts = read_tilts(arguments.tilts)
         self.targets, self._feet_m, shape = read_shaped_targets(arguments)
         self._size_m: Any = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
+        self._room_m = room_for(shape)
         self.changes = changes(arguments.move_m, arguments.turn_deg, arguments.other_height_m)
 
     def can_change(self, sensor: str) -> bool:
@@ -79,9 +81,10 @@ class ChangedSight:
             tilt = self._tilted(yaw_deg, change, tilt)
         curved = self._arguments.curvature == "simulate"
         scene = self._lidar if lidar is None else lidar
-        depth_m = scene.depth_map(sensor, position, yaw_deg, tilt, curved)
         sight = sight_of(self._arguments, place["sensor"], whole)
         pose = (position, yaw_deg)
+        wanted = beams_wanted(sensor, *pose, self._feet_m, self._room_m, tilt, curved)
+        depth_m = scene.depth_map(sensor, *pose, tilt, curved, wanted)
         beams = count_beams(depth_m, sensor, *pose, self._feet_m, self._size_m, sight, tilt)
         return np.asarray(stride * beams > self._arguments.min_beams)
 
