@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from roadsight.base.arrays import Floats32
+from roadsight.config.sections.sensing import Targets
 from roadsight.evidence.exact_ranges import share_wrong
 from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.evidence.results import Results
@@ -17,8 +18,9 @@ from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.detections import read_detections
 from roadsight.io.records.poses import read_poses
 from roadsight.io.records.tables import read_table
-from roadsight.placement.sensors.rays import NOT_CAST_M
 from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sight.shapes import shape_of
+from roadsight.placement.sight.wanted import beams_wanted, room_for
 
 _MAPS = 6
 """Depth maps that are compared with exact ones; more would take longer to cast."""
@@ -54,19 +56,24 @@ def range_rmse_m(results: Results) -> float:
 
 
 def maps(results: Results) -> Iterator[tuple[Floats32, Floats32]]:
-    """Beams (n,) that were cast of a few depth maps of the first spinning sensor, and exact ones.
+    """Beams (n,) of a few depth maps of the first spinning sensor, and the exact ones.
 
-    Half of the others look into the sky, where any model is right.
+    Of every model those beams count that may meet a target: half of the others look into the sky,
+    where any model is right.
     """
     name, sensor = _spinning(results)
     folder = results.folder / "placement/round-0"
     poses = read_poses(folder / "candidates.parquet")
     files = sorted((folder / "depth" / name).iterdir())
+    targets = read_table(results.folder / "placement/targets.parquet")
+    feet_m = targets[["x", "y", "z"]].to_numpy(np.float64)
+    room_m = room_for(shape_of(Targets().model_dump()))
     scene, simulated = results.scene, sensor.thinned(results.stride)
     for candidate, range_m in _spread([pair for path in files for pair in DepthMaps(path)]):
         pose = poses[candidate]
-        cast = range_m != NOT_CAST_M
-        yield range_m[cast], scene.depth_map(simulated, pose[:3], float(pose[3]))[cast]
+        place = pose[:3], float(pose[3])
+        wanted = beams_wanted(simulated, *place, feet_m, room_m)
+        yield range_m[wanted], scene.depth_map(simulated, *place)[wanted]
 
 
 def detections_wrong(results: Results) -> float:

@@ -37,7 +37,7 @@ def feet(rng, place):
     """Targets around a place, one below it, one in it, one far away."""
     around = rng.uniform([-50, -50, -8, 0], [50, 50, -1, np.pi], (80, 4))
     special = [[0.05, 0.0, -5, 1], [0.1, 0.1, -0.3, 1], [180, 30, -5, 1], [-9, 1e-9, -5, 1]]
-    return np.concatenate([around, special]) + [*place, 0]
+    return np.concatenate([around, special]) + np.array([*place, 0])
 
 
 @pytest.mark.parametrize("sensor", [WHOLE, PART], ids=["whole", "part"])

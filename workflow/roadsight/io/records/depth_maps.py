@@ -133,7 +133,7 @@ class DepthMaps:
         return int(self._file.metadata.num_rows)
 
     def __iter__(self) -> Iterator[tuple[str, Floats32]]:
-        """Candidates and their depth maps (rows, columns), metres, 0 for no return, or `NOT_CAST_M`.
+        """Candidates and depth maps (rows, columns), metres, 0 for no return, or `NOT_CAST_M`.
 
         Raises
         ------

@@ -138,7 +138,6 @@ def _renderer(arguments: argparse.Namespace, sensor: Sensor, poses: Floats) -> R
     if arguments.model == "surfel":
         lidar = SurfelLidar(read_surfels(arguments.surfels), engine=arguments.engine)
 
-
         def cast(
             sensor: Sensor, position_m: ArrayLike, yaw_deg: float, tilt: Tilt, wanted: Bools
         ) -> Floats32:
