@@ -250,6 +250,11 @@ placement:
   # Polygons in which no sensor may stand; existing poles that may carry one (points, height_m).
   # zones: zones.geojson
   # mounts: poles.geojson
+# Settings of config/config.yaml that are others here.
+settings:
+  coverage:
+    # Objects in the way (trees, signs) to solve each plan without; 1 tells what the worst one costs.
+    felled: 0
 """
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -41,13 +42,18 @@ class ChangedSight:
 
     def __init__(self, arguments: argparse.Namespace) -> None:
         self._arguments = arguments
-        self._lidar = SurfelLidar(read_surfels(arguments.surfels), engine=arguments.engine)
         self._sensors = load_sensors(arguments.sensors_file)
         self._tilts = read_tilts(arguments.tilts)
         self.targets, self._feet_m, shape = read_shaped_targets(arguments)
         self._size_m: Any = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
         self._room_m = room_for(shape)
         self.changes = changes(arguments.move_m, arguments.turn_deg, arguments.other_height_m)
+
+    @cached_property
+    def _lidar(self) -> SurfelLidar:
+        """The scene as it is."""
+        surfels = read_surfels(self._arguments.surfels)
+        return SurfelLidar(surfels, engine=self._arguments.engine)
 
     def can_change(self, sensor: str) -> bool:
         """Whether a sensor is a spinning LiDAR; others are judged from panoramas."""
