@@ -52,6 +52,7 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "vertical_units": "auto",
         "jobs": ["placement"],
         "placement": {"plans": list(starter.FIRST_PLANS), "edges": None, "tma": None},
+        "settings": {"coverage": {"felled": 0}},
     }
     for part in (
         "499 points, 1 withheld, noise or synthetic left out",
