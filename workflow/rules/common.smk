@@ -15,7 +15,7 @@ from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
 from roadsight.base.errors import InputError
 from roadsight.io.records.checksums import CachedChecksums
-from roadsight.io.records.sources import stage_sources
+from roadsight.io.records.sources import stage_stamp
 from roadsight.io.vector.layer_names import with_companions
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
@@ -64,6 +64,7 @@ SITES = (
     | ASKED_SITES
 )
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)
+STAMPS = Path(".snakemake/roadsight/sources")
 CHECKSUMS = CachedChecksums(".snakemake/roadsight/checksums.json")
 
 
@@ -94,14 +95,14 @@ def site_field(path):
 
 @lru_cache(maxsize=None)
 def sources(stage):
-    """Source files that a stage imports, and the lock: editing one of them makes it stale."""
-    return [*stage_sources(stage), LOCK]
+    """What stands for the sources that a stage imports, and for the lock: an edit makes it stale."""
+    return stage_stamp(stage, STAMPS, LOCK)
 
 
 def sources_with(stage, engine):
     """The same, and the lock of Open3D where ``engine``, of wildcards, hands it a step."""
     return lambda wildcards: [
-        *sources(stage),
+        sources(stage),
         *([OPEN3D_LOCK] if engine(wildcards) == "open3d" else []),
     ]
 

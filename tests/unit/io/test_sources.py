@@ -1,14 +1,16 @@
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from roadsight.io.records import sources
-from roadsight.io.records.sources import stage_sources
+from roadsight.io.records.sources import stage_sources, stage_stamp
 
 
 @pytest.fixture
@@ -89,6 +91,49 @@ def test_everything_that_python_imports_for_a_stage_is_listed(project, monkeypat
     assert len(imported) > 8 and declared
     assert imported - declared <= listed
     assert not declared & listed
+
+
+class TestStamps:
+    """A file stands for the sources of a stage."""
+
+    @pytest.fixture
+    def stamp(self, package, tmp_path):
+        def made():
+            sources._checksum.cache_clear()
+            sources._imports.cache_clear()
+            return tmp_path / stage_stamp("one", Path("stamps"), "elsewhere/roadsightish.py")
+
+        return made
+
+    def test_it_lists_what_the_stage_rests_on_and_is_as_old(self, stamp, tmp_path):
+        for number, path in enumerate(sorted(tmp_path.rglob("*.py"))):
+            os.utime(path, (1000 + number, 1000 + number))
+        made = stamp()
+        listed = [line.partition("  ")[2] for line in made.read_text().splitlines()]
+        assert listed == [*stage_sources("one"), "elsewhere/roadsightish.py"]
+        assert made.stat().st_mtime == max((tmp_path / name).stat().st_mtime for name in listed)
+        before = made.stat()
+        assert stamp().stat() == before
+
+    def test_touching_changes_its_date_and_editing_its_content(self, stamp, tmp_path):
+        made = stamp()
+        before, deep = made.read_bytes(), tmp_path / "roadsight/core/deep.py"
+        later = made.stat().st_mtime + 50
+        os.utime(deep, (later, later))
+        assert stamp().stat().st_mtime == later
+        assert made.read_bytes() == before
+        (tmp_path / "roadsight/core/unused.py").write_text("edited = True\n")
+        assert stamp().read_bytes() == before
+        deep.write_text("def g():\n    return 2\n")
+        assert stamp().read_bytes() != before
+
+    def test_an_older_file_of_other_content_is_a_change_of_now(self, stamp, tmp_path):
+        started = time.time()
+        stamp()
+        deep = tmp_path / "roadsight/core/deep.py"
+        deep.write_text("def g():\n    return 2\n")
+        os.utime(deep, (1000, 1000))
+        assert stamp().stat().st_mtime >= started - 1
 
 
 PLACES = [

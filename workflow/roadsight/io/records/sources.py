@@ -5,9 +5,12 @@ from __future__ import annotations
 import ast
 import hashlib
 import os
+import time
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+
+from roadsight.io.records.atomic import atomic_path
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[3]
 _DECLARED = "roadsight.config.sections"
@@ -44,6 +47,40 @@ def stage_sources(stage: str) -> list[str]:
             pending.append(module.rpartition(".")[0])
     root = _shown_root()
     return sorted(str(root / path.relative_to(_PACKAGE_ROOT)) for path in found.values())
+
+
+def stage_stamp(stage: str, folder: Path, *others: str) -> str:
+    """File that stands for the sources of a stage: it lists their checksums.
+
+    Its content changes with theirs and it is as old as the newest of them, or as their change where
+    an earlier stamp was of other content. One file instead of a hundred is what makes a list of
+    20,000 jobs short.
+
+    Parameters
+    ----------
+    folder : of the stamps. others : further files that the stage rests on.
+    """
+    files = [Path(name) for name in (*stage_sources(stage), *others)]
+    content = "".join(f"{_checksum(path)}  {path}\n" for path in files)
+    date_ns = max(path.stat().st_mtime_ns for path in files)
+    stamp = folder / stage
+    try:
+        before, before_ns = stamp.read_text(encoding="utf-8"), stamp.stat().st_mtime_ns
+    except OSError:
+        before, before_ns = None, 0
+    if before == content and before_ns >= date_ns:
+        return str(stamp)
+    if before not in (None, content):
+        date_ns = max(date_ns, time.time_ns())
+    with atomic_path(stamp) as temporary:
+        temporary.write_text(content, encoding="utf-8")
+        os.utime(temporary, ns=(date_ns, date_ns))
+    return str(stamp)
+
+
+@cache
+def _checksum(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _shown_root() -> Path:
