@@ -253,7 +253,7 @@ placement:
 # Settings of config/config.yaml that are others here.
 settings:
   coverage:
-    # Objects in the way (trees, signs) to solve each plan without; 1 tells what the worst one costs.
+    # Objects in the way (trees, signs) to solve each plan without; 1 tells what the worst costs.
     felled: 0
 """
 
