@@ -295,7 +295,7 @@ def test_a_network_is_an_input_where_it_is_chosen_and_nowhere_else(copy_of_finis
     assert copy_of_finished.stale_rules() == set()
     copy_of_finished.edit(SITE, "  shards: 2\n", "  shards: 2\n  lidar: {model: unet_mask}\n")
     listed = copy_of_finished.snakemake("-n").stdout
-    rendering = [line for line in listed.splitlines() if "render_depth_maps.py" in line]
+    rendering = [line for line in listed.splitlines() if "sources/render_depth_maps" in line]
     assert rendering
     assert all("resources/models/depth_unet.onnx" in line for line in rendering)
 
