@@ -95,7 +95,12 @@ def measure_drift(
 def drift_of(
     images: Sequence[tuple[Place, Fit]], mount: Mount, spread: Spread, model: DriftModel
 ) -> tuple[Drift, dict[str, int]]:
-    """Errors of the track from aligned images, and the number of each image's measurement."""
+    """Errors of the track from aligned images, and the number of each image's measurement.
+
+    Parameters
+    ----------
+    model : of the receiver, as said beforehand; the drift's own is fitted to the images.
+    """
     covariance = mount.covariance + np.diag(spread.vector() ** 2)
     names, stations, offsets, covariances = [], [], [], []
     for place, fit in images:
@@ -104,12 +109,13 @@ def drift_of(
         stations.append(place.station_m)
         offsets.append(offset[0])
         covariances.append(offset[1])
-    drift, kept = Drift(
+    measured = Drift(
         np.array(stations, float),
         np.array(offsets, float).reshape(-1, 2),
         np.array(covariances, float).reshape(-1, 2, 2),
         model,
-    ).without_outliers()
+    )
+    drift, kept = measured.fitted().without_outliers()
     left = [name for name, stays in zip(names, kept, strict=True) if stays]
     return drift, {name: number for number, name in enumerate(left)}
 
