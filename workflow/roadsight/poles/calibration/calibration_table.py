@@ -31,7 +31,8 @@ class DriveCalibration:
     ----------
     measured : numbers of the drift's measurements by image. problem : why there is no better
     mount than the one given beforehand, or "".
-    told : pose (6,) and its covariance (6, 6) of each image as the others tell it, see `ties`.
+    told : pose (6,) of each image as the others tell it and its covariance with all unknowns (6, k),
+        see `ties`.
     """
 
     key: Key
@@ -62,9 +63,8 @@ class DriveCalibration:
             place.start.heading_deg,
         )
         if place.image in self.told:
-            pose, own = self.told[place.image]
-            mean[:POSED], covariance[:POSED, :], covariance[:, :POSED] = pose, 0.0, 0.0
-            covariance[:POSED, :POSED] = own
+            mean[:POSED], covariance[:POSED] = self.told[place.image]
+            covariance[POSED:, :POSED] = covariance[:POSED, POSED:].T
         return mean, np.asarray(np.linalg.inv(covariance), np.float64)
 
 
