@@ -132,6 +132,22 @@ def test_two_columns_that_agree_are_not_used():
     assert (known.tolist(), unknown.tolist()) == ([0], [-1])
 
 
+@pytest.mark.parametrize(
+    ("away_m", "matches"), [(20.0, True), (15.0, True), (12.0, True), (8.0, False), (28.0, False)]
+)
+def test_a_foot_behind_grass_looks_farther_than_the_column_it_belongs_to(away_m, matches):
+    """A ray from 2.2 m up that meets the ground at 20 m is 0.9 m up at 12 m, and 1.3 m at 8 m."""
+    column = PoleColumns(place(350.0, away_m)[None], *np.array([[9.0], [0.05], [0.0], [8.0], [0.0]]))
+    eye = np.asarray(CAMERA.position_m)
+    seen = np.array([350.0]), np.array([0.1]), np.array([20.0]), np.array([0.5])
+    found = matching_columns(CAMERA, column, *seen, 60.0, np.array([[-eye[2] / 20.0, 0.3]]))
+    assert (found[0] == 0) == matches
+    low = matching_columns(CAMERA, column, *seen, 60.0, np.array([[-eye[2] / 20.0, 0.0]]))
+    assert (low[0] == 0) == (away_m == 20.0)
+    strict = matching_columns(CAMERA, column, *seen, 60.0)
+    assert (strict[0] == 0) == (away_m == 20.0)
+
+
 def test_published_bearing_is_that_of_the_lidar_point_nearest_to_the_foot():
     points = np.array([[*place(350.0, 20.0), 0.0], [*place(350.3, 21.0), 3.0], [500.0, 0.0, 0.0]])
     uv, _ = project(CAMERA.intrinsics, CAMERA.rotation(), CAMERA.position_m, points)
