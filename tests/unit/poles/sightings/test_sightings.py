@@ -148,6 +148,19 @@ def test_a_foot_behind_grass_looks_farther_than_the_column_it_belongs_to(away_m,
     assert (strict[0] == 0) == (away_m == 20.0)
 
 
+def test_parts_of_a_mask_that_end_at_one_column_are_one_pole():
+    mask, depth = rendered([place(350.0, 12.0)])
+    rows = np.flatnonzero((mask == PixelClass.POLE).any(axis=1))
+    cut = slice(rows[int(0.7 * len(rows))], rows[int(0.8 * len(rows))])
+    mask[cut] = np.where(mask[cut] == PixelClass.POLE, PixelClass.TREE, mask[cut])
+    column = PoleColumns(place(350.0, 12.0)[None], *np.array([[9.0], [0.05], [0.0], [8.0], [0.0]]))
+    evidence = Evidence(level, column, np.empty((0, 3)))
+    found = measure_view(CAMERA, mask, depth, evidence)
+    assert (found["method"] == "fused").sum() == 2
+    assert sorted(found["reason"]) == ["", "part of another pole"]
+    assert found["kept"].sum() == 1
+
+
 def test_published_bearing_is_that_of_the_lidar_point_nearest_to_the_foot():
     points = np.array([[*place(350.0, 20.0), 0.0], [*place(350.3, 21.0), 3.0], [500.0, 0.0, 0.0]])
     uv, _ = project(CAMERA.intrinsics, CAMERA.rotation(), CAMERA.position_m, points)

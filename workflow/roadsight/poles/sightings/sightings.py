@@ -132,7 +132,16 @@ def measure_view(
     )
     table["bearing_grid_deg"], table["sigma_bearing_deg"], table["method"] = bearing, sigma, method
     table["width_deg"] = np.degrees(np.arctan(width / camera.intrinsics.focal_px))
-    return _judged(table, found, camera, settings)
+    return _once_a_column(_judged(table, found, camera, settings), match)
+
+
+def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
+    """Of parts of one mask that end at one column, the tallest is the pole."""
+    tall = (table["v_foot"] - table["v_min"]).where(table["kept"] & (match >= 0), -np.inf)
+    best = tall.groupby([table["kind"], match]).transform("max")
+    part = (table["kept"] & (match >= 0) & (tall < best)).to_numpy()
+    table.loc[part, "kept"], table.loc[part, "reason"] = False, "part of another pole"
+    return table
 
 
 def _own_distances(
