@@ -24,7 +24,10 @@ POSED = 6
 def _rays(
     pixels: Floats, start: Floats, unknowns: Floats, turn: Floats, turns: Floats
 ) -> tuple[Floats, Floats]:
-    """Unit rays (n, 3) in the world and their derivatives (n, 4, 3) by yaw, pitch, roll, log focal."""
+    """Unit rays (n, 3) in the world and their derivatives (n, 4, 3).
+
+    They are by yaw, pitch, roll (degrees) and the logarithm of the focal length.
+    """
     focal = np.exp(unknowns[6])
     rays, moved = np.empty((len(pixels), 3)), np.empty((len(pixels), 4, 3))
     for i in range(len(pixels)):

@@ -69,14 +69,14 @@ def told_by_others(
     spread: Spread,
     model: DriftModel,
 ) -> dict[str, tuple[Floats, Floats]]:
-    """Pose (6,) of each image as all other images of the drive tell it, and its covariance (6, k)
-    with itself and with the other unknowns.
+    """Pose (6,) of each image as all other images of the drive tell it, and its covariance (6, k).
 
-    Gauss-Newton over the whole drive: what each image measured, how much a vehicle sways, how the
-    error of satellite positions changes, and what neighbours share. Measurements that the others
+    The covariance is with itself and with the other unknowns. Gauss-Newton over the whole drive:
+    what each image measured, how much a vehicle sways, how the error of satellite positions
+    changes, and what neighbours share. Measurements that the others
     contradict count less. What the drive's own mean leaves open, its images have in common; it is
-    added in the end, as far as the poses rest on the mean: a lens that is a hundredth too long turns
-    the last image of a bend by a hundredth of the bend.
+    added in the end, as far as the poses rest on the mean: a lens that is a hundredth too long
+    turns the last image of a bend by a hundredth of the bend.
 
     Parameters
     ----------

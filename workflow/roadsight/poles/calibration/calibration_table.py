@@ -31,8 +31,8 @@ class DriveCalibration:
     ----------
     measured : numbers of the drift's measurements by image. problem : why there is no better
     mount than the one given beforehand, or "".
-    told : pose (6,) of each image as the others tell it and its covariance with all unknowns (6, k),
-        see `ties`.
+    told : pose (6,) of each image as the others tell it, and its covariance (6, k) with all
+        unknowns, see `ties`.
     """
 
     key: Key

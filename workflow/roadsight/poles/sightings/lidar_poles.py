@@ -15,8 +15,8 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Floats, Ints
 
 NO_COLUMN = (2, 7, 9, 11, 17, 18)
-"""ASPRS classes that no return of a pole has: ground, noise, water, road, bridge deck. Producers file
-poles under anything else: 0, 1, vegetation, wires and towers, or numbers of their own."""
+"""ASPRS classes that no return of a pole has: ground, noise, water, road, bridge deck. Producers
+file poles under anything else: 0, 1, vegetation, wires and towers, or numbers of their own."""
 _LOWEST_M = 1.0
 """Returns below this may be of grass, shrubs and fences."""
 _TRUNK_M = 4.5

@@ -163,9 +163,9 @@ def matching_columns(
     """Number of the only pole-like column that agrees with each sighting, -1 if none or several.
 
     It agrees in bearing within two sigmas, its own and the camera's place included, and in distance
-    within three sigmas and 30 % where a distance is known. A visible foot lies at or beyond the true
-    one: where no column agrees so, the only one in the direction that is nearer does if what is
-    seen would end less than 1.2 m above its ground and be 3 m tall.
+    within three sigmas and 30 % where a distance is known. A visible foot lies at or beyond the
+    true one: where no column agrees so, the only one in the direction that is nearer does if what
+    is seen would end less than 1.2 m above its ground and be 3 m tall.
 
     Parameters
     ----------
