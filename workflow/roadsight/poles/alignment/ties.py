@@ -100,12 +100,12 @@ def told_by_others(
         _shared(members[k], members[k + 1], (now[k], now[k + 1]), _SCALES[-1])[1]
         for k in range(len(members) - 1)
     ]
-    pulls = [w * m.by_focal for m, w in zip(members, weights, strict=True)]
-    rests = _rests_on_mean(members, now, (priors, counted, links), spread, model, (pulls, focal))
+    by_focal = [w * m.by_focal for m, w in zip(members, weights, strict=True)]
+    rests = _rests_on_mean(members, now, (priors, counted, links), spread, model, (by_focal, focal))
     told = {}
-    for m, x, (step, own), rest in zip(members, now, found, rests, strict=True):
+    for m, x, (step, alone), rest in zip(members, now, found, rests, strict=True):
         covariance = rest @ mean[1][: FOCAL + 1]
-        covariance[:, :POSED] = own + covariance[:, : FOCAL + 1] @ rest.T
+        covariance[:, :POSED] = alone + covariance[:, : FOCAL + 1] @ rest.T
         told[m.place.image] = x[:POSED] + step, covariance
     return told
 
