@@ -72,12 +72,14 @@ def test_exact_points_fit_exactly_and_slopes_are_those_of_small_steps():
     assert np.abs(shared_misfit(own, vectors, exact, 0.4, 3.0)[2]).max() < 1e-6
     off = exact + rng.normal(0, 5.0, exact.shape)
     _, gradient, residuals = shared_misfit(own, vectors, off, 0.4, 1e6)
-    for number in range(2 * POSED):
-        step = np.zeros(2 * POSED)
+    for number in range(2 * POSED + 1):
+        step = np.zeros(2 * POSED + 1)
         step[number] = 1e-5
         moved = own[0].copy(), own[1].copy()
         moved[0][:POSED] += step[:POSED]
-        moved[1][:POSED] += step[POSED:]
+        moved[1][:POSED] += step[POSED:-1]
+        for one in moved:
+            one[FOCAL] += step[-1]
         later = shared_misfit(moved, vectors, off, 0.4, 1e6)[2]
         slope = (later - residuals) @ residuals / 1e-5
         assert gradient[number] == pytest.approx(slope, rel=1e-2, abs=1e-5 * np.abs(gradient).max())
@@ -91,7 +93,7 @@ def test_a_shorter_baseline_fits_no_better():
     vectors = starts[0].vector(ORIGIN), starts[1].vector(ORIGIN)
     points = shared_points(rng, starts, own, noise_px=2.0)
     centre1, centre2 = (camera(v, o)[2] for v, o in zip(vectors, own, strict=True))
-    along = np.zeros(2 * POSED)
+    along = np.zeros(2 * POSED + 1)
     moves = camera(vectors[1], own[1])[3]
     along[POSED : POSED + 3] = np.linalg.solve(moves.T, centre2 - centre1)
     normal, gradient, _ = shared_misfit(own, vectors, points, 0.4, 3.0)
@@ -156,7 +158,10 @@ def test_other_unknowns_are_taken_out():
     rng = np.random.default_rng(4)
     data = random_normal(rng, SIZE, SIZE)
     at, mean, rest = rng.normal(size=SIZE), rng.normal(size=SIZE), rng.uniform(0.5, 2, SIZE - POSED)
-    found = pose_misfit(data.matrix, data.matrix @ at - data.right, at, mean, rest)
+    given = data.matrix, data.matrix @ at - data.right, at
+    found, by_lens = pose_misfit(*given, mean, rest)
+    longer, _ = pose_misfit(*given, mean + np.eye(SIZE)[FOCAL], rest)
+    np.testing.assert_allclose(longer.right - found.right, by_lens, atol=1e-9)
     costs = []
     for pose in rng.normal(size=(3, POSED)):
         inner = data.matrix[POSED:, POSED:] + np.diag(1 / rest)
@@ -234,7 +239,27 @@ def test_an_expectation_does_not_rest_on_the_image_itself():
 
 
 def sigmas(told):
-    return np.array([np.sqrt(np.diag(covariance)) for _, covariance in told.values()])
+    return np.array([np.sqrt(np.diag(own)) for own in (c[:, :POSED] for _, c in told.values())])
+
+
+def test_a_lens_that_is_off_turns_all_images_by_what_their_covariance_says():
+    """Images that measured nothing but the first follow their turns, which the lens scales."""
+    members, _ = drive(count=16)
+    blind = [replace(m, measured=None) for m in members[1:]]
+    off = 0.01
+    uncertain = np.zeros((SIZE, SIZE))
+    uncertain[FOCAL, FOCAL] = off**2
+    swaying = Spread(yaw_deg=5.0)
+    mean = mean_unknowns()
+    told = told_by_others([members[0], *blind], (mean, uncertain), swaying, DriftModel())
+    longer = mean + off * np.eye(SIZE)[FOCAL]
+    moved = [replace(m, unknowns=longer) for m in (members[0], *blind)]
+    other = told_by_others(moved, (longer, uncertain), swaying, DriftModel())
+    turned = np.array([other[m.place.image][0][YAW] - told[m.place.image][0][YAW] for m in blind])
+    said = np.array([told[m.place.image][1][YAW, FOCAL] for m in blind]) / off
+    assert np.abs(turned).max() > 0.1
+    np.testing.assert_allclose(said, turned, atol=0.15 * np.abs(turned).max())
+    assert (sigmas(told)[1:, YAW] > 0.9 * np.abs(said)).all()
 
 
 def test_what_the_drives_mean_leaves_open_stays_open_in_all_its_images():

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roadsight.poles.sightings.lidar_poles import find_pole_columns, stem_axis
+from roadsight.poles.sightings.lidar_poles import NO_COLUMN, find_pole_columns, stem_axis
 
 CELL = 0.3
 
@@ -42,7 +42,16 @@ def test_trees_wires_walls_and_low_things_are_no_poles(rng):
     assert len(columns(wire(0, 8.0))) == 0
     assert len(columns(wall.reshape(-1, 3))) == 0
     assert len(columns(pole(0, 0, 2.5))) == 0
-    assert len(columns(pole(0, 0), cls=6)) == 0
+
+
+@pytest.mark.parametrize("cls", [0, 1, 5, 6, 14, 15, 64])
+def test_returns_of_any_class_but_ground_noise_water_and_road_make_a_column(cls):
+    assert len(columns(pole(0, 0), cls=cls)) == 1
+
+
+@pytest.mark.parametrize("cls", NO_COLUMN)
+def test_ground_noise_water_and_road_make_none(cls):
+    assert len(columns(pole(0, 0), cls=cls)) == 0
 
 
 def test_nothing_known_gives_nothing():

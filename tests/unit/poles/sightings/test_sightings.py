@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -130,6 +132,40 @@ def test_two_columns_that_agree_are_not_used():
         60.0,
     )
     assert (known.tolist(), unknown.tolist()) == ([0], [-1])
+
+
+def one_column(away_m):
+    """A column of 9 m at a bearing of 350 degrees, on level ground."""
+    return PoleColumns(place(350.0, away_m)[None], *np.array([[9.0], [0.05], [0.0], [8.0], [0.0]]))
+
+
+@pytest.mark.parametrize(
+    ("away_m", "matches"), [(20.0, True), (15.0, True), (12.0, True), (8.0, False), (28.0, False)]
+)
+def test_a_foot_behind_grass_looks_farther_than_the_column_it_belongs_to(away_m, matches):
+    """A ray from 2.2 m up that meets the ground at 20 m is 0.9 m up at 12 m, and 1.3 m at 8 m."""
+    column = PoleColumns(
+        place(350.0, away_m)[None], *np.array([[9.0], [0.05], [0.0], [8.0], [0.0]])
+    )
+    eye = np.asarray(CAMERA.position_m)
+    seen = np.array([350.0]), np.array([0.1]), np.array([20.0]), np.array([0.5])
+    found = matching_columns(CAMERA, column, *seen, 60.0, np.array([[-eye[2] / 20.0, 0.3]]))
+    assert (found[0] == 0) == matches
+    low = matching_columns(CAMERA, column, *seen, 60.0, np.array([[-eye[2] / 20.0, 0.0]]))
+    assert (low[0] == 0) == (away_m == 20.0)
+    strict = matching_columns(CAMERA, column, *seen, 60.0)
+    assert (strict[0] == 0) == (away_m == 20.0)
+
+
+def test_of_two_things_that_end_at_one_column_the_taller_is_the_pole():
+    tall, low = rendered([place(349.3, 20.0)]), rendered([place(350.7, 20.0)], height_m=4.0)
+    both = low[0] == PixelClass.POLE
+    mask, depth = (np.where(both, b, a) for a, b in zip(tall, low, strict=True))
+    column = replace(one_column(20.0), sigma_m=np.array([0.15]))
+    found = measure_view(CAMERA, mask, depth, Evidence(level, column, np.empty((0, 3))))
+    assert found["method"].tolist() == ["fused", "fused"]
+    assert found["reason"].tolist() == ["", "part of another pole"]
+    assert found["kept"].tolist() == [True, False]
 
 
 def test_published_bearing_is_that_of_the_lidar_point_nearest_to_the_foot():

@@ -24,9 +24,12 @@ POSED = 6
 def _rays(
     pixels: Floats, start: Floats, unknowns: Floats, turn: Floats, turns: Floats
 ) -> tuple[Floats, Floats]:
-    """Unit rays (n, 3) in the world and their derivatives (n, 3, 3) by yaw, pitch, roll."""
+    """Unit rays (n, 3) in the world and their derivatives (n, 4, 3).
+
+    They are by yaw, pitch, roll (degrees) and the logarithm of the focal length.
+    """
     focal = np.exp(unknowns[6])
-    rays, moved = np.empty((len(pixels), 3)), np.empty((len(pixels), 3, 3))
+    rays, moved = np.empty((len(pixels), 3)), np.empty((len(pixels), 4, 3))
     for i in range(len(pixels)):
         x, y = (pixels[i, 0] - start[6]) / focal, (pixels[i, 1] - start[7]) / focal
         length = np.sqrt(x * x + y * y + 1.0)
@@ -35,6 +38,8 @@ def _rays(
             for a in range(3):
                 part = x * turns[a, 0, k] + y * turns[a, 1, k] + turns[a, 2, k]
                 moved[i, a, k] = part / length
+            # A longer lens draws a ray towards the axis.
+            moved[i, 3, k] = (turn[2, k] - rays[i, k] / length) / length
     return rays, moved
 
 
@@ -74,7 +79,8 @@ def shared_misfit(
 
     Returns
     -------
-    normal matrix (12, 12) and gradient (12,) by the six numbers of either pose, and residuals (n,)
+    normal matrix (13, 13) and gradient (13,) by the six numbers of either pose and the logarithm of
+    the focal length that both share, and residuals (n,)
     """
     turn1, turns1, centre1, moves1 = camera(starts[0], unknowns[0])
     turn2, turns2, centre2, moves2 = camera(starts[1], unknowns[1])
@@ -82,9 +88,9 @@ def shared_misfit(
     rays2, moved2 = _rays(pixels[:, 2:], starts[1], unknowns[1], turn2, turns2)
     base = centre2 - centre1
     sigma = sigma_px / np.exp(0.5 * (unknowns[0][6] + unknowns[1][6]))
-    normal, gradient = np.zeros((12, 12)), np.zeros(12)
+    normal, gradient = np.zeros((13, 13)), np.zeros(13)
     residuals = np.empty(len(pixels))
-    row = np.empty(12)
+    row = np.empty(13)
     for i in range(len(pixels)):
         side1, side2 = _cross(base, rays1[i]), _cross(rays2[i], base)
         plane = _cross(rays1[i], rays2[i])
@@ -98,17 +104,20 @@ def shared_misfit(
         for a in range(3):
             row[3 + a] = (moved1[i, a] @ side2 + gap * near1 * (base @ moved1[i, a])) / size
             row[9 + a] = (moved2[i, a] @ side1 + gap * near2 * (base @ moved2[i, a])) / size
+        row[12] = (moved1[i, 3] @ side2 + gap * near1 * (base @ moved1[i, 3])) / size
+        row[12] += (moved2[i, 3] @ side1 + gap * near2 * (base @ moved2[i, 3])) / size
+        row[12] += gap  # A pixel is a smaller angle.
         longer = (2.0 * base) / size - near1 * rays1[i] - near2 * rays2[i]
         by_base = (plane - gap * longer) / size
         _along(row[:6], starts[0], moves1, -by_base)
-        _along(row[6:], starts[1], moves2, by_base)
+        _along(row[6:12], starts[1], moves2, by_base)
         weight = (scale * scale / (scale * scale + residual * residual)) ** 2
-        for a in range(12):
+        for a in range(13):
             slope = row[a] / sigma
             gradient[a] += weight * slope * residual
             for b in range(a + 1):
                 normal[a, b] += weight * slope * row[b] / sigma
-    for a in range(12):
+    for a in range(13):
         for b in range(a):
             normal[b, a] = normal[a, b]
     return normal, gradient, residuals

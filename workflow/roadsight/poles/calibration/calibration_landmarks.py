@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from roadsight.base.arrays import Floats
+from roadsight.poles.alignment.drift import DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import VIEWS, LandmarkNoise
 from roadsight.poles.alignment.locate import locate
@@ -41,6 +42,7 @@ def with_landmarks(
     noise: LandmarkNoise,
     side_yaw_deg: tuple[float, float],
     starts: Mapping[str, Floats],
+    model: DriftModel,
 ) -> tuple[DriveCalibration, Mapping[str, Floats]]:
     """Calibration with what landmarks add, and the images' unknowns; the same if none has any.
 
@@ -53,7 +55,8 @@ def with_landmarks(
     Parameters
     ----------
     prior : what was known of the mount beforehand. side_yaw_deg : left and right, as far as known.
-    starts : unknowns of the images, as road edges alone give them.
+    starts : unknowns of the images, as road edges alone give them. model : of the receiver, as said
+    beforehand.
     """
     opened = False
     for _ in range(_ROUNDS):
@@ -69,7 +72,7 @@ def with_landmarks(
             return calibration, starts
         starts = {**starts, **{place.image: fit.unknowns for place, _, fit in good}}
         before = calibration.mount
-        calibration = _improved(calibration, good, prior)
+        calibration = _improved(calibration, good, prior, model)
         if not opened:
             calibration, prior = _opened(calibration, good, prior, noise, side_yaw_deg)
             opened = True
@@ -85,7 +88,7 @@ def _moved(before: Mount, after: Mount) -> float:
 
 
 def _improved(
-    calibration: DriveCalibration, good: Sequence[_Posed], prior: Mount
+    calibration: DriveCalibration, good: Sequence[_Posed], prior: Mount, model: DriftModel
 ) -> DriveCalibration:
     mount, spread = calibration.mount, calibration.spread
     if not calibration.problem:
@@ -93,7 +96,7 @@ def _improved(
         mount = shared_mean(fits, prior, spread)
         spread = estimated_spread(fits, mount, Spread())
     measured = [(place, fit) for place, _, fit in good]
-    drift, numbers = drift_of(measured, mount, spread, calibration.drift.model)
+    drift, numbers = drift_of(measured, mount, spread, model)
     return replace(calibration, mount=mount, spread=spread, drift=drift, measured=numbers)
 
 

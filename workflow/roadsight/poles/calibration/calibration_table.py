@@ -31,7 +31,8 @@ class DriveCalibration:
     ----------
     measured : numbers of the drift's measurements by image. problem : why there is no better
     mount than the one given beforehand, or "".
-    told : pose (6,) and its covariance (6, 6) of each image as the others tell it, see `ties`.
+    told : pose (6,) of each image as the others tell it, and its covariance (6, k) with all
+        unknowns, see `ties`.
     """
 
     key: Key
@@ -62,9 +63,8 @@ class DriveCalibration:
             place.start.heading_deg,
         )
         if place.image in self.told:
-            pose, own = self.told[place.image]
-            mean[:POSED], covariance[:POSED, :], covariance[:, :POSED] = pose, 0.0, 0.0
-            covariance[:POSED, :POSED] = own
+            mean[:POSED], covariance[:POSED] = self.told[place.image]
+            covariance[POSED:, :POSED] = covariance[:POSED, POSED:].T
         return mean, np.asarray(np.linalg.inv(covariance), np.float64)
 
 
@@ -95,7 +95,12 @@ def measure_drift(
 def drift_of(
     images: Sequence[tuple[Place, Fit]], mount: Mount, spread: Spread, model: DriftModel
 ) -> tuple[Drift, dict[str, int]]:
-    """Errors of the track from aligned images, and the number of each image's measurement."""
+    """Errors of the track from aligned images, and the number of each image's measurement.
+
+    Parameters
+    ----------
+    model : of the receiver, as said beforehand; the drift's own is fitted to the images.
+    """
     covariance = mount.covariance + np.diag(spread.vector() ** 2)
     names, stations, offsets, covariances = [], [], [], []
     for place, fit in images:
@@ -104,12 +109,13 @@ def drift_of(
         stations.append(place.station_m)
         offsets.append(offset[0])
         covariances.append(offset[1])
-    drift, kept = Drift(
+    measured = Drift(
         np.array(stations, float),
         np.array(offsets, float).reshape(-1, 2),
         np.array(covariances, float).reshape(-1, 2, 2),
         model,
-    ).without_outliers()
+    )
+    drift, kept = measured.fitted().without_outliers()
     left = [name for name, stays in zip(names, kept, strict=True) if stays]
     return drift, {name: number for number, name in enumerate(left)}
 

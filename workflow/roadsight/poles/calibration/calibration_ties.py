@@ -71,5 +71,7 @@ def _member(
     normal, gradient = fits[0].taught(OVERLAP, MARK_OVERLAP)
     mount = calibration.mount
     rest = (np.diag(mount.covariance) + calibration.spread.vector() ** 2)[POSED:]
-    measured = pose_misfit(normal, gradient, fits[0].unknowns, mount.mean, rest)
-    return Member(place, fits[0].unknowns, measured, shared)
+    # The drive has one lens: its error is no image's own.
+    rest[0] = calibration.spread.log_focal**2
+    measured, by_focal = pose_misfit(normal, gradient, fits[0].unknowns, mount.mean, rest)
+    return Member(place, fits[0].unknowns, measured, shared, by_focal)

@@ -14,8 +14,9 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Ints
 
-_CLASSES = (1, 3, 4, 5)
-"""ASPRS classes that returns of a pole may have: unclassified, low, medium and high vegetation."""
+NO_COLUMN = (2, 7, 9, 11, 17, 18)
+"""ASPRS classes that no return of a pole has: ground, noise, water, road, bridge deck. Producers
+file poles under anything else: 0, 1, vegetation, wires and towers, or numbers of their own."""
 _LOWEST_M = 1.0
 """Returns below this may be of grass, shrubs and fences."""
 _TRUNK_M = 4.5
@@ -92,7 +93,7 @@ def find_pole_columns(
     cls : ASPRS class (n,). min_top_m : lower ones are none.
     """
     with np.errstate(invalid="ignore"):
-        high = np.isin(cls, _CLASSES) & (above_ground_m > _LOWEST_M)
+        high = ~np.isin(cls, NO_COLUMN) & (above_ground_m > _LOWEST_M)
     points, height_m = np.asarray(xyz_m, np.float64)[high], above_ground_m[high]
     if not len(points):
         return PoleColumns(np.empty((0, 2)), *[_nothing()] * 5)

@@ -25,8 +25,17 @@ _STEP_DEG = 0.01
 SNAP_SIGMAS = 2.0
 """Standard deviations by which a bearing and a column may differ: with a wider gate more sightings
 meet two columns and snap to none."""
+_TALL_M = 3.0
+"""Least height of what is seen of a pole whose foot is hidden: lower things are mostly pieces of
+masks (rural sample: 9 of 10 new matches are poles with this, 9 of 14 without)."""
+SNAP_DEPTHS = 3.0
+"""Standard deviations by which their distances may differ."""
 _DEPTH_SHARE = 0.3
 """Share by which the distances of both may differ: sigma alone lets far ones match anything."""
+_HIDDEN_M = 1.2
+"""Height of grass and bushes that hide a foot, m. What is seen of such a pole ends above its foot,
+and the ray there meets the ground up to twice as far away: on a generated road that was not used to
+find this, five of 31 poles were lost so, with feet 0.4 to 1 m up."""
 
 
 @dataclass(frozen=True)
@@ -149,11 +158,18 @@ def matching_columns(
     depth_m: Floats,
     sigma_depth_m: Floats,
     farthest_m: float,
+    rises: Floats | None = None,
 ) -> Ints:
     """Number of the only pole-like column that agrees with each sighting, -1 if none or several.
 
     It agrees in bearing within two sigmas, its own and the camera's place included, and in distance
-    within three sigmas and 30 % where a distance is known.
+    within three sigmas and 30 % where a distance is known. A visible foot lies at or beyond the
+    true one: where no column agrees so, the only one in the direction that is nearer does if what
+    is seen would end less than 1.2 m above its ground and be 3 m tall.
+
+    Parameters
+    ----------
+    rises : (n, 2) rise per metre of the rays of foot and top, NaN where the foot tells no distance.
     """
     matches = np.full(len(bearing_deg), -1, np.int64)
     offset = columns.xy_m - np.asarray(camera.position_m[:2])
@@ -175,7 +191,13 @@ def matching_columns(
                 + camera.sigma_towards_m(direction) ** 2
             )
             apart = np.abs(away - depth_m[i])
-            agrees &= (apart <= 3.0 * spread) & (apart <= _DEPTH_SHARE * away)
+            as_far = agrees & (apart <= SNAP_DEPTHS * spread) & (apart <= _DEPTH_SHARE * away)
+            if rises is not None and len(columns.z_ground_m) and not as_far.any():
+                ground_m = columns.z_ground_m[near] - camera.position_m[2]
+                up_m, tall_m = rises[i, 0] * away - ground_m, (rises[i, 1] - rises[i, 0]) * away
+                as_far = agrees & (away < depth_m[i]) & (up_m >= 0.0) & (up_m <= _HIDDEN_M)
+                as_far &= tall_m >= _TALL_M
+            agrees = as_far
         found = np.flatnonzero(agrees)
         if len(found) == 1:
             matches[i] = near[found[0]]

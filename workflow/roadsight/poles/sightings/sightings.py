@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
@@ -21,6 +21,7 @@ from roadsight.poles.images.pole_masks import (
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths
 from roadsight.poles.sightings.sighting_bearing import (
+    SNAP_DEPTHS,
     ViewCamera,
     image_bearings,
     matching_columns,
@@ -113,10 +114,16 @@ def measure_view(
     width = table["width_px"].to_numpy()
     sigma_u = np.hypot(np.maximum(settings.sigma_axis_px * scale, 0.5), 0.1 * width)
     bearing, sigma = image_bearings(camera, feet, sigma_u)
+    rises = np.column_stack([_rise(camera, feet), _rise(camera, table[["u_foot", "v_min"]])])
+    rises[np.isnan(ground[0])] = np.nan
     match = matching_columns(
-        camera, evidence.columns, bearing, sigma, prior, prior_sigma, settings.farthest_m
+        camera, evidence.columns, bearing, sigma, prior, prior_sigma, settings.farthest_m, rises
     )
     lidar = _column_distances(camera, evidence.columns, match)
+    for other in (network, ground):
+        with np.errstate(invalid="ignore"):
+            off = np.abs(other[0] - lidar[0]) > SNAP_DEPTHS * np.hypot(other[1], lidar[1])
+        other[:, off] = np.nan
     table = _with_depths(table, {"network": network, "ground": ground, "lidar": lidar})
     sigma = with_place(camera, bearing, sigma, table["depth_m"].fillna(settings.farthest_m))
     boxes = table[["u_min", "v_min", "u_max", "v_max"]].to_numpy()
@@ -125,7 +132,16 @@ def measure_view(
     )
     table["bearing_grid_deg"], table["sigma_bearing_deg"], table["method"] = bearing, sigma, method
     table["width_deg"] = np.degrees(np.arctan(width / camera.intrinsics.focal_px))
-    return _judged(table, found, camera, settings)
+    return _once_a_column(_judged(table, found, camera, settings), match)
+
+
+def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
+    """Of parts of one mask that end at one column, the tallest is the pole."""
+    tall = (table["v_foot"] - table["v_min"]).where(table["kept"] & (match >= 0), -np.inf)
+    best = tall.groupby([table["kind"], match]).transform("max")
+    part = (table["kept"] & (match >= 0) & (tall < best)).to_numpy()
+    table.loc[part, "kept"], table.loc[part, "reason"] = False, "part of another pole"
+    return table
 
 
 def _own_distances(
@@ -158,6 +174,12 @@ def _own_distances(
     )
     ground[:, hidden] = np.nan
     return network, ground, hidden
+
+
+def _rise(camera: ViewCamera, uv_px: ArrayLike) -> Floats:
+    """Rise per metre of plan (n,) of the rays of pixels (n, 2)."""
+    rays = camera.rays(uv_px)
+    return np.asarray(rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]), np.float64)
 
 
 def _pixels(found: Sequence[Instance]) -> pd.DataFrame:

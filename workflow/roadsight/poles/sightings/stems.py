@@ -19,10 +19,8 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Floats32, Ints
-from roadsight.poles.sightings.lidar_poles import PoleColumns, stem_axis
+from roadsight.poles.sightings.lidar_poles import NO_COLUMN, PoleColumns, stem_axis
 
-_CLASSES = (1, 3, 4, 5)
-"""ASPRS classes that returns of a stem may have: unclassified, low, medium and high vegetation."""
 _LAYER_M = 0.3
 """Height of a slice: lower ones have too few returns, higher ones blur leaning stems."""
 _CELL_M = 0.1
@@ -81,7 +79,7 @@ def find_stems(xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> PoleColum
     cls : ASPRS class (n,).
     """
     with np.errstate(invalid="ignore"):
-        used = np.isin(cls, _CLASSES) & (above_ground_m > _HEIGHTS_M[0])
+        used = ~np.isin(cls, NO_COLUMN) & (above_ground_m > _HEIGHTS_M[0])
         used &= above_ground_m < _HEIGHTS_M[1]
     points, height = np.asarray(xyz_m, np.float64)[used], np.asarray(above_ground_m)[used]
     order = np.lexsort(points.T)

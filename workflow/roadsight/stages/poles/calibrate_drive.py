@@ -159,7 +159,9 @@ def _calibrated(
     drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
     calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
     sides = arguments.left_yaw_deg, arguments.right_yaw_deg
-    calibration, found = with_landmarks(calibration, places, loaders, prior, noise, sides, starts)
+    calibration, found = with_landmarks(
+        calibration, places, loaders, prior, noise, sides, starts, model
+    )
     return with_ties(calibration, places, loaders, noise, found, shared)
 
 

@@ -44,7 +44,8 @@ def find_columns(arguments: argparse.Namespace) -> None:
     table = pd.concat([part for part in tables if len(part)] or tables[:1], ignore_index=True)
     table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
     median_m = table["sigma_m"].median() if len(table) else float("nan")
-    log.info("%d pole-like columns, places good to %.3f m (median)", len(table), median_m)
+    tell = log.info if len(table) else log.warning
+    tell("%d pole-like columns, places good to %.3f m (median)", len(table), median_m)
     write_table(arguments.out, table, {"min_top_m": arguments.min_top_m})
 
 
