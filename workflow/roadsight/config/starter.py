@@ -243,7 +243,7 @@ placement:
 # Settings of config/config.yaml that are others here.
 settings:
   coverage:
-    # Objects in the way (trees, signs) to solve each plan without; 1 tells what the worst one costs.
+    # Objects in the way (trees, signs) to solve each plan without; 1 tells what the worst costs.
     felled: 0
     # Targets that no candidate sees are left out and reported with what hides them; `error` stops
     # instead, as for a plan that must see all.
