@@ -62,10 +62,8 @@ def stakeout(
             "longitude": table["longitude"],
         }
     )
-    decimals = {name: _DECIMALS.get(str(name), 3) for name in found.select_dtypes("number")}
-    found = found.round(decimals)
-    found[list(decimals)] += 0.0  # no -0.0
-    return found
+    decimals = {str(name): 3 for name in found.select_dtypes("number")} | _DECIMALS
+    return found.round(decimals).replace(-0.0, 0.0)
 
 
 def _along(edges: gpd.GeoDataFrame, names: list[str], xy_m: Floats) -> tuple[Floats, Floats]:
