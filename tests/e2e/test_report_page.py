@@ -241,7 +241,8 @@ def pressed(page, x, y):
 def said(page):
     """What the line below the map says."""
     page.run("drawn()")
-    return page.run("shown('[data-coordinates]')[0].textContent")
+    found = page.run("shown('[data-coordinates]')[0].textContent")
+    return found.replace("\u00a0", " ")
 
 
 def test_the_background_of_the_map_can_be_chosen(page):
@@ -361,5 +362,9 @@ def test_a_phone_scrolls_past_the_map(browser, report):
     root = "document.documentElement"
     assert page.run(f"{root}.scrollWidth - {root}.clientWidth") <= 0
     assert page.run("getComputedStyle(shown('canvas.map')[0]).touchAction") == "pan-y"
+    ends = page.run("shown('td.value').map((cell) => cell.getBoundingClientRect().right)")
+    assert ends and max(ends) <= 390
+    heights = page.run("['.map-stage', '.map-status'].map((s) => shown(s)[0].clientHeight)")
+    assert heights[0] <= 590 and heights[1] <= 45
     size |= {"width": 1280, "height": 720}
     browser.call("Emulation.setDeviceMetricsOverride", **size)

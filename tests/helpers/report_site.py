@@ -293,7 +293,8 @@ class ReportSite:
             rows.append(int((matrix & open_targets).sum(axis=1).argmax()))
             open_targets &= ~matrix[rows[-1]]
         names = list(seen)
-        table = self.candidates.iloc[[row % self.total for row in rows]].copy()
+        table = self.candidates.iloc[[row % self.total for row in rows]]
+        table = table.rename(columns={"station_m": "edge_m"})
         table.insert(1, "sensor", [names[row // self.total] for row in rows])
         times = matrix[rows].sum(axis=0)
         table["targets"] = matrix[rows].sum(axis=1)

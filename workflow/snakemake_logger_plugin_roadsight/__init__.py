@@ -20,8 +20,11 @@ from snakemake_interface_logger_plugins.settings import LogHandlerSettingsBase
 from snakemake_logger_plugin_roadsight.events import EventsFile
 from snakemake_logger_plugin_roadsight.lines import Steps
 
-_SAID = {LogEvent.JOB_ERROR, LogEvent.GROUP_ERROR, LogEvent.ERROR}
+_SAID = {LogEvent.GROUP_ERROR, LogEvent.ERROR}
 """Events that are said as Snakemake says them; of the others, some become lines."""
+_AGAIN = ("CalledProcessError in file", "At least one job did not complete successfully")
+"""What Snakemake says once more of a step that failed, with its whole command."""
+_END = "Exiting because a job execution failed"
 _CHATTER = (
     "Building DAG",
     "Using shell",
@@ -69,7 +72,7 @@ class LogHandler(LogHandlerBase):
         event = getattr(record, "event", None)
         about: dict[str, Any] = vars(record)
         if event in _SAID or (event is None and record.levelno >= WARNING):
-            return [self.format(record)]
+            return self._trouble(self.format(record))
         if event is None:
             text = record.getMessage()
             return [] if self._runs or text.startswith(_CHATTER) else [text]
@@ -78,6 +81,8 @@ class LogHandler(LogHandlerBase):
             return self._steps.planned(about["stats"])
         if event == LogEvent.PROGRESS:
             return self._steps.progressed(about["done"], about["total"])
+        if event == LogEvent.JOB_ERROR:
+            return self._steps.failed(about["jobid"], about["rule_name"], about["log"])
         if event == LogEvent.JOB_INFO:
             self._steps.named(about["jobid"], about["rule_name"], about["wildcards"] or {})
         elif event == LogEvent.JOB_STARTED:
@@ -85,6 +90,12 @@ class LogHandler(LogHandlerBase):
         elif event == LogEvent.JOB_FINISHED:
             self._steps.finished(about["job_id"])
         return []
+
+    def _trouble(self, text: str) -> list[str]:
+        """An error or a warning, unless it repeats what was said of a step."""
+        if text.startswith(_END):
+            return self._steps.stopped()
+        return [] if any(again in text for again in _AGAIN) else [text]
 
     def close(self) -> None:
         """Close the file of events."""

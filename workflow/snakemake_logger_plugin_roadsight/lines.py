@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from statistics import fmean
 from typing import Any
 
@@ -12,6 +13,12 @@ _QUIET = {"all", "scene", "placement", "poles", "report"}
 """Steps that only gather others."""
 _MOST_RUNNING = 3
 """Steps that are named as running; of more, their number is told."""
+
+
+_TOLD = ("roadsight: ", "Traceback ")
+"""Beginnings of the line from which a log tells why its step failed."""
+_LAST_LINES = 12
+"""Of a log that tells nothing so."""
 
 
 @dataclass
@@ -36,6 +43,7 @@ class Steps:
     _seconds: dict[str, list[float]] = field(default_factory=lambda: defaultdict(list))
     _planned: dict[str, int] = field(default_factory=dict)
     _begun_s: float | None = None
+    _failed: list[str] = field(default_factory=list)
 
     def planned(self, stats: Mapping[str, Any]) -> list[str]:
         """Steps by rule; the first line of a run."""
@@ -62,6 +70,22 @@ class Steps:
     def finished(self, number: int) -> None:
         """A job is done; its line is said with the progress that follows."""
         self._done.append(number)
+
+    def failed(self, number: int, rule: str, logs: Iterable[str]) -> list[str]:
+        """A step that failed: its name, why, and where to read more."""
+        job = self._jobs.pop(number, None)
+        words = rule if job is None or not job.words else job.words
+        self._failed.append(words)
+        found = [f"failed: {words}"]
+        for path in logs:
+            found += [f"  {line}" for line in _reason(Path(path))]
+            found.append(f"  log: {path}")
+        return found
+
+    def stopped(self) -> list[str]:
+        """The end of a run in which steps failed; each is named, for others went on."""
+        names = ", ".join(dict.fromkeys(self._failed))
+        return [f"stopped: {names} failed; what is finished stays, call again to go on"]
 
     def progressed(self, done: int, total: int) -> list[str]:
         """One line for each job that was finished since the last call."""
@@ -116,6 +140,16 @@ class Steps:
     def _end(self, total: int) -> str:
         elapsed = 0.0 if self._begun_s is None else self.clock() - self._begun_s
         return f"done: {total} steps in {duration(elapsed)}"
+
+
+def _reason(log: Path) -> list[str]:
+    """Last lines of a log, from where it tells why the step failed."""
+    try:
+        lines = log.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
+    told = [number for number, line in enumerate(lines) if line.startswith(_TOLD)]
+    return lines[told[-1] :] if told else lines[-_LAST_LINES:]
 
 
 def duration(seconds: float) -> str:

@@ -12,7 +12,9 @@ from roadsight.base.errors import InputError
 from roadsight.base.validation import validated
 from roadsight.commands import init
 from roadsight.config import starter
+from roadsight.config.load import load_site
 from roadsight.config.plans import load_plans
+from roadsight.config.schema import Config
 from roadsight.config.sites import Site
 from tests.conftest import PROJECT
 from tests.helpers.las_files import DATA, needs_data, random_points, wkt_of, write_las
@@ -52,7 +54,7 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "vertical_units": "auto",
         "jobs": ["placement"],
         "placement": {"plans": list(starter.FIRST_PLANS), "edges": None, "tma": None},
-        "settings": {"coverage": {"felled": 0}},
+        "settings": {"coverage": {"felled": 0, "uncoverable": "exclude"}},
     }
     for part in (
         "499 points, 1 withheld, noise or synthetic left out",
@@ -187,13 +189,22 @@ def test_letters_with_marks_stay_legible(tmp_path, text, name):
     assert content["title"] == text
 
 
-def test_it_says_what_was_found_and_what_comes_next(tmp_path, capsys):
+@pytest.mark.parametrize(
+    ("out", "asked"),
+    [(None, "a"), ("config/sites/b.yaml", "b"), ("elsewhere/c.yaml", "elsewhere/c.yaml")],
+)
+def test_it_says_what_was_found_and_what_comes_next(out, asked, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     cloud = write_las(tmp_path / "a.laz", random_points(50), UTM)
-    run(cloud, "-o", tmp_path / "site.yaml")
+    run(cloud, *([] if out is None else ["-o", out]))
     said = capsys.readouterr().out
     assert "50 points" in said and "ETRS89 / UTM zone 32N" in said
-    assert "snakemake -n --config 'sites=[a]'" in said
-    assert "snakemake --cores 2 --config 'sites=[a]'" in said
+    assert f"snakemake -n --config 'sites=[{asked}]'" in said
+    assert f"snakemake --cores 2 --config 'sites=[{asked}]'" in said
+    files = {
+        f"{n}_file": str(PROJECT / f"config/{n}.yaml") for n in ("effects", "plans", "sensors")
+    }
+    assert load_site(asked, Config(**files)).site.site == "a"
     assert "points per m2 are sparse" in said
 
 

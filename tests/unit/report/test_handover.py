@@ -258,20 +258,23 @@ def test_the_stake_out_leads_back_to_the_sensors(site, tmp_path):
     )
 
 
-def test_chainage_and_offset_lead_to_the_place():
+def test_lengths_and_offset_lead_to_the_place():
     line = shapely.LineString([(0, 0), (100, 0), (100, 100)])
-    edges = gpd.GeoDataFrame({"edge": ["kerb"]}, geometry=[line])
+    longest = shapely.LineString([(-40, 8), (100, 8), (100, 100)])
+    edges = gpd.GeoDataFrame({"edge": ["kerb", "other"]}, geometry=[line, longest])
     places = [(10.0, -3.0), (60.0, 2.0), (104.0, 50.0), (97.0, 80.0)]
     sensors = [
         {"x": x, "y": y, "z": 5.0, "height_m": 4.0, "yaw_deg": 10.0, "edge": "kerb"}
         for x, y in places
     ]
     table = stakeout("p", sensors, edges, Frame((0.0, 0.0, 0.0)))
-    assert table["chainage_m"].tolist() == [10.0, 60.0, 150.0, 180.0]
+    assert table["edge_m"].tolist() == [10.0, 60.0, 150.0, 180.0]
+    assert table["chainage_m"].tolist() == [50.0, 100.0, 182.0, 212.0]
     assert table["offset_m"].tolist() == [3.0, -2.0, 4.0, -3.0]
     assert table["latitude"].isna().all()
     unknown = stakeout("p", [sensors[0] | {"edge": "none"}], edges, Frame((0.0, 0.0, 0.0)))
-    assert unknown["chainage_m"].isna().all()
+    assert unknown["edge_m"].isna().all()
+    assert unknown["chainage_m"].tolist() == [50.0]
 
 
 def test_styles_are_told_by_value():

@@ -66,7 +66,7 @@ def test_marks_stay_round_and_the_bar_is_true():
     )
     box = [float(v) for v in re.search(r'viewBox="([^"]+)"', svg)[1].split()]
     assert box[2:] == pytest.approx([width, height])
-    length_m = int(re.search(r">(\d+) m ", svg)[1])
+    length_m = int(re.search(r">(\d+) m, ", svg)[1])
     parts = re.findall(r'<rect x="([\d.]+)" y="[\d.]+" width="([\d.]+)" height="1.4"', svg)
     drawn = float(parts[-1][0]) + float(parts[-1][1])
     assert drawn == pytest.approx(length_m * 1000 / paper.scale, abs=0.02)

@@ -8,7 +8,7 @@ import pytest
 
 from roadsight.config.schema import Settings
 from roadsight.report import wording
-from roadsight.report.parameters import figure_rows, setting_groups
+from roadsight.report.parameters import figure_rows, setting_groups, settings_asked_for
 from roadsight.report.wording import (
     MISSING,
     bearing,
@@ -169,7 +169,7 @@ def test_figures_of_any_nesting():
         ("Density, median", "27 /m²"),
         ("Density, 5th percentile", "15 /m²"),
         ("Density, cell", "1 m"),
-        ("Cells with class 2", "72 %"),
+        ("Cells with class 2, ground", "72 %"),
     ]
 
 
@@ -183,6 +183,15 @@ def test_every_setting_is_shown_with_its_meaning():
     }
     assert {row.key for row in rows} == leaves
     assert all(row.about and row.value for row in rows)
+
+
+def test_settings_of_poles_are_shown_where_there_are_poles():
+    settings = json.loads(Settings().model_dump_json())
+    both = settings_asked_for({"settings": settings, "placement": {}, "poles": {}})
+    assert both == setting_groups(settings)
+    titles = {group.title for group in settings_asked_for({"settings": settings, "placement": {}})}
+    left_out = {group.title for group in both} - titles
+    assert len(left_out) >= 10 and all("oles" in title for title in left_out)
 
 
 def test_settings_follow_the_schema_whatever_their_order():

@@ -9,7 +9,7 @@ import pytest
 from roadsight.base.errors import InputError
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.cloud.tile_writer import TileWriter
-from roadsight.io.cloud.tiles import COLUMN_TYPES
+from roadsight.io.cloud.tiles import COLUMN_TYPES, CloudTiles
 from roadsight.io.records.tables import write_table
 from roadsight.scene.grids import Grid
 from roadsight.scene.traffic import Columns, is_traffic
@@ -46,9 +46,12 @@ def test_pavement_verge_and_unknown_ground_stay() -> None:
     assert found.tolist() == [False, False, False, True]
 
 
-def write_cloud(folder: Path, xyz: np.ndarray, traffic: np.ndarray) -> tuple[str, str]:
+def write_cloud(
+    folder: Path, xyz: np.ndarray, traffic: np.ndarray, classes: np.ndarray | None = None
+) -> tuple[str, str]:
     columns = {axis: xyz[:, k] for k, axis in enumerate("xyz")}
     columns |= {name: np.zeros(400) for name in COLUMN_TYPES if name not in "xyz"}
+    columns |= {} if classes is None else {"classification": classes}
     with TileWriter(folder / "cloud.parquet", 50.0, coloured=True) as writer:
         writer.append(columns)
         writer.finish()
@@ -71,6 +74,19 @@ def test_standing_cloud_leaves_out_what_the_mask_says(
     inside = (kept[:, :2] >= box[:2]).all(axis=1) & (kept[:, :2] < box[2:]).all(axis=1)
     np.testing.assert_array_equal(standing.xyz_within(box), kept[inside])
     assert standing.xyz_within((500.0, 0.0, 600.0, 10.0)).shape == (0, 3)
+
+
+def test_classes_are_left_out_and_have_to_be_there(
+    tmp_path: Path, rng: np.random.Generator
+) -> None:
+    xyz = rng.uniform([0, 0, 0], [90, 60, 5], (400, 3)).astype(np.float32)
+    traffic, classes = rng.random(400) < 0.3, rng.integers(0, 7, 400)
+    cloud, mask = write_cloud(tmp_path, xyz, traffic, classes)
+    found = StandingCloud(cloud, mask, (3, 4, 5))
+    own = CloudTiles(cloud).read(["classification"])["classification"]
+    assert found.points == (~traffic & ~np.isin(own, (3, 4, 5))).sum()
+    with pytest.raises(InputError, match="classes 64, 65"):
+        StandingCloud(cloud, mask, (64, 65))
 
 
 def test_a_mask_of_another_cloud_is_refused(tmp_path: Path) -> None:

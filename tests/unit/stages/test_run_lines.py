@@ -130,6 +130,47 @@ def test_errors_and_warnings_are_said_and_chatter_is_not(capsys):
     ]
 
 
+@pytest.mark.parametrize(
+    ("log", "why"),
+    [
+        (
+            "INFO 3 points\nroadsight: site a: too few; allowed 4.\n",
+            ["roadsight: site a: too few; allowed 4."],
+        ),
+        (
+            "INFO a\nTraceback (most recent call last):\n  x\nE: y\n",
+            ["Traceback (most recent call last):", "  x", "E: y"],
+        ),
+        ("INFO a\nINFO b\n", ["INFO a", "INFO b"]),
+        (None, []),
+    ],
+)
+def test_a_failed_step_is_said_once_with_its_reason(log, why, tmp_path, capsys):
+    path = tmp_path / "solve.log"
+    if log is not None:
+        path.write_text(log)
+    about = {"jobid": 1, "rule_name": "solve", "log": [str(path)], "shellcmd": "python -m solve"}
+    lines = handler()
+    lines.emit(record(INFO, "stats", event=LogEvent.RUN_INFO, stats={"solve": 2, "total": 2}))
+    named = {"jobid": 1, "rule_name": "solve", "wildcards": {"site": "a", "plan": "p"}}
+    lines.emit(record(INFO, "job", event=LogEvent.JOB_INFO, **named))
+    text = 'RuleException:\nCalledProcessError in file "cover.smk"\nCommand python -m solve'
+    lines.emit(record(ERROR, text, event=LogEvent.ERROR, exception="RuleException"))
+    lines.emit(record(ERROR, "Error in rule solve", event=LogEvent.JOB_ERROR, **about))
+    lines.emit(
+        record(ERROR, "Exiting because a job execution failed. Look above for error messages")
+    )
+    text = "WorkflowError:\nAt least one job did not complete successfully."
+    lines.emit(record(ERROR, text, event=LogEvent.ERROR, exception="WorkflowError"))
+    assert capsys.readouterr().err.splitlines() == [
+        "2 steps to do",
+        "failed: a solve p",
+        *(f"  {line}" for line in why),
+        f"  log: {path}",
+        "stopped: a solve p failed; what is finished stays, call again to go on",
+    ]
+
+
 @pytest.mark.parametrize("option", SPOKEN)
 def test_snakemake_speaks_for_itself_when_asked(option, capsys):
     lines = handler(**{option: True})

@@ -43,6 +43,17 @@ def test_another_seed_gives_another_sample(sample, tmp_path):
         assert path.read_bytes() != other[name].read_bytes(), name
 
 
+def test_plants_can_be_told(sample, tmp_path):
+    _, told = generate(tmp_path, "--class-scheme", "plants")
+    usual, cloud = laspy.read(sample["cloud"]), laspy.read(told["cloud"])
+    truth = np.asarray(cloud[TRUTH_DIMENSION])
+    plants = np.isin(truth, (3, 5))
+    assert 0 < plants.sum() < len(truth)
+    assert np.asarray(cloud.classification)[plants].tolist() == truth[plants].tolist()
+    assert not np.asarray(cloud.classification)[~plants].any()
+    np.testing.assert_array_equal(usual.xyz, cloud.xyz)
+
+
 def test_the_cloud_is_unclassified_and_carries_its_truth(sample):
     cloud = laspy.read(sample["cloud"])
     assert (cloud.header.version.major, cloud.header.version.minor) == (1, 4)

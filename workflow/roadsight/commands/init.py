@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roadsight.base.errors import InputError
+from roadsight.config.load import SITES
 from roadsight.config.starter import site_name, start_site
 from roadsight.io.records.atomic import atomic_path
 
@@ -32,7 +33,7 @@ def run(arguments: argparse.Namespace) -> None:
     InputError : a cloud cannot be read, or the site file exists already.
     """
     name = site_name(arguments.site or arguments.clouds[0].stem)
-    path = arguments.out or Path("config/sites", f"{name}.yaml")
+    path = arguments.out or SITES / f"{name}.yaml"
     if path.exists() and not arguments.force:
         raise InputError("exists already", where=str(path), hint="choose another, or add --force")
     title = arguments.site or arguments.clouds[0].stem
@@ -45,7 +46,8 @@ def run(arguments: argparse.Namespace) -> None:
     _tell("To doubt", starter.doubts)
     for key, comment in starter.missing.items():
         print(f"fill in {key}: {comment}")
-    asked = f"--config 'sites=[{name}]'"
+    within = path.resolve().parent == SITES.resolve() and path.suffix == ".yaml"
+    asked = f"--config 'sites=[{path.stem if within else path}]'"
     print(f"{'Then see' if starter.missing else 'See'} what would run:  snakemake -n {asked}")
     print(f"Run it:  snakemake --cores 2 {asked}")
 

@@ -75,12 +75,21 @@ class Sample(Section):
         default=0.0, ge=0, le=20, description="rural: slow error of positions, m; 0: about 1.4"
     )
     pole_returns: bool = Field(default=True, description="rural: whether the laser hits poles")
-    class_scheme: Literal["usual", "none", "unclassified", "lines"] = Field(
+    class_scheme: Literal["usual", "none", "unclassified", "lines", "plants"] = Field(
         default="usual",
-        description="rural: usual, all 0 (none), all 1, or wires 14, poles 15 and other things 64",
+        description="rural: usual, all 0 (none), all 1, or wires 14, poles 15 and other things 64;"
+        " highway: usual is all 0, plants tells vegetation (3 and 5)",
     )
     k1: float = Field(default=0.0, ge=-1, le=1, description="rural: radial distortion of lenses")
     k2: float = Field(default=0.0, ge=-1, le=1, description="rural: the same, second coefficient")
+
+    @model_validator(mode="after")
+    def _known_scheme(self) -> Sample:
+        own = {"highway": ("usual", "plants"), "rural": ("usual", "none", "unclassified", "lines")}
+        if self.class_scheme not in own[self.scene]:
+            allowed = ", ".join(own[self.scene])
+            raise ValueError(f"class_scheme of a {self.scene} scene is one of {allowed}")
+        return self
 
 
 class Extent(Section):

@@ -23,27 +23,13 @@ from roadsight.io.cloud.cloud_scan import CloudScan, Contents, kept_chunks, scan
 from roadsight.io.cloud.las_header import CloudHeader
 from roadsight.io.cloud.repeated import check_copies
 from roadsight.placement.candidates.targets import points_needed
+from roadsight.scene.classes import CLASS_NAMES
 from roadsight.scene.profile import CELL_M, density, merge_counts
 
 _DATA_VARIABLE = "ROADSIGHT_DATA"
 """Environment variable that names the folder of a user's clouds."""
 _WRITTEN_OUT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ø": "oe", "æ": "ae"})
 """Letters that names of folders do without, as people who have them write them."""
-_CLASS_NAMES = {
-    0: "never classified",
-    1: "unclassified",
-    2: "ground",
-    3: "low vegetation",
-    4: "medium vegetation",
-    5: "high vegetation",
-    6: "building",
-    9: "water",
-    10: "rail",
-    11: "road surface",
-    14: "wire conductor",
-    15: "transmission tower",
-    17: "bridge deck",
-}
 
 
 FIRST_PLANS = ("os-64", "os-128")
@@ -174,7 +160,11 @@ def find_keys(scans: Sequence[CloudScan]) -> tuple[dict[str, Finding], float | N
     ------
     InputError : the clouds contradict each other, or their CRS is of no use for lengths.
     """
-    auto = Finding("auto", "auto takes the unit of the CRS; or metre, foot, us-survey-foot")
+    auto = Finding(
+        "auto",
+        "auto takes the unit of the CRS, and metres where crs is local; or metre, foot,"
+        " us-survey-foot",
+    )
     missing = next((scan.header for scan in scans if scan.header.stated.crs is None), None)
     if missing is not None:
         return {"crs": _missing_crs(missing), "units": auto, "vertical_units": auto}, None
@@ -255,6 +245,11 @@ settings:
   coverage:
     # Objects in the way (trees, signs) to solve each plan without; 1 tells what the worst costs.
     felled: 0
+    # Targets that no candidate sees are left out and reported with what hides them; `error` stops
+    # instead, as for a plan that must see all.
+    uncoverable: exclude
+  # Vehicles that passed during a mobile scan stand as walls on the road; this clears them.
+  # lidar: {{clear_below_m: 4.5}}
 """
 
 
@@ -279,7 +274,7 @@ def describe_clouds(
     size = " x ".join(f"{side:.1f}" for side in (upper - lower)[:2] * length)
     total = contents.classes.total()
     named = ", ".join(
-        f"{c} {_CLASS_NAMES.get(c, 'not a common class')} {n / total:.1%}"
+        f"{c} {CLASS_NAMES.get(c, 'not a common class')} {n / total:.1%}"
         for c, n in sorted(contents.classes.items())
     )
     dropped = sum(scan.withheld + scan.noise + scan.synthetic for scan in scans)

@@ -15,7 +15,7 @@ from roadsight.placement.sensors.sensors import KINDS
 from roadsight.report import wording
 from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES
 from roadsight.report.paper.plan_map import plan_sketch
-from roadsight.report.parameters import figure_rows, setting_groups
+from roadsight.report.parameters import figure_rows, settings_asked_for
 from roadsight.report.poles.poles_page import FORMAT as POLES_FORMAT
 from roadsight.report.poles.poles_view import poles_cards, poles_view
 from roadsight.report.result_files import ResultFile
@@ -226,7 +226,7 @@ def _provenance(page: _Page) -> dict[str, Any]:
     """Parameters and what the results were made from."""
     summary = page["summary"]
     return {
-        "settings": setting_groups(summary["settings"]),
+        "settings": settings_asked_for(summary),
         "name": summary["site"],
         "version": summary["version"],
         "seed": summary["seed"],

@@ -8,7 +8,9 @@ from typing import Any
 from pydantic import BaseModel
 
 from roadsight.config.schema import Settings
+from roadsight.config.sections import poles
 from roadsight.report.wording import label, lower_first, quantity, unit
+from roadsight.scene.classes import CLASS_NAMES
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,18 @@ def setting_groups(settings: dict[str, Any]) -> list[Group]:
     return [group for group in groups if group.rows]
 
 
+def settings_asked_for(summary: dict[str, Any]) -> list[Group]:
+    """Settings that have a say in what was asked for: those of poles only where there are any."""
+    settings = summary["settings"]
+    if "poles" not in summary:
+        settings = {name: value for name, value in settings.items() if not _of_poles(name)}
+    return setting_groups(settings)
+
+
+def _of_poles(name: str) -> bool:
+    return _section(name).__module__ == poles.__name__
+
+
 def figure_rows(figures: dict[str, Any], heading: str = "", unit_of: str = "") -> list[Row]:
     """Figures of any nesting as flat rows; None is left out.
 
@@ -60,6 +74,8 @@ def figure_rows(figures: dict[str, Any], heading: str = "", unit_of: str = "") -
     for key, value in figures.items():
         between = " " if key.isdigit() else ", "
         name = f"{heading}{between}{lower_first(label(key))}" if heading else label(key)
+        if key.isdigit() and int(key) in CLASS_NAMES:
+            name += f", {CLASS_NAMES[int(key)]}"
         if isinstance(value, dict):
             rows += figure_rows(value, name, unit(key) or unit_of)
         elif value is not None:

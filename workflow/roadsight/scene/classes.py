@@ -14,6 +14,24 @@ ROAD = 11
 """Road surface."""
 BRIDGE = 17
 """Bridge deck."""
+VEGETATION = (3, 4, 5)
+"""Low, medium and high vegetation."""
+CLASS_NAMES = {
+    0: "never classified",
+    1: "unclassified",
+    2: "ground",
+    3: "low vegetation",
+    4: "medium vegetation",
+    5: "high vegetation",
+    6: "building",
+    9: "water",
+    10: "rail",
+    11: "road surface",
+    14: "wire conductor",
+    15: "transmission tower",
+    17: "bridge deck",
+}
+"""Common classes as people call them."""
 
 
 def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> Bytes:

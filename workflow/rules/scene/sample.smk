@@ -34,11 +34,13 @@ rule generate_sample:
             "sample.overhead",
             "yes" if SITES[wildcards.site].site.sample.overhead else "no",
         ),
+        class_scheme=site_field("sample.class_scheme"),
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.scene.generate_sample --scene {params.scene} --seed {params.seed}"
         " --points {params.points} --length-m {params.length_m} --radius-m {params.radius_m}"
         " --grade {params.grade} --tunnel {params.tunnel} --overhead {params.overhead}"
+        " --class-scheme {params.class_scheme}"
         " --cloud {output.cloud} --truth {output.truth} --edges {output.edges} > {log} 2>&1"
 
 

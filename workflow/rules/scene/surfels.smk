@@ -52,9 +52,11 @@ rule build_surfels:
         outlier_radius_m=setting("lidar.outlier_radius_m"),
         outlier_neighbours=setting("lidar.outlier_neighbours"),
         outlier_engine=setting("lidar.outlier_engine"),
+        vegetation=setting("lidar.vegetation"),
     shell:
         "python -m roadsight.stages.scene.build_surfels --cloud {input.cloud}"
         " --traffic {input.traffic} --surfel-size-m {params.surfel_size_m}"
+        " --vegetation {params.vegetation}"
         " --outlier-radius-m {params.outlier_radius_m}"
         " --outlier-neighbours {params.outlier_neighbours}"
         " --outlier-engine {params.outlier_engine} --out {output.surfels} > {log} 2>&1"

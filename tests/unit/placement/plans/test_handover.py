@@ -40,7 +40,17 @@ def test_overlaps_are_counted_between_neighbours_along_the_road():
 
 def test_stations_run_along_the_longest_edge():
     edges = [LineString([(0, 0), (5, 0)]), LineString([(0, 10), (100, 10)])]
-    np.testing.assert_allclose(stations_m(edges, np.array([[3.0, 2.0], [70.0, 0.0]])), [3, 70])
+    places = np.array([[3.0, 2.0], [70.0, 0.0], [-30.0, 4.0], [145.0, 12.0]])
+    np.testing.assert_allclose(stations_m(edges, places), [3, 70, -30, 145])
+
+
+def test_the_road_goes_on_past_the_rounded_corners_of_its_edge():
+    corner = [(6 * np.cos(a), 6 - 6 * np.sin(a)) for a in np.radians([0, 30, 60, 90])]
+    edge = LineString([*corner[:-1], (0, 0), (-60, 0)])
+    at = stations_m([edge], np.array([[-100.0, 1.0], [-20.0, 1.0]]))
+    np.testing.assert_allclose(np.diff(at), -80)
+    ring = LineString([(0, 0), (9, 0), (9, 9), (0, 9), (0, 0)])
+    np.testing.assert_allclose(stations_m([ring], np.array([[4.0, -5.0], [-3.0, 4.0]])), [4, 32])
 
 
 def test_rates_of_every_kind():

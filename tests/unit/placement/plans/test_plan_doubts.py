@@ -11,6 +11,9 @@ SOLID = {
     "bound": 4.0,
     "uncoverable_targets": 0,
     "targets": 500,
+    "sensors": [{}] * 4,
+    "at_least": 1,
+    "proven_area_m2": 480.0,
 }
 
 
@@ -18,6 +21,13 @@ def test_nothing_is_told_of_solid_answers():
     assert target_doubts(500, 480.0, 500.0) == []
     assert target_doubts(500, 0.0, 0.0) == []
     assert plan_doubts(SOLID, 50) == []
+
+
+def test_a_sensor_for_every_few_square_metres_is_told():
+    (doubt,) = plan_doubts(SOLID | {"sensors": [{}] * 5}, 50)
+    assert (doubt.code, doubt.measured, doubt.limit) == ("many_sensors", 96, 100)
+    assert plan_doubts(SOLID | {"sensors": [{}] * 9, "at_least": 2}, 50) == []
+    assert plan_doubts(SOLID | {"sensors": [], "proven_area_m2": 0.0}, 50) == []
 
 
 def test_few_targets_and_pavement_without_any():

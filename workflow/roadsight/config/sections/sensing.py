@@ -115,6 +115,10 @@ class Lidar(Section):
         le=10,
         description="passing vehicles, lower than this, are cleared off the pavement, m; 0: no",
     )
+    vegetation: Literal["keep", "leave_out"] = Field(
+        default="keep",
+        description="leave_out: no surfels of plants (classes 3 to 5), as in winter",
+    )
     min_cell_points: Count = Field(
         default=5, description="hybrid: cells with fewer points are filled"
     )

@@ -19,13 +19,15 @@ class StandingCloud:
     ----------
     cloud : path of the tiled cloud.
     traffic : path of the traffic mask, or None where traffic was not cleared.
+    without : classes whose points are left out, too.
 
     Raises
     ------
-    InputError : a file is missing or damaged, or the two do not belong together.
+    InputError : a file is missing or damaged, the two do not belong together, or no point is of
+        the classes that are to be left out.
     """
 
-    def __init__(self, cloud: str, traffic: str | None) -> None:
+    def __init__(self, cloud: str, traffic: str | None, without: Sequence[int] = ()) -> None:
         self._cloud = CloudTiles(cloud)
         rows = [tile.rows for tile in self._cloud.tiles]
         self._starts = np.cumsum([0, *rows])
@@ -42,6 +44,17 @@ class StandingCloud:
                 allowed=f"{self._cloud.points} as in {cloud}",
                 hint="delete it and run the workflow again",
             )
+        if without:
+            classes = self._cloud.read(["classification"])["classification"]
+            left_out = np.isin(classes, without)
+            if not left_out.any():
+                raise InputError(
+                    "no point of the cloud is of a class that is to be left out",
+                    where=cloud,
+                    allowed=f"classes {', '.join(map(str, without))}",
+                    hint="classify the cloud, or let lidar.vegetation keep them",
+                )
+            self._passed = self._passed | left_out
         self.tiles = self._cloud.tiles
         self.points = int(self._cloud.points - self._passed.sum())
 

@@ -57,10 +57,13 @@ def posed_candidates(chosen: pd.DataFrame, candidates: pd.DataFrame) -> pd.DataF
 
     Returns
     -------
-    the columns of ``candidates``; if any is posed, candidate is named with its pose, yaw_deg is
-    where it looks, in (-180, 180], and position (the candidate), pitch_deg and roll_deg come last.
+    the columns of ``candidates``, station_m as edge_m: it runs along the candidate's own edge, and
+    what people read of a plan stands beside stations along the road; if any is posed, candidate is
+    named with its pose, yaw_deg is where it looks, in (-180, 180], and position (the candidate),
+    pitch_deg and roll_deg come last.
     """
     table = candidates.iloc[chosen["position"]].reset_index(drop=True)
+    table = table.rename(columns={"station_m": "edge_m"})
     if not chosen["posed"].any():
         return table
     turns = [split_pose(name)[1] for name in chosen["candidate"]]

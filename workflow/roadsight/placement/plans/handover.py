@@ -7,18 +7,36 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from shapely import LineString, line_locate_point
+from shapely import LineString, line_interpolate_point, line_locate_point
 from shapely import points as shapely_points
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.placement.sensors.aimed import Camera, Rosette
 from roadsight.placement.sensors.sensors import AnySensor, Sensor
 
+_END_M = 20.0
+"""The road goes on before and beyond its longest edge as the edge does over this length: longer
+than the rounding of a corner, at which automatic edges end."""
+
 
 def stations_m(edges: Sequence[LineString], xy_m: Floats) -> Floats:
-    """Place (n,) of each point along the longest edge."""
+    """Place (n,) of each point along the road: its longest edge, gone on straight at both ends.
+
+    0 is where that edge begins, so that what lies before it is negative. A ring has no ends.
+    """
     longest = max(edges, key=lambda edge: edge.length)
-    return np.asarray(line_locate_point(longest, shapely_points(xy_m)))
+    if longest.is_ring:
+        return np.asarray(line_locate_point(longest, shapely_points(xy_m)))
+    vertices = np.asarray(longest.coords)[:, :2]
+    inner_m = min(_END_M, longest.length)
+    reach_m = 1.0 + float(np.ptp(np.vstack([vertices, xy_m]), axis=0).sum())
+    ends = [
+        end + (end - line_interpolate_point(longest, at_m).coords[0][:2]) / inner_m * reach_m
+        for end, at_m in ((vertices[0], inner_m), (vertices[-1], longest.length - inner_m))
+    ]
+    road = LineString([ends[0], *vertices, ends[1]])
+    before_m = float(np.hypot(*(ends[0] - vertices[0])))
+    return np.asarray(line_locate_point(road, shapely_points(xy_m))) - before_m
 
 
 def handover(times_seen: Ints) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.geometry.frames import Frame
+from roadsight.placement.plans.handover import stations_m
 from roadsight.report.handover.layers import sensor_table
 
 _DECIMALS = {"latitude": 8, "longitude": 8}
@@ -31,9 +32,10 @@ def stakeout(
     -------
     plan, point (plan and number), easting and northing (native), ground_m and sensor_m (height of
     ground and sensor in the cloud's vertical datum, metres), mast_m (sensor above ground),
-    azimuth_deg (to set, clockwise from grid north), pitch_deg, roll_deg, sensor, edge, chainage_m
-    (along that edge from its start), offset_m (to the right of it in its direction), latitude and
-    longitude
+    azimuth_deg (to set, clockwise from grid north), pitch_deg, roll_deg, sensor, chainage_m (along
+    the road: its longest edge, from that edge's start), edge (whose line the sensor stands on),
+    edge_m (along that line from its start), offset_m (to the right of it in its direction),
+    latitude and longitude
     """
     table = sensor_table(sensors, frame)
     xy = table[["x", "y"]].to_numpy(np.float64)
@@ -52,32 +54,33 @@ def stakeout(
             "pitch_deg": table["pitch_deg"],
             "roll_deg": table["roll_deg"],
             "sensor": table["sensor"],
+            "chainage_m": stations_m(list(edges.geometry), xy),
             "edge": table["edge"],
-            "chainage_m": along,
+            "edge_m": along,
             "offset_m": beside,
             "latitude": table["latitude"],
             "longitude": table["longitude"],
         }
     )
-    decimals = {name: _DECIMALS.get(str(name), 3) for name in found.select_dtypes("number")}
-    return found.round(decimals)
+    decimals = {str(name): 3 for name in found.select_dtypes("number")} | _DECIMALS
+    return found.round(decimals).replace(-0.0, 0.0)
 
 
 def _along(edges: gpd.GeoDataFrame, names: list[str], xy_m: Floats) -> tuple[Floats, Floats]:
-    """Chainage and offset to the right of places; NaN where no edge has the name."""
+    """Length along its own edge and offset to the right of places; NaN if no edge has the name."""
     lines = dict(zip(edges["edge"].astype(str), edges.geometry, strict=True))
-    chainage, offset = np.full(len(xy_m), np.nan), np.full(len(xy_m), np.nan)
+    length, offset = np.full(len(xy_m), np.nan), np.full(len(xy_m), np.nan)
     for row, (name, place) in enumerate(zip(names, xy_m, strict=True)):
         line = lines.get(name)
         if line is None:
             continue
-        chainage[row] = shapely.line_locate_point(line, shapely.Point(place))
+        length[row] = shapely.line_locate_point(line, shapely.Point(place))
         step = min(1.0, line.length / 2)
-        start = shapely.line_interpolate_point(line, max(chainage[row] - step, 0.0))
-        end = shapely.line_interpolate_point(line, min(chainage[row] + step, line.length))
-        foot = shapely.line_interpolate_point(line, chainage[row])
+        start = shapely.line_interpolate_point(line, max(length[row] - step, 0.0))
+        end = shapely.line_interpolate_point(line, min(length[row] + step, line.length))
+        foot = shapely.line_interpolate_point(line, length[row])
         way = np.array([end.x - start.x, end.y - start.y])
         away = place - np.array([foot.x, foot.y])
         side = np.sign(away[0] * way[1] - away[1] * way[0])
         offset[row] = side * np.hypot(*away)
-    return chainage, offset
+    return length, offset

@@ -22,7 +22,7 @@ from roadsight.report.paper.plan_map import (
     times_seen,
 )
 from roadsight.report.paper.still import still
-from roadsight.report.parameters import setting_groups
+from roadsight.report.parameters import settings_asked_for
 from roadsight.report.poles.poles_view import poles_view
 from roadsight.report.site.effects import effect_rows
 from roadsight.report.site.plan_view import best_plan, plan_views
@@ -75,7 +75,7 @@ def paper_content(
         "effects": effect_rows(about["summary"]["effects"]),
         "settings": [
             {"title": group.title, "rows": [[r.label, r.value, r.about] for r in group.rows]}
-            for group in setting_groups(about["summary"]["settings"])
+            for group in settings_asked_for(about["summary"])
         ],
         "inputs": [list(item) for item in about["summary"]["inputs"].items()],
         "run": run.rows(),
@@ -180,7 +180,7 @@ def _sensor(sensor: Mapping[str, Any]) -> list[str]:
         wording.metres(sensor["height_m"], 2),
         wording.bearing(sensor["bearing_deg"]),
         *(f"{value:.2f}" for value in sensor["native"]),
-        *(("", "") if degrees is None else (f"{degrees[1]:.6f}", f"{degrees[0]:.6f}")),
+        *(() if degrees is None else (f"{degrees[1]:.6f}", f"{degrees[0]:.6f}")),
         wording.number(sensor["targets"]),
         wording.number(sensor["only"]),
     ]
@@ -236,7 +236,7 @@ def _pole(number: int, pole: Mapping[str, Any], frame: Frame) -> list[str]:
         pole["id"],
         pole["kind"],
         *(f"{value:.2f}" for value in frame.to_native(np.array([pole[axis] for axis in "xyz"]))),
-        *(("", "") if degrees is None else (f"{degrees[1]:.6f}", f"{degrees[0]:.6f}")),
+        *(() if degrees is None else (f"{degrees[1]:.6f}", f"{degrees[0]:.6f}")),
         wording.MISSING if sigma is None else wording.metres(sigma, 2),
         wording.number(pole["images"]),
     ]

@@ -22,6 +22,8 @@ SEEN_LABELS = ("by none", "by one", "by two", "by three or more")
 SENSOR = "#b45309"
 _SKETCH_MM = (84.0, 46.0)
 """Size of the sketch in units in which a sensor's mark is 4 wide."""
+_MOST_NUMBERED = 15
+"""Sensors of the sketch that are numbered; the numbers of more would hide each other."""
 _MARGIN_M = 5.0
 """Air around what a map is of."""
 _LOW = np.array([148, 163, 184])
@@ -77,8 +79,11 @@ def plan_sketch(page: dict[str, Any], plan: dict[str, Any]) -> str:
         drawing.areas(polygon, 'fill="var(--pavement)"')
     unseen = targets[times_seen(plan, len(targets)) == 0, :2]
     drawing.dots(unseen, 0.8, 'fill="var(--seen-0)"')
-    drawing.numbered(sensors, [str(s["number"]) for s in plan["sensors"]], "var(--sensor)")
     count = len(plan["sensors"])
+    if count > _MOST_NUMBERED:
+        drawing.dots(sensors, 1.4, 'fill="var(--sensor)"')
+    else:
+        drawing.numbered(sensors, [str(s["number"]) for s in plan["sensors"]], "var(--sensor)")
     return drawing.inline(f"{count} sensors on the road as the plan {plan['title']} places them")
 
 
@@ -162,4 +167,5 @@ def _ring(packed: dict[str, Any]) -> Floats:
 def _finished(drawing: Drawing, page: dict[str, Any]) -> str:
     frame = page["frame"]
     east, north, _ = frame["origin"]
-    return drawing.svg((float(east), float(north)), float(frame["unit_m"]))
+    up = "y" if frame["crs_wkt"] is None else "N"
+    return drawing.svg((float(east), float(north)), float(frame["unit_m"]), up)

@@ -133,19 +133,20 @@ class Drawing:
             f"{escape(text)}</text>"
         )
 
-    def svg(self, origin: tuple[float, float], unit_m: float) -> str:
+    def svg(self, origin: tuple[float, float], unit_m: float, up: str = "N") -> str:
         """The map with frame, coordinate ticks, north arrow and scale bar.
 
         Parameters
         ----------
         origin : native coordinates of local (0, 0). unit_m : metres of a native unit.
+        up : what lies there, N or the axis of a site without CRS.
         """
         width, height = self.paper.width_mm, self.paper.height_mm
         margin = 8.0
         inner = "".join(self.parts)
         furniture = Drawing(self.paper)
         furniture._ticks(origin, unit_m)
-        furniture._north()
+        furniture._upwards(up)
         furniture._bar()
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" width="{width + 2 * margin:.3f}mm"'
@@ -200,15 +201,15 @@ class Drawing:
             turned = f'{style} transform="rotate(-90 -2 {y:.2f})"'
             self.text(-2, y, str(value), turned)
 
-    def _north(self) -> None:
-        """Arrow to grid north."""
+    def _upwards(self, up: str) -> None:
+        """Arrow to grid north, or along an axis."""
         x = self.paper.width_mm - 6
         self.parts.append(
             f'<path d="M{x:.2f} 3L{x + 2:.2f} 10L{x:.2f} 8.4L{x - 2:.2f} 10Z" fill="#0f172a"'
             ' stroke="#ffffff" stroke-width="0.3"/>'
         )
         style = 'font-size="3" text-anchor="middle" fill="#0f172a" stroke="none"'
-        self.text(x, 13, "N", style)
+        self.text(x, 13, up, style)
 
     def _bar(self) -> None:
         """Scale bar of a round length, in four parts."""
@@ -223,7 +224,7 @@ class Drawing:
                 f' fill="{fill}" stroke="#0f172a" stroke-width="0.2"/>'
             )
         style = 'font-size="2.4" fill="#0f172a"'
-        label = f"{length} m    1 : {self.paper.scale:,}"
+        label = f"{length} m, 1 : {self.paper.scale:,}"
         self.text(4 * part + 1.5, y + 1.4, label, style)
 
     def _stroke(self, x0: float, y0: float, x1: float, y1: float) -> None:

@@ -6,6 +6,9 @@ from typing import Any
 
 from roadsight.report.wording import label, number, percent, seconds
 
+_UNITS = {"deg": "°", "m2": " m²"}
+"""Units as people write them, where plain text has others."""
+
 
 def effect_rows(effects: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows of the table, simulated effects first, each group in the order of its names.
@@ -19,7 +22,7 @@ def effect_rows(effects: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _row(name: str, about: dict[str, Any]) -> dict[str, Any]:
-    unit = f" {about['unit']}" if about["unit"] else ""
+    unit = _UNITS.get(about["unit"], f" {about['unit']}" if about["unit"] else "")
     quantity = str(about["quantity"])
     return {
         "effect": label(name),

@@ -14,6 +14,9 @@ from roadsight.report.site.sight_view import sight_view
 from roadsight.report.site.tolerance_view import tolerance_view
 from roadsight.report.wording import number
 
+_COLOURED = 4
+"""Targets that are seen so often, or more often, have one colour on the map."""
+
 
 def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]]:
     """Plans of page.json with the widths of their bars and the cells of their tables.
@@ -37,7 +40,8 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
             "margins": margins_view(plan),
             "tolerances": tolerance_view(plan),
             "covered": plan["targets"] - len(plan["gaps"]),
-            "most_seen": max([1, *plan["histogram"]]),
+            "most_seen": max([1, *(count for _, count in _histogram(plan["histogram"]))]),
+            "histogram": _histogram(plan["histogram"]),
             "reduced": _reductions(plan["reductions"]),
             "gaps": [_gap(gap, frame) for gap in plan["gaps"]],
             "reasons": _by_count(Counter(gap["reason"] for gap in plan["gaps"])),
@@ -73,6 +77,14 @@ def _native(place: dict[str, Any], frame: Frame) -> list[float]:
     return frame.to_native(np.array([place["x"], place["y"]])).tolist()
 
 
+def _histogram(counts: list[int]) -> list[tuple[str, int]]:
+    """Targets by how many sensors see them; those by four and more share a colour, and a row."""
+    if len(counts) <= _COLOURED + 1:
+        return [(str(times), count) for times, count in enumerate(counts)]
+    rest = (f"{_COLOURED} or more", sum(counts[_COLOURED:]))
+    return [*((str(times), counts[times]) for times in range(_COLOURED)), rest]
+
+
 def _by_count(counts: Counter[str]) -> list[tuple[str, int]]:
     """Most frequent first, ties by name."""
     return sorted(counts.items(), key=lambda item: (-item[1], item[0]))
@@ -85,8 +97,8 @@ def _reductions(counts: dict[str, int]) -> str:
         return ""
     choices, targets, fewer_choices, fewer_targets = (number(counts[key]) for key in keys)
     return (
-        f"{choices} choices for {targets} targets, which reductions that cannot change the answer"
-        f" left at {fewer_choices} for {fewer_targets}"
+        f"{choices} choices for {targets} targets; after reductions that cannot change the answer,"
+        f" {fewer_choices} for {fewer_targets}"
     )
 
 

@@ -205,7 +205,10 @@ def pavement_doubts(
             text = "the pavement covers only a part of the track that was driven"
         found.append(_held("pavement_track", text, share, _LEAST_TRACK, least=True))
     if method in MOST_LAYER_M and layer_m > MOST_LAYER_M[method]:
-        text = "the pavement's layer is thicker (registration?) than its method bears, m (sigma)"
+        text = (
+            "heights on the pavement scatter by more than its method was tested with (are the scans"
+            " registered well?), one sigma in m"
+        )
         limit = MOST_LAYER_M[method]
         found.append(Doubt("pavement_layer", "doubt", text, round(layer_m, 4), limit))
     if method in MOST_LAYER_M and not np.isnan(open_share):

@@ -11,6 +11,7 @@ from roadsight.base.options import add_settings
 from roadsight.config.sections.sensing import Lidar
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.records.surfels import write_surfels
+from roadsight.scene.classes import VEGETATION
 from roadsight.scene.surfels.local import build_local_surfels
 from roadsight.scene.surfels.outliers import in_company
 from roadsight.scene.surfels.voxel_moments import add_moments, sum_moments
@@ -26,7 +27,8 @@ cloud, 1.9 % of a street that was scanned once, and 18 % of an airborne cloud sp
 
 def write_scene_surfels(arguments: argparse.Namespace) -> None:
     """Sum up the cloud in voxels, tile by tile, and turn them into surfels."""
-    cloud = StandingCloud(arguments.cloud, arguments.traffic)
+    without = VEGETATION if arguments.vegetation == "leave_out" else ()
+    cloud = StandingCloud(arguments.cloud, arguments.traffic, without)
     edge_m = arguments.surfel_size_m
     tiles = logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles")
     parts, points = [], 0
@@ -75,9 +77,8 @@ def main(argv: list[str] | None = None) -> int:
     for name in ("cloud", "out"):
         parser.add_argument(f"--{name}", required=True)
     parser.add_argument("--traffic", nargs="?", help="mask of points to leave out")
-    add_settings(
-        parser, Lidar, "surfel_size_m", "outlier_radius_m", "outlier_neighbours", "outlier_engine"
-    )
+    add_settings(parser, Lidar, "surfel_size_m", "vegetation")
+    add_settings(parser, Lidar, "outlier_radius_m", "outlier_neighbours", "outlier_engine")
     return run_stage(parser, write_scene_surfels, argv)
 
 

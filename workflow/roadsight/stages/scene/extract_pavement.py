@@ -193,8 +193,8 @@ def _sharpened(arguments: argparse.Namespace, cloud: CloudTiles, found: _Found) 
     if not sharp.agrees:
         measured, limit = sharp.weakest
         text = (
-            "as one surface another road is found than by FPFH and k-means, which is kept (give"
-            " pavement.seeds, or digitise it): share of it that both find"
+            "two ways to find the pavement disagree; that of FPFH and k-means is kept (look at it"
+            " on the map; give pavement.seeds or draw it where it is wrong). Share that both find"
         )
         doubt = Doubt("pavement_ways_differ", "doubt", text, round(measured, 3), limit)
         return replace(found, doubts=[*found.doubts, doubt])

@@ -14,6 +14,7 @@ from roadsight.base.arrays import Floats
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.vector.sample import write_native_lines
 from roadsight.io.vector.vectors import write_layers
+from roadsight.scene.classes import VEGETATION
 from roadsight.stages.command import run_stage
 from roadsight.synthetic.highway.highway import EPSG, build_highway
 from roadsight.synthetic.highway.mobile_scanner import PointChunk, scan
@@ -35,7 +36,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--grade", type=float, default=0.018, help="rise over run")
     parser.add_argument("--tunnel", choices=["yes", "no"], default="yes", help="at its end")
     parser.add_argument("--overhead", choices=["yes", "no"], default="no", help="wires, roofs")
-    parser.add_argument("--cloud", required=True, help="LAZ to write; every point unclassified")
+    parser.add_argument("--cloud", required=True, help="LAZ to write")
+    parser.add_argument(
+        "--class-scheme",
+        choices=["usual", "plants"],
+        default="usual",
+        help="usual: every point is 0, never classified; plants: vegetation is told",
+    )
     parser.add_argument("--truth", required=True, help="GeoPackage to write")
     parser.add_argument("--edges", required=True, help="GeoJSON to write")
     return parser
@@ -54,6 +61,9 @@ def generate_sample(arguments: argparse.Namespace) -> None:
     frame = highway.frame()
     scan_rng, click_rng = np.random.default_rng(arguments.seed).spawn(2)
     xyz_m, dims = _cloud(scan(highway, arguments.points, scan_rng))
+    if arguments.class_scheme == "plants":
+        truth = dims[TRUTH_DIMENSION]
+        dims["classification"] = np.where(np.isin(truth, VEGETATION), truth, 0).astype(np.uint8)
     write_laz(arguments.cloud, xyz_m, frame, dims)
     write_layers(arguments.truth, truth_layers(highway), frame)
     write_native_lines(arguments.edges, digitised_edges(highway, click_rng), frame, EPSG)
@@ -61,7 +71,7 @@ def generate_sample(arguments: argparse.Namespace) -> None:
 
 
 def _cloud(chunks: Iterable[PointChunk]) -> tuple[Floats, dict[str, NDArray]]:
-    """Points (n, 3) in local metres and their LAS dimensions; the class stays 0, unclassified."""
+    """Points (n, 3) in local metres and their LAS dimensions; the class stays 0."""
     parts = list(chunks)
     xyz_m = np.concatenate([part.xyz_m for part in parts])
     once = np.ones(len(xyz_m), np.uint8)

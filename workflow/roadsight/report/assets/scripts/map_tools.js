@@ -17,7 +17,8 @@ function coordinatesText(place, x, y) {
   if (!degrees) return native;
   const [lon, lat] = degrees;
   const side = (value, letters) => `${formatNumber(Math.abs(value), 6)}\u00b0 ${letters[value < 0 ? 1 : 0]}`;
-  return `${native} \u00b7 ${side(lat, "NS")}, ${side(lon, "EW")}`;
+  // A line may end between the two pairs, not within one.
+  return [native, `${side(lat, "NS")}, ${side(lon, "EW")}`].map((pair) => pair.replaceAll(" ", "\u00a0")).join(" \u00b7 ");
 }
 
 function onlineMap(place, x, y) {
