@@ -215,19 +215,22 @@ class Project:
             "title": chosen.title or chosen.site,
             "jobs": chosen.jobs,
             "command": site.command,
-            "plans": {name: plan.title for name, plan in site.resolved.plans.items()},
+            "plans": _solved(site),
             "there": {"cloud": (site.results / CLOUD).exists()},
             "cannot": {page: reason for page, reason in _reasons(site) if reason},
         }
 
 
+def _solved(site: SiteFolder) -> dict[str, str]:
+    """Plans that have a solution, by name, with their titles."""
+    plans, folder = site.resolved.plans, site.results / "placement"
+    return {n: plan.title for n, plan in plans.items() if (folder / n / "solution.json").exists()}
+
+
 def _reasons(site: SiteFolder) -> Iterator[tuple[str, str]]:
     """Why each page cannot work on a site, in a few words; empty where it can."""
     jobs = site.resolved.site.jobs
-    solved = any(
-        (site.results / f"placement/{p}/solution.json").exists() for p in site.resolved.plans
-    )
-    results = ("placement" in jobs and solved, "poles" in jobs and (site.results / _POLES).exists())
+    results = ("placement" in jobs and _solved(site), "poles" in jobs and (site.results / _POLES).exists())
     cloud = "" if (site.results / CLOUD).exists() else "no cloud yet"
     images = "" if (site.results / _FRAMES).exists() else "no images yet"
     yield "edges", cloud

@@ -24,7 +24,7 @@ export class WhatIf {
   }
 
   async load() {
-    if (!this.plan) throw new Error("This site has no plans.");
+    if (!this.plan) throw new Error("No plan of this site has a solution yet. The page Run solves them.");
     const answer = await get(siteUrl(this.page.site.stem, `plans/${this.plan}`));
     this.about = answer;
     this.sensors = answer.chosen.map((row, number) => ({ row, before: row, number, on: true }));
