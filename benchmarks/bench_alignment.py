@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench_measure import Size, measured, row
+from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import wrap_deg
-from roadsight.poles.alignment.drive import Reach, near_edges, places_of
+from roadsight.poles.alignment.drive import near_edges, places_of
 from roadsight.poles.alignment.pose import (
     FOCAL,
     HEIGHT,

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench_measure import Size, measured, row
+from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.describe import describe_ground
-from roadsight.scene.terrain.ground_settings import GroundSettings
 from roadsight.scene.terrain.terrain import label_ground
 
 NEIGHBOURS = 10
@@ -42,7 +42,7 @@ def _ground(cloud: NDArray[np.float64]) -> dict[str, Any]:
     bounds = (0.0, -20.0, float(cloud[:, 0].max()) + 1e-3, 20.0)
 
     def ours() -> NDArray[np.bool_]:
-        tiles = label_ground(lambda halo: iter([(bounds, cloud)]), bounds, GroundSettings())
+        tiles = label_ground(lambda halo: iter([(bounds, cloud)]), bounds, GroundFilter())
         return next(tiles)[1]
 
     def published() -> NDArray[np.bool_]:

@@ -15,10 +15,11 @@ import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
+from roadsight.base.sections.poles import EdgeTracing
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.evidence import edge_maps
 from roadsight.poles.images.image_edges import _borders, _cleaned_road
-from roadsight.poles.images.lanes import EdgeSettings, centre_lines
+from roadsight.poles.images.lanes import centre_lines
 from roadsight.poles.images.pole_masks import find_instances
 
 _MARKING, _POLE = 3, 5
@@ -65,7 +66,7 @@ def a_line(slope: float, start: float) -> tuple[np.ndarray, Callable[[np.ndarray
 def main(folder: Path) -> int:
     """Print a line for each."""
     cv2.setNumThreads(1)
-    settings, rows = EdgeSettings(), {"centre": [], "edges": []}
+    settings, rows = EdgeTracing(), {"centre": [], "edges": []}
     files = sorted((folder / "road_masks").rglob("*.png"))
     for file in files[:: max(len(files) // _MOST, 1)]:
         mask = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)

@@ -3,10 +3,15 @@
 import numpy as np
 
 from roadsight.poles.triangulate.locate import triangulate
-from roadsight.poles.triangulate.rays import TriangulationSettings, make_rays
+from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 
-FINE = TriangulationSettings(
-    sigma_position_m=0.3, sigma_bearing_deg=0.5, sigma_depth_ratio=0.2, calibrate_depth=False
+FINE = UNAIDED.model_copy(
+    update={
+        "sigma_position_m": 0.3,
+        "sigma_bearing_deg": 0.5,
+        "sigma_depth_ratio": 0.2,
+        "calibrate_depth": False,
+    }
 )
 
 

@@ -11,8 +11,8 @@ import pandas as pd
 from pyproj import CRS
 from shapely import LineString, Polygon
 
+from roadsight.base.sections.sensing import Targets
 from roadsight.config.schema import Settings
-from roadsight.config.sections.sensing import Targets
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.cloud.tile_writer import TileWriter

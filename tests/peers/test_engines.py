@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+import roadsight
+from roadsight.base.engines import ENGINES
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.scene.pavement.clusters import euclidean_clusters
@@ -96,3 +98,15 @@ def test_the_same_points_stand_alone(rng, others):
     own = in_company(xyz[:500], xyz[500:], 0.5, others)
     assert 0 < own.sum() < len(own)
     assert (in_company(xyz[:500], xyz[500:], 0.5, others, "open3d") == own).all()
+
+
+def test_the_api_gives_the_same_by_both(ground):
+    ranges = [roadsight.depth_map(ground, "OS1-64", [10, 6, 3], engine=e) for e in ENGINES]
+    assert np.abs(ranges[0] - ranges[1]).max() < 1e-3
+    roads = [
+        roadsight.pavement(
+            ground, method="published", ground=np.ones(len(ground), bool), engine=engine
+        ).outline
+        for engine in ENGINES
+    ]
+    assert roads[0].symmetric_difference(roads[1]).area < 0.01 * roads[0].area

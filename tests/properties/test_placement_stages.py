@@ -16,7 +16,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from shapely import LineString, MultiPolygon, affinity
 
-from roadsight.placement.candidates.candidates import HeightSettings, stack_candidates
+from roadsight.base.sections.placement import Candidates
+from roadsight.placement.candidates.candidates import stack_candidates
 from roadsight.placement.candidates.positions import positions_along
 from roadsight.placement.candidates.targets import place_targets
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
@@ -177,7 +178,7 @@ def test_targets_move_with_the_pavement(seed, cells):
 def candidates(line, pavement, obstacles):
     edges = gpd.GeoDataFrame({"edge": ["e"], "kind": ["verge"]}, geometry=[line])
     positions = positions_along(edges, pavement, 4.0).assign(ground_z_m=0.0)
-    return stack_candidates(positions, obstacles, obstacles[:, 2], HeightSettings())
+    return stack_candidates(positions, obstacles, obstacles[:, 2], Candidates())
 
 
 @FEW

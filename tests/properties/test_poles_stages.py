@@ -7,16 +7,17 @@ import pandas as pd
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from roadsight.base.sections.poles import Hazard
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.geometry.frames import Frame
 from roadsight.poles.drive.track import headings_deg
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.image_edges import trace_edges
 from roadsight.poles.images.pole_masks import find_instances
-from roadsight.poles.risk.hazard import HazardSettings, rate_poles
+from roadsight.poles.risk.hazard import rate_poles
 from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.triangulate.locate import triangulate
-from roadsight.poles.triangulate.rays import TriangulationSettings, make_rays
+from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells
 from roadsight.scene.terrain.tin import triangulate as make_terrain
 from roadsight.scene.voxels.voxel_classes import (
@@ -31,12 +32,17 @@ SEEDS = st.integers(0, 2**31)
 ANGLES = st.floats(-180.0, 180.0)
 FAR = st.tuples(*[st.integers(-5_000_000, 5_000_000)] * 2)
 FEW = settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
-FINE = TriangulationSettings(
-    sigma_position_m=0.3, sigma_bearing_deg=0.5, sigma_depth_ratio=0.2, calibrate_depth=False
+FINE = UNAIDED.model_copy(
+    update={
+        "sigma_position_m": 0.3,
+        "sigma_bearing_deg": 0.5,
+        "sigma_depth_ratio": 0.2,
+        "calibrate_depth": False,
+    }
 )
 
 
-RULES = HazardSettings(dense_per_km=35.0)  # off the whole tens that a window of 100 m gives
+RULES = Hazard(dense_per_km=35.0)  # off the whole tens that a window of 100 m gives
 
 
 def moves(angle_deg, mirror):

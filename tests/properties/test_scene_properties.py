@@ -7,6 +7,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from roadsight.base.sections.scene import GroundFilter
 from roadsight.geometry.frames import Frame
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.clusters import euclidean_clusters
@@ -15,11 +16,10 @@ from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 from roadsight.scene.surfels.thinning import column_means
 from roadsight.scene.terrain.coarse import coarse_ground
 from roadsight.scene.terrain.ground import ground_mask
-from roadsight.scene.terrain.ground_settings import GroundSettings
 from roadsight.scene.terrain.lowest import lowest_supported
 
 # Cells are binary fractions and points lie on a binary raster, so that moving them is exact.
-SETTINGS = GroundSettings(pillar_width_m=0.25, coarse_cell_m=1.0)
+SETTINGS = GroundFilter(pillar_width_m=0.25, coarse_cell_m=1.0)
 RASTER = 1 / 1024
 SEEDS = st.integers(0, 2**31)
 FEW = settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))

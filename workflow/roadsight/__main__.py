@@ -50,7 +50,7 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"roadsight {__version__}")
     verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
     for name in COMMANDS:
-        importlib.import_module(f"roadsight.commands.{name}").add_parser(verbs)
+        importlib.import_module(f"roadsight.commands.{name}").VERB.add_to(verbs)
     return parser
 
 

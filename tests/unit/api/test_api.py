@@ -15,6 +15,8 @@ import pytest
 from scipy import sparse
 
 import roadsight
+from roadsight.api.sight import in_company_of
+from roadsight.base import engines
 from roadsight.base.errors import InputError
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from tests.helpers.las_files import wkt_of, write_las
@@ -174,6 +176,31 @@ def test_a_step_that_fails_leaves_the_callers_log_alone(monkeypatch):
         with pytest.raises(InputError, match=r"no\.laz"):
             roadsight.align("no.csv", "no.laz", "no")
         assert (root.handlers, root.level) == (before, level)
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda: roadsight.depth_map(street(), "OS1-64", [30, 12, 4], engine="open3d"),
+        lambda: roadsight.detection_matrix(
+            street(), "OS1-64", [[30, 12, 4]], [[38, 12, 0]], engine="open3d"
+        ),
+        lambda: roadsight.pavement(street(), method="published", engine="open3d"),
+        lambda: roadsight.edges(street(), method="published", engine="open3d"),
+    ],
+)
+def test_an_engine_that_is_not_there_is_named(call, monkeypatch):
+    monkeypatch.setattr(engines, "is_installed", lambda: False)
+    with pytest.raises(InputError, match="engine open3d is not installed"):
+        call()
+
+
+def test_points_that_stand_alone_are_left_out_if_asked():
+    alone = np.vstack([street(), [[30.0, 12.0, 4.0]] * 2])
+    assert np.array_equal(in_company_of(alone, 1.0, "own"), street())
+    assert in_company_of(alone, 0.0, "own") is alone
+    with pytest.raises(InputError, match="outlier_radius_m"):
+        roadsight.depth_map(street(), "OS1-64", [30, 12, 3], outlier_radius_m=-1.0)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 """The verb `roadsight accept` on a planned street written by hand."""
 
-import argparse
 import json
 
 import geopandas as gpd
@@ -9,9 +8,8 @@ import pandas as pd
 import pytest
 from shapely import Point
 
-from roadsight.__main__ import main
+from roadsight.__main__ import build_parser, main
 from roadsight.api.sight import CATALOGUE
-from roadsight.commands.accept import add_parser
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import write_json
@@ -144,7 +142,7 @@ def test_a_model_that_the_sensors_file_lacks_is_refused(accept, tmp_path):
 
 
 def test_the_catalogue_of_sensors_is_the_package_s_own():
-    parser = argparse.ArgumentParser()
-    add_parser(parser.add_subparsers())
-    asked = parser.parse_args(["accept", "s.laz", "--plan", "p", "--sensor", "1", "-o", "o"])
-    assert asked.sensors == str(CATALOGUE)
+    asked = build_parser().parse_args(
+        ["accept", "s.laz", "--plan", "p", "--sensor", "1", "-o", "o"]
+    )
+    assert asked.sensors == CATALOGUE

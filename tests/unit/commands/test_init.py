@@ -24,7 +24,7 @@ UTM = wkt_of("EPSG:25832")
 
 def run(*arguments):
     parser = argparse.ArgumentParser()
-    init.add_parser(parser.add_subparsers())
+    init.VERB.add_to(parser.add_subparsers())
     parsed = parser.parse_args(["init", *map(str, arguments)])
     parsed.run(parsed)
 

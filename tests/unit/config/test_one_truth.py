@@ -1,14 +1,14 @@
-"""A default that is written in two places is the same in both."""
+"""A setting and its default are written once: in its section."""
 
 from __future__ import annotations
 
 import argparse
-import ast
 import dataclasses
 import importlib
 import inspect
 import pkgutil
 import re
+from typing import Annotated, get_args, get_origin, get_type_hints
 
 import pytest
 from pydantic_core import PydanticUndefined
@@ -16,10 +16,10 @@ from pydantic_core import PydanticUndefined
 import roadsight
 from roadsight.base.options import add_settings
 from roadsight.base.section import Section
+from roadsight.base.sections.placement import Cover
+from roadsight.base.sections.poles import Voxels
+from roadsight.base.sections.scene import Pavement
 from roadsight.config.schema import Settings
-from roadsight.config.sections.placement import Cover
-from roadsight.config.sections.poles import Voxels
-from roadsight.config.sections.scene import Pavement
 from tests.conftest import PROJECT
 
 RULES = re.compile(
@@ -40,18 +40,6 @@ def sections(model: type[Section] = Settings, prefix: str = "") -> dict[str, dic
     return found
 
 
-def parsers() -> list[tuple[str, str]]:
-    """Stage and section of each rule that hands a section on as options."""
-    pairs = set()
-    for file in sorted((PROJECT / "workflow" / "rules").rglob("*.smk")):
-        for _, body in RULE.findall(file.read_text("utf-8")):
-            module = re.search(r"python -m (roadsight\.stages\.[\w.]+)", body)
-            for section in re.findall(r'(?<!some_)flags\("([\w.]+)"', body):
-                if module:
-                    pairs.add((module.group(1), section))
-    return sorted(pairs)
-
-
 def asked() -> dict[str, set[str]]:
     """Settings that rules hand on one by one or by section, by the module of their stage."""
     found: dict[str, set[str]] = {}
@@ -66,45 +54,38 @@ def asked() -> dict[str, set[str]]:
     return found
 
 
-def written(source: str) -> set[str]:
-    """Options of a stage whose default is written as a literal."""
+def parameters_of(function: object) -> dict[str, tuple[object, object]]:
+    """Type and default of the parameters of a typed function, and of the dataclasses it takes."""
+    kinds = get_type_hints(function, include_extras=True)
+    found = {}
+    for name, parameter in inspect.signature(function).parameters.items():
+        if dataclasses.is_dataclass(kinds[name]):
+            found |= parameters_of(kinds[name])
+        else:
+            found[name] = kinds[name], parameter.default
+    return found
+
+
+def settings_of(function: object) -> set[str]:
+    """Settings that a typed function takes, one by one or as a section."""
     found = set()
-    for call in ast.walk(ast.parse(source)):
-        if isinstance(call, ast.Call) and getattr(call.func, "attr", "") == "add_argument":
-            literal = [
-                keyword
-                for keyword in call.keywords
-                if keyword.arg == "default" and isinstance(keyword.value, ast.Constant | ast.List)
-            ]
-            if literal and isinstance(call.args[0], ast.Constant):
-                found.add(str(call.args[0].value).lstrip("-").replace("-", "_"))
+    for name, (kind, _) in parameters_of(function).items():
+        told = get_args(kind)[1:] if get_origin(kind) is Annotated else ()
+        if any(isinstance(part, type) and issubclass(part, Section) for part in told):
+            found.add(name)
+        elif isinstance(kind, type) and issubclass(kind, Section):
+            found |= set(kind.model_fields)
     return found
 
 
 def test_no_stage_writes_the_default_of_a_setting_again():
     twice = {}
     for module, names in asked().items():
-        source = inspect.getsource(importlib.import_module(module))
-        if repeated := names & written(source):
+        parameters = parameters_of(importlib.import_module(module).main.stage)
+        own = {name for name, (_, default) in parameters.items() if default != inspect._empty}
+        if repeated := names & own:
             twice[module] = repeated
     assert not twice
-
-
-def taken(source: str) -> set[str]:
-    """Settings that a module makes options of, one by one or the whole section."""
-    found = set()
-    for call in ast.walk(ast.parse(source)):
-        if isinstance(call, ast.Call) and getattr(call.func, "id", "") == "add_settings":
-            names = [a.value for a in call.args[2:] if isinstance(a, ast.Constant)]
-            kind = ast.unparse(call.args[1]).rpartition(".")[2]
-            whole = {
-                name
-                for field in Settings.model_fields.values()
-                if getattr(field.annotation, "__name__", "") == kind
-                for name in field.annotation.model_fields
-            }
-            found |= set(names) if len(call.args) > 2 else whole
-    return found
 
 
 def test_rules_hand_on_each_setting_that_their_stage_takes():
@@ -116,7 +97,7 @@ def test_rules_hand_on_each_setting_that_their_stage_takes():
             module = re.search(r"python -m (roadsight\.stages\.[\w.]+)", body)
             if not module:
                 continue
-            options = taken(inspect.getsource(importlib.import_module(module.group(1))))
+            options = settings_of(importlib.import_module(module.group(1)).main.stage)
             for section in re.findall(r'flags\(\s*"([\w.]+)"', body):
                 options -= set(sections()[section])
             missing = {
@@ -146,53 +127,21 @@ def test_sections_make_options():
         add_settings(parser, Settings, "effects")
 
 
-def _plain(value: object) -> object:
-    return list(value) if isinstance(value, tuple) else value
-
-
-@pytest.mark.parametrize(("module", "section"), parsers())
-def test_options_of_stages_have_the_defaults_of_their_section(module, section, monkeypatch):
-    stage, caught = importlib.import_module(module), []
-    monkeypatch.setattr(stage, "run_stage", lambda parser, *_: caught.append(parser) or 0)
-    stage.main([])
-    defaults = {action.dest: action.default for action in caught[0]._actions}
-    wanted = sections()[section]
-    drifted = {
-        name: (defaults[name], value)
-        for name, value in wanted.items()
-        if defaults.get(name) is not None and defaults[name] != value
-    }
-    assert not drifted, "option, then config.yaml"
-
-
-def test_settings_of_the_science_have_the_defaults_of_their_section():
-    drifted = {}
+def test_no_dataclass_of_the_science_repeats_a_section():
+    repeated = {}
     for found in pkgutil.walk_packages(roadsight.__path__, "roadsight."):
         if not found.name.startswith(("roadsight.scene", "roadsight.poles", "roadsight.placement")):
             continue
         for name, kind in vars(importlib.import_module(found.name)).items():
-            own = dataclasses.is_dataclass(kind) and getattr(kind, "__module__", "") == found.name
-            if not (own and name.endswith(("Settings", "Reach"))):
+            if not (dataclasses.is_dataclass(kind) and name.endswith(("Settings", "Reach"))):
                 continue
-            have = {
-                field.name: field.default
-                for field in dataclasses.fields(kind)
-                if field.default is not dataclasses.MISSING
-            }
+            have = {field.name for field in dataclasses.fields(kind)}
             for section, values in sections().items():
-                common = set(have) & set(values)
-                if len(common) >= max(2, len(have) // 3):
-                    drifted |= {
-                        f"{name}.{key}, {section}": (have[key], values[key])
-                        for key in common
-                        if _plain(have[key]) != _plain(values[key])
-                    }
-    # Of cameras that GPS alone placed, as the verb takes them; the workflow's are aligned.
-    for name in ("sigma_position_m", "pole_evidence"):
-        drifted.pop(f"TriangulationSettings.{name}, triangulation")
-    assert not drifted, "science, then config.yaml"
+                if len(common := have & set(values)) >= max(2, len(have) // 3):
+                    repeated[f"{name}, {section}"] = common
+    assert not repeated
 
 
 def test_the_walk_finds_what_it_is_about():
-    assert len(parsers()) >= 15
+    assert len(asked()) >= 40 and sum(map(len, asked().values())) >= 150
     assert len(sections()) >= 25

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sensing import Targets
 from roadsight.config.schema import Settings
-from roadsight.config.sections.sensing import Targets
 from roadsight.effects.circumstances import SETTINGS, Circumstances
 from roadsight.effects.quantities import QUANTITIES
 from roadsight.evidence.metrics import METRICS

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from pyproj import CRS, Geod
 
+from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.lens import RadialLens
@@ -16,7 +17,7 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.poles.alignment.drive import Reach, near_edges, places_of
+from roadsight.poles.alignment.drive import near_edges, places_of
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.stages.poles import rate_hazard
 from roadsight.stages.poles.alignment_inputs import lowered

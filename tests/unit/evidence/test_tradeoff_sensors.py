@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.config.sections.poses import Poses
+from roadsight.base.sections.poses import Poses
 from roadsight.evidence.exact_highway import ExactHighway
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.refusals import refuse_sensors_without_maps

@@ -10,14 +10,10 @@ from scipy.interpolate import CubicSpline
 from shapely import LineString, MultiPolygon, box
 
 from roadsight.base.errors import InputError
-from roadsight.scene.edges.splines import (
-    OutlineSettings,
-    natural_spline,
-    outline_edges,
-    spline_line,
-)
+from roadsight.base.sections.scene import Edges
+from roadsight.scene.edges.splines import natural_spline, outline_edges, spline_line
 
-SETTINGS = OutlineSettings()
+SETTINGS = Edges()
 
 
 def literal_spline(points, parameter):

@@ -3,17 +3,18 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid, lowest_per_cell, sample_bilinear
 from roadsight.scene.terrain import coarse as surface
 from roadsight.scene.terrain import ground, lowest
 from roadsight.scene.terrain.cells import flat_cells, sample_three
 from roadsight.scene.terrain.coarse import coarse_ground, fill_smoothly, low_outliers, pits_of
 from roadsight.scene.terrain.ground import ground_mask, window_percentile
-from roadsight.scene.terrain.ground_settings import GroundSettings, pillar_widths_m
+from roadsight.scene.terrain.ground_settings import pillar_widths_m
 from roadsight.scene.terrain.lowest import lowest_supported
 from roadsight.scene.terrain.recovery import recovered
 
-SETTINGS = GroundSettings()
+SETTINGS = GroundFilter()
 
 
 def label(scene, settings=SETTINGS):
@@ -45,7 +46,7 @@ def errors(scene, mask):
 def test_slopes_are_ground(plane_scene, slopes):
     scene = plane_scene(slope_x=slopes[0], slope_y=slopes[1])
     steepest = max(0.2, 1.1 * np.hypot(*slopes))
-    assert errors(scene, label(scene, GroundSettings(slope=steepest)))[0] < 0.001
+    assert errors(scene, label(scene, GroundFilter(slope=steepest)))[0] < 0.001
 
 
 def test_steeper_ground_than_set_is_lost_at_the_high_border_only(plane_scene):
@@ -312,7 +313,7 @@ def test_points_without_a_height_are_no_ground(plane_scene):
 
 def test_pillars_double_up_to_a_coarse_cell():
     assert pillar_widths_m(SETTINGS) == (0.2, 0.4, 0.8)
-    assert pillar_widths_m(GroundSettings(pillar_width_m=1.0)) == (1.0,)
+    assert pillar_widths_m(GroundFilter(pillar_width_m=1.0)) == (1.0,)
 
 
 def holes(rng, shape, share=0.3):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shutil
 
 import laspy
@@ -12,7 +11,7 @@ import pytest
 from roadsight.api.clouds import labels_of
 from roadsight.api.scene import ground
 from roadsight.base.errors import InputError
-from roadsight.commands.cloud_arguments import load_cloud
+from roadsight.commands.cloud_arguments import Reading, load_cloud
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.records.atomic import read_json
@@ -89,11 +88,7 @@ def test_class_12_is_overlap_in_old_formats(tmp_path):
 
 
 def loaded(path, overlap="use"):
-    return load_cloud(
-        argparse.Namespace(
-            cloud=path, crs="auto", units="auto", vertical_units="metre", overlap=overlap
-        )
-    )
+    return load_cloud(path, Reading(UnitChoice(vertical_units="metre"), overlap))
 
 
 @pytest.mark.parametrize("mark", [{"classification": 7}, {"classification": 18}, {"withheld": 1}])

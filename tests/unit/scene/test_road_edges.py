@@ -12,6 +12,7 @@ import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadsight.base.sections.poles import RoadEdges
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.top_rasters import TopRasterWriter, read_top
 from roadsight.io.records.atomic import write_json
@@ -19,7 +20,6 @@ from roadsight.io.records.tables import read_about, read_table
 from roadsight.scene.edges import road_edges
 from roadsight.scene.edges.pixels import between_pixels
 from roadsight.scene.edges.road_edges import (
-    EdgeSettings,
     clean_road,
     closing_radius,
     edge_level,
@@ -138,9 +138,9 @@ def test_moving_the_image_moves_the_edges(rows, columns):
         pad = ((shift[0], 3), (shift[1], 5))
         part = np.pad(share, pad)
         full = np.pad(np.ones(share.shape, bool), pad)
-        image = clean_road(part > 0, full, CELL, EdgeSettings())
+        image = clean_road(part > 0, full, CELL, RoadEdges())
         rings = outlines(image, edge_level(part, full, image), 2.0)
-        lines = edge_lines(rings, image, CELL, EdgeSettings())
+        lines = edge_lines(rings, image, CELL, RoadEdges())
         cuts = np.flatnonzero(np.diff(lines.polyline)) + 1
         found.append(np.split(lines.place - shift, cuts))
     line = shapely.MultiLineString(found[0])
@@ -157,10 +157,10 @@ def test_small_holes_and_islands_have_no_edge_and_large_ones_do():
     share[45:75, 80:110] = 0.0  # 84 m2: an island
     share[5:12, 40:47] = 1.0  # 5 m2 of road in a field
     full = np.ones(share.shape, bool)
-    image = clean_road(share > 0, full, CELL, EdgeSettings())
+    image = clean_road(share > 0, full, CELL, RoadEdges())
     assert image.road[53, 23] and not image.road[60, 95] and not image.road[8, 43]
     lines = edge_lines(
-        outlines(image, edge_level(share, full, image), 2.0), image, CELL, EdgeSettings()
+        outlines(image, edge_level(share, full, image), 2.0), image, CELL, RoadEdges()
     )
     row, column = lines.place.T
     around = (row > 40) & (row < 80) & (column > 70) & (column < 120)
@@ -174,21 +174,21 @@ def test_edge_against_the_unknown_is_no_edge():
     share[20:40, :] = 1.0
     full = np.ones(share.shape, bool)
     full[40:, :] = False  # nothing was surveyed beyond the lower side
-    image = clean_road(share > 0, full, CELL, EdgeSettings())
+    image = clean_road(share > 0, full, CELL, RoadEdges())
     rows, _ = np.nonzero(edge_pixels(image, 1.5))
     assert set(rows) == {20}
     lines = edge_lines(
-        outlines(image, edge_level(share, full, image), 2.0), image, CELL, EdgeSettings()
+        outlines(image, edge_level(share, full, image), 2.0), image, CELL, RoadEdges()
     )
     assert np.abs(lines.place[:, 0] - 19.5).max() < 0.6
 
 
 def test_nothing_in_nothing_out(tmp_path):
     blank = np.zeros((40, 40), bool)
-    image = clean_road(blank, ~blank, CELL, EdgeSettings())
+    image = clean_road(blank, ~blank, CELL, RoadEdges())
     assert not image.road.any()
     assert outlines(image, edge_level(blank.astype(float), ~blank, image), 2.0) == []
-    assert len(edge_lines([], image, CELL, EdgeSettings()).place) == 0
+    assert len(edge_lines([], image, CELL, RoadEdges()).place) == 0
     xyz, cls, _ = road_cloud(density=2.0, size=(30.0, 30.0))
     write_top(tmp_path, xyz, np.full_like(cls, 2))
     names = {"top": "top.tif", "frame": "frame.json", "edges": "e.parquet", "lines": "e.gpkg"}
@@ -277,7 +277,7 @@ def test_level_near_the_road_is_that_of_the_whole_image(tmp_path, monkeypatch, d
     write_top(tmp_path, xyz, cls)
     top = read_top(tmp_path / "top.tif", FRAME)
     occupied = top.cls > 0
-    image = clean_road(top.cls == 11, occupied, CELL, EdgeSettings())
+    image = clean_road(top.cls == 11, occupied, CELL, RoadEdges())
     level = edge_level(top.road_share, occupied, image)
     assert 0 < level[level > 0].min() < 0.5
     # Vectors of single precision end elsewhere, which may change the last bit.
@@ -339,7 +339,7 @@ def test_batches_of_places_move_as_all_of_them_do(tmp_path):
     xyz, cls, _ = road_cloud(density=20.0)
     write_top(tmp_path, xyz, cls)
     top = read_top(tmp_path / "top.tif", FRAME)
-    image = clean_road(top.cls == 11, top.cls > 0, CELL, EdgeSettings())
+    image = clean_road(top.cls == 11, top.cls > 0, CELL, RoadEdges())
     level = edge_level(top.road_share, top.cls > 0, image)
     expected = outlines(image, level, 2.0)
     with mock.patch.object(road_edges, "_BATCH", 7):

@@ -3,9 +3,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene import whole
 from roadsight.scene.terrain.ground_doubts import ClassAgreement, ground_doubts, raised_settings
-from roadsight.scene.terrain.ground_settings import GroundSettings
 from roadsight.scene.terrain.terrain import TerrainModel, label_ground
 
 INFINITE = (-np.inf, -np.inf, np.inf, np.inf)
@@ -28,7 +28,7 @@ def as_tiles(xyz, size_m):
 
 
 def labels(tiles, bounds):
-    parts = list(label_ground(tiles, bounds, GroundSettings()))
+    parts = list(label_ground(tiles, bounds, GroundFilter()))
     xyz = np.concatenate([points for points, _ in parts])
     mask = np.concatenate([mask for _, mask in parts])
     return sorted((*point, bool(value)) for point, value in zip(xyz.tolist(), mask, strict=True))
@@ -164,7 +164,7 @@ def test_published_classifications_are_met(data, rng, file, largest_error, large
     for shift in rng.uniform(0, 1, (2, 3)):  # wherever the grid lies
         xyz = cloud.xyz - cloud.xyz.min(axis=0) + shift
         bounds = (*xyz[:, :2].min(axis=0), *xyz[:, :2].max(axis=0))
-        settings = GroundSettings()
+        settings = GroundFilter()
         [(_, found)] = label_ground(lambda halo, xyz=xyz: iter([(INFINITE, xyz)]), bounds, settings)
         assert (found != true).mean() < largest_error
         assert found[~true].mean() < largest_false_ground

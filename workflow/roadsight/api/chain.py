@@ -1,17 +1,52 @@
-"""The workflow's own stages, one after the other, for verbs that need several of them."""
+"""The workflow's own stages, one after the other in one folder, for verbs that need several."""
 
 from __future__ import annotations
 
-import importlib
-import sys
 from pathlib import Path
-from typing import Any
 
+from roadsight.api.drive import MANIFESTS, Drive, DriveFiles
+from roadsight.base.sections.poles import (
+    AlignmentLimits,
+    Calibration,
+    EdgeTracing,
+    Networks,
+    PoleMasks,
+    Reach,
+    RoadEdges,
+    SideViews,
+    TerrainMesh,
+    Videolog,
+    Voxels,
+)
+from roadsight.base.sections.scene import (
+    Ground,
+    GroundClasses,
+    PavementMethod,
+    PavementOutline,
+    Scene,
+)
+from roadsight.geometry.reference import UnitChoice
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.sources import stage_module
 from roadsight.scene.pavement.choice import choose_method
+from roadsight.stages.poles.align_cameras import align_cameras
+from roadsight.stages.poles.alignment_inputs import SceneFiles
+from roadsight.stages.poles.calibrate_drive import calibrate_drives
+from roadsight.stages.poles.dense_inputs import DenseFiles
+from roadsight.stages.poles.find_pole_columns import find_columns
+from roadsight.stages.poles.match_images import match_images
+from roadsight.stages.poles.read_videolog import read_videolog
+from roadsight.stages.poles.segment_images import segment_images
+from roadsight.stages.poles.trace_image_edges import trace_image_edges
+from roadsight.stages.poles.trace_pole_axes import trace_pole_axes
+from roadsight.stages.scene.build_dem import build_dem
+from roadsight.stages.scene.build_terrain import build_terrain
+from roadsight.stages.scene.cluster_fpfh import cluster_fpfh
+from roadsight.stages.scene.extract_pavement import Way, extract_pavement
+from roadsight.stages.scene.extract_road_edges import extract_road_edges
+from roadsight.stages.scene.ingest_cloud import ingest_cloud
+from roadsight.stages.scene.profile_scene import profile_scene
+from roadsight.stages.scene.rasterise_lidar import RoadSource, rasterise_lidar
 
-MANIFESTS = Path(__file__).resolve().parents[3] / "resources" / "manifests"
 _ROAD_CLASS = "11"
 """Class "road surface" of LAS 1.4, as a profile names it."""
 _LEAST_ROAD = 1e-4
@@ -20,165 +55,135 @@ points, and the pavement is sought by shape."""
 
 
 class Chain:
-    """The workflow's own stages, one after the other in one folder."""
+    """Stages of a drive, whose files lie in a folder; those of a street where the drive is one."""
 
-    def __init__(self, folder: Path, *, street: bool = False) -> None:
-        self._folder, self._street = folder, street
+    def __init__(self, folder: Path, videolog: str, drive: DriveFiles) -> None:
+        self._folder, self._videolog, self._drive = folder, videolog, drive
+        self._site = drive.cloud.stem
+        self.cloud, self.frame = self.path("cloud.parquet"), self.path("frame.json")
+        self.dem, self.frames = self.path("dem.tif"), self.path("frames.parquet")
+        self.road_edges = self.path("road_edges.parquet")
+        self._profile, self._ground = self.path("profile.json"), self.path("ground.parquet")
+        self._pavement, self._top = self.path("pavement.gpkg"), self.path("top.tif")
+        self._columns, self._terrain = self.path("columns.parquet"), self.path("terrain.npz")
+        self._masks, self._axes = self.path("masks.zip"), self.path("pole_axes.parquet")
+        self._image_edges = self.path("image_edges.parquet")
+        self._matches = self.path("matches.parquet")
 
-    def path(self, name: str) -> str:
+    def path(self, name: str) -> Path:
         """Path of one of its files."""
-        return str(self._folder / name)
+        return self._folder / name
 
-    def _run(self, stage: str, *options: str, **files: str) -> None:
-        """Run a stage; it has told its own message where it ends the verb."""
-        named = [
-            part
-            for name, file in files.items()
-            for part in (f"--{name.replace('_', '-')}", self.path(file))
-        ]
-        code = importlib.import_module(stage_module(stage)).main([*named, *options])
-        if code:
-            sys.exit(code)
-
-    def scene(self, drive: Any) -> None:
+    def scene(self) -> None:
         """Cloud, terrain and, where the cloud has no road class, pavement."""
-        options = ("--site", drive.cloud.stem, "--crs", drive.crs)
-        units = ("--units", drive.units, "--vertical-units", drive.vertical_units)
-        self._run(
-            "ingest_cloud",
-            *options,
-            *units,
-            str(drive.cloud),
-            cloud="cloud.parquet",
-            frame="frame.json",
+        drive, site, cloud, frame = self._drive, self._site, self.cloud, self.frame
+        choice = UnitChoice(drive.crs, drive.units, drive.vertical_units)
+        ingest_cloud((drive.cloud,), site, choice, Scene(), cloud=cloud, frame=frame)
+        profile_scene(cloud, frame, out=self._profile)
+        build_dem(
+            site, cloud, frame, self._profile, Ground(), dem=self.dem, ground_path=self._ground
         )
-        files = {"cloud": "cloud.parquet", "frame": "frame.json"}
-        self._run("profile_scene", **files, out="profile.json")
-        self._run(
-            "build_dem",
-            *options[:2],
-            **files,
-            profile="profile.json",
-            dem="dem.tif",
-            ground="ground.parquet",
+        profile = read_json(self._profile)
+        self._classified = profile["class_shares"].get(_ROAD_CLASS, 0.0) >= _LEAST_ROAD
+        if self._classified:
+            return
+        clusters, classes = None, GroundClasses(fpfh_engine=drive.engine)
+        if choose_method("auto", False, profile).method == "published":
+            clusters = self.path("clusters.parquet")
+            cluster_fpfh(cloud, self._ground, self._profile, classes, out=clusters)
+        way = Way(
+            PavementOutline(),
+            PavementMethod().method,
+            classes.intensity,
+            drive.engine,
+            profile=self._profile,
+            clusters=clusters,
         )
-        shares = read_json(self.path("profile.json"))["class_shares"]
-        self._classified = shares.get(_ROAD_CLASS, 0.0) >= _LEAST_ROAD
-        if not self._classified:
-            found = {"profile": "profile.json"}
-            if (
-                choose_method("auto", False, read_json(self.path("profile.json"))).method
-                == "published"
-            ):
-                found["clusters"] = "clusters.parquet"
-                self._run(
-                    "cluster_fpfh",
-                    cloud="cloud.parquet",
-                    ground="ground.parquet",
-                    profile="profile.json",
-                    out="clusters.parquet",
-                )
-            self._run(
-                "extract_pavement",
-                *options[:2],
-                **files,
-                **found,
-                ground="ground.parquet",
-                pavement="pavement.gpkg",
-                points="pavement.parquet",
-            )
+        points = self.path("pavement.parquet")
+        extract_pavement(
+            site, cloud, frame, self._ground, way, pavement=self._pavement, points_path=points
+        )
 
-    def track(self, drive: Any) -> None:
+    def track(self) -> None:
         """Top view, and the frames of the videolog on it."""
-        files = {"cloud": "cloud.parquet", "frame": "frame.json", "dem": "dem.tif"}
-        found = {} if self._classified else {"pavement": "pavement.gpkg"}
-        source = "class" if self._classified else "pavement"
-        self._run(
-            "rasterise_lidar",
-            "--road-source",
-            source,
-            **files,
-            **found,
-            voxels="voxels.parquet",
-            top="top.tif",
+        source = RoadSource("class")
+        if not self._classified:
+            source = RoadSource("pavement", pavement=self._pavement, dem=self.dem)
+        voxels = self.path("voxels.parquet")
+        rasterise_lidar(
+            self.cloud, self.frame, Voxels(), source, voxels_path=voxels, top_path=self._top
         )
-        self._run(
-            "read_videolog",
-            "--videolog",
-            drive.videolog,
-            "--images",
-            drive.images,
-            **files,
-            top="top.tif",
-            out="frames.parquet",
+        read_videolog(
+            self._videolog,
+            self._drive.images,
+            self.cloud,
+            self.frame,
+            self.dem,
+            Videolog(),
+            self._top,
+            out=self.frames,
         )
 
     def road(self) -> None:
         """Road edges, pole-like columns, terrain."""
-        files = {"cloud": "cloud.parquet", "frame": "frame.json"}
-        curbs = ["--method", "curbs"] if self._street else []
-        self._run(
-            "extract_road_edges",
-            *curbs,
-            **files,
-            top="top.tif",
-            frames="frames.parquet",
-            edges="road_edges.parquet",
-            lines="road_edges.gpkg",
+        settings = RoadEdges(method="curbs") if self._drive.street else RoadEdges()
+        extract_road_edges(
+            self._top,
+            self.frame,
+            settings,
+            self.cloud,
+            self.frames,
+            edges_path=self.road_edges,
+            lines=self.path("road_edges.gpkg"),
         )
-        self._run("find_pole_columns", **files, dem="dem.tif", out="columns.parquet")
-        ground = {} if self._classified else {"ground": "ground.parquet"}
-        self._run("build_terrain", cloud="cloud.parquet", **ground, out="terrain.npz")
+        find_columns(self.cloud, self.frame, self.dem, out=self._columns)
+        voxels, cell_m = Voxels(), TerrainMesh().terrain_cell_m
+        ground = None if self._classified else self._ground
+        classes = voxels.road_classes, voxels.bridge_classes
+        build_terrain(self.cloud, *classes, cell_m, ground, out=self._terrain)
 
-    def images(self, drive: Any) -> None:
+    def images(self, drive: Drive) -> None:
         """What the images show."""
-        source = [str(MANIFESTS / "road_classes.yaml")]
-        if drive.masks:
-            source = [drive.masks, drive.map]
-        images = ("--images", drive.images)
-        self._run(
-            "segment_images", *images, "--source", *source, frames="frames.parquet", out="masks.zip"
-        )
-        shown = {"frames": "frames.parquet", "masks": "masks.zip"}
-        first = ["--borders", "nearest"] if self._street else []
-        self._run("trace_image_edges", *first, **shown, out="image_edges.parquet")
-        self._run("trace_pole_axes", **shown, out="pole_axes.parquet")
-        self._run("match_images", *images, frames="frames.parquet", out="matches.parquet")
+        frames, masks = self.frames, self._masks
+        source = [drive.masks, drive.map] if drive.masks else [str(MANIFESTS / "road_classes.yaml")]
+        height_px = Networks().image_height_px
+        segment_images(frames, drive.images, (source,), height_px, out=masks)
+        edges = EdgeTracing(borders="nearest") if drive.street else EdgeTracing()
+        trace_image_edges(frames, masks, edges, out=self._image_edges)
+        trace_pole_axes(frames, masks, PoleMasks(), out=self._axes)
+        match_images(frames, drive.images, out=self._matches)
 
-    def cameras(self, drive: Any) -> None:
-        """Poses by road alignment."""
-        inputs = {
-            "frames": "frames.parquet",
-            "image_edges": "image_edges.parquet",
-            "road_edges": "road_edges.parquet",
-            "frame": "frame.json",
-            "dem": "dem.tif",
-            "terrain": "terrain.npz",
-            "pole_axes": "pole_axes.parquet",
-            "columns": "columns.parquet",
-        }
-        lens = ["--intrinsics", drive.intrinsics] if drive.intrinsics else []
-        dense = {"cloud": "cloud.parquet", "masks": "masks.zip"}
-        shared = ["--method", drive.method, "--photographs", drive.images, *lens]
-        known = ["--hfov-deg", str(drive.hfov_deg)]
-        known += ["--baseline", drive.baseline] if drive.baseline else []
-        known += ["--start", "landmarks"] if self._street else []
-        self._run(
-            "calibrate_drive",
-            *known,
-            *shared,
-            **inputs,
-            **dense,
-            matches="matches.parquet",
-            out="calibration.json",
+    def cameras(self, drive: Drive) -> Path:
+        """Table of poses by road alignment."""
+        sides = SideViews()
+        files = SceneFiles(
+            self.frames,
+            self.road_edges,
+            self.frame,
+            (self._image_edges,),
+            Reach(),
+            terrain=self._terrain,
+            dem=self.dem,
+            pole_axes=(self._axes,),
+            columns=self._columns,
         )
-        limits = ["--max-sigma-heading-deg", str(drive.max_sigma_heading_deg)]
-        self._run(
-            "align_cameras",
-            *shared,
-            *limits,
-            **inputs,
-            **dense,
-            calibration="calibration.json",
-            out="cameras.parquet",
+        dense = DenseFiles(
+            drive.method, drive.intrinsics, self.cloud, Path(drive.images), (self._masks,)
         )
+        settings = Calibration(hfov_deg=drive.hfov_deg)
+        if drive.street:
+            settings = settings.model_copy(update={"start": "landmarks"})
+        calibration, out = self.path("calibration.json"), self.path("cameras.parquet")
+        calibrate_drives(
+            files,
+            dense,
+            settings,
+            sides.left_yaw_deg,
+            sides.right_yaw_deg,
+            drive.baseline,
+            (self._matches,),
+            out=calibration,
+        )
+        limits = AlignmentLimits(max_sigma_heading_deg=drive.max_sigma_heading_deg)
+        align_cameras(files, dense, limits, calibration, out=out)
+        return out

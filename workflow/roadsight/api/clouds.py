@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.geometry.crs import Unit
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.clouds import WAVEFORM, NativeCloud, read_laz, write_laz
@@ -123,8 +124,8 @@ def read_cloud(
     path: str | os.PathLike[str],
     *,
     crs: str = "auto",
-    units: str = "auto",
-    vertical_units: str = "auto",
+    units: Unit = "auto",
+    vertical_units: Unit = "auto",
     overlap: str = "use",
 ) -> Cloud:
     """Read a LAS or LAZ file; without any CRS its coordinates are taken as local metres.
@@ -199,7 +200,7 @@ def _first_like(native: NativeCloud, counts: Bools) -> Ints:
     return like
 
 
-def write_labelled(path: str, cloud: Cloud, labels: Bytes) -> None:
+def write_labelled(path: str | Path, cloud: Cloud, labels: Bytes) -> None:
     """Write the cloud with other classes, everything else but waveforms as it was."""
     if set(WAVEFORM) & set(cloud.native.dims):
         log.warning(

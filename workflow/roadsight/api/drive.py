@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
-import logging
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
 import pandas as pd
 
-from roadsight.api.chain import MANIFESTS, Chain
-from roadsight.base.errors import InputError
+from roadsight.base.engines import Engine
+from roadsight.geometry.crs import Unit
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 
+MANIFESTS = Path(__file__).resolve().parents[3] / "resources" / "manifests"
+Method = Literal["auto", "road", "dense", "published", "none"]
 _COLUMNS = {"heading_deg": "heading_grid_deg", "focal_px": "fx_px"}
 """Columns that are named otherwise than in the workflow."""
 _RETURNED = (
@@ -29,23 +28,44 @@ _RETURNED = (
 
 
 @dataclass(frozen=True)
-class Drive:
+class DriveFiles:
+    """What a verb that starts from a cloud and a videolog's images takes."""
+
+    cloud: Annotated[Path, "LAS or LAZ file"]
+    images: Annotated[str, "folder or ZIP of the images"]
+    crs: Annotated[str, "EPSG:nnnn, or auto: the cloud's own"] = "auto"
+    units: Annotated[Unit, "unit of x and y"] = "auto"
+    vertical_units: Annotated[Unit, "unit of z"] = "auto"
+    engine: Annotated[Engine, "who computes normals, FPFH and clusters of a pavement"] = "own"
+    street: Annotated[
+        bool,
+        "a street mapped from a vehicle: edges are curbs, masks count to the first border, "
+        "poles say first where the camera looks; needs --hfov-deg",
+    ] = False
+
+
+@dataclass(frozen=True)
+class Drive(DriveFiles):
     """A videolog and the cloud that it is aligned with; fields as the verb's options."""
 
-    videolog: str
-    cloud: Path
-    images: str
-    crs: str = "auto"
-    units: str = "auto"
-    vertical_units: str = "auto"
-    street: bool = False
-    masks: str | None = None
-    map: str = str(MANIFESTS / "labels_project.yaml")
-    hfov_deg: float = 0.0
-    baseline: str | None = None
-    intrinsics: str | None = None
-    method: str = "auto"
-    max_sigma_heading_deg: float = 0.12
+    masks: Annotated[str | None, "folder of label images; a small network if absent"] = None
+    map: Annotated[str, "what the labels show; the project's own classes if absent"] = str(
+        MANIFESTS / "labels_project.yaml"
+    )
+    hfov_deg: Annotated[float, "field of view, if known"] = 0.0
+    baseline: Annotated[str | None, "registered cameras, JSON"] = None
+    intrinsics: Annotated[
+        str | None,
+        "known lens, CSV: fx_px, cx_px, cy_px, one row for all images or one for each image",
+    ] = None
+    method: Annotated[
+        Method,
+        "dense: all that photograph and cloud share, needs --intrinsics, auto takes it then; "
+        "road: road edges and poles; as published; or the track alone",
+    ] = "auto"
+    max_sigma_heading_deg: Annotated[
+        float, "cameras with a less certain heading are rejected; more for a rough map"
+    ] = 0.12
 
 
 def align(
@@ -57,7 +77,7 @@ def align(
     ----------
     videolog : CSV with image, latitude, longitude. cloud : LAS or LAZ file.
     images : folder or ZIP.
-    options : fields of `Drive`: crs, units, masks, map, intrinsics, hfov_deg, street, method, ...
+    options : fields of `Drive`: crs, units, masks, map, intrinsics, hfov_deg, street, engine, ...
 
     Returns
     -------
@@ -74,38 +94,26 @@ def align(
     >>> cameras = roadsight.align("videolog.csv", "cloud.laz", "images")  # doctest: +SKIP
     >>> usable = cameras[cameras["accepted"]]  # doctest: +SKIP
     """
-    drive = Drive(str(videolog), Path(cloud), str(images), **options)  # type: ignore[arg-type]
-    told = io.StringIO()
-    try:
-        with _own_log(), contextlib.redirect_stderr(told):
-            return cameras_of(drive)
-    except SystemExit as ended:
-        lines = [line for line in told.getvalue().splitlines() if line.startswith("roadsight: ")]
-        raise InputError(lines[-1][11:] if lines else "a step ended early") from ended
+    drive = Drive(Path(cloud), str(images), **options)  # type: ignore[arg-type]
+    return cameras_of(str(videolog), drive)
 
 
-@contextlib.contextmanager
-def _own_log() -> Iterator[None]:
-    """Leave the caller's logging as it was: a stage sets up the log of a program of its own."""
-    root = logging.getLogger()
-    handlers, level = root.handlers[:], root.level
-    try:
-        yield
-    finally:
-        root.handlers[:] = handlers
-        root.setLevel(level)
+def cameras_of(videolog: str, drive: Drive) -> pd.DataFrame:
+    """Table of cameras.
 
+    Raises
+    ------
+    InputError : as `align`.
+    """
+    from roadsight.api.chain import Chain  # noqa: PLC0415  # slow to load
 
-def cameras_of(drive: Drive) -> pd.DataFrame:
-    """Table of cameras; a step that fails tells its own message and ends the program."""
     with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
-        chain = Chain(Path(folder), street=drive.street)
-        chain.scene(drive)
-        chain.track(drive)
+        chain = Chain(Path(folder), videolog, drive)
+        chain.scene()
+        chain.track()
         chain.road()
         chain.images(drive)
-        chain.cameras(drive)
-        cameras = read_table(chain.path("cameras.parquet")).rename(columns=_COLUMNS)
-        frame = Frame.from_dict(read_json(chain.path("frame.json")))
+        cameras = read_table(chain.cameras(drive)).rename(columns=_COLUMNS)
+        frame = Frame.from_dict(read_json(chain.frame))
     cameras[["x", "y", "z"]] = frame.to_native(cameras[["x", "y", "z"]].to_numpy(float))
     return pd.DataFrame(cameras[list(_RETURNED)])

@@ -10,13 +10,14 @@ import numpy as np
 
 from roadsight.api.clouds import Points, Taken, taken
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
+from roadsight.base.sections.scene import Edges, GroundFilter
 from roadsight.io.vector.vectors import native_features
-from roadsight.scene.edges.splines import OutlineSettings, outline_edges, spline_line
+from roadsight.scene.edges.splines import outline_edges, spline_line
 from roadsight.scene.pavement.choice import choose_method
 from roadsight.scene.pavement.road_surface import KnownRoad
 from roadsight.scene.pavement.scan_levels import count_scans
-from roadsight.scene.terrain.ground_settings import GroundSettings
 from roadsight.scene.whole import FoundRoad, ground_of, published_road, road_of, sharpen
 
 log = logging.getLogger("roadsight")
@@ -25,7 +26,7 @@ Method = Literal["auto", "surface", "published"]
 IntensityUse = Literal["auto", "use", "ignore"]
 
 
-def ground(points: Points, settings: GroundSettings | None = None) -> Bools:
+def ground(points: Points, settings: GroundFilter | None = None) -> Bools:
     """Which points are ground (progressive pillars and a triangulation).
 
     Parameters
@@ -53,7 +54,7 @@ def ground(points: Points, settings: GroundSettings | None = None) -> Bools:
     return _ground(taken(points), settings)
 
 
-def _ground(cloud: Taken, settings: GroundSettings | None = None) -> Bools:
+def _ground(cloud: Taken, settings: GroundFilter | None = None) -> Bools:
     mask = ground_of(cloud.xyz_m, settings)
     if not mask.any():
         raise InputError("no ground found", where=cloud.where)
@@ -69,6 +70,7 @@ def pavement(
     seed: int = 1,
     seeds_xy: Floats | None = None,
     track_xy: Floats | None = None,
+    engine: Engine = "own",
 ) -> FoundRoad:
     """Paved road of a cloud.
 
@@ -83,6 +85,7 @@ def pavement(
     ground : (n,) ground labels, found if absent; the published method alone needs them.
     seeds_xy, track_xy : (k, 2) places on the road, and where a vehicle drove in order, local
         metres: the surface grows from them.
+    engine : who computes normals, FPFH and clusters of the published method: own or open3d.
 
     Returns
     -------
@@ -106,7 +109,7 @@ def pavement(
             allowed="surface or auto",
         )
     known = KnownRoad(_places(track_xy, "track_xy"), _places(seeds_xy, "seeds_xy"))
-    return _pavement(taken(points), method, intensity, ground, seed, known)
+    return _pavement(taken(points), method, intensity, ground, seed, known, engine)
 
 
 def _places(xy_m: Floats | None, name: str) -> Floats | None:
@@ -125,6 +128,7 @@ def _pavement(
     ground: Bools | None = None,
     seed: int = 1,
     known: KnownRoad | None = None,
+    engine: Engine = "own",
 ) -> FoundRoad:
     choice = _chosen(cloud, method, known)
     told = cloud.intensity is not None and intensity != "ignore"
@@ -135,7 +139,7 @@ def _pavement(
         labels = _ground(cloud) if ground is None else np.asarray(ground, bool)
         values = np.zeros(len(cloud.xyz_m)) if cloud.intensity is None else cloud.intensity
         use = intensity if told else "ignore"
-        road = published_road(cloud.xyz_m, labels, values, use, seed)
+        road = published_road(cloud.xyz_m, labels, values, use, seed, engine)
         if method != "auto":
             return road
         sharp = sharpen(road.outline, cloud.xyz_m, tones, classes=cloud.classes)
@@ -166,13 +170,14 @@ def edges(
     method: Method = "auto",
     intensity: IntensityUse = "auto",
     seed: int = 1,
+    engine: Engine = "own",
 ) -> gpd.GeoDataFrame:
     """Edges of the paved road as smooth lines.
 
     Parameters
     ----------
     points : a cloud, a path, (n, 3) local metres, or what `pavement` found.
-    method, intensity, seed : as `pavement` takes them; of no use for a road that was found.
+    method, intensity, seed, engine : as `pavement` takes them; of no use for a road that was found.
 
     Returns
     -------
@@ -191,12 +196,12 @@ def edges(
     if isinstance(points, FoundRoad):
         return _edges(points, "points")
     cloud = taken(points)
-    table = _edges(_pavement(cloud, method, intensity, None, seed), cloud.where)
+    table = _edges(_pavement(cloud, method, intensity, None, seed, None, engine), cloud.where)
     return table if cloud.frame is None else native_features(table, cloud.frame)
 
 
 def _edges(road: FoundRoad, where: str) -> gpd.GeoDataFrame:
-    found = outline_edges(road.outline, road.surface_m, OutlineSettings())
+    found = outline_edges(road.outline, road.surface_m, Edges())
     if not found:
         raise InputError("the pavement has no edge long enough to trace", where=where)
     lines = [spline_line(line) for _, line in found]

@@ -11,11 +11,14 @@ from scipy import sparse
 
 from roadsight.api.clouds import Points, taken
 from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
-from roadsight.config.sections.sensing import Targets
+from roadsight.base.sections.sensing import Lidar, Targets
+from roadsight.base.validation import validated
 from roadsight.placement.depth.surfel_lidar import SurfelLidar, lidar_of_points
 from roadsight.placement.sensors.sensors import Sensor, load_sensor
 from roadsight.placement.sight.sight import Sight, count_beams
+from roadsight.scene.surfels.outliers import in_company
 
 CATALOGUE = Path(__file__).parents[3] / "config" / "sensors.yaml"
 """Sensors by name, with the data sheets that they are from."""
@@ -24,7 +27,13 @@ _MARGIN_M = 10.0
 
 
 def depth_map(
-    points: Points, sensor: Sensor | str, position_m: ArrayLike, yaw_deg: float = 0.0
+    points: Points,
+    sensor: Sensor | str,
+    position_m: ArrayLike,
+    yaw_deg: float = 0.0,
+    *,
+    engine: Engine = "own",
+    outlier_radius_m: float = 0.0,
 ) -> Floats32:
     """What one sensor at one place would measure (paper 1, section 2.4).
 
@@ -34,6 +43,8 @@ def depth_map(
     sensor : a spinning LiDAR, or its name in the catalogue.
     position_m : (3,) local metres; ``cloud.frame.to_local`` turns native coordinates into them.
     yaw_deg : direction of the sensor's x axis, counter-clockwise from local x.
+    engine : who casts the rays and looks for outliers: own or open3d.
+    outlier_radius_m : points without two others within this are left out; 0: none are.
 
     Returns
     -------
@@ -41,7 +52,7 @@ def depth_map(
 
     Raises
     ------
-    InputError : no usable cloud or sensor, or it stands out of reach of every point.
+    InputError : no usable cloud, sensor or engine, or it stands out of reach of every point.
 
     Examples
     --------
@@ -53,8 +64,23 @@ def depth_map(
     ((64, 2048), 10.5)
     """
     sensor, place = _sensor(sensor), _place(position_m)
-    near_m = points_in_reach(taken(points).xyz_m, sensor, place)
-    return lidar_of_points(near_m).depth_map(sensor, place, yaw_deg)
+    xyz_m = in_company_of(taken(points).xyz_m, outlier_radius_m, engine)
+    near_m = points_in_reach(xyz_m, sensor, place)
+    return lidar_of_points(near_m, engine=engine).depth_map(sensor, place, yaw_deg)
+
+
+def in_company_of(xyz_m: Floats, radius_m: float, engine: Engine) -> Floats:
+    """Points (n, 3) without those that stand alone within a radius; all of them if it is 0.
+
+    Raises
+    ------
+    InputError : the radius is negative, or the engine open3d cannot be loaded.
+    """
+    asked = validated(Lidar, {"outlier_radius_m": radius_m}, "points that stand alone")
+    if radius_m == 0:
+        return xyz_m
+    nothing = np.empty((0, 3))
+    return xyz_m[in_company(xyz_m, nothing, radius_m, asked.outlier_neighbours, engine)]
 
 
 def points_in_reach(
@@ -88,6 +114,8 @@ def detection_matrix(
     candidates: pd.DataFrame | ArrayLike,
     targets: pd.DataFrame | ArrayLike,
     settings: Targets | None = None,
+    *,
+    engine: Engine = "own",
 ) -> sparse.csr_matrix:
     """Which candidates see which targets (paper 1, section 2.5).
 
@@ -99,6 +127,7 @@ def detection_matrix(
         and yaw_deg if there is one; local metres.
     targets : (m, 3) feet of the targets, or columns x, y, z; local metres.
     settings : radius and height of a target, and beams that it takes.
+    engine : who casts the rays: own or open3d.
 
     Returns
     -------
@@ -121,7 +150,9 @@ def detection_matrix(
     sensor, asked = _sensor(sensor), settings or Targets()
     poses = _rows(candidates, "candidates", ("x", "y", "z", "yaw_deg"), least=3)
     feet_m = _rows(targets, "targets", ("x", "y", "z"), least=3)
-    lidar = points if isinstance(points, SurfelLidar) else lidar_of_points(taken(points).xyz_m)
+    lidar = points
+    if not isinstance(lidar, SurfelLidar):
+        lidar = lidar_of_points(taken(lidar).xyz_m, engine=engine)
     size_m, sight = (asked.radius_m, asked.height_m), Sight(sensor.range_m)
     seen = sparse.lil_matrix((len(poses), len(feet_m)), dtype=bool)
     for row, (x, y, z, *yaw) in enumerate(poses):

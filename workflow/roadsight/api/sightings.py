@@ -9,7 +9,7 @@ import pandas as pd
 
 from roadsight.io.records.sighting_tables import checked_sightings, read_sightings
 from roadsight.poles.triangulate.geographic import triangulate_geographic
-from roadsight.poles.triangulate.rays import TriangulationSettings
+from roadsight.poles.triangulate.rays import UNAIDED, TriangulationSettings
 
 _WGS84 = "EPSG:4326"
 
@@ -44,7 +44,7 @@ def triangulate(
     >>> len(poles), poles.crs.to_epsg()
     (1, 4326)
     """
-    settings = settings or TriangulationSettings()
+    settings = settings or UNAIDED
     crs = _WGS84
     if isinstance(sightings, (str, os.PathLike)):
         table = read_sightings(sightings)

@@ -19,6 +19,19 @@ _MISREAD = int | float | date
 """What YAML makes of names such as 171500, 0123, 2024-05-01, no and null without quotes."""
 
 Model = TypeVar("Model", bound=BaseModel)
+Given = TypeVar("Given")
+
+
+def needed(value: Given | None, where: str) -> Given:
+    """A value that is not always asked for, and is now.
+
+    Raises
+    ------
+    InputError : it is absent.
+    """
+    if value is None:
+        raise InputError("is needed here", where=where)
+    return value
 
 
 def validated(model: type[Model], content: Any, where: str) -> Model:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from roadsight.api.sight import CATALOGUE
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.config.sections.sensing import Targets, Tolerance
+from roadsight.base.sections.sensing import Targets, Tolerance
+from roadsight.commands.verb import Verb
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json
@@ -41,39 +42,40 @@ _SENSOR_FRAME_M = 1_000.0
 """Scans in the sensor's own frame lie within this of its origin."""
 
 
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("accept", help="compare an installed sensor's scan with the plan")
-    parser.add_argument("scan", help="LAS or LAZ scan of one turn or more of the sensor")
-    parser.add_argument(
-        "--plan", required=True, type=Path, help="solution.json of the plan, amid its results"
-    )
-    parser.add_argument("--sensor", required=True, type=int, help="number of the sensor, from 1")
-    parser.add_argument("--scans", help="planned scans; default scans.laz beside the plan")
-    parser.add_argument("--frame", help="default scene/frame.json of the same results")
-    parser.add_argument("--sensors", default=str(CATALOGUE), help="sensors file")
-    tolerance = Tolerance()
-    parser.add_argument("--move-m", type=float, default=tolerance.move_m)
-    parser.add_argument("--turn-deg", type=float, default=tolerance.turn_deg)
-    parser.add_argument("-o", "--out", required=True, help="JSON file to write")
-    parser.set_defaults(run=run)
+@dataclass(frozen=True)
+class Installed:
+    """An installed sensor of a plan, and how far off it may be."""
+
+    plan: Annotated[Path, "solution.json of the plan, amid its results"]
+    sensor: Annotated[int, "number of the sensor, from 1"]
+    move_m: Annotated[float, Tolerance]
+    turn_deg: Annotated[float, Tolerance]
 
 
-def run(arguments: argparse.Namespace) -> None:
+def run(
+    scan: Annotated[Path, "LAS or LAZ scan of one turn or more of the sensor"],
+    /,
+    given: Installed,
+    scans: Annotated[Path | None, "planned scans; default scans.laz beside the plan"] = None,
+    frame_path: Annotated[Path | None, "default scene/frame.json of the same results"] = None,
+    sensors: Annotated[Path, "sensors file"] = CATALOGUE,
+    *,
+    out: Annotated[Path, "JSON file to write"],
+) -> None:
     """Write the pose found, what agrees, what is lost, and the verdict.
 
     Raises
     ------
     InputError : a file is not usable, there is no such sensor, or the scan is of another place.
     """
-    folder = arguments.plan.parent
-    frame_file = arguments.frame or folder.parent.parent / "scene" / "frame.json"
+    folder = given.plan.parent
+    frame_file = frame_path or folder.parent.parent / "scene" / "frame.json"
     frame = Frame.from_dict(read_json(frame_file))
-    place = _place(arguments)
+    place = _place(given)
     position_m = np.array([place[axis] for axis in "xyz"], np.float64)
-    sensor = _sensor(arguments.sensors, place["sensor"])
-    planned = _planned(arguments, folder, frame, sensor, position_m)
-    found, scan_m = _fitted(arguments, frame, _rotation(folder, place), planned)
+    sensor = _sensor(sensors, place["sensor"])
+    planned = _planned(scans or folder / "scans.laz", given.sensor, frame, sensor, position_m)
+    found, scan_m = _fitted(scan, frame, _rotation(folder, place), planned)
     placed_m = scan_m @ found.rotation.T + found.shift_m
     moved_m = found.rotation @ position_m + found.shift_m - position_m
     targets = read_layer(folder / "solution.gpkg", "targets", frame)
@@ -81,30 +83,31 @@ def run(arguments: argparse.Namespace) -> None:
     target = _target(folder, place["sensor"])
     seen, lost = lost_targets(planned, placed_m, position_m + moved_m, feet_m, target)
     alone = lost & (targets["sensors"].to_numpy() <= 1)
-    content = _content(arguments, place, found, moved_m)
+    content = _content(scan, given, place, found, moved_m)
     content["target"] = target._asdict()
     content["targets"] = {"seen": int(seen.sum()), "lost": int(lost.sum())}
     content["targets"]["lost_to_the_plan"] = int(alone.sum())
     content["lost"] = targets["target"][lost].astype(str).tolist()
-    content["reasons"] = _reasons(arguments, content, whole_turn=isinstance(sensor, Sensor))
+    content["reasons"] = _reasons(given, content, whole_turn=isinstance(sensor, Sensor))
     content["verdict"] = "not accepted" if content["reasons"] else "accepted"
-    write_json(arguments.out, content)
-    _tell(arguments, content)
+    write_json(out, content)
+    _tell(content)
+    print(f"  {out}")
 
 
-def _place(arguments: argparse.Namespace) -> dict[str, Any]:
-    sensors: list[dict[str, Any]] = read_json(arguments.plan)["sensors"]
-    if not 1 <= arguments.sensor <= len(sensors):
+def _place(given: Installed) -> dict[str, Any]:
+    sensors: list[dict[str, Any]] = read_json(given.plan)["sensors"]
+    if not 1 <= given.sensor <= len(sensors):
         raise InputError(
             "is no sensor of the plan",
             where="--sensor",
-            found=arguments.sensor,
+            found=given.sensor,
             allowed=f"1 to {len(sensors)}",
         )
-    return sensors[arguments.sensor - 1]
+    return sensors[given.sensor - 1]
 
 
-def _sensor(path: str, name: str) -> AnySensor:
+def _sensor(path: Path, name: str) -> AnySensor:
     """Definition of the plan's model.
 
     Raises
@@ -115,7 +118,7 @@ def _sensor(path: str, name: str) -> AnySensor:
     if name not in sensors:
         raise InputError(
             "lacks the model of the plan",
-            where=path,
+            where=str(path),
             found=name,
             allowed=", ".join(sensors),
             hint="give the sensors file of the plan with --sensors",
@@ -157,17 +160,16 @@ def _target(folder: Path, model: str) -> Target:
 
 
 def _planned(
-    arguments: argparse.Namespace,
-    folder: Path,
+    path: Path,
+    number: int,
     frame: Frame,
     sensor: AnySensor,
     position_m: Floats,
 ) -> Planned:
-    path = arguments.scans or folder / "scans.laz"
     cloud = read_laz(path)
-    own = cloud.dims["point_source_id"] == arguments.sensor
+    own = cloud.dims["point_source_id"] == number
     if not own.any():
-        raise InputError("has no scan of the sensor", where=str(path), found=arguments.sensor)
+        raise InputError("has no scan of the sensor", where=str(path), found=number)
     step = None
     if isinstance(sensor, Sensor):
         rows = float(np.median(np.abs(np.diff(np.sort(sensor.elevation_deg)))))
@@ -176,7 +178,7 @@ def _planned(
 
 
 def _fitted(
-    arguments: argparse.Namespace, frame: Frame, rotation: Floats, planned: Planned
+    scan: Path, frame: Frame, rotation: Floats, planned: Planned
 ) -> tuple[Registered, Floats]:
     """The scan, in the sensor's or in the site's frame, whichever fits, and its points (n, 3).
 
@@ -184,7 +186,7 @@ def _fitted(
     ----------
     rotation : (3, 3) axes of the sensor as planned, in the local frame.
     """
-    cloud = read_laz(arguments.scan).xyz
+    cloud = read_laz(scan).xyz
     tries = []
     if np.abs(np.median(cloud, axis=0)).max() < _SENSOR_FRAME_M:
         tries.append(cloud @ rotation.T + planned.position_m)
@@ -194,7 +196,7 @@ def _fitted(
     if not found.same_place:
         raise InputError(
             "is a scan of another place, or of another sensor of the plan",
-            where=arguments.scan,
+            where=str(scan),
             found=f"{100 * found.share:.0f} % of its beams end where the plan's do,"
             f" {100 * found.structure_share:.0f} % of those beside the ground",
             allowed=f"{100 * SAME_PLACE:.0f} and {100 * SAME_STRUCTURE:.0f} % or more",
@@ -204,13 +206,13 @@ def _fitted(
 
 
 def _content(
-    arguments: argparse.Namespace, place: dict[str, Any], found: Registered, moved_m: Floats
+    scan: Path, given: Installed, place: dict[str, Any], found: Registered, moved_m: Floats
 ) -> dict[str, Any]:
     yaw, pitch, roll = Rotation.from_matrix(found.rotation).as_euler("ZYX", degrees=True)
     tilt = np.degrees(np.arccos(np.clip(found.rotation[2, 2], -1.0, 1.0)))
     return {
-        "scan": Path(arguments.scan).name,
-        "sensor": arguments.sensor,
+        "scan": scan.name,
+        "sensor": given.sensor,
         "model": place["sensor"],
         "candidate": place["candidate"],
         "moved_m": {axis: float(d) for axis, d in zip("xyz", moved_m, strict=True)},
@@ -219,20 +221,18 @@ def _content(
         "tilted_deg": float(tilt),
         "agreeing_share": found.share,
         "agreeing_share_beside_ground": found.structure_share,
-        "tolerance": {"move_m": arguments.move_m, "turn_deg": arguments.turn_deg},
+        "tolerance": {"move_m": given.move_m, "turn_deg": given.turn_deg},
     }
 
 
-def _reasons(
-    arguments: argparse.Namespace, content: dict[str, Any], *, whole_turn: bool
-) -> list[str]:
+def _reasons(given: Installed, content: dict[str, Any], *, whole_turn: bool) -> list[str]:
     """What keeps the sensor from being accepted; a full turn sees the same at any heading."""
     reasons = []
-    if max(abs(part) for part in content["moved_m"].values()) > arguments.move_m:
+    if max(abs(part) for part in content["moved_m"].values()) > given.move_m:
         reasons.append(f"stands {content['moved_by_m']:.2f} m from its place")
-    if content["tilted_deg"] > arguments.turn_deg:
+    if content["tilted_deg"] > given.turn_deg:
         reasons.append(f"leans by {content['tilted_deg']:.1f} degrees")
-    if not whole_turn and abs(content["turned_deg"]["yaw"]) > arguments.turn_deg:
+    if not whole_turn and abs(content["turned_deg"]["yaw"]) > given.turn_deg:
         reasons.append(f"looks {content['turned_deg']['yaw']:.1f} degrees aside")
     if content["agreeing_share"] < _AGREEING:
         reasons.append(f"{100 * content['agreeing_share']:.0f} % of its beams end as planned")
@@ -242,7 +242,7 @@ def _reasons(
     return reasons
 
 
-def _tell(arguments: argparse.Namespace, content: dict[str, Any]) -> None:
+def _tell(content: dict[str, Any]) -> None:
     turned, targets = content["turned_deg"], content["targets"]
     print(
         f"sensor {content['sensor']} ({content['model']} at {content['candidate']}):"
@@ -258,4 +258,6 @@ def _tell(arguments: argparse.Namespace, content: dict[str, Any]) -> None:
     )
     for reason in content["reasons"]:
         print(f"  not accepted: {reason}")
-    print(f"  {arguments.out}")
+
+
+VERB = Verb("accept", "compare an installed sensor's scan with the plan", run)

@@ -2,57 +2,45 @@
 
 from __future__ import annotations
 
-import argparse
 import math
-from dataclasses import fields
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 from pyproj import CRS, Transformer
 
 from roadsight.base.errors import InputError
+from roadsight.commands.verb import Verb
 from roadsight.io.records.sighting_tables import read_text_table, write_csv
 from roadsight.poles.risk.changes import STATUSES, ChangeSettings, changes
 
 _AXES = (("latitude", "longitude"), ("lat", "lon"))
 _SIGMAS = ("sigma_m", "sigma_major_m")
-_NUMBERS = {
-    "reach_m": "objects further apart are two, m",
-    "sigmas": "farther apart than so many standard deviations, an object has moved",
-    "sigma_m": "error of a place that states none, one axis, m",
-}
+_TOLD = "CSV with latitude, longitude (or lat, lon; or x, y in metres); further id, kind, sigma"
 
 
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("changes", help="what changed between two surveys of poles")
-    told = "CSV with latitude, longitude (or lat, lon; or x, y in metres); further id, kind, sigma"
-    parser.add_argument("old", help=f"earlier survey, such as its poles.csv: {told}")
-    parser.add_argument("new", help="later survey, likewise")
-    for name, text in _NUMBERS.items():
-        default = getattr(ChangeSettings(), name)
-        flag = f"--{name.replace('_', '-')}"
-        parser.add_argument(flag, type=float, default=default, help=f"{text}; default {default:g}")
-    parser.add_argument(
-        "-o", "--out", required=True, help="CSV to write: status, ids, how far moved, place"
-    )
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
+def run(
+    old_path: Annotated[str, f"earlier survey, such as its poles.csv: {_TOLD}"],
+    new_path: Annotated[str, "later survey, likewise"],
+    /,
+    settings: ChangeSettings,
+    *,
+    out: Annotated[Path, "CSV to write: status, ids, how far moved, place"],
+) -> None:
     """Write the changes.
 
     Raises
     ------
     InputError : a table or a value is not usable, or one has degrees and the other none.
     """
-    settings = _settings(arguments)
-    old, new = (_read(path) for path in (arguments.old, arguments.new))
+    _check(settings)
+    old, new = (_read(path) for path in (old_path, new_path))
     degrees = ["latitude" in table for table in (old, new)]
     if degrees[0] != degrees[1]:
         raise InputError(
             "one survey has latitude and longitude and the other has not",
-            where=f"{arguments.old} and {arguments.new}",
+            where=f"{old_path} and {new_path}",
             allowed="both with degrees, or both in the same metres",
         )
     if degrees[0]:
@@ -66,10 +54,10 @@ def run(arguments: argparse.Namespace) -> None:
         )
     else:
         found = changes(old, new, settings)
-    write_csv(arguments.out, found.round({"moved_m": 3, "limit_m": 3}))
+    write_csv(out, found.round({"moved_m": 3, "limit_m": 3}))
     counts = found["status"].value_counts()
     told = ", ".join(f"{int(counts.get(name, 0))} {name}" for name in STATUSES)
-    print(f"{told}: {arguments.out}")
+    print(f"{told}: {out}")
 
 
 def _read(path: str) -> pd.DataFrame:
@@ -119,10 +107,11 @@ def _to_metres(places: pd.DataFrame) -> Transformer:
     return Transformer.from_crs("EPSG:4326", own, always_xy=True)
 
 
-def _settings(arguments: argparse.Namespace) -> ChangeSettings:
-    values = {field.name: getattr(arguments, field.name) for field in fields(ChangeSettings)}
-    for name, value in values.items():
+def _check(settings: ChangeSettings) -> None:
+    for name, value in vars(settings).items():
         if not (math.isfinite(value) and value > 0):
             flag = f"--{name.replace('_', '-')}"
             raise InputError("is not positive", where=flag, found=value, allowed="more than 0")
-    return ChangeSettings(**values)
+
+
+VERB = Verb("changes", "what changed between two surveys of poles", run)

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import math
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
 from roadsight.base.errors import InputError
-from roadsight.commands.cover_options import Asked, asked_of, check_additions, curve_of, swaps_of
+from roadsight.commands.cover_options import (
+    Asked,
+    CoverOptions,
+    asked_of,
+    check_additions,
+    curve_of,
+    swaps_of,
+)
+from roadsight.commands.verb import Verb
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.matrices import read_matrix, read_vector
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
@@ -21,96 +29,55 @@ _FIRST = 5
 """Columns that a message names of those that nothing covers."""
 
 
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("cover", help="choose sensors: least cost, or most for a budget")
-    parser.add_argument("matrix", help="scipy sparse .npz; rows = choices, columns = targets")
-    parser.add_argument("--costs", help=".npy, one positive cost for each row; default 1 each")
-    parser.add_argument(
-        "--groups",
-        help=".npy, one whole number for each row; at most one row of"
-        " a group is chosen, negative = no group",
-    )
-    task = parser.add_mutually_exclusive_group()
-    task.add_argument("--budget", type=float, help="cover the most targets within this cost")
-    task.add_argument("--price", type=float, help="cost of leaving a target of weight 1 uncovered")
-    parser.add_argument("--at-least", type=int, default=1, help="rows that cover each target")
-    parser.add_argument("--needs", help=".npy, the same for each target of its own, 0 or more")
-    parser.add_argument("--weights", help=".npy, weight of each target; default 1 each")
-    parser.add_argument("--mandatory", help=".npy, numbers of rows that must be chosen")
-    parser.add_argument("--forbidden", help=".npy, numbers of rows that must not be chosen")
-    parser.add_argument("--positions", help=".npy, x and y of each row, for --spacing")
-    parser.add_argument("--spacing", type=float, help="least distance of any two chosen rows")
-    parser.add_argument(
-        "--keep-share",
-        type=float,
-        default=0.0,
-        help="share of the coverage that is left when any one row fails",
-    )
-    parser.add_argument("--curve", type=int, help="add the coverage of so many smaller budgets")
-    parser.add_argument(
-        "--alternatives",
-        action="store_true",
-        help="add the rows that could replace each one chosen, as cheap and as good",
-    )
-    parser.add_argument(
-        "--second",
-        type=float,
-        metavar="SECONDS",
-        help="of the cheapest, choose the rows that cover most targets once more; at most so long,"
-        " counted in steps of work",
-    )
-    parser.add_argument("--time-limit", type=float, help="seconds; default none")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("-o", "--out", required=True, help="JSON file to write")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
+def run(
+    matrix: Annotated[str, "scipy sparse .npz; rows = choices, columns = targets"],
+    /,
+    given: CoverOptions,
+    *,
+    out: Annotated[Path, "JSON file to write"],
+) -> None:
     """Write the chosen rows with their proof.
 
     Raises
     ------
     InputError : a file or value is not usable, or no choice of rows is feasible.
     """
-    _check_numbers(arguments)
-    check_additions(arguments)
-    often = arguments.at_least if arguments.needs is None else read_vector(arguments.needs)
+    _check_numbers(given)
+    check_additions(given)
+    often = given.at_least if given.needs is None else read_vector(given.needs)
     problem = CoverProblem(
-        read_matrix(arguments.matrix),
-        _vector(arguments.costs),
-        _vector(arguments.groups),
+        read_matrix(matrix),
+        _vector(given.costs),
+        _vector(given.groups),
         often,
-        () if arguments.mandatory is None else read_vector(arguments.mandatory),
-        () if arguments.forbidden is None else read_vector(arguments.forbidden),
+        () if given.mandatory is None else read_vector(given.mandatory),
+        () if given.forbidden is None else read_vector(given.forbidden),
     )
-    asked = asked_of(arguments, problem)
-    limit, seed = arguments.time_limit, arguments.seed
+    asked = asked_of(given, problem)
+    limit, seed = given.time_limit, given.seed
     if asked.plain:
         cover = solve_cover_problem(problem, limit, seed)
     else:
         cover = solve_deployment(asked.deployment, limit, seed).cover
-    _check_feasible(arguments, cover, problem.matrix.shape[1])
-    cover, second = _second(arguments, asked, cover)
+    _check_feasible(given, cover, matrix, problem.matrix.shape[1])
+    cover, second = _second(given, asked, cover)
     content = _content(asked, cover) | second
-    if arguments.curve is not None:
-        content["curve"] = curve_of(arguments, asked, cover)
-    if arguments.alternatives:
+    if given.curve is not None:
+        content["curve"] = curve_of(given, given.curve, asked, cover)
+    if given.alternatives:
         content["alternatives"] = swaps_of(asked, cover)
-    write_json(arguments.out, content)
+    write_json(out, content)
     value, bound = content["objective"], content["bound"]
-    of = "targets" if arguments.weights is None else "weight"
+    of = "targets" if given.weights is None else "weight"
     found = f"{value:g} of {asked.total:g} {of} covered" if asked.counts else f"cost {value:g}"
-    print(f"{len(cover.chosen)} rows, {found}, bound {bound:g}, {cover.status}: {arguments.out}")
+    print(f"{len(cover.chosen)} rows, {found}, bound {bound:g}, {cover.status}: {out}")
 
 
-def _second(
-    arguments: argparse.Namespace, asked: Asked, cover: Cover
-) -> tuple[Cover, dict[str, Any]]:
+def _second(given: CoverOptions, asked: Asked, cover: Cover) -> tuple[Cover, dict[str, Any]]:
     """The rows that cover most targets once more for the same cost, and how far that is proven."""
-    if arguments.second is None:
+    if given.second is None:
         return cover, {}
-    cover, found = chosen_again(asked.deployment, cover, WorkLimit(arguments.second))
+    cover, found = chosen_again(asked.deployment, cover, WorkLimit(given.second))
     proven = found.proven and cover.status == "optimal"
     record = {
         "covered_once_more": float(found.value[0]),
@@ -125,44 +92,42 @@ def _vector(path: str | None) -> Any:
     return None if path is None else read_vector(path)
 
 
-def _check_numbers(arguments: argparse.Namespace) -> None:
-    limit = arguments.time_limit
+def _check_numbers(given: CoverOptions) -> None:
+    limit = given.time_limit
     if limit is not None and not (math.isfinite(limit) and limit >= 0):
         raise InputError("is no time", where="--time-limit", found=limit, allowed="0 s or more")
-    if arguments.at_least < 1:
+    if given.at_least < 1:
         raise InputError(
-            "is too small", where="--at-least", found=arguments.at_least, allowed="1 or more"
+            "is too small", where="--at-least", found=given.at_least, allowed="1 or more"
         )
-    if arguments.seed < 0:
-        raise InputError("is negative", where="--seed", found=arguments.seed, allowed="0 or more")
+    if given.seed < 0:
+        raise InputError("is negative", where="--seed", found=given.seed, allowed="0 or more")
 
 
-def _check_feasible(arguments: argparse.Namespace, cover: Cover, targets: int) -> None:
+def _check_feasible(given: CoverOptions, cover: Cover, where: str, targets: int) -> None:
     if cover.status == "infeasible" and len(cover.uncoverable):
         first = ", ".join(str(t) for t in cover.uncoverable[:_FIRST])
         more = ", ..." if len(cover.uncoverable) > _FIRST else ""
-        times = "often enough" if arguments.needs else f"{arguments.at_least} times"
+        times = "often enough" if given.needs else f"{given.at_least} times"
         raise InputError(
             f"{len(cover.uncoverable)} of {targets} targets cannot be covered"
             f" {times}: columns {first}{more}",
-            where=arguments.matrix,
+            where=where,
             hint="leave these columns out or add rows that cover them",
         )
-    if cover.status == "infeasible" and (arguments.spacing or arguments.keep_share):
+    if cover.status == "infeasible" and (given.spacing or given.keep_share):
         raise InputError(
             "no choice of rows covers all targets under these conditions",
-            where=arguments.matrix,
+            where=where,
             hint="lower --spacing or --keep-share, or give a --budget or --price",
         )
     if cover.status == "infeasible":
-        raise InputError(
-            "no choice of one row for each group covers all targets", where=arguments.matrix
-        )
+        raise InputError("no choice of one row for each group covers all targets", where=where)
     if not math.isfinite(cover.objective):
         raise InputError(
             "no feasible choice was found in time",
             where="--time-limit",
-            found=f"{arguments.time_limit:g} s",
+            found=f"{given.time_limit:g} s",
             hint="allow more time",
         )
 
@@ -186,3 +151,6 @@ def _figures(asked: Asked, cover: Cover) -> dict[str, float]:
     """Cost and covered weight of the chosen rows."""
     costs = np.asarray(asked.deployment.problem.costs)[cover.chosen]
     return {"cost": math.fsum(costs), "covered": asked.deployment.guaranteed(cover.chosen)}
+
+
+VERB = Verb("cover", "choose sensors: least cost, or most for a budget", run)

@@ -2,70 +2,67 @@
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from roadsight.api.sight import CATALOGUE, points_in_reach
+from roadsight.api.sight import CATALOGUE, in_company_of, points_in_reach
+from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
-from roadsight.commands.cloud_arguments import add_cloud_arguments, check_output, load_cloud
+from roadsight.base.sections.sensing import Lidar
+from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
+from roadsight.commands.verb import Verb
 from roadsight.io.images.depth_networks import network_for
 from roadsight.io.records.atomic import atomic_path
-from roadsight.placement.depth.models import MODELS, model_of_points
+from roadsight.placement.depth.models import Model, model_of_points
 from roadsight.placement.depth.surfel_lidar import lidar_of_points
 from roadsight.placement.sensors.sensors import load_sensor
 
 _NETWORK = Path(__file__).parents[3] / "resources" / "models" / "depth_unet.onnx"
 
 
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("depthmap", help="depth map of a virtual LiDAR in a cloud")
-    add_cloud_arguments(parser)
-    parser.add_argument("--sensor", required=True, metavar="NAME", help="sensor of --sensors")
-    parser.add_argument("--sensors", default=str(CATALOGUE), help="sensors file")
-    parser.add_argument(
-        "--at",
-        required=True,
-        nargs=3,
-        type=float,
-        metavar=("X", "Y", "Z"),
-        help="position of the sensor in the cloud's own coordinates and units",
-    )
-    parser.add_argument(
-        "--azimuth-deg",
-        type=float,
-        default=0.0,
-        help="direction of the sensor's x axis, counter-clockwise from the cloud's x axis",
-    )
-    parser.add_argument("--model", choices=MODELS, default="surfel")
-    parser.add_argument(
-        "--network", default=str(_NETWORK), help="ONNX file of the models unet and unet_mask"
-    )
-    parser.add_argument("-o", "--out", required=True, help="NPZ file to write")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
+def run(
+    cloud_path: CloudPath,
+    /,
+    reading: Reading,
+    sensor_: Annotated[str, "name of a sensor of --sensors"],
+    at: Annotated[
+        tuple[float, float, float], "position of the sensor in the cloud's coordinates and units"
+    ],
+    engine: Annotated[Engine, Lidar],
+    outlier_radius_m: Annotated[float, Lidar],
+    model: Annotated[Model, Lidar],
+    sensors: Annotated[Path, "sensors file"] = CATALOGUE,
+    azimuth_deg: Annotated[
+        float, "direction of the sensor's x axis, counter-clockwise from the cloud's x axis"
+    ] = 0.0,
+    network: Annotated[Path, "ONNX file of the models unet and unet_mask"] = _NETWORK,
+    *,
+    out: Annotated[Path, "NPZ file to write"],
+) -> None:
     """Write ``range_m`` (rows, columns; 0 = no return), ``azimuth_deg`` and ``elevation_deg``."""
-    check_output(arguments, ".npz")
-    if not np.all(np.isfinite([*arguments.at, arguments.azimuth_deg])):
-        raise InputError("--at and --azimuth-deg must be finite", found=arguments.at)
-    sensor = load_sensor(arguments.sensors, arguments.sensor)
-    cloud = load_cloud(arguments)
-    position = cloud.frame.to_local(arguments.at)
-    near_m = points_in_reach(cloud.xyz_m, sensor, position, "--at")
-    if arguments.model == "surfel":
-        range_m = lidar_of_points(near_m).depth_map(sensor, position, arguments.azimuth_deg)
+    check_output(out, cloud_path, ".npz")
+    if not np.all(np.isfinite([*at, azimuth_deg])):
+        raise InputError("--at and --azimuth-deg must be finite", found=at)
+    sensor = load_sensor(sensors, sensor_)
+    cloud = load_cloud(cloud_path, reading)
+    position = cloud.frame.to_local(at)
+    xyz_m = in_company_of(cloud.xyz_m, outlier_radius_m, engine)
+    near_m = points_in_reach(xyz_m, sensor, position, "--at")
+    if model == "surfel":
+        range_m = lidar_of_points(near_m, engine=engine).depth_map(sensor, position, azimuth_deg)
     else:
-        model = model_of_points(arguments.model, network_for(arguments.model, arguments.network))
-        range_m = model(cloud.xyz_m, sensor, position, arguments.azimuth_deg)
-    with atomic_path(arguments.out) as temporary, temporary.open("wb") as stream:
+        render = model_of_points(model, network_for(model, network))
+        range_m = render(xyz_m, sensor, position, azimuth_deg)
+    with atomic_path(out) as temporary, temporary.open("wb") as stream:
         np.savez_compressed(
             stream,
             range_m=range_m,
             azimuth_deg=sensor.azimuth_deg,
             elevation_deg=sensor.elevation_deg,
         )
-    print(f"{(range_m > 0).sum()} of {range_m.size} beams return: {arguments.out}")
+    print(f"{(range_m > 0).sum()} of {range_m.size} beams return: {out}")
+
+
+VERB = Verb("depthmap", "depth map of a virtual LiDAR in a cloud", run)

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
 from roadsight.api.costs import A_MILE, runs_of
 from roadsight.base.errors import InputError
 from roadsight.base.texts import read_yaml
+from roadsight.commands.verb import Verb
 from roadsight.config.load import ResolvedSite, load_config, load_site
 from roadsight.evidence.cost_tables import SHIPPED, CostTable, fit_costs, read_costs, write_costs
 from roadsight.evidence.costs import Amounts
@@ -35,75 +35,68 @@ _DEGREE_M = 111_195.0
 shorter, which an estimate can bear."""
 
 
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("estimate", help="core-hours, memory, storage of runs to come")
-    parser.add_argument("sites", nargs="*", help="sites of config/sites, by name or by file")
-    parser.add_argument("--miles", type=float, help="length of road, instead of sites")
-    parser.add_argument("--run-miles", type=float, default=10.0, help="road of one run, miles")
-    parser.add_argument(
-        "--job",
-        action="append",
-        choices=("placement", "poles"),
-        dest="jobs",
-        help="jobs to do; of a site those that it asks for",
-    )
-    for name, help_ in (
-        ("points-m", "points, millions"),
-        ("candidates", "sensor positions"),
-        ("targets", "targets"),
-        ("images", "images"),
-    ):
-        parser.add_argument(f"--{name}", type=float, help=f"{help_}, of one run")
-    for name, help_ in (("sensors", "kinds of sensor"), ("plans", "plans"), ("shards", "shards")):
-        parser.add_argument(f"--{name}", type=int, help=help_)
-    parser.add_argument("--cores", type=int, default=2, help="cores at one time")
-    parser.add_argument("--costs", type=Path, default=SHIPPED, help="cost model, JSON")
-    parser.add_argument(
-        "--fit",
-        nargs="+",
-        type=Path,
-        metavar="RESULTS",
-        help="fit a cost model on finished results/<site> folders",
-    )
-    parser.add_argument("-o", "--out", type=Path, help="JSON file to write")
-    parser.set_defaults(run=run)
+Job = Literal["placement", "poles"]
 
 
-def run(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class Asked:
+    """The runs that an estimate is about."""
+
+    miles: Annotated[float | None, "length of road, instead of sites"] = None
+    run_miles: Annotated[float, "road of one run, miles"] = 10.0
+    job: Annotated[tuple[Job, ...], "jobs to do; of a site those that it asks for"] = ()
+    points_m: Annotated[float | None, "points, millions, of one run"] = None
+    candidates: Annotated[float | None, "sensor positions, of one run"] = None
+    targets: Annotated[float | None, "targets, of one run"] = None
+    images: Annotated[float | None, "images, of one run"] = None
+    sensors: Annotated[int | None, "kinds of sensor"] = None
+    plans: Annotated[int | None, "plans"] = None
+    shards: Annotated[int | None, "shards"] = None
+    cores: Annotated[int, "cores at one time"] = 2
+
+
+def run(
+    sites: Annotated[Sequence[str], "sites of config/sites, by name or by file"] = (),
+    /,
+    *,
+    asked: Asked,
+    costs: Annotated[Path, "cost model, JSON"] = SHIPPED,
+    fit: Annotated[Sequence[Path], "fit a cost model on finished results/<site> folders"] = (),
+    out: Annotated[Path | None, "JSON file to write"] = None,
+) -> None:
     """Print the estimate, or fit a cost model.
 
     Raises
     ------
     InputError : neither sites nor miles nor results, or one of them cannot be used.
     """
-    table = read_costs(arguments.costs)
-    if arguments.fit:
-        _refit(arguments, table)
+    table = read_costs(costs)
+    if fit:
+        _refit(fit, out, table)
         return
-    _check(arguments)
-    if arguments.miles is None:
-        found = [_of_site(name, table, arguments) for name in arguments.sites]
+    _check(sites, asked)
+    if asked.miles is None:
+        found = [_of_site(name, table, asked) for name in sites]
     else:
-        found = [("road", *_of_miles(table, arguments))]
+        found = [("road", *_of_miles(table, asked.miles, asked))]
     for name, amounts, result in found:
         print(_text(name, amounts, result, table.factor))
-    if arguments.out:
+    if out:
         content = [_content(name, amounts, result, table.factor) for name, amounts, result in found]
-        write_json(arguments.out, content)
+        write_json(out, content)
 
 
-def _refit(arguments: argparse.Namespace, table: CostTable) -> None:
-    if arguments.out is None:
+def _refit(results: Sequence[Path], out: Path | None, table: CostTable) -> None:
+    if out is None:
         raise InputError("needs -o, the JSON file to write", where="--fit")
-    content = fit_costs(arguments.fit, table.dag)
-    write_costs(arguments.out, content)
+    content = fit_costs(results, table.dag)
+    write_costs(out, content)
     for site, ratio in content["held_out"]["predicted_by_actual"].items():
         log.info("%s, held out: predicted by actual processor time %.2f", site, ratio)
 
 
-def _check(arguments: argparse.Namespace) -> None:
-    if bool(arguments.sites) == (arguments.miles is not None):
+def _check(sites: Sequence[str], asked: Asked) -> None:
+    if bool(sites) == (asked.miles is not None):
         raise InputError("give either sites or --miles", where="roadsight estimate")
     for name in (
         "miles",
@@ -117,7 +110,7 @@ def _check(arguments: argparse.Namespace) -> None:
         "shards",
         "cores",
     ):
-        value = getattr(arguments, name)
+        value = getattr(asked, name)
         least = 0.0 if name in ("points_m", "candidates", "targets", "images") else 1e-6
         if value is not None and not least <= value <= _MOST_MILES * 1e6:
             raise InputError(
@@ -128,28 +121,26 @@ def _check(arguments: argparse.Namespace) -> None:
             )
 
 
-def _stated(arguments: argparse.Namespace) -> dict[str, Any]:
+def _stated(asked: Asked) -> dict[str, Any]:
     """Amounts that the command line states."""
     names = ("points_m", "candidates", "targets", "images", "sensors", "plans", "shards")
-    stated = {name: getattr(arguments, name) for name in names}
+    stated = {name: getattr(asked, name) for name in names}
     return {name: value for name, value in stated.items() if value is not None}
 
 
-def _of_miles(table: CostTable, arguments: argparse.Namespace) -> tuple[Amounts, Estimate]:
+def _of_miles(table: CostTable, miles: float, asked: Asked) -> tuple[Amounts, Estimate]:
     """Equal runs that together are so many miles."""
-    runs, amounts = runs_of(arguments.miles, arguments.run_miles, _stated(arguments))
-    jobs = tuple(arguments.jobs or ("placement", "poles"))
-    return amounts, _estimate(table, amounts, jobs, runs, arguments.cores)
+    runs, amounts = runs_of(miles, asked.run_miles, _stated(asked))
+    jobs = tuple(asked.job or ("placement", "poles"))
+    return amounts, _estimate(table, amounts, jobs, runs, asked.cores)
 
 
-def _of_site(
-    name: str, table: CostTable, arguments: argparse.Namespace
-) -> tuple[str, Amounts, Estimate]:
+def _of_site(name: str, table: CostTable, asked: Asked) -> tuple[str, Amounts, Estimate]:
     """One run of a site of the configuration."""
     site = load_site(name, load_config(read_yaml("config/config.yaml")))
-    amounts = replace(_amounts(site), **_stated(arguments))
-    jobs = tuple(arguments.jobs or [job for job in site.site.jobs if job != "scene"])
-    return site.site.site, amounts, _estimate(table, amounts, jobs, 1, arguments.cores)
+    amounts = replace(_amounts(site), **_stated(asked))
+    jobs = tuple(asked.job or [job for job in site.site.jobs if job != "scene"])
+    return site.site.site, amounts, _estimate(table, amounts, jobs, 1, asked.cores)
 
 
 def _amounts(site: ResolvedSite) -> Amounts:
@@ -235,3 +226,6 @@ def _text(name: str, amounts: Amounts, result: Estimate, factor: float) -> str:
             else "how far it is off is not known: it rests on one site",
         ]
     )
+
+
+VERB = Verb("estimate", "core-hours, memory, storage of runs to come", run)

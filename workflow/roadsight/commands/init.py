@@ -2,42 +2,38 @@
 
 from __future__ import annotations
 
-import argparse
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 from roadsight.base.errors import InputError
+from roadsight.commands.verb import Verb
 from roadsight.config.load import SITES
 from roadsight.config.starter import site_name, start_site
 from roadsight.io.records.atomic import atomic_path
 
 
-def add_parser(subparsers: argparse._SubParsersAction) -> None:
-    """Add the verb to the ``roadsight`` command."""
-    parser = subparsers.add_parser("init", help="write a starter site file for clouds")
-    parser.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD", help="LAS or LAZ file")
-    parser.add_argument("--site", help="name of the site; by default that of the first cloud")
-    parser.add_argument(
-        "-o", "--out", type=Path, help="site file to write (default: config/sites/NAME.yaml)"
-    )
-    parser.add_argument("--force", action="store_true", help="overwrite an existing site file")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
+def run(
+    clouds: Annotated[Sequence[Path], "LAS or LAZ file"],
+    /,
+    site: Annotated[str | None, "name of the site; by default that of the first cloud"] = None,
+    force: Annotated[bool, "overwrite an existing site file"] = False,
+    *,
+    out: Annotated[Path | None, "site file to write (default: config/sites/NAME.yaml)"] = None,
+) -> None:
     """Write the site file and say what is left to fill in.
 
     Raises
     ------
     InputError : a cloud cannot be read, or the site file exists already.
     """
-    name = site_name(arguments.site or arguments.clouds[0].stem)
-    path = arguments.out or SITES / f"{name}.yaml"
-    if path.exists() and not arguments.force:
+    name = site_name(site or clouds[0].stem)
+    path = out or SITES / f"{name}.yaml"
+    if path.exists() and not force:
         raise InputError("exists already", where=str(path), hint="choose another, or add --force")
-    title = arguments.site or arguments.clouds[0].stem
-    starter = start_site(arguments.clouds, path, name, title)
+    title = site or clouds[0].stem
+    starter = start_site(clouds, path, name, title)
     with atomic_path(path) as temporary:
         temporary.write_text(starter.text, encoding="utf-8")
     print(f"wrote {path}")
@@ -57,3 +53,6 @@ def _tell(heading: str, sentences: Sequence[str]) -> None:
         print(f"{heading}:")
         for sentence in sentences:
             print(textwrap.fill(sentence, 96, initial_indent="  ", subsequent_indent="    "))
+
+
+VERB = Verb("init", "write a starter site file for clouds", run)

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import tempfile
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 
-from roadsight.api.chain import Chain
+from roadsight.api.drive import DriveFiles
 from roadsight.base.errors import InputError
-from roadsight.commands.cloud_arguments import add_drive_arguments
+from roadsight.commands.verb import Verb
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.clicked_pairs import read_pairs
 from roadsight.io.raster.rasters import read_raster
@@ -30,49 +30,46 @@ from roadsight.poles.calibration.registration import (
 )
 
 
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("register", help="solve a camera's baseline from clicked pairs")
-    parser.add_argument(
-        "pairs", metavar="PAIRS", help="CSV: image, pixel_x, pixel_y; x, y or lon, lat; z if known"
-    )
-    parser.add_argument("--videolog", required=True, help="CSV: image, latitude, longitude, ...")
-    add_drive_arguments(parser)
-    parser.add_argument("-o", "--out", required=True, help="JSON to write, for poles.baseline")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
+def run(
+    pairs_path: Annotated[str, "CSV: image, pixel_x, pixel_y; x, y or lon, lat; z if known"],
+    /,
+    videolog: Annotated[str, "CSV: image, latitude, longitude, ..."],
+    drive: DriveFiles,
+    *,
+    out: Annotated[Path, "JSON to write, for poles.baseline"],
+) -> None:
     """Write one baseline for each image size.
 
     Raises
     ------
     InputError : the pairs cannot be read, or those of an image do not determine its camera.
     """
-    if Path(arguments.out).suffix.lower() != ".json":
-        raise InputError("is no name for it", where=f"--out {arguments.out}", allowed=".json")
-    _check_counts(arguments.pairs)
+    if out.suffix.lower() != ".json":
+        raise InputError("is no name for it", where=f"--out {out}", allowed=".json")
+    _check_counts(pairs_path)
+    from roadsight.api.chain import Chain  # noqa: PLC0415  # slow to load
+
     with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
-        chain = Chain(Path(folder), street=arguments.street)
-        chain.scene(arguments)
-        chain.track(arguments)
+        chain = Chain(Path(folder), videolog, drive)
+        chain.scene()
+        chain.track()
         chain.road()
-        frame = Frame.from_dict(read_json(chain.path("frame.json")))
-        pairs = _on_ground(read_pairs(arguments.pairs, frame), chain.path("dem.tif"), frame)
-        places = _places(chain)
+        frame = Frame.from_dict(read_json(chain.frame))
+        pairs = _on_ground(read_pairs(pairs_path, frame), chain.dem, frame)
+        places = _places(chain.frames, chain.road_edges)
     found: dict[str, list[tuple[Registration, Start]]] = {}
     for image, own in pairs.groupby("image", sort=True):
-        start = _start(places, str(image), arguments)
-        registration = _registered(own, start, f"{arguments.pairs}: {image}")
+        start = _start(places, str(image), pairs_path)
+        registration = _registered(own, start, f"{pairs_path}: {image}")
         found.setdefault(f"{start.width_px}x{start.height_px}", []).append((registration, start))
         _tell(str(image), own, registration)
     content = {size: baseline(images) for size, images in found.items()}
-    write_json(arguments.out, content)
+    write_json(out, content)
     for size, one in content.items():
         print(
             f"{size}: focal length {one['focal_px']:.1f} px, height {one['height_m']:.2f} m, "
             f"yaw {one['yaw_deg']:.2f}, pitch {one['pitch_deg']:.2f}, roll {one['roll_deg']:.2f} "
-            f"degrees; {one['pairs']} pairs within {one['rms_px']:.2f} px: {arguments.out}"
+            f"degrees; {one['pairs']} pairs within {one['rms_px']:.2f} px: {out}"
         )
 
 
@@ -92,7 +89,7 @@ def _check_counts(path: str) -> None:
         )
 
 
-def _on_ground(pairs: pd.DataFrame, dem: str, frame: Frame) -> pd.DataFrame:
+def _on_ground(pairs: pd.DataFrame, dem: Path, frame: Frame) -> pd.DataFrame:
     """Pairs whose missing heights are those of the terrain."""
     open_ = pairs["z"].isna().to_numpy()
     if not open_.any():
@@ -108,19 +105,19 @@ def _on_ground(pairs: pd.DataFrame, dem: str, frame: Frame) -> pd.DataFrame:
     return pairs.assign(z=np.where(open_, height, pairs["z"]))
 
 
-def _places(chain: Chain) -> dict[str, Place]:
-    frames = read_table(chain.path("frames.parquet"))
+def _places(frames_path: Path, edges_path: Path) -> dict[str, Place]:
+    frames = read_table(frames_path)
     frames = frames[(frames["status"] == "ok") & np.isfinite(frames["z_road"])]
-    xyz = read_table(chain.path("road_edges.parquet"), ["x", "y", "z"]).to_numpy(np.float64)
+    xyz = read_table(edges_path, ["x", "y", "z"]).to_numpy(np.float64)
     places = places_of(frames.reset_index(drop=True), RoadEdges.from_points(xyz))
     return {place.image: place for place in places}
 
 
-def _start(places: dict[str, Place], image: str, arguments: argparse.Namespace) -> Start:
+def _start(places: dict[str, Place], image: str, where: str) -> Start:
     if image not in places:
         raise InputError(
             "an image of the pairs is not in the videolog, or not usable there",
-            where=arguments.pairs,
+            where=where,
             found=image,
             allowed=f"{len(places)} images",
         )
@@ -141,3 +138,6 @@ def _tell(image: str, own: pd.DataFrame, found: Registration) -> None:
     print(f"{image}: {len(own)} pairs{flat if is_flat(own[['x', 'y', 'z']]) else ''}")
     for (_, row), gap in zip(own.iterrows(), found.residuals_px, strict=True):
         print(f"  pixel {row['u']:.1f}, {row['v']:.1f}: off by {gap:.2f} px")
+
+
+VERB = Verb("register", "solve a camera's baseline from clicked pairs", run)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import tempfile
 import webbrowser
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Annotated
+
+from roadsight.commands.verb import Verb
 
 PORT = 8711
 """Of the studio, unless the user names another."""
@@ -16,16 +18,11 @@ _FOLDER = ".snakemake/roadsight"
 """The studio's own files, beside Snakemake's, below the project."""
 
 
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("studio", help="see, draw, register and run in the browser")
-    parser.add_argument("--folder", type=Path, default=Path(), help="the project; default: here")
-    parser.add_argument("--port", type=int, default=PORT, help="0: any free one")
-    parser.add_argument("--no-browser", action="store_true", help="only show the address")
-    parser.set_defaults(run=run)
-
-
-def run(arguments: argparse.Namespace) -> None:
+def run(
+    folder: Annotated[Path, "the project; default: here"] = Path(),
+    port: Annotated[int, "0: any free one"] = PORT,
+    no_browser: Annotated[bool, "only show the address"] = False,
+) -> None:
     """Serve on loopback until interrupted.
 
     Raises
@@ -36,15 +33,15 @@ def run(arguments: argparse.Namespace) -> None:
     from roadsight.studio.project import Project, find_project  # noqa: PLC0415
     from roadsight.studio.server import create_app, listen  # noqa: PLC0415
 
-    root = find_project(arguments.folder)
+    root = find_project(folder)
     os.chdir(root)
     token = new_token()
-    server = listen(create_app(Project(root), token), arguments.port)
+    server = listen(create_app(Project(root), token), port)
     address = f"http://{LOOPBACK}:{server.server_port}/#token={token}"
     print(f"Studio of {root}: {address}\nEnd it with Ctrl+C.", flush=True)
     try:
         with ExitStack() as opened:
-            if not arguments.no_browser:
+            if not no_browser:
                 page = opened.enter_context(_way_in(root / _FOLDER, address))
                 webbrowser.open(page.as_uri())
             server.serve_forever()
@@ -74,3 +71,6 @@ def _way_in(folder: Path, address: str) -> Iterator[Path]:
         yield path
     finally:
         path.unlink(missing_ok=True)
+
+
+VERB = Verb("studio", "see, draw, register and run in the browser", run)

@@ -7,13 +7,13 @@ from typing import Any
 from pydantic import Field, field_validator
 
 from roadsight.base.section import Count, Name, Section
-from roadsight.config.sections.conditions import Conditions
-from roadsight.config.sections.placement import Candidates, Cover, Coverage
-from roadsight.config.sections.poles import (
+from roadsight.base.sections.conditions import Conditions
+from roadsight.base.sections.placement import Candidates, Cover, Coverage
+from roadsight.base.sections.poles import (
     Alignment,
     Calibration,
+    EdgeTracing,
     Hazard,
-    ImageEdges,
     Networks,
     RoadEdges,
     Sightings,
@@ -23,9 +23,9 @@ from roadsight.config.sections.poles import (
     Videolog,
     Voxels,
 )
-from roadsight.config.sections.poses import Poses
-from roadsight.config.sections.scene import Edges, Ground, Pavement, Scene
-from roadsight.config.sections.sensing import Lidar, Targets, Tolerance
+from roadsight.base.sections.poses import Poses
+from roadsight.base.sections.scene import Edges, Ground, Pavement, Scene
+from roadsight.base.sections.sensing import Lidar, Targets, Tolerance
 from roadsight.placement.candidates.mounting import Mounting
 
 
@@ -56,7 +56,7 @@ class Settings(Section):
     terrain_mesh: TerrainMesh = TerrainMesh()
     videolog: Videolog = Videolog()
     networks: Networks = Networks()
-    image_edges: ImageEdges = ImageEdges()
+    image_edges: EdgeTracing = EdgeTracing()
     calibration: Calibration = Calibration()
     alignment: Alignment = Alignment()
     sightings: Sightings = Sightings()

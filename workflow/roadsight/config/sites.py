@@ -10,11 +10,10 @@ from pyproj.exceptions import CRSError
 
 from roadsight.base.section import Count, Name, Section
 from roadsight.config.plans import Plan
+from roadsight.geometry.crs import Unit
 
 ObjectName = Annotated[str, Field(pattern=r"^[a-z]+[+-]\d+[+-]\d+(-\d+)?$")]
 """Kind and place of an object in the way, such as tree+115+140 (`placement/sight/objects.py`)."""
-
-Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
 
 
 def _known(text: str) -> str:

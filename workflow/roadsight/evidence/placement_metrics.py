@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from roadsight.base.arrays import Floats32
-from roadsight.config.sections.sensing import Targets
+from roadsight.base.sections.sensing import Targets
 from roadsight.evidence.exact_ranges import share_wrong
 from roadsight.evidence.posed_truth import sees_in_pose
 from roadsight.evidence.results import Results

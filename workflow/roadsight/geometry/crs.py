@@ -7,13 +7,15 @@ CRS a site is in, `roadsight.geometry.location` whether its coordinates can be i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from pyproj import CRS, Transformer
 from pyproj.exceptions import CRSError, ProjError
 
 from roadsight.base.errors import InputError
 
+Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
+"""What may be said of units; auto: the axes of the CRS decide."""
 METRES_PER_UNIT = {"metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}
 """Metres in one unit of each name that a site file may state."""
 

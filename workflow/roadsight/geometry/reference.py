@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pyproj import CRS
 
@@ -16,6 +16,7 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.crs import (
     METRES_PER_UNIT,
     StatedCrs,
+    Unit,
     agree,
     linear_units,
     parse_crs,
@@ -37,9 +38,9 @@ class UnitChoice:
     units, vertical_units : ``auto`` (the axes decide) or a name in `METRES_PER_UNIT`.
     """
 
-    crs: str = "auto"
-    units: str = "auto"
-    vertical_units: str = "auto"
+    crs: Annotated[str, "auto, local, EPSG:nnnn or WKT"] = "auto"
+    units: Unit = "auto"
+    vertical_units: Unit = "auto"
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from roadsight.base.sections import poles
 from roadsight.config.schema import Settings
-from roadsight.config.sections import poles
 from roadsight.report.wording import label, lower_first, quantity, unit
 from roadsight.scene.classes import CLASS_NAMES
 

@@ -13,12 +13,13 @@ import shapely
 from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
+from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
+from roadsight.base.sections.scene import GroundClasses, GroundFilter, PavementOutline
 from roadsight.scene.grids import Grid, sample_bilinear
 from roadsight.scene.pavement.choice import MOST_SHARPENED, fits_surface
 from roadsight.scene.pavement.describe import describe_ground
 from roadsight.scene.pavement.outline import (
-    PavementSettings,
     inside,
     outline_pavement,
     pavement_settings_for,
@@ -34,18 +35,14 @@ from roadsight.scene.pavement.road_surface import (
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.profile import count_cells, density
 from roadsight.scene.spacing import plan_spacing_m, uses_intensity
-from roadsight.scene.terrain.ground_settings import GroundSettings, ground_settings_for
+from roadsight.scene.terrain.ground_settings import ground_settings_for
 from roadsight.scene.terrain.terrain import Bounds, coarse_of_tiles, label_ground
 
 _LARGEST_TILE_M = 500.0
 """A cloud longer or wider than this is labelled in tiles of half of it: fine pillars of more fill
 gigabytes."""
-_COLUMN_M = 0.1
-"""Columns to which ground is thinned before its features are computed, or the spacing if wider."""
-_SAMPLE = 100_000
-"""Columns on which k-means is fitted; the rest are classified by its centres."""
-_INTENSITY_WEIGHT = 1.5
-"""Of intensity against the whole histogram (docs/decisions/005)."""
+_THINNED_M = 0.2
+"""Columns of which the lowest point tells the surface of a road."""
 
 
 def spacing_of(xyz_m: Floats) -> float:
@@ -54,14 +51,14 @@ def spacing_of(xyz_m: Floats) -> float:
     return plan_spacing_m(density(cells.column, cells.row, cells.count)["median"])
 
 
-def ground_of(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
+def ground_of(xyz_m: Floats, settings: GroundFilter | None = None) -> Bools:
     """Ground labels (n,) of a cloud, in its order.
 
     Parameters
     ----------
     xyz_m : (n, 3) local metres.
     """
-    settings = ground_settings_for(spacing_of(xyz_m), settings or GroundSettings())
+    settings = ground_settings_for(spacing_of(xyz_m), settings or GroundFilter())
     bounds = _bounds(xyz_m)
     parts = _parts(xyz_m, bounds)
     mask = np.zeros(len(xyz_m), bool)
@@ -115,9 +112,9 @@ def _near(xyz_m: Floats, core: Bounds, halo_m: float) -> Ints:
     return np.flatnonzero(near)
 
 
-def near_ground(xyz_m: Floats, settings: GroundSettings | None = None) -> Bools:
+def near_ground(xyz_m: Floats, settings: GroundFilter | None = None) -> Bools:
     """Points (n,) up to some decimetres from the coarse ground: a road is sought among them."""
-    settings = ground_settings_for(spacing_of(xyz_m), settings or GroundSettings())
+    settings = ground_settings_for(spacing_of(xyz_m), settings or GroundFilter())
     bounds = _bounds(xyz_m)
     coarse = coarse_of_tiles(lambda _: iter([(bounds, xyz_m)]), bounds, settings)
     x, y, z = xyz_m.T
@@ -210,7 +207,7 @@ def road_of(
     )
     points = np.zeros(len(xyz_m), bool)
     points[near] = road_points(surface, xyz_m[near], settings)
-    outline = trace_cells(surface.grid, surface.road | surface.bridged, PavementSettings())
+    outline = trace_cells(surface.grid, surface.road | surface.bridged, PavementOutline())
     return FoundRoad(outline, points, _thinned(xyz_m[near])), surface
 
 
@@ -299,7 +296,7 @@ def sharpen(
 
 def _thinned(xyz_m: Floats) -> Floats:
     """The lowest point of each column, of points (n, 3) near the ground."""
-    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], 2 * _COLUMN_M)
+    grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], _THINNED_M)
     cell = grid.flat(xyz_m[:, 0], xyz_m[:, 1])
     order = np.lexsort((xyz_m[:, 2], cell))
     _, first = np.unique(cell[order], return_index=True)
@@ -307,7 +304,12 @@ def _thinned(xyz_m: Floats) -> Floats:
 
 
 def published_road(
-    xyz_m: Floats, ground: Bools, intensity: Floats, intensity_choice: str = "auto", seed: int = 1
+    xyz_m: Floats,
+    ground: Bools,
+    intensity: Floats,
+    intensity_choice: str = "auto",
+    seed: int = 1,
+    engine: Engine = "own",
 ) -> FoundRoad:
     """Road as the connected smooth ground by FPFH and k-means (paper 1, section 2.2).
 
@@ -315,27 +317,29 @@ def published_road(
     ----------
     xyz_m : (n, 3) local metres. ground : (n,) ground labels. intensity : (n,).
     intensity_choice : "use", "ignore" or "auto" by the spacing.
+    engine : who computes normals, FPFH and clusters.
 
     Raises
     ------
     InputError : nothing smooth, too little of it, or nothing but fragments.
     """
     spacing_m = spacing_of(xyz_m)
-    column_m = max(_COLUMN_M, spacing_m)
-    description = describe_ground(xyz_m[ground], intensity[ground], column_m, neighbours=10)
+    settings = GroundClasses()
+    column_m = max(settings.voxel_size_m, spacing_m)
+    description = describe_ground(xyz_m[ground], intensity[ground], column_m, settings.neighbours)
     rng = np.random.default_rng(seed)
     count = len(description.variation)
-    rows = np.sort(rng.choice(count, min(_SAMPLE, count), replace=False))
+    rows = np.sort(rng.choice(count, min(settings.sample, count), replace=False))
     use = uses_intensity(intensity_choice, spacing_m) and len(np.unique(intensity[ground])) > 1
     model = fit_smoothness(
         description.histograms[rows],
         description.variation[rows],
         description.intensity[rows] if use else None,
-        _INTENSITY_WEIGHT,
+        settings.intensity_weight,
         seed,
     )
     smooth = is_smooth(model, description.histograms, description.variation, description.intensity)
-    settings = pavement_settings_for(column_m, PavementSettings())
-    outline = outline_pavement(description.xyz_m, smooth, settings)
+    traced = pavement_settings_for(column_m, PavementOutline())
+    outline = outline_pavement(description.xyz_m, smooth, traced, engine)
     x, y, _ = xyz_m.T
     return FoundRoad(outline, ground & inside(outline, x, y), description.xyz_m)

@@ -12,10 +12,13 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from roadsight.base.errors import InputError
+from roadsight.base.options import add_options, called
 from roadsight.io.records.atomic import written
 from roadsight.io.records.usage import own_usage
 
@@ -25,6 +28,32 @@ _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What writing fails with where there is no room: on the disk, in a quota, for so large a file."""
 _TERMINATED = 128 + signal.SIGTERM
 """Exit code of what a signal ended, as shells have it."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """Command line of a stage: its options are the parameters of a typed function.
+
+    Parameters
+    ----------
+    stage : the function; its module's name and first words are those of the command line.
+    about : what it does, where the module's words are of something else.
+    """
+
+    stage: Callable[..., None]
+    about: str | None = None
+
+    def parser(self) -> argparse.ArgumentParser:
+        """Parser of the stage's options."""
+        module = sys.modules[self.stage.__module__]
+        about = (self.about or module.__doc__ or "").partition("\n\n")[0]
+        parser = argparse.ArgumentParser(description=about)
+        add_options(parser, self.stage)
+        return parser
+
+    def __call__(self, argv: Sequence[str] | None = None) -> int:
+        """Run the stage; exit code 0, or 2 after one message."""
+        return run_stage(self.parser(), partial(called, self.stage), argv)
 
 
 def run_stage(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from roadsight.io.images.depth_networks import DepthNetwork
 from roadsight.io.records.depth_pairs import STEP_M, DepthPairs, digest, read_dataset
 from roadsight.placement.depth.depth_filling import fill_linearly
 from roadsight.placement.depth.unet import refined
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.training.record import update_record
 
 log = logging.getLogger("evaluate_depth_network")
@@ -64,10 +63,13 @@ def _metres(parts: Any) -> Floats32:
     return np.concatenate(list(parts)).astype(np.float32) * np.float32(STEP_M)
 
 
-def evaluate_depth_network(arguments: argparse.Namespace) -> None:
+def evaluate_depth_network(
+    data: Annotated[Path, "folder that render_depth_dataset wrote"],
+    network_path: Annotated[Path, "ONNX file; the record lies beside it"],
+) -> None:
     """Put what was found about each kind of scene into the record beside the network."""
-    network = DepthNetwork(arguments.network)
-    exact, hybrid = (read_dataset(arguments.data, truth) for truth in ("exact", "hybrid"))
+    network = DepthNetwork(network_path)
+    exact, hybrid = (read_dataset(data, truth) for truth in ("exact", "hybrid"))
     found: dict[str, Any] = {"sha256": digest(exact.values()), "scenes": list(exact)}
     for kind in sorted({name.partition("_")[0] for name in exact}):
         named = [name for name in exact if name.startswith(kind)]
@@ -75,7 +77,7 @@ def evaluate_depth_network(arguments: argparse.Namespace) -> None:
         found[kind] = {way: _rounded(values) for way, values in errors.items()}
         for way, values in found[kind].items():
             log.info("%s, %s: %s", kind, way, values)
-    path = Path(arguments.network)
+    path = network_path
     update_record(path.with_name("training_record.json"), path.name, {"held_out": found})
 
 
@@ -83,12 +85,7 @@ def _rounded(values: dict[str, float]) -> dict[str, float]:
     return {name: round(value, 4) for name, value in values.items()}
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", required=True, help="folder that render_depth_dataset wrote")
-    parser.add_argument("--network", required=True, help="ONNX file; the record lies beside it")
-    return run_stage(parser, evaluate_depth_network, argv)
+main = Command(evaluate_depth_network)
 
 
 if __name__ == "__main__":

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 import time
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from roadsight.io.images.models import Model, open_model
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.networks import class_mask, inverse_depth, tensor_of
 from roadsight.poles.sightings.metric_depth import balancing_weights, fit_metric_depth
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.training.measures import (
     affine_fit,
     axis_pixels,
@@ -49,13 +48,19 @@ _FOOT_SHARE = 1.0 / 6.0
 """Lowest part of a pole, whose depth counts as the pole's."""
 
 
-def evaluate_networks(arguments: argparse.Namespace) -> None:
+def evaluate_networks(
+    data_path: Annotated[Path, "folder that render_dataset wrote"],
+    manifests: Annotated[Path, "folder of the two manifests"],
+    models: Annotated[Path, "folder of the record"],
+    first_seed: int = 900,
+    sites: int = 8,
+) -> None:
     """Put the measures of both networks into the record."""
-    views = [s for _, s in read_samples(arguments.data, arguments.first_seed, arguments.sites)]
-    data = {"first_seed": arguments.first_seed, "sites": arguments.sites, "views": len(views)}
-    record = Path(arguments.models) / "training_record.json"
+    views = [s for _, s in read_samples(data_path, first_seed, sites)]
+    data = {"first_seed": first_seed, "sites": sites, "views": len(views)}
+    record = models / "training_record.json"
     for name, measure in (("road_classes", measure_classes), ("road_depth", measure_depth)):
-        model = open_model(Path(arguments.manifests) / f"{name}.yaml")
+        model = open_model(manifests / f"{name}.yaml")
         result: dict[str, Any] = measure(model, views)
         result["cpu_s_per_768_x_512_image"] = round(_cost(model), 4)
         update_record(record, f"{name}.onnx", {"held_out": data | _rounded(result)})
@@ -252,15 +257,7 @@ def _rounded(value: Any) -> Any:
     return round(value, 4) if isinstance(value, float) else int(value)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", required=True, help="folder that render_dataset wrote")
-    parser.add_argument("--manifests", required=True, help="folder of the two manifests")
-    parser.add_argument("--models", required=True, help="folder of the record")
-    parser.add_argument("--first-seed", type=int, default=900)
-    parser.add_argument("--sites", type=int, default=8)
-    return run_stage(parser, evaluate_networks, argv)
+main = Command(evaluate_networks)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from pathlib import Path
+from typing import Annotated
 
 from roadsight.base.errors import InputError
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.synthetic.rendering.rendering_training import random_training_views
 from roadsight.training.samples import Sample, write_sample
 
@@ -19,30 +20,28 @@ _SITE_LENGTH_M = 500.0
 """Of each generated site."""
 
 
-def render_dataset(arguments: argparse.Namespace) -> None:
+def render_dataset(
+    out: Annotated[Path, "folder of the PNG files"],
+    first_seed: int = 1000,
+    sites: int = 44,
+    views: Annotated[int, "views of a site"] = 12,
+) -> None:
     """Write ``views`` views of each of ``sites`` sites."""
-    if arguments.sites < 1 or arguments.views < 1:
+    if sites < 1 or views < 1:
         raise InputError(
             "--sites and --views must be 1 or more",
-            found=f"{arguments.sites} and {arguments.views}",
+            found=f"{sites} and {views}",
         )
-    for seed in range(arguments.first_seed, arguments.first_seed + arguments.sites):
+    for seed in range(first_seed, first_seed + sites):
         width_px, height_px = _SIZES_PX[seed % 2]
-        views = random_training_views(seed, arguments.views, width_px, height_px, _SITE_LENGTH_M)
-        for number, view in enumerate(views):
+        shown = random_training_views(seed, views, width_px, height_px, _SITE_LENGTH_M)
+        for number, view in enumerate(shown):
             sample = Sample(view.colour, view.classes, view.inverse_depth())
-            write_sample(arguments.out, seed, number, sample)
-        log.info("seed %d: %d views of %d x %d", seed, arguments.views, width_px, height_px)
+            write_sample(out, seed, number, sample)
+        log.info("seed %d: %d views of %d x %d", seed, views, width_px, height_px)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", required=True, help="folder of the PNG files")
-    parser.add_argument("--first-seed", type=int, default=1000)
-    parser.add_argument("--sites", type=int, default=44)
-    parser.add_argument("--views", type=int, default=12, help="views of a site")
-    return run_stage(parser, render_dataset, argv)
+main = Command(render_dataset)
 
 
 if __name__ == "__main__":

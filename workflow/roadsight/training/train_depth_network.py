@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import onnx
@@ -18,7 +18,7 @@ from torch import nn
 from roadsight.base.errors import InputError
 from roadsight.io.records.depth_pairs import DepthPairs, digest, read_dataset
 from roadsight.placement.depth.normalising import MULTIPLE_CELLS, STEP_DEG
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.training.depth_network import DepthUnet, depth_loss
 from roadsight.training.depth_patches import PATCH_CELLS, Patches, random_patches
 from roadsight.training.export import export_network
@@ -61,13 +61,28 @@ def _loss(network: nn.Module, patches: Patches) -> torch.Tensor:
     return depth_loss(output, refined, scale_m)
 
 
-def train_depth_network(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class Training:
+    """What a network is trained on, and how."""
+
+    data: Annotated[Path, "folder that render_depth_dataset wrote"]
+    out: Annotated[Path, "ONNX file; the record lies beside it"]
+    truth: Annotated[str, "refined maps that are learnt"] = "exact"
+    widths: Annotated[tuple[int, int, int], "channels at 1/2, 1/4, 1/8"] = (24, 40, 64)
+    steps: int = 5000
+    batch: Annotated[int, "patches of a step"] = 32
+    rate: Annotated[float, "highest learning rate"] = 3e-3
+    seed: int = 1
+    threads: Annotated[int, "other numbers, other last digits"] = 1
+
+
+def train_depth_network(given: Training) -> None:
     """Train, write the network and what was done into the record."""
-    if arguments.steps < 1 or arguments.batch < 1:
+    if given.steps < 1 or given.batch < 1:
         raise InputError("--steps and --batch must be 1 or more")
-    torch.set_num_threads(arguments.threads)
-    dataset = read_dataset(arguments.data, arguments.truth)
-    schedule = Schedule(arguments.steps, arguments.batch, arguments.rate, arguments.seed)
+    torch.set_num_threads(given.threads)
+    dataset = read_dataset(given.data, given.truth)
+    schedule = Schedule(given.steps, given.batch, given.rate, given.seed)
     losses: list[float] = []
 
     def watch(step: int, loss: float, _: nn.Module) -> None:
@@ -76,57 +91,41 @@ def train_depth_network(arguments: argparse.Namespace) -> None:
             log.info("step %d, loss %.4f", step + 1, np.mean(losses[-_LOG_EVERY:]))
 
     wall, cpu = time.perf_counter(), time.process_time()
-    network = train(list(dataset.values()), schedule, tuple(arguments.widths), watch)
+    network = train(list(dataset.values()), schedule, given.widths, watch)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    path = Path(arguments.out)
+    path = given.out
     facts = {"step_deg": f"{STEP_DEG:g}", "multiple_cells": str(MULTIPLE_CELLS)}
     difference = export_network(
         network, path, "refined", "depth", channels=1, facts={"kind": "depth_refinement"} | facts
     )
-    entry = _entry(arguments, dataset, losses)
+    entry = _entry(given, dataset, losses)
     entry |= facts_of(network, path, difference, wall, cpu)
     update_record(path.with_name("training_record.json"), path.name, entry)
 
 
-def _entry(
-    arguments: argparse.Namespace, dataset: dict[str, DepthPairs], losses: list[float]
-) -> dict[str, Any]:
+def _entry(given: Training, dataset: dict[str, DepthPairs], losses: list[float]) -> dict[str, Any]:
     """What the record says about a training."""
     means = [float(part.mean()) for part in np.array_split(np.array(losses), 10) if len(part)]
     return {
-        "seed": arguments.seed,
+        "seed": given.seed,
         "data": {
-            "truth": arguments.truth,
+            "truth": given.truth,
             "scenes": list(dataset),
             "maps": sum(map(len, dataset.values())),
             "sha256": digest(dataset.values()),
         },
-        "widths": list(arguments.widths),
-        "steps": arguments.steps,
-        "batch": arguments.batch,
+        "widths": list(given.widths),
+        "steps": given.steps,
+        "batch": given.batch,
         "patch_cells": PATCH_CELLS,
-        "highest_learning_rate": arguments.rate,
-        "threads": arguments.threads,
+        "highest_learning_rate": given.rate,
+        "threads": given.threads,
         "versions": {"torch": torch.__version__, "onnx": onnx.__version__, "numpy": np.__version__},
         "loss_by_tenth": [round(value, 4) for value in means],
     }
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", required=True, help="folder that render_depth_dataset wrote")
-    parser.add_argument("--truth", default="exact", help="refined maps that are learnt")
-    parser.add_argument("--out", required=True, help="ONNX file; the record lies beside it")
-    parser.add_argument(
-        "--widths", type=int, nargs=3, default=(24, 40, 64), help="channels at 1/2, 1/4, 1/8"
-    )
-    parser.add_argument("--steps", type=int, default=5000)
-    parser.add_argument("--batch", type=int, default=32, help="patches of a step")
-    parser.add_argument("--rate", type=float, default=3e-3, help="highest learning rate")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--threads", type=int, default=1, help="other numbers, other last digits")
-    return run_stage(parser, train_depth_network, argv)
+main = Command(train_depth_network)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import copy
 import logging
 import sys
@@ -10,7 +9,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
@@ -19,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from roadsight.base.errors import InputError
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.training.augment import Batch, Crops, random_batch
 from roadsight.training.export import export_network
 from roadsight.training.learning import Schedule, facts_of, learn
@@ -112,29 +111,48 @@ def train(
     return learn(network, schedule, loss_of, watch)
 
 
-def train_networks(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class Training:
+    """What a network is trained on, and how."""
+
+    data: Annotated[Path, "folder that render_dataset wrote"]
+    out: Annotated[Path, "folder of the ONNX files and the record"]
+    network: Literal["classes", "depth"]
+    steps: int = 1800
+    rate: Annotated[float, "highest learning rate"] = 3e-3
+    crop_px: Annotated[tuple[int, int] | None, "height and width, not the task's"] = None
+    batch: Annotated[int | None, "crops of a step, instead of the task's"] = None
+    start_from: Annotated[str | None, "ONNX file of this network to go on training from"] = None
+    seed: int = 1
+    first_seed: Annotated[int, "first site of the data"] = 1000
+    sites: int = 44
+    threads: Annotated[int, "other numbers, other last digits"] = 1
+    export_every: Annotated[int, "steps; 0 is at the end only"] = 0
+
+
+def train_networks(given: Training) -> None:
     """Train one network, write it and what was done into the record."""
-    if arguments.steps < 1:
-        raise InputError("--steps must be 1 or more", found=arguments.steps)
-    torch.set_num_threads(arguments.threads)
-    task = _task(arguments)
-    schedule = Schedule(arguments.steps, task.batch, arguments.rate, arguments.seed)
-    path = Path(arguments.out) / task.file
-    samples = [s for _, s in read_samples(arguments.data, arguments.first_seed, arguments.sites)]
+    if given.steps < 1:
+        raise InputError("--steps must be 1 or more", found=given.steps)
+    torch.set_num_threads(given.threads)
+    task = _task(given)
+    schedule = Schedule(given.steps, task.batch, given.rate, given.seed)
+    path = given.out / task.file
+    samples = [s for _, s in read_samples(given.data, given.first_seed, given.sites)]
     log.info("%d views", len(samples))
     losses: list[float] = []
     wall, cpu = time.perf_counter(), time.process_time()
-    watch = _watch(arguments, task, path, losses)
-    network = train(task, samples, schedule, watch, arguments.start_from)
+    watch = _watch(given, task, path, losses)
+    network = train(task, samples, schedule, watch, given.start_from)
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     difference = export_network(network, path, task.output)
-    entry = _entry(arguments, task, schedule, losses, samples)
+    entry = _entry(given, task, schedule, losses, samples)
     entry |= facts_of(network, path, difference, wall, cpu)
     update_record(path.with_name("training_record.json"), task.file, entry)
 
 
 def _watch(
-    arguments: argparse.Namespace, task: Task, path: Path, losses: list[float]
+    given: Training, task: Task, path: Path, losses: list[float]
 ) -> Callable[[int, float, nn.Module], None]:
     """What happens after a step: its loss is kept, and now and then told or the network written."""
 
@@ -142,27 +160,27 @@ def _watch(
         losses.append(loss)
         if (step + 1) % _LOG_EVERY == 0:
             recent = np.mean(losses[-_LOG_EVERY:])
-            log.info("%s: step %d, loss %.4f", arguments.network, step + 1, recent)
-        if arguments.export_every and (step + 1) % arguments.export_every == 0:
+            log.info("%s: step %d, loss %.4f", given.network, step + 1, recent)
+        if given.export_every and (step + 1) % given.export_every == 0:
             export_network(copy.deepcopy(kept), path, task.output)
 
     return watch
 
 
-def _task(arguments: argparse.Namespace) -> Task:
+def _task(given: Training) -> Task:
     """The network's task, with another size and number of crops if they are given."""
-    task = TASKS[arguments.network]
-    height_px, width_px = arguments.crop_px or (task.crops.height_px, task.crops.width_px)
+    task = TASKS[given.network]
+    height_px, width_px = given.crop_px or (task.crops.height_px, task.crops.width_px)
     if height_px % MULTIPLE_PX or width_px % MULTIPLE_PX or min(height_px, width_px) < 1:
         raise InputError(
             f"--crop-px must be multiples of {MULTIPLE_PX}", found=f"{height_px} {width_px}"
         )
     crops = replace(task.crops, height_px=height_px, width_px=width_px)
-    return replace(task, crops=crops, batch=arguments.batch or task.batch)
+    return replace(task, crops=crops, batch=given.batch or task.batch)
 
 
 def _entry(
-    arguments: argparse.Namespace,
+    given: Training,
     task: Task,
     schedule: Schedule,
     losses: list[float],
@@ -172,14 +190,14 @@ def _entry(
     tenth = max(len(losses) // 10, 1)
     means = [float(np.mean(losses[i : i + tenth])) for i in range(0, len(losses), tenth)]
     first = {}
-    if arguments.start_from:
-        earlier = Path(arguments.start_from).with_name("training_record.json")
+    if given.start_from:
+        earlier = Path(given.start_from).with_name("training_record.json")
         first = {"first_training": read_entry(earlier, task.file)}
     return first | {
         "seed": schedule.seed,
         "data": {
-            "first_seed": arguments.first_seed,
-            "sites": arguments.sites,
+            "first_seed": given.first_seed,
+            "sites": given.sites,
             "views": len(samples),
             "sha256": digest(samples),
         },
@@ -188,7 +206,7 @@ def _entry(
         "passes_over_data": round(schedule.steps * schedule.batch / len(samples), 1),
         "crop_px": [task.crops.height_px, task.crops.width_px],
         "highest_learning_rate": schedule.rate,
-        "threads": arguments.threads,
+        "threads": given.threads,
         "versions": {
             "torch": torch.__version__,
             "onnx": onnx.__version__,
@@ -199,25 +217,7 @@ def _entry(
     }
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", required=True, help="folder that render_dataset wrote")
-    parser.add_argument("--out", required=True, help="folder of the ONNX files and the record")
-    parser.add_argument("--network", choices=tuple(TASKS), required=True)
-    parser.add_argument("--steps", type=int, default=1800)
-    parser.add_argument("--rate", type=float, default=3e-3, help="highest learning rate")
-    parser.add_argument(
-        "--crop-px", type=int, nargs=2, metavar=("HEIGHT", "WIDTH"), help="instead of the task's"
-    )
-    parser.add_argument("--batch", type=int, help="crops of a step, instead of the task's")
-    parser.add_argument("--start-from", help="ONNX file of this network to go on training from")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--first-seed", type=int, default=1000, help="first site of the data")
-    parser.add_argument("--sites", type=int, default=44)
-    parser.add_argument("--threads", type=int, default=1, help="other numbers, other last digits")
-    parser.add_argument("--export-every", type=int, default=0, help="steps; 0 is at the end only")
-    return run_stage(parser, train_networks, argv)
+main = Command(train_networks)
 
 
 if __name__ == "__main__":

@@ -271,7 +271,7 @@ rule densify_candidates:
         arm_m=setting("candidates.arm_m"),
         overhead_cover=decision_on("overhead_cover"),
     shell:
-        "python -m roadsight.stages.placement.densify_candidates --site {wildcards.site}"
+        "python -m roadsight.stages.placement.densify_candidates"
         " --round {wildcards.round} --coverage {input.coverage} --targets {input.targets}"
         " --candidates {input.candidates} --edges {input.edges} --pavement {input.pavement}"
         " --dem {input.dem} --cloud {input.cloud} --frame {input.frame}"

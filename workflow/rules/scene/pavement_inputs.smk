@@ -1,11 +1,15 @@
 """Helpers of the pavement rules: which way is taken, and what that way alone uses."""
 
+from roadsight.base.sections.scene import PavementOutline
 from roadsight.scene.pavement.choice import (
     FINEST_M,
     MOST_CELLS,
     MOST_SHARPENED,
     choose_method,
 )
+
+OUTLINE = ("cluster_engine", *PavementOutline.model_fields)
+"""Settings that only the published way to the pavement uses."""
 
 
 def pavement_is_given(wildcards):

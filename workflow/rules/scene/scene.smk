@@ -173,25 +173,7 @@ rule extract_pavement:
         edges_crs=setting_of_pavement("surface", site_field("placement.edges_crs")),
         track=setting_of_pavement("surface", layered_site("placement.track")),
         track_crs=setting_of_pavement("surface", site_field("placement.track_crs")),
-        cluster_engine=setting_of_pavement(
-            "published", setting("pavement.cluster_engine")
-        ),
-        cluster_distance_m=setting_of_pavement(
-            "published", setting("pavement.cluster_distance_m")
-        ),
-        vote_radius_m=setting_of_pavement(
-            "published", setting("pavement.vote_radius_m")
-        ),
-        outline_cell_m=setting_of_pavement(
-            "published", setting("pavement.outline_cell_m")
-        ),
-        closing_m=setting_of_pavement("published", setting("pavement.closing_m")),
-        smallest_hole_m2=setting_of_pavement(
-            "published", setting("pavement.smallest_hole_m2")
-        ),
-        smallest_part_share=setting_of_pavement(
-            "published", setting("pavement.smallest_part_share")
-        ),
+        outline=setting_of_pavement("published", some_flags("pavement", *OUTLINE)),
     shell:
         "python -m roadsight.stages.scene.extract_pavement --site {wildcards.site}"
         " --cloud {input.cloud} --frame {input.frame} --ground {input.ground}"
@@ -199,12 +181,7 @@ rule extract_pavement:
         " --method {params.method} --seeds={params.seeds:q} --intensity {params.intensity}"
         " --edges {params.edges:q} --edges-crs={params.edges_crs:q}"
         " --track {params.track:q} --track-crs={params.track_crs:q}"
-        " --cluster-engine {params.cluster_engine}"
-        " --cluster-distance-m {params.cluster_distance_m}"
-        " --vote-radius-m {params.vote_radius_m} --outline-cell-m {params.outline_cell_m}"
-        " --closing-m {params.closing_m} --smallest-hole-m2 {params.smallest_hole_m2}"
-        " --smallest-part-share {params.smallest_part_share}"
-        " --pavement {output.pavement} --points {output.points}"
+        " {params.outline} --pavement {output.pavement} --points {output.points}"
         " --doubts {output.doubts} > {log} 2>&1"
 
 

@@ -7,15 +7,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import MultiPolygon, box
 
+from roadsight.base.sections.placement import Candidates
 from roadsight.placement.candidates.candidates import (
-    HeightSettings,
     facing_deg,
     free_heights_m,
     roof_height_m,
     stack_candidates,
 )
 
-SETTINGS = HeightSettings()
+SETTINGS = Candidates()
 ALL = [4.0 + 0.5 * k for k in range(13)]
 
 
@@ -97,7 +97,9 @@ class TestFreeHeights:
     def test_equals_the_literal_transcription_and_keeps_its_promises(
         self, points, low, span, step, factor
     ):
-        chosen = HeightSettings(low, low + span, step, 0.5, factor)
+        chosen = Candidates(
+            height_min_m=low, height_max_m=low + span, height_step_m=step, gap_factor=factor
+        )
         found = free_heights_m(np.array(points), chosen)
         expected = literal_heights(points, low, low + span, step, factor)
         np.testing.assert_allclose(found, expected, atol=1e-9)
@@ -115,8 +117,7 @@ class TestFreeHeights:
     def test_a_wider_gap_factor_frees_less(self):
         points = np.array([0.0, 5.0, 6.3, 8.9, 12.0])
         counts = [
-            len(free_heights_m(points, HeightSettings(gap_factor=factor)))
-            for factor in (2, 3, 6, 12)
+            len(free_heights_m(points, Candidates(gap_factor=factor))) for factor in (2, 3, 6, 12)
         ]
         assert counts == sorted(counts, reverse=True)
         assert counts[0] > counts[-1]

@@ -10,11 +10,12 @@ import shapely
 from shapely import MultiPolygon, box
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.placement import Candidates
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.mount_files import read_mounts
 from roadsight.io.vector.vectors import write_geojson
-from roadsight.placement.candidates.candidates import HeightSettings, stack_candidates
+from roadsight.placement.candidates.candidates import stack_candidates
 from roadsight.placement.candidates.sites_for_sensors import outside_zones, positions_on_poles
 from roadsight.stages.placement import place_candidates
 from tests.helpers.report_site import ReportSite
@@ -52,7 +53,7 @@ def test_zones_as_point_by_point(rng):
 def test_no_sensor_above_the_top_of_its_pole():
     table = positions_on_poles(poles(("a", 10, 6, 6.0), ("b", 20, 6, np.nan)), ROAD, 0.75)
     stacked = stack_candidates(
-        table.assign(ground_z_m=0.0), np.empty((0, 3)), np.empty(0), HeightSettings(4, 10, 1.0)
+        table.assign(ground_z_m=0.0), np.empty((0, 3)), np.empty(0), Candidates(height_step_m=1.0)
     )
     highest = stacked.groupby("key")["height_m"].max()
     assert highest["pole-a"] == 6.0 and highest["pole-b"] == 10.0

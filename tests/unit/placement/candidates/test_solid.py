@@ -7,14 +7,15 @@ import pandas as pd
 import pytest
 from scipy.spatial import cKDTree
 
-from roadsight.placement.candidates.candidates import HeightSettings, stack_candidates
+from roadsight.base.sections.placement import Candidates
+from roadsight.placement.candidates.candidates import stack_candidates
 from roadsight.placement.candidates.solid import REACH_M, Surroundings, has_measured_ground
 from roadsight.synthetic.casting.alignment import heading_at, plan_point
 from roadsight.synthetic.casting.materials import TruthClass
 from roadsight.synthetic.highway.highway import build_highway
 from roadsight.synthetic.highway.mobile_scanner import scan
 
-SETTINGS = HeightSettings(height_step_m=1.0)
+SETTINGS = Candidates(height_step_m=1.0)
 
 
 def plate(x, y, height, step=0.2):

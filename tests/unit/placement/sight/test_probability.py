@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roadsight.config.sections.sensing import Targets
+from roadsight.base.sections.sensing import Targets
 from roadsight.placement.sensors.sensors import load_sensors
 from roadsight.placement.sight.detectors import CameraDetector, Criteria, detector_of
 from roadsight.placement.sight.probability import (

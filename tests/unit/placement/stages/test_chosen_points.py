@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sensing import Targets
 from roadsight.io.records.detections import read_detections
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.stages.placement.shared.chosen_points import points_by_height
-from roadsight.stages.placement.shared.detection_inputs import (
-    add_sight_arguments,
-    read_shaped_targets,
-)
+from roadsight.stages.placement.shared.chosen_points import MeasuringFiles, points_by_height
+from roadsight.stages.placement.shared.detection_inputs import read_shaped_targets
 from tests.unit.placement.stages.test_pose_stages import detect, road  # noqa: F401 (a fixture)
 
 
@@ -30,17 +28,20 @@ def test_sensors_in_poses_add_up_to_what_detection_measured(road, box):  # noqa:
     seen = read_detections([detect(folder, name, *options, "--targets", place) for name in kinds])
     rows = seen[["sensor", "candidate"]].drop_duplicates().astype(str)
     chosen = rows.groupby("sensor").head(2).reset_index(drop=True)
-    parser = argparse.ArgumentParser()
-    add_sight_arguments(parser)
-    arguments = parser.parse_args(options)
-    arguments.targets, arguments.out = place, "out"
-    arguments.sensors = str(folder / "sensors.yaml")
-    arguments.depth, arguments.candidates = [folder / "depth"], [folder / "candidates"]
-    arguments.azimuth_stride = 1
-    targets, feet, shape = read_shaped_targets(arguments)
+    given = MeasuringFiles(
+        targets=Path(place),
+        radius_m=Targets().radius_m,
+        height_m=Targets().height_m,
+        box=tuple(map(float, box)) if box else None,
+        sensors=folder / "sensors.yaml",
+        depth=[folder / "depth"],
+        candidates=[folder / "candidates"],
+        azimuth_stride=1,
+    )
+    targets, feet, shape = read_shaped_targets(given)
     for name, unit in kinds.items():
         part = chosen[chosen["sensor"] == name]
-        found = points_by_height(arguments, part, feet, shape)
+        found = points_by_height(given, part, feet, shape)
         assert list(found) == ([unit] if unit else [])
         if unit is None:
             continue
@@ -54,6 +55,4 @@ def test_sensors_in_poses_add_up_to_what_detection_measured(road, box):  # noqa:
         alike = told[both[both].index]
         np.testing.assert_allclose(total[alike.index], alike, atol=len(part))
     with pytest.raises(InputError, match="missing"):
-        points_by_height(
-            arguments, pd.DataFrame({"sensor": ["ring"], "candidate": ["a"]}), feet, shape
-        )
+        points_by_height(given, pd.DataFrame({"sensor": ["ring"], "candidate": ["a"]}), feet, shape)

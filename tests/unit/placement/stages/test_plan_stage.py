@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import geopandas as gpd
@@ -11,6 +12,7 @@ import shapely
 
 from roadsight.io.vector.vectors import write_layers
 from roadsight.stages.placement import solve_cover
+from roadsight.stages.placement.shared.cover_inputs import FILES
 from tests.unit.placement.stages.test_solve_cover_stage import FRAME, Site, write_sight
 
 # Candidates stand 4 m apart (local x 0, 4, 0, 4, 8, ...), two in the first table, the rest after.
@@ -265,4 +267,5 @@ def test_same_options_same_bytes(site, tmp_path):
 
 
 def test_stage_takes_files_of_options():
-    assert solve_cover.FILES == ("areas", "forbidden", "mandatory", "poles")
+    taken = {field.name for field in dataclasses.fields(solve_cover.CoverFiles)}
+    assert set(FILES) == {"areas", "forbidden", "mandatory", "poles"} <= taken

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
-from roadsight.poles.alignment.drive import Reach, near_edges, places_of
+from roadsight.poles.alignment.drive import near_edges, places_of
 from roadsight.poles.alignment.pose import FOCAL, SIZE, Spread, Start, pose_of
 from roadsight.poles.alignment.published import nelder_mead, squared_gaps
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.records.terrains import write_terrain
 from roadsight.poles.alignment.drift import Drift, DriftModel
-from roadsight.poles.alignment.drive import Reach, loader, near_edges, places_of
+from roadsight.poles.alignment.drive import loader, near_edges, places_of
 from roadsight.poles.alignment.pose import FOCAL, HEIGHT, SIZE, Spread
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.poles.alignment.solve import Fit, ImageEdges, Noise

@@ -4,8 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
-from roadsight.poles.alignment.drive import Reach, image_edges_of, loader, places_of, sight_of
+from roadsight.poles.alignment.drive import image_edges_of, loader, places_of, sight_of
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.pose import FOCAL, LATERAL, ROLL, YAW, Spread
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges

@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
 from roadsight.poles.alignment.association import admissible, associate, marks_of
-from roadsight.poles.alignment.drive import Reach, near_edges, places_of, sight_of
+from roadsight.poles.alignment.drive import near_edges, places_of, sight_of
 from roadsight.poles.alignment.landmarks import (
     LandmarkNoise,
     landmark_misfit,

@@ -7,10 +7,11 @@ import pandas as pd
 import pytest
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Videolog
 from roadsight.io.images.videologs import ImageSource, read_videolog_table
 from roadsight.poles.drive.order import drive_order, seconds_of
 from roadsight.poles.drive.track import turning_back, wandering
-from roadsight.poles.drive.videolog import Site, TrackSettings, build_frames
+from roadsight.poles.drive.videolog import Site, build_frames
 
 EAST = np.column_stack([8.0 * np.arange(12), np.zeros(12)])
 
@@ -66,7 +67,7 @@ def frames_of(xy):
         lambda places: np.ones(len(places), bool),
         lambda places: np.zeros(len(places)),
     )
-    return build_frames(table, site, TrackSettings())
+    return build_frames(table, site, Videolog())
 
 
 def test_a_track_in_random_order_is_refused():

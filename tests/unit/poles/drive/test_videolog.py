@@ -12,6 +12,7 @@ import pytest
 from pyproj import CRS
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Videolog
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -22,7 +23,7 @@ from roadsight.io.raster.rasters import write_raster
 from roadsight.io.raster.top_rasters import TopRasterWriter
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table
-from roadsight.poles.drive.videolog import TrackSettings, split_drives
+from roadsight.poles.drive.videolog import split_drives
 from roadsight.scene.voxels.voxel_classes import Columns, VoxelGrid
 from roadsight.stages.poles import read_videolog
 from tests.helpers.tagged_jpeg import gps_jpeg, jpeg
@@ -295,18 +296,18 @@ def test_natural_order():
 
 def test_drives_and_strays():
     xy = np.column_stack([np.arange(30) * 8.0, np.zeros(30)])
-    drives, stray = split_drives(xy, TrackSettings())
+    drives, stray = split_drives(xy, Videolog())
     assert [len(d) for d in drives] == [30] and not stray.any()
     far = xy.copy()
     far[15:, 1] += 500.0  # the vehicle went on elsewhere
-    drives, stray = split_drives(far, TrackSettings())
+    drives, stray = split_drives(far, Videolog())
     assert [len(d) for d in drives] == [15, 15] and not stray.any()
     far = xy.copy()
     far[[0, 7, 8, 29], 1] += 300.0
-    drives, stray = split_drives(far, TrackSettings())
+    drives, stray = split_drives(far, Videolog())
     assert np.flatnonzero(stray).tolist() == [0, 7, 8, 29]
     assert [len(d) for d in drives] == [26]
-    assert split_drives(np.empty((0, 2)), TrackSettings())[0] == []
+    assert split_drives(np.empty((0, 2)), Videolog())[0] == []
 
 
 def test_road_height_comes_from_the_deck_of_a_bridge(site, wkt):
@@ -338,7 +339,7 @@ def test_a_real_track_in_north_carolina(data, wkt):
     everywhere = Site(
         north.to_local, lambda xy: np.ones(len(xy), bool), lambda xy: np.zeros(len(xy))
     )
-    frames = build_frames(table.assign(**size, status="ok"), everywhere, TrackSettings())
+    frames = build_frames(table.assign(**size, status="ok"), everywhere, Videolog())
     ok = frames[frames["status"] == "ok"]
     assert len(table) == 627 and len(ok) > 600
     assert ok["step_m"].median() == pytest.approx(8.0, abs=0.2)

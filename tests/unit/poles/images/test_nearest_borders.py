@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from roadsight.base.sections.poles import EdgeTracing
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.image_edges import trace_edges
-from roadsight.poles.images.lanes import EdgeSettings
 
 ROWS = 375
 COLUMNS = 1242
@@ -25,8 +25,8 @@ def street():
 
 
 def test_the_far_side_of_a_forecourt_is_left_out():
-    every = trace_edges(street(), EdgeSettings())
-    near = trace_edges(street(), EdgeSettings(borders="nearest"))
+    every = trace_edges(street(), EdgeTracing())
+    near = trace_edges(street(), EdgeTracing(borders="nearest"))
     u, v = near.uv_px.T
     half = (v - 180) * 2.2
     right = near.side > 0
@@ -40,7 +40,7 @@ def test_the_far_side_of_a_forecourt_is_left_out():
 
 
 def test_nothing_is_traced_behind_a_car():
-    near = trace_edges(street(), EdgeSettings(borders="nearest"))
+    near = trace_edges(street(), EdgeTracing(borders="nearest"))
     u, v = near.uv_px.T
     behind = (near.side < 0) & (v > 255) & (v < 325)
     half = (v - 180) * 2.2
@@ -51,4 +51,4 @@ def test_nothing_is_traced_behind_a_car():
 
 def test_a_mask_without_road_has_no_border():
     empty = np.full((ROWS, COLUMNS), PixelClass.SKY, np.uint8)
-    assert len(trace_edges(empty, EdgeSettings(borders="nearest")).uv_px) == 0
+    assert len(trace_edges(empty, EdgeTracing(borders="nearest")).uv_px) == 0

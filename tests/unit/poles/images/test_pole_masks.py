@@ -5,8 +5,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roadsight.base.sections.poles import PoleMasks
 from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.pole_masks import MaskSettings, find_instances
+from roadsight.poles.images.pole_masks import find_instances
 
 HEIGHT = 1200
 WIDTH = 900
@@ -78,7 +79,7 @@ def test_more_than_255_components_are_told_apart():
     mask = np.zeros((240, 3000), np.uint8)
     for k in range(300):
         mask[40:200, 10 * k + 3 : 10 * k + 6] = PixelClass.POLE
-    found = find_instances(mask, settings=MaskSettings(min_width_px=1.0))
+    found = find_instances(mask, settings=PoleMasks(min_width_px=1.0))
     assert len(found) == 300
     assert [one.u_foot for one in found] == pytest.approx([10 * k + 4 for k in range(300)])
 

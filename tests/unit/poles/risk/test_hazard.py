@@ -6,13 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.clear_zone import clear_zone_m, slope_class
-from roadsight.poles.risk.hazard import (
-    HazardSettings,
-    rate_poles,
-    rate_roadside,
-    side_slopes,
-)
+from roadsight.poles.risk.hazard import rate_poles, rate_roadside, side_slopes
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, edges_at
 from roadsight.poles.risk.scenarios import RouteTracks
@@ -116,7 +112,7 @@ def test_density_agrees_with_counting(rng):
     stations = rng.uniform(0, 400, 60)
     counted = rng.random(60) < 0.7
     poles = poles_at(*zip(stations, np.where(counted, 6.0, 20.0), strict=True))
-    density = rate_poles(poles, EDGES, TRACK, None, HazardSettings())["objects_per_km"]
+    density = rate_poles(poles, EDGES, TRACK, None, Hazard())["objects_per_km"]
     for own, value in zip(stations, density, strict=True):
         count = (np.abs(stations[counted] - own) <= 50).sum()
         length = min(own + 50, 400) - max(own - 50, 0)
@@ -132,8 +128,8 @@ def test_bends_widen_clear_zones_on_unknown_ground_too():
     frames = pd.DataFrame(drive, columns=["x", "y"]).assign(route="a", sequence=range(len(drive)))
     track = RouteTracks(frames)
     places = middle + np.array([[207.0], [193.0]]) * (arc[len(arc) // 2] - [0, 1])
-    unknown = rate_poles(poles_at(*places), edges, track, None, HazardSettings())
-    level = rate_poles(poles_at(*places), edges, track, lambda x, y: 0 * x, HazardSettings())
+    unknown = rate_poles(poles_at(*places), edges, track, None, Hazard())
+    level = rate_poles(poles_at(*places), edges, track, lambda x, y: 0 * x, Hazard())
     assert unknown["curve_factor"].tolist() == [1.5, 1.0]
     for name in ("clear_zone_m", "clear_zone_least_m", "clear_zone_greatest_m", "rating"):
         assert unknown[name].tolist() == level[name].tolist()
@@ -156,7 +152,7 @@ class TestTraffic:
             roads, ground, barriers=barriers, left_hand_traffic=left, carriageway=carriageway
         )
         poles = poles_at((200, -8), (200, 8))
-        table = rate_roadside(poles, EDGES, known, HazardSettings(clear_zone_m=9.0)).table
+        table = rate_roadside(poles, EDGES, known, Hazard(clear_zone_m=9.0)).table
         return table.assign(y=poles["y"])
 
     def test_one_way_traffic_is_all_of_its_aadt(self):
@@ -194,7 +190,7 @@ class TestTraffic:
 
 
 def test_ratings():
-    choice = HazardSettings()  # 80 km/h, 3000 a day: 5.5 m where flat
+    choice = Hazard()  # 80 km/h, 3000 a day: 5.5 m where flat
     rated = rate_poles(
         poles_at((50, 5), (150, 9), (250, 9.9), (350, 20), (200, 99)), EDGES, TRACK, None, choice
     )
@@ -210,7 +206,7 @@ def steep(x, y):
 
 
 def test_steep_slopes_and_crowds_raise_the_rating():
-    choice = HazardSettings()
+    choice = Hazard()
     assert rate_poles(poles_at((150, 9)), EDGES, TRACK, steep, choice)["rating"].tolist() == [
         "high"
     ]
@@ -222,8 +218,8 @@ def test_steep_slopes_and_crowds_raise_the_rating():
 
 def test_no_poles_and_no_track():
     none = poles_at((0, 0)).iloc[:0]
-    assert len(rate_poles(none, EDGES, TRACK, None, HazardSettings())) == 0
+    assert len(rate_poles(none, EDGES, TRACK, None, Hazard())) == 0
     nowhere = RouteTracks(pd.DataFrame({"route": [], "sequence": [], "x": [], "y": []}))
-    rated = rate_poles(poles_at((100, 7)), EDGES, nowhere, None, HazardSettings())
+    rated = rate_poles(poles_at((100, 7)), EDGES, nowhere, None, Hazard())
     assert rated["offset_m"].iloc[0] == pytest.approx(3, abs=0.01)
     assert rated["side"].tolist() == [0]

@@ -4,13 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.poles.risk.hazard import (
-    HAZARD_COLUMNS,
-    ROADSIDE_COLUMNS,
-    HazardSettings,
-    rate_poles,
-    rate_roadside,
-)
+from roadsight.base.sections.poles import Hazard
+from roadsight.poles.risk.hazard import HAZARD_COLUMNS, ROADSIDE_COLUMNS, rate_poles, rate_roadside
 from roadsight.poles.risk.inventory import check_inventory
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import (
@@ -26,7 +21,7 @@ from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.videolog import random_drives, shots
 from tests.helpers.rural_sections import exact_height, ground_points, open_stations, true_hinges
 
-RULES = HazardSettings()
+RULES = Hazard()
 
 
 class Scene:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from roadsight.base.sections.poles import Sightings
 from roadsight.geometry.cameras import Intrinsics, project, wrap_deg
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.sightings.lidar_poles import PoleColumns
@@ -15,7 +16,7 @@ from roadsight.poles.sightings.sighting_bearing import (
     nearest_projected,
     with_place,
 )
-from roadsight.poles.sightings.sightings import Evidence, SightingSettings, measure_view
+from roadsight.poles.sightings.sightings import Evidence, measure_view
 
 NONE = PoleColumns(np.empty((0, 2)), np.empty(0), np.empty(0))
 CAMERA = ViewCamera(
@@ -103,7 +104,7 @@ def test_a_single_lidar_column_sharpens_bearing_and_distance():
     low, high = sorted([plain["bearing_grid_deg"], 350.05])
     assert low <= sharp["bearing_grid_deg"] <= high
     assert sharp["sigma_bearing_deg"] < plain["sigma_bearing_deg"]
-    image_only = SightingSettings(bearing="image")
+    image_only = Sightings(bearing="image")
     unmoved = measure_view(CAMERA, mask, depth, Evidence(level, column, points), image_only).iloc[0]
     assert unmoved["bearing_grid_deg"] == plain["bearing_grid_deg"]
 
@@ -180,7 +181,7 @@ def test_published_bearing_is_that_of_the_lidar_point_nearest_to_the_foot():
     assert np.isnan(nothing[0])
     mask, depth = rendered([place(350.0, 20.0)])
     evidence = Evidence(level, NONE, points)
-    row = measure_view(CAMERA, mask, depth, evidence, SightingSettings(bearing="lidar")).iloc[0]
+    row = measure_view(CAMERA, mask, depth, evidence, Sightings(bearing="lidar")).iloc[0]
     assert row["method"] == "lidar"
     assert row["bearing_grid_deg"] == pytest.approx(350.0)
 
@@ -218,9 +219,9 @@ def test_what_is_dropped_says_why():
     column = PoleColumns(place(350.0, 20.0)[None], np.array([9.0]), np.array([0.1]))
     in_cloud = Evidence(level, column, np.empty((0, 3)))
     assert measure_view(CAMERA, low, low_depth, in_cloud)["reason"].tolist() == [""]
-    rule = SightingSettings(height_rule="none")
+    rule = Sightings(height_rule="none")
     assert measure_view(CAMERA, low, low_depth, evidence, rule)["reason"].tolist() == [""]
-    published = SightingSettings(height_rule="published")
+    published = Sightings(height_rule="published")
     whole = measure_view(CAMERA, *rendered([place(350.0, 24.0)], height_m=7.0), evidence, published)
     assert whole["reason"].tolist() == ["too low"]
 

@@ -5,11 +5,12 @@ import argparse
 import numpy as np
 import pandas as pd
 
+from roadsight.base.options import add_options, called
 from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.images.classes import PixelClass
 from roadsight.stages.poles import trace_pole_axes
-from roadsight.stages.poles.alignment_inputs import add_arguments, read_columns
+from roadsight.stages.poles.alignment_inputs import SceneFiles, read_columns
 
 
 def test_axes_of_all_views_are_traced(tmp_path):
@@ -43,8 +44,8 @@ def test_axes_of_all_views_are_traced(tmp_path):
 
 def test_options_may_come_without_a_value():
     parser = argparse.ArgumentParser()
-    add_arguments(parser)
-    words = "--frames f --road-edges r --frame j --out o --image-edges e --terrain --dem"
-    given = parser.parse_args([*words.split(), "--pole-axes", "--columns"])
-    assert given.pole_axes == [] and given.columns is None and given.terrain is None
+    add_options(parser, SceneFiles)
+    words = "--frames f --road-edges r --frame j --image-edges e --terrain --dem"
+    given = called(SceneFiles, parser.parse_args([*words.split(), "--pole-axes", "--columns"]))
+    assert given.pole_axes == () and given.columns is None and given.terrain is None
     assert len(read_columns(None)) == 0

@@ -324,7 +324,7 @@ def test_known_poles_in_native_coordinates(site, tmp_path):
 
 def run_verb(*words):
     parser = argparse.ArgumentParser()
-    verb.add_parser(parser.add_subparsers())
+    verb.VERB.add_to(parser.add_subparsers())
     arguments = parser.parse_args(["triangulate", *map(str, words)])
     arguments.run(arguments)
 

@@ -23,10 +23,10 @@ from roadsight.poles.triangulate.noise import (
     stated_noise,
 )
 from roadsight.poles.triangulate.packing import choose_groups
-from roadsight.poles.triangulate.rays import TriangulationSettings, make_rays
+from roadsight.poles.triangulate.rays import UNAIDED, make_rays
 from tests.helpers.drives import Drive, on_road, rays_and_poles, simulate
 
-CHOICE = TriangulationSettings()
+CHOICE = UNAIDED
 WORLDS = {
     "straight": Drive(),
     "bent": Drive(bend_m=150.0, strays=0.15),
@@ -241,8 +241,8 @@ def test_error_ellipses_hold_what_they_say():
 def test_a_drift_that_is_stated_is_in_the_ellipses():
     """It leaves no misfit: what a whole neighbourhood shares must be stated."""
     drive = Drive(place_m=0.2, drift_m=1.5)
-    stated = TriangulationSettings(sigma_position_m=1.5, shared_variance=0.9)
-    unstated = TriangulationSettings()
+    stated = UNAIDED.model_copy(update={"sigma_position_m": 1.5, "shared_variance": 0.9})
+    unstated = UNAIDED
     with_it, without = (inside(drive, (301, 302), choice) for choice in (stated, unstated))
     assert (with_it <= 5.99).mean() >= 0.85
     assert (without <= 5.99).mean() < (with_it <= 5.99).mean()

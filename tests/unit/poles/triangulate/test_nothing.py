@@ -6,9 +6,9 @@ import pandas as pd
 from roadsight.__main__ import main
 from roadsight.poles.triangulate.geographic import triangulate_geographic
 from roadsight.poles.triangulate.nothing import reasons_for_none
-from roadsight.poles.triangulate.rays import TriangulationSettings
+from roadsight.poles.triangulate.rays import UNAIDED
 
-SETTINGS = TriangulationSettings()
+SETTINGS = UNAIDED
 
 
 def table(depth=14.0, step_deg=1e-4):

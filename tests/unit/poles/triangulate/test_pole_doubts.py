@@ -13,7 +13,7 @@ from roadsight.poles.triangulate.pole_doubts import (
     far_reaching,
     pole_doubts,
 )
-from roadsight.poles.triangulate.rays import TriangulationSettings
+from roadsight.poles.triangulate.rays import UNAIDED
 
 
 def sightings(anchored, others=10, lost=0):
@@ -25,7 +25,7 @@ def sightings(anchored, others=10, lost=0):
 @pytest.mark.parametrize(("anchored", "reach"), [(0, FAR_M), (1, FAR_M), (2, 40.0), (10, 40.0)])
 def test_far_rays_count_where_the_cloud_shows_no_poles(anchored, reach):
     table = sightings(anchored)
-    settings = far_reaching(table, TriangulationSettings())
+    settings = far_reaching(table, UNAIDED)
     assert settings.max_distance_m == reach
     assert settings.max_sigma_m == (FAR_SIGMA_M if reach == FAR_M else 5.0)
     codes = [doubt.code for doubt in pole_doubts(table, [])]
@@ -33,9 +33,9 @@ def test_far_rays_count_where_the_cloud_shows_no_poles(anchored, reach):
 
 
 def test_a_wider_reach_is_never_narrowed():
-    wide = TriangulationSettings(max_distance_m=80.0)
+    wide = UNAIDED.model_copy(update={"max_distance_m": 80.0})
     assert far_reaching(sightings(0), wide) is wide
-    usual = TriangulationSettings()
+    usual = UNAIDED
     assert far_reaching(sightings(0, others=0), usual) is usual
 
 

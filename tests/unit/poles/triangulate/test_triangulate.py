@@ -18,7 +18,7 @@ from roadsight.poles.triangulate.locate import (
 from roadsight.poles.triangulate.merging import follows_sequence, merge_groups
 from roadsight.poles.triangulate.packing import choose_groups
 from roadsight.poles.triangulate.rays import (
-    TriangulationSettings,
+    UNAIDED,
     cross_rays,
     make_rays,
     pair_rays,
@@ -89,7 +89,7 @@ def test_almost_parallel_rays_place_the_pole_by_depth(apart_deg):
 
 def test_a_long_ellipse_withholds_the_pole_with_a_reason():
     rows = np.array([[0.0, 0, 10, 20, 0], [0.0, 1, 10, 19, 1]])
-    poles = found(rows, TriangulationSettings(max_sigma_m=0.5, calibrate_depth=False))
+    poles = found(rows, UNAIDED.model_copy(update={"max_sigma_m": 0.5, "calibrate_depth": False}))
     assert poles["kept"].tolist() == [False]
     assert poles["reason"].iloc[0] == "error ellipse longer than 0.5 m"
 
@@ -204,7 +204,7 @@ def test_sequence_rule():
     assert not follows_sequence(sequence_rays([14, 22, 30], [80, 75, 60]), everyone, FINE)
     assert not follows_sequence(sequence_rays([30, 22, 14], [80, 60, 75]), everyone, FINE)
     far = sequence_rays([30, 22, 14], [80, 75, 60])
-    assert not follows_sequence(far, everyone, TriangulationSettings(sequence_m=7.0))
+    assert not follows_sequence(far, everyone, UNAIDED.model_copy(update={"sequence_m": 7.0}))
 
 
 def test_groups_within_their_errors_merge_but_not_across_one_image():

@@ -1,7 +1,5 @@
 """The published method, sightings anywhere on Earth, and the published sample."""
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 import pytest
@@ -20,7 +18,7 @@ from roadsight.poles.triangulate.published import (
     swept_poles,
 )
 from roadsight.poles.triangulate.rays import (
-    TriangulationSettings,
+    UNAIDED,
 )
 from tests.helpers.pole_street import FINE, found, rays_of, street
 
@@ -57,7 +55,7 @@ def test_sweep_ends_where_no_single_link_lowers_the_energy():
 def test_weights_of_the_sweep_are_settings():
     _, rows = street(poles=3)
     rays = rays_of(rows)
-    heavy = replace(FINE, depth_weight=100.0, spread_weight=100.0)
+    heavy = FINE.model_copy(update={"depth_weight": 100.0, "spread_weight": 100.0})
     # No link is worth its price: every ray stays alone.
     assert len(swept_poles(rays, heavy)[1]) < len(swept_poles(rays, FINE)[1])
     own = swept_poles(rays, FINE, Energy(100.0, 100.0))
@@ -127,7 +125,7 @@ def published_sample(data):
 @pytest.mark.real
 def test_published_method_reproduces_the_published_band(data):
     sightings, score = published_sample(data)
-    choice = TriangulationSettings(max_distance_m=PUBLISHED_DISTANCE)
+    choice = UNAIDED.model_copy(update={"max_distance_m": PUBLISHED_DISTANCE})
     scores = [score(triangulate_published(sightings, choice, seed)) for seed in range(10)]
     count, precision_2, recall_2, precision_6, recall_6 = np.median(scores, axis=0)
     assert 52 <= count <= 57
@@ -143,9 +141,9 @@ def test_published_method_reproduces_the_published_band(data):
 @pytest.mark.real
 def test_our_method_beats_the_published_one(data, rng):
     sightings, score = published_sample(data)
-    choice = TriangulationSettings()
+    choice = UNAIDED
     ours = triangulate_geographic(sightings, choice)
-    theirs = TriangulationSettings(max_distance_m=PUBLISHED_DISTANCE)
+    theirs = UNAIDED.model_copy(update={"max_distance_m": PUBLISHED_DISTANCE})
     published = [score(triangulate_published(sightings, theirs, seed)) for seed in range(10)]
     _, precision_2, recall_2, precision, recall = score(ours)
     assert min(precision, recall) >= 0.76

@@ -6,14 +6,15 @@ import shapely
 from shapely import MultiPolygon, box
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.scene import PavementOutline
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
-from roadsight.scene.pavement.outline import PavementSettings, inside, outline_pavement, vote
+from roadsight.scene.pavement.outline import inside, outline_pavement, vote
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.surfels.thinning import column_means
 
-SETTINGS = PavementSettings()
+SETTINGS = PavementOutline()
 
 
 def raster_of(shape, rng, step_m=0.1, jitter_m=0.04):
@@ -90,7 +91,7 @@ def test_small_holes_are_filled_and_large_ones_kept(rng):
 
 def test_narrow_gaps_are_closed(rng):
     joint = box(14.6, 0, 15.2, 12)
-    settings = PavementSettings(cluster_distance_m=0.7)
+    settings = PavementOutline(cluster_distance_m=0.7)
     found = all_smooth(raster_of(box(0, 0, 30, 12).difference(joint), rng), settings)
     assert shapely.contains_xy(found, 14.9, 6)
 
@@ -108,7 +109,7 @@ def test_two_carriageways_are_kept_and_a_driveway_is_not(rng):
     found = all_smooth(raster_of(shapes, rng))
     assert len(found.geoms) == 2
     assert found.geoms[0].area > found.geoms[1].area
-    everything = all_smooth(raster_of(shapes, rng), PavementSettings(smallest_part_share=0.0))
+    everything = all_smooth(raster_of(shapes, rng), PavementOutline(smallest_part_share=0.0))
     assert len(everything.geoms) == 3
 
 
@@ -121,7 +122,7 @@ def test_an_island_inside_a_filled_hole_leaves_a_valid_outline(rng):
         cells[60 + k, 60 + k] = True
     row, column = np.nonzero(cells)
     xyz = np.column_stack([column * 0.25 + 0.125, row * 0.25 + 0.125, np.zeros(len(row))])
-    settings = PavementSettings(cluster_distance_m=0.4, closing_m=0.25)
+    settings = PavementOutline(cluster_distance_m=0.4, closing_m=0.25)
     found = all_smooth(xyz, settings)
     assert found.is_valid
     assert found.area == pytest.approx(35.0**2, rel=0.01)

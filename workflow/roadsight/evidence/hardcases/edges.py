@@ -10,8 +10,9 @@ from shapely import LineString, MultiPolygon, box
 
 from roadsight.base.arrays import Numbers
 from roadsight.base.errors import InputError
+from roadsight.base.sections.placement import Candidates
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
-from roadsight.placement.candidates.candidates import HeightSettings, facing_deg, free_heights_m
+from roadsight.placement.candidates.candidates import facing_deg, free_heights_m
 from roadsight.placement.candidates.positions import positions_along
 from roadsight.placement.candidates.targets import place_targets
 from roadsight.scene.edges.splines import natural_spline
@@ -77,7 +78,7 @@ def heights_in_steps_of_a_tenth(rng: np.random.Generator) -> Errors:
     """The number of steps of a tenth, rounded down, often leaves out the highest height."""
     naive = ours = 0
     for high in np.arange(45, 101) / 10:
-        settings = HeightSettings(4.0, float(high), 0.1)
+        settings = Candidates(height_min_m=4.0, height_max_m=float(high), height_step_m=0.1)
         true = round((high - 4.0) * 10) + 1
         naive += abs(int((high - 4.0) / 0.1) + 1 - true)
         ours += abs(len(free_heights_m(np.empty(0), settings)) - true)

@@ -11,14 +11,15 @@ from scipy.spatial import Delaunay
 
 from roadsight.base.arrays import Numbers
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import RoadEdges
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.frames import Frame
 from roadsight.scene.edges.road_edges import (
-    EdgeSettings,
     clean_road,
     edge_level,
     edge_lines,
     outlines,
+    smoothing_cells,
 )
 from roadsight.scene.terrain.occlusion import TerrainSight
 from roadsight.scene.terrain.tin import Terrain, add_cells, cell_means, sum_cells, triangulate
@@ -84,9 +85,11 @@ def where_the_data_end(rng: np.random.Generator) -> Errors:
     share = np.zeros((260, 120), np.float32)
     share[:, 40:80] = 1.0
     occupied, is_road = np.ones(share.shape, bool), share > 0
-    settings = EdgeSettings()
+    settings = RoadEdges()
     image = clean_road(is_road, occupied, 0.3, settings)
-    rings = outlines(image, edge_level(share, occupied, image), settings.window_cells(image, 0.3))
+    rings = outlines(
+        image, edge_level(share, occupied, image), smoothing_cells(image, 0.3, settings)
+    )
     ring = np.concatenate(rings)
     across = (ring[:, 0] < 0.5) | (ring[:, 0] > 258.5)
     steps = np.hypot(*np.diff(ring, axis=0, append=ring[:1]).T) * 0.3

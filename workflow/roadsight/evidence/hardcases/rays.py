@@ -12,11 +12,21 @@ from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.poles.sightings.metric_depth import fit_metric_depth, fuse_depths, ground_distance_m
 from roadsight.poles.triangulate.geographic import triangulate_geographic
 from roadsight.poles.triangulate.locate import error_ellipse, triangulate
-from roadsight.poles.triangulate.rays import TriangulationSettings, cross_rays, make_rays, pair_rays
+from roadsight.poles.triangulate.rays import (
+    UNAIDED,
+    cross_rays,
+    make_rays,
+    pair_rays,
+)
 
 _GEOD = Geod(ellps="WGS84")
-_FINE = TriangulationSettings(
-    sigma_position_m=0.1, sigma_bearing_deg=0.3, sigma_depth_ratio=0.15, calibrate_depth=False
+_FINE = UNAIDED.model_copy(
+    update={
+        "sigma_position_m": 0.1,
+        "sigma_bearing_deg": 0.3,
+        "sigma_depth_ratio": 0.15,
+        "calibrate_depth": False,
+    }
 )
 """Settings for places and angles that are known well, without the calibration of depths."""
 

@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import EdgeTracing, Reach
 from roadsight.evidence.truth.streets import Street, read_street
 from roadsight.evidence.truth.table import Figure
 from roadsight.geometry.cameras import attitude_deg, wrap_deg
@@ -26,7 +27,7 @@ from roadsight.io.images.label_images import LabelImages
 from roadsight.io.images.videologs import ImageSource
 from roadsight.poles.alignment.dense import YAW, DenseTask, GivenLens, align_dense, moved
 from roadsight.poles.alignment.dense_verdict import DenseLimits, dense_doubt
-from roadsight.poles.alignment.drive import Place, Reach, image_edges_of, near_edges, sight_of
+from roadsight.poles.alignment.drive import Place, image_edges_of, near_edges, sight_of
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.locate import locate
 from roadsight.poles.alignment.pose import FOCAL, HEIGHT, PITCH, ROLL, Start, pose_of
@@ -38,7 +39,6 @@ from roadsight.poles.alignment.visible import SceneCloud
 from roadsight.poles.calibration.calibration import weak_mount
 from roadsight.poles.images.evidence import ImageEvidence
 from roadsight.poles.images.image_edges import BORDER, LANE, trace_edges
-from roadsight.poles.images.lanes import EdgeSettings
 from roadsight.poles.images.manifest import LabelMap
 from roadsight.poles.images.networks import folder_mask, merge_masks
 from roadsight.poles.images.pole_masks import find_instances
@@ -264,7 +264,7 @@ def _nearest(surface_m: Floats, xy: Floats) -> Floats:
 
 
 def _image_edges(classes: Bytes) -> ImageEdges:
-    found = trace_edges(classes, EdgeSettings(borders="nearest"))
+    found = trace_edges(classes, EdgeTracing(borders="nearest"))
     rows = pd.DataFrame(
         {
             "u": found.uv_px[:, 0],

@@ -10,9 +10,10 @@ import numpy as np
 import shapely
 
 from roadsight.base.arrays import Floats
+from roadsight.base.sections.scene import Edges
 from roadsight.evidence.truth.survey import Survey, read_survey
 from roadsight.evidence.truth.table import Figure
-from roadsight.scene.edges.splines import OutlineSettings, outline_edges, spline_line
+from roadsight.scene.edges.splines import outline_edges, spline_line
 from roadsight.scene.whole import ground_of, published_road
 
 WITHIN_M = (0.5, 1.0, 2.0)
@@ -27,7 +28,7 @@ def measure_edges(dataset: str, files: Sequence[Path]) -> list[Figure]:
     started = time.process_time()
     ground = ground_of(survey.xyz_m)
     road = published_road(survey.xyz_m, ground, survey.intensity)
-    traced = outline_edges(road.outline, road.surface_m, OutlineSettings())
+    traced = outline_edges(road.outline, road.surface_m, Edges())
     lines = [spline_line(line) for _, line in traced]
     used_s = time.process_time() - started
     ours = _figures(lines, survey)

@@ -15,7 +15,7 @@ from roadsight.poles.risk.validation import score_thresholds
 from roadsight.poles.triangulate.earth import TangentFrame
 from roadsight.poles.triangulate.geographic import triangulate_geographic, triangulate_published
 from roadsight.poles.triangulate.published import PUBLISHED_DISTANCE
-from roadsight.poles.triangulate.rays import TriangulationSettings
+from roadsight.poles.triangulate.rays import UNAIDED
 
 THRESHOLDS_M = (2, 4, 6)
 _SEEDS = 10
@@ -40,9 +40,9 @@ def measure_sightings(dataset: str, files: Sequence[Path]) -> list[Figure]:
         }
 
     started = time.process_time()
-    ours = scores(triangulate_geographic(sightings, TriangulationSettings()))
+    ours = scores(triangulate_geographic(sightings, UNAIDED))
     used_s = time.process_time() - started
-    own = TriangulationSettings(max_distance_m=PUBLISHED_DISTANCE)
+    own = UNAIDED.model_copy(update={"max_distance_m": PUBLISHED_DISTANCE})
     theirs = [scores(triangulate_published(sightings, own, seed)) for seed in range(_SEEDS)]
     return [
         Figure(name, value, float(np.mean([score[name] for score in theirs])), used_s)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 
 import numpy as np
@@ -27,7 +28,12 @@ class StandingCloud:
         the classes that are to be left out.
     """
 
-    def __init__(self, cloud: str, traffic: str | None, without: Sequence[int] = ()) -> None:
+    def __init__(
+        self,
+        cloud: str | os.PathLike[str],
+        traffic: str | os.PathLike[str] | None,
+        without: Sequence[int] = (),
+    ) -> None:
         self._cloud = CloudTiles(cloud)
         rows = [tile.rows for tile in self._cloud.tiles]
         self._starts = np.cumsum([0, *rows])
@@ -50,7 +56,7 @@ class StandingCloud:
             if not left_out.any():
                 raise InputError(
                     "no point of the cloud is of a class that is to be left out",
-                    where=cloud,
+                    where=str(cloud),
                     allowed=f"classes {', '.join(map(str, without))}",
                     hint="classify the cloud, or let lidar.vegetation keep them",
                 )

@@ -13,7 +13,7 @@ from pathlib import Path
 from roadsight.io.records.atomic import atomic_path
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[3]
-_DECLARED = "roadsight.config.sections"
+_DECLARED = "roadsight.base.sections"
 """Settings are declared there; their values reach a stage as its rule's params, so that a sentence
 about one makes no result stale."""
 _CHAPTERS = ("scene", "placement", "poles", "evidence", "truth")

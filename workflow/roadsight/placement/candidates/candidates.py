@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +11,7 @@ from scipy.spatial import cKDTree
 from shapely import MultiPolygon
 
 from roadsight.base.arrays import Floats
+from roadsight.base.sections.placement import Candidates
 from roadsight.placement.candidates.solid import REACH_M, Surroundings
 
 _ROOF_SHARE = 0.6
@@ -23,28 +23,7 @@ _ROOF_PERCENTILE = 5
 """Percentile of the heights above a position at which its roof is: stray points may hang lower."""
 
 
-@dataclass(frozen=True)
-class HeightSettings:
-    """Settings of candidate heights.
-
-    Parameters
-    ----------
-    height_min_m, height_max_m : lowest and highest height above ground.
-    height_step_m : vertical spacing.
-    search_radius_m : points within this plan distance obstruct a position.
-    gap_factor : a gap between points is free when it is wider than this many steps; at least 2.
-    roofs : whether roofs end the search for heights.
-    """
-
-    height_min_m: float = 4.0
-    height_max_m: float = 10.0
-    height_step_m: float = 0.5
-    search_radius_m: float = 0.5
-    gap_factor: float = 2.0
-    roofs: bool = True
-
-
-def free_heights_m(point_heights_m: Floats, settings: HeightSettings) -> Floats:
+def free_heights_m(point_heights_m: Floats, settings: Candidates) -> Floats:
     """Heights above ground at which a sensor fits between the points around a position.
 
     The paper's cases i to iv are one rule on the sorted heights of the points. Where no point lies
@@ -84,7 +63,7 @@ def _steps(start: float, stop: float, step: float) -> Floats:
     return start + step * np.arange(max(0, np.floor((stop - start) / step + 1e-9) + 1))
 
 
-def roof_height_m(offsets_m: Floats, point_heights_m: Floats, settings: HeightSettings) -> float:
+def roof_height_m(offsets_m: Floats, point_heights_m: Floats, settings: Candidates) -> float:
     """Height of a roof above a position, infinite if there is none.
 
     A tunnel or bridge leaves free space above its ceiling, as far as the scanner can tell; a sensor
@@ -131,8 +110,9 @@ def stack_candidates(
     positions: pd.DataFrame,
     obstacles_xyz_m: Floats,
     obstacle_heights_m: Floats,
-    settings: HeightSettings,
+    settings: Candidates,
     around_xyz_m: Floats | None = None,
+    roofs: bool = True,
 ) -> pd.DataFrame:
     """Candidates at every free height of every position, none in or above solid matter.
 
@@ -144,6 +124,7 @@ def stack_candidates(
     obstacle_heights_m : (n,) their heights above ground.
     around_xyz_m : (m, 3) points within `solid.REACH_M` of the positions, thinned at will; where
         they are given, roofs wider than the search radius and walls all around count as well.
+    roofs : whether roofs end the search for heights.
 
     Returns
     -------
@@ -163,11 +144,11 @@ def stack_candidates(
         free = free_heights_m(point_heights, settings)
         if np.isfinite(tops[row]):
             free = free[free <= tops[row]]
-        if settings.roofs:
+        if roofs:
             free = free[free < roof_height_m(offsets, point_heights, settings)]
             free = free[free < surroundings[row].roof_m(settings.height_min_m)]
         enclosed, wall_m = surroundings[row].walled(free)
-        if settings.roofs:
+        if roofs:
             free, wall_m = free[~enclosed], wall_m[~enclosed]
         rows += [row] * len(free)
         heights.append(free)

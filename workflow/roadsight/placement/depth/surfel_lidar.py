@@ -137,15 +137,18 @@ class SurfelLidar:
         return depth_m
 
 
-def lidar_of_points(xyz_m: Floats, surfel_size_m: float = SURFEL_M) -> SurfelLidar:
+def lidar_of_points(
+    xyz_m: Floats, surfel_size_m: float = SURFEL_M, engine: Engine = "own"
+) -> SurfelLidar:
     """Surfels of a cloud that is in memory, and samples that vote where it was scanned from here.
 
     Parameters
     ----------
     xyz_m : (n, 3) local metres. surfel_size_m : edge of the finest voxels; samples have half of it.
+    engine : who casts the rays.
     """
     fine = sum_moments(xyz_m, surfel_size_m / 2)
-    return SurfelLidar(build_local_surfels(coarsen(fine)), build_samples(fine))
+    return SurfelLidar(build_local_surfels(coarsen(fine)), build_samples(fine), engine=engine)
 
 
 def risen(directions: Floats32, range_m: Floats32) -> Floats32:

@@ -12,10 +12,11 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Floats, Floats32, Ints32
+from roadsight.base.sections.sensing import Targets
 from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 
-MIN_BEAMS = 8
+MIN_BEAMS = Targets().min_beams
 """A target is seen when more beams than this return from it (paper 1, Table 3)."""
 
 _TOUCH_M = 1e-9

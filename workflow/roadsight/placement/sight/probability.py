@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats, Numbers
+from roadsight.base.sections.sensing import Targets
 from roadsight.placement.sensors.aimed import Camera, Rosette
 from roadsight.placement.sensors.sensors import AnySensor, Sensor
 
-LIDAR_CURVE = (0.152, 0.659)
+LIDAR_CURVE = tuple(Targets().lidar_curve)
 """a and b of Ma, Liu, Li for points of LiDARs."""
-CAMERA_CURVE = (0.055, 0.155)
+CAMERA_CURVE = tuple(Targets().camera_curve)
 """a and b of Ma, Liu, Li for pixels of cameras."""
 
 _MOST_LOG = np.log(1e9)

@@ -38,8 +38,8 @@ class DenseLimits:
     bound: float = 4.0
     second: float = 6.0
     lead: float = 8.0
-    sigma_heading_deg: float = 0.25
-    sigma_lateral_m: float = 0.5
+    sigma_heading_deg: float = Limits.sigma_heading_deg
+    sigma_lateral_m: float = Limits.sigma_lateral_m
 
     @classmethod
     def of(cls, limits: Limits) -> DenseLimits:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.sections.poles import Calibration
 from roadsight.poles.alignment.pose import ALONG, LATERAL
 from roadsight.poles.alignment.solve import Fit
 
@@ -47,9 +48,9 @@ class DriftModel:
     1 / e. own_m : what each position has for itself.
     """
 
-    sigma_m: float = 0.8
-    length_m: float = 100.0
-    own_m: float = 0.2
+    sigma_m: float = Calibration().gps_sigma_m
+    length_m: float = Calibration().gps_length_m
+    own_m: float = Calibration().gps_own_m
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.sections.poles import Reach
 from roadsight.poles.alignment.landmarks import VIEWS, Columns, LandmarkNoise, PoleAxes, Sight
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges, edges_ahead
@@ -40,22 +41,6 @@ _AXIS_NUMBERS = (
 _EYE_M = 2.2
 """Height of a camera above the road before it is known, for sight lines; what `weak_mount`
 expects."""
-
-
-@dataclass(frozen=True)
-class Reach:
-    """Which road edges are compared with an image, and how many points of both.
-
-    Parameters
-    ----------
-    nearest_m, farthest_m : range of road edges. edge_points : LiDAR points of an image at most.
-    pixels : edge pixels of an image at most.
-    """
-
-    nearest_m: float = 3.0
-    farthest_m: float = 240.0
-    edge_points: int = 400
-    pixels: int = 400
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,13 @@ from numba import njit
 from scipy.optimize import Bounds, minimize
 
 from roadsight.base.arrays import Floats
+from roadsight.base.sections.poles import AlignmentLimits
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.poles.alignment.pose import FOCAL, SIZE, Start, pose_of
 from roadsight.poles.alignment.roadside import NearEdges
 from roadsight.poles.alignment.solve import ImageEdges
 
-PUBLISHED_BOUNDS = (0.335, 0.11)
+PUBLISHED_BOUNDS = (AlignmentLimits().bound_m, AlignmentLimits().bound_deg)
 """How far its result may be from the baseline, m and degrees: 1.1 ft and 0.11 in the paper."""
 _UNITS = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01])
 """What one unit of a step is: metres, degrees, and 1 % of the focal length."""

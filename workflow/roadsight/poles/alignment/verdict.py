@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roadsight.base.sections.poles import AlignmentLimits
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, PITCH, UNKNOWNS, YAW
 from roadsight.poles.alignment.solve import FINEST, Fit, Task
 
@@ -25,14 +26,15 @@ class Limits:
         image width. inliers : least share of pixels within three standard deviations.
     landmarks, inliers_with_landmarks : so many landmarks that agree let less of the edges do, since
         plants and side roads hide or feign borders.
-    sigma_heading_deg, sigma_lateral_m : one standard deviation.
+    sigma_heading_deg, sigma_lateral_m : one standard deviation, of an image that stands alone; a
+        site asks for more of a heading that its drive helps to tell.
     from_expected : how many standard deviations the pose may be from the expected one.
     ambiguity : how much more a second, different minimum must cost (log-likelihood).
     """
 
     fewest_pixels: int = 40
     fewest_points: int = 30
-    residual_px: float = 4.0
+    residual_px: float = AlignmentLimits().max_residual_px
     inliers: float = 0.5
     landmarks: int = 2
     inliers_with_landmarks: float = 0.15

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Videolog
 from roadsight.poles.drive.track import (
     headings_deg,
     moving,
@@ -34,20 +35,10 @@ _RARE_SIZE = 20
 calibrated."""
 
 
-@dataclass(frozen=True)
-class TrackSettings:
-    """Settings of a track.
-
-    Parameters
-    ----------
-    half_window : images to either side that smooth a heading. standing_m : see `headings_deg`.
-    jump_m, jump_factor : a step above both this and this many median steps is a jump.
-    """
-
-    half_window: int = 3
-    standing_m: float = 0.5
-    jump_m: float = 50.0
-    jump_factor: float = 5.0
+_STANDING_M = 0.5
+"""Shorter steps are those of a vehicle that stands, see `headings_deg`."""
+_JUMP_M, _JUMP_FACTOR = 50.0, 5.0
+"""A step above both this and so many median steps is a jump."""
 
 
 @dataclass(frozen=True)
@@ -69,7 +60,7 @@ class Site:
     is_local: bool = False
 
 
-def build_frames(table: pd.DataFrame, site: Site, settings: TrackSettings) -> pd.DataFrame:
+def build_frames(table: pd.DataFrame, site: Site, settings: Videolog) -> pd.DataFrame:
     """Frames of all routes, sorted by route and sequence.
 
     Parameters
@@ -220,7 +211,7 @@ def in_order(frames: pd.DataFrame) -> pd.DataFrame:
     return frames.sort_values(["route", "sequence"], kind="stable", ignore_index=True)
 
 
-def _along(route: pd.DataFrame, settings: TrackSettings) -> pd.DataFrame:
+def _along(route: pd.DataFrame, settings: Videolog) -> pd.DataFrame:
     """Headings, steps and status of the frames of one route, in order."""
     route = route.copy()
     route[["heading_deg", "heading_raw_deg", "step_m"]] = np.nan
@@ -234,8 +225,8 @@ def _along(route: pd.DataFrame, settings: TrackSettings) -> pd.DataFrame:
             status[row] = f"GPS jump of {gap_m:.0f} m"
     for drive in drives:
         rows = located[drive]
-        smooth, raw = headings_deg(xy[rows], settings.half_window, settings.standing_m)
-        lost = wandering(xy[rows], settings.half_window)
+        smooth, raw = headings_deg(xy[rows], settings.heading_images, _STANDING_M)
+        lost = wandering(xy[rows], settings.heading_images)
         smooth, raw = np.where(lost, np.nan, smooth), np.where(lost, np.nan, raw)
         columns = ["heading_deg", "heading_raw_deg", "step_m"]
         route.loc[route.index[rows], columns] = np.column_stack([smooth, raw, steps_m(xy[rows])])
@@ -248,14 +239,14 @@ def _along(route: pd.DataFrame, settings: TrackSettings) -> pd.DataFrame:
     return route.assign(status=merged(route["status"], status))
 
 
-def _check_direction(xy: Floats, route: str, settings: TrackSettings) -> None:
+def _check_direction(xy: Floats, route: str, settings: Videolog) -> None:
     """Refuse an order in which the track turns back at most images.
 
     Raises
     ------
     InputError : it does.
     """
-    back, count = turning_back(xy, settings.standing_m)
+    back, count = turning_back(xy, _STANDING_M)
     if count > 1 and back > _MOST * count:
         raise InputError(
             "the track turns back at most images, so their order is not that of the drive",
@@ -265,7 +256,7 @@ def _check_direction(xy: Floats, route: str, settings: TrackSettings) -> None:
         )
 
 
-def split_drives(xy_m: Floats, settings: TrackSettings) -> tuple[list[Ints], Floats]:
+def split_drives(xy_m: Floats, settings: Videolog) -> tuple[list[Ints], Floats]:
     """Runs of places of one route without jumps, and strays.
 
     One or two places that lie a jump away from those before and after are strays. Where the track
@@ -293,11 +284,11 @@ def split_drives(xy_m: Floats, settings: TrackSettings) -> tuple[list[Ints], Flo
     return np.split(kept, breaks), stray_m
 
 
-def jump_limit_m(xy_m: Floats, settings: TrackSettings) -> float:
+def jump_limit_m(xy_m: Floats, settings: Videolog) -> float:
     """Longest step of a track that is no jump, by the median step between images that moved."""
-    step = steps_m(xy_m[moving(xy_m, settings.standing_m)])[:-1]
+    step = steps_m(xy_m[moving(xy_m, _STANDING_M)])[:-1]
     usual = float(np.median(step)) if len(step) else 0.0
-    return max(settings.jump_factor * usual, settings.jump_m)
+    return max(_JUMP_FACTOR * usual, _JUMP_M)
 
 
 def _check_any(frames: pd.DataFrame) -> None:

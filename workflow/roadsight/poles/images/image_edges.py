@@ -10,14 +10,15 @@ from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints
+from roadsight.base.sections.poles import EdgeTracing
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.lanes import (
     Curve,
-    EdgeSettings,
     centre_lines,
     clusters_by_row,
     fit_curve,
     middle_lines,
+    scale_of,
     without_specks,
 )
 from roadsight.poles.images.nearest_borders import on_nearest_border
@@ -72,19 +73,19 @@ class ImageEdges:
     reason: str = ""
 
 
-def trace_edges(mask: Bytes, settings: EdgeSettings | None = None) -> ImageEdges:
+def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
     """Edges of the road in a mask of project classes (rows, columns).
 
     Lane markings without the middle line, as centre-lines; and the border of the road outside the
     region between the outermost markings, where nothing stands in front of it. A kerb's
     centre-line is border.
     """
-    settings = settings or EdgeSettings()
+    settings = settings or EdgeTracing()
     road = _cleaned_road(cv2.LUT(mask, _ROAD), settings)
     span = _road_span(road)
     markings = centre_lines(mask == PixelClass.MARKING, settings)
     axes = middle_lines(markings, span, mask.shape[0], settings)
-    tolerance = max(settings.axis_px * settings.scale(mask.shape[0]), 2.0)
+    tolerance = max(settings.axis_px * scale_of(mask.shape[0]), 2.0)
     lanes = markings
     for axis in axes:
         lanes = lanes[axis.distance_px(lanes) > tolerance]
@@ -94,7 +95,7 @@ def trace_edges(mask: Bytes, settings: EdgeSettings | None = None) -> ImageEdges
     border = border[~_between(border, lanes, mask.shape[0])]
     dividing = _dividing_line(axes, lanes, road, tolerance)
     if settings.borders == "nearest":
-        reach = max(settings.gap_px * settings.scale(mask.shape[0]), 2.0)
+        reach = max(settings.gap_px * scale_of(mask.shape[0]), 2.0)
         border = border[on_nearest_border(border, mask, road, dividing, reach)]
     points = np.concatenate([lanes, border])
     row = np.clip(np.round(points[:, 1]), 0, len(mask) - 1).astype(np.int64)
@@ -110,9 +111,9 @@ def _why_nothing(mask: Bytes, road: Bytes) -> str:
     return "road too small" if not road.any() else "no edge of the road in sight"
 
 
-def _cleaned_road(road: NDArray, settings: EdgeSettings) -> Bytes:
+def _cleaned_road(road: NDArray, settings: EdgeTracing) -> Bytes:
     """The road without specks and without small holes (0 or 1)."""
-    smallest = max((settings.min_border_px * settings.scale(len(road))) ** 2, 4.0)
+    smallest = max((settings.min_border_px * scale_of(len(road))) ** 2, 4.0)
     cleaned = without_specks(road, smallest)
     return 1 - without_specks(1 - cleaned, smallest)
 
@@ -135,7 +136,7 @@ def _road_span(road: Bytes) -> Floats:
     return span
 
 
-def _borders(mask: Bytes, road: Bytes, settings: EdgeSettings) -> Floats:
+def _borders(mask: Bytes, road: Bytes, settings: EdgeTracing) -> Floats:
     """Border points (n, 2), finer than a pixel, of parts that are long enough."""
     rows = np.flatnonzero(road.any(axis=1))
     if not len(rows):
@@ -189,16 +190,16 @@ def _near_border(soft: Bytes, level: float) -> Ints:
     return np.argwhere(change)
 
 
-def _long_enough(points: Floats, shape: tuple[int, int], settings: EdgeSettings) -> Floats:
+def _long_enough(points: Floats, shape: tuple[int, int], settings: EdgeTracing) -> Floats:
     if not len(points):
         return points
-    cell = max(round(3 * settings.scale(shape[0])), 2)
+    cell = max(round(3 * scale_of(shape[0])), 2)
     drawn = np.zeros((shape[0] // cell + 1, shape[1] // cell + 1), np.uint8)
     column, row = (np.floor(points).astype(np.int64) // cell).T
     drawn[row, column] = 1
     _, labels = cv2.connectedComponents(drawn, connectivity=8, ltype=cv2.CV_32S)
     own = labels[row, column]
-    needed = max(settings.min_border_px * settings.scale(shape[0]), 6.0)
+    needed = max(settings.min_border_px * scale_of(shape[0]), 6.0)
     return points[np.bincount(own)[own] >= needed]
 
 

@@ -7,13 +7,13 @@ and along columns where it is flat, so that it is thin and finer than a pixel.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
+from roadsight.base.sections.poles import EdgeTracing
 
 PUBLISHED_HEIGHT_PX = 1200
 """Height of the study's images, for which its thresholds in pixels hold."""
@@ -27,30 +27,15 @@ _LINE_ROUNDS = 12
 """Rounds of reweighting for least absolute errors."""
 
 
-@dataclass(frozen=True)
-class EdgeSettings:
-    """Thresholds in pixels of an image 1200 px high; they scale with the image's height.
+_DENSE_ROWS_PX = 20.0
+"""Rows with three or more markings that a middle line needs; px of an image 1200 px high."""
+_WIDEST_PX = 120.0
+"""Thicker runs are no lines; px of such an image."""
 
-    Parameters
-    ----------
-    min_marking_px : smaller markings are dropped (pixels, scaled by area). min_border_px :
-    shorter borders are dropped. gap_px : runs closer than this are one marking. axis_px : markings
-    this near the middle line's axis are dropped. dense_rows_px : rows with three or more markings
-    that a middle line needs. widest_px : thicker runs are no lines. borders : `all`, or `nearest`:
-    only the first of each row and side.
-    """
 
-    min_marking_px: float = 60.0
-    min_border_px: float = 40.0
-    gap_px: float = 6.0
-    axis_px: float = 25.0
-    dense_rows_px: float = 20.0
-    widest_px: float = 120.0
-    borders: Literal["all", "nearest"] = "all"
-
-    def scale(self, height_px: int) -> float:
-        """Pixels of this image in one pixel of the published size."""
-        return height_px / PUBLISHED_HEIGHT_PX
+def scale_of(height_px: int) -> float:
+    """Pixels of an image in one pixel of the published size, in which settings are stated."""
+    return height_px / PUBLISHED_HEIGHT_PX
 
 
 def without_specks(region: Bytes, smallest_px: float) -> Bytes:
@@ -71,20 +56,20 @@ def without_specks(region: Bytes, smallest_px: float) -> Bytes:
     return kept
 
 
-def centre_lines(marking: Bools, settings: EdgeSettings) -> Floats:
+def centre_lines(marking: Bools, settings: EdgeTracing) -> Floats:
     """Centre-line points (n, 2) as u, v of all markings that are large enough.
 
     Parameters
     ----------
     marking : (rows, columns), whether a pixel is painted.
     """
-    scale = settings.scale(marking.shape[0])
+    scale = scale_of(marking.shape[0])
     smallest = max(settings.min_marking_px * scale**2, 2.0)
     kept = cv2.findNonZero(without_specks(marking.view(np.uint8), smallest))
     if kept is None:
         return np.empty((0, 2))
     u, v = kept.reshape(-1, 2).T.astype(np.int64)
-    widest = max(settings.widest_px * scale, 8.0)
+    widest = max(_WIDEST_PX * scale, 8.0)
     points = _run_centres(u, v, marking.shape, widest)
     return points[np.lexsort((points[:, 0], points[:, 1]))]
 
@@ -207,7 +192,7 @@ def clusters_by_row(points: Floats, gap_px: float) -> tuple[Ints, Floats]:
 
 
 def middle_lines(
-    points: Floats, road_span: Floats, height_px: int, settings: EdgeSettings
+    points: Floats, road_span: Floats, height_px: int, settings: EdgeTracing
 ) -> list[Curve]:
     """Axes of the lines between the outermost markings, most of one road one.
 
@@ -219,8 +204,8 @@ def middle_lines(
     points : centre-line points (n, 2). road_span : first and last road column (rows, 2), NaN where
         a row has no road. height_px : of the image.
     """
-    scale = settings.scale(height_px)
-    needed = max(settings.dense_rows_px * scale, 4.0)
+    scale = scale_of(height_px)
+    needed = max(_DENSE_ROWS_PX * scale, 4.0)
     tolerance = max(settings.axis_px * scale, 2.0)
     axes: list[Curve] = []
     while len(axes) < _MAX_MIDDLE_LINES:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.sections.poles import PoleMasks
 from roadsight.poles.images.classes import PixelClass
 
 PUBLISHED_HEIGHT_PX = 1200
@@ -37,25 +38,10 @@ _LINE_ROUNDS = 10
 """Rounds of reweighting for least absolute errors."""
 
 
-@dataclass(frozen=True)
-class MaskSettings:
-    """Thresholds in pixels of an image 1200 px high; they scale with the image's height.
-
-    Parameters
-    ----------
-    min_width_px, min_height_px : smaller objects are dropped (published: 10 and 20). wire_px :
-    what is thinner than this along the vertical is a wire. min_aspect : poles must be this many
-    times taller than wide. join_share : pieces of one axis are joined over gaps up to this share
-    of the longer one's height. foot_px : height of the strip below a foot that tells whether
-    something hides it.
-    """
-
-    min_width_px: float = 4.0
-    min_height_px: float = 40.0
-    wire_px: float = 30.0
-    min_aspect: float = 5.0
-    join_share: float = 0.5
-    foot_px: float = 12.0
+_JOIN_SHARE = 0.5
+"""Pieces of one axis are joined over gaps up to this share of the longer one's height."""
+_FOOT_PX = 12.0
+"""Height of the strip below a foot that tells what hides it; px of an image 1200 px high."""
 
 
 @dataclass(frozen=True)
@@ -92,13 +78,13 @@ class Instance:
 
 
 def find_instances(
-    mask: Bytes, kind: str = "pole", settings: MaskSettings | None = None
+    mask: Bytes, kind: str = "pole", settings: PoleMasks | None = None
 ) -> list[Instance]:
     """Objects of one kind in a mask (rows, columns), left to right.
 
     All are given that are large enough to measure; ``reason`` says which of them are no poles.
     """
-    settings = settings or MaskSettings()
+    settings = settings or PoleMasks()
     scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
     own: NDArray = np.isin(mask, [int(c) for c in KINDS[kind]]).view(np.uint8)
     if kind == "pole":
@@ -177,7 +163,7 @@ def _axis(piece: _Piece) -> tuple[float, float]:
     return float(solution[0] - solution[1] * v0), float(solution[1])
 
 
-def _joined(pieces: list[_Piece], settings: MaskSettings) -> list[_Piece]:
+def _joined(pieces: list[_Piece], settings: PoleMasks) -> list[_Piece]:
     """Pieces of one axis as one: a sign, a wire or a leaf cuts a pole in two."""
     joined = sorted(pieces, key=lambda piece: (piece.v[0], piece.u_min))
     merged = True
@@ -200,14 +186,14 @@ def _joined(pieces: list[_Piece], settings: MaskSettings) -> list[_Piece]:
     return joined
 
 
-def _continuation(upper: _Piece, pieces: list[_Piece], settings: MaskSettings) -> int | None:
+def _continuation(upper: _Piece, pieces: list[_Piece], settings: PoleMasks) -> int | None:
     """Position of the nearest piece below that lies on the axis of ``upper``."""
     best, best_gap = None, np.inf
     for j, lower in enumerate(pieces):
         gap = lower.v[0] - upper.v[-1] - 1
         if gap < 0 or gap >= best_gap:
             continue
-        if gap > settings.join_share * max(upper.height, lower.height):
+        if gap > _JOIN_SHARE * max(upper.height, lower.height):
             continue
         width = max(upper.middle_width, lower.middle_width)
         thinner = min(upper.middle_width, lower.middle_width)
@@ -220,16 +206,14 @@ def _continuation(upper: _Piece, pieces: list[_Piece], settings: MaskSettings) -
     return best
 
 
-def _measured(
-    piece: _Piece, mask: Bytes, kind: str, settings: MaskSettings, scale: float
-) -> Instance:
+def _measured(piece: _Piece, mask: Bytes, kind: str, settings: PoleMasks, scale: float) -> Instance:
     (u0, slope), width = piece.axis, piece.middle_width
     v_foot = _lowest_row(piece, u0, slope, width) + 0.5
     u_foot = u0 + slope * v_foot
     cut = _cut(piece, mask.shape)
     foot = "hidden"
     if "bottom" not in cut:
-        foot = _below_foot(mask, u_foot, v_foot, width, max(round(settings.foot_px * scale), 2))
+        foot = _below_foot(mask, u_foot, v_foot, width, max(round(_FOOT_PX * scale), 2))
     low, high = settings.min_width_px * scale, settings.min_height_px * scale
     reason = ""
     if width < low or piece.height < high:

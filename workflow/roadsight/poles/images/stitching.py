@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.sections.poles import SideViews
 from roadsight.geometry.cameras import Intrinsics, wrap_deg
 
 _SIGMAS = 3.0
@@ -32,8 +33,8 @@ class ViewOffsets:
     left_deg, right_deg : for example -60 and 60.
     """
 
-    left_deg: float = -60.0
-    right_deg: float = 60.0
+    left_deg: float = SideViews().left_yaw_deg
+    right_deg: float = SideViews().right_yaw_deg
 
     def of(self, view: str) -> float:
         """Yaw of a view; 0 for the front."""

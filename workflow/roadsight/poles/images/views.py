@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import PurePosixPath
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.shards import shard_of
 
-VIEWS = ("front", "left", "right")
+ViewName = Literal["front", "left", "right"]
+VIEWS: tuple[ViewName, ...] = ("front", "left", "right")
 """Views in the order in which they are looked at."""
 _PATHS = {"front": "path", "left": "left_path", "right": "right_path"}
 """Column of the frames that names each view's image."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
@@ -32,9 +33,11 @@ class ChangeSettings:
     sigma_m : error of a place that states none, one axis.
     """
 
-    reach_m: float = 5.0
-    sigmas: float = 3.03
-    sigma_m: float = 0.5
+    reach_m: Annotated[float, "objects further apart are two, m"] = 5.0
+    sigmas: Annotated[
+        float, "farther apart than so many standard deviations, an object has moved"
+    ] = 3.03
+    sigma_m: Annotated[float, "error of a place that states none, one axis, m"] = 0.5
 
 
 def changes(

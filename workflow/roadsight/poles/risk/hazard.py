@@ -26,6 +26,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.clear_zone import (
     TRAVERSABLE_SLOPE,
     clear_zone_range,
@@ -126,34 +127,10 @@ _HSM_WINDOW_M = 322.0
 0.2 miles let one object more or less change the density by 5 a mile, not 10."""
 
 
-@dataclass(frozen=True)
-class HazardSettings:
-    """What decides how dangerous a pole is.
-
-    Parameters
-    ----------
-    design_speed_kmh, aadt : speed and vehicles a day for which the road is made.
-    window_m : length of road over which fixed objects are counted, centred on the pole.
-    dense_per_km : objects a kilometre that make poles inside the clear zone a high hazard.
-    edge_reach_m : a road edge further away is not the pole's.
-    sample_m : spacing of height samples between edge and pole.
-    clear_zone_m, runout_length_m : given instead of the guide's tables; 0: by the tables.
-    deflection_m : how far barriers give way. bend_outside, bend_inside, downhill : see
-        `Encroachments`.
-    """
-
-    design_speed_kmh: float = 80.0
-    aadt: float = 3000.0
-    window_m: float = 100.0
-    dense_per_km: float = 40.0
-    edge_reach_m: float = 30.0
-    sample_m: float = 0.5
-    clear_zone_m: float = 0.0
-    runout_length_m: float = 0.0
-    deflection_m: float = 1.0
-    bend_outside: float = 4.0
-    bend_inside: float = 2.0
-    downhill: float = 2.0
+_EDGE_REACH_M = 30.0
+"""A road edge further away is not the pole's."""
+_SAMPLE_M = 0.5
+"""Spacing of height samples between edge and pole."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +155,7 @@ def rate_poles(
     edges_m: Floats,
     tracks: RouteTracks,
     height: Height | None,
-    settings: HazardSettings,
+    settings: Hazard,
     surroundings: Surroundings | None = None,
 ) -> pd.DataFrame:
     """Hazard of each pole.
@@ -202,15 +179,15 @@ def rate_roadside(
     poles: pd.DataFrame,
     edges_m: Floats,
     surroundings: Surroundings,
-    settings: HazardSettings,
+    settings: Hazard,
 ) -> Rated:
     """Hazard of each object, with the cross-sections behind it; see `rate_poles`."""
     xy_m = poles[["x", "y"]].to_numpy(np.float64)
     n = len(poles)
     located = surroundings.roads.locate(xy_m)
-    edges = edges_at(surroundings.roads, located, xy_m, edges_m, settings.edge_reach_m)
+    edges = edges_at(surroundings.roads, located, xy_m, edges_m, _EDGE_REACH_M)
     offset_m = edges.offset_m
-    mean_slope = side_slopes(edges.place_m, xy_m, surroundings.height, settings.sample_m)
+    mean_slope = side_slopes(edges.place_m, xy_m, surroundings.height, _SAMPLE_M)
     sections = object_sections(surroundings, edges.place_m, edges.outward, offset_m)
     governing = [
         governing_slope(section, offset, mean)
@@ -305,9 +282,7 @@ def travelled_offset_m(offset_m: Floats, known: pd.DataFrame) -> Floats:
     return np.asarray(np.abs(offset_m) - wide / 2, np.float64)
 
 
-def _known_traffic(
-    surroundings: Surroundings, located: Located, settings: HazardSettings
-) -> pd.DataFrame:
+def _known_traffic(surroundings: Surroundings, located: Located, settings: Hazard) -> pd.DataFrame:
     """Speed and traffic at each object: of the inventory, else the site's one pair."""
     n = len(located.road)
     if surroundings.inventory is None:
@@ -388,7 +363,7 @@ def _shields(
     zone: pd.DataFrame,
     known: pd.DataFrame,
     travel: Floats,
-    settings: HazardSettings,
+    settings: Hazard,
 ) -> list[tuple[str, float, str]]:
     """Shielding of each object: status, offset of the barrier, why."""
     none = ("none", float("nan"), "")
@@ -540,7 +515,7 @@ def _rating(
     slope: Floats,
     density: Floats,
     sigma_m: Floats,
-    settings: HazardSettings,
+    settings: Hazard,
     shielded: Bools,
 ) -> NDArray[np.object_]:
     greatest, sure = zone["clear_zone_m"].to_numpy(), zone["sure_m"].to_numpy()
@@ -565,7 +540,7 @@ def _reasons(
     slope: Floats,
     sigma_slope: Floats,
     sections: list[CrossSection | None],
-    settings: HazardSettings,
+    settings: Hazard,
 ) -> list[str]:
     """Why each object is rated as it is, in words; marks in brackets name the source of a rule."""
     return [
@@ -581,7 +556,7 @@ def _reason(
     slope: float,
     sigma: float,
     section: CrossSection | None,
-    settings: HazardSettings,
+    settings: Hazard,
 ) -> str:
     if np.isnan(row["offset_m"]):
         return "no road edge is near"

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 import pandas as pd
@@ -20,7 +21,8 @@ from roadsight.poles.risk.roads import Road
 
 COLUMNS = ("route", "from_m", "to_m", "speed_kmh", "aadt", "lanes", "lane_width_m", "carriageway")
 """Of an inventory; numbers but from and to NaN where unknown, carriageway empty."""
-CARRIAGEWAYS = ("two-way", "divided", "one-way")
+Carriageway = Literal["two-way", "divided", "one-way"]
+CARRIAGEWAYS: tuple[Carriageway, ...] = get_args(Carriageway)
 """What traffic a road has: of both directions; the same, but none reaches the other's side; of one,
 which is that of its longest drive, and AADT is its own."""
 SAME_M = 0.5

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,7 +19,8 @@ from roadsight.base.doubts import Doubt
 from roadsight.base.errors import InputError
 from roadsight.poles.risk.roads import BESIDE_M, Road, Roads, beside, resampled
 
-UNITS_M = {
+MeasureUnit = Literal["m", "km", "ft", "usft", "mi", "usmi"]
+UNITS_M: dict[str, float] = {
     "m": 1.0,
     "km": 1000.0,
     "ft": 0.3048,

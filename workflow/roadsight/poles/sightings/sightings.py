@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
+from roadsight.base.sections.poles import Sightings
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
-from roadsight.poles.images.pole_masks import (
-    PUBLISHED_HEIGHT_PX,
-    Instance,
-    MaskSettings,
-    find_instances,
-)
+from roadsight.poles.images.pole_masks import PUBLISHED_HEIGHT_PX, Instance, find_instances
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths
 from roadsight.poles.sightings.sighting_bearing import (
@@ -39,31 +35,16 @@ _MODEL_SHARE = 0.05
 """Error of a network's distances that an image has in common, as a share of the distance."""
 
 
-@dataclass(frozen=True)
-class SightingSettings:
-    """How sightings are measured and which are kept.
-
-    Parameters
-    ----------
-    kinds : objects looked for. bearing : "fused" (image, snapped to a single pole-like LiDAR
-    column), "image", or "lidar" (published). sigma_axis_px, sigma_foot_px : of the axis across and
-    of the foot down an image 1200 px high. sigma_ground_m : of the camera's height above the
-    terrain at the foot. nearest_m, farthest_m : distances that are kept. height_rule : "metric"
-    (at least min_height_m), "published" (half the image nearer than 25 m, a quarter nearer than
-    50 m) or "none". sign_post_m : a pole that touches a sign and is lower than this carries it.
-    """
-
-    kinds: tuple[str, ...] = ("pole",)
-    bearing: Literal["fused", "image", "lidar"] = "fused"
-    sigma_axis_px: float = 2.0
-    sigma_foot_px: float = 8.0
-    sigma_ground_m: float = 0.1
-    nearest_m: float = 2.0
-    farthest_m: float = 60.0
-    height_rule: Literal["metric", "published", "none"] = "metric"
-    min_height_m: float = 3.0
-    sign_post_m: float = 4.5
-    mask: MaskSettings = MaskSettings()  # noqa: RUF009 - frozen
+_SIGMA_AXIS_PX = 2.0
+"""Error of an axis across; px of an image 1200 px high."""
+_SIGMA_FOOT_PX = 8.0
+"""Error of a foot down such an image."""
+_SIGMA_GROUND_M = 0.1
+"""Error of the camera's height above the terrain at a foot."""
+_NEAREST_M = 2.0
+"""Nearer objects are dropped."""
+_SIGN_POST_M = 4.5
+"""A pole that touches a sign and is lower than this carries it."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +67,7 @@ def measure_view(
     mask: Bytes,
     depth: NDArray[np.uint16] | None,
     evidence: Evidence,
-    settings: SightingSettings | None = None,
+    settings: Sightings | None = None,
 ) -> pd.DataFrame:
     """Sightings in one view, kept or not, left to right within each kind.
 
@@ -100,8 +81,8 @@ def measure_view(
     a row for each object: kind, pixels of foot and box, bearing_grid_deg, depth_m (horizontal) and
     their sigmas, each distance by itself, height_m, kept and reason
     """
-    settings = settings or SightingSettings()
-    found = [one for kind in settings.kinds for one in find_instances(mask, kind, settings.mask)]
+    settings = settings or Sightings()
+    found = [one for kind in settings.kinds for one in find_instances(mask, kind, settings)]
     scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
     table = _pixels(found)
     if not found:
@@ -112,7 +93,7 @@ def measure_view(
     prior, prior_sigma = np.array(before).T
     feet = table[["u_foot", "v_foot"]].to_numpy()
     width = table["width_px"].to_numpy()
-    sigma_u = np.hypot(np.maximum(settings.sigma_axis_px * scale, 0.5), 0.1 * width)
+    sigma_u = np.hypot(np.maximum(_SIGMA_AXIS_PX * scale, 0.5), 0.1 * width)
     bearing, sigma = image_bearings(camera, feet, sigma_u)
     rises = np.column_stack([_rise(camera, feet), _rise(camera, table[["u_foot", "v_min"]])])
     rises[np.isnan(ground[0])] = np.nan
@@ -150,7 +131,7 @@ def _own_distances(
     mask: Bytes,
     depth: NDArray[np.uint16] | None,
     evidence: Evidence,
-    settings: SightingSettings,
+    settings: Sightings,
 ) -> tuple[Floats, Floats, Bools]:
     """Distance and sigma (2, n) by the network and by the ground, and whether feet are hidden."""
     network = np.full((2, len(found)), np.nan)
@@ -161,14 +142,14 @@ def _own_distances(
         hidden |= behind_plants(camera, found, depth, fit, evidence.height_at, mask.shape)
     # A network's error is shared by a whole image: scatter about the fit does not show it.
     network[1] = np.hypot(network[1], _MODEL_SHARE * network[0])
-    reach_px = max(settings.sigma_foot_px * mask.shape[0] / PUBLISHED_HEIGHT_PX, 1.0)
+    reach_px = max(_SIGMA_FOOT_PX * mask.shape[0] / PUBLISHED_HEIGHT_PX, 1.0)
     ground = np.array(
         ground_distances(
             camera,
             found,
             evidence.height_at,
             reach_px,
-            settings.sigma_ground_m,
+            _SIGMA_GROUND_M,
             2.0 * settings.farthest_m,
         )
     )
@@ -223,7 +204,7 @@ def _chosen_bearing(
     match: Ints,
     evidence: Evidence,
     pixels: tuple[Floats, Floats],
-    settings: SightingSettings,
+    settings: Sightings,
     reach_px: float,
 ) -> tuple[Floats, Floats, NDArray]:
     """Bearing, sigma and the way it was found (n,)."""
@@ -249,7 +230,7 @@ def _chosen_bearing(
 
 
 def _judged(
-    table: pd.DataFrame, found: Sequence[Instance], camera: ViewCamera, settings: SightingSettings
+    table: pd.DataFrame, found: Sequence[Instance], camera: ViewCamera, settings: Sightings
 ) -> pd.DataFrame:
     """Rules that need the distance; the first that fails is the reason."""
     lower = table["v_foot"] - table["v_min"]
@@ -268,18 +249,18 @@ def _judged(
 
 
 def _why_not(
-    depth: float, height: float, one: Instance, camera: ViewCamera, settings: SightingSettings
+    depth: float, height: float, one: Instance, camera: ViewCamera, settings: Sightings
 ) -> str:
     if not np.isfinite(depth):
         return "distance unknown"
-    if not settings.nearest_m <= depth <= settings.farthest_m:
-        return "too near" if depth < settings.nearest_m else "too far"
+    if not _NEAREST_M <= depth <= settings.farthest_m:
+        return "too near" if depth < _NEAREST_M else "too far"
     if one.kind != "pole" or settings.height_rule == "none":
         return ""
     if settings.height_rule == "metric":
         # What the frame cuts at the top may be of any height.
         height = np.inf if "top" in one.cut else height
-        too_low, post = height < settings.min_height_m, height < settings.sign_post_m
+        too_low, post = height < settings.min_height_m, height < _SIGN_POST_M
     else:
         share = (one.v_foot - one.v_min) / camera.intrinsics.height_px
         too_low = share < (0.5 if depth < 25.0 else 0.25 if depth < 50.0 else 0.0)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
@@ -58,7 +56,7 @@ def triangulate(
 
 def calibrate_depths(rays: Rays, settings: TriangulationSettings) -> float:
     """Factor that brings the monocular depths to the distances of the crossings; 1 if unknown."""
-    return explain_rays(rays, replace(settings, calibrate_depth=True)).scale
+    return explain_rays(rays, settings.model_copy(update={"calibrate_depth": True})).scale
 
 
 def error_ellipse(covariance: Floats) -> tuple[Floats, Floats, Floats]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -49,7 +48,7 @@ def far_reaching(sightings: pd.DataFrame, settings: TriangulationSettings) -> Tr
     if anchored_share(sightings) >= LEAST_ANCHORED or settings.max_distance_m >= FAR_M:
         return settings
     sharp_m = min(settings.max_sigma_m, FAR_SIGMA_M)
-    return replace(settings, max_distance_m=FAR_M, max_sigma_m=sharp_m)
+    return settings.model_copy(update={"max_distance_m": FAR_M, "max_sigma_m": sharp_m})
 
 
 def pole_doubts(sightings: pd.DataFrame, network: Sequence[NetworkScale]) -> list[Doubt]:

@@ -7,7 +7,7 @@ nothing changes; the first code visited them at random.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
@@ -209,7 +209,7 @@ def published_poles(
     as `cluster_rays`
     """
     narrow = float(np.cos(np.radians(latitude_deg)))
-    far = replace(settings, min_baseline_m=settings.min_baseline_m / _EARTH_RATIO)
+    far = settings.model_copy(update={"min_baseline_m": settings.min_baseline_m / _EARTH_RATIO})
     links = find_links(rays, far, UNIT_M * narrow)
     on = sweep_links(links, rays.depth_m, Energy(), np.random.default_rng(seed))
     diagonal = 0.707 * settings.cluster_m * UNIT_M * float(np.hypot(1.0, narrow))

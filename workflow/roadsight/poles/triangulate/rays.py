@@ -9,57 +9,40 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.sections.poles import Triangulation
 
 FURTHEST_CAMERAS = 1.5
 """Two cameras may pair up to this many times the maximum distance to a pole."""
 
 
-@dataclass(frozen=True)
-class TriangulationSettings:
-    """How sightings become poles.
+class TriangulationSettings(Triangulation):
+    """How sightings become poles: a site's settings, and what no site sets.
+
+    The papers state 25 m for the furthest pole, which the published code's unit makes 39 m in
+    London.
 
     Parameters
     ----------
-    max_distance_m : furthest pole from a camera that is used. The papers state 25; the published
-        code's unit makes that 39 m in London. Errors grow with distance and far rays are weighted
-        by them.
     min_baseline_m : cameras nearer to each other than this count as one place.
-    cluster_m : single-linkage distance of the published method.
-    sigma_position_m : error of a camera's position, one axis; an unaided receiver by default.
     sigma_bearing_deg : error of a bearing where a sighting states none.
     sigma_depth_ratio : error of a depth over the depth where a sighting states none.
     calibrate_depth : whether the common scale of the depths is found from the rays themselves.
     gate_chi2 : a sighting further from its pole (chi squared, 2 degrees of freedom) is better left
         alone.
-    pole_cost : of ``listing``: how much the sum of the members' gains must exceed before a pole is
-        believed, in units of half a chi squared.
-    pole_evidence : how much the log evidence of a pole must exceed before it is believed; below
-        zero because some poles are seen twice only. A site asks for more.
-    shared_variance : share of the stated variances of places, bearings and depths that near images
-        share; rays correct it as far as they tell.
-    max_sigma_m : a pole whose error ellipse is longer is withheld.
-    sequence_m : images of one pole lie within this distance along a route (100 ft).
-    depth_weight, spread_weight : of ``sweep``: weights of its energy (0.2 in the first code, 0.02
-        with a videolog).
     beam : of ``listing``: groups that are followed up for each sighting.
     """
 
-    max_distance_m: float = 40.0
     min_baseline_m: float = 0.5
-    cluster_m: float = 1.0
-    sigma_position_m: float = 2.0
     sigma_bearing_deg: float = 2.0
     sigma_depth_ratio: float = 0.3
     calibrate_depth: bool = True
     gate_chi2: float = 8.0
-    pole_cost: float = 5.0
-    pole_evidence: float = -0.5
-    shared_variance: float = 0.04
-    max_sigma_m: float = 5.0
-    sequence_m: float = 30.48
-    depth_weight: float = 0.2
-    spread_weight: float = 0.2
     beam: int = 48
+
+
+UNAIDED = TriangulationSettings(sigma_position_m=2.0, pole_evidence=-0.5)
+"""For cameras that a receiver alone placed, and not their alignment: places are less certain, and
+poles that were seen twice only are believed."""
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints32
+from roadsight.base.sections.poles import RoadEdges
 from roadsight.geometry.rings import resampled, runs_of, smoothed, trimmed
 from roadsight.scene.edges.pixels import between_pixels, blocks, windows_around
 
@@ -28,35 +29,12 @@ _BLOCK = 256
 used again, while memory of the whole view would be touched for the first time."""
 _LABELS_BLOCK = 4096
 """The same for labels of components, which need wide surroundings."""
+_SHORTEST_M = 3.0
+"""Shorter pieces of edge are dropped."""
+BORDER_CELLS = 1.5
+"""Edge points this near to what was not surveyed are ends of the data."""
 _BATCH = 1_000
 """Places of an outline worked on together: their samples stay in the processor's cache."""
-
-
-@dataclass(frozen=True)
-class EdgeSettings:
-    """Settings of the road edges.
-
-    Parameters
-    ----------
-    closing_cells : least radius of closing and opening; sparse clouds take a larger one.
-    smallest_hole_m2, smallest_road_m2 : smaller holes are filled, smaller roads dropped.
-    spacing_m : distance between edge points. shortest_m : shorter pieces are dropped.
-    smoothing_m : standard deviation of the window that smooths an outline; wider where a sparse
-        cloud needs a wider closing.
-    border_cells : edge points this near to what was not surveyed are ends of the data.
-    """
-
-    closing_cells: int = 1
-    smallest_hole_m2: float = 20.0
-    smallest_road_m2: float = 50.0
-    spacing_m: float = 0.25
-    shortest_m: float = 3.0
-    smoothing_m: float = 0.6
-    border_cells: float = 1.5
-
-    def window_cells(self, image: RoadImage, cell_size_m: float) -> float:
-        """Smoothing window of an image's outlines, cells."""
-        return self.smoothing_m * image.closing / cell_size_m
 
 
 @dataclass(frozen=True)
@@ -80,7 +58,7 @@ class RoadImage:
 
 
 def clean_road(
-    is_road: Bools, occupied: Bools, cell_size_m: float, settings: EdgeSettings
+    is_road: Bools, occupied: Bools, cell_size_m: float, settings: RoadEdges
 ) -> RoadImage:
     """Close and open the road image, fill small holes and drop small islands.
 
@@ -117,6 +95,11 @@ def closing_radius(occupied: Bools, is_road: Bools, least: int) -> int:
     radius = np.sqrt(-np.log(_MISSED_HOLES) / (np.pi * max(density, 1e-3)))
     # Discs are drawn a quarter of a cell larger than their radius, see `_disc`.
     return int(np.clip(np.ceil(radius - 0.25), max(least, 1), max(least, _LARGEST_CLOSING)))
+
+
+def smoothing_cells(image: RoadImage, cell_size_m: float, settings: RoadEdges) -> float:
+    """Smoothing window of an image's outlines, cells: wider where closing is."""
+    return settings.smoothing_m * image.closing / cell_size_m
 
 
 def edge_pixels(image: RoadImage, border_cells: float) -> Bools:
@@ -238,26 +221,26 @@ class EdgeLines:
 
 
 def edge_lines(
-    rings: list[Floats], image: RoadImage, cell_size_m: float, settings: EdgeSettings
+    rings: list[Floats], image: RoadImage, cell_size_m: float, settings: RoadEdges
 ) -> EdgeLines:
     """Cut closed outlines where the data end and sample what is left at equal steps.
 
     What the window smoothed together with the cut goes too.
     """
     step = settings.spacing_m / cell_size_m
-    trim = int(np.ceil(2.0 * settings.window_cells(image, cell_size_m) / step))
+    trim = int(np.ceil(2.0 * smoothing_cells(image, cell_size_m, settings) / step))
     reach = max(1, round(1.0 / settings.spacing_m))  # tangents over a metre to either side
     places, tangents = [np.empty((0, 2))], [np.empty((0, 2))]
     lengths = []
     sampled = [resampled(outline, step) for outline in rings]
-    inside = in_survey(image, np.concatenate([*places, *sampled]), settings.border_cells)
+    inside = in_survey(image, np.concatenate([*places, *sampled]), BORDER_CELLS)
     for ring, kept in zip(
         sampled, np.split(inside, np.cumsum([len(r) for r in sampled])), strict=False
     ):
         tangent = np.roll(ring, -reach, axis=0) - np.roll(ring, reach, axis=0)
         tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
         for run in runs_of(trimmed(kept, trim)):
-            if len(run) * settings.spacing_m >= settings.shortest_m:
+            if len(run) * settings.spacing_m >= _SHORTEST_M:
                 places.append(ring[run])
                 tangents.append(tangent[run])
                 lengths.append(len(run))

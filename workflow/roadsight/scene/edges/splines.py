@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -13,7 +12,14 @@ from shapely import LinearRing, LineString, MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.base.sections.scene import Edges
 
+_CORNER_DEG = 60.0
+"""An outline is split where it turns by more than this between knots."""
+_OPEN_STRIP_M = 3.0
+"""Width of the strips beside the outline in which ground points are compared."""
+_STEP_M = 0.08
+"""A real edge shows at least this step in height (a kerb, a ditch) at the end of a road."""
 FURTHEST_M = 50.0
 """How far from the pavement the edge of a user may lie; what is farther belongs to another road, or
 is in another CRS."""
@@ -64,28 +70,8 @@ def spline_line(line: LineString) -> LineString:
     return LineString(np.vstack([curve, points[-1:]]) if gap_m > 1e-6 else curve)
 
 
-@dataclass(frozen=True)
-class OutlineSettings:
-    """Settings of automatic edges.
-
-    Parameters
-    ----------
-    knot_spacing_m : distance between the spline's knots on the outline.
-    corner_deg : the outline is split where it turns by more than this between knots.
-    shortest_m : shorter pieces are dropped.
-    open_strip_m : width of the strips beside the outline in which ground points are compared.
-    step_m : a real edge shows at least this step in height (a kerb, a ditch) at the end of a road.
-    """
-
-    knot_spacing_m: float = 6.0
-    corner_deg: float = 60.0
-    shortest_m: float = 12.0
-    open_strip_m: float = 3.0
-    step_m: float = 0.08
-
-
 def outline_edges(
-    outline: MultiPolygon, ground_xyz_m: Floats, settings: OutlineSettings
+    outline: MultiPolygon, ground_xyz_m: Floats, settings: Edges
 ) -> list[tuple[str, LineString]]:
     """Edges traced on the pavement's outline, without the cuts where road or data end.
 
@@ -126,9 +112,7 @@ class _Ground(NamedTuple):
     z_m: Floats
 
 
-def _open_ends(
-    knots: Floats, outline: MultiPolygon, ground: _Ground, settings: OutlineSettings
-) -> Bools:
+def _open_ends(knots: Floats, outline: MultiPolygon, ground: _Ground, settings: Edges) -> Bools:
     """Knots where the road runs on but the found pavement stops, so that there is no real edge.
 
     There, the way across the pavement is far longer than elsewhere (it runs along the road), and
@@ -140,7 +124,7 @@ def _open_ends(
     inward = shapely.contains_xy(outline, *(knots + 0.5 * normal).T)
     normal = np.where(inward[:, None], normal, -normal)
     across = np.array([_chord_m(outline, p, n) for p, n in zip(knots, normal, strict=True)])
-    width = settings.open_strip_m
+    width = _OPEN_STRIP_M
     (outside, z_out), (inside, z_in), (_, z_far) = (
         _strip(ground, knots + start * width * normal, normal, tangent, settings)
         for start in (-1, 0, 1)
@@ -148,7 +132,7 @@ def _open_ends(
     # Against the height to which the two strips inside lead on: the road's own slope is no step.
     step = np.abs(z_out - (2 * z_in - z_far))
     long = across > max(2.5 * float(np.median(across)), 10.0)
-    return long & ((outside < 0.25 * inside) | (step < settings.step_m))
+    return long & ((outside < 0.25 * inside) | (step < _STEP_M))
 
 
 def _chord_m(outline: MultiPolygon, start: Floats, direction: Floats) -> float:
@@ -160,23 +144,23 @@ def _chord_m(outline: MultiPolygon, start: Floats, direction: Floats) -> float:
 
 
 def _strip(
-    ground: _Ground, start: Floats, normal: Floats, tangent: Floats, settings: OutlineSettings
+    ground: _Ground, start: Floats, normal: Floats, tangent: Floats, settings: Edges
 ) -> tuple[Ints, Floats]:
     """Number and median height (NaN if none) of ground points in the box beyond each start."""
     half = 0.5 * settings.knot_spacing_m * tangent
-    far = settings.open_strip_m * normal
+    far = _OPEN_STRIP_M * normal
     corners = np.stack([start - half, start + half, start + half + far, start - half + far], axis=1)
     box, point = ground.tree.query(shapely.polygons(corners), predicate="intersects")
     heights = pd.Series(ground.z_m[point]).groupby(box).median()
     return np.bincount(box, minlength=len(start)), heights.reindex(range(len(start))).to_numpy()
 
 
-def _pieces(knots: Floats, keep: Bools, settings: OutlineSettings) -> list[LineString]:
+def _pieces(knots: Floats, keep: Bools, settings: Edges) -> list[LineString]:
     """Runs of kept knots, split at sharp corners, as lines; a ring without a split stays closed."""
     step = np.roll(knots, -1, axis=0) - knots
     heading = np.arctan2(step[:, 1], step[:, 0])
     turn = np.abs((heading - np.roll(heading, 1) + np.pi) % (2 * np.pi) - np.pi)
-    split = ~keep | (turn > np.radians(settings.corner_deg))
+    split = ~keep | (turn > np.radians(_CORNER_DEG))
     if not split.any():
         return [LineString(np.vstack([knots, knots[:1]]))]
     first = -int(np.flatnonzero(split)[0])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import numpy as np
 import shapely
 from rasterio import features
@@ -15,50 +13,31 @@ from shapely.geometry import shape
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
+from roadsight.base.sections.scene import PavementOutline
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.normals import nearest_neighbours, plane_residuals_m
 
-
-@dataclass(frozen=True)
-class PavementSettings:
-    """Settings of the pavement outline.
-
-    Parameters
-    ----------
-    cluster_distance_m : points closer than this belong to one surface.
-    vote_radius_m : radius within which neighbours vote on a point's class.
-    outline_cell_m : cell of the raster whose outline is traced.
-    closing_m : gaps in the pavement narrower than this are closed (shadows, markings).
-    smallest_hole_m2 : holes below this area are filled, crumbs below it dropped.
-    smallest_part_share : a separate surface is kept if it has this share of the largest one's area.
-    smallest_area_m2 : less pavement than this is no road.
-    roughest_m : three quarters of a pavement's points depart less than this from a local plane.
-    """
-
-    cluster_distance_m: float = 0.2
-    vote_radius_m: float = 0.5
-    outline_cell_m: float = 0.25
-    closing_m: float = 1.0
-    smallest_hole_m2: float = 20.0
-    smallest_part_share: float = 0.2
-    smallest_area_m2: float = 200.0
-    roughest_m: float = 0.05
+_SMALLEST_AREA_M2 = 200.0
+"""Less pavement than this is no road."""
+_ROUGHEST_M = 0.05
+"""Three quarters of a pavement's points depart less than this from a local plane."""
 
 
-def pavement_settings_for(column_m: float, settings: PavementSettings) -> PavementSettings:
+def pavement_settings_for(column_m: float, settings: PavementOutline) -> PavementOutline:
     """Distances of the outline at least a few thinned columns wide."""
-    return replace(
-        settings,
-        cluster_distance_m=max(settings.cluster_distance_m, 2.5 * column_m),
-        vote_radius_m=max(settings.vote_radius_m, 3 * column_m),
-        outline_cell_m=max(settings.outline_cell_m, column_m),
-        closing_m=max(settings.closing_m, 4 * column_m),
-    )
+    least = {
+        "cluster_distance_m": 2.5 * column_m,
+        "vote_radius_m": 3 * column_m,
+        "outline_cell_m": column_m,
+        "closing_m": 4 * column_m,
+    }
+    raised = {name: max(getattr(settings, name), least_m) for name, least_m in least.items()}
+    return settings.model_copy(update=raised)
 
 
 def outline_pavement(
-    xyz_m: Floats, smooth: Bools, settings: PavementSettings, engine: Engine = "own"
+    xyz_m: Floats, smooth: Bools, settings: PavementOutline, engine: Engine = "own"
 ) -> MultiPolygon:
     """Polygons of the connected smooth surfaces.
 
@@ -91,27 +70,27 @@ def outline_pavement(
     polygons = [_trace(grid, surface[cluster == part], settings) for part in kept]
     parts = _multi(shapely.union_all(polygons)).geoms
     outline = MultiPolygon([part for part in parts if part.area >= settings.smallest_hole_m2])
-    if outline.area < settings.smallest_area_m2:
+    if outline.area < _SMALLEST_AREA_M2:
         raise InputError(
             "no pavement found: too little connected smooth ground",
             found=f"{outline.area:.0f} m2",
-            allowed=f"at least {settings.smallest_area_m2:.0f} m2",
+            allowed=f"at least {_SMALLEST_AREA_M2:.0f} m2",
             hint=_HINT,
         )
-    _check_roughness(outline, xyz_m, settings.roughest_m)
+    _check_roughness(outline, xyz_m)
     return outline
 
 
-def _check_roughness(outline: MultiPolygon, xyz_m: Floats, roughest_m: float) -> None:
+def _check_roughness(outline: MultiPolygon, xyz_m: Floats) -> None:
     """k-means always finds a smoother half of the ground; a road is smooth on an absolute scale."""
     surface = xyz_m[inside(outline, xyz_m[:, 0], xyz_m[:, 1])]
     _, neighbours = nearest_neighbours(surface, _PLANE_NEIGHBOURS)
     roughness_m = float(np.percentile(plane_residuals_m(surface, neighbours), 75))
-    if roughness_m > roughest_m:
+    if roughness_m > _ROUGHEST_M:
         raise InputError(
             "no pavement found: even the smoothest connected ground is too rough for a road",
             found=f"{100 * roughness_m:.1f} cm from a local plane (75th percentile)",
-            allowed=f"up to {100 * roughest_m:.0f} cm",
+            allowed=f"up to {100 * _ROUGHEST_M:.0f} cm",
             hint=_HINT,
         )
 
@@ -137,7 +116,7 @@ def vote(grid: Grid, x: Floats, y: Floats, smooth: Bools, radius_m: float) -> Bo
     return (yes > 0.5 * total)[cell]
 
 
-def _trace(grid: Grid, xyz_m: Floats, settings: PavementSettings) -> Polygon | MultiPolygon:
+def _trace(grid: Grid, xyz_m: Floats, settings: PavementOutline) -> Polygon | MultiPolygon:
     """Outline of one surface given by its points."""
     filled = np.zeros(grid.shape, dtype=bool)
     column, row = grid.indices(xyz_m[:, 0], xyz_m[:, 1])
@@ -145,18 +124,19 @@ def _trace(grid: Grid, xyz_m: Floats, settings: PavementSettings) -> Polygon | M
     return _polygons(grid, filled, settings)
 
 
-def trace_cells(grid: Grid, cells: Bools, settings: PavementSettings) -> MultiPolygon:
+def trace_cells(grid: Grid, cells: Bools, settings: PavementOutline) -> MultiPolygon:
     """Outline of surfaces given by cells (rows, columns) of a grid, largest first; crumbs dropped.
 
     The grid's own cell size counts, and closings are two cells wide at least.
     """
     cell_m = grid.cell_size_m
-    own = replace(settings, outline_cell_m=cell_m, closing_m=max(2 * cell_m, settings.closing_m))
+    widths = {"outline_cell_m": cell_m, "closing_m": max(2 * cell_m, settings.closing_m)}
+    own = settings.model_copy(update=widths)
     parts = _multi(_polygons(grid, cells, own)).geoms
     return MultiPolygon([part for part in parts if part.area >= settings.smallest_hole_m2])
 
 
-def _polygons(grid: Grid, cells: Bools, settings: PavementSettings) -> Polygon | MultiPolygon:
+def _polygons(grid: Grid, cells: Bools, settings: PavementOutline) -> Polygon | MultiPolygon:
     """Cells as polygons: closing, small holes filled, staircase smoothed."""
     cell = settings.outline_cell_m
     reach = max(1, round(settings.closing_m / 2 / cell))

@@ -19,8 +19,9 @@ from numba import njit
 from scipy import ndimage
 
 from roadsight.base.arrays import Bools, Floats, Floats32, Ints
+from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid
-from roadsight.scene.terrain.ground_settings import ROUGHNESS_PER_SPACING, GroundSettings
+from roadsight.scene.terrain.ground_settings import ROUGHNESS_PER_SPACING
 from roadsight.scene.terrain.recovery import recover
 
 _PIT_SHARE = 0.2
@@ -69,12 +70,12 @@ class CoarseGround:
     spacing_m: Floats
 
 
-def coarse_ground(grid: Grid, lowest_m: Floats, settings: GroundSettings) -> CoarseGround:
+def coarse_ground(grid: Grid, lowest_m: Floats, settings: GroundFilter) -> CoarseGround:
     """Coarse ground surface from the lowest height of each cell.
 
     Parameters
     ----------
-    grid : cells of `GroundSettings.coarse_cell_m`.
+    grid : cells of `GroundFilter.coarse_cell_m`.
     lowest_m : (rows, columns) lowest height per coarse cell, NaN where the cell is empty.
     """
     cell = settings.coarse_cell_m
@@ -257,7 +258,7 @@ def _without_unseen_rises(
     return out
 
 
-def _keeps_its_height(filled_m: Floats, settings: GroundSettings) -> Bools:
+def _keeps_its_height(filled_m: Floats, settings: GroundFilter) -> Bools:
     """Cells that no opening lowers by more than its slope allows, from one cell to the widest.
 
     The structuring elements are octagons: each is the last one, grown by a square or a cross.

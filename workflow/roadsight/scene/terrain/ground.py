@@ -15,7 +15,7 @@ walls), where multipath lies below the road, and where the points are too far ap
    tolerance that grows with spacing and slope.
 
 Spacing and noise are local: nothing depends on points further than `reach_m`, except through
-the coarse surface, which knows `GroundSettings.max_object_width_m` around and gaps.
+the coarse surface, which knows `GroundFilter.max_object_width_m` around and gaps.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ from scipy import ndimage
 from scipy.special import ndtri
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid
 from roadsight.scene.terrain.cells import flat_cells, sample_three
 from roadsight.scene.terrain.coarse import CoarseGround, box_sum
 from roadsight.scene.terrain.ground_settings import (
     ROUGHNESS_PER_SPACING,
-    GroundSettings,
     around_pillars,
     pillar_reach_m,
     pillar_widths_m,
@@ -79,7 +79,7 @@ _SPREAD_POINTS = 4
 
 
 def ground_mask(
-    x: Floats, y: Floats, z: Floats, coarse: CoarseGround, settings: GroundSettings
+    x: Floats, y: Floats, z: Floats, coarse: CoarseGround, settings: GroundFilter
 ) -> Bools:
     """Which points lie on the ground.
 
@@ -123,7 +123,7 @@ def above_coarse(
 
 
 def _pillar_level(
-    grid: Grid, x: Floats, y: Floats, near: Bools, settings: GroundSettings
+    grid: Grid, x: Floats, y: Floats, near: Bools, settings: GroundFilter
 ) -> tuple[Ints, Ints]:
     """Number (rows, columns) of the pillars' width in each cell, and the points' cells (n,).
 
@@ -149,7 +149,7 @@ def pillar_mask(
     slope: Floats,
     width_m: float,
     base_m: float,
-    settings: GroundSettings,
+    settings: GroundFilter,
 ) -> Bools:
     """Ground points by pillars of one width.
 

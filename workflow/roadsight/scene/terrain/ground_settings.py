@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from roadsight.base.sections.scene import GroundFilter
 
 ROUGHNESS_PER_SPACING = 0.2
 """Natural ground departs from a plane by about this share of the distance between points; measured
@@ -16,40 +16,16 @@ _AVERAGED_PILLARS = 5
 """Pillars beyond that window that averages reach."""
 
 
-@dataclass(frozen=True)
-class GroundSettings:
-    """Settings of the ground filter.
-
-    Parameters
-    ----------
-    pillar_width_m : width and length of the finest pillar; doubled until two spacings wide.
-    height_threshold_m : a point higher than this above its pillar's ground is off-ground; more
-        where points are sparse or their layer thick.
-    coarse_cell_m : cell of the coarse surface.
-    max_object_width_m : widest thing that is not ground (a large building).
-    slope : slope, rise over run, that the opening keeps without help; steeper ground is kept where
-        it goes on beside the cell in question.
-    coarse_tolerance_m : how far from the coarse surface a pillar's ground may lie.
-    """
-
-    pillar_width_m: float = 0.2
-    height_threshold_m: float = 0.1
-    coarse_cell_m: float = 1.0
-    max_object_width_m: float = 40.0
-    slope: float = 0.12
-    coarse_tolerance_m: float = 0.2
-
-
-def ground_settings_for(spacing_m: float, settings: GroundSettings) -> GroundSettings:
+def ground_settings_for(spacing_m: float, settings: GroundFilter) -> GroundFilter:
     """Settings for a cloud: coarse cells a third of the spacing wide where that is more.
 
     Nothing else follows a number for the whole cloud; this one bounds the memory of clouds with
     less than a point in nine square metres.
     """
-    return replace(settings, coarse_cell_m=max(settings.coarse_cell_m, spacing_m / 3))
+    return settings.model_copy(update={"coarse_cell_m": max(settings.coarse_cell_m, spacing_m / 3)})
 
 
-def reach_m(settings: GroundSettings) -> float:
+def reach_m(settings: GroundFilter) -> float:
     """How far away a point may matter to the label of another: the halo of a tile."""
     widest = max(pillar_reach_m(width) for width in pillar_widths_m(settings))
     return widest + 2 * settings.coarse_cell_m
@@ -74,7 +50,7 @@ def pillar_reach_m(width_m: float) -> float:
     return pillars * width_m
 
 
-def pillar_widths_m(settings: GroundSettings) -> tuple[float, ...]:
+def pillar_widths_m(settings: GroundFilter) -> tuple[float, ...]:
     """Widths of pillars, doubled as long as they are less than a coarse cell."""
     widths = [settings.pillar_width_m]
     while 2 * widths[-1] < settings.coarse_cell_m:

@@ -9,10 +9,11 @@ from rasterio.fill import fillnodata
 from scipy import ndimage
 
 from roadsight.base.arrays import Bools, Floats, Floats32
+from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid
 from roadsight.scene.terrain.coarse import CoarseGround, coarse_ground
 from roadsight.scene.terrain.ground import ground_mask
-from roadsight.scene.terrain.ground_settings import GroundSettings, reach_m
+from roadsight.scene.terrain.ground_settings import reach_m
 from roadsight.scene.terrain.lowest import lowest_supported
 
 Bounds = tuple[float, float, float, float]
@@ -26,7 +27,7 @@ _NOISE_POINTS = 10
 
 
 def label_ground(
-    tiles: Tiles, bounds_m: Bounds, settings: GroundSettings
+    tiles: Tiles, bounds_m: Bounds, settings: GroundFilter
 ) -> Iterator[tuple[Floats, Bools]]:
     """Ground labels of each tile.
 
@@ -47,7 +48,7 @@ def label_ground(
         yield points[own], mask[own]
 
 
-def coarse_of_tiles(tiles: Tiles, bounds_m: Bounds, settings: GroundSettings) -> CoarseGround:
+def coarse_of_tiles(tiles: Tiles, bounds_m: Bounds, settings: GroundFilter) -> CoarseGround:
     """Coarse ground surface of the whole cloud.
 
     A tile is read with one cell around it, so that it knows all points of each cell it touches.

@@ -2,51 +2,52 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import shutil
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 from roadsight.effects.catalogue import load_catalogue
 from roadsight.evidence.effects_audit import audited, read_answer
 from roadsight.evidence.variants import Variant
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("audit_effects")
 
 
-def audit_effects(arguments: argparse.Namespace) -> None:
+def audit_effects(
+    site: str,
+    plan: str,
+    effects: Path,
+    catalogue_path: Path,
+    config_json: str,
+    work: Path,
+    *,
+    out: Path,
+) -> None:
     """Run the other decision on each effect and write what it changes."""
-    site, plan = arguments.site, arguments.plan
-    catalogue, config = load_catalogue(arguments.catalogue), json.loads(arguments.config)
+    catalogue, config = load_catalogue(catalogue_path), json.loads(config_json)
     planned = read_answer(Path(), site, plan)
     rows = []
-    for decision in read_json(arguments.effects):
+    for decision in read_json(effects):
         effect = decision["effect"]
         if decision["job"] != "placement":
             continue
         simulated = decision["decision"] == "simulate"
         change = {"effects": {effect: "skip" if simulated else "simulate"}}
-        variant = Variant.prepare(".", arguments.work, config, site, change)
+        variant = Variant.prepare(".", work, config, site, change)
         ran = variant.run([f"placement/{plan}/solution.json"])
         other = read_answer(variant.folder, site, plan, effect if simulated else "")
         pair = (planned, other) if simulated else (other, planned)
         rows.append(audited(site, decision, catalogue[effect].tolerance, *pair))
         log.info("%s changes %.4f, ran %s", effect, rows[-1]["change"], sorted(ran))
         shutil.rmtree(variant.folder)
-    write_json(arguments.out, rows)
+    write_json(out, rows)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "plan", "effects", "catalogue", "config", "work", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    return run_stage(parser, audit_effects, argv)
+main = Command(audit_effects)
 
 
 if __name__ == "__main__":

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import shutil
 import sys
 from collections.abc import Sequence
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import pandas as pd
 
@@ -18,36 +18,44 @@ from roadsight.evidence.pole_audit import PoleAnswer, answer_change
 from roadsight.evidence.variants import Variant
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("audit_pole_effects")
 _TARGETS = ("poles/hazard.parquet",)
 
 
-def audit_pole_effects(arguments: argparse.Namespace) -> None:
+def audit_pole_effects(
+    site: str,
+    effects: Path,
+    catalogue_path: Path,
+    config_json: str,
+    work: Path,
+    leave_out: Annotated[Sequence[str], "effects that have one way only"] = (),
+    *,
+    out: Path,
+) -> None:
     """Run the other decision on each effect and write what it changes."""
-    site = arguments.site
-    catalogue, config = load_catalogue(arguments.catalogue), json.loads(arguments.config)
-    planned, _ = _answered(config, arguments, {})
+    catalogue, config = load_catalogue(catalogue_path), json.loads(config_json)
+    planned, _ = _answered(config, work, site, {})
     rows = []
-    for decision in read_json(arguments.effects):
+    for decision in read_json(effects):
         effect = decision["effect"]
-        if decision["job"] != "poles" or effect in arguments.leave_out:
+        if decision["job"] != "poles" or effect in leave_out:
             continue
         simulated = decision["decision"] == "simulate"
         changes = {"effects": {effect: "skip" if simulated else "simulate"}}
-        other, ran = _answered(config, arguments, changes)
+        other, ran = _answered(config, work, site, changes)
         pair = (planned, other) if simulated else (other, planned)
         rows.append(_row(site, decision, catalogue[effect].tolerance, *pair))
         log.info("%s changes %.4f, ran %s", effect, rows[-1]["change"], sorted(ran))
-    write_json(arguments.out, rows)
+    write_json(out, rows)
 
 
 def _answered(
-    config: dict[str, Any], arguments: argparse.Namespace, changes: dict[str, Any]
+    config: dict[str, Any], work: Path, site: str, changes: dict[str, Any]
 ) -> tuple[PoleAnswer, dict[str, int]]:
     """The answer under changed settings, and the jobs that ran for it."""
-    variant = Variant.prepare(".", arguments.work, config, arguments.site, changes)
+    variant = Variant.prepare(".", work, config, site, changes)
     ran = variant.run(_TARGETS)
     shards = sorted(variant.result("poles/sightings").glob("*.parquet"))
     answer = PoleAnswer(
@@ -78,13 +86,7 @@ def _row(
     return row_of(site, decision, tolerance, numbers)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "effects", "catalogue", "config", "work", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--leave-out", nargs="*", default=[], help="effects that have one way only")
-    return run_stage(parser, audit_pole_effects, argv)
+main = Command(audit_pole_effects)
 
 
 if __name__ == "__main__":

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import shlex
 import sys
 import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -19,24 +20,44 @@ from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.triangulate.geographic import triangulate_published
-from roadsight.poles.triangulate.rays import TriangulationSettings
-from roadsight.stages.command import run_stage
+from roadsight.poles.triangulate.rays import UNAIDED
+from roadsight.stages.command import Command
 from roadsight.stages.poles import align_cameras, calibrate_drive, measure_poles, triangulate_poles
 from roadsight.stages.poles import validate_poles as validate
 
 log = logging.getLogger("compare_components")
 
-_STAGES = {
-    "calibrate": "calibrate_drive",
-    "align": "align_cameras",
-    "measure": "measure_poles",
-    "triangulate": "triangulate_poles",
-}
 SEEDS = 5
 """Random orders of the published triangulation, whose median counts."""
 
 
-def compare_components(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class Given:
+    """What the stages are run on, as their own command lines take it."""
+
+    frames: str
+    image_edges: Annotated[Sequence[str], "shards in order"]
+    masks: Annotated[Sequence[str], "shards in order"]
+    depth: Annotated[Sequence[str], "shards in order"]
+    road_edges: str
+    columns: str
+    voxels: str
+    dem: str
+    frame: str
+    truth: str
+    pole_axes: Annotated[Sequence[str], "shards in order"] = ()
+    matches: Annotated[Sequence[str], "shards in order"] = ()
+    truth_kind: str | None = None
+    truth_crs: str | None = None
+    terrain: str | None = None
+    baseline: str | None = None
+    calibrate: Annotated[str, "options of calibrate_drive, as one text"] = ""
+    align: Annotated[str, "options of align_cameras, as one text"] = ""
+    measure: Annotated[str, "options of measure_poles, as one text"] = ""
+    triangulate: Annotated[str, "options of triangulate_poles, as one text"] = ""
+
+
+def compare_components(given: Given, *, out: Path) -> None:
     """Run the pole job from the cameras on with all components, and without each of them.
 
     All runs have the site's own settings but for the component that is left out.
@@ -54,16 +75,16 @@ def compare_components(arguments: argparse.Namespace) -> None:
     records = []
     for component, without in variants.items():
         with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
-            records.append({"component": component, **_Variant(arguments, without, folder).run()})
+            records.append({"component": component, **_Variant(given, without, folder).run()})
         log.info("%s", records[-1])
-    write_json(arguments.out, records)
+    write_json(out, records)
 
 
 class _Variant:
     """One run of the stages from calibration to validation in a folder of its own."""
 
-    def __init__(self, arguments: argparse.Namespace, without: dict[str, str], folder: str) -> None:
-        self._given, self._without, self._folder = arguments, without, Path(folder)
+    def __init__(self, given: Given, without: dict[str, str], folder: str) -> None:
+        self._given, self._without, self._folder = given, without, Path(folder)
 
     def run(self) -> dict[str, Any]:
         """Numbers of the variant."""
@@ -92,7 +113,7 @@ class _Variant:
         write_table(self._path("axes"), axes[axes["view"] == "front"])
         return self._path("frames"), [self._path("axes")]
 
-    def _align(self, frames: str, axes: list[str]) -> None:
+    def _align(self, frames: str, axes: Sequence[str]) -> None:
         given = self._given
         shared = [
             *("--frames", frames, "--image-edges", *given.image_edges, "--frame", given.frame),
@@ -149,7 +170,7 @@ class _Variant:
             "depth_m": "depth",
         }
         kept = sightings[sightings["kept"]].rename(columns=named)
-        poles = triangulate_published(kept, TriangulationSettings(), seed)
+        poles = triangulate_published(kept, UNAIDED, seed)
         frame = Frame.from_dict(read_json(self._given.frame))
         xy = SiteNorth(frame).to_local(poles["lat"], poles["lon"])
         table = pd.DataFrame({"id": [f"p{n}" for n in range(len(xy))], "kept": True})
@@ -186,29 +207,7 @@ def _checked(code: int) -> None:
         raise InputError("a variant could not be run", hint="see the message above")
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("image-edges", "masks", "depth"):
-        parser.add_argument(f"--{name}", required=True, nargs="+", help="shards in order")
-    for name in ("pole-axes", "matches"):
-        parser.add_argument(f"--{name}", nargs="*", default=[], help="shards in order")
-    for name in (
-        "frames",
-        "road-edges",
-        "columns",
-        "voxels",
-        "dem",
-        "frame",
-        "truth",
-        "out",
-    ):
-        parser.add_argument(f"--{name}", required=True)
-    for name in ("truth-kind", "truth-crs", "terrain", "baseline"):
-        parser.add_argument(f"--{name}", nargs="?")
-    for name, stage in _STAGES.items():
-        parser.add_argument(f"--{name}", default="", help=f"options of {stage}, as one text")
-    return run_stage(parser, compare_components, argv)
+main = Command(compare_components)
 
 
 if __name__ == "__main__":

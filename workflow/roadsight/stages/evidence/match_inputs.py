@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from roadsight.base.doubts import Doubt
+from roadsight.base.errors import InputError
 from roadsight.base.matches import tell_named
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import posed_images
@@ -24,7 +24,7 @@ from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vector_sources import load_local
 from roadsight.poles.images.views import usable, views_of
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.doubts import keep
 
 log = logging.getLogger("match_inputs")
@@ -35,24 +35,33 @@ _LOOKED_AT = 64
 """Pixels a side in which an orthophoto is looked at before any work begins."""
 
 
-def match_inputs(arguments: argparse.Namespace) -> None:
+def match_inputs(
+    frame: Path,
+    lists: Annotated[str, "what, kind (places, images, folder), path and crs, JSON"],
+    frames: Annotated[Path | None, "frames of the videolog, where there is one"] = None,
+    views: Sequence[str] = ("front",),
+    *,
+    doubts_path: Path,
+) -> None:
     """Write the doubts about lists of which few match; one without a match is refused."""
-    about, doubts = read_json(arguments.frame), []
-    for given in json.loads(arguments.lists):
+    about, doubts = read_json(frame), []
+    for given in json.loads(lists):
         what, path = given["what"], given["path"]
         if given["kind"] == PLACES:
             doubts += _near(what, path, given["crs"], about)
-        elif given["kind"] == IMAGES:
-            known = set(read_table(arguments.frames, ["image"])["image"])
-            named = posed_images(path)
-            doubts += tell_named(log, f"{what} are of an image of the videolog", named, known, path)
         elif given["kind"] == PICTURE:
             _check_picture(path, about)
+        elif frames is None:
+            raise InputError("is about images, but there is no videolog", where=path)
+        elif given["kind"] == IMAGES:
+            known = set(read_table(frames, ["image"])["image"])
+            named = posed_images(path)
+            doubts += tell_named(log, f"{what} are of an image of the videolog", named, known, path)
         else:
-            views = views_of(usable(read_table(arguments.frames), 0, 1), tuple(arguments.views))
-            paths = [view.path for view in views]
+            shown = views_of(usable(read_table(frames), 0, 1), tuple(views))
+            paths = [view.path for view in shown]
             doubts += LabelImages(path).matching(paths, what, log).doubts
-    keep(doubts, arguments.doubts)
+    keep(doubts, doubts_path)
 
 
 def _near(what: str, path: str, crs: str | None, about: dict[str, Any]) -> list[Doubt]:
@@ -71,17 +80,7 @@ def _check_picture(path: str, about: dict[str, Any]) -> None:
     read_orthophoto(path, frame, west, north, _LOOKED_AT, _LOOKED_AT, cell_m)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frame", "doubts"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--frames", nargs="?", help="frames of the videolog, where there is one")
-    parser.add_argument("--views", nargs="*", default=["front"])
-    parser.add_argument(
-        "--lists", required=True, help="what, kind (places, images, folder), path and crs, JSON"
-    )
-    return run_stage(parser, match_inputs, list(argv) if argv is not None else None)
+main = Command(match_inputs)
 
 
 if __name__ == "__main__":

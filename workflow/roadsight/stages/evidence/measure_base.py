@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import shutil
 import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
 from roadsight.evidence.base_costs import base_costs
 from roadsight.evidence.tradeoffs import NOT_OF_THE_JOB
 from roadsight.evidence.variants import Variant
 from roadsight.io.records.atomic import write_json
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("measure_base")
 
@@ -20,29 +22,28 @@ log = logging.getLogger("measure_base")
 _UP_TO_THE_CHECKPOINT = {"ingest_cloud", "profile_scene"}
 
 
-def measure_base(arguments: argparse.Namespace) -> None:
+def measure_base(
+    site: str,
+    config_json: Annotated[str, "whole configuration, JSON"],
+    targets: Annotated[Sequence[str], "below results/<site>"],
+    work: Annotated[str, "folder to work in, deleted afterwards"],
+    repeats: Annotated[int, "timings, the base's own included"] = 2,
+    cores: int = 1,
+    *,
+    out: Path,
+) -> None:
     """Run every step again in a folder of its own and write the first and the cheapest costs."""
-    config = json.loads(arguments.config)
-    variant = Variant.prepare(".", arguments.work, config, arguments.site, {})
-    records = variant.records(arguments.targets)
+    config = json.loads(config_json)
+    variant = Variant.prepare(".", work, config, site, {})
+    records = variant.records(targets)
     left_out = NOT_OF_THE_JOB | _UP_TO_THE_CHECKPOINT
     jobs = [record for record in records if record.rule not in left_out]
-    again = variant.repeat(arguments.targets, jobs, arguments.repeats - 1, arguments.cores)
-    write_json(arguments.out, base_costs([jobs, *again]))
+    again = variant.repeat(targets, jobs, repeats - 1, cores)
+    write_json(out, base_costs([jobs, *again]))
     shutil.rmtree(variant.folder)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--site", required=True)
-    parser.add_argument("--config", required=True, help="whole configuration, JSON")
-    parser.add_argument("--targets", nargs="+", required=True, help="below results/<site>")
-    parser.add_argument("--repeats", type=int, default=2, help="timings, the base's own included")
-    parser.add_argument("--cores", type=int, default=1)
-    parser.add_argument("--work", required=True, help="folder to work in, deleted afterwards")
-    parser.add_argument("--out", required=True)
-    return run_stage(parser, measure_base, argv)
+main = Command(measure_base)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
 import time
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.usage import own_usage
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 LEVELS = {
     "float32, world": (False, True),
@@ -38,13 +38,15 @@ _REPEATS = 3
 """Timings of each way, of which the shortest counts."""
 
 
-def measure_precision(arguments: argparse.Namespace) -> None:
+def measure_precision(
+    cloud: Annotated[Path, "LAZ file, whose coordinates are exact"], frame_path: Path, *, out: Path
+) -> None:
     """Write the errors of each way to store coordinates and the time that normals take."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    native = read_laz(arguments.cloud).xyz[:_POINTS]
+    frame = Frame.from_dict(read_json(frame_path))
+    native = read_laz(cloud).xyz[:_POINTS]
     exact = normals_of(native - native.mean(axis=0), _NEIGHBOURS)
     levels = {name: _level(native, frame, exact, *way) for name, way in LEVELS.items()}
-    write_json(arguments.out, {"default": DEFAULT, "repeats": _REPEATS, "levels": levels})
+    write_json(out, {"default": DEFAULT, "repeats": _REPEATS, "levels": levels})
 
 
 def _level(
@@ -67,13 +69,7 @@ def _level(
     }
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cloud", required=True, help="LAZ file, whose coordinates are exact")
-    for name in ("frame", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    return run_stage(parser, measure_precision, argv)
+main = Command(measure_precision)
 
 
 if __name__ == "__main__":

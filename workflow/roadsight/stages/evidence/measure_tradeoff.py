@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import math
@@ -10,7 +9,7 @@ import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from roadsight.base.errors import InputError
 from roadsight.config.load import ResolvedSite, load_config, load_sites, merged
@@ -21,29 +20,41 @@ from roadsight.evidence.tradeoffs import as_json, cheapest, stage_costs
 from roadsight.evidence.variants import Variant
 from roadsight.io.records.atomic import write_json
 from roadsight.placement.sensors.sensors import AnySensor, load_sensors
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("measure_tradeoff")
 
 
-def measure_tradeoff(arguments: argparse.Namespace) -> None:
+def measure_tradeoff(
+    site: str,
+    config_json: Annotated[str, "whole configuration, JSON"],
+    changes_json: Annotated[str, "settings of the level, JSON"],
+    metrics: Sequence[str],
+    work: Annotated[str, "folder to work in, deleted afterwards"],
+    plan: Annotated[str, "plan to solve, if not the site's first"] = "",
+    stages: Annotated[Sequence[str], "rules to time again and again"] = (),
+    repeats: Annotated[int, "timings of each of them"] = 2,
+    cores: int = 1,
+    *,
+    out: Path,
+) -> None:
     """Run the level, time its stages again, and write costs and accuracies."""
-    config = json.loads(arguments.config)
-    changes = json.loads(arguments.changes)
-    if arguments.plan:
-        config["plans"] = [arguments.plan]
-    site = _site(config, arguments.site, changes)
-    sensors = _sensors(site, config)
-    refuse_other_targets(arguments.metrics, site.settings.targets.model_dump())
-    spinning = site.settings.poses.spinning.model_dump()
-    refuse_sensors_without_maps(arguments.metrics, sensors, spinning)
-    targets = _targets(arguments.metrics, site)
-    variant = Variant.prepare(".", arguments.work, config, arguments.site, changes)
-    ran = variant.run(targets, arguments.cores)
+    config = json.loads(config_json)
+    changes = json.loads(changes_json)
+    if plan:
+        config["plans"] = [plan]
+    resolved = _site(config, site, changes)
+    sensors = _sensors(resolved, config)
+    refuse_other_targets(metrics, resolved.settings.targets.model_dump())
+    spinning = resolved.settings.poses.spinning.model_dump()
+    refuse_sensors_without_maps(metrics, sensors, spinning)
+    targets = _targets(metrics, resolved)
+    variant = Variant.prepare(".", work, config, site, changes)
+    ran = variant.run(targets, cores)
     log.info("ran %s", ", ".join(f"{rule} {count}" for rule, count in ran.items()) or "nothing")
     records = variant.records(targets)
     costs = stage_costs(records)
-    for stage in arguments.stages:
+    for stage in stages:
         if stage not in costs:
             raise InputError(
                 f"is no step of {', '.join(targets)}",
@@ -51,12 +62,12 @@ def measure_tradeoff(arguments: argparse.Namespace) -> None:
                 allowed=", ".join(costs),
             )
         jobs = [record for record in records if record.rule == stage]
-        again = variant.repeat(targets, jobs, arguments.repeats - 1, arguments.cores)
+        again = variant.repeat(targets, jobs, repeats - 1, cores)
         costs[stage] = cheapest([costs[stage], *(stage_costs(part)[stage] for part in again)])
-    results = _results(variant, site, sensors)
-    values = {name: METRICS[name].value(results) for name in arguments.metrics}
+    results = _results(variant, resolved, sensors)
+    values = {name: METRICS[name].value(results) for name in metrics}
     known = {name: _known(value) for name, value in values.items()}
-    write_json(arguments.out, {"metrics": known, "stages": as_json(costs)})
+    write_json(out, {"metrics": known, "stages": as_json(costs)})
     shutil.rmtree(variant.folder)
 
 
@@ -100,20 +111,7 @@ def _results(variant: Variant, site: ResolvedSite, sensors: dict[str, AnySensor]
     )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--site", required=True)
-    parser.add_argument("--config", required=True, help="whole configuration, JSON")
-    parser.add_argument("--changes", required=True, help="settings of the level, JSON")
-    parser.add_argument("--plan", default="", help="plan to solve, if not the site's first")
-    parser.add_argument("--metrics", nargs="+", choices=list(METRICS), required=True)
-    parser.add_argument("--stages", nargs="*", default=[], help="rules to time again and again")
-    parser.add_argument("--repeats", type=int, default=2, help="timings of each of them")
-    parser.add_argument("--cores", type=int, default=1)
-    parser.add_argument("--work", required=True, help="folder to work in, deleted afterwards")
-    parser.add_argument("--out", required=True)
-    return run_stage(parser, measure_tradeoff, argv)
+main = Command(measure_tradeoff)
 
 
 if __name__ == "__main__":

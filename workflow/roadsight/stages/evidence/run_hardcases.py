@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
 import pandas as pd
 
@@ -16,16 +17,21 @@ from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.sighting_tables import write_csv
 from roadsight.report.evidence.hardcases_page import ASSETS, render_hardcases
 from roadsight.report.files import read_assets
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("run_hardcases")
 
 
-def run_hardcases(arguments: argparse.Namespace) -> None:
+def run_hardcases(
+    seed: int = 1,
+    *,
+    table: Annotated[Path, "CSV file to write"],
+    page: Annotated[Path, "HTML file to write"],
+) -> None:
     """Measure every case; write the table and the page."""
     cases = all_cases()
-    results = [measure(case, arguments.seed) for case in logged(cases, len(cases), log, "cases")]
+    results = [measure(case, seed) for case in logged(cases, len(cases), log, "cases")]
     for result in results:
         if not result.passed:
             log.warning(
@@ -36,9 +42,9 @@ def run_hardcases(arguments: argparse.Namespace) -> None:
                 result.case.bound,
                 result.case.unit,
             )
-    write_csv(arguments.table, case_table(results))
+    write_csv(table, case_table(results))
     assets = read_assets(ASSETS)
-    with atomic_path(arguments.page) as temporary:
+    with atomic_path(page) as temporary:
         temporary.write_text(render_hardcases(results, assets, __version__), encoding="utf-8")
     log.info("%d of %d cases hold", sum(result.passed for result in results), len(results))
 
@@ -59,13 +65,7 @@ def case_table(results: Sequence[CaseResult]) -> pd.DataFrame:
     )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--table", required=True, help="CSV file to write")
-    parser.add_argument("--page", required=True, help="HTML file to write")
-    return run_stage(parser, run_hardcases, argv)
+main = Command(run_hardcases)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pandas as pd
 
@@ -16,57 +17,91 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.checksums import sha256
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.poles.drive.videolog import OK
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 
-def summarise_site(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class PoleResults:
+    """What the pole job wrote."""
+
+    frames: Path | None = None
+    poles: Path | None = None
+    validation: Path | None = None
+    camera_scores: Path | None = None
+    cameras: Sequence[Path] = ()
+    sightings: Sequence[Path] = ()
+
+
+def summarise_site(
+    site: str,
+    settings: str,
+    frame_path: Path,
+    profile: Path,
+    effects: Path,
+    seed: int,
+    pole_results: PoleResults,
+    sensors: Annotated[str, "definitions of the sensors as JSON"] = "{}",
+    solutions: Sequence[Path] = (),
+    timings: Sequence[Path] = (),
+    data: Sequence[Path] = (),
+    tolerances: Sequence[Path] = (),
+    removals: Sequence[Path] = (),
+    given: Sequence[str] = (),
+    scores_paths: Sequence[Path] = (),
+    traffic: Sequence[Path] = (),
+    coverage_paths: Sequence[Path] = (),
+    pavement: Sequence[Path] = (),
+    doubts: Sequence[Path] = (),
+    *,
+    out: Path,
+) -> None:
     """Write the summary; a job that the site does not ask for is absent."""
-    frame = read_json(arguments.frame)
-    scores = [read_json(path) for path in arguments.scores]
+    frame = read_json(frame_path)
+    scores = [read_json(path) for path in scores_paths]
     summary: dict[str, Any] = {
-        "site": arguments.site,
+        "site": site,
         "version": __version__,
-        "seed": arguments.seed,
-        "inputs": frame["inputs"] | {path: sha256(path) for path in arguments.given},
-        "settings": json.loads(arguments.settings),
+        "seed": seed,
+        "inputs": frame["inputs"] | {path: sha256(path) for path in given},
+        "settings": json.loads(settings),
         "scene": {
-            **read_json(arguments.profile),
+            **read_json(profile),
             "pavement_scores": scores[0] if scores else None,
-            "traffic": read_about(arguments.traffic[0]) if arguments.traffic else None,
+            "traffic": read_about(traffic[0]) if traffic else None,
         },
-        "effects": {effect.pop("effect"): effect for effect in read_json(arguments.effects)},
+        "effects": {effect.pop("effect"): effect for effect in read_json(effects)},
     }
-    for path in arguments.pavement:
+    for path in pavement:
         summary["pavement_area_m2"] = read_about(path)["area_m2"]
-    if arguments.solutions:
-        coverage = read_json(arguments.coverage[0])
-        summary["sensors"] = json.loads(arguments.sensors)
+    if solutions:
+        coverage = read_json(coverage_paths[0])
+        summary["sensors"] = json.loads(sensors)
         summary["placement"] = {}
-        for solution_path, timing_path in zip(arguments.solutions, arguments.timings, strict=True):
+        for solution_path, timing_path in zip(solutions, timings, strict=True):
             solution = read_json(solution_path) | read_json(timing_path)
             summary["placement"][solution["plan"]] = _plan(solution, coverage["candidates"])
-        for path in arguments.data:
-            summary["placement"][Path(path).parent.name]["data"] = read_json(path)
-        for path in arguments.tolerances:
+        for path in data:
+            summary["placement"][path.parent.name]["data"] = read_json(path)
+        for path in tolerances:
             found = read_json(path)
             summary["placement"][found["plan"]]["tolerance"] = found
-        for path in arguments.removals:
+        for path in removals:
             found = read_json(path)
             own = {"objects": found["objects"], "removals": found["rows"]}
             summary["placement"][found["plan"]] |= own
-    if arguments.poles:
-        summary["poles"] = _poles(arguments)
-    told = [Doubt.from_dict(one) for path in arguments.doubts for one in read_json(path)]
+    if pole_results.frames and pole_results.poles:
+        summary["poles"] = _poles(pole_results.frames, pole_results.poles, pole_results)
+    told = [Doubt.from_dict(one) for path in doubts for one in read_json(path)]
     summary["warnings"] = [doubt.to_dict() for doubt in by_severity(told)]
-    write_json(arguments.out, summary)
+    write_json(out, summary)
 
 
-def _poles(arguments: argparse.Namespace) -> dict[str, Any]:
+def _poles(frames_path: Path, poles_path: Path, found: PoleResults) -> dict[str, Any]:
     """Counts of the pole job at each step, and its scores where poles are known."""
-    frames = read_table(arguments.frames, ["status"])
-    cameras = pd.concat([read_table(path, ["accepted", "reason"]) for path in arguments.cameras])
-    sightings = pd.concat([read_table(path, ["kept", "reason"]) for path in arguments.sightings])
-    poles = read_table(arguments.poles, ["kept", "reason"])
+    frames = read_table(frames_path, ["status"])
+    cameras = pd.concat([read_table(path, ["accepted", "reason"]) for path in found.cameras])
+    sightings = pd.concat([read_table(path, ["kept", "reason"]) for path in found.sightings])
+    poles = read_table(poles_path, ["kept", "reason"])
     unused = frames.loc[frames["status"] != OK, "status"]
     refused = cameras.loc[~cameras["accepted"].astype(bool), "reason"]
     return {
@@ -79,13 +114,13 @@ def _poles(arguments: argparse.Namespace) -> dict[str, Any]:
             "sightings": _counts(sightings.loc[~sightings["kept"].astype(bool), "reason"]),
             "poles": _counts(poles.loc[~poles["kept"].astype(bool), "reason"]),
         },
-        "validation": read_json(arguments.validation) if arguments.validation else None,
-        "cameras": read_json(arguments.camera_scores) if arguments.camera_scores else None,
-        **_given_cameras(arguments.cameras),
+        "validation": read_json(found.validation) if found.validation else None,
+        "cameras": read_json(found.camera_scores) if found.camera_scores else None,
+        **_given_cameras(found.cameras),
     }
 
 
-def _given_cameras(paths: list[str]) -> dict[str, Any]:
+def _given_cameras(paths: Sequence[Path]) -> dict[str, Any]:
     """How cameras that came with the videolog agree with the road, where they did."""
     shards = [read_about(path) for path in paths]
     if not shards or shards[0].get("method") != "given":
@@ -133,20 +168,7 @@ def _options(found: dict[str, Any]) -> dict[str, Any]:
     return summary
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "settings", "frame", "profile", "effects", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--seed", type=int, required=True)
-    parser.add_argument("--sensors", default="{}", help="definitions of the sensors as JSON")
-    for name in ("frames", "poles", "validation", "camera-scores"):
-        parser.add_argument(f"--{name}", nargs="?")
-    shards = ("cameras", "sightings", "solutions", "timings", "data", "tolerances", "removals")
-    tables = ("given", "scores", "traffic", "coverage", "pavement", "doubts")
-    for name in (*shards, *tables):
-        parser.add_argument(f"--{name}", nargs="*", default=[])
-    return run_stage(parser, summarise_site, argv)
+main = Command(summarise_site)
 
 
 if __name__ == "__main__":

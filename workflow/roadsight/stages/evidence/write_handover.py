@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import geopandas as gpd
 from pyproj import CRS
@@ -29,7 +30,7 @@ from roadsight.report.handover.layers import (
 )
 from roadsight.report.handover.project import project
 from roadsight.report.handover.styles import qml
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("write_handover")
 
@@ -37,24 +38,45 @@ _POLE_LAYERS = ("poles", "rays", "ellipses", "hazard", "cross_sections", "road_g
 """Layers of poles.gpkg that go along."""
 
 
-def write_handover(arguments: argparse.Namespace) -> None:
-    """Gather the layers of a site and write them four times."""
-    about = read_json(arguments.frame)
+def write_handover(
+    site: str,
+    frame_path: Path,
+    title: Annotated[str, "name of the site for people"] = "",
+    dem: Path | None = None,
+    pavement: Path | None = None,
+    edges: Path | None = None,
+    unexamined: Path | None = None,
+    poles: Path | None = None,
+    road_edges: Path | None = None,
+    solutions: Sequence[Path] = (),
+    plan_layers: Sequence[Path] = (),
+    obstacles: Sequence[Path] = (),
+    *,
+    layers_path: Path,
+    project_path: Path,
+    kml_path: Path,
+    drawing_path: Path,
+) -> None:
+    """Gather the layers of a site's jobs, some one a plan, and write them four times."""
+    about = read_json(frame_path)
     frame = Frame.from_dict(about)
-    layers = [*_plans(arguments, frame), *_poles(arguments, frame), *_scene(arguments, frame)]
+    layers = [
+        *_plans(solutions, plan_layers, obstacles, frame),
+        *_poles(poles, road_edges, frame),
+        *_scene(unexamined, pavement, edges, dem, frame),
+    ]
     styled = [
         StyledLayer(layer.name, layer.about, layer.features, layer.geometry, qml(layer.style))
         for layer in layers
     ]
-    write_styled(arguments.layers, styled, frame)
+    write_styled(layers_path, styled, frame)
     crs = None if frame.crs_wkt is None else horizontal(CRS.from_wkt(frame.crs_wkt))
-    title = arguments.title or arguments.site
     bounds = bounds_native(layers, frame)
-    beside = Path(arguments.layers).name
+    beside = layers_path.name
     texts = {
-        arguments.project: project(title, beside, layers, crs, bounds),
-        arguments.kml: kml(title, layers, frame),
-        arguments.drawing: drawing(layers, frame, about["unit"]),
+        project_path: project(title or site, beside, layers, crs, bounds),
+        kml_path: kml(title or site, layers, frame),
+        drawing_path: drawing(layers, frame, about["unit"]),
     }
     for path, text in texts.items():
         with atomic_path(path) as temporary:
@@ -62,19 +84,30 @@ def write_handover(arguments: argparse.Namespace) -> None:
     log.info("%d layers, %d features", len(layers), sum(len(layer.features) for layer in layers))
 
 
-def _scene(arguments: argparse.Namespace, frame: Frame) -> list[Layer]:
-    if not arguments.pavement:
+def _scene(
+    unexamined_path: Path | None,
+    pavement_path: Path | None,
+    edges_path: Path | None,
+    dem: Path | None,
+    frame: Frame,
+) -> list[Layer]:
+    if not (pavement_path and edges_path and dem):
         return []
-    pavement = read_layer(arguments.pavement, "pavement", frame)
-    edges = read_layer(arguments.edges, "edges", frame)
+    pavement = read_layer(pavement_path, "pavement", frame)
+    edges = read_layer(edges_path, "edges", frame)
     unexamined = None
-    if arguments.unexamined:
-        unexamined = read_layer(arguments.unexamined, "unexamined", frame)
-    return scene_layers(pavement, edges, read_raster(arguments.dem, frame), unexamined)
+    if unexamined_path:
+        unexamined = read_layer(unexamined_path, "unexamined", frame)
+    return scene_layers(pavement, edges, read_raster(dem, frame), unexamined)
 
 
-def _plans(arguments: argparse.Namespace, frame: Frame) -> list[Layer]:
-    files = zip(arguments.solutions, arguments.plan_layers, arguments.obstacles, strict=True)
+def _plans(
+    solutions: Sequence[Path],
+    plan_layers_paths: Sequence[Path],
+    obstacles_paths: Sequence[Path],
+    frame: Frame,
+) -> list[Layer]:
+    files = zip(solutions, plan_layers_paths, obstacles_paths, strict=True)
     found = []
     for solution_path, layers, obstacles in files:
         solution = read_json(solution_path)
@@ -89,27 +122,17 @@ def _plans(arguments: argparse.Namespace, frame: Frame) -> list[Layer]:
     return found
 
 
-def _poles(arguments: argparse.Namespace, frame: Frame) -> list[Layer]:
-    if not arguments.poles:
+def _poles(poles: Path | None, road_edges: Path | None, frame: Frame) -> list[Layer]:
+    if not (poles and road_edges):
         return []
     found: dict[str, gpd.GeoDataFrame] = {
-        name: read_layer(arguments.poles, name, frame) for name in _POLE_LAYERS
+        name: read_layer(poles, name, frame) for name in _POLE_LAYERS
     }
-    found["road_edges"] = read_layer(arguments.road_edges, "road_edges", frame)
+    found["road_edges"] = read_layer(road_edges, "road_edges", frame)
     return pole_layers(found)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "frame", "layers", "project", "kml", "drawing"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--title", default="", help="name of the site for people")
-    for name in ("dem", "pavement", "edges", "unexamined", "poles", "road-edges"):
-        parser.add_argument(f"--{name}", nargs="?", help="of the job that the site asks for")
-    for name in ("solutions", "plan-layers", "obstacles"):
-        parser.add_argument(f"--{name}", nargs="*", default=[], help="one a plan")
-    return run_stage(parser, write_handover, argv)
+main = Command(write_handover)
 
 
 if __name__ == "__main__":

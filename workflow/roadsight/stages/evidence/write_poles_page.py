@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -30,7 +29,7 @@ from roadsight.poles.images.views import view_name
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.report.poles.poles_depth import depth_fit
 from roadsight.report.poles.poles_page import PolesResult, ReadEdges, ReadImage, build_poles_page
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("write_poles_page")
 
@@ -38,44 +37,69 @@ _MOST_FITS_TRIED = 12
 """Images of which the fit of depth is tried, spread over the drive, until one can be shown."""
 
 
-def write_poles_page(arguments: argparse.Namespace) -> None:
+def write_poles_page(
+    site: str,
+    summary_path: Path,
+    frame: Path,
+    top: Path,
+    road_edges: Path,
+    frames: Path,
+    poles: Path,
+    cameras_paths: Annotated[Sequence[Path], "shards in order"],
+    image_edges: Annotated[Sequence[Path], "shards in order"],
+    sightings: Annotated[Sequence[Path], "shards in order"],
+    title: Annotated[str, "name of the site for people"] = "",
+    hazard: Annotated[Path | None, "table of hazards by pole"] = None,
+    sections: Annotated[Path | None, "cross-sections at poles"] = None,
+    components: Annotated[Path | None, "scores without each component"] = None,
+    validation: Annotated[Path | None, "validation.json of a site with truth"] = None,
+    images: Annotated[str | None, "folder or archive of the images to embed"] = None,
+    drive: Annotated[Path | None, "profile of the drives, where lenses distort"] = None,
+    lenses: Annotated[str, "given lenses as JSON"] = "[]",
+    dem: Annotated[Path | None, "terrain; with masks and depth for the depth fit"] = None,
+    masks: Annotated[Sequence[Path], "shards in order"] = (),
+    depth: Annotated[Sequence[Path], "shards in order"] = (),
+    files: Annotated[Sequence[Path], "files of the poles, to be named"] = (),
+    *,
+    out: Path,
+) -> None:
     """Read the artifacts of a site's poles job and write its page."""
-    about, summary = read_json(arguments.frame), read_json(arguments.summary)
-    edges = read_table(arguments.road_edges, ["x", "y", "z"])
-    cameras = _joined(arguments.cameras)
+    about, summary = read_json(frame), read_json(summary_path)
+    edges = read_table(road_edges, ["x", "y", "z"])
+    cameras = _joined(cameras_paths)
     result = PolesResult(
-        read_top(arguments.top, Frame.from_dict(about)),
+        read_top(top, Frame.from_dict(about)),
         edges.to_numpy(np.float64),
-        read_table(arguments.frames),
+        read_table(frames),
         cameras,
-        _joined(arguments.sightings),
-        read_table(arguments.poles),
-        read_table(arguments.hazard) if arguments.hazard else pd.DataFrame(),
-        _image_edges(arguments.image_edges),
-        _pictures(arguments) if arguments.images else None,
-        _depth_fit(arguments, cameras, Frame.from_dict(about)),
-        _validation(arguments),
-        [Path(path).name for path in arguments.files],
-        read_table(arguments.sections) if arguments.sections else pd.DataFrame(),
-        read_about(arguments.sections).get("profiles", {}) if arguments.sections else {},
+        _joined(sightings),
+        read_table(poles),
+        read_table(hazard) if hazard else pd.DataFrame(),
+        _image_edges(image_edges),
+        _pictures(images, drive, lenses, frames) if images else None,
+        _depth_fit(dem, masks, depth, cameras, Frame.from_dict(about)),
+        _validation(components, validation),
+        [path.name for path in files],
+        read_table(sections) if sections else pd.DataFrame(),
+        read_about(sections).get("profiles", {}) if sections else {},
     )
-    page = build_poles_page(arguments.title or arguments.site, summary, about, result)
+    page = build_poles_page(title or site, summary, about, result)
     counts = page["counts"]
     log.info(
         "%d images, %d shown, %d poles", counts["images"], len(page["images"]), counts["poles"]
     )
-    write_json(arguments.out, page)
+    write_json(out, page)
 
 
-def _pictures(arguments: argparse.Namespace) -> ReadImage:
+def _pictures(images: str, drive: Path | None, lenses_json: str, frames: Path) -> ReadImage:
     """Reader of images by their path; without the distortion of their lenses, if told of any."""
-    source = ImageSource(arguments.images)
-    if not arguments.drive:
+    source = ImageSource(images)
+    if not drive:
         return source.read
-    lenses = with_given(read_json(arguments.drive)["lenses"], json.loads(arguments.lenses))
+    lenses = with_given(read_json(drive)["lenses"], json.loads(lenses_json))
     keys = {
         str(path): (str(route), int(width), int(height))
-        for path, route, width, height in read_table(arguments.frames)[
+        for path, route, width, height in read_table(frames)[
             ["path", "route", "width_px", "height_px"]
         ].itertuples(index=False)
     }
@@ -89,14 +113,14 @@ def _pictures(arguments: argparse.Namespace) -> ReadImage:
     return read
 
 
-def _joined(paths: list[str]) -> pd.DataFrame:
+def _joined(paths: Sequence[Path]) -> pd.DataFrame:
     """Shards of a table in order; those without rows do not decide about its types."""
     tables = [read_table(path) for path in paths]
     filled = [table for table in tables if len(table)]
     return pd.concat(filled or tables[:1], ignore_index=True)
 
 
-def _image_edges(paths: list[str]) -> ReadEdges:
+def _image_edges(paths: Sequence[Path]) -> ReadEdges:
     """Reader of an image's edges; a shard is read once."""
 
     @cache
@@ -111,16 +135,20 @@ def _image_edges(paths: list[str]) -> ReadEdges:
 
 
 def _depth_fit(
-    arguments: argparse.Namespace, cameras: pd.DataFrame, frame: Frame
+    dem: Path | None,
+    masks: Sequence[Path],
+    depth_paths: Sequence[Path],
+    cameras: pd.DataFrame,
+    frame: Frame,
 ) -> dict[str, Any] | None:
     """Depth fit of the accepted image in the middle of the route that allows one."""
-    if not (arguments.masks and arguments.depth and arguments.dem):
+    if not (masks and depth_paths and dem):
         return None
-    ground = read_raster(arguments.dem, frame)
+    ground = read_raster(dem, frame)
     for camera, pose in _middle_first(cameras[cameras["accepted"].astype(bool)]):
         name = view_name(str(pose["image"]))
-        number = shard_of(str(pose["image"]), len(arguments.masks))
-        shards = [ImageShard(paths[number]) for paths in (arguments.masks, arguments.depth)]
+        number = shard_of(str(pose["image"]), len(masks))
+        shards = [ImageShard(paths[number]) for paths in (masks, depth_paths)]
         if not all(name in shard for shard in shards):
             continue
         mask, depth = (shard.read(name) for shard in shards)
@@ -145,36 +173,17 @@ def _middle_first(accepted: pd.DataFrame) -> Iterator[tuple[ViewCamera, pd.Serie
         yield ViewCamera(own, position, *angles), pose
 
 
-def _validation(arguments: argparse.Namespace) -> dict[str, Any] | None:
+def _validation(components: Path | None, validation: Path | None) -> dict[str, Any] | None:
     """Scores against known poles, with those of the components where they were compared."""
-    if not arguments.validation:
+    if not validation:
         return None
-    content: dict[str, Any] = read_json(arguments.validation)
-    if arguments.components:
-        content["ablation"] = read_json(arguments.components)
+    content: dict[str, Any] = read_json(validation)
+    if components:
+        content["ablation"] = read_json(components)
     return content
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "summary", "frame", "top", "road-edges", "frames", "poles", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    for name in ("cameras", "image-edges", "sightings"):
-        parser.add_argument(f"--{name}", nargs="+", required=True, help="shards in order")
-    parser.add_argument("--title", default="", help="name of the site for people")
-    parser.add_argument("--hazard", nargs="?", help="table of hazards by pole")
-    parser.add_argument("--sections", nargs="?", help="cross-sections at poles")
-    parser.add_argument("--components", nargs="?", help="scores without each component")
-    parser.add_argument("--validation", nargs="?", help="validation.json of a site with truth")
-    parser.add_argument("--images", nargs="?", help="folder or archive of the images to embed")
-    parser.add_argument("--drive", nargs="?", help="profile of the drives, where lenses distort")
-    parser.add_argument("--lenses", default="[]", help="given lenses as JSON")
-    parser.add_argument("--dem", nargs="?", help="terrain; with masks and depth for the depth fit")
-    for name in ("masks", "depth"):
-        parser.add_argument(f"--{name}", nargs="*", default=[], help="shards in order")
-    parser.add_argument("--files", nargs="*", default=[], help="files of the poles, to be named")
-    return run_stage(parser, write_poles_page, argv)
+main = Command(write_poles_page)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 from plotly.offline import get_plotlyjs
 
@@ -15,39 +16,34 @@ from roadsight.io.records.run_records import run_record
 from roadsight.report.document import render_report
 from roadsight.report.files import ASSETS, read_assets
 from roadsight.report.result_files import result_files
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("write_report")
 
 
-def write_report(arguments: argparse.Namespace) -> None:
+def write_report(
+    pages_paths: Annotated[Sequence[Path], "page.json of each site"] = (),
+    poles_pages: Annotated[Sequence[Path], "poles/page.json of each site with poles"] = (),
+    evidence: Annotated[Sequence[str], "title=path of further pages, from the report"] = (),
+    *,
+    out: Annotated[Path, "HTML file to write"],
+) -> None:
     """Render the sites' pages into one file."""
     assets = read_assets(ASSETS)
-    pages = [read_json(path) for path in arguments.pages]
-    poles = [read_json(path) for path in arguments.poles_pages]
-    evidence = dict(entry.split("=", 1) for entry in arguments.evidence)
+    pages = [read_json(path) for path in pages_paths]
+    poles = [read_json(path) for path in poles_pages]
     sites = dict.fromkeys(page["summary"]["site"] for page in (*pages, *poles))
-    results = Path(arguments.out).parent
+    results = out.parent
+    further = dict(entry.split("=", 1) for entry in evidence)
     runs = {site: run_record([results / site / "benchmarks"], __version__) for site in sites}
     files = {site: result_files(results, site) for site in sites}
-    html = render_report(pages, poles, assets, get_plotlyjs(), __version__, evidence, runs, files)
-    with atomic_path(arguments.out) as temporary:
+    html = render_report(pages, poles, assets, get_plotlyjs(), __version__, further, runs, files)
+    with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     log.info("%d sites, %.1f MB", len(sites), len(html) / 1e6)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--pages", nargs="*", default=[], help="page.json of each site")
-    parser.add_argument(
-        "--poles-pages", nargs="*", default=[], help="poles/page.json of each site with poles"
-    )
-    parser.add_argument(
-        "--evidence", nargs="*", default=[], help="title=path of further pages, from the report"
-    )
-    parser.add_argument("--out", required=True, help="HTML file to write")
-    return run_stage(parser, write_report, argv)
+main = Command(write_report)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import repeat
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -29,7 +30,7 @@ from roadsight.report.site.layers import CloudSample
 from roadsight.report.site.page import Placement, PlanResult, Relief, Scene, build_page
 from roadsight.report.site.shading import near_measured
 from roadsight.report.site.thinning import sample_mask, thin
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("write_site_page")
 
@@ -43,31 +44,63 @@ _PHOTO_PIXELS = 1500
 """Pixels along the longer side of an orthophoto: half a megabyte of the page."""
 
 
-def write_site_page(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class PlacementResults:
+    """What the placement job wrote; one entry for each plan, sensor or round."""
+
+    sensors: Annotated[Path | None, "definitions of the sensors; needed with --solutions"] = None
+    plans: Annotated[Sequence[str], "NAME=TITLE"] = ()
+    unexamined: Annotated[Path | None, "pavement that no target stands for"] = None
+    targets: Sequence[Path] = ()
+    candidates: Sequence[Path] = ()
+    detections: Sequence[Path] = ()
+    coverage: Sequence[Path] = ()
+    solutions: Sequence[Path] = ()
+    layers: Sequence[Path] = ()
+    tolerances: Sequence[Path] = ()
+    obstacles: Sequence[Path] = ()
+    scans: Sequence[Path] = ()
+
+
+def write_site_page(
+    site: str,
+    summary_path: Path,
+    frame_path: Path,
+    cloud_path: Path,
+    dem_path: Path,
+    pavement: Path,
+    edges: Path,
+    found: PlacementResults,
+    title: Annotated[str, "name of the site for people"] = "",
+    orthophoto: Annotated[Path | None, "picture below the map"] = None,
+    *,
+    out: Path,
+) -> None:
     """Read a site's artifacts and write its page."""
-    about, summary = read_json(arguments.frame), read_json(arguments.summary)
+    about, summary = read_json(frame_path), read_json(summary_path)
     frame = Frame.from_dict(about)
-    dem = read_raster(arguments.dem, frame)
-    cloud, below = sample_cloud(arguments.cloud, dem)
-    if arguments.orthophoto and below:
-        below = {"orthophoto": _orthophoto(arguments.orthophoto, frame, cloud.xyz_m), **below}
+    dem = read_raster(dem_path, frame)
+    cloud, below = sample_cloud(cloud_path, dem)
+    if orthophoto and below:
+        below = {"orthophoto": _orthophoto(orthophoto, frame, cloud.xyz_m), **below}
     heights_m = near_measured(dem.values, dem.measured, dem.cell_size_m)
     scene = Scene(
         about,
         cloud,
         Relief(heights_m, dem.west_m, dem.north_m, dem.cell_size_m),
-        read_layer(arguments.pavement, "pavement", frame),
-        read_layer(arguments.edges, "edges", frame),
+        read_layer(pavement, "pavement", frame),
+        read_layer(edges, "edges", frame),
         below,
     )
-    placement = _placement(arguments, frame) if arguments.solutions else None
-    title = arguments.title or arguments.site
-    page = build_page(title, summary, scene, placement)
+    placement = None
+    if found.solutions and found.sensors:
+        placement = _placement(found, found.sensors, frame)
+    page = build_page(title or site, summary, scene, placement)
     log.info("%d points, %d plans", len(scene.cloud.xyz_m), len(page["plans"]))
-    write_json(arguments.out, page)
+    write_json(out, page)
 
 
-def sample_cloud(path: str, dem: Raster) -> tuple[CloudSample, dict[str, Backdrop]]:
+def sample_cloud(path: Path, dem: Raster) -> tuple[CloudSample, dict[str, Backdrop]]:
     """About 150,000 points of a tiled cloud, even in space, and pictures of it from above.
 
     The points have their height above ground; the pictures are drawn from two million.
@@ -97,7 +130,7 @@ def sample_cloud(path: str, dem: Raster) -> tuple[CloudSample, dict[str, Backdro
     return thinned, backdrops(xyz_m, above_m, intensity, colour)
 
 
-def _orthophoto(path: str, frame: Frame, xyz_m: Floats) -> Backdrop:
+def _orthophoto(path: Path, frame: Frame, xyz_m: Floats) -> Backdrop:
     """What an orthophoto shows of the cloud's box, with at most 1,500 pixels a side."""
     (west, south), (east, north) = xyz_m[:, :2].min(axis=0), xyz_m[:, :2].max(axis=0)
     cell_m = max(float(east - west), float(north - south), 1e-3) / _PHOTO_PIXELS
@@ -106,17 +139,17 @@ def _orthophoto(path: str, frame: Frame, xyz_m: Floats) -> Backdrop:
     return Backdrop(read_orthophoto(path, frame, *place, rows, columns, cell_m), *place, cell_m)
 
 
-def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
+def _placement(found: PlacementResults, sensors: Path, frame: Frame) -> Placement:
     """Results of all plans."""
-    titles = dict(entry.partition("=")[::2] for entry in arguments.plans)
-    solutions = [read_json(path) for path in arguments.solutions]
+    titles = dict(entry.partition("=")[::2] for entry in found.plans)
+    solutions = [read_json(path) for path in found.solutions]
     chosen = {place["candidate"] for solution in solutions for place in solution["sensors"]}
-    detections = read_detections(arguments.detections)
-    definitions = load_sensors(arguments.sensors)
-    names = dict.fromkeys(Path(path).parent.name for path in arguments.detections)
-    coverage = read_json(arguments.coverage[0])["plans"]
-    targets = read_table(arguments.targets[0])
-    files = (arguments.obstacles, arguments.scans)
+    detections = read_detections(found.detections)
+    definitions = load_sensors(sensors)
+    names = dict.fromkeys(path.parent.name for path in found.detections)
+    coverage = read_json(found.coverage[0])["plans"]
+    targets = read_table(found.targets[0])
+    files = (found.obstacles, found.scans)
     plans = [
         _plan(
             solution,
@@ -129,19 +162,19 @@ def _placement(arguments: argparse.Namespace, frame: Frame) -> Placement:
         )
         for solution, layers, lost, *of_plan in zip(
             solutions,
-            arguments.layers,
-            arguments.tolerances or [None] * len(solutions),
+            found.layers,
+            found.tolerances or repeat(None, len(solutions)),
             *files,
             strict=True,
         )
     ]
     return Placement(
         targets,
-        [read_table(path) for path in arguments.candidates],
+        [read_table(path) for path in found.candidates],
         detections[detections["candidate"].isin(chosen)],
         {name: _shown(definitions[name]) for name in names},
         plans,
-        read_layer(arguments.unexamined, "unexamined", frame) if arguments.unexamined else None,
+        read_layer(found.unexamined, "unexamined", frame) if found.unexamined else None,
     )
 
 
@@ -159,8 +192,8 @@ def _plan(
     frame: Frame,
     shares: Floats | None,
     lost: Floats | None,
-    obstacles: str,
-    scans: str,
+    obstacles: Path,
+    scans: Path,
 ) -> PlanResult:
     name = solution["plan"]
     if name not in titles:
@@ -185,7 +218,7 @@ def _plan(
 
 
 def _in_sight(
-    solution: dict[str, Any], layers: str, targets: pd.Series, frame: Frame
+    solution: dict[str, Any], layers: Path, targets: pd.Series, frame: Frame
 ) -> Floats | None:
     """Share of the time in which a plan has each target in sight; None without traffic.
 
@@ -200,21 +233,21 @@ def _in_sight(
     if "availability" not in solution:
         return None
     shares = read_layer(layers, "targets", frame).set_index("target")["availability"]
-    return shares.reindex(targets).fillna(0.0).to_numpy(np.float64)
+    return np.asarray(shares.reindex(targets).fillna(0.0), np.float64)
 
 
-def _lost(layers: str | None, targets: pd.Series, frame: Frame) -> Floats | None:
+def _lost(layers: Path | None, targets: pd.Series, frame: Frame) -> Floats | None:
     """Share of the changes (n,) that lose each target; None where nobody looked."""
     if layers is None:
         return None
     shares = read_layer(layers, "targets", frame).set_index("target")["lost_share"]
-    return shares.reindex(targets).fillna(0.0).to_numpy(np.float64)
+    return np.asarray(shares.reindex(targets).fillna(0.0), np.float64)
 
 
 _NO_RETURNS = np.empty((0, 3)), np.empty(0, np.int64)
 
 
-def _returns(path: str, frame: Frame) -> tuple[Floats, Ints]:
+def _returns(path: Path, frame: Frame) -> tuple[Floats, Ints]:
     """Sample of the simulated returns in local metres, and the number of their sensor, from 0."""
     scan = read_laz(path)
     xyz_m = frame.to_local(scan.xyz)
@@ -223,20 +256,7 @@ def _returns(path: str, frame: Frame) -> tuple[Floats, Ints]:
     return xyz_m[chosen], scan.dims["point_source_id"][chosen].astype(np.int64) - 1
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "summary", "frame", "cloud", "dem", "pavement", "edges", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--title", default="", help="name of the site for people")
-    parser.add_argument("--sensors", help="definitions of the sensors; needed with --solutions")
-    parser.add_argument("--plans", nargs="*", default=[], metavar="NAME=TITLE")
-    parser.add_argument("--unexamined", nargs="?", help="pavement that no target stands for")
-    parser.add_argument("--orthophoto", nargs="?", help="picture below the map")
-    per_site = ("targets", "candidates", "detections", "coverage")
-    for name in (*per_site, "solutions", "layers", "tolerances", "obstacles", "scans"):
-        parser.add_argument(f"--{name}", nargs="*", default=[])
-    return run_stage(parser, write_site_page, argv)
+main = Command(write_site_page)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
 import pandas as pd
 
@@ -12,32 +14,32 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import atomic_path, read_json
 from roadsight.io.vector.vectors import read_layer
 from roadsight.report.handover.stakeout import stakeout
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("write_stakeout")
 
 
-def write_stakeout(arguments: argparse.Namespace) -> None:
+def write_stakeout(
+    frame_path: Path,
+    edges_path: Path,
+    solutions_paths: Annotated[Sequence[Path], "solution.json of each plan"],
+    *,
+    out: Path,
+) -> None:
     """Write the table."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    edges = read_layer(arguments.edges, "edges", frame)
-    solutions = [read_json(path) for path in arguments.solutions]
+    frame = Frame.from_dict(read_json(frame_path))
+    edges = read_layer(edges_path, "edges", frame)
+    solutions = [read_json(path) for path in solutions_paths]
     table = pd.concat(
         [stakeout(found["plan"], found["sensors"], edges, frame) for found in solutions],
         ignore_index=True,
     )
-    with atomic_path(arguments.out) as temporary:
+    with atomic_path(out) as temporary:
         table.to_csv(temporary, index=False)
     log.info("%d sensors of %d plans", len(table), len(solutions))
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frame", "edges", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--solutions", nargs="+", required=True, help="solution.json of each plan")
-    return run_stage(parser, write_stakeout, argv)
+main = Command(write_stakeout)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import pandas as pd
 
@@ -23,37 +23,45 @@ from roadsight.report.evidence.tradeoffs_page import (
     stage_rows,
 )
 from roadsight.report.files import read_assets
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("write_tradeoffs")
 
 
-def write_tradeoffs(arguments: argparse.Namespace) -> None:
+def write_tradeoffs(
+    studies: Annotated[Path, "config/tradeoffs.yaml"],
+    levels_paths: Annotated[Sequence[Path], "in the order of the studies"],
+    base_paths: Annotated[Sequence[Path], "<job>.json of measure_base"],
+    precision: Annotated[Path, "what measure_precision wrote"],
+    length_km: Annotated[float, "road of the pole site"],
+    *,
+    csv: Path,
+    table: Path,
+    page: Path,
+) -> None:
     """Write the CSV file, the plain table and the page."""
-    tradeoffs = load_tradeoffs(arguments.studies)
-    base = {Path(path).stem: read_json(path) for path in arguments.base}
-    levels = _levels(tradeoffs, arguments.levels, base)
+    tradeoffs = load_tradeoffs(studies)
+    base = {path.stem: read_json(path) for path in base_paths}
+    levels = _levels(tradeoffs, levels_paths, base)
     rows = [
         {"study": name, **row}
         for name, study in tradeoffs.studies.items()
         for row in study_rows(study, levels[name])
     ]
-    measured = read_json(arguments.precision)
+    measured = read_json(precision)
     rows += [{"study": "coordinates", **row} for row in precision_rows(measured)]
     for row in rows:
         if row["is_default"] and not row["on_frontier"]:
             log.warning("%s: the default is off the frontier of %s", row["knob"], row["metric"])
-    stages = stage_rows(
-        tradeoffs.published_stages, _pole_costs(tradeoffs, levels), arguments.length_km
-    )
+    stages = stage_rows(tradeoffs.published_stages, _pole_costs(tradeoffs, levels), length_km)
     assets = read_assets((TEMPLATE, *STYLES))
-    _write(arguments.csv, pd.DataFrame(rows)[list(COLUMNS)].to_csv(index=False))
-    _write(arguments.table, plain_table(rows))
-    _write(arguments.page, render_page(tradeoffs.studies, rows, stages, assets, __version__))
+    _write(csv, pd.DataFrame(rows)[list(COLUMNS)].to_csv(index=False))
+    _write(table, plain_table(rows))
+    _write(page, render_page(tradeoffs.studies, rows, stages, assets, __version__))
 
 
 def _levels(
-    tradeoffs: Tradeoffs, files: list[str], base: dict[str, Any]
+    tradeoffs: Tradeoffs, files: Sequence[Path], base: dict[str, Any]
 ) -> dict[str, dict[str, Any]]:
     """Content of the files by study and level, which come in this order."""
     left = iter(files)
@@ -80,22 +88,12 @@ def _pole_costs(tradeoffs: Tradeoffs, levels: dict[str, dict[str, Any]]) -> dict
     return found
 
 
-def _write(path: str, text: str) -> None:
+def _write(path: Path, text: str) -> None:
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--studies", required=True, help="config/tradeoffs.yaml")
-    parser.add_argument("--levels", nargs="+", required=True, help="in the order of the studies")
-    parser.add_argument("--base", nargs="+", required=True, help="<job>.json of measure_base")
-    parser.add_argument("--precision", required=True, help="what measure_precision wrote")
-    parser.add_argument("--length-km", type=float, required=True, help="road of the pole site")
-    for name in ("csv", "table", "page"):
-        parser.add_argument(f"--{name}", required=True)
-    return run_stage(parser, write_tradeoffs, argv)
+main = Command(write_tradeoffs)
 
 
 if __name__ == "__main__":

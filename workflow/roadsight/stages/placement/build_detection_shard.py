@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.sensing import Lidar
+from roadsight.base.sections.sensing import Lidar
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.detections import read_detections, write_detections
 from roadsight.io.records.kept import Kept, key_of, key_of_step
@@ -22,9 +23,9 @@ from roadsight.placement.sensors.sensors import Sensor, load_sensor, what_it_see
 from roadsight.placement.sight.lanes import free_shares
 from roadsight.placement.sight.shapes import Box
 from roadsight.placement.sight.sight import count_beams
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.placement.shared.detection_inputs import (
-    add_detection_arguments,
+    DetectionFiles,
     read_shaped_targets,
     said_of_shape,
     sight_of,
@@ -37,21 +38,29 @@ _MOST_HITS = np.iinfo(np.uint16).max
 """Hits are written in 16 bits; what is nearer than that many need not be told apart."""
 
 
-def build_detection_shard(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ShardFiles(DetectionFiles):
+    """A shard of depth maps and what is looked for in them."""
+
+    azimuth_stride: Annotated[int, Lidar]
+    kept: Annotated[Path | None, "rows of an earlier run, taken over where nothing changed"] = None
+
+
+def build_detection_shard(given: ShardFiles, *, out: Path) -> None:
     """Write a row for each target seen, by candidate and then by target."""
-    targets, feet_m, shape = read_shaped_targets(arguments)
-    traffic = read_traffic(arguments.lanes[0]) if arguments.lanes else None
-    stride = arguments.azimuth_stride
-    sensor = load_sensor(arguments.sensors, arguments.sensor).thinned(stride)
-    maps, poses = _depth_maps(arguments, sensor), read_poses(arguments.candidates)
-    tilts = read_tilts(arguments.tilts)
-    keys = _keys(arguments, maps, poses, tilts)
-    kept = Kept(arguments.kept, _step(arguments, sensor) if arguments.kept else "")
+    targets, feet_m, shape = read_shaped_targets(given)
+    traffic = read_traffic(given.lanes[0]) if given.lanes else None
+    stride = given.azimuth_stride
+    sensor = load_sensor(given.sensors, given.sensor).thinned(stride)
+    maps, poses = _depth_maps(given, sensor), read_poses(given.candidates)
+    tilts = read_tilts(given.tilts)
+    keys = _keys(given, maps, poses, tilts)
+    kept = Kept(given.kept, _step(given, sensor) if given.kept else "")
     known = kept.names(keys)
     log.info("%d of %d candidates are those of an earlier run", len(known), len(keys))
     old = _earlier(kept, known, targets["target"])
     size_m = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
-    sight = sight_of(arguments, arguments.sensor, sensor)
+    sight = sight_of(given, given.sensor, sensor)
     new = maps.only(set(keys) - known) if known else iter(maps)
     names, hits, free = [], [], []
     for name in logged(list(keys), len(keys), log, "candidates"):
@@ -63,11 +72,11 @@ def build_detection_shard(arguments: argparse.Namespace) -> None:
             continue
         found, depth = next(new)
         if found != name:
-            raise InputError("holds its maps in another order", where=arguments.depth)
+            raise InputError("holds its maps in another order", where=str(given.depth))
         *place, yaw_deg = poses[name]
         pose = (np.array(place), yaw_deg)
         beams = stride * count_beams(depth, sensor, *pose, feet_m, size_m, sight, tilts.get(name))
-        seen = np.flatnonzero(beams > arguments.min_beams)
+        seen = np.flatnonzero(beams > given.min_beams)
         if traffic is not None:
             middles = feet_m[seen, :3] + np.array([0.0, 0.0, shape.height_m / 2])
             shares = free_shares(traffic.lanes, pose[0], middles)
@@ -80,13 +89,13 @@ def build_detection_shard(arguments: argparse.Namespace) -> None:
     if traffic is not None:
         detections["availability"] = np.concatenate([[], *free]).astype(np.float32)
     log.info("%d candidates, %d targets, %d seen", len(names), len(targets), len(detections))
-    about = said_of_shape(arguments, shape)
-    write_detections(arguments.out, detections, {"sensor": arguments.sensor, **about})
-    kept.keep(arguments.out, keys)
+    about = said_of_shape(given, shape)
+    write_detections(out, detections, {"sensor": given.sensor, **about})
+    kept.keep(out, keys)
 
 
 def _keys(
-    arguments: argparse.Namespace,
+    given: ShardFiles,
     maps: DepthMaps,
     poses: dict[str, Floats],
     tilts: dict[str, Floats],
@@ -97,11 +106,11 @@ def _keys(
         if name not in poses:
             raise InputError(
                 f"has depth maps of the unknown candidate {name!r}",
-                where=arguments.depth,
-                hint=f"render it again for {arguments.candidates}",
+                where=str(given.depth),
+                hint=f"render it again for {given.candidates}",
             )
         keys[name] = ""
-    if arguments.kept:
+    if given.kept:
         for name, stored in maps.stored(keys):
             tilt = tilts.get(name)
             leaning = None if tilt is None else tilt.tolist()
@@ -109,12 +118,12 @@ def _keys(
     return keys
 
 
-def _step(arguments: argparse.Namespace, sensor: Sensor) -> str:
+def _step(given: ShardFiles, sensor: Sensor) -> str:
     """Key of all that the rows of a shard rest on, beside the candidates and their maps."""
-    files = [arguments.targets, *arguments.air, *arguments.reflectivity, *arguments.lanes]
+    files = [given.targets, *given.air, *given.reflectivity, *given.lanes]
     names = ("radius_m", "height_m", "box", "min_beams", "azimuth_stride", "partial_hits")
-    settings = [getattr(arguments, name) for name in (*names, "curvature")]
-    return key_of_step(files, arguments.sensor, what_it_sees(sensor), settings)
+    settings = [getattr(given, name) for name in (*names, "curvature")]
+    return key_of_step(files, given.sensor, what_it_sees(sensor), settings)
 
 
 def _earlier(kept: Kept, known: set[str], targets: pd.Series) -> dict[str, pd.DataFrame]:
@@ -147,27 +156,21 @@ def _table(names: list[str], hits: list[pd.Series], targets: pd.Series) -> pd.Da
     )
 
 
-def _depth_maps(arguments: argparse.Namespace, sensor: Sensor) -> DepthMaps:
-    maps = DepthMaps(arguments.depth)
+def _depth_maps(given: ShardFiles, sensor: Sensor) -> DepthMaps:
+    maps = DepthMaps(given.depth)
     found = (maps.info.sensor, maps.info.rows, maps.info.columns)
-    if found != (arguments.sensor, *sensor.shape):
+    if found != (given.sensor, *sensor.shape):
         raise InputError(
             "is of another sensor",
-            where=arguments.depth,
+            where=str(given.depth),
             found=f"{found[0]}, {found[1]} x {found[2]} beams",
-            allowed=f"{arguments.sensor}, {sensor.rows} x {sensor.columns} beams",
+            allowed=f"{given.sensor}, {sensor.rows} x {sensor.columns} beams",
             hint="delete it and run the workflow again",
         )
     return maps
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_detection_arguments(parser)
-    parser.add_argument("--kept", help="rows of an earlier run, taken over where nothing changed")
-    add_settings(parser, Lidar, "azimuth_stride")
-    return run_stage(parser, build_detection_shard, argv)
+main = Command(build_detection_shard)
 
 
 if __name__ == "__main__":

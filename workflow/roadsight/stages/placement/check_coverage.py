@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
 import pandas as pd
 
@@ -14,58 +16,57 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.detections import read_seen_targets
 from roadsight.io.records.tables import read_table
-from roadsight.stages.command import run_stage
-from roadsight.stages.placement.shared.allowed import add_allowed_arguments, allowed_candidates
+from roadsight.stages.command import Command
+from roadsight.stages.placement.shared.allowed import AllowedFiles, allowed_candidates
 
 log = logging.getLogger("check_coverage")
 
 
-def check_coverage(arguments: argparse.Namespace) -> None:
+def check_coverage(
+    targets_path: Path,
+    candidates_paths: Sequence[Path],
+    detections: Sequence[Path],
+    plans: Annotated[Sequence[str], "plan=sensor,sensor"],
+    rules: AllowedFiles,
+    frame_path: Annotated[Path | None, "needed with zones and rules of mounting"] = None,
+    *,
+    out: Path,
+) -> None:
     """Write the uncovered targets of each plan."""
-    targets = pd.Index(read_table(arguments.targets)["target"])
+    targets = pd.Index(read_table(targets_path)["target"])
     if targets.empty:
         raise InputError(
             "no target: no pavement cell has enough points",
-            where=arguments.targets,
+            where=str(targets_path),
             hint="lower targets.min_points or raise targets.cell_size_m",
         )
-    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
+    candidates = pd.concat([read_table(path) for path in candidates_paths], ignore_index=True)
     allowed = None
-    if arguments.frame:
-        frame = Frame.from_dict(read_json(arguments.frame))
-        free, _, _ = allowed_candidates(arguments, candidates, frame)
+    if frame_path:
+        frame = Frame.from_dict(read_json(frame_path))
+        free, _, _ = allowed_candidates(rules, candidates, frame_path, frame)
         allowed = None if free.all() else set(candidates["candidate"][free].astype(str))
         log.info("%d of %d candidates may carry a sensor", free.sum(), len(free))
     seen: dict[str, set[str]] = defaultdict(set)
-    for path in arguments.detections:
+    for path in detections:
         sensor, names = read_seen_targets(path, allowed)
         seen[sensor] |= set(names)
-    plans = {}
-    for entry in arguments.plans:
+    told = {}
+    for entry in plans:
         name, _, sensors = entry.partition("=")
         covered = set().union(*(seen[sensor] for sensor in sensors.split(",")))
         gaps = targets[~targets.isin(covered)]
-        plans[name] = {
+        told[name] = {
             "uncovered": list(gaps),
             "covered_share": 1 - len(gaps) / len(targets),
         }
         log.info("%s: %d of %d targets uncovered", name, len(gaps), len(targets))
     count = len(candidates) if allowed is None else len(allowed)
-    content = {"targets": len(targets), "candidates": count, "plans": plans}
-    write_json(arguments.out, content)
+    content = {"targets": len(targets), "candidates": count, "plans": told}
+    write_json(out, content)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--targets", required=True)
-    parser.add_argument("--candidates", nargs="+", required=True)
-    parser.add_argument("--detections", nargs="+", required=True)
-    parser.add_argument("--plans", nargs="+", required=True, help="plan=sensor,sensor")
-    parser.add_argument("--frame", help="needed with zones and rules of mounting")
-    add_allowed_arguments(parser)
-    parser.add_argument("--out", required=True)
-    return run_stage(parser, check_coverage, argv)
+main = Command(check_coverage)
 
 
 if __name__ == "__main__":

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Floats
-from roadsight.base.options import add_settings
-from roadsight.config.sections.placement import Coverage
+from roadsight.base.sections.placement import Coverage
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.poses import FOR_SENSORS
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.placement.candidates.positions import near_gaps, positions_along
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.placement.place_candidates import (
     COLUMNS,
-    add_candidate_arguments,
+    CandidateFiles,
     allowed_positions,
     candidates_at,
     read_road,
@@ -29,28 +30,37 @@ from roadsight.stages.placement.place_candidates import (
 log = logging.getLogger("densify_candidates")
 
 
-def densify_candidates(arguments: argparse.Namespace) -> None:
+def densify_candidates(
+    given: CandidateFiles,
+    round_: int,
+    coverage: Annotated[Path, "coverage of the round before"],
+    targets: Path,
+    candidates: Annotated[Sequence[Path], "of all rounds before"],
+    plans: Annotated[Sequence[str], "plan=sensor,sensor"],
+    radius_m: Annotated[float, Coverage],
+    *,
+    out: Path,
+) -> None:
     """Write the new candidates of a round: half the spacing of the round before, near gaps only."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    known = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
-    gaps = _gaps_by_sensor(arguments)
+    frame = Frame.from_dict(read_json(given.frame))
+    known = pd.concat([read_table(path) for path in candidates], ignore_index=True)
+    gaps = _gaps_by_sensor(plans, targets, coverage)
     every = np.concatenate([np.empty((0, 2)), *gaps.values()])
     denser = known.iloc[:0]
     if len(every):
-        finer = 2**arguments.round
-        edges, pavement = read_road(arguments, frame)
-        positions = positions_along(edges, pavement, arguments.spacing_m / finer)
-        positions = allowed_positions(positions, pavement, arguments, frame)
-        positions = positions[near_gaps(positions, every, arguments.radius_m)]
+        finer = 2**round_
+        edges, pavement = read_road(given.edges, given.pavement, frame)
+        positions = positions_along(edges, pavement, given.settings.spacing_m / finer)
+        positions = allowed_positions(positions, pavement, given, frame)
+        positions = positions[near_gaps(positions, every, radius_m)]
         if len(positions):
-            step_m = arguments.height_step_m / finer
+            step_m = given.settings.height_step_m / finer
+            settings = given.settings.model_copy(update={"height_step_m": step_m})
             positions = positions.reset_index(drop=True)
-            denser = candidates_at(positions, arguments, frame, step_m, pavement)
+            denser = candidates_at(positions, given, settings, frame, pavement)
             denser = denser[~denser["candidate"].isin(known["candidate"])]
     denser = denser[COLUMNS].astype(known[COLUMNS].dtypes).reset_index(drop=True)
-    near = {
-        sensor: near_gaps(denser, gaps_xy, arguments.radius_m) for sensor, gaps_xy in gaps.items()
-    }
+    near = {sensor: near_gaps(denser, gaps_xy, radius_m) for sensor, gaps_xy in gaps.items()}
     denser[FOR_SENSORS] = [
         " ".join(sensor for sensor, found in near.items() if found[row])
         for row in range(len(denser))
@@ -58,18 +68,20 @@ def densify_candidates(arguments: argparse.Namespace) -> None:
     denser[FOR_SENSORS] = denser[FOR_SENSORS].astype(str)
     counts = ", ".join(f"{sensor}: {found.sum()}" for sensor, found in near.items())
     log.info("%d new candidates (%s)", len(denser), counts or "no gap")
-    write_table(arguments.out, denser)
+    write_table(out, denser)
 
 
-def _gaps_by_sensor(arguments: argparse.Namespace) -> dict[str, Floats]:
+def _gaps_by_sensor(
+    plans: Sequence[str], targets_path: Path, coverage_path: Path
+) -> dict[str, Floats]:
     """Places (n, 2) of the targets that no plan's sensors see, for each sensor of such a plan.
 
     A sensor all of whose plans see everything has no gap, and gets no denser candidates.
     """
-    coverage = read_json(arguments.coverage)["plans"]
-    targets = read_table(arguments.targets)
+    coverage = read_json(coverage_path)["plans"]
+    targets = read_table(targets_path)
     open_targets: dict[str, set[str]] = {}
-    for entry in arguments.plans:
+    for entry in plans:
         plan, _, sensors = entry.partition("=")
         for sensor in sensors.split(","):
             open_targets.setdefault(sensor, set()).update(coverage[plan]["uncovered"])
@@ -80,17 +92,7 @@ def _gaps_by_sensor(arguments: argparse.Namespace) -> dict[str, Floats]:
     }
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_candidate_arguments(parser)
-    parser.add_argument("--round", type=int, required=True)
-    parser.add_argument("--coverage", required=True, help="coverage of the round before")
-    parser.add_argument("--targets", required=True)
-    parser.add_argument("--candidates", nargs="+", required=True, help="of all rounds before")
-    parser.add_argument("--plans", nargs="+", required=True, help="plan=sensor,sensor")
-    add_settings(parser, Coverage, "radius_m")
-    return run_stage(parser, densify_candidates, argv)
+main = Command(densify_candidates)
 
 
 if __name__ == "__main__":

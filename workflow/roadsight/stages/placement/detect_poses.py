@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from collections.abc import Iterator
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sensing import Targets
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.detections import write_detections
 from roadsight.io.records.lanes import SiteTraffic, read_traffic
@@ -23,9 +25,9 @@ from roadsight.placement.sight.detectors import Criteria, detector_of
 from roadsight.placement.sight.lanes import free_shares
 from roadsight.placement.sight.posed import Panorama
 from roadsight.placement.sight.shapes import Shape
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.placement.shared.detection_inputs import (
-    add_detection_arguments,
+    DetectionFiles,
     read_shaped_targets,
     said_of_shape,
     sight_of,
@@ -38,16 +40,27 @@ _MOST_HITS = np.iinfo(np.uint16).max
 """Hits are written in 16 bits; what is nearer than that many need not be told apart."""
 
 
-def detect_poses(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True, kw_only=True)
+class PoseFiles(DetectionFiles):
+    """What is tried of a sensor, and what its kind needs to see a target."""
+
+    yaw_deg: Sequence[float] = (0.0,)
+    pitch_deg: Sequence[float] = (0.0,)
+    roll_deg: Sequence[float] = (0.0,)
+    rcs_m2: Annotated[float, Targets]
+    min_pixels: Annotated[int | None, "what cameras need, not their definitions'"] = None
+
+
+def detect_poses(given: PoseFiles, *, out: Path) -> None:
     """Write a row for each target seen, by candidate, pose and target; ``hits`` as measured."""
-    targets, feet_m, shape = read_shaped_targets(arguments)
-    traffic = read_traffic(arguments.lanes[0]) if arguments.lanes else None
-    sensor = load_sensors(arguments.sensors)[arguments.sensor]
-    turns = turns_of(arguments.yaw_deg, arguments.pitch_deg, arguments.roll_deg)
-    detector = detector_of(sensor, _criteria(arguments))
-    sight = sight_of(arguments, arguments.sensor, sensor)
-    tilts, parts, tried = read_tilts(arguments.tilts), [], 0
-    for name, panorama in _panoramas(arguments):
+    targets, feet_m, shape = read_shaped_targets(given)
+    traffic = read_traffic(given.lanes[0]) if given.lanes else None
+    sensor = load_sensors(given.sensors)[given.sensor]
+    turns = turns_of(given.yaw_deg, given.pitch_deg, given.roll_deg)
+    detector = detector_of(sensor, _criteria(given))
+    sight = sight_of(given, given.sensor, sensor)
+    tilts, parts, tried = read_tilts(given.tilts), [], 0
+    for name, panorama in _panoramas(given):
         rotations = [local_from_sensor(panorama.yaw_deg, t, tilts.get(name)) for t in turns]
         measured = np.stack(
             [detector.measure(panorama, turned, feet_m, shape, sight) for turned in rotations]
@@ -61,15 +74,15 @@ def detect_poses(arguments: argparse.Namespace) -> None:
                 part["availability"] = shares[found]
             parts.append((pose_name(name, turns[row]), pd.DataFrame(part)))
     log.info("%d of %d poses kept", len(parts), tried)
-    about: dict[str, Any] = {**said_of_shape(arguments, shape)}
-    about |= {"sensor": arguments.sensor, "unit": detector.unit}
+    about: dict[str, Any] = {**said_of_shape(given, shape)}
+    about |= {"sensor": given.sensor, "unit": detector.unit}
     about |= {"poses_tried": tried, "poses_kept": len(parts)}
     names = targets["target"].astype(str)
-    write_detections(arguments.out, _table(parts, names, traffic is not None), about)
+    write_detections(out, _table(parts, names, traffic is not None), about)
 
 
-def _criteria(arguments: argparse.Namespace) -> Criteria:
-    return Criteria(arguments.min_beams, arguments.rcs_m2, arguments.min_pixels)
+def _criteria(given: PoseFiles) -> Criteria:
+    return Criteria(given.min_beams, given.rcs_m2, given.min_pixels)
 
 
 def _often(
@@ -89,17 +102,17 @@ def _often(
     return seen & (shares >= traffic.availability), shares
 
 
-def _panoramas(arguments: argparse.Namespace) -> Iterator[tuple[str, Panorama]]:
+def _panoramas(given: PoseFiles) -> Iterator[tuple[str, Panorama]]:
     """Candidates in the order of their panoramas."""
-    maps, poses = DepthMaps(arguments.depth), read_poses(arguments.candidates)
-    meant = read_poses(arguments.candidates, arguments.sensor)
-    beams = load_sensor(arguments.sensors, maps.info.sensor)
+    maps, poses = DepthMaps(given.depth), read_poses(given.candidates)
+    meant = read_poses(given.candidates, given.sensor)
+    beams = load_sensor(given.sensors, maps.info.sensor)
     for name, depth in logged(maps, len(maps), log, "candidates"):
         if name not in poses:
             raise InputError(
                 f"has depth maps of the unknown candidate {name!r}",
-                where=arguments.depth,
-                hint=f"render it again for {arguments.candidates}",
+                where=str(given.depth),
+                hint=f"render it again for {given.candidates}",
             )
         if name not in meant:
             continue  # a denser candidate for the gaps of other sensors
@@ -130,15 +143,7 @@ def _table(
     return table
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_detection_arguments(parser)
-    for name in ("yaw-deg", "pitch-deg", "roll-deg"):
-        parser.add_argument(f"--{name}", type=float, nargs="+", default=[0.0])
-    parser.add_argument("--rcs-m2", type=float, default=0.16, help="radar cross-section of targets")
-    parser.add_argument("--min-pixels", type=int, help="what cameras need, not their definitions'")
-    return run_stage(parser, detect_poses, argv)
+main = Command(detect_poses)
 
 
 if __name__ == "__main__":

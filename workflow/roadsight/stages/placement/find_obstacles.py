@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 from scipy.spatial import cKDTree
 
-from roadsight.base.options import add_settings
-from roadsight.config.sections.sensing import Lidar
+from roadsight.base.engines import Engine
+from roadsight.base.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
@@ -37,8 +39,8 @@ from roadsight.placement.sight.obstacles import (
     group_obstacles,
     pairs_in_range,
 )
-from roadsight.stages.command import run_stage
-from roadsight.stages.placement.shared.allowed import add_allowed_arguments, allowed_candidates
+from roadsight.stages.command import Command
+from roadsight.stages.placement.shared.allowed import AllowedFiles, allowed_candidates
 
 log = logging.getLogger("find_obstacles")
 
@@ -49,50 +51,72 @@ _GROUND_M = 0.3
 """Obstacles lower than this above the terrain model are told as ground: a bank, a crest."""
 
 
-def find_obstacles(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True, kw_only=True)
+class ObstacleFiles(AllowedFiles):
+    """A plan and what tells why it does not see some targets."""
+
+    solution: Path
+    coverage: Path
+    plan: str
+    targets: Path
+    surfels: Path
+    dem: Path
+    frame: Path
+    sensors: Path
+    candidates: Sequence[Path]
+    detections: Sequence[Path]
+    engine: Annotated[Engine, Lidar]
+    air: Annotated[Sequence[Path], "what rain and fog take out of beams"] = ()
+    reflectivity: Annotated[Sequence[Path], "ranges to dark targets"] = ()
+    lanes: Annotated[Sequence[Path], "lanes and their traffic"] = ()
+    objects: Annotated[Path | None, "surfels of the objects of the scene"] = None
+    target_height_m: float = 0.6
+
+
+def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
     """Write layers ``obstacles`` (by cubic metre) and ``uncovered`` (targets and reasons)."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    solution = read_json(arguments.solution)
-    targets = read_table(arguments.targets)
-    sensors = load_sensors(arguments.sensors)
-    lidar = SurfelLidar(read_surfels(arguments.surfels), engine=arguments.engine)
+    frame = Frame.from_dict(read_json(given.frame))
+    solution = read_json(given.solution)
+    targets = read_table(given.targets)
+    sensors = load_sensors(given.sensors)
+    lidar = SurfelLidar(read_surfels(given.surfels), engine=given.engine)
 
     def cast(origin_m: np.ndarray, directions: np.ndarray) -> np.ndarray:
         reach_m = lidar.cast(origin_m, directions)
         return np.where(np.isinf(reach_m), 0.0, reach_m)
 
-    lines = _blocked(arguments, solution, targets, sensors, cast)
+    lines = _blocked(given, solution, targets, sensors, cast)
     obstacles = group_obstacles(lines)
-    dem = read_raster(arguments.dem, frame)
+    dem = read_raster(given.dem, frame)
     ground = dem.sample(obstacles["x"].to_numpy(), obstacles["y"].to_numpy())
     obstacles["height_m"] = obstacles["z"] - ground
     obstacles["kind"] = np.where(obstacles["height_m"] < _GROUND_M, "ground", "object")
-    gaps = _gaps(arguments, targets, sensors, cast, frame)
+    gaps = _gaps(given, targets, sensors, cast, frame)
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
-    objects = _objects(arguments, lines)
-    _name_obstacles(arguments, obstacles)
+    objects = _objects(given, lines)
+    _name_obstacles(given, obstacles)
     layers = {
         "obstacles": _points(obstacles),
         "uncovered": _points(gaps),
         "objects": _points(objects),
     }
-    write_layers(arguments.out, layers, frame, dict.fromkeys(layers, "Point Z"))
+    write_layers(out, layers, frame, dict.fromkeys(layers, "Point Z"))
 
 
-def _objects(arguments: argparse.Namespace, lines: pd.DataFrame) -> pd.DataFrame:
+def _objects(given: ObstacleFiles, lines: pd.DataFrame) -> pd.DataFrame:
     """Objects with what they hide from the chosen sensors, the greatest first."""
-    members = read_table(arguments.objects) if arguments.objects else pd.DataFrame()
+    members = read_table(given.objects) if given.objects else pd.DataFrame()
     table = by_object(lines, members).rename(columns={"object": "name"})
     table["kind"] = [kind_of_name(name) for name in table["name"]]
     numbers = ["x", "y", "z", "sight_lines", "targets", "sensors"]
     return table.astype(dict.fromkeys(numbers, np.float64))
 
 
-def _name_obstacles(arguments: argparse.Namespace, obstacles: pd.DataFrame) -> None:
+def _name_obstacles(given: ObstacleFiles, obstacles: pd.DataFrame) -> None:
     """Say of obstacles above the ground what kind of object they belong to."""
-    if not arguments.objects or obstacles.empty:
+    if not given.objects or obstacles.empty:
         return
-    members = read_table(arguments.objects)
+    members = read_table(given.objects)
     above = (obstacles["kind"] != "ground").to_numpy()
     if members.empty:
         obstacles.loc[above, "kind"] = STRAY
@@ -106,8 +130,8 @@ def _name_obstacles(arguments: argparse.Namespace, obstacles: pd.DataFrame) -> N
 
 
 def _blocked(
-    arguments: argparse.Namespace,
-    solution: dict,
+    given: ObstacleFiles,
+    solution: dict[str, Any],
     targets: pd.DataFrame,
     sensors: dict[str, AnySensor],
     cast: Cast,
@@ -117,12 +141,12 @@ def _blocked(
     ranges = np.array([sensors[name].range_m for name in chosen["sensor"]])
     pairs = pairs_in_range(chosen, targets, ranges)
     pairs = pairs[_in_view(pairs, solution["sensors"], sensors)].reset_index(drop=True)
-    seen = read_detections(arguments.detections)
+    seen = read_detections(given.detections)
     seen = seen[seen["candidate"].isin(chosen["candidate"])]
     keys = pd.MultiIndex.from_frame(pairs[["candidate", "target"]])
     hidden = ~keys.isin(pd.MultiIndex.from_frame(seen[["candidate", "target"]]))
     pairs = pairs[hidden].reset_index(drop=True)
-    return pairs.join(blocked_sight_lines(pairs, arguments.target_height_m, cast))
+    return pairs.join(blocked_sight_lines(pairs, given.target_height_m, cast))
 
 
 def _in_view(
@@ -146,22 +170,22 @@ def _in_view(
 
 
 def _gaps(
-    arguments: argparse.Namespace,
+    given: ObstacleFiles,
     targets: pd.DataFrame,
     sensors: dict[str, AnySensor],
     cast: Cast,
     frame: Frame,
 ) -> pd.DataFrame:
     """Targets that no candidate of the plan sees."""
-    uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
-    names = read_json(arguments.solution)["sensor_types"]
-    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
-    candidates = candidates[allowed_candidates(arguments, candidates, frame)[0]]
+    uncovered = read_json(given.coverage)["plans"][given.plan]["uncovered"]
+    names = read_json(given.solution)["sensor_types"]
+    candidates = pd.concat([read_table(path) for path in given.candidates], ignore_index=True)
+    candidates = candidates[allowed_candidates(given, candidates, given.frame, frame)[0]]
     candidates = candidates.reset_index(drop=True)
     range_m = max(sensors[name].range_m for name in names)
     gaps = targets[targets["target"].isin(uncovered)].reset_index(drop=True)
-    gaps = explain_gaps(gaps, candidates, range_m, arguments.target_height_m, cast)
-    gaps["reason"] = _with_effects(arguments, gaps, candidates, {n: sensors[n] for n in names})
+    gaps = explain_gaps(gaps, candidates, range_m, given.target_height_m, cast)
+    gaps["reason"] = _with_effects(given, gaps, candidates, {n: sensors[n] for n in names})
     if any(isinstance(sensors[name], AimedSensor) for name in names):
         other = "out of view, or too few beams, pixels or echo"
         gaps["reason"] = gaps["reason"].replace("too few beams", other)
@@ -169,24 +193,24 @@ def _gaps(
 
 
 def _with_effects(
-    arguments: argparse.Namespace,
+    given: ObstacleFiles,
     gaps: pd.DataFrame,
     candidates: pd.DataFrame,
     sensors: dict[str, AnySensor],
 ) -> pd.Series:
     """Reasons with those of weather, dark targets and traffic, where these are simulated."""
-    air = [read_json(path)["extinction_per_m"] for path in arguments.air]
-    dark = [read_json(path)["target_range_m"] for path in arguments.reflectivity]
+    air = [read_json(path)["extinction_per_m"] for path in given.air]
+    dark = [read_json(path)["target_range_m"] for path in given.reflectivity]
     bright_m = max(_reach_m(n, s, s.range_m, air) for n, s in sensors.items())
     dark_m = max(
         _reach_m(n, s, min([s.range_m, *(table.get(n, np.inf) for table in dark)]), air)
         for n, s in sensors.items()
     )
     often = None
-    if arguments.lanes and len(gaps):
-        traffic = read_traffic(arguments.lanes[0])
+    if given.lanes and len(gaps):
+        traffic = read_traffic(given.lanes[0])
         place = (gaps, candidates, traffic.lanes, traffic.availability)
-        often = hidden_too_often(*place, arguments.target_height_m)
+        often = hidden_too_often(*place, given.target_height_m)
     return refine_reasons(gaps, bright_m, dark_m, often)
 
 
@@ -206,22 +230,7 @@ def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
     return gpd.GeoDataFrame(columns, geometry=geometry)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    names = ("solution", "coverage", "plan", "targets", "surfels", "dem", "frame", "sensors", "out")
-    for name in names:
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--candidates", nargs="+", required=True)
-    parser.add_argument("--detections", nargs="+", required=True)
-    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
-    parser.add_argument("--reflectivity", nargs="*", default=[], help="ranges to dark targets")
-    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
-    parser.add_argument("--objects", nargs="?", help="surfels of the objects of the scene")
-    add_allowed_arguments(parser)
-    parser.add_argument("--target-height-m", type=float, default=0.6)
-    add_settings(parser, Lidar, "engine")
-    return run_stage(parser, find_obstacles, argv)
+main = Command(find_obstacles)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
 import geopandas as gpd
 import numpy as np
@@ -19,7 +21,7 @@ from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.sight.objects import objects_of
 from roadsight.scene.surfels.surfels import Surfels
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("gather_objects")
 
@@ -27,37 +29,49 @@ _LISTED = 12
 """No more objects than these are listed in a message."""
 
 
-def gather_objects(arguments: argparse.Namespace) -> None:
+def gather_objects(
+    site: str,
+    surfels_path: Path,
+    dem_path: Path,
+    frame_path: Path,
+    remove: Annotated[Sequence[str], "names of objects"] = (),
+    *,
+    objects_path: Path,
+    members: Path,
+    left_path: Path,
+) -> None:
     """Write the objects, which surfels are theirs, and the surfels that are left.
 
     Objects that are removed stay in the layer, marked so, and own no surfels.
     """
-    frame = Frame.from_dict(read_json(arguments.frame))
-    surfels = read_surfels(arguments.surfels)
-    dem = read_raster(arguments.dem, frame)
+    frame = Frame.from_dict(read_json(frame_path))
+    surfels = read_surfels(surfels_path)
+    dem = read_raster(dem_path, frame)
     ground = dem.sample(surfels.centre_m[:, 0], surfels.centre_m[:, 1])
     height_m = surfels.centre_m[:, 2].astype(np.float64) - ground
     row, objects = objects_of(surfels.centre_m, surfels.normal, height_m)
-    removed = _removed(arguments, objects)
+    removed = _removed(remove, site, objects_path, objects)
     objects["removed"] = objects["name"].isin(removed).astype(np.int32)
     gone = np.isin(row, np.flatnonzero(objects["removed"]))
     left = Surfels(surfels.centre_m[~gone], surfels.normal[~gone], surfels.half_m[~gone])
-    write_surfels(arguments.left, left, {"removed": sorted(removed)})
+    write_surfels(left_path, left, {"removed": sorted(removed)})
     centres = pd.DataFrame(surfels.centre_m, columns=["x", "y", "z"])
     stays = (row >= 0) & ~gone
     part = centres[stays].reset_index(drop=True)
     part["object"] = pd.Categorical(objects["name"].to_numpy()[row[stays]])
-    write_table(arguments.members, part)
+    write_table(members, part)
     layer = gpd.GeoDataFrame(
         objects.drop(columns=["x", "y", "z"]),
         geometry=gpd.points_from_xy(objects["x"], objects["y"], objects["z"]),
     )
-    write_layers(arguments.objects, {"objects": layer}, frame, {"objects": "Point Z"})
+    write_layers(objects_path, {"objects": layer}, frame, {"objects": "Point Z"})
     kinds = ", ".join(f"{n} {kind}" for kind, n in objects["kind"].value_counts().items())
     log.info("%d objects (%s); %d removed", len(objects), kinds, len(removed))
 
 
-def _removed(arguments: argparse.Namespace, objects: pd.DataFrame) -> set[str]:
+def _removed(
+    remove: Sequence[str], site: str, objects_path: Path, objects: pd.DataFrame
+) -> set[str]:
     """Names of the objects that the site removes.
 
     Raises
@@ -65,29 +79,23 @@ def _removed(arguments: argparse.Namespace, objects: pd.DataFrame) -> set[str]:
     InputError : there is no object of such a name.
     """
     known = [str(name) for name in objects["name"]]
-    for name in arguments.remove:
+    for name in remove:
         if name not in known:
             close = nearest(name, known)
             few = close.startswith("did you mean") or len(known) <= _LISTED
             raise InputError(
                 "no object of the scene has this name",
-                where=f"site {arguments.site}: placement.remove",
+                where=f"site {site}: placement.remove",
                 found=name,
                 hint=f"{close}; "
                 * few
                 + f"the {len(known)} objects are named in the layer objects of"
-                f" {arguments.objects} once the site has run without this entry",
+                f" {objects_path} once the site has run without this entry",
             )
-    return set(arguments.remove)
+    return set(remove)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "surfels", "dem", "frame", "objects", "members", "left"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--remove", nargs="*", default=[], help="names of objects")
-    return run_stage(parser, gather_objects, argv)
+main = Command(gather_objects)
 
 
 if __name__ == "__main__":

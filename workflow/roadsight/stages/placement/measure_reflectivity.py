@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
@@ -19,25 +21,33 @@ from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.sensors.light import reflectivity_range_m
 from roadsight.placement.sensors.sensors import Rosette, Sensor, load_sensors
 from roadsight.scene.pavement.reflectivity import reflectivity_of, voxel_means
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("measure_reflectivity")
 
 
-def measure_reflectivity(arguments: argparse.Namespace) -> None:
+def measure_reflectivity(
+    cloud: Path,
+    frame: Path,
+    pavement: Path,
+    sensors: str,
+    names: Annotated[Sequence[str], "names of the sensors"],
+    target_reflectivity: float,
+    *,
+    surfaces: Path,
+    out: Path,
+) -> None:
     """Write ranges by sensor, and the reflectivity of surfaces from the cloud's intensities."""
-    definitions = load_sensors(arguments.sensors)
-    rho = arguments.target_reflectivity
+    definitions = load_sensors(sensors)
+    rho = target_reflectivity
     lidars = {
-        name: sensor
-        for name in arguments.names
-        if isinstance(sensor := definitions[name], Sensor | Rosette)
+        name: sensor for name in names if isinstance(sensor := definitions[name], Sensor | Rosette)
     }
     ranges = {name: _target_range_m(sensor, rho) for name, sensor in lidars.items()}
-    write_table(arguments.surfaces, _surfaces(arguments))
+    write_table(surfaces, _surfaces(cloud, frame, pavement))
     for name, range_m in ranges.items():
         log.info("%s sees targets of reflectivity %g up to %.1f m", name, rho, range_m)
-    write_json(arguments.out, {"target_reflectivity": rho, "target_range_m": ranges})
+    write_json(out, {"target_reflectivity": rho, "target_range_m": ranges})
 
 
 def _target_range_m(sensor: Sensor | Rosette, reflectivity: float) -> float:
@@ -45,12 +55,12 @@ def _target_range_m(sensor: Sensor | Rosette, reflectivity: float) -> float:
     return float(reflectivity_range_m(sensor, reflectivity)) if reflectivity else sensor.range_m
 
 
-def _surfaces(arguments: argparse.Namespace) -> pd.DataFrame:
+def _surfaces(cloud_path: Path, frame_path: Path, pavement_path: Path) -> pd.DataFrame:
     """Places of half a metre and the reflectivity of what is there."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    pavement = MultiPolygon(list(read_layer(arguments.pavement, "pavement", frame).geometry))
+    frame = Frame.from_dict(read_json(frame_path))
+    pavement = MultiPolygon(list(read_layer(pavement_path, "pavement", frame).geometry))
     shapely.prepare(pavement)
-    cloud = CloudTiles(arguments.cloud)
+    cloud = CloudTiles(cloud_path)
     parts, paved = [], []
     for number in range(len(cloud.tiles)):
         points = cloud.read(("x", "y", "z", "intensity"), [number])
@@ -63,14 +73,7 @@ def _surfaces(arguments: argparse.Namespace) -> pd.DataFrame:
     return table.drop(columns="intensity")
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "frame", "pavement", "sensors", "surfaces", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--names", nargs="+", required=True, help="names of the sensors")
-    parser.add_argument("--target-reflectivity", type=float, required=True)
-    return run_stage(parser, measure_reflectivity, argv)
+main = Command(measure_reflectivity)
 
 
 if __name__ == "__main__":

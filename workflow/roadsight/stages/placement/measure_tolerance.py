@@ -2,32 +2,30 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
 
-from roadsight.base.options import add_settings
-from roadsight.config.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.vector.vectors import write_layers
 from roadsight.placement.plans.tolerance import lost_shares, tolerance_of
-from roadsight.placement.sight.detection import MIN_BEAMS
-from roadsight.stages.command import run_stage
-from roadsight.stages.placement.shared.changed_sight import ChangedSight, add_change_arguments
-from roadsight.stages.placement.shared.detection_inputs import add_sight_arguments
+from roadsight.stages.command import Command
+from roadsight.stages.placement.shared.changed_sight import ChangedFiles, ChangedSight
 
 log = logging.getLogger("measure_tolerance")
 
 
-def measure_tolerance(arguments: argparse.Namespace) -> None:
+def measure_tolerance(
+    given: ChangedFiles, solution_path: Path, frame_path: Path, *, out: Path, layers: Path
+) -> None:
     """Write a table of losses, and the targets with how often each is lost."""
-    solution = read_json(arguments.solution)
-    frame = Frame.from_dict(read_json(arguments.frame))
-    sight = ChangedSight(arguments)
+    solution = read_json(solution_path)
+    frame = Frame.from_dict(read_json(frame_path))
+    sight = ChangedSight(given)
     places = [
         p
         for p in solution["sensors"]
@@ -45,14 +43,14 @@ def measure_tolerance(arguments: argparse.Namespace) -> None:
     skipped = len(solution["sensors"]) - len(places)
     content = {
         "plan": solution["plan"],
-        "move_m": arguments.move_m,
-        "turn_deg": arguments.turn_deg,
-        "other_height_m": arguments.other_height_m,
+        "move_m": given.move_m,
+        "turn_deg": given.turn_deg,
+        "other_height_m": given.other_height_m,
         "targets": int(seen.any(axis=0).sum()),
         "rows": rows,
         "not_measured": skipped,
     }
-    write_json(arguments.out, content)
+    write_json(out, content)
     shares = lost_shares(found.times_lost, found.lost_alone, found.cases)
     table = sight.targets
     layer = gpd.GeoDataFrame(
@@ -64,23 +62,14 @@ def measure_tolerance(arguments: argparse.Namespace) -> None:
         },
         geometry=gpd.points_from_xy(table["x"], table["y"], table["z"]),
     )
-    write_layers(arguments.layers, {"targets": layer}, frame, {"targets": "Point Z"})
+    write_layers(layers, {"targets": layer}, frame, {"targets": "Point Z"})
     for row in rows:
         log.info(
             "%s: at most %d targets lost (%.1f %%)", row["kind"], row["lost"], 100 * row["share"]
         )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("solution", "targets", "surfels", "frame", "sensors-file", "out", "layers"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
-    add_settings(parser, Lidar, "azimuth_stride")
-    add_sight_arguments(parser)
-    add_change_arguments(parser)
-    return run_stage(parser, measure_tolerance, argv)
+main = Command(measure_tolerance)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
 
 import geopandas as gpd
 import numpy as np
@@ -16,8 +17,7 @@ from shapely import MultiPolygon
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.placement import Candidates
+from roadsight.base.sections.placement import Candidates
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import read_raster
@@ -26,7 +26,7 @@ from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.vector.mount_files import read_mounts
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_polygons
-from roadsight.placement.candidates.candidates import HeightSettings, stack_candidates
+from roadsight.placement.candidates.candidates import stack_candidates
 from roadsight.placement.candidates.positions import positions_along
 from roadsight.placement.candidates.sites_for_sensors import (
     POLE,
@@ -34,7 +34,7 @@ from roadsight.placement.candidates.sites_for_sensors import (
     positions_on_poles,
 )
 from roadsight.placement.candidates.solid import REACH_M, has_measured_ground
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("place_candidates")
 
@@ -46,75 +46,85 @@ COLUMNS = [
 ]
 
 
-def place_candidates(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class CandidateFiles:
+    """What candidates are placed by, in any round."""
+
+    edges: Path
+    pavement: Path
+    dem: Path
+    cloud: Path
+    frame: Path
+    settings: Candidates
+    zones: Annotated[str | None, "polygons in which no sensor may stand"] = None
+    mounts: Annotated[str | None, "existing poles that may carry sensors"] = None
+    ground: Annotated[Path | None, "which points are ground; unknown if absent"] = None
+    overhead_cover: Literal["simulate", "skip"] = "simulate"
+
+
+def place_candidates(site: str, given: CandidateFiles, *, out: Path) -> None:
     """Write the candidates of round 0."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    edges, pavement = read_road(arguments, frame)
+    frame = Frame.from_dict(read_json(given.frame))
+    edges, pavement = read_road(given.edges, given.pavement, frame)
     positions = allowed_positions(
-        positions_along(edges, pavement, arguments.spacing_m), pavement, arguments, frame
+        positions_along(edges, pavement, given.settings.spacing_m), pavement, given, frame
     )
-    candidates = candidates_at(positions, arguments, frame, arguments.height_step_m, pavement)
+    candidates = candidates_at(positions, given, given.settings, frame, pavement)
     if candidates.empty:
         raise InputError(
             "no candidate: every position along the edges is obstructed, without measured ground or"
             " off the terrain model",
-            where=f"site {arguments.site}",
+            where=f"site {site}",
             found=f"{len(positions)} positions",
             hint="move the edges (edges.offset_m, placement.edges), make the zones without sensors"
             " smaller (placement.zones) or widen the height range",
         )
     log.info("%d candidates at %d positions", len(candidates), candidates["key"].nunique())
-    write_table(arguments.out, candidates[COLUMNS])
+    write_table(out, candidates[COLUMNS])
 
 
 def allowed_positions(
-    positions: pd.DataFrame, pavement: MultiPolygon, arguments: argparse.Namespace, frame: Frame
+    positions: pd.DataFrame, pavement: MultiPolygon, given: CandidateFiles, frame: Frame
 ) -> pd.DataFrame:
     """Positions along the edges and on existing poles, without those in zones for no sensor."""
-    if arguments.mounts:
-        poles = read_mounts(arguments.mounts, frame)
+    if given.mounts:
+        poles = read_mounts(given.mounts, frame)
         places = poles[["x", "y"]].to_numpy(np.float64)
-        tell_near(log, "existing poles", places, read_json(arguments.frame), arguments.mounts)
-        hung = positions_on_poles(poles, pavement, arguments.arm_m)
+        tell_near(log, "existing poles", places, read_json(given.frame), given.mounts)
+        hung = positions_on_poles(poles, pavement, given.settings.arm_m)
         positions = pd.concat([positions, hung], ignore_index=True)
-    if not arguments.zones:
+    if not given.zones:
         return positions
-    zones = list(read_polygons(arguments.zones, frame).geometry)
-    tell_near(log, "zones", np.array(zones, object), read_json(arguments.frame), arguments.zones)
+    zones = list(read_polygons(given.zones, frame).geometry)
+    tell_near(log, "zones", np.array(zones, object), read_json(given.frame), given.zones)
     free = outside_zones(positions[["x", "y"]].to_numpy(np.float64), zones)
     log.info("%d of %d positions lie in zones without sensors", (~free).sum(), len(positions))
     return positions[free].reset_index(drop=True)
 
 
-def read_road(arguments: argparse.Namespace, frame: Frame) -> tuple[gpd.GeoDataFrame, MultiPolygon]:
+def read_road(
+    edges: Path, pavement_path: Path, frame: Frame
+) -> tuple[gpd.GeoDataFrame, MultiPolygon]:
     """Edges and pavement in local metres."""
-    pavement = read_layer(arguments.pavement, "pavement", frame)
-    return read_layer(arguments.edges, "edges", frame), MultiPolygon(list(pavement.geometry))
+    pavement = read_layer(pavement_path, "pavement", frame)
+    return read_layer(edges, "edges", frame), MultiPolygon(list(pavement.geometry))
 
 
 def candidates_at(
     positions: pd.DataFrame,
-    arguments: argparse.Namespace,
+    given: CandidateFiles,
+    settings: Candidates,
     frame: Frame,
-    height_step_m: float,
     pavement: MultiPolygon,
 ) -> pd.DataFrame:
     """Candidates at every free height of the given positions, where a mast can be built."""
-    settings = HeightSettings(
-        arguments.height_min_m,
-        arguments.height_max_m,
-        height_step_m,
-        arguments.search_radius_m,
-        arguments.gap_factor,
-        arguments.overhead_cover == "simulate",
-    )
-    dem = read_raster(arguments.dem, frame)
+    dem = read_raster(given.dem, frame)
     positions = positions.assign(
         ground_z_m=dem.sample(positions["x"].to_numpy(), positions["y"].to_numpy()),
         offset_m=_off_pavement_m(positions, pavement),
     )
     xy = positions[["x", "y"]].to_numpy()
-    near = _points_near(arguments, xy, settings.search_radius_m)
+    near = _points_near(given.cloud, given.ground, xy, settings.search_radius_m)
     if near.ground_xy_m is not None:
         standing = (positions["mount"] == POLE).to_numpy()
         built = standing | has_measured_ground(xy, near.ground_xy_m)
@@ -124,7 +134,8 @@ def candidates_at(
     # Heights are above the ground at the position itself, where the pole would stand.
     nearest = cKDTree(xy).query(points[:, :2])[1] if len(points) and len(xy) else []
     heights = points[:, 2] - positions["ground_z_m"].to_numpy()[np.asarray(nearest, np.int64)]
-    return stack_candidates(positions, points, heights, settings, near.around_xyz_m)
+    roofs = given.overhead_cover == "simulate"
+    return stack_candidates(positions, points, heights, settings, near.around_xyz_m, roofs)
 
 
 def _off_pavement_m(positions: pd.DataFrame, pavement: MultiPolygon) -> Floats:
@@ -144,10 +155,12 @@ class _Near:
     ground_xy_m: Floats | None
 
 
-def _points_near(arguments: argparse.Namespace, xy_m: Floats, radius_m: float) -> _Near:
+def _points_near(
+    cloud_path: Path, ground_path: Path | None, xy_m: Floats, radius_m: float
+) -> _Near:
     """Points of the cloud within plan distances of any position."""
-    cloud = CloudTiles(arguments.cloud)
-    labels = read_table(arguments.ground)["ground"].to_numpy() if arguments.ground else None
+    cloud = CloudTiles(cloud_path)
+    labels = read_table(ground_path)["ground"].to_numpy() if ground_path else None
     tree = cKDTree(xy_m)
     starts = np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
     parts, rings, grounds = [np.empty((0, 3))], [np.empty((0, 3))], [np.empty((0, 2))]
@@ -173,32 +186,7 @@ def _thinned(xyz_m: Floats) -> Floats:
     return xyz_m[np.sort(first)]
 
 
-def add_candidate_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments that the regular and the denser candidates share."""
-    for name in ("site", "edges", "pavement", "dem", "cloud", "frame", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    add_settings(
-        parser,
-        Candidates,
-        "spacing_m",
-        "height_min_m",
-        "height_max_m",
-        "height_step_m",
-        "search_radius_m",
-        "gap_factor",
-        "arm_m",
-    )
-    parser.add_argument("--zones", nargs="?", help="polygons in which no sensor may stand")
-    parser.add_argument("--mounts", nargs="?", help="existing poles that may carry sensors")
-    parser.add_argument("--ground", nargs="?", help="which points are ground; unknown if absent")
-    parser.add_argument("--overhead-cover", choices=["simulate", "skip"], default="simulate")
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_candidate_arguments(parser)
-    return run_stage(parser, place_candidates, argv)
+main = Command(place_candidates)
 
 
 if __name__ == "__main__":

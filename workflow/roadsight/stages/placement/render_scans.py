@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
-from roadsight.base.options import add_settings
-from roadsight.config.sections.sensing import Lidar
+from roadsight.base.engines import Engine
+from roadsight.base.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.records.atomic import read_json
@@ -35,7 +35,7 @@ from roadsight.placement.sensors.sensors import (
     Sensor,
     load_sensors,
 )
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("render_scans")
 
@@ -45,13 +45,24 @@ _ROUNDING_M = 1e-3
 """Rounding of ranges, which are single precision: a return at the very limit stays."""
 
 
-def render_scans(arguments: argparse.Namespace) -> None:
+def render_scans(
+    solution: Path,
+    surfels: Path,
+    frame_path: Path,
+    sensors_path: str,
+    engine: Annotated[Engine, Lidar],
+    tilts_paths: Annotated[Sequence[Path], "how mounts lean, all rounds"] = (),
+    air: Annotated[Sequence[Path], "what rain and fog take out of beams"] = (),
+    surfaces: Annotated[Sequence[Path], "reflectivity of surfaces"] = (),
+    *,
+    out: Path,
+) -> None:
     """Write the returns of all chosen sensors; point_source_id numbers the sensor from 1."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    chosen = read_json(arguments.solution)["sensors"]
-    sensors = load_sensors(arguments.sensors)
-    lidar = SurfelLidar(read_surfels(arguments.surfels), engine=arguments.engine)
-    tilts, heard = read_tilts(arguments.tilts), _hearing(arguments)
+    frame = Frame.from_dict(read_json(frame_path))
+    chosen = read_json(solution)["sensors"]
+    sensors = load_sensors(sensors_path)
+    lidar = SurfelLidar(read_surfels(surfels), engine=engine)
+    tilts, heard = read_tilts(tilts_paths), _hearing(air, surfaces)
     parts = [np.empty((0, 3))]
     for place in chosen:
         sensor, position = sensors[place["sensor"]], np.array([place[axis] for axis in "xyz"])
@@ -63,7 +74,7 @@ def render_scans(arguments: argparse.Namespace) -> None:
         log.info("%s at %s: %d returns", place["sensor"], place["candidate"], len(parts[-1]))
     source = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
     dims = {"point_source_id": source.astype(np.uint16)}
-    write_laz(arguments.out, np.concatenate(parts), frame, dims)
+    write_laz(out, np.concatenate(parts), frame, dims)
 
 
 def _scan(
@@ -87,10 +98,10 @@ def _scan(
     return returns_xyz_m(depth_m, sensor, position_m, yaw_deg, tilt)
 
 
-def _hearing(arguments: argparse.Namespace) -> Hearing:
+def _hearing(air_paths: Sequence[Path], surfaces_paths: Sequence[Path]) -> Hearing:
     """Which returns are strong enough, by the air and by the reflectivity of surfaces."""
-    air = [read_json(path)["extinction_per_m"] for path in arguments.air]
-    surfaces = [read_table(path) for path in arguments.surfaces]
+    air = [read_json(path)["extinction_per_m"] for path in air_paths]
+    surfaces = [read_table(path) for path in surfaces_paths]
     trees = [cKDTree(table[["x", "y", "z"]].to_numpy()) for table in surfaces]
 
     def heard(name: str, sensor: AnySensor, returns: Floats, position_m: ArrayLike) -> Bools:
@@ -113,16 +124,7 @@ def _hearing(arguments: argparse.Namespace) -> Hearing:
     return heard
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("solution", "surfels", "frame", "sensors", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--tilts", nargs="*", default=[], help="how mounts lean, all rounds")
-    parser.add_argument("--air", nargs="*", default=[], help="what rain and fog take out of beams")
-    parser.add_argument("--surfaces", nargs="*", default=[], help="reflectivity of surfaces")
-    add_settings(parser, Lidar, "engine")
-    return run_stage(parser, render_scans, argv)
+main = Command(render_scans)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import geopandas as gpd
 import numpy as np
@@ -14,9 +16,7 @@ from scipy import sparse
 
 from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections import placement
-from roadsight.config.sections.sensing import Lidar
+from roadsight.base.sections import placement
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.io.records.atomic import read_json, write_json
@@ -31,57 +31,76 @@ from roadsight.placement.plans.plan_problem import Asked, pose
 from roadsight.placement.plans.seen_again import see_again, stretches
 from roadsight.placement.plans.tolerance import solve_with_tolerance
 from roadsight.placement.sight.coverage import availability, times_seen
-from roadsight.placement.sight.detection import MIN_BEAMS
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
 from roadsight.setcover.common.result import WITHIN_GAP
 from roadsight.setcover.plans.deployment import Deployment
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.doubts import tell
-from roadsight.stages.placement.shared.allowed import add_allowed_arguments
-from roadsight.stages.placement.shared.changed_sight import ChangedSight, add_change_arguments
-from roadsight.stages.placement.shared.cover_inputs import FILES, read_asked
-from roadsight.stages.placement.shared.detection_inputs import add_sight_arguments
-from roadsight.stages.placement.shared.level_cover import cover_at_level, described
-from roadsight.stages.placement.shared.plan_choices import read_choices
+from roadsight.stages.placement.shared.changed_sight import ChangedFiles, ChangedSight
+from roadsight.stages.placement.shared.cover_inputs import read_asked
+from roadsight.stages.placement.shared.level_cover import LevelFiles, cover_at_level, described
+from roadsight.stages.placement.shared.plan_choices import ChoiceFiles, read_choices
 
 log = logging.getLogger("solve_cover")
 
 
-def solve_cover(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True, kw_only=True)
+class CoverFiles(ChangedFiles, ChoiceFiles, LevelFiles):
+    """What a plan is solved of."""
+
+    coverage: Path
+    sensors: Annotated[Sequence[str], "name=cost"]
+    second_time_limit_s: Annotated[float, placement.Cover]
+    second: Literal["True", "False"] = "False"
+    robust: Annotated[bool, "sensors count with tolerance; needs surfels and sensors file"] = False
+    edges: Annotated[Path | None, "the road, for the length seen by two"] = None
+    seed: int = 1
+
+
+def solve_cover(
+    given: CoverFiles,
+    *,
+    solution: Path,
+    layers_path: Path,
+    timing: Path,
+    doubts: Annotated[Path | None, "what the plan rests on"] = None,
+) -> None:
     """Write the solution, its layers for GIS, and the solver's timing."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    plan = read_choices(arguments, arguments.sensors, frame)
+    frame = Frame.from_dict(read_json(given.frame))
+    plan = read_choices(given, given.sensors, frame)
     candidates, detections, choices = plan.candidates, plan.detections, plan.choices
-    targets = read_table(arguments.targets)
-    uncovered = read_json(arguments.coverage)["plans"][arguments.plan]["uncovered"]
+    targets = read_table(given.targets)
+    uncovered = read_json(given.coverage)["plans"][given.plan]["uncovered"]
     wanted = targets[~targets["target"].isin(uncovered)].reset_index(drop=True)
-    asked = read_asked(arguments, frame)
-    _check_uncovered(arguments, targets, uncovered, asked)
+    asked = read_asked(given, frame)
+    _check_uncovered(given, targets, uncovered, asked)
     matrix = plan.matrix(wanted["target"])
     answered = levelled = None
     robust: dict[str, Any] = {}
     looked_at: Bools | None = None
-    if arguments.robust:
+    if given.robust:
         matrix, wanted, beyond, robust, looked_at = _with_tolerance(
-            arguments, asked, matrix, choices, candidates, wanted
+            given, asked, matrix, choices, candidates, wanted
         )
         uncovered = [*uncovered, *beyond]
-    again = _Again(arguments, frame, wanted, looked_at)
-    if arguments.availability is not None:
-        levelled = cover_at_level(arguments, detections, choices, candidates, wanted)
+    again = _Again(given, frame, wanted, looked_at)
+    if given.availability is not None:
+        levelled = cover_at_level(
+            given, given.availability, detections, choices, candidates, wanted
+        )
         cover = levelled.cover
-        _check_solved(arguments, cover)
+        _check_solved(given, cover)
     elif asked is None:
-        cover = _cheapest(arguments, matrix, choices, again)
+        cover = _cheapest(given, matrix, choices, again)
     else:
         posed = pose(asked, matrix, choices, candidates, wanted)
-        answered = answer(asked, posed, choices, candidates, *_limits(arguments), again)
+        answered = answer(asked, posed, choices, candidates, *_limits(given), again)
         cover, wanted = answered.cover, posed.targets
         uncovered = [*uncovered, *posed.unseen]
     sensors = _sensor_table(candidates, choices, cover, matrix, frame)
     wanted["sensors"] = times_seen(matrix, cover.chosen)
-    content = _content(arguments, cover, sensors, targets, uncovered)
+    content = _content(given, cover, sensors, targets, uncovered)
     content |= robust | ({"second": again.record} if again.record else {})
     content |= _proven_area(wanted, content["at_least"])
     if levelled is not None:
@@ -96,11 +115,11 @@ def solve_cover(arguments: argparse.Namespace) -> None:
         content |= _option_content(answered, sensors)
         layers |= _option_layers(answered, candidates, choices)
         layers["sensors"] = _points(_located(sensors, frame))
-    write_layers(arguments.layers, layers, frame, dict.fromkeys(layers, "Point Z"))
-    _tell(arguments, content, candidates)
-    write_json(arguments.timing, {"seconds_cpu": cover.seconds_cpu})
-    write_json(arguments.solution, content)
-    _log_found(arguments.plan, cover, again.record)
+    write_layers(layers_path, layers, frame, dict.fromkeys(layers, "Point Z"))
+    _tell(given, content, candidates, doubts)
+    write_json(timing, {"seconds_cpu": cover.seconds_cpu})
+    write_json(solution, content)
+    _log_found(given.plan, cover, again.record)
 
 
 def _log_found(plan: str, cover: Cover, second: dict[str, Any] | None) -> None:
@@ -111,16 +130,18 @@ def _log_found(plan: str, cover: Cover, second: dict[str, Any] | None) -> None:
         log.info("%.1f %% of the targets seen once more, before %.1f %%", *shares)
 
 
-def _tell(arguments: argparse.Namespace, content: dict[str, Any], candidates: pd.DataFrame) -> None:
+def _tell(
+    given: CoverFiles, content: dict[str, Any], candidates: pd.DataFrame, path: Path | None
+) -> None:
     """Say what the plan rests on."""
-    if arguments.doubts:
+    if path:
         positions = int(candidates["key"].nunique()) if "key" in candidates else len(candidates)
-        where = f"site {arguments.site}, plan {arguments.plan}"
-        tell(plan_doubts(content, positions), arguments.doubts, where, log)
+        where = f"site {given.site}, plan {given.plan}"
+        tell(plan_doubts(content, positions), path, where, log)
 
 
 def _with_tolerance(
-    arguments: argparse.Namespace,
+    given: CoverFiles,
     asked: Asked | None,
     matrix: sparse.csr_matrix,
     choices: pd.DataFrame,
@@ -128,48 +149,48 @@ def _with_tolerance(
     wanted: pd.DataFrame,
 ) -> tuple[sparse.csr_matrix, pd.DataFrame, list[str], dict[str, Any], Bools]:
     """What sensors see with tolerance, its targets, those that none sees so; rows looked at."""
-    sight = ChangedSight(arguments)
+    sight = ChangedSight(given)
     column = pd.Index(sight.targets["target"]).get_indexer(wanted["target"])
     beyond: list[str] = []
 
     def look(row: int) -> Bools:
         choice = choices.iloc[row]
         place = candidates.iloc[choice["position"]].to_dict()
-        return sight.keeps(place | {"sensor": choice["sensor"]})[column]
+        return np.asarray(sight.keeps(place | {"sensor": choice["sensor"]})[column])
 
     def solve(current: sparse.csr_matrix) -> Ints | None:
         seen = np.asarray(current.sum(axis=0)).ravel() > 0
-        if not seen.all() and arguments.uncoverable != "exclude":
+        if not seen.all() and given.uncoverable != "exclude":
             return None
         if asked is not None:
             posed = pose(asked, current, choices, candidates, wanted)
-            found = answer(asked, posed, choices, candidates, *_limits(arguments)).cover.chosen
+            found = answer(asked, posed, choices, candidates, *_limits(given)).cover.chosen
             return np.asarray(found, np.int64)
         problem = CoverProblem(
             current[:, seen],
             choices["cost"].to_numpy(),
             groups=choices["position"].to_numpy(),
-            at_least=arguments.at_least,
+            at_least=given.at_least,
         )
-        limit_s, seed, gap = _limits(arguments)
+        limit_s, seed, gap = _limits(given)
         cover = solve_cover_problem(problem, WorkLimit(limit_s), seed=seed, gap=gap)
         return None if not len(cover.chosen) else np.asarray(cover.chosen, np.int64)
 
     reduced, known, rounds, exact = solve_with_tolerance(matrix, solve, look)
     seen = np.asarray(reduced.sum(axis=0)).ravel() > 0
-    if not seen.all() and arguments.uncoverable != "exclude":
+    if not seen.all() and given.uncoverable != "exclude":
         raise InputError(
             f"{int((~seen).sum())} of {len(seen)} targets are seen by no candidate with tolerance",
-            where=f"site {arguments.site}, plan {arguments.plan}",
-            found=f"moved by {arguments.move_m:g} m, turned by {arguments.turn_deg:g} degrees,"
-            f" masts {arguments.other_height_m:g} m lower or higher",
+            where=f"site {given.site}, plan {given.plan}",
+            found=f"moved by {given.move_m:g} m, turned by {given.turn_deg:g} degrees,"
+            f" masts {given.other_height_m:g} m lower or higher",
             hint="narrow the tolerance, densify the candidates, leave robust out, or leave these"
             " targets out with coverage.uncoverable: exclude",
         )
     if solve(reduced) is None:
         raise InputError(
             "no set of sensors sees everything with tolerance",
-            where=f"site {arguments.site}, plan {arguments.plan}",
+            where=f"site {given.site}, plan {given.plan}",
             hint="narrow the tolerance, lower cover.at_least, or leave robust out",
         )
     beyond = [str(name) for name in wanted["target"][~seen]]
@@ -187,19 +208,19 @@ class _Again:
 
     def __init__(
         self,
-        arguments: argparse.Namespace,
+        given: CoverFiles,
         frame: Frame,
         wanted: pd.DataFrame,
         looked_at: Bools | None,
     ) -> None:
         self.record: dict[str, Any] | None = None
-        self._limit_s = arguments.second_time_limit_s if arguments.second == "True" else 0.0
-        self._allowed, self._gap = looked_at, arguments.gap
+        self._limit_s = given.second_time_limit_s if given.second == "True" else 0.0
+        self._allowed, self._gap = looked_at, given.gap
         self._cell_m = 0.0
         self._stretch: Ints | None = None
-        if arguments.edges and self._limit_s:
-            self._cell_m = float(read_about(arguments.targets)["cell_size_m"])
-            edges = list(read_layer(arguments.edges, "edges", frame).geometry)
+        if given.edges and self._limit_s:
+            self._cell_m = float(read_about(given.targets)["cell_size_m"])
+            edges = list(read_layer(given.edges, "edges", frame).geometry)
             places = wanted[["x", "y"]].to_numpy(np.float64)
             self._stretch = stretches(stations_m(edges, places), self._cell_m)
 
@@ -218,26 +239,26 @@ class _Again:
 
 
 def _cheapest(
-    arguments: argparse.Namespace,
+    given: CoverFiles,
     matrix: sparse.csr_matrix,
     choices: pd.DataFrame,
     better: Better,
 ) -> Cover:
     """Cheapest cover, as a plan without options asks for."""
-    limit_s, seed, gap = _limits(arguments)
+    limit_s, seed, gap = _limits(given)
     problem = CoverProblem(
         matrix,
         choices["cost"].to_numpy(),
         groups=choices["position"].to_numpy(),
-        at_least=arguments.at_least,
+        at_least=given.at_least,
     )
     cover = solve_cover_problem(problem, WorkLimit(limit_s), seed=seed, gap=gap)
-    _check_solved(arguments, cover)
+    _check_solved(given, cover)
     return better(Deployment(problem), cover)
 
 
-def _limits(arguments: argparse.Namespace) -> tuple[float, int, float]:
-    return arguments.time_limit_s, arguments.seed, arguments.gap
+def _limits(given: CoverFiles) -> tuple[float, int, float]:
+    return given.time_limit_s, given.seed, given.gap
 
 
 def _option_content(answered: Answer, sensors: pd.DataFrame) -> dict[str, Any]:
@@ -278,7 +299,7 @@ def _option_layers(
 
 
 def _check_uncovered(
-    arguments: argparse.Namespace,
+    given: CoverFiles,
     targets: pd.DataFrame,
     unseen: list[str],
     asked: Asked | None,
@@ -290,18 +311,18 @@ def _check_uncovered(
     if asked is not None and asked.areas is not None:
         beyond = targets[targets["target"].isin(unseen)]
         missing = int((needs_by_area(asked.areas, beyond, asked.at_least)[1] > 0).sum())
-    if missing and arguments.uncoverable == "error":
+    if missing and given.uncoverable == "error":
         raise InputError(
             f"{missing} of {len(targets)} targets are seen by no candidate",
-            where=f"site {arguments.site}, plan {arguments.plan}",
-            hint=f"they are listed in {arguments.coverage}; densify the candidates"
+            where=f"site {given.site}, plan {given.plan}",
+            hint=f"they are listed in {given.coverage}; densify the candidates"
             " (candidates.spacing_m, coverage.rounds), remove what hides them,"
             " or leave them out with coverage.uncoverable: exclude",
         )
     if uncovered == len(targets):
         raise InputError(
             "no target is seen by any candidate",
-            where=f"site {arguments.site}, plan {arguments.plan}",
+            where=f"site {given.site}, plan {given.plan}",
             hint="check the edges' position, the heights and targets.min_beams",
         )
     if uncovered:
@@ -309,25 +330,25 @@ def _check_uncovered(
         log.warning("%d of %d targets are seen by no candidate: left out", uncovered, total)
 
 
-def _check_solved(arguments: argparse.Namespace, cover: Cover) -> None:
+def _check_solved(given: CoverFiles, cover: Cover) -> None:
     if cover.status == "infeasible":
-        if arguments.availability is not None:
+        if given.availability is not None:
             raise InputError(
-                f"no set of sensors sees every target {arguments.availability:g} of the time",
-                where=f"site {arguments.site}, plan {arguments.plan}",
+                f"no set of sensors sees every target {given.availability:g} of the time",
+                where=f"site {given.site}, plan {given.plan}",
                 hint="lower the plan's availability, or densify the candidates",
             )
         raise InputError(
-            f"no set of sensors covers every target {arguments.at_least} times",
-            where=f"site {arguments.site}, plan {arguments.plan}",
+            f"no set of sensors covers every target {given.at_least} times",
+            where=f"site {given.site}, plan {given.plan}",
             found=f"{len(cover.uncoverable)} targets seen by too few candidates",
             hint="lower cover.at_least or densify the candidates",
         )
     if not len(cover.chosen):
         raise InputError(
             "no set of sensors was found within the time limit",
-            where=f"site {arguments.site}, plan {arguments.plan}",
-            found=f"{arguments.time_limit_s:g} s",
+            where=f"site {given.site}, plan {given.plan}",
+            found=f"{given.time_limit_s:g} s",
             hint="raise cover.time_limit_s",
         )
     if cover.status == WITHIN_GAP:
@@ -358,21 +379,21 @@ def _sensor_table(
 
 
 def _content(
-    arguments: argparse.Namespace,
+    given: CoverFiles,
     cover: Cover,
     sensors: pd.DataFrame,
     targets: pd.DataFrame,
     uncovered: list[str],
 ) -> dict[str, Any]:
     return {
-        "site": arguments.site,
-        "plan": arguments.plan,
-        "sensor_types": [entry.partition("=")[0] for entry in arguments.sensors],
+        "site": given.site,
+        "plan": given.plan,
+        "sensor_types": [entry.partition("=")[0] for entry in given.sensors],
         "status": cover.status,
         "objective": cover.objective,
         "bound": cover.bound,
         "gap": cover.gap,
-        "at_least": arguments.at_least,
+        "at_least": given.at_least,
         "sensors": sensors.to_dict("records"),
         "targets": len(targets),
         "covered_targets": len(targets) - len(uncovered),
@@ -412,35 +433,7 @@ def _points(table: pd.DataFrame) -> gpd.GeoDataFrame:
     )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "plan", "coverage", "targets", "frame", "solution", "layers", "timing"):
-        parser.add_argument(f"--{name}", required=True)
-    for name in ("candidates", "detections"):
-        parser.add_argument(f"--{name}", nargs="+", required=True)
-    parser.add_argument("--sensors", nargs="+", required=True, help="name=cost")
-    add_settings(parser, placement.Cover, "at_least", "time_limit_s", "gap", "second_time_limit_s")
-    parser.add_argument("--options", default="", help="options of the plan as JSON")
-    for name in FILES:
-        parser.add_argument(f"--{name}", nargs="*", default=[], help="file of the option")
-    parser.add_argument("--availability", type=float, help="how often targets must be in sight")
-    parser.add_argument("--lanes", nargs="*", default=[], help="lanes and their traffic")
-    parser.add_argument("--doubts", help="JSON with what the plan rests on")
-    parser.add_argument("--robust", action="store_true", help="sensors count with tolerance")
-    parser.add_argument("--surfels", nargs="?", help="the scene; needed with --robust")
-    parser.add_argument("--sensors-file", help="needed with --robust")
-    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
-    add_settings(parser, Lidar, "azimuth_stride")
-    add_sight_arguments(parser)
-    add_change_arguments(parser)
-    parser.add_argument("--target-height-m", type=float, default=0.6)
-    parser.add_argument("--second", choices=["True", "False"], default="False")
-    parser.add_argument("--edges", nargs="?", help="the road, for the length seen by two")
-    add_settings(parser, placement.Coverage, "uncoverable")
-    add_allowed_arguments(parser)
-    parser.add_argument("--seed", type=int, default=1)
-    return run_stage(parser, solve_cover, argv)
+main = Command(solve_cover)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from pathlib import Path
 
 import numpy as np
 
@@ -16,32 +16,46 @@ from roadsight.io.records.tables import write_table
 from roadsight.placement.sight.carriageways import lanes_abreast
 from roadsight.placement.sight.lanes import trace_lanes as trace
 from roadsight.placement.sight.passing import vehicles_per_m
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.placement.place_candidates import read_road
 
 log = logging.getLogger("trace_lanes")
 
 
-def trace_lanes(arguments: argparse.Namespace) -> None:
+def trace_lanes(
+    site: str,
+    edges_path: Path,
+    pavement_path: Path,
+    dem_path: Path,
+    frame_path: Path,
+    aadt: float,
+    truck_share: float,
+    speed_kmh: float,
+    peak_share: float,
+    lane_width_m: float,
+    availability: float,
+    *,
+    out: Path,
+) -> None:
     """Write points of the lanes' middle lines with the vehicles on a metre of them."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    edges, pavement = read_road(arguments, frame)
-    lanes = trace(list(edges.geometry), pavement, arguments.lane_width_m)
+    frame = Frame.from_dict(read_json(frame_path))
+    edges, pavement = read_road(edges_path, pavement_path, frame)
+    lanes = trace(list(edges.geometry), pavement, lane_width_m)
     if lanes.empty:
         raise InputError(
             "the pavement is too narrow for a lane wherever an edge runs beside it",
-            where=f"site {arguments.site}",
+            where=f"site {site}",
             hint="lower conditions.lane_width_m, or set effects.moving_vehicles to skip",
         )
-    dem = read_raster(arguments.dem, frame)
+    dem = read_raster(dem_path, frame)
     ground = dem.sample(lanes["x"].to_numpy(), lanes["y"].to_numpy())
     lanes["z"] = np.where(np.isfinite(ground), ground, np.nanmedian(ground))
     for road, count in lanes_abreast(lanes).items():
         cars, trucks = vehicles_per_m(
-            arguments.aadt,
-            arguments.truck_share,
-            arguments.speed_kmh,
-            arguments.peak_share,
+            aadt,
+            truck_share,
+            speed_kmh,
+            peak_share,
             count,
         )
         lanes.loc[lanes["road"] == road, ["cars_per_m", "trucks_per_m"]] = (cars, trucks)
@@ -51,17 +65,10 @@ def trace_lanes(arguments: argparse.Namespace) -> None:
             count,
             1000 * (cars + trucks),
         )
-    write_table(arguments.out, lanes, {"availability": arguments.availability})
+    write_table(out, lanes, {"availability": availability})
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "edges", "pavement", "dem", "frame", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    for name in ("aadt", "truck-share", "speed-kmh", "peak-share", "lane-width-m", "availability"):
-        parser.add_argument(f"--{name}", type=float, required=True)
-    return run_stage(parser, trace_lanes, argv)
+main = Command(trace_lanes)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -13,24 +15,20 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
-from roadsight.base.options import add_settings
-from roadsight.config.sections.placement import Cover, Coverage
-from roadsight.config.sections.sensing import Lidar
+from roadsight.base.sections.placement import Cover, Coverage
+from roadsight.base.validation import needed
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.surfels import read_surfels
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
-from roadsight.placement.sight.detection import MIN_BEAMS
 from roadsight.scene.surfels.surfels import Surfels
 from roadsight.setcover import CoverProblem, solve_cover_problem
 from roadsight.setcover.common.deadline import WorkLimit
-from roadsight.stages.command import run_stage
-from roadsight.stages.placement.shared.allowed import add_allowed_arguments
-from roadsight.stages.placement.shared.changed_sight import ChangedSight, add_change_arguments
-from roadsight.stages.placement.shared.detection_inputs import add_sight_arguments
-from roadsight.stages.placement.shared.plan_choices import read_choices
+from roadsight.stages.command import Command
+from roadsight.stages.placement.shared.changed_sight import ChangedFiles, ChangedSight
+from roadsight.stages.placement.shared.plan_choices import ChoiceFiles, read_choices
 
 log = logging.getLogger("try_removals")
 
@@ -50,21 +48,33 @@ _MOST_CANDIDATES = 300
 """Candidates rendered for an object, the nearest: 20 to 30 CPU s with 128 channels."""
 
 
-def try_removals(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True, kw_only=True)
+class RemovalFiles(ChangedFiles, ChoiceFiles):
+    """A plan, and the objects that stand in its way."""
+
+    solution: Path
+    objects: Path
+    obstacles: Path
+    costs: Sequence[str]
+    felled: Annotated[int, Coverage]
+    time_limit_s: Annotated[float, Cover]
+
+
+def try_removals(given: RemovalFiles, *, out: Path) -> None:
     """Write a row for each of the objects that hide most targets from the plan's sensors."""
-    solution = read_json(arguments.solution)
-    frame = Frame.from_dict(read_json(arguments.frame))
-    members = read_table(arguments.objects)
+    solution = read_json(given.solution)
+    frame = Frame.from_dict(read_json(given.frame))
+    members = read_table(given.objects)
     members["object"] = members["object"].astype(str)
-    objects = read_layer(arguments.obstacles, "objects", frame)
+    objects = read_layer(given.obstacles, "objects", frame)
     greatest = objects[[*_TOLD]].iloc[:_MOST_TOLD].astype(_TOLD).to_dict("records")
     possible = objects["kind"].isin(REMOVABLE) & (_lengths_m(objects, members) <= _LONGEST_M)
-    objects = objects[possible].iloc[: arguments.felled]
+    objects = objects[possible].iloc[: given.felled]
     rows: list[dict[str, Any]] = []
     if len(objects) and not any(key in solution for key in _OTHERWISE):
-        rows = _rows(arguments, solution, objects, members, frame)
+        rows = _rows(given, solution, objects, members, frame)
     content = {"plan": solution["plan"], "objects": greatest, "rows": rows}
-    write_json(arguments.out, content)
+    write_json(out, content)
     for row in rows:
         log.info(
             "without %s: cost %g instead of %g", row["object"], row["cost"], row["cost_before"]
@@ -79,24 +89,24 @@ def _lengths_m(objects: pd.DataFrame, members: pd.DataFrame) -> Floats:
 
 
 def _rows(
-    arguments: argparse.Namespace,
+    given: RemovalFiles,
     solution: dict[str, Any],
     objects: pd.DataFrame,
     members: pd.DataFrame,
     frame: Frame,
 ) -> list[dict[str, Any]]:
-    sight = ChangedSight(arguments)
-    plan = read_choices(arguments, arguments.costs, frame)
+    sight = ChangedSight(given)
+    plan = read_choices(given, given.costs, frame)
     candidates, choices = plan.candidates, plan.choices
     matrix = plan.matrix(sight.targets["target"])
-    surfels = read_surfels(arguments.surfels)
+    surfels = read_surfels(needed(given.surfels, "--surfels"))
     wanted = ~sight.targets["target"].isin(solution["excluded"]).to_numpy()
     rows = []
     for name, kind, hidden in zip(
         objects["name"], objects["kind"], objects["targets"], strict=True
     ):
         own = members[members["object"] == name][["x", "y", "z"]]
-        lidar = SurfelLidar(_without(surfels, own), engine=arguments.engine)
+        lidar = SurfelLidar(_without(surfels, own), engine=given.engine)
         away, _ = cKDTree(own[["x", "y"]]).query(candidates[["x", "y"]].to_numpy(np.float64))
         near = np.flatnonzero(away <= _NEAR_M)
         near = near[np.argsort(away[near], kind="stable")][:_MOST_CANDIDATES]
@@ -107,7 +117,7 @@ def _rows(
             choices["position"].to_numpy(),
             solution["at_least"],
         )
-        cover = solve_cover_problem(problem, WorkLimit(arguments.time_limit_s), seed=1)
+        cover = solve_cover_problem(problem, WorkLimit(given.time_limit_s), seed=1)
         now_seen = int((np.asarray(seen.sum(axis=0)).ravel() > 0)[~wanted].sum())
         rows.append(
             {
@@ -157,31 +167,7 @@ def _seen_without(
     return rows.tocsr()
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    names = (
-        "solution",
-        "targets",
-        "surfels",
-        "frame",
-        "objects",
-        "obstacles",
-        "sensors-file",
-        "out",
-    )
-    for name in names:
-        parser.add_argument(f"--{name}", required=True)
-    for name in ("candidates", "detections", "costs"):
-        parser.add_argument(f"--{name}", nargs="+", required=True)
-    add_settings(parser, Coverage, "felled")
-    add_settings(parser, Cover, "time_limit_s")
-    parser.add_argument("--min-beams", type=int, default=MIN_BEAMS)
-    add_settings(parser, Lidar, "azimuth_stride")
-    add_sight_arguments(parser)
-    add_change_arguments(parser)
-    add_allowed_arguments(parser)
-    return run_stage(parser, try_removals, argv)
+main = Command(try_removals)
 
 
 if __name__ == "__main__":

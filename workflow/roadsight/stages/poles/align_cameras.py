@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections import Counter
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
 from roadsight.base.matches import tell_named
-from roadsight.base.options import add_settings
+from roadsight.base.sections.poles import AlignmentLimits
 from roadsight.base.shards import shard_of
-from roadsight.config.sections.poles import Alignment
 from roadsight.geometry.cameras import compass_deg
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
@@ -43,11 +42,11 @@ from roadsight.poles.alignment.verdict import (
 )
 from roadsight.poles.calibration.calibration import implausible
 from roadsight.poles.calibration.calibration_table import DriveCalibration, from_content
-from roadsight.stages.command import run_stage
-from roadsight.stages.poles.alignment_inputs import AlignmentScene, add_arguments, read_scene
+from roadsight.stages.command import Command
+from roadsight.stages.poles.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.stages.poles.dense_inputs import (
+    DenseFiles,
     DenseScene,
-    add_dense_arguments,
     method_of,
     turned_axes,
 )
@@ -85,20 +84,28 @@ CAMERA_COLUMNS = (
 )
 
 
-def align_cameras(arguments: argparse.Namespace) -> None:
+def align_cameras(
+    files: SceneFiles,
+    given: DenseFiles,
+    accepted: AlignmentLimits,
+    calibration: Path,
+    corrections: Annotated[str | None, "poses of images set by a person, CSV"] = None,
+    shard: int = 0,
+    shards: int = 1,
+    *,
+    out: Path,
+) -> None:
     """Write one row for each usable image of the shard, in the order of the frames."""
-    scene = read_scene(arguments)
-    drives = {c.key: c for c in map(from_content, read_json(arguments.calibration)["drives"])}
+    scene = read_scene(files, given.intrinsics)
+    drives = {c.key: c for c in map(from_content, read_json(calibration)["drives"])}
     limits = Limits(
-        residual_px=arguments.max_residual_px,
-        sigma_heading_deg=arguments.max_sigma_heading_deg,
-        sigma_lateral_m=arguments.max_sigma_lateral_m,
+        residual_px=accepted.max_residual_px, sigma_heading_deg=accepted.max_sigma_heading_deg
     )
-    bounds = (arguments.bound_m, arguments.bound_deg)
-    own = [p for p in scene.places if shard_of(p.image, arguments.shards) == arguments.shard]
-    by_hand = read_corrections(arguments)
-    method = method_of(arguments.method, bool(scene.lenses))
-    dense = DenseScene(arguments, scene.lenses) if method == "dense" else None
+    bounds = (accepted.bound_m, accepted.bound_deg)
+    own = [p for p in scene.places if shard_of(p.image, shards) == shard]
+    by_hand = read_corrections(corrections, files)
+    method = method_of(given.method, bool(scene.lenses))
+    dense = DenseScene(files, given, scene.lenses) if method == "dense" else None
     rows: list[dict[str, Any]] = []
     reasons: dict[str, list[str]] = {}
     for place in logged(own, len(own), log, "images"):
@@ -124,18 +131,18 @@ def align_cameras(arguments: argparse.Namespace) -> None:
         told = log.warning if 2 * sum(map(bool, stated)) > len(stated) else log.info
         told("%s: %s", route, lost_views(stated))
     lost = {route: sum(map(bool, stated)) for route, stated in sorted(reasons.items())}
-    write_table(arguments.out, table, {"method": method, "lost_views": lost})
+    write_table(out, table, {"method": method, "lost_views": lost})
 
 
-def read_corrections(arguments: argparse.Namespace) -> dict[str, pd.Series]:
+def read_corrections(path: str | None, files: SceneFiles) -> dict[str, pd.Series]:
     """Poses that a person set, by image."""
-    if not arguments.corrections:
+    if not path:
         return {}
-    frame = Frame.from_dict(read_json(arguments.frame))
-    table = read_cameras(arguments.corrections, frame)
+    frame = Frame.from_dict(read_json(files.frame))
+    table = read_cameras(path, frame)
     told = "corrections are about an image of the videolog"
-    known = set(read_table(arguments.frames, ["image"])["image"])
-    tell_named(log, told, set(table["image"]), known, arguments.corrections)
+    known = set(read_table(files.frames, ["image"])["image"])
+    tell_named(log, told, set(table["image"]), known, path)
     return {str(row["image"]): row for _, row in table.iterrows()}
 
 
@@ -255,22 +262,7 @@ def _row(task: Task, fit: Fit, reason: str) -> dict[str, Any]:
     }
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_arguments(parser)
-    add_dense_arguments(parser)
-    limits = Limits()
-    parser.add_argument("--calibration", required=True)
-    parser.add_argument("--corrections", nargs="?", help="poses of images set by a person, CSV")
-    parser.add_argument("--shard", type=int, default=0)
-    parser.add_argument("--shards", type=int, default=1)
-    parser.add_argument("--max-residual-px", type=float, default=limits.residual_px)
-    parser.add_argument("--bound-m", type=float, default=PUBLISHED_BOUNDS[0])
-    parser.add_argument("--bound-deg", type=float, default=PUBLISHED_BOUNDS[1])
-    add_settings(parser, Alignment, "max_sigma_heading_deg")
-    parser.add_argument("--max-sigma-lateral-m", type=float, default=limits.sigma_lateral_m)
-    return run_stage(parser, align_cameras, argv)
+main = Command(align_cameras)
 
 
 if __name__ == "__main__":

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Reach
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.intrinsics import read_intrinsics
 from roadsight.io.raster.rasters import read_raster
@@ -20,7 +22,6 @@ from roadsight.placement.sensors.earth import rise_m
 from roadsight.poles.alignment.dense import GivenLens
 from roadsight.poles.alignment.drive import (
     Place,
-    Reach,
     Visible,
     image_edges_of,
     loader,
@@ -105,72 +106,53 @@ def lowered(there: NearEdges, place: Place) -> NearEdges:
     return replace(there, xyz_m=there.xyz_m - drop_m)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of both stages."""
-    for name in ("frames", "road-edges", "frame", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--image-edges", nargs="+", required=True, help="tables of edge pixels")
-    parser.add_argument("--terrain", nargs="?", help="triangles that may hide road")
-    parser.add_argument("--dem", nargs="?", help="ground heights, better than the edges' own")
-    parser.add_argument("--curvature", choices=("simulate", "skip"), default="skip")
-    reach, noise = Reach(), Noise()
-    parser.add_argument("--nearest-m", type=float, default=reach.nearest_m)
-    parser.add_argument("--farthest-m", type=float, default=reach.farthest_m)
-    parser.add_argument("--edge-points", type=int, default=reach.edge_points, help="of the LiDAR")
-    parser.add_argument("--pixels", type=int, default=reach.pixels, help="of the image's edges")
-    parser.add_argument("--pixel-px", type=float, default=noise.pixel_px, help="sigma of a pixel")
-    parser.add_argument("--across-m", type=float, default=noise.across_m, help="sigma of an edge")
-    landmarks = LandmarkNoise()
-    parser.add_argument("--pole-axes", nargs="*", default=[], help="tables of pole axes")
-    parser.add_argument("--columns", nargs="?", help="pole-like columns of the cloud")
-    parser.add_argument("--axis-px", type=float, default=landmarks.axis_px, help="sigma of an axis")
-    parser.add_argument("--landmark-farthest-m", type=float, default=landmarks.farthest_m)
-    parser.add_argument("--independent", type=float, default=noise.independent)
+@dataclass(frozen=True)
+class SceneFiles:
+    """What the stages that place cameras are run on."""
+
+    frames: Path
+    road_edges: Path
+    frame: Path
+    image_edges: Annotated[Sequence[Path], "tables of edge pixels"]
+    reach: Reach
+    terrain: Annotated[Path | None, "triangles that may hide road"] = None
+    dem: Annotated[Path | None, "ground heights, better than the edges' own"] = None
+    curvature: Literal["simulate", "skip"] = "skip"
+    pole_axes: Annotated[Sequence[Path], "tables of pole axes"] = ()
+    columns: Annotated[Path | None, "pole-like columns of the cloud"] = None
 
 
-def read_scene(arguments: argparse.Namespace) -> AlignmentScene:
-    """Read the inputs that both stages share.
+def read_scene(given: SceneFiles, lens: str | None = None) -> AlignmentScene:
+    """Read the inputs that these stages share; ``lens`` as `read_intrinsics` takes it.
 
     Raises
     ------
     InputError : a file cannot be read, or no image may be used.
     """
-    frames = read_table(arguments.frames, [*_FRAME, "status"])
+    frames = read_table(given.frames, [*_FRAME, "status"])
     frames = frames[(frames["status"] == "ok") & np.isfinite(frames["z_road"])]
     if frames.empty:
         raise InputError(
             "has no image that may be used",
-            where=str(arguments.frames),
+            where=str(given.frames),
             hint="see its column `status` for the reasons",
         )
-    reach = Reach(
-        arguments.nearest_m, arguments.farthest_m, arguments.edge_points, arguments.pixels
-    )
-    noise = replace(
-        Noise(),
-        pixel_px=arguments.pixel_px,
-        across_m=arguments.across_m,
-        independent=arguments.independent,
-    )
-    edges = _road_edges(arguments)
-    table = pd.concat([read_table(path, _EDGE) for path in arguments.image_edges])
+    edges = _road_edges(given)
+    table = pd.concat([read_table(path, _EDGE) for path in given.image_edges])
     pixels = {str(image): part for image, part in table.groupby("image", sort=True)}
-    places = places_of(frames.reset_index(drop=True), edges, reach)
-    landmarks = replace(
-        LandmarkNoise(), axis_px=arguments.axis_px, farthest_m=arguments.landmark_farthest_m
-    )
-    lenses = known_lenses(getattr(arguments, "lens_table", None), places)
+    places = places_of(frames.reset_index(drop=True), edges, given.reach)
+    lenses = known_lenses(lens, places)
     return AlignmentScene(
         [with_centre(place, lenses) for place in places],
         edges,
         pixels,
-        reach,
-        noise,
-        _terrain(arguments.terrain),
-        _pole_axes(arguments.pole_axes),
-        _landmark_columns(arguments.columns),
-        landmarks,
-        arguments.curvature == "simulate",
+        given.reach,
+        Noise(),
+        _terrain(given.terrain),
+        _pole_axes(given.pole_axes),
+        _landmark_columns(given.columns),
+        LandmarkNoise(),
+        given.curvature == "simulate",
         lenses,
     )
 
@@ -196,7 +178,7 @@ def with_centre(place: Place, lenses: Mapping[str, GivenLens]) -> Place:
     return replace(place, start=replace(place.start, cx_px=lens.cx_px, cy_px=lens.cy_px))
 
 
-def _pole_axes(paths: list[str]) -> dict[str, pd.DataFrame]:
+def _pole_axes(paths: Sequence[Path]) -> dict[str, pd.DataFrame]:
     """Pole axes by image."""
     if not paths:
         return {}
@@ -204,7 +186,7 @@ def _pole_axes(paths: list[str]) -> dict[str, pd.DataFrame]:
     return {str(image): part for image, part in table.groupby("image", sort=True)}
 
 
-def _landmark_columns(path: str | None) -> PoleColumns:
+def _landmark_columns(path: Path | None) -> PoleColumns:
     """Columns that are good enough to steer by."""
     columns = read_columns(path)
     most_m = np.where(columns.open_top > 0, _MOST_SIGMA_OF_STEM_M, _MOST_SIGMA_M)
@@ -212,7 +194,7 @@ def _landmark_columns(path: str | None) -> PoleColumns:
     return PoleColumns(*(getattr(columns, f.name)[good] for f in fields(columns)))
 
 
-def read_columns(path: str | None) -> PoleColumns:
+def read_columns(path: Path | None) -> PoleColumns:
     """Pole-like columns of a table; none without a path."""
     names = ["x", "y", "top_m", "sigma_m", "z_ground", "points", "open_top"]
     table = read_table(path, names) if path else pd.DataFrame(columns=names, dtype=np.float64)
@@ -220,16 +202,16 @@ def read_columns(path: str | None) -> PoleColumns:
     return PoleColumns(np.column_stack([x, y]), *rest)
 
 
-def _road_edges(arguments: argparse.Namespace) -> RoadEdges:
-    xyz = read_table(arguments.road_edges, ["x", "y", "z"]).to_numpy(np.float64, copy=True)
-    if arguments.dem:
-        frame = Frame.from_dict(read_json(arguments.frame))
-        height = read_raster(arguments.dem, frame).sample(xyz[:, 0], xyz[:, 1])
+def _road_edges(given: SceneFiles) -> RoadEdges:
+    xyz = read_table(given.road_edges, ["x", "y", "z"]).to_numpy(np.float64, copy=True)
+    if given.dem:
+        frame = Frame.from_dict(read_json(given.frame))
+        height = read_raster(given.dem, frame).sample(xyz[:, 0], xyz[:, 1])
         # A bridge stands above the ground: its own heights are the better ones.
         near = np.isfinite(height) & (np.abs(height - xyz[:, 2]) < 1.0)
         xyz[near, 2] = height[near]
     return RoadEdges.from_points(xyz)
 
 
-def _terrain(path: str | None) -> Visible | None:
+def _terrain(path: Path | None) -> Visible | None:
     return TerrainSight(read_terrain(path)).visible if path else None

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import Calibration
+from roadsight.base.sections.poles import Calibration, SideViews
 from roadsight.io.images.baselines import read_baselines
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table
@@ -40,10 +40,9 @@ from roadsight.poles.calibration.calibration_table import (
 )
 from roadsight.poles.calibration.calibration_ties import Shared, with_ties
 from roadsight.poles.calibration.calibration_upright import aimed
-from roadsight.poles.images.stitching import ViewOffsets
-from roadsight.stages.command import run_stage
-from roadsight.stages.poles.alignment_inputs import add_arguments, read_scene
-from roadsight.stages.poles.dense_inputs import DenseScene, add_dense_arguments, method_of
+from roadsight.stages.command import Command
+from roadsight.stages.poles.alignment_inputs import SceneFiles, read_scene
+from roadsight.stages.poles.dense_inputs import DenseFiles, DenseScene, method_of
 
 log = logging.getLogger("calibrate_drive")
 _Item = TypeVar("_Item")
@@ -53,32 +52,44 @@ _SURE_LENS = 1e-4
 """Least standard deviation of the logarithm of a known focal length; zero has no inverse."""
 
 
-def calibrate_drives(arguments: argparse.Namespace) -> None:
+def calibrate_drives(
+    files: SceneFiles,
+    given: DenseFiles,
+    settings: Calibration,
+    left_yaw_deg: Annotated[float, SideViews],
+    right_yaw_deg: Annotated[float, SideViews],
+    baseline: Annotated[str | None, 'JSON by image size, {"2000x1200": {...}}, or "all"'] = None,
+    matches: Annotated[Sequence[Path], "tables of shared points"] = (),
+    *,
+    out: Path,
+) -> None:
     """Calibrate each drive (route and image size) and measure the error of its track."""
-    scene = read_scene(arguments)
-    baselines = read_baselines(arguments.baseline) if arguments.baseline else {}
-    shared = _shared_points(arguments.matches)
-    method = method_of(arguments.method, bool(scene.lenses))
-    dense = DenseScene(arguments, scene.lenses) if method == "dense" else None
+    scene = read_scene(files, given.intrinsics)
+    baselines = read_baselines(baseline) if baseline else {}
+    shared = _shared_points(matches)
+    method = method_of(given.method, bool(scene.lenses))
+    dense = DenseScene(files, given, scene.lenses) if method == "dense" else None
     drives: dict[Key, list[tuple[Place, Loader]]] = {}
     for place, load in scene.loaders():
         key = place.route, place.start.width_px, place.start.height_px
         drives.setdefault(key, []).append((place, load))
-    content = []
+    content, sides = [], (left_yaw_deg, right_yaw_deg)
     for key, images in sorted(drives.items(), key=lambda item: item[0]):
-        given = [scene.lenses[p.image] for p, _ in images if p.image in scene.lenses]
-        prior = _prior(key, arguments, baselines, given)
+        lenses = [scene.lenses[p.image] for p, _ in images if p.image in scene.lenses]
+        prior = _prior(key, settings.hfov_deg, baselines, lenses)
         if dense is not None:
-            calibration = _densely(key, [p for p, _ in images], arguments, prior, dense)
+            calibration = _densely(key, [p for p, _ in images], settings, prior, dense)
         else:
-            known = bool(given) or arguments.hfov_deg or _baseline(key, baselines)
+            known = bool(lenses) or settings.hfov_deg or _baseline(key, baselines)
             focal = None if known else _FEW
-            calibration = _calibrated(key, images, arguments, prior, focal, scene.landmarks, shared)
-            mount = _lens_held(calibration.mount, given)
+            calibration = _calibrated(
+                key, images, settings, prior, focal, scene.landmarks, shared, sides
+            )
+            mount = _lens_held(calibration.mount, lenses)
             calibration = replace(calibration, mount=mount)
         log.info("%s %d x %d: %s", *key, _summary(calibration))
         content.append(to_content(calibration))
-    write_json(arguments.out, {"drives": content})
+    write_json(out, {"drives": content})
 
 
 def _baseline(key: Key, baselines: dict[str, Any]) -> dict[str, Any] | None:
@@ -87,10 +98,10 @@ def _baseline(key: Key, baselines: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def _prior(
-    key: Key, arguments: argparse.Namespace, baselines: dict[str, Any], given: list[GivenLens]
+    key: Key, hfov_deg: float, baselines: dict[str, Any], given: list[GivenLens]
 ) -> tuple[Mount, str]:
     """What is known of a drive's mount beforehand, and what is wrong with its baseline."""
-    prior, baseline = weak_mount(arguments.hfov_deg or None, key[1]), _baseline(key, baselines)
+    prior, baseline = weak_mount(hfov_deg or None, key[1]), _baseline(key, baselines)
     problem = ""
     if baseline is not None:
         try:
@@ -113,20 +124,20 @@ def _lens_held(mount: Mount, given: list[GivenLens]) -> Mount:
 def _densely(
     key: Key,
     places: list[Place],
-    arguments: argparse.Namespace,
+    settings: Calibration,
     known: tuple[Mount, str],
     scene: DenseScene,
 ) -> DriveCalibration:
     """Calibration of a drive with a known lens, from photographs and cloud."""
     spread, (prior, problem) = SPREAD, known
-    mount, chosen = prior, _evenly(places, min(arguments.images, IMAGES))
+    mount, chosen = prior, _evenly(places, min(settings.images, IMAGES))
     if len(chosen) < FEWEST:
         problem = problem or f"{len(chosen)} images do not tell how the camera is mounted"
     if problem:
         log.warning("%s: %s", key[0], problem)
     else:
         mount, _ = calibrate_dense([scene.loader(place) for place in chosen], prior, spread)
-    model = DriftModel(arguments.gps_sigma_m, arguments.gps_length_m, arguments.gps_own_m)
+    model = DriftModel(settings.gps_sigma_m, settings.gps_length_m, settings.gps_own_m)
     drift = Drift(np.empty(0), np.empty((0, 2)), np.empty((0, 2, 2)), model)
     return DriveCalibration(key, mount, spread, drift, {}, problem)
 
@@ -134,38 +145,38 @@ def _densely(
 def _calibrated(
     key: Key,
     images: list[tuple[Place, Loader]],
-    arguments: argparse.Namespace,
+    settings: Calibration,
     known: tuple[Mount, str],
     focal_images: int | None,
     noise: LandmarkNoise,
     shared: Shared,
+    sides: tuple[float, float],
 ) -> DriveCalibration:
     """Calibration from road edges; the focal length is sought on some images if on any."""
     places, loaders = [p for p, _ in images], [load for _, load in images]
     spread, (prior, problem) = Spread(), known
-    mount, chosen = prior, _evenly(loaders, arguments.images)
+    mount, chosen = prior, _evenly(loaders, settings.images)
     try:
         if problem:
             raise InputError(problem)
         if focal_images:
             prior = find_focal(_evenly(loaders, focal_images), prior, spread, key[1])
-        if arguments.start == "landmarks":
+        if settings.start == "landmarks":
             prior = aimed(prior, loaders, noise, spread)
         mount, _ = calibrate(chosen, prior, spread)
     except InputError as error:
         log.warning("%s: %s", key[0], error)
         mount, problem = prior, str(error)
-    model = DriftModel(arguments.gps_sigma_m, arguments.gps_length_m, arguments.gps_own_m)
+    model = DriftModel(settings.gps_sigma_m, settings.gps_length_m, settings.gps_own_m)
     drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
     calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
-    sides = arguments.left_yaw_deg, arguments.right_yaw_deg
     calibration, found = with_landmarks(
         calibration, places, loaders, prior, noise, sides, starts, model
     )
     return with_ties(calibration, places, loaders, noise, found, shared)
 
 
-def _shared_points(paths: list[str]) -> Shared:
+def _shared_points(paths: Sequence[Path]) -> Shared:
     """Pixels that pairs of images share, by the names of both."""
     if not paths:
         return {}
@@ -189,22 +200,7 @@ def _summary(calibration: DriveCalibration) -> str:
     return f"{mount.images} images, {len(calibration.measured)} track errors, {numbers}"
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_arguments(parser)
-    add_dense_arguments(parser)
-    help_ = 'JSON by image size, {"2000x1200": {...}}, or "all"'
-    parser.add_argument("--baseline", nargs="?", help=help_)
-    parser.add_argument("--matches", nargs="*", default=[], help="tables of shared points")
-    add_settings(parser, Calibration, "images", "hfov_deg", "start")
-    model, sides = DriftModel(), ViewOffsets()
-    parser.add_argument("--gps-sigma-m", type=float, default=model.sigma_m, help="slow error")
-    parser.add_argument("--gps-length-m", type=float, default=model.length_m, help="of its path")
-    parser.add_argument("--gps-own-m", type=float, default=model.own_m, help="of each position")
-    parser.add_argument("--left-yaw-deg", type=float, default=sides.left_deg, help="first guess")
-    parser.add_argument("--right-yaw-deg", type=float, default=sides.right_deg, help="first guess")
-    return run_stage(parser, calibrate_drives, argv)
+main = Command(calibrate_drives)
 
 
 if __name__ == "__main__":

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import json
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
+from typing import Annotated
 
 import cv2
 import numpy as np
 
 from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import AlignmentMethod
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.images.image_shards import ImageShard
@@ -30,32 +32,32 @@ from roadsight.poles.drive.drive_lenses import lens_of, with_given
 from roadsight.poles.images.evidence import ImageEvidence
 from roadsight.poles.images.straightening import source_places, straightened
 from roadsight.poles.images.views import view_name
+from roadsight.stages.poles.alignment_inputs import SceneFiles
 
-METHODS = ("auto", "road", "dense", "published", "none")
-"""By the lens, road edges and poles, all that photograph and cloud share, as in the second paper,
-or the expected pose."""
 _TILES = 64
 """Tiles that are kept in memory: of 50 m they cover the 80 m about a few images in a row."""
 _IMAGES = 16
 """Photographs whose fields are kept: those of one calibration."""
 
 
-def add_dense_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of both stages."""
-    parser.add_argument("--method", choices=METHODS, default="auto", help="auto: by the lens")
-    parser.add_argument(
-        "--intrinsics",
-        dest="lens_table",
-        nargs="?",
-        help="known lens: CSV, or a row of it as JSON",
-    )
-    parser.add_argument("--cloud", nargs="?", help="tiled cloud; needed where the lens is known")
-    parser.add_argument("--photographs", nargs="?", help="folder or ZIP of the images")
-    parser.add_argument("--masks", nargs="*", default=[], help="masks of all shards")
-    parser.add_argument("--drive", nargs="?", help="profile whose lenses distort; none: pinholes")
-    parser.add_argument(
-        "--lenses", default="[]", help="given lenses as JSON: route, k1, k2, focal_px"
-    )
+@dataclass(frozen=True)
+class DenseFiles:
+    """What the dense alignment is run on besides, and whether it is asked for."""
+
+    method: Annotated[str, AlignmentMethod]
+    intrinsics: Annotated[str | None, "known lens: CSV, or a row of it as JSON"] = None
+    cloud: Annotated[Path | None, "tiled cloud; needed where the lens is known"] = None
+    photographs: Annotated[Path | None, "folder or ZIP of the images"] = None
+    masks: Annotated[Sequence[Path], "masks of all shards"] = ()
+    drive: Annotated[Path | None, "profile whose lenses distort; none: pinholes"] = None
+    lenses: Annotated[str, "given lenses as JSON: route, k1, k2, focal_px"] = "[]"
+
+
+def _given(path: Path | None, name: str) -> Path:
+    """A file that the dense alignment cannot do without."""
+    if path is None:
+        raise InputError("is needed by the dense alignment", where=f"--{name}")
+    return path
 
 
 def method_of(stated: str, lens_is_known: bool) -> str:
@@ -83,30 +85,31 @@ class DenseScene:
 
     Parameters
     ----------
-    arguments : see `add_dense_arguments`, and frames, frame, dem. lenses : by image.
+    lenses : by image.
 
     Raises
     ------
     InputError : a file is missing or cannot be read.
     """
 
-    def __init__(self, arguments: argparse.Namespace, lenses: Mapping[str, GivenLens]) -> None:
-        for name in ("cloud", "photographs", "masks", "dem"):
-            if not getattr(arguments, name):
-                raise InputError("is needed by the dense alignment", where=f"--{name}")
+    def __init__(
+        self, files: SceneFiles, given: DenseFiles, lenses: Mapping[str, GivenLens]
+    ) -> None:
+        if not given.masks:
+            raise InputError("is needed by the dense alignment", where="--masks")
         names = ["image", "path", "route", "width_px", "height_px"]
-        rows = read_table(arguments.frames, names).to_dict("records")
+        rows = read_table(files.frames, names).to_dict("records")
         self._rows = {str(row["image"]): row for row in rows}
         self._lenses = lenses
-        self._photographs = ImageSource(arguments.photographs)
-        shards = [ImageShard(path) for path in arguments.masks]
+        self._photographs = ImageSource(_given(given.photographs, "photographs"))
+        shards = [ImageShard(path) for path in given.masks]
         self._masks = {name: shard for shard in shards for name in shard.names}
         self._distortion = None
-        if arguments.drive:
-            measured = read_json(arguments.drive)["lenses"]
-            self._distortion = with_given(measured, json.loads(arguments.lenses))
-        self._dem = read_raster(arguments.dem, Frame.from_dict(read_json(arguments.frame)))
-        self._cloud = CloudTiles(arguments.cloud)
+        if given.drive:
+            measured = read_json(given.drive)["lenses"]
+            self._distortion = with_given(measured, json.loads(given.lenses))
+        self._dem = read_raster(_given(files.dem, "dem"), Frame.from_dict(read_json(files.frame)))
+        self._cloud = CloudTiles(_given(given.cloud, "cloud"))
         bounds = np.array([tile.bounds_m for tile in self._cloud.tiles]).reshape(-1, 6)
         self._bounds = bounds[:, [0, 1, 3, 4]]
         self._tile = lru_cache(_TILES)(self._read_tile)

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import Networks
+from roadsight.base.sections.poles import Networks
 from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.images.label_images import LabelImages
 from roadsight.io.images.models import open_model
@@ -26,8 +26,8 @@ from roadsight.poles.images.networks import (
     packed_depth,
     tensor_of,
 )
-from roadsight.poles.images.views import VIEWS, View
-from roadsight.stages.command import run_stage
+from roadsight.poles.images.views import VIEWS, View, ViewName
+from roadsight.stages.command import Command
 from roadsight.stages.poles.view_inputs import Stretched, views_with_images
 from roadsight.stages.progress import logged
 
@@ -41,17 +41,34 @@ _ENOUGH = 5
 Depth = Callable[[View], NDArray[np.uint16]]
 
 
-def estimate_depth(arguments: argparse.Namespace) -> None:
+def estimate_depth(
+    frames: Path,
+    images: str,
+    source: Annotated[str, "manifest (.yaml), or folder of 16-bit PNGs, 0 = unknown"],
+    image_height_px: Annotated[int, Networks],
+    folder_kind: Literal["inverse_depth", "depth"] = "inverse_depth",
+    views: Sequence[ViewName] = VIEWS,
+    shard: int = 0,
+    shards: int = 1,
+    threads: Annotated[int, "threads of a network"] = 1,
+    *,
+    out: Path,
+) -> None:
     """Write the depth of every view of every usable frame of the shard."""
-    folders = [] if _is_manifest(arguments.source) else [LabelImages(arguments.source)]
-    views, left_out = views_with_images(arguments, folders, "depth images", log)
-    metric, key, depth_of = _open(arguments)
-    about = {"source": arguments.source, "metric_nearest_m": METRIC_NEAREST_M if metric else None}
+    folders = [] if _is_manifest(source) else [LabelImages(source)]
+    shown, left_out = views_with_images(
+        frames, views, (shard, shards), folders, "depth images", log
+    )
+    metric, key, depth_of = _open(source, threads, images, image_height_px, folder_kind)
+    about: dict[str, Any] = {
+        "source": source,
+        "metric_nearest_m": METRIC_NEAREST_M if metric else None,
+    }
     about |= {"left_out": left_out}
     trends: list[float] = []
     flat = 0
-    with ImageShardWriter(arguments.out, about) as shard:
-        for view in logged(views, len(views), log, "images"):
+    with ImageShardWriter(out, about) as writer:
+        for view in logged(shown, len(shown), log, "images"):
             depth = depth_of(view)
             if not depth.any():
                 flat += 1
@@ -60,9 +77,9 @@ def estimate_depth(arguments: argparse.Namespace) -> None:
                 trends.append(downward_trend(depth))
                 if len(trends) == _ENOUGH:
                     _check_direction(trends, key)
-            shard.write(view.name, depth)
+            writer.write(view.name, depth)
         _check_direction(trends, key)
-    log.info("%d images, %d of them without depth", len(views), flat)
+    log.info("%d images, %d of them without depth", len(shown), flat)
 
 
 def _check_direction(trends: list[float], key: str) -> None:
@@ -82,23 +99,29 @@ def _is_manifest(source: str) -> bool:
     return source.endswith((".yaml", ".yml"))
 
 
-def _open(arguments: argparse.Namespace) -> tuple[bool, str, Depth]:
+def _open(
+    source: str,
+    threads: int,
+    images_path: str,
+    image_height_px: int,
+    folder_kind: Literal["inverse_depth", "depth"],
+) -> tuple[bool, str, Depth]:
     """Whether the scale is metric, what to change if depth is inverted, depth of a view."""
-    if not _is_manifest(arguments.source):
-        return False, "--folder-kind", _from_folder(arguments)
-    model = open_model(arguments.source, arguments.threads)
+    if not _is_manifest(source):
+        return False, "--folder-kind", _from_folder(folder_kind, source, images_path)
+    model = open_model(source, threads)
     spec = model.manifest
     if spec.task == "classes":
         raise InputError(
             "must be relative_depth or metric_depth",
-            where=f"{arguments.source}: task",
+            where=f"{source}: task",
             found=spec.task,
         )
-    images, metric = ImageSource(arguments.images), spec.task == "metric_depth"
+    images, metric = ImageSource(images_path), spec.task == "metric_depth"
 
     def depth_of(view: View) -> NDArray[np.uint16]:
         image = images.read(view.path)
-        tensor = tensor_of(image, spec.input, arguments.image_height_px)
+        tensor = tensor_of(image, spec.input, image_height_px)
         outputs = model.session.run(list(model.output_names), {model.input_name: tensor})
         inverse = inverse_depth(outputs, spec)
         if inverse.shape[0] > image.shape[0]:
@@ -106,12 +129,14 @@ def _open(arguments: argparse.Namespace) -> tuple[bool, str, Depth]:
             inverse = np.asarray(resized, np.float32)
         return packed_depth(inverse, metric)
 
-    return metric, f"{arguments.source}: output.kind", depth_of
+    return metric, f"{source}: output.kind", depth_of
 
 
-def _from_folder(arguments: argparse.Namespace) -> Depth:
-    folder, kind = LabelImages(arguments.source), arguments.folder_kind
-    images, stretched = ImageSource(arguments.images), Stretched("depth images", log)
+def _from_folder(
+    folder_kind: Literal["inverse_depth", "depth"], source: str, images_path: str
+) -> Depth:
+    folder, kind = LabelImages(source), folder_kind
+    images, stretched = ImageSource(images_path), Stretched("depth images", log)
 
     def depth_of(view: View) -> NDArray[np.uint16]:
         pixels, shape = folder.read(view.path).astype(np.float32), images.size(view.path)[::-1]
@@ -124,23 +149,7 @@ def _from_folder(arguments: argparse.Namespace) -> Depth:
     return depth_of
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frames", "images", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument(
-        "--source", required=True, help="manifest (.yaml), or folder of 16-bit PNGs, 0 = unknown"
-    )
-    parser.add_argument(
-        "--folder-kind", choices=("inverse_depth", "depth"), default="inverse_depth"
-    )
-    parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
-    parser.add_argument("--shard", type=int, default=0)
-    parser.add_argument("--shards", type=int, default=1)
-    parser.add_argument("--threads", type=int, default=1, help="threads of a network")
-    add_settings(parser, Networks, "image_height_px")
-    return run_stage(parser, estimate_depth, argv)
+main = Command(estimate_depth)
 
 
 if __name__ == "__main__":

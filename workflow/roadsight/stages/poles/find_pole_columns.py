@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
@@ -16,7 +17,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
 from roadsight.poles.sightings.lidar_poles import PoleColumns, find_pole_columns
 from roadsight.poles.sightings.stems import find_stems, with_stems
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("find_pole_columns")
@@ -26,17 +27,24 @@ _HALO_M = 6.0
 nearest neighbours, so that tiles do not show in the result."""
 
 
-def find_columns(arguments: argparse.Namespace) -> None:
+def find_columns(
+    cloud_path: Path,
+    frame: Path,
+    dem: Path,
+    min_top_m: Annotated[float, "lower columns are none"] = 3.0,
+    *,
+    out: Path,
+) -> None:
     """Write the columns of each tile, those of its margin left to its neighbours."""
-    ground = read_raster(arguments.dem, Frame.from_dict(read_json(arguments.frame)))
-    cloud = CloudTiles(arguments.cloud)
+    ground = read_raster(dem, Frame.from_dict(read_json(frame)))
+    cloud = CloudTiles(cloud_path)
     tiles = cloud.iter_tiles(_HALO_M, ["x", "y", "z", "classification"])
     tables = [pd.DataFrame(columns=list(COLUMNS), dtype=np.float64)]
     for (west, south, east, north), points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
         above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
         cls = points["classification"]
-        tall = find_pole_columns(xyz, above, cls, arguments.min_top_m)
+        tall = find_pole_columns(xyz, above, cls, min_top_m)
         found = with_stems(tall, find_stems(xyz, above, cls))
         x, y = found.xy_m.T
         inside = (x >= west) & (x < east) & (y >= south) & (y < north)
@@ -46,7 +54,7 @@ def find_columns(arguments: argparse.Namespace) -> None:
     median_m = table["sigma_m"].median() if len(table) else float("nan")
     tell = log.info if len(table) else log.warning
     tell("%d pole-like columns, places good to %.3f m (median)", len(table), median_m)
-    write_table(arguments.out, table, {"min_top_m": arguments.min_top_m})
+    write_table(out, table, {"min_top_m": min_top_m})
 
 
 def _table(found: PoleColumns) -> pd.DataFrame:
@@ -55,13 +63,7 @@ def _table(found: PoleColumns) -> pd.DataFrame:
     return pd.DataFrame(dict(zip(COLUMNS, values, strict=True)))
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "frame", "dem", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--min-top-m", type=float, default=3.0, help="lower columns are none")
-    return run_stage(parser, find_columns, argv)
+main = Command(find_columns)
 
 
 if __name__ == "__main__":

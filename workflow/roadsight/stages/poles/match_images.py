@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import sys
 from collections.abc import Hashable, Mapping
 from functools import lru_cache
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -20,7 +20,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
 from roadsight.poles.images.image_matches import Features, consecutive, features, matched
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("match_images")
@@ -32,17 +32,26 @@ shards differ more in size."""
 COLUMNS = ("image", "other", "u", "v", "u_other", "v_other")
 
 
-def match_images(arguments: argparse.Namespace) -> None:
+def match_images(
+    frames: Path,
+    images_path: str,
+    drive: Annotated[Path | None, "profile whose lenses distort; none: pinholes"] = None,
+    lenses_json: Annotated[str, "given lenses as JSON: route, k1, k2, focal_px"] = "[]",
+    shard: int = 0,
+    shards: int = 1,
+    *,
+    out: Path,
+) -> None:
     """Write the pixels that show the same, of each image of the shard and the next one."""
     pairs = [
         (one, other)
-        for one, other in consecutive(read_table(arguments.frames, _FRAME))
-        if shard_of(_run(one), arguments.shards) == arguments.shard
+        for one, other in consecutive(read_table(frames, _FRAME))
+        if shard_of(_run(one), shards) == shard
     ]
-    images = ImageSource(arguments.images)
+    images = ImageSource(images_path)
     lenses = None
-    if arguments.drive:
-        lenses = with_given(read_json(arguments.drive)["lenses"], json.loads(arguments.lenses))
+    if drive:
+        lenses = with_given(read_json(drive)["lenses"], json.loads(lenses_json))
 
     @lru_cache(maxsize=2)
     def found(path: str) -> Features:
@@ -59,7 +68,7 @@ def match_images(arguments: argparse.Namespace) -> None:
     kinds = dict.fromkeys(COLUMNS[:2], str) | dict.fromkeys(COLUMNS[2:], np.float64)
     table = pd.concat(tables, ignore_index=True).astype(kinds)
     log.info("%d points shared by %d pairs", len(table), len(pairs))
-    write_table(arguments.out, table)
+    write_table(out, table)
 
 
 def _run(row: Mapping[Hashable, Any]) -> str:
@@ -81,18 +90,7 @@ def _rows(image: str, other: str, here: Floats, there: Floats) -> pd.DataFrame:
     return table
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frames", "images", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--drive", nargs="?", help="profile whose lenses distort; none: pinholes")
-    parser.add_argument(
-        "--lenses", default="[]", help="given lenses as JSON: route, k1, k2, focal_px"
-    )
-    parser.add_argument("--shard", type=int, default=0)
-    parser.add_argument("--shards", type=int, default=1)
-    return run_stage(parser, match_images, argv)
+main = Command(match_images)
 
 
 if __name__ == "__main__":

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from collections.abc import Iterator
-from dataclasses import asdict, fields, replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import Sightings
+from roadsight.base.sections.poles import Sightings
 from roadsight.geometry.cameras import Intrinsics, compass_deg
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -24,13 +24,12 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.poles.alignment.landmarks import Turns
 from roadsight.poles.calibration.calibration_table import Key, from_content
-from roadsight.poles.images.pole_masks import MaskSettings
 from roadsight.poles.images.stitching import ViewOffsets, merge_views, side_intrinsics
-from roadsight.poles.images.views import VIEWS, View, usable, views_of
+from roadsight.poles.images.views import VIEWS, View, ViewName, usable, views_of
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
-from roadsight.poles.sightings.sightings import Evidence, SightingSettings, measure_view
+from roadsight.poles.sightings.sightings import Evidence, measure_view
 from roadsight.poles.triangulate.pole_doubts import UNTURNED
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.poles.alignment_inputs import read_columns
 from roadsight.stages.progress import logged
 
@@ -76,29 +75,46 @@ _TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
 """Columns that hold texts, also where there is no row to tell."""
 
 
-def measure_poles(arguments: argparse.Namespace) -> None:
+def measure_poles(
+    frames_path: Path,
+    cameras_path: Path,
+    masks_path: Path,
+    depth: Path,
+    dem: Path,
+    frame_path: Path,
+    settings: Sightings,
+    turns_path: Annotated[Path | None, "yaw of side views, from what images share"] = None,
+    columns: Annotated[Path | None, "pole-like columns of the cloud"] = None,
+    calibration: Annotated[Path | None, "has the yaw of side views, if found"] = None,
+    voxels: Annotated[Path | None, "only for the bearing `lidar`"] = None,
+    views: Sequence[ViewName] = VIEWS,
+    shard: int = 0,
+    shards: int = 1,
+    grid_convergence: Literal["simulate", "skip"] = "simulate",
+    *,
+    out: Path,
+) -> None:
     """Write the sightings of every image of the shard whose camera was accepted."""
-    settings = _settings(arguments)
-    given = ViewOffsets(arguments.left_yaw_deg, arguments.right_yaw_deg)
-    found = _side_views(arguments.calibration, arguments.turns)
-    frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
-    cameras = read_table(arguments.cameras)
+    given = ViewOffsets(settings.left_yaw_deg, settings.right_yaw_deg)
+    found = _side_views(calibration, turns_path)
+    frames = usable(read_table(frames_path), shard, shards)
+    cameras = read_table(cameras_path)
     accepted = cameras[cameras["accepted"]].set_index("image")
     poses = {str(image): pose for image, pose in accepted.iterrows()}
     known = frames[frames["image"].isin(accepted.index)]
     log.info("%d of %d images have an accepted camera", len(known), len(frames))
-    frame = Frame.from_dict(read_json(arguments.frame))
-    ground = read_raster(arguments.dem, frame)
-    evidence = _Evidence(arguments, ground, accepted.loc[known["image"]], settings)
-    masks, depths = ImageShard(arguments.masks), ImageShard(arguments.depth)
-    views = list(views_of(known, tuple(arguments.views)))
-    lacking = {view.path for view in views if view.name not in masks or view.name not in depths}
+    frame = Frame.from_dict(read_json(frame_path))
+    ground = read_raster(dem, frame)
+    evidence = _Evidence(columns, voxels, ground, accepted.loc[known["image"]], settings)
+    masks, depths = ImageShard(masks_path), ImageShard(depth)
+    shown = list(views_of(known, tuple(views)))
+    lacking = {view.path for view in shown if view.name not in masks or view.name not in depths}
     if lacking:
         log.warning("%d images have no mask or depth: %s", len(lacking), ", ".join(sorted(lacking)))
-        views = [view for view in views if view.path not in lacking]
+        shown = [view for view in shown if view.path not in lacking]
     routes = dict(zip(known["image"], known["route"].astype(str), strict=True))
     tables = []
-    for view in logged(views, len(views), log, "images"):
+    for view in logged(shown, len(shown), log, "images"):
         mask = masks.read(view.name)
         pose = poses[view.image]
         key = routes[view.image], int(pose["width_px"]), int(pose["height_px"])
@@ -110,19 +126,19 @@ def measure_poles(arguments: argparse.Namespace) -> None:
             camera = replace(camera, sigma_heading_deg=wider_deg)
         table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
         unturned = key in found and not np.isfinite(turn_sigma_deg)
-        if unturned and arguments.side_views == "found" and len(table):
+        if unturned and settings.side_views == "found" and len(table):
             table = table.assign(kept=False, reason=UNTURNED)
         if len(table):
             tables.append(table.assign(image=view.image, view=view.view))
     sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
-    turned = arguments.grid_convergence == "simulate"
+    turned = grid_convergence == "simulate"
     table = _finished(sightings, known, accepted, frame, turned)
     for reason, count in table["reason"].value_counts().sort_index().items():
         log.info("%5d %s", count, reason or "kept")
-    write_table(arguments.out, table, {"settings": asdict(settings), "offsets": asdict(given)})
+    write_table(out, table, {"settings": settings.model_dump(), "offsets": asdict(given)})
 
 
-def _side_views(calibrated: str | None, matched: str | None) -> dict[Key, Turns]:
+def _side_views(calibrated: Path | None, matched: Path | None) -> dict[Key, Turns]:
     """Yaw of the side views of each drive, where its calibration or shared points found them."""
     drives = read_json(calibrated)["drives"] if calibrated else []
     found = {calibration.key: calibration.turns for calibration in map(from_content, drives)}
@@ -147,16 +163,17 @@ class _Evidence:
 
     def __init__(
         self,
-        arguments: argparse.Namespace,
+        columns: Path | None,
+        voxels: Path | None,
         ground: Raster,
         cameras: pd.DataFrame,
-        settings: SightingSettings,
+        settings: Sightings,
     ) -> None:
         self._ground, self._reach_m = ground, settings.farthest_m
-        self._columns = read_columns(arguments.columns)
+        self._columns = read_columns(columns)
         self._points = np.empty((0, 3))
         if settings.bearing == "lidar":
-            self._points = _voxels(arguments.voxels, cameras, self._reach_m + 10.0)
+            self._points = _voxels(voxels, cameras, self._reach_m + 10.0)
         log.info("%d pole-like columns, %d voxels", len(self._columns), len(self._points))
 
     def near(self, camera: ViewCamera) -> Evidence:
@@ -166,7 +183,7 @@ class _Evidence:
         return Evidence(self._ground.sample, self._columns, self._points[close])
 
 
-def _voxels(path: str | None, cameras: pd.DataFrame, reach_m: float) -> Floats:
+def _voxels(path: Path | None, cameras: pd.DataFrame, reach_m: float) -> Floats:
     """Centres (n, 3) of the voxels around the cameras."""
     if not path:
         raise InputError("the bearing `lidar` needs voxels", where="--voxels")
@@ -188,7 +205,7 @@ def _near(xy_m: Floats, places_m: Floats, reach_m: float) -> Bools:
     table = np.zeros(tuple(shape), bool)
     table[tuple((np.array(sorted(around)) - low + 1).T)] = True
     own = np.clip(np.floor(xy_m / reach_m).astype(np.int64) - low + 1, 0, shape - 1)
-    return table[own[:, 0], own[:, 1]]
+    return np.asarray(table[own[:, 0], own[:, 1]])
 
 
 def _camera(
@@ -242,38 +259,7 @@ def _finished(
     return table[list(_COLUMNS)].reset_index(drop=True)
 
 
-def _settings(arguments: argparse.Namespace) -> SightingSettings:
-    mask = MaskSettings(**{f.name: getattr(arguments, f.name) for f in fields(MaskSettings)})
-    own = {f.name: getattr(arguments, f.name) for f in fields(SightingSettings) if f.name != "mask"}
-    return SightingSettings(**own | {"kinds": tuple(arguments.kinds), "mask": mask})
-
-
-def _numbers() -> Iterator[tuple[str, float]]:
-    for part in (SightingSettings, MaskSettings):
-        for field in fields(part):
-            if isinstance(field.default, float):
-                yield field.name, field.default
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frames", "cameras", "masks", "depth", "dem", "frame", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--turns", nargs="?", help="yaw of side views, from what images share")
-    parser.add_argument("--columns", nargs="?", help="pole-like columns of the cloud")
-    parser.add_argument("--calibration", nargs="?", help="has the yaw of side views, if found")
-    parser.add_argument("--voxels", nargs="?", help="only for the bearing `lidar`")
-    parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
-    parser.add_argument("--shard", type=int, default=0)
-    parser.add_argument("--shards", type=int, default=1)
-    parser.add_argument("--left-yaw-deg", type=float, default=ViewOffsets.left_deg)
-    parser.add_argument("--right-yaw-deg", type=float, default=ViewOffsets.right_deg)
-    parser.add_argument("--grid-convergence", choices=("simulate", "skip"), default="simulate")
-    add_settings(parser, Sightings, "kinds", "bearing", "height_rule", "side_views")
-    for name, default in _numbers():
-        parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=default)
-    return run_stage(parser, measure_poles, argv)
+main = Command(measure_poles)
 
 
 if __name__ == "__main__":

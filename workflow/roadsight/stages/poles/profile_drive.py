@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import sys
-from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -24,20 +23,22 @@ from roadsight.poles.drive.drive_profile import (
     keys_of,
     measured_lens,
 )
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("profile_drive")
 
 
-def profile_drive(arguments: argparse.Namespace) -> None:
+def profile_drive(
+    frames_path: Path, dem: Path, frame_path: Path, images: str, *, out: Path
+) -> None:
     """Write the profile of a site's drives."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    frames = read_table(arguments.frames)
+    frame = Frame.from_dict(read_json(frame_path))
+    frames = read_table(frames_path)
     usable = frames[(frames["status"] == "ok") & np.isfinite(frames["z_road"])]
-    picture = ImageSource(arguments.images).read
+    picture = ImageSource(images).read
     content = {
         "images": len(usable),
-        "hidden_road_share": hidden_share(usable, read_raster(arguments.dem, frame).sample),
+        "hidden_road_share": hidden_share(usable, read_raster(dem, frame).sample),
         "side_share": float(has_sides(usable).mean()) if len(usable) else 0.0,
         "front_view_gaps": [[fov, front_view_gap(usable, fov)] for fov in FIELDS_DEG],
         "lenses": [
@@ -45,15 +46,10 @@ def profile_drive(arguments: argparse.Namespace) -> None:
         ],
     }
     log.info("%s", json.dumps(content))
-    write_json(arguments.out, content)
+    write_json(out, content)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frames", "dem", "frame", "images", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    return run_stage(parser, profile_drive, argv)
+main = Command(profile_drive)
 
 
 if __name__ == "__main__":

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import pandas as pd
 
-from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import Hazard
+from roadsight.base.sections.poles import Hazard
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
@@ -21,21 +20,15 @@ from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.clear_zone import SOURCE
-from roadsight.poles.risk.hazard import (
-    RULE,
-    HazardSettings,
-    Height,
-    Rated,
-    rate_roadside,
-)
-from roadsight.poles.risk.inventory import CARRIAGEWAYS
+from roadsight.poles.risk.hazard import RULE, Height, Rated, rate_roadside
+from roadsight.poles.risk.inventory import Carriageway
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, geometry_table, section_table
 from roadsight.poles.risk.roadside_rating import SOURCES
 from roadsight.poles.risk.routes import UNITS_M
 from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.risk.shielding import Barrier, barrier_ends
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.doubts import tell
 from roadsight.stages.poles.hazard_layers import (
     GEOMETRY,
@@ -43,7 +36,7 @@ from roadsight.stages.poles.hazard_layers import (
     hazard_points,
     section_lines,
 )
-from roadsight.stages.poles.roadside_inputs import given_roads, ground_near_roads
+from roadsight.stages.poles.roadside_inputs import RoadFiles, given_roads, ground_near_roads
 
 log = logging.getLogger("rate_hazard")
 
@@ -56,26 +49,45 @@ _NONE = ("clear_zone_m", "runout_length_m")
 """Settings that 0 leaves to the guide's tables."""
 
 
-def rate_hazard(arguments: argparse.Namespace) -> None:
+def rate_hazard(
+    poles_path: Path,
+    frame_path: Path,
+    frames_path: Path,
+    edges: Path,
+    settings: Hazard,
+    given: RoadFiles,
+    dem: Annotated[Path | None, "ground heights, for side slopes"] = None,
+    cloud: Annotated[Path | None, "the cloud, for cross-sections of its points"] = None,
+    ground: Annotated[Path | None, "which of its points are ground"] = None,
+    placed: Annotated[Path | None, "layers of the poles, to go with the others"] = None,
+    traffic: Annotated[Literal["right", "left"], "drives so"] = "right",
+    carriageway: Carriageway = "two-way",
+    scale_factor: Literal["simulate", "skip"] = "skip",
+    *,
+    out: Path,
+    csv: Path,
+    layers_path: Annotated[Path | None, "GeoPackage of all layers"] = None,
+    geometry_csv: Annotated[Path | None, "road geometry by station"] = None,
+    sections_path: Annotated[Path | None, "cross-sections, for the report"] = None,
+    doubts: Annotated[Path | None, "what the hazard rests on"] = None,
+) -> None:
     """Write the hazard of each kept pole, cross-sections, and the geometry of the roads."""
-    settings = HazardSettings(**{name: getattr(arguments, name) for name in vars(HazardSettings())})
-    _check(settings)
-    frame = Frame.from_dict(read_json(arguments.frame))
-    poles = read_table(arguments.poles)
+    frame = Frame.from_dict(read_json(frame_path))
+    poles = read_table(poles_path)
     poles = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
-    edges_m = read_table(arguments.edges, ["x", "y"]).to_numpy(np.float64)
-    frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
-    height = read_raster(arguments.dem, frame).sample if arguments.dem else None
-    scale = grid_scale(poles, frame) if arguments.scale_factor == "simulate" else 1.0
+    edges_m = read_table(edges, ["x", "y"]).to_numpy(np.float64)
+    frames = read_table(frames_path, ["route", "sequence", "x", "y"])
+    height = read_raster(dem, frame).sample if dem else None
+    scale = grid_scale(poles, frame) if scale_factor == "simulate" else 1.0
     tracks = RouteTracks(frames.assign(**{name: frames[name] / scale for name in PLAN}))
     roads, inventory, barriers, told = given_roads(
-        arguments, frame, roads_of(tracks, edges_m / scale), scale
+        given, frame, roads_of(tracks, edges_m / scale), scale
     )
-    if arguments.doubts:
-        tell(told, arguments.doubts, f"poles {arguments.poles}", log)
+    if doubts:
+        tell(told, doubts, f"poles {poles_path}", log)
     points = None
-    if arguments.cloud and arguments.ground:
-        points = ground_near_roads(arguments.cloud, arguments.ground, roads, scale)
+    if cloud and ground:
+        points = ground_near_roads(cloud, ground, roads, scale)
         log.info("%d ground points near roads", len(points))
     surroundings = Surroundings(
         roads,
@@ -83,19 +95,19 @@ def rate_hazard(arguments: argparse.Namespace) -> None:
         points,
         inventory,
         barriers,
-        arguments.traffic == "left",
-        arguments.carriageway,
+        traffic == "left",
+        carriageway,
     )
     objects = _with_barrier_ends(poles, barriers, frame, scale)
     rated = rate_roadside(_divided(objects, scale), edges_m / scale, surroundings, settings)
-    measured = _measure(rated.table, arguments.measure_unit)
+    measured = _measure(rated.table, given.measure_unit)
     known = objects[["id", "kind", "x", "y", "latitude", "longitude"]]
     table = pd.concat([known, rated.table, measured], axis=1)
     log.info("%d poles: %s", len(table), table["rating"].value_counts().to_dict())
-    about = {"clear_zone": SOURCE, "rule": RULE, "settings": vars(settings)}
+    about = {"clear_zone": SOURCE, "rule": RULE, "settings": settings.model_dump()}
     about |= {"sources": SOURCES}
-    write_table(arguments.out, table, about)
-    write_csv(arguments.csv, in_native(table, frame))
+    write_table(out, table, about)
+    write_csv(csv, in_native(table, frame))
     sections = section_table(
         surroundings,
         objects["id"].astype(str).tolist(),
@@ -103,28 +115,28 @@ def rate_hazard(arguments: argparse.Namespace) -> None:
         rated.edge_m,
         rated.outward,
         rated.sections,
-        arguments.section_every_m,
+        settings.section_every_m,
     )
     places = ["start_x", "start_y", "end_x", "end_y"]
     sections[places] *= scale
     geometry = geometry_table(surroundings)
     geometry[list(PLAN)] *= scale
-    if arguments.geometry_csv:
-        write_csv(arguments.geometry_csv, _rounded(in_native(geometry, frame)))
-    if arguments.sections:
-        write_table(arguments.sections, sections, {"profiles": _profiles(objects, rated)})
-    if arguments.layers:
+    if geometry_csv:
+        write_csv(geometry_csv, _rounded(in_native(geometry, frame)))
+    if sections_path:
+        write_table(sections_path, sections, {"profiles": _profiles(objects, rated)})
+    if layers_path:
         layers = {
-            name: read_layer(arguments.placed, name, frame)
+            name: read_layer(placed, name, frame)
             for name in ("poles", "ellipses", "rays")
-            if arguments.placed
+            if placed
         }
         layers |= {
             "hazard": hazard_points(table, height),
             "cross_sections": section_lines(sections, height),
             "road_geometry": geometry_lines(geometry, surroundings, GEOMETRY_EVERY_M, scale),
         }
-        write_layers(arguments.layers, layers, frame, KINDS | GEOMETRY)
+        write_layers(layers_path, layers, frame, KINDS | GEOMETRY)
 
 
 def _profiles(objects: pd.DataFrame, rated: Rated) -> dict[str, dict[str, list[float]]]:
@@ -184,37 +196,7 @@ def _on_ground(height: Height | None, scale: float) -> Height | None:
     return None if height is None else lambda x, y: height(scale * x, scale * y)
 
 
-def _check(settings: HazardSettings) -> None:
-    for name, value in vars(settings).items():
-        least = 0.0 if name in _NONE else np.nextafter(0.0, 1.0)
-        if not (np.isfinite(value) and value >= least):
-            raise InputError("is not positive", where=name, found=value, allowed="more than 0")
-
-
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("poles", "frame", "frames", "edges", "out", "csv"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--dem", nargs="?", help="ground heights, for side slopes")
-    parser.add_argument("--cloud", nargs="?", help="the cloud, for cross-sections of its points")
-    parser.add_argument("--ground", nargs="?", help="which of its points are ground")
-    parser.add_argument("--placed", nargs="?", help="layers of the poles, to go with the others")
-    parser.add_argument("--layers", help="GeoPackage of all layers")
-    parser.add_argument("--geometry-csv", help="road geometry by station")
-    parser.add_argument("--sections", help="cross-sections, for the report")
-    parser.add_argument("--doubts", help="JSON with what the hazard rests on")
-    add_settings(parser, Hazard, "section_every_m")
-    for name in ("inventory", "routes", "barriers"):
-        parser.add_argument(f"--{name}", nargs="?", help="file of the user")
-        parser.add_argument(f"--{name}-crs", default="", help="its CRS if it names none")
-    parser.add_argument("--measure-unit", choices=tuple(UNITS_M), default="m")
-    parser.add_argument("--traffic", choices=("right", "left"), default="right", help="drives so")
-    parser.add_argument("--carriageway", choices=CARRIAGEWAYS, default="two-way")
-    parser.add_argument("--scale-factor", choices=("simulate", "skip"), default="skip")
-    for name, default in vars(HazardSettings()).items():
-        parser.add_argument(f"--{name.replace('_', '-')}", type=float, default=default)
-    return run_stage(parser, rate_hazard, argv)
+main = Command(rate_hazard)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
@@ -14,8 +15,7 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import Videolog
+from roadsight.base.sections.poles import Videolog
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.cloud.tiles import CloudTiles
@@ -24,9 +24,9 @@ from roadsight.io.raster.rasters import read_raster
 from roadsight.io.raster.top_rasters import TopRaster, read_top
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
-from roadsight.poles.drive.videolog import OK, Site, TrackSettings, build_frames
+from roadsight.poles.drive.videolog import OK, Site, build_frames
 from roadsight.scene.classes import is_road
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("read_videolog")
@@ -59,21 +59,29 @@ _RING = np.array([[0.0, 0.0], *([np.sin(a), np.cos(a)] for a in np.radians(range
 """Middle and eight places of a ring of radius 1."""
 
 
-def read_videolog(arguments: argparse.Namespace) -> None:
+def read_videolog(
+    videolog: Annotated[str, "CSV table, or folder of tagged JPEGs"],
+    images: Annotated[str, "folder or ZIP file of images"],
+    cloud: Path,
+    frame_path: Path,
+    dem: Path,
+    settings: Videolog,
+    top: Annotated[Path | None, "overhead view, for the height of the road"] = None,
+    outside_m: float = 30.0,
+    *,
+    out: Path,
+) -> None:
     """Write the frames of all routes."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    source = ImageSource(arguments.images)
-    table = read_videolog_table(arguments.videolog, source)
-    table = find_images(every_nth(table, arguments.every), source)
-    settings = TrackSettings(
-        arguments.heading_images, arguments.standing_m, arguments.jump_m, arguments.jump_factor
-    )
-    frames = build_frames(table, _site(arguments, frame), settings)
+    frame = Frame.from_dict(read_json(frame_path))
+    source = ImageSource(images)
+    table = read_videolog_table(videolog, source)
+    table = find_images(every_nth(table, settings.every), source)
+    frames = build_frames(table, _site(cloud, dem, top, outside_m, frame), settings)
     if frame.crs_wkt is None:
         # What was read under these names are places in the local system.
         frames[["latitude", "longitude"]] = np.nan
     _tell(table, frames, source)
-    write_table(arguments.out, frames[COLUMNS], {"settings": vars(settings)})
+    write_table(out, frames[COLUMNS], {"settings": settings.model_dump()})
 
 
 def every_nth(table: pd.DataFrame, every: int) -> pd.DataFrame:
@@ -120,19 +128,21 @@ def _side(source: ImageSource, name: str) -> str:
     return path
 
 
-def _site(arguments: argparse.Namespace, frame: Frame) -> Site:
-    cloud = CloudTiles(arguments.cloud)
+def _site(
+    cloud_path: Path, dem_path: Path, top: Path | None, outside_m: float, frame: Frame
+) -> Site:
+    cloud = CloudTiles(cloud_path)
     bounds = np.array([tile.bounds_m for tile in cloud.tiles])
     tree = shapely.STRtree(shapely.box(bounds[:, 0], bounds[:, 1], bounds[:, 3], bounds[:, 4]))
 
     def covers(xy: Floats) -> Bools:
-        near, _ = tree.query(shapely.points(xy), predicate="dwithin", distance=arguments.outside_m)
+        near, _ = tree.query(shapely.points(xy), predicate="dwithin", distance=outside_m)
         return np.isin(np.arange(len(xy)), near)
 
     corners = np.array([bounds[:, :2].min(axis=0), bounds[:, 3:5].max(axis=0)])
     to_local, extent = _coordinates(frame, corners)
-    dem = read_raster(arguments.dem, frame)
-    view = read_top(arguments.top, frame) if arguments.top else None
+    dem = read_raster(dem_path, frame)
+    view = read_top(top, frame) if top else None
     heights = road_heights(dem.sample, view)
     return Site(to_local, covers, heights, extent, frame.crs_wkt is None)
 
@@ -207,20 +217,7 @@ def _some(names: list[str]) -> str:
     return ", ".join(names[:5]) + (", ..." if len(names) > 5 else "")
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--videolog", required=True, help="CSV table, or folder of tagged JPEGs")
-    parser.add_argument("--images", required=True, help="folder or ZIP file of images")
-    for name in ("cloud", "frame", "dem", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--top", nargs="?", help="overhead view, for the height of the road")
-    parser.add_argument("--outside-m", type=float, default=30.0)
-    add_settings(parser, Videolog, "every", "heading_images")
-    parser.add_argument("--standing-m", type=float, default=0.5)
-    parser.add_argument("--jump-m", type=float, default=50.0)
-    parser.add_argument("--jump-factor", type=float, default=5.0)
-    return run_stage(parser, read_videolog, argv)
+main = Command(read_videolog)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -18,7 +20,7 @@ from roadsight.poles.risk.inventory import Inventory, check_inventory
 from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts
 from roadsight.poles.risk.roads import Roads
 from roadsight.poles.risk.roadside import REACH_M
-from roadsight.poles.risk.routes import Route, with_routes
+from roadsight.poles.risk.routes import MeasureUnit, Route, with_routes
 from roadsight.poles.risk.shielding import Barrier, barriers_along
 from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells
 
@@ -30,7 +32,7 @@ _ROAD_HALF_M = 12.0
 reach decide about nothing."""
 
 
-def ground_near_roads(cloud: str, ground: str, roads: Roads, scale: float) -> Floats:
+def ground_near_roads(cloud: Path, ground: Path, roads: Roads, scale: float) -> Floats:
     """Ground points (n, 3) near roads, thinned, tile by tile.
 
     Parameters
@@ -46,7 +48,7 @@ def ground_near_roads(cloud: str, ground: str, roads: Roads, scale: float) -> Fl
     if len(labels) != tiles.points:
         raise InputError(
             "are not the ground labels of this cloud",
-            where=ground,
+            where=str(ground),
             found=f"{len(labels)} points",
             allowed=tiles.points,
             hint="delete it and run the workflow again",
@@ -66,23 +68,34 @@ def ground_near_roads(cloud: str, ground: str, roads: Roads, scale: float) -> Fl
     if not parts:
         return np.empty((0, 3))
     points = cell_means(add_cells(parts))
-    return points / np.array([scale, scale, 1.0])
+    return np.asarray(points / [scale, scale, 1.0])
+
+
+@dataclass(frozen=True)
+class RoadFiles:
+    """What the user knows of the roads."""
+
+    inventory: Annotated[str | None, "file of the user"] = None
+    inventory_crs: Annotated[str | None, "its CRS if it names none"] = None
+    routes: Annotated[str | None, "file of the user"] = None
+    routes_crs: Annotated[str | None, "its CRS if it names none"] = None
+    barriers: Annotated[str | None, "file of the user"] = None
+    barriers_crs: Annotated[str | None, "its CRS if it names none"] = None
+    measure_unit: MeasureUnit = "m"
 
 
 def given_roads(
-    arguments: argparse.Namespace, frame: Frame, roads: Roads, scale: float
+    given: RoadFiles, frame: Frame, roads: Roads, scale: float
 ) -> tuple[Roads, Inventory | None, list[Barrier], list[Doubt]]:
     """Roads measured along their routes, the inventory, the barriers, and doubts about them."""
     told: list[Doubt] = []
     inventory: Inventory | None = None
     routes: list[Route] = []
-    if arguments.inventory:
-        crs = arguments.inventory_crs or None
-        table, places, routes = read_inventory(arguments.inventory, frame, crs)
-        inventory = check_inventory(table, arguments.inventory, places)
-    if arguments.routes:
-        crs = arguments.routes_crs or None
-        routes = read_routes(arguments.routes, frame, crs, arguments.measure_unit)
+    if given.inventory:
+        table, places, routes = read_inventory(given.inventory, frame, given.inventory_crs)
+        inventory = check_inventory(table, given.inventory, places)
+    if given.routes:
+        routes = read_routes(given.routes, frame, given.routes_crs, given.measure_unit)
     if routes:
         on_ground = [Route(r.name, r.xy_m / scale, r.measure_m, r.where) for r in routes]
         roads, more = with_routes(roads, on_ground)
@@ -90,8 +103,8 @@ def given_roads(
     if inventory is not None:
         told += inventory_doubts(inventory, roads.roads, bool(routes))
     barriers: list[Barrier] = []
-    if arguments.barriers:
-        lines, names = read_barriers(arguments.barriers, frame, arguments.barriers_crs or None)
+    if given.barriers:
+        lines, names = read_barriers(given.barriers, frame, given.barriers_crs)
         barriers, more = barriers_along([line / scale for line in lines], names, roads)
         told += more
     return roads, inventory, barriers, [*told, *edge_doubts(roads.roads)]

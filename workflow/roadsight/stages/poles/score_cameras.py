@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
 import pandas as pd
 
@@ -14,36 +16,38 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("score_cameras")
 
 
-def score_cameras(arguments: argparse.Namespace) -> None:
+def score_cameras(
+    cameras_paths: Annotated[Sequence[Path], "all shards"],
+    truth_path: str,
+    frame_path: Path,
+    road_edges: Path,
+    intrinsics: Annotated[Path | None, "CSV, where the truth has no focal length"] = None,
+    *,
+    errors_path: Path,
+    out: Path,
+) -> None:
     """Write the errors of each camera and their summary."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    cameras = pd.concat([read_table(path) for path in arguments.cameras], ignore_index=True)
-    truth = read_cameras(arguments.truth, frame, arguments.intrinsics)
+    frame = Frame.from_dict(read_json(frame_path))
+    cameras = pd.concat([read_table(path) for path in cameras_paths], ignore_index=True)
+    truth = read_cameras(truth_path, frame, intrinsics)
     told = "known cameras are of an image that is used"
-    tell_named(log, told, set(truth["image"]), set(cameras["image"]), arguments.truth)
-    edges = read_table(arguments.road_edges, ["x", "y", "z", "tangent_x", "tangent_y"]).to_numpy()
+    tell_named(log, told, set(truth["image"]), set(cameras["image"]), truth_path)
+    edges = read_table(road_edges, ["x", "y", "z", "tangent_x", "tangent_y"]).to_numpy()
     errors = camera_errors(
         cameras.sort_values("image", ignore_index=True), truth, edges[:, :3], edges[:, 3:]
     )
     scores = camera_scores(errors, len(cameras))
     log.info("%s", {name: value for name, value in scores.items() if name != "errors"})
-    write_table(arguments.errors, errors)
-    write_json(arguments.out, scores)
+    write_table(errors_path, errors)
+    write_json(out, scores)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cameras", nargs="+", required=True, help="all shards")
-    for name in ("truth", "frame", "road-edges", "errors", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--intrinsics", nargs="?", help="CSV, where the truth has no focal length")
-    return run_stage(parser, score_cameras, argv)
+main = Command(score_cameras)
 
 
 if __name__ == "__main__":

@@ -2,31 +2,37 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections import Counter
-from dataclasses import asdict, fields
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from roadsight.base.sections.poles import EdgeTracing
 from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.images.image_edges import BORDER, LANE, ImageEdges, trace_edges
-from roadsight.poles.images.lanes import EdgeSettings
 from roadsight.poles.images.views import usable, views_of
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("trace_image_edges")
 
 
-def trace_image_edges(arguments: argparse.Namespace) -> None:
+def trace_image_edges(
+    frames_path: Path,
+    masks_path: Path,
+    settings: EdgeTracing,
+    shard: int = 0,
+    shards: int = 1,
+    *,
+    out: Path,
+) -> None:
     """Write a row for each edge point, by image."""
-    settings = EdgeSettings(**{f.name: getattr(arguments, f.name) for f in fields(EdgeSettings)})
-    frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
-    masks = ImageShard(arguments.masks)
+    frames = usable(read_table(frames_path), shard, shards)
+    masks = ImageShard(masks_path)
     views = list(views_of(frames, ("front",)))
     tables, reasons = [], {}
     for view in logged(views, len(views), log, "images"):
@@ -42,7 +48,7 @@ def trace_image_edges(arguments: argparse.Namespace) -> None:
     empty = ImageEdges(np.empty((0, 2), np.float32), np.empty(0, np.int8), np.empty(0, bool))
     table = pd.concat([_table("", empty), *tables], ignore_index=True)
     log.info("%d images, %d edge points", len(views), len(table))
-    write_table(arguments.out, table, {"settings": asdict(settings), "without_edges": reasons})
+    write_table(out, table, {"settings": settings.model_dump(), "without_edges": reasons})
 
 
 def _table(image: str, edges: ImageEdges) -> pd.DataFrame:
@@ -58,19 +64,7 @@ def _table(image: str, edges: ImageEdges) -> pd.DataFrame:
     )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frames", "masks", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--shard", type=int, default=0)
-    parser.add_argument("--shards", type=int, default=1)
-    parser.add_argument("--borders", choices=("all", "nearest"), default=EdgeSettings.borders)
-    for field in fields(EdgeSettings):
-        if field.name == "borders":
-            continue
-        parser.add_argument(f"--{field.name.replace('_', '-')}", type=float, default=field.default)
-    return run_stage(parser, trace_image_edges, argv)
+main = Command(trace_image_edges)
 
 
 if __name__ == "__main__":

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from dataclasses import asdict, fields
+from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from roadsight.base.sections.poles import PoleMasks
 from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.records.tables import read_table, write_table
-from roadsight.poles.images.pole_masks import Instance, MaskSettings, find_instances
-from roadsight.poles.images.views import VIEWS, View, usable, views_of
-from roadsight.stages.command import run_stage
+from roadsight.poles.images.pole_masks import Instance, find_instances
+from roadsight.poles.images.views import VIEWS, View, ViewName, usable, views_of
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("trace_pole_axes")
@@ -36,14 +37,22 @@ _KIND = "pole"
 """Kind of object whose axes are landmarks."""
 
 
-def trace_pole_axes(arguments: argparse.Namespace) -> None:
+def trace_pole_axes(
+    frames_path: Path,
+    masks_path: Path,
+    settings: PoleMasks,
+    views: Sequence[ViewName] = VIEWS,
+    shard: int = 0,
+    shards: int = 1,
+    *,
+    out: Path,
+) -> None:
     """Write a row for each pole that is large and slender enough, by image and view."""
-    settings = MaskSettings(**{f.name: getattr(arguments, f.name) for f in fields(MaskSettings)})
-    frames = usable(read_table(arguments.frames), arguments.shard, arguments.shards)
-    masks = ImageShard(arguments.masks)
-    views = [view for view in views_of(frames, tuple(arguments.views)) if view.name in masks]
+    frames = usable(read_table(frames_path), shard, shards)
+    masks = ImageShard(masks_path)
+    shown = [view for view in views_of(frames, tuple(views)) if view.name in masks]
     rows = []
-    for view in logged(views, len(views), log, "images"):
+    for view in logged(shown, len(shown), log, "images"):
         mask = masks.read(view.name)
         found = find_instances(mask, _KIND, settings)
         rows += [_row(view, one, mask.shape) for one in found if not one.reason]
@@ -53,8 +62,8 @@ def trace_pole_axes(arguments: argparse.Namespace) -> None:
         name: np.array([row[name] for row in rows], bool) for name in ("foot_visible", "top_cut")
     }
     table = pd.DataFrame(names | numbers | flags)
-    log.info("%d views, %d pole axes", len(views), len(table))
-    write_table(arguments.out, table, {"settings": asdict(settings)})
+    log.info("%d views, %d pole axes", len(shown), len(table))
+    write_table(out, table, {"settings": settings.model_dump()})
 
 
 def _row(view: View, one: Instance, shape: tuple[int, ...]) -> dict[str, object]:
@@ -78,17 +87,7 @@ def _row(view: View, one: Instance, shape: tuple[int, ...]) -> dict[str, object]
     }
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frames", "masks", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--views", nargs="+", choices=VIEWS, default=list(VIEWS))
-    parser.add_argument("--shard", type=int, default=0)
-    parser.add_argument("--shards", type=int, default=1)
-    for field in fields(MaskSettings):
-        parser.add_argument(f"--{field.name.replace('_', '-')}", type=float, default=field.default)
-    return run_stage(parser, trace_pole_axes, argv)
+main = Command(trace_pole_axes)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from typing import Any
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
 
 import geopandas as gpd
 import numpy as np
@@ -15,8 +16,7 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Ints
 from roadsight.base.matches import tell_matches
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import Triangulation
+from roadsight.base.sections.poles import Triangulation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
@@ -32,7 +32,7 @@ from roadsight.poles.triangulate.locate import drop_near_structures, withhold_th
 from roadsight.poles.triangulate.pole_doubts import far_reaching, pole_doubts
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import POLE_COLUMNS, SIGHTING_COLUMNS, site_poles
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.doubts import tell
 
 log = logging.getLogger("triangulate_poles")
@@ -45,43 +45,56 @@ _KINDS = {"poles": "Point", "ellipses": "Polygon", "rays": "LineString"}
 """Geometry of each layer, for layers that are empty."""
 
 
-def triangulate_poles(arguments: argparse.Namespace) -> None:
+def triangulate_poles(
+    sightings_paths: Sequence[Path],
+    frame_path: Path,
+    asked: Triangulation,
+    dem: Annotated[Path | None, "ground heights, for z"] = None,
+    decisions: Annotated[str | None, "accepted, rejected, moved poles, CSV"] = None,
+    voxels: Annotated[Path | None, "withhold poles near road, bridge, building"] = None,
+    *,
+    poles_path: Path,
+    layers_path: Path,
+    csv: Path,
+    geojson: Path,
+    doubts_path: Annotated[Path | None, "what the poles rest on"] = None,
+) -> None:
     """Write poles, their ellipses and the rays that show them."""
-    frame = Frame.from_dict(read_json(arguments.frame))
+    frame = Frame.from_dict(read_json(frame_path))
     columns = [*SIGHTING_COLUMNS, "view", "reason", "depth_from", *NETWORK_COLUMNS]
-    parts = [read_table(path, columns) for path in arguments.sightings]
+    parts = [read_table(path, columns) for path in sightings_paths]
     sightings = pd.concat(parts, ignore_index=True)
-    settings = _settings(arguments)
+    settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)
     network = network_scales(sightings)
     sightings = with_scales(sightings, network)
     in_cloud = sightings["depth_lidar_m"].notna().to_numpy()
     sightings = sightings.assign(anchored=in_cloud)
     settings = far_reaching(sightings, settings)
-    if arguments.doubts:
+    if doubts_path:
         doubts = pole_doubts(sightings, network)
-        tell(doubts, arguments.doubts, "poles", log)
-    poles, pole_of, scales = site_poles(sightings, settings, arguments.method)
-    poles = withhold_thin(poles, pole_of, in_cloud, arguments.min_views)
-    if arguments.voxels:
-        near = _structures(arguments.voxels)
-        poles = drop_near_structures(poles, near, arguments.clearance_m)
-    poles = _with_place(_decided(poles, frame, arguments.decisions), frame, arguments.dem)
+        tell(doubts, doubts_path, "poles", log)
+    poles, pole_of, scales = site_poles(sightings, settings, settings.method)
+    poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)
+    if voxels:
+        near = _structures(voxels)
+        poles = drop_near_structures(poles, near, settings.clearance_m)
+    poles = _with_place(_decided(poles, frame, decisions), frame, dem)
     if len(sightings) < 2:
         log.warning("fewer than two sightings: no pole can be triangulated")
     kept = poles["kept"].to_numpy(bool)
     log.info("%d sightings, %d poles, %d kept", len(sightings), len(poles), kept.sum())
-    about: dict[str, Any] = {"method": arguments.method, "settings": vars(settings)}
+    about: dict[str, Any] = {"method": settings.method, "settings": settings.model_dump()}
     about |= {"depth_scale": scales, "sightings": len(sightings)}
     about["network_scales"] = [vars(scale) for scale in network]
-    write_table(arguments.poles, poles, about)
+    write_table(poles_path, poles, about)
     layers = {
         "poles": _points(poles),
         "ellipses": _ellipses(poles),
         "rays": _rays(sightings, poles, pole_of),
     }
-    write_layers(arguments.layers, layers, frame, _KINDS)
-    write_csv(arguments.csv, in_native(poles[kept].drop(columns=["kept", "reason"]), frame))
-    write_geojson(arguments.geojson, _points(poles[kept].reset_index(drop=True)), frame)
+    write_layers(layers_path, layers, frame, _KINDS)
+    write_csv(csv, in_native(poles[kept].drop(columns=["kept", "reason"]), frame))
+    write_geojson(geojson, _points(poles[kept].reset_index(drop=True)), frame)
 
 
 def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFrame:
@@ -96,13 +109,7 @@ def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFram
     return decided
 
 
-def _settings(arguments: argparse.Namespace) -> TriangulationSettings:
-    names = TriangulationSettings.__dataclass_fields__
-    given = {name: getattr(arguments, name) for name in names if hasattr(arguments, name)}
-    return TriangulationSettings(**given)
-
-
-def _structures(path: str) -> cKDTree:
+def _structures(path: Path) -> cKDTree:
     """Tree of the road, bridge and building voxels in plan."""
     about = read_about(path)
     voxels = read_table(path, ["ix", "iy", "cls"])
@@ -111,7 +118,7 @@ def _structures(path: str) -> cKDTree:
     return cKDTree(anchor + (index.to_numpy(np.float64) + 0.5) * cell_m)
 
 
-def _with_place(poles: pd.DataFrame, frame: Frame, dem: str | None) -> pd.DataFrame:
+def _with_place(poles: pd.DataFrame, frame: Frame, dem: Path | None) -> pd.DataFrame:
     """Poles with ground height, latitude and longitude; NaN where not known."""
     x, y = poles["x"].to_numpy(np.float64), poles["y"].to_numpy(np.float64)
     z = read_raster(dem, frame).sample(x, y) if dem else np.full(len(poles), np.nan)
@@ -157,26 +164,7 @@ def _rays(sightings: pd.DataFrame, poles: pd.DataFrame, pole_of: Ints) -> gpd.Ge
     return gpd.GeoDataFrame(columns, geometry=lines)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--sightings", required=True, nargs="+")
-    for name in ("frame", "poles", "layers", "csv", "geojson"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--dem", help="ground heights, for z")
-    parser.add_argument("--doubts", help="JSON with what the poles rest on")
-    parser.add_argument("--decisions", nargs="?", help="accepted, rejected, moved poles, CSV")
-    parser.add_argument("--voxels", nargs="?", help="withhold poles near road, bridge, building")
-    add_settings(parser, Triangulation, "min_views", "clearance_m", "method")
-    # Of aligned cameras; the science's own defaults are for cameras that GPS alone placed.
-    aligned = {"sigma_position_m": 0.7, "pole_evidence": 3.0}
-    for name, default in (vars(TriangulationSettings()) | aligned).items():
-        flag = f"--{name.replace('_', '-')}"
-        if isinstance(default, bool):
-            parser.add_argument(flag, action=argparse.BooleanOptionalAction, default=False)
-        else:
-            parser.add_argument(flag, type=type(default), default=default)
-    return run_stage(parser, triangulate_poles, argv)
+main = Command(triangulate_poles)
 
 
 if __name__ == "__main__":

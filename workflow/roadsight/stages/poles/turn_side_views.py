@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
 import sys
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from functools import lru_cache
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -26,7 +26,7 @@ from roadsight.poles.images.image_matches import Features, features, matched
 from roadsight.poles.images.side_matches import Votes, agreed_turn, turn_votes
 from roadsight.poles.images.stitching import side_intrinsics
 from roadsight.poles.images.views import VIEWS
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("turn_side_views")
@@ -41,15 +41,24 @@ _NEAREST_M, _FARTHEST_M = 3.0, 30.0
 other things."""
 
 
-def turn_side_views(arguments: argparse.Namespace) -> None:
+def turn_side_views(
+    frames_path: Path,
+    calibration: Path,
+    images_path: str,
+    cameras_paths: Annotated[Sequence[Path], "cameras of all shards"],
+    drive_path: Annotated[Path | None, "profile whose lenses distort; none: pinholes"] = None,
+    lenses_json: Annotated[str, "given lenses as JSON: route, k1, k2, focal_px"] = "[]",
+    *,
+    out: Path,
+) -> None:
     """Write the yaw of each side view that the calibration leaves open, by drive and view."""
-    frames = read_table(arguments.frames)
-    cameras = pd.concat([read_table(path) for path in arguments.cameras], ignore_index=True)
+    frames = read_table(frames_path)
+    cameras = pd.concat([read_table(path) for path in cameras_paths], ignore_index=True)
     posed = frames.merge(cameras[cameras["accepted"]], on="image", suffixes=("_frame", ""))
-    images = ImageSource(arguments.images)
+    images = ImageSource(images_path)
     lenses = None
-    if arguments.drive:
-        lenses = with_given(read_json(arguments.drive)["lenses"], json.loads(arguments.lenses))
+    if drive_path:
+        lenses = with_given(read_json(drive_path)["lenses"], json.loads(lenses_json))
 
     @lru_cache(maxsize=8)
     def found(path: str) -> _Seen:
@@ -57,7 +66,7 @@ def turn_side_views(arguments: argparse.Namespace) -> None:
         return features(image), (image.shape[1], image.shape[0])
 
     turns = []
-    for drive in map(from_content, read_json(arguments.calibration)["drives"]):
+    for drive in map(from_content, read_json(calibration)["drives"]):
         route, width, height = drive.key
         own = posed[
             (posed["route"].astype(str) == route)
@@ -85,7 +94,7 @@ def turn_side_views(arguments: argparse.Namespace) -> None:
             if np.isfinite(deg):
                 key = {"route": route, "width_px": width, "height_px": height}
                 turns.append(key | {"view": view, "turn_deg": deg, "sigma_deg": sigma})
-    write_json(arguments.out, {"turns": turns})
+    write_json(out, {"turns": turns})
 
 
 def _pairs(drive: pd.DataFrame, path: str) -> Iterator[tuple[_Row, _Row]]:
@@ -135,17 +144,7 @@ def _rays(camera: Intrinsics, uv_px: Floats) -> Floats:
     return np.column_stack([(uv_px - middle) / camera.focal_px, np.ones(len(uv_px))])
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("frames", "calibration", "images", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--cameras", nargs="+", required=True, help="cameras of all shards")
-    parser.add_argument("--drive", nargs="?", help="profile whose lenses distort; none: pinholes")
-    parser.add_argument(
-        "--lenses", default="[]", help="given lenses as JSON: route, k1, k2, focal_px"
-    )
-    return run_stage(parser, turn_side_views, argv)
+main = Command(turn_side_views)
 
 
 if __name__ == "__main__":

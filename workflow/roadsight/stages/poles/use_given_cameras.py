@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
@@ -18,31 +18,37 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS, TEXTS
-from roadsight.stages.poles.alignment_inputs import AlignmentScene, add_arguments, read_scene
+from roadsight.stages.poles.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("use_given_cameras")
 NOT_GIVEN = "no camera is given"
 
 
-def use_given_cameras(arguments: argparse.Namespace) -> None:
+def use_given_cameras(
+    files: SceneFiles,
+    cameras: Annotated[str, "given cameras, CSV"],
+    intrinsics: Annotated[str | None, "their lens, CSV, if not with them"] = None,
+    sigma_heading_deg: float = GivenSigma.heading_deg,
+    sigma_pitch_deg: float = GivenSigma.pitch_deg,
+    sigma_place_m: float = GivenSigma.lateral_m,
+    shard: int = 0,
+    shards: int = 1,
+    *,
+    out: Path,
+) -> None:
     """Write one row for each usable image of the shard, and say how the road agrees."""
-    scene = read_scene(arguments)
-    frame = Frame.from_dict(read_json(arguments.frame))
-    given = read_cameras(arguments.cameras, frame, arguments.intrinsics)
-    known = set(read_table(arguments.frames, ["image"])["image"])
+    scene = read_scene(files)
+    frame = Frame.from_dict(read_json(files.frame))
+    given = read_cameras(cameras, frame, intrinsics)
+    known = set(read_table(files.frames, ["image"])["image"])
     told = "given cameras are of an image of the videolog"
-    tell_named(log, told, set(given["image"]), known, arguments.cameras)
+    tell_named(log, told, set(given["image"]), known, cameras)
     poses = {str(row["image"]): row for _, row in given.iterrows()}
-    sigma = GivenSigma(
-        arguments.sigma_heading_deg,
-        arguments.sigma_pitch_deg,
-        arguments.sigma_place_m,
-        arguments.sigma_place_m,
-    )
-    own = [p for p in scene.places if shard_of(p.image, arguments.shards) == arguments.shard]
+    sigma = GivenSigma(sigma_heading_deg, sigma_pitch_deg, sigma_place_m, sigma_place_m)
+    own = [p for p in scene.places if shard_of(p.image, shards) == shard]
     rows, shares = [], []
     for place in logged(own, len(own), log, "images"):
         pose = poses.get(place.image)
@@ -51,7 +57,7 @@ def use_given_cameras(arguments: argparse.Namespace) -> None:
         rows.append({"image": place.image, **_row(scene, place, pose, sigma, agrees)})
     table = pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(dict.fromkeys(TEXTS, str))
     about = {"method": "given", **_judged(np.array(shares, np.float64), table)}
-    write_table(arguments.out, table, about)
+    write_table(out, table, about)
 
 
 def _agreement(scene: AlignmentScene, place: Place, pose: pd.Series) -> tuple[float, float]:
@@ -96,19 +102,7 @@ def _judged(shares: np.ndarray, table: pd.DataFrame) -> dict[str, Any]:
     return {"checked_images": int(known.sum()), "agreeing_share": share}
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    add_arguments(parser)
-    default = GivenSigma()
-    parser.add_argument("--cameras", required=True, help="given cameras, CSV")
-    parser.add_argument("--intrinsics", nargs="?", help="their lens, CSV, if not with them")
-    parser.add_argument("--sigma-heading-deg", type=float, default=default.heading_deg)
-    parser.add_argument("--sigma-pitch-deg", type=float, default=default.pitch_deg)
-    parser.add_argument("--sigma-place-m", type=float, default=default.lateral_m)
-    parser.add_argument("--shard", type=int, default=0)
-    parser.add_argument("--shards", type=int, default=1)
-    return run_stage(parser, use_given_cameras, argv)
+main = Command(use_given_cameras)
 
 
 if __name__ == "__main__":

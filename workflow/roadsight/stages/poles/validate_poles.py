@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import math
 import sys
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 import shapely
 
 from roadsight.base.arrays import Floats
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import Validation
+from roadsight.base.sections.poles import Validation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
@@ -35,7 +34,7 @@ from roadsight.poles.risk.validation import (
     split_errors,
     within_reach,
 )
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("validate_poles")
 
@@ -48,22 +47,44 @@ _NAMES = {
 """Scenarios as the report names them."""
 
 
-def validate_poles(arguments: argparse.Namespace) -> None:
+def validate_poles(
+    poles_path: Path,
+    truth_path: str,
+    frame_path: Path,
+    frames_path: Path,
+    edges: Path,
+    reach_m: Annotated[float, Validation],
+    match_m: Annotated[float, Validation],
+    truth_kind: Annotated[str | None, "only those whose `kind` is this"] = None,
+    truth_crs: Annotated[str | None, "CRS of a vector file that names none"] = None,
+    pavement: Annotated[Path | None, "GeoPackage, to find extraneous features"] = None,
+    pavement_layer: str = "pavement",
+    *,
+    out: Path,
+) -> None:
     """Write errors, scores by threshold and errors by scenario."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    poles = read_table(arguments.poles)
+    frame = Frame.from_dict(read_json(frame_path))
+    poles = read_table(poles_path)
     poles = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
-    frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
-    truth = read_points(arguments.truth, frame, arguments.truth_crs)
+    frames = read_table(frames_path, ["route", "sequence", "x", "y"])
+    truth = read_points(truth_path, frame, truth_crs)
     places = truth[["x", "y"]].to_numpy(np.float64)
-    tell_near(log, "known poles", places, read_json(arguments.frame), arguments.truth)
-    if arguments.truth_kind:
-        truth = truth[truth["kind"] == arguments.truth_kind].reset_index(drop=True)
+    tell_near(log, "known poles", places, read_json(frame_path), truth_path)
+    if truth_kind:
+        truth = truth[truth["kind"] == truth_kind].reset_index(drop=True)
     cameras_m = frames[["x", "y"]].dropna().to_numpy(np.float64)
-    near = within_reach(_xy(truth), cameras_m, arguments.reach_m)
+    near = within_reach(_xy(truth), cameras_m, reach_m)
     known = truth[near].reset_index(drop=True)
-    matches = match_points(_xy(poles), _xy(known), arguments.match_m)
-    errors = _errors(arguments, frame, frames, poles.iloc[matches[:, 0]], known.iloc[matches[:, 1]])
+    matches = match_points(_xy(poles), _xy(known), match_m)
+    errors = _errors(
+        edges,
+        pavement,
+        pavement_layer,
+        frame,
+        frames,
+        poles.iloc[matches[:, 0]],
+        known.iloc[matches[:, 1]],
+    )
     warnings = cautions(len(known), int((~near).sum()))
     for warning in warnings:
         log.warning("%s", warning)
@@ -71,15 +92,17 @@ def validate_poles(arguments: argparse.Namespace) -> None:
     content["truth"] = {
         "within_reach": len(known),
         "out_of_reach": int((~near).sum()),
-        "reach_m": arguments.reach_m,
+        "reach_m": reach_m,
     }
-    content["poles"], content["match_m"] = len(poles), arguments.match_m
+    content["poles"], content["match_m"] = len(poles), match_m
     content["thresholds"] = score_thresholds(_xy(poles), _xy(known), THRESHOLDS_M)
-    write_json(arguments.out, _plain(content))
+    write_json(out, _plain(content))
 
 
 def _errors(
-    arguments: argparse.Namespace,
+    edges_path: Path,
+    pavement: Path | None,
+    pavement_layer: str,
     frame: Frame,
     frames: pd.DataFrame,
     found: pd.DataFrame,
@@ -91,29 +114,31 @@ def _errors(
     table["geodesic_m"] = _geodesic(frame, found_m, known_m)
     for name in ("across_m", "along_m", "offset_m", "known_offset_m"):
         table[name] = np.nan
-    edges_m = read_table(arguments.edges, ["x", "y"]).to_numpy(np.float64)
+    edges_m = read_table(edges_path, ["x", "y"]).to_numpy(np.float64)
     if len(edges_m) and len(table):
         edges = RoadEdges(edges_m)
         across, along = split_errors(found_m - known_m, edges.normals(known_m))
         table["across_m"], table["along_m"] = across, along
         table["offset_m"] = edges.offset_m(found_m)[0]
         table["known_offset_m"] = edges.offset_m(known_m)[0]
-    settings = ScenarioSettings(curve_radius_m=arguments.curve_radius_m)
-    scenarios = classify_places(known_m, RouteTracks(frames), _pavement(arguments, frame), settings)
+    settings = ScenarioSettings()
+    scenarios = classify_places(
+        known_m, RouteTracks(frames), _pavement(pavement, pavement_layer, frame), settings
+    )
     return pd.concat([table, scenarios], axis=1)
 
 
-def _pavement(arguments: argparse.Namespace, frame: Frame) -> shapely.Geometry | None:
-    if not arguments.pavement:
+def _pavement(pavement: Path | None, pavement_layer: str, frame: Frame) -> shapely.Geometry | None:
+    if not pavement:
         return None
-    layer = read_layer(arguments.pavement, arguments.pavement_layer, frame)
+    layer = read_layer(pavement, pavement_layer, frame)
     return shapely.union_all(layer.geometry.to_numpy())
 
 
 def _geodesic(frame: Frame, found_m: Floats, known_m: Floats) -> Floats:
     """Distances on the ellipsoid, or in plan where the site has no place on Earth."""
     if frame.crs_wkt is None or len(found_m) == 0:
-        return np.hypot(*(found_m - known_m).T)
+        return np.asarray(np.hypot(*(found_m - known_m).T))
     north = SiteNorth(frame)
     return geodesic_m(*north.to_geographic(found_m), *north.to_geographic(known_m))
 
@@ -152,18 +177,7 @@ def _plain(content: Any) -> Any:
     return content.item() if isinstance(content, np.generic) else content
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("poles", "truth", "frame", "frames", "edges", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--truth-kind", nargs="?", help="only those whose `kind` is this")
-    parser.add_argument("--truth-crs", nargs="?", help="CRS of a vector file that names none")
-    parser.add_argument("--pavement", nargs="?", help="GeoPackage, to find extraneous features")
-    parser.add_argument("--pavement-layer", default="pavement")
-    add_settings(parser, Validation, "reach_m", "match_m")
-    parser.add_argument("--curve-radius-m", type=float, default=300.0)
-    return run_stage(parser, validate_poles, argv)
+main = Command(validate_poles)
 
 
 if __name__ == "__main__":

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 from collections.abc import Sequence
+from pathlib import Path
 
 from roadsight.io.images.label_images import LabelImages
 from roadsight.io.records.tables import read_table
@@ -12,7 +12,12 @@ from roadsight.poles.images.views import View, usable, views_of
 
 
 def views_with_images(
-    arguments: argparse.Namespace, folders: Sequence[LabelImages], what: str, log: logging.Logger
+    frames_path: Path,
+    wanted: Sequence[str],
+    place: tuple[int, int],
+    folders: Sequence[LabelImages],
+    what: str,
+    log: logging.Logger,
 ) -> tuple[list[View], list[str]]:
     """Views of the shard's usable frames, and names of those that a folder lacks.
 
@@ -20,18 +25,19 @@ def views_with_images(
 
     Parameters
     ----------
-    arguments : with frames (a path), shard, shards and views. what : what the folders hold, plural.
+    wanted : names of views. place : the shard, and how many there are. what : what the folders
+        hold, plural.
 
     Raises
     ------
     InputError : a folder has an image of no view.
     """
-    frames, wanted = read_table(arguments.frames), tuple(arguments.views)
+    frames, wanted = read_table(frames_path), tuple(wanted)
     everywhere = [view.path for view in views_of(usable(frames, 0, 1), wanted)]
     missing = {
         path for folder in folders for path in folder.matching(everywhere, what, log).without
     }
-    views = list(views_of(usable(frames, arguments.shard, arguments.shards), wanted))
+    views = list(views_of(usable(frames, *place), wanted))
     left_out = [view for view in views if view.path in missing]
     if left_out:
         names = ", ".join(view.path for view in left_out)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from pathlib import Path
+from typing import Annotated
 
 import geopandas as gpd
 import numpy as np
@@ -13,60 +14,68 @@ from shapely import LineString, MultiPolygon
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.scene import Edges
+from roadsight.base.sections.scene import Edges
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_lines, write_layers
-from roadsight.scene.edges.splines import FURTHEST_M, OutlineSettings, outline_edges, spline_line
-from roadsight.stages.command import run_stage
+from roadsight.scene.edges.splines import FURTHEST_M, outline_edges, spline_line
+from roadsight.stages.command import Command
 
 log = logging.getLogger("build_edges")
 
 
-def build_edges(arguments: argparse.Namespace) -> None:
+def build_edges(
+    site: str,
+    frame_path: Path,
+    pavement_path: Path,
+    dem: Path,
+    settings: Edges,
+    digitised: Annotated[str | None, "digitised edges, any vector format"] = None,
+    digitised_crs: Annotated[str | None, "their CRS if the file names none"] = None,
+    *,
+    out: Path,
+) -> None:
     """Write the edges as splines, marked digitised or automatic."""
-    about = read_json(arguments.frame)
+    about = read_json(frame_path)
     frame = Frame.from_dict(about)
-    layer = read_layer(arguments.pavement, "pavement", frame)
+    layer = read_layer(pavement_path, "pavement", frame)
     pavement = MultiPolygon(list(layer.geometry))
-    if arguments.digitised:
-        lines = read_lines(arguments.digitised, frame, arguments.digitised_crs or None)
-        tell_near(log, "edges", lines.geometry.to_numpy(), about, arguments.digitised)
-        _check_nearby(lines, pavement, arguments.digitised)
+    if digitised:
+        lines = read_lines(digitised, frame, digitised_crs)
+        tell_near(log, "edges", lines.geometry.to_numpy(), about, digitised)
+        _check_nearby(lines, pavement, digitised)
         named = zip(lines["edge"], lines["kind"], lines.geometry, strict=True)
         edges = [(str(name), str(kind), line) for name, kind, line in named]
     else:
-        edges = _automatic(arguments, frame, pavement)
+        edges = _automatic(dem, settings, frame, pavement)
     if not edges:
         raise InputError(
             "no edge long enough to carry candidates was found on the pavement outline",
-            where=f"site {arguments.site}",
+            where=f"site {site}",
             hint="digitise edges and name them in placement.edges",
         )
     splines = [spline_line(line) for _, _, line in edges]
-    if not arguments.digitised:
-        splines = [_moved_off(line, pavement, arguments.offset_m) for line in splines]
+    if not digitised:
+        splines = [_moved_off(line, pavement, settings.offset_m) for line in splines]
     table = gpd.GeoDataFrame(
         {
             "edge": [name for name, _, _ in edges],
             "kind": [kind for _, kind, _ in edges],
-            "source": "digitised" if arguments.digitised else "automatic",
+            "source": "digitised" if digitised else "automatic",
             "length_m": [line.length for line in splines],
         },
         geometry=splines,
     )
     log.info("%d %s edges, %.0f m", len(table), table["source"][0], table["length_m"].sum())
-    write_layers(arguments.out, {"edges": table}, frame)
+    write_layers(out, {"edges": table}, frame)
 
 
 def _automatic(
-    arguments: argparse.Namespace, frame: Frame, pavement: MultiPolygon
+    dem: Path, settings: Edges, frame: Frame, pavement: MultiPolygon
 ) -> list[tuple[str, str, LineString]]:
-    ground = _measured_ground(read_raster(arguments.dem, frame))
-    settings = OutlineSettings(arguments.knot_spacing_m, shortest_m=arguments.shortest_m)
+    ground = _measured_ground(read_raster(dem, frame))
     found = outline_edges(pavement, ground, settings)
     return [(f"{kind[0]}{n:02d}", kind, line) for n, (kind, line) in enumerate(found)]
 
@@ -103,15 +112,7 @@ def _check_nearby(lines: gpd.GeoDataFrame, pavement: MultiPolygon, path: str) ->
             )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "frame", "pavement", "dem", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--digitised", nargs="?", help="digitised edges, any vector format")
-    parser.add_argument("--digitised-crs", nargs="?", help="their CRS if the file names none")
-    add_settings(parser, Edges, "offset_m", "knot_spacing_m", "shortest_m")
-    return run_stage(parser, build_edges, argv)
+main = Command(build_edges)
 
 
 if __name__ == "__main__":

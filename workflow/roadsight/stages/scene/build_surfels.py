@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from pathlib import Path
+from typing import Annotated
 
 from roadsight.base.arrays import Floats32
-from roadsight.base.options import add_settings
-from roadsight.config.sections.sensing import Lidar
+from roadsight.base.engines import Engine
+from roadsight.base.sections.sensing import Lidar
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.records.surfels import write_surfels
 from roadsight.scene.classes import VEGETATION
 from roadsight.scene.surfels.local import build_local_surfels
 from roadsight.scene.surfels.outliers import in_company
 from roadsight.scene.surfels.voxel_moments import add_moments, sum_moments
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("build_surfels")
@@ -25,36 +26,46 @@ _MOST_ALONE = 0.01
 cloud, 1.9 % of a street that was scanned once, and 18 % of an airborne cloud spaced like that."""
 
 
-def write_scene_surfels(arguments: argparse.Namespace) -> None:
+def write_scene_surfels(
+    cloud_path: Path,
+    surfel_size_m: Annotated[float, Lidar],
+    vegetation: Annotated[str, Lidar],
+    outlier_radius_m: Annotated[float, Lidar],
+    outlier_neighbours: Annotated[int, Lidar],
+    outlier_engine: Annotated[Engine, Lidar],
+    traffic: Annotated[Path | None, "mask of points to leave out"] = None,
+    *,
+    out: Path,
+) -> None:
     """Sum up the cloud in voxels, tile by tile, and turn them into surfels."""
-    without = VEGETATION if arguments.vegetation == "leave_out" else ()
-    cloud = StandingCloud(arguments.cloud, arguments.traffic, without)
-    edge_m = arguments.surfel_size_m
+    without = VEGETATION if vegetation == "leave_out" else ()
+    cloud = StandingCloud(cloud_path, traffic, without)
     tiles = logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles")
     parts, points = [], 0
     for tile in tiles:
-        xyz = _points(cloud, tile, arguments)
-        parts.append(sum_moments(xyz, edge_m))
+        xyz = _points(cloud, tile, outlier_radius_m, outlier_neighbours, outlier_engine)
+        parts.append(sum_moments(xyz, surfel_size_m))
         points += len(xyz)
-    _tell_alone(cloud.points - points, cloud.points, arguments.outlier_radius_m)
+    _tell_alone(cloud.points - points, cloud.points, outlier_radius_m)
     voxels = add_moments(parts)
     surfels = build_local_surfels(voxels)
     log.info(
         "%d points, %d voxels of %.3f m, %d surfels",
         points,
         len(voxels.keys),
-        edge_m,
+        surfel_size_m,
         len(surfels),
     )
-    write_surfels(arguments.out, surfels, {"voxel_m": edge_m, "points": points})
+    write_surfels(out, surfels, {"voxel_m": surfel_size_m, "points": points})
 
 
-def _points(cloud: StandingCloud, tile: int, arguments: argparse.Namespace) -> Floats32:
+def _points(
+    cloud: StandingCloud, tile: int, radius_m: float, others: int, engine: Engine
+) -> Floats32:
     """Points of a tile, without those that stand alone where these are to go."""
-    xyz, radius_m = cloud.xyz(tile), arguments.outlier_radius_m
+    xyz = cloud.xyz(tile)
     if radius_m == 0:
         return xyz
-    others, engine = arguments.outlier_neighbours, arguments.outlier_engine
     return xyz[in_company(xyz, cloud.around(tile, radius_m), radius_m, others, engine)]
 
 
@@ -71,15 +82,7 @@ def _tell_alone(alone: int, points: int, radius_m: float) -> None:
         )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--traffic", nargs="?", help="mask of points to leave out")
-    add_settings(parser, Lidar, "surfel_size_m", "vegetation")
-    add_settings(parser, Lidar, "outlier_radius_m", "outlier_neighbours", "outlier_engine")
-    return run_stage(parser, write_scene_surfels, argv)
+main = Command(write_scene_surfels)
 
 
 if __name__ == "__main__":

@@ -2,21 +2,22 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import TerrainMesh, Voxels
+from roadsight.base.sections.poles import TerrainMesh, Voxels
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.tables import read_table
 from roadsight.io.records.terrains import write_terrain
 from roadsight.scene.classes import BRIDGE, GROUND, ROAD, class_table
 from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells, triangulate
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("build_terrain")
@@ -26,11 +27,20 @@ _MERGE_EVERY = 64
 the result does not depend on it."""
 
 
-def build_terrain(arguments: argparse.Namespace) -> None:
+def build_terrain(
+    cloud_path: Path,
+    road_classes: Annotated[Sequence[int], Voxels],
+    bridge_classes: Annotated[Sequence[int], Voxels],
+    terrain_cell_m: Annotated[float, TerrainMesh],
+    ground_path: Annotated[Path | None, "ground labels; class 2 of the cloud if not given"] = None,
+    longest_m: Annotated[float, "longest side of a triangle at the outside"] = 30.0,
+    *,
+    out: Path,
+) -> None:
     """Thin ground and road points to one per cell, tile by tile, and triangulate them."""
-    cloud = CloudTiles(arguments.cloud)
-    table = class_table(arguments.road_classes, arguments.bridge_classes)
-    ground = _ground_labels(arguments.ground, cloud)
+    cloud = CloudTiles(cloud_path)
+    table = class_table(road_classes, bridge_classes)
+    ground = _ground_labels(ground_path, cloud)
     starts = np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
     parts = []
     for number in logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles"):
@@ -39,15 +49,15 @@ def build_terrain(arguments: argparse.Namespace) -> None:
         is_road = (cls == ROAD) | (cls == BRIDGE)
         is_ground = cls == GROUND if ground is None else ground[starts[number] : starts[number + 1]]
         used = is_road | is_ground
-        parts.append(sum_cells(stack_xyz(points)[used], is_road[used], arguments.terrain_cell_m))
+        parts.append(sum_cells(stack_xyz(points)[used], is_road[used], terrain_cell_m))
         if len(parts) == _MERGE_EVERY:
             parts = [add_cells(parts)]
-    terrain = triangulate(cell_means(add_cells(parts)), arguments.longest_m)
+    terrain = triangulate(cell_means(add_cells(parts)), longest_m)
     log.info("%d vertices, %d triangles", len(terrain.vertices), len(terrain.triangles))
-    write_terrain(arguments.out, terrain)
+    write_terrain(out, terrain)
 
 
-def _ground_labels(path: str | None, cloud: CloudTiles) -> np.ndarray | None:
+def _ground_labels(path: Path | None, cloud: CloudTiles) -> np.ndarray | None:
     """Ground labels (points,) in the cloud's order, or None to go by the cloud's classes."""
     if path is None:
         return None
@@ -55,7 +65,7 @@ def _ground_labels(path: str | None, cloud: CloudTiles) -> np.ndarray | None:
     if len(labels) != cloud.points:
         raise InputError(
             "are not the ground labels of this cloud",
-            where=path,
+            where=str(path),
             found=f"{len(labels)} points",
             allowed=cloud.points,
             hint="delete it and run the workflow again",
@@ -63,20 +73,7 @@ def _ground_labels(path: str | None, cloud: CloudTiles) -> np.ndarray | None:
     return labels
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument(
-        "--ground", nargs="?", help="ground labels; class 2 of the cloud if not given"
-    )
-    add_settings(parser, Voxels, "road_classes", "bridge_classes")
-    add_settings(parser, TerrainMesh, "terrain_cell_m")
-    parser.add_argument(
-        "--longest-m", type=float, default=30.0, help="longest side of a triangle at the outside"
-    )
-    return run_stage(parser, build_terrain, argv)
+main = Command(build_terrain)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 import tempfile
@@ -13,15 +12,14 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.scene import Pavement
+from roadsight.base.sections.scene import GroundClasses
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.scene.pavement.describe import describe_ground
 from roadsight.scene.pavement.smoothness import SmoothnessModel, fit_smoothness, is_smooth
 from roadsight.scene.spacing import plan_spacing_m, uses_intensity
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("cluster_fpfh")
 
@@ -29,47 +27,53 @@ _HALO_COLUMNS = 20
 """Columns around a tile that are read with it: they hold both rings of neighbours of an FPFH."""
 
 
-def cluster_fpfh(arguments: argparse.Namespace) -> None:
+def cluster_fpfh(
+    cloud: Path,
+    ground: Path,
+    profile: Path,
+    settings: GroundClasses,
+    seed: int = 1,
+    *,
+    out: Path,
+) -> None:
     """Describe the ground tile by tile, fit two classes on a sample, then classify each tile."""
-    spacing_m = plan_spacing_m(read_json(arguments.profile)["density_per_m2"]["median"])
-    size_m = max(arguments.voxel_size_m, spacing_m)
-    with tempfile.TemporaryDirectory(dir=Path(arguments.out).parent, prefix=".fpfh") as folder:
+    spacing_m = plan_spacing_m(read_json(profile)["density_per_m2"]["median"])
+    size_m = max(settings.voxel_size_m, spacing_m)
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".fpfh") as folder:
         parts: list[tuple[pd.DataFrame, Path]] = []
-        for columns, histograms in _described_tiles(arguments, size_m):
+        for columns, histograms in _described_tiles(cloud, ground, settings, size_m):
             parts.append((columns, Path(folder, f"{len(parts)}.npy")))
             np.save(parts[-1][1], histograms.astype(np.float16))
         columns = pd.concat([part for part, _ in parts], ignore_index=True)
         if len(columns) < 100:
             raise InputError(
                 "too little ground for pavement",
-                where=arguments.ground,
+                where=str(ground),
                 found=f"{len(columns)} thinned ground points",
                 allowed="at least 100",
             )
-        use = uses_intensity(arguments.intensity, spacing_m)
+        use = uses_intensity(settings.intensity, spacing_m)
         if use and columns["intensity"].nunique() < 2:
             log.warning("the cloud has no intensity: pavement rests on FPFH alone")
             use = False
-        model = _fit(columns, [file for _, file in parts], use, arguments)
+        model = _fit(columns, [file for _, file in parts], use, settings, seed)
         columns["smooth"] = np.concatenate(
             [_classify(model, part, np.load(file)) for part, file in parts]
         )
     about = {"voxel_size_m": size_m, "intensity_used": use}
     log.info("%.1f %% of %d columns are smooth", 100 * columns["smooth"].mean(), len(columns))
-    write_table(arguments.out, columns, about)
+    write_table(out, columns, about)
 
 
 def _described_tiles(
-    arguments: argparse.Namespace, size_m: float
+    cloud_path: Path, ground_path: Path, settings: GroundClasses, size_m: float
 ) -> Iterator[tuple[pd.DataFrame, np.ndarray]]:
     """Thinned ground of each tile (float32 columns x, y, z, intensity, variation) and its FPFH."""
-    cloud = CloudTiles(arguments.cloud)
-    mask = read_table(arguments.ground)["ground"].to_numpy()
+    cloud = CloudTiles(cloud_path)
+    mask = read_table(ground_path)["ground"].to_numpy()
     tiles = _ground_tiles(cloud, mask, _HALO_COLUMNS * size_m)
     for number, (core, xyz, intensity) in enumerate(tiles, start=1):
-        ground = describe_ground(
-            xyz, intensity, size_m, arguments.neighbours, arguments.fpfh_engine
-        )
+        ground = describe_ground(xyz, intensity, size_m, settings.neighbours, settings.fpfh_engine)
         west, south, east, north = core
         # A column belongs to the tile that holds its grid cell's centre.
         x, y = ((np.floor(ground.xyz_m[:, axis] / size_m) + 0.5) * size_m for axis in (0, 1))
@@ -114,11 +118,15 @@ def _ground_tiles(
 
 
 def _fit(
-    columns: pd.DataFrame, files: list[Path], use_intensity: bool, arguments: argparse.Namespace
+    columns: pd.DataFrame,
+    files: list[Path],
+    use_intensity: bool,
+    settings: GroundClasses,
+    seed: int,
 ) -> SmoothnessModel:
     """Fit the classes on a sample of rows, the same whatever the tiles."""
-    rng = np.random.default_rng(arguments.seed)
-    count = min(arguments.sample, len(columns))
+    rng = np.random.default_rng(seed)
+    count = min(settings.sample, len(columns))
     rows = np.sort(rng.choice(len(columns), count, replace=False))
     sizes = [len(np.load(file, mmap_mode="r")) for file in files]
     starts = np.cumsum([0, *sizes])
@@ -134,8 +142,8 @@ def _fit(
         histograms.astype(np.float32),
         sample["variation"].to_numpy(),
         intensity,
-        arguments.intensity_weight,
-        arguments.seed,
+        settings.intensity_weight,
+        seed,
     )
 
 
@@ -149,23 +157,7 @@ def _classify(model: SmoothnessModel, table: pd.DataFrame, histograms: np.ndarra
     )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "ground", "profile", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    add_settings(
-        parser,
-        Pavement,
-        "voxel_size_m",
-        "neighbours",
-        "intensity",
-        "intensity_weight",
-        "sample",
-        "fpfh_engine",
-    )
-    parser.add_argument("--seed", type=int, default=1)
-    return run_stage(parser, cluster_fpfh, argv)
+main = Command(cluster_fpfh)
 
 
 if __name__ == "__main__":

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import math
 import sys
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Annotated, Any
 
 import geopandas as gpd
 import numpy as np
@@ -18,9 +18,9 @@ from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.doubts import Doubt
+from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.scene import Pavement
+from roadsight.base.sections.scene import Pavement, PavementOutline
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
@@ -29,16 +29,11 @@ from roadsight.io.vector.known_road import read_seeds, read_track
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
 from roadsight.scene.pavement.choice import Choice, choose_method
-from roadsight.scene.pavement.outline import (
-    PavementSettings,
-    inside,
-    outline_pavement,
-    pavement_settings_for,
-)
+from roadsight.scene.pavement.outline import inside, outline_pavement, pavement_settings_for
 from roadsight.scene.pavement.pavement_doubts import PavementFacts, pavement_doubts
 from roadsight.scene.pavement.road_surface import KnownRoad
 from roadsight.scene.whole import road_of, sharpen
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.doubts import tell
 
 log = logging.getLogger("extract_pavement")
@@ -68,30 +63,58 @@ class _Found:
     unsure_share: float = math.nan
 
 
-def extract_pavement(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class Way:
+    """How the pavement is found, and what each way goes by."""
+
+    outline: PavementOutline
+    method: Annotated[str, Pavement]
+    intensity: Annotated[str, Pavement]
+    cluster_engine: Annotated[Engine, Pavement]
+    tma: Annotated[str | None, "polygon file of the monitored area"] = None
+    profile: Annotated[Path | None, "what auto decides by"] = None
+    clusters: Annotated[Path | None, "published: smooth and rough ground"] = None
+    seeds: Annotated[str, "surface: places on the road, x,y;x,y"] = ""
+    track: Annotated[str | None, "surface: line file, where a vehicle drove"] = None
+    track_crs: Annotated[str | None, "its CRS if the file names none"] = None
+    edges: Annotated[str | None, "surface: digitised edges, any vector format"] = None
+    edges_crs: Annotated[str | None, "their CRS if the file names none"] = None
+
+
+def extract_pavement(
+    site: str,
+    cloud_path: Path,
+    frame_path: Path,
+    ground_path: Path,
+    way: Way,
+    *,
+    pavement: Path,
+    points_path: Path,
+    doubts_path: Annotated[Path | None, "what the pavement rests on"] = None,
+) -> None:
     """Write the pavement's polygons and its points."""
-    about = read_json(arguments.frame)
+    about = read_json(frame_path)
     frame = Frame.from_dict(about)
-    cloud = CloudTiles(arguments.cloud)
-    found = _found(arguments, cloud, frame, about)
-    ground = read_table(arguments.ground)["ground"].to_numpy()
-    points, facts = _pavement_points(arguments, cloud, ground, found)
+    cloud = CloudTiles(cloud_path)
+    found = _found(site, way, cloud, frame, about)
+    ground = read_table(ground_path)["ground"].to_numpy()
+    points, facts = _pavement_points(cloud, ground, found, bool(doubts_path))
     outline = found.outline
     if len(points) == 0:
         raise InputError(
             "no ground points inside the monitored area",
-            where=arguments.tma or f"site {arguments.site}",
+            where=way.tma or f"site {site}",
             hint="check the polygon's CRS and position",
         )
-    if arguments.doubts:
+    if doubts_path:
         layer_m, open_share = found.layer_m, found.open_share
         if found.method == "published":
             layer_m, open_share = facts.layer_m, facts.open_m / max(facts.outline_m, 1e-9)
-        track_xy = read_track(arguments.track, frame, arguments.track_crs or None)
+        track_xy = read_track(way.track, frame, way.track_crs)
         doubts = pavement_doubts(
             outline, found.method, facts, layer_m, open_share, track_xy, found.unsure_share
         )
-        tell([*found.doubts, *doubts], arguments.doubts, f"site {arguments.site}", log)
+        tell([*found.doubts, *doubts], doubts_path, f"site {site}", log)
     source = _SOURCE[found.method]
     parts = list(outline.geoms)
     layer = gpd.GeoDataFrame(
@@ -99,55 +122,53 @@ def extract_pavement(arguments: argparse.Namespace) -> None:
         geometry=parts,
     )
     log.info("%d parts, %.0f m2, %d points", len(parts), outline.area, len(points))
-    write_layers(arguments.pavement, {"pavement": layer}, frame)
-    write_table(arguments.points, points, {"source": source, "area_m2": outline.area})
+    write_layers(pavement, {"pavement": layer}, frame)
+    write_table(points_path, points, {"source": source, "area_m2": outline.area})
 
 
 _SOURCE = {"user": "user", "surface": "surface", "published": "fpfh", "sharpened": "fpfh, surface"}
 """What the layer says of where its polygons come from."""
 
 
-def _found(
-    arguments: argparse.Namespace, cloud: CloudTiles, frame: Frame, about: dict[str, Any]
-) -> _Found:
+def _found(site: str, way: Way, cloud: CloudTiles, frame: Frame, about: dict[str, Any]) -> _Found:
     """The pavement by the user's polygon, as one surface, or by FPFH and k-means.
 
     Raises
     ------
     InputError : none is found.
     """
-    if arguments.tma:
-        outline = _users_area(arguments.tma, frame)
+    if way.tma:
+        outline = _users_area(way.tma, frame)
         told = "polygons of the monitored area"
-        tell_near(log, told, np.array(outline.geoms, object), about, arguments.tma)
+        tell_near(log, told, np.array(outline.geoms, object), about, way.tma)
         return _Found(outline, "user", [])
-    profile = read_json(arguments.profile) if arguments.profile else {"extent_m": [0.0, 0.0]}
-    choice = choose_method(arguments.method, bool(arguments.seeds), profile)
+    profile = read_json(way.profile) if way.profile else {"extent_m": [0.0, 0.0]}
+    choice = choose_method(way.method, bool(way.seeds), profile)
     log.info("%s: %s", choice.method, choice.why)
     try:
         if choice.method == "surface":
-            return _surface(arguments, cloud, frame, about, choice)
-        found = _Found(_published(arguments), "published", [choice.told()])
-        if arguments.method == "auto":
-            return _sharpened(arguments, cloud, found)
+            return _surface(way, cloud, frame, about, choice)
+        found = _Found(_published(way), "published", [choice.told()])
+        if way.method == "auto":
+            return _sharpened(way, cloud, found)
         return found
     except InputError as error:
-        raise InputError(str(error), where=f"site {arguments.site}") from error
+        raise InputError(str(error), where=f"site {site}") from error
 
 
 def _surface(
-    arguments: argparse.Namespace,
+    way: Way,
     cloud: CloudTiles,
     frame: Frame,
     about: dict[str, Any],
     choice: Choice,
 ) -> _Found:
     """The road as one surface, with all that is known of it."""
-    xyz_m, intensity, points = _whole(arguments, cloud)
+    xyz_m, intensity, points = _whole(way, cloud)
     known = KnownRoad(
-        read_track(arguments.track, frame, arguments.track_crs or None),
-        read_seeds(arguments.seeds, frame, "pavement.seeds"),
-        _edges(arguments, frame, about),
+        read_track(way.track, frame, way.track_crs),
+        read_seeds(way.seeds, frame, "pavement.seeds"),
+        _edges(way, frame, about),
     )
     road, surface = road_of(
         xyz_m,
@@ -172,20 +193,18 @@ def _surface(
     return _Found(road.outline, "surface", doubts, road.points, *met)
 
 
-def _whole(
-    arguments: argparse.Namespace, cloud: CloudTiles
-) -> tuple[Floats, Floats | None, dict[str, NDArray]]:
+def _whole(way: Way, cloud: CloudTiles) -> tuple[Floats, Floats | None, dict[str, NDArray[Any]]]:
     """Points (n, 3), their intensity where it is used and varies, and all columns."""
     names = ["x", "y", "z", "intensity", "classification"]
     points = cloud.read(names + (["scan"] if "scan" in cloud.columns else []))
-    use = arguments.intensity != "ignore" and len(np.unique(points["intensity"][:100_000])) > 1
+    use = way.intensity != "ignore" and len(np.unique(points["intensity"][:100_000])) > 1
     intensity = points["intensity"].astype(np.float64) if use else None
     return stack_xyz(points).astype(np.float64), intensity, points
 
 
-def _sharpened(arguments: argparse.Namespace, cloud: CloudTiles, found: _Found) -> _Found:
+def _sharpened(way: Way, cloud: CloudTiles, found: _Found) -> _Found:
     """Smooth ground with sharper edges, where the surface that runs on from it agrees with it."""
-    xyz_m, intensity, points = _whole(arguments, cloud)
+    xyz_m, intensity, points = _whole(way, cloud)
     sharp = sharpen(found.outline, xyz_m, intensity, classes=points["classification"])
     if sharp is None:
         text = "its edges are as smooth ground has them: too narrow or too wide for one surface"
@@ -205,14 +224,12 @@ def _sharpened(arguments: argparse.Namespace, cloud: CloudTiles, found: _Found) 
     return _Found(sharp.road.outline, "sharpened", [*found.doubts, note], sharp.road.points, *met)
 
 
-def _edges(
-    arguments: argparse.Namespace, frame: Frame, about: dict[str, Any]
-) -> list[shapely.Geometry]:
+def _edges(way: Way, frame: Frame, about: dict[str, Any]) -> list[shapely.Geometry]:
     """Digitised edges, which the road ends at."""
-    if not arguments.edges:
+    if not way.edges:
         return []
-    lines = read_lines(arguments.edges, frame, arguments.edges_crs or None).geometry.to_numpy()
-    tell_near(log, "edges", lines, about, arguments.edges)
+    lines = read_lines(way.edges, frame, way.edges_crs).geometry.to_numpy()
+    tell_near(log, "edges", lines, about, way.edges)
     return list(lines)
 
 
@@ -222,22 +239,19 @@ def _users_area(path: str, frame: Frame) -> MultiPolygon:
     return MultiPolygon(sorted(parts, key=lambda part: -part.area))
 
 
-def _published(arguments: argparse.Namespace) -> MultiPolygon:
+def _published(way: Way) -> MultiPolygon:
     """Outline of the smooth ground that `cluster_fpfh` found."""
-    if not arguments.clusters:
+    if not way.clusters:
         raise InputError("lacks the classes of the ground", where="--clusters")
-    columns = read_table(arguments.clusters)
-    size_m = read_about(arguments.clusters)["voxel_size_m"]
-    names = [field.name for field in fields(PavementSettings) if hasattr(arguments, field.name)]
-    given = {name: getattr(arguments, name) for name in names}
-    settings = PavementSettings(**{name: v for name, v in given.items() if v is not None})
-    settings = pavement_settings_for(size_m, settings)
+    columns = read_table(way.clusters)
+    size_m = read_about(way.clusters)["voxel_size_m"]
+    settings = pavement_settings_for(size_m, way.outline)
     xyz = columns[["x", "y", "z"]].to_numpy(np.float64)
-    return outline_pavement(xyz, columns["smooth"].to_numpy(), settings, arguments.cluster_engine)
+    return outline_pavement(xyz, columns["smooth"].to_numpy(), settings, way.cluster_engine)
 
 
 def _pavement_points(
-    arguments: argparse.Namespace, cloud: CloudTiles, ground: Bools, found: _Found
+    cloud: CloudTiles, ground: Bools, found: _Found, with_rim: bool
 ) -> tuple[pd.DataFrame, PavementFacts]:
     """Points on the pavement, float32 local metres, in the cloud's order; and what they tell."""
     starts = np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
@@ -254,7 +268,7 @@ def _pavement_points(
         parts.append(xyz[taken])
         scan = points["scan"].astype(np.int64) if "scan" in points else None
         facts.add_points(exact, points.get("classification"), low | taken, on, scan)
-        if arguments.doubts and found.method == "published":
+        if with_rim and found.method == "published":
             west, south = tile.ix * size, tile.iy * size
             core = (west, south, west + size, south + size)
             around = _ground_around(cloud, ground, starts, core)
@@ -282,25 +296,7 @@ def _ground_around(
     return np.concatenate(parts)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("site", "cloud", "frame", "ground", "pavement", "points"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--tma", nargs="?", help="polygon file of the monitored area")
-    add_settings(parser, Pavement, "method", "intensity", "cluster_engine", may_lack=True)
-    parser.add_argument("--profile", nargs="?", help="what auto decides by")
-    parser.add_argument("--clusters", nargs="?", help="published: smooth and rough ground")
-    parser.add_argument("--doubts", help="JSON with what the pavement rests on")
-    parser.add_argument("--seeds", nargs="?", help="surface: places on the road, x,y;x,y")
-    parser.add_argument("--track", nargs="?", help="surface: line file, where a vehicle drove")
-    parser.add_argument("--track-crs", nargs="?", help="its CRS if the file names none")
-    parser.add_argument("--edges", nargs="?", help="surface: digitised edges, any vector format")
-    parser.add_argument("--edges-crs", nargs="?", help="their CRS if the file names none")
-    for field in fields(PavementSettings)[:6]:
-        name = f"--{field.name.replace('_', '-')}"
-        parser.add_argument(name, nargs="?", type=float, help="published")
-    return run_stage(parser, extract_pavement, argv)
+main = Command(extract_pavement)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from dataclasses import fields
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import geopandas as gpd
 import numpy as np
@@ -15,8 +14,7 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import RoadEdges
+from roadsight.base.sections.poles import RoadEdges
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.raster.top_rasters import TopRaster, read_top
@@ -25,17 +23,18 @@ from roadsight.io.records.tables import read_table, write_table
 from roadsight.io.vector.vectors import write_layers
 from roadsight.scene.classes import ROAD, is_road
 from roadsight.scene.edges.road_edges import (
+    BORDER_CELLS,
     EdgeLines,
-    EdgeSettings,
     RoadImage,
     clean_road,
     edge_level,
     edge_lines,
     edge_pixels,
     outlines,
+    smoothing_cells,
 )
 from roadsight.scene.edges.surface_heights import surface_heights
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 if TYPE_CHECKING:
     from roadsight.scene.edges.curbs import Curbs
@@ -49,27 +48,38 @@ METHODS = ("contours", "pixels", "curbs")
 """Ways to road edges, as the setting names them."""
 
 
-def extract_road_edges(arguments: argparse.Namespace) -> None:
+def extract_road_edges(
+    top: Path,
+    frame_path: Path,
+    settings: RoadEdges,
+    cloud: Annotated[Path | None, "curbs: where they are looked for"] = None,
+    frames: Annotated[Path | None, "curbs: the track that they lie beside"] = None,
+    *,
+    edges_path: Path,
+    lines: Path,
+) -> None:
     """Write the edge points as a table and as lines."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    if arguments.method == "curbs":
-        edges, about = _curbs(arguments)
+    frame = Frame.from_dict(read_json(frame_path))
+    if settings.method == "curbs":
+        edges, about = _curbs(cloud, frames)
     else:
-        edges, about = _outlined(arguments, frame)
-    write_table(arguments.edges, edges, about)
-    write_layers(arguments.lines, {"road_edges": _layer(edges)}, frame)
+        edges, about = _outlined(top, settings, frame)
+    write_table(edges_path, edges, about)
+    write_layers(lines, {"road_edges": _layer(edges)}, frame)
 
 
-def _curbs(arguments: argparse.Namespace) -> tuple[pd.DataFrame, dict[str, object]]:
+def _curbs(
+    cloud_path: Path | None, frames_path: Path | None
+) -> tuple[pd.DataFrame, dict[str, object]]:
     """Curbs beside the track of each route, and how they were found."""
     from roadsight.scene.edges.curbs import CurbSettings, find_curbs  # noqa: PLC0415  # slow to load
 
-    if not (arguments.cloud and arguments.frames):
+    if not (cloud_path and frames_path):
         raise InputError(
             "curbs are looked for in the cloud, beside the track", found="no --cloud, --frames"
         )
-    cloud = CloudTiles(arguments.cloud)
-    frames = read_table(arguments.frames, ["route", "sequence", "x", "y"])
+    cloud = CloudTiles(cloud_path)
+    frames = read_table(frames_path, ["route", "sequence", "x", "y"])
     frames = frames.dropna(subset=["x", "y"])
     tables: list[pd.DataFrame] = []
     first = 0
@@ -88,7 +98,7 @@ def _curbs(arguments: argparse.Namespace) -> tuple[pd.DataFrame, dict[str, objec
     if edges.empty:
         raise InputError(
             "no curb found beside the track",
-            where=arguments.cloud,
+            where=str(cloud_path),
             hint="use road_edges.method contours; curbs need some hundred points per m2",
         )
     return edges, {"method": "curbs", "settings": vars(CurbSettings())}
@@ -111,41 +121,43 @@ def _curb_table(curbs: Curbs, first: int) -> pd.DataFrame:
 
 
 def _outlined(
-    arguments: argparse.Namespace, frame: Frame
+    top_path: Path, settings: RoadEdges, frame: Frame
 ) -> tuple[pd.DataFrame, dict[str, object]]:
     """Edges of the road class in the overhead view, and how they were made."""
-    top = read_top(arguments.top, frame, ["road_share"])
-    names = [field.name for field in fields(EdgeSettings)]
-    settings = EdgeSettings(**{name: getattr(arguments, name) for name in names})
+    top = read_top(top_path, frame, ["road_share"])
     image = clean_road(is_road(top.cls), top.cls > 0, top.cell_size_m, settings)
-    lines = (_pixels if arguments.method == "pixels" else _lines)(top, image, settings)
+    lines = (_pixels if settings.method == "pixels" else _lines)(top, image, settings)
     # Heights only now, in the memory that the lines took.
-    edges = _table(read_top(arguments.top, frame, ["height_m"]), lines)
+    edges = _table(read_top(top_path, frame, ["height_m"]), lines)
     road_m2 = np.count_nonzero(image.road) * top.cell_size_m**2
     if len(edges) == 0:
         raise InputError(
             "no road edge found",
-            where=arguments.top,
+            where=str(top_path),
             found=f"{road_m2:.0f} m2 of road after cleaning",
             hint="lower smallest_road_m2, or check the road class of the cloud",
         )
     log.info(
         "%d edge points of %.0f m2 of road, closed by %d cells", len(edges), road_m2, image.closing
     )
-    about = {"cell_size_m": top.cell_size_m, "method": arguments.method, "settings": vars(settings)}
+    about: dict[str, object] = {
+        "cell_size_m": top.cell_size_m,
+        "method": settings.method,
+        "settings": settings.model_dump(),
+    }
     return edges, about
 
 
-def _lines(top: TopRaster, image: RoadImage, settings: EdgeSettings) -> EdgeLines:
+def _lines(top: TopRaster, image: RoadImage, settings: RoadEdges) -> EdgeLines:
     """Edge points between the pixels, along polylines with the direction of each."""
     level = edge_level(top.road_share, top.cls > 0, image)
-    rings = outlines(image, level, settings.window_cells(image, top.cell_size_m))
+    rings = outlines(image, level, smoothing_cells(image, top.cell_size_m, settings))
     return edge_lines(rings, image, top.cell_size_m, settings)
 
 
-def _pixels(_: TopRaster, image: RoadImage, settings: EdgeSettings) -> EdgeLines:
+def _pixels(_: TopRaster, image: RoadImage, __: RoadEdges) -> EdgeLines:
     """Edge pixels' centres; they belong to no line and have no direction."""
-    place = np.argwhere(edge_pixels(image, settings.border_cells)).astype(np.float64)
+    place = np.argwhere(edge_pixels(image, BORDER_CELLS)).astype(np.float64)
     no_line = np.full(len(place), -1, np.int32)
     return EdgeLines(place, np.full(place.shape, np.nan), no_line)
 
@@ -177,18 +189,7 @@ def _layer(edges: pd.DataFrame) -> gpd.GeoDataFrame:
     )
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("top", "frame", "edges", "lines"):
-        parser.add_argument(f"--{name}", required=True)
-    add_settings(parser, RoadEdges, "method")
-    parser.add_argument("--cloud", nargs="?", help="curbs: where they are looked for")
-    parser.add_argument("--frames", nargs="?", help="curbs: the track that they lie beside")
-    for field in fields(EdgeSettings):
-        kind = int if isinstance(field.default, int) else float
-        parser.add_argument(f"--{field.name.replace('_', '-')}", type=kind, default=field.default)
-    return run_stage(parser, extract_road_edges, argv)
+main = Command(extract_road_edges)
 
 
 if __name__ == "__main__":

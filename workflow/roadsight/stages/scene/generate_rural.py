@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,9 @@ from roadsight.base.arrays import Floats
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.images.videolog_shards import write_csv
 from roadsight.io.vector.vectors import write_layers
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.synthetic.rendering.images import RuralRenderer
 from roadsight.synthetic.rural.airborne_scanner import (
-    CLASS_SCHEMES,
     AirborneScanner,
     Returns,
     scan_rural,
@@ -38,36 +38,53 @@ OBJECT_DIMENSION = "truth_object"
 """Extra dimension of the cloud with the object each point is on: for scoring, never an input."""
 
 
-def generate_rural(arguments: argparse.Namespace) -> None:
+def generate_rural(
+    seed: int = 1,
+    length_m: Annotated[float, "of the drive, 60 to 3000"] = 1000.0,
+    pulses_per_m2: Annotated[float, "of the laser"] = 24.0,
+    relief: Annotated[float, "heights; 0 is level"] = 1.0,
+    hfov_deg: Annotated[float, "first camera; 0: about 20"] = 0.0,
+    side_views: Literal["yes", "no"] = "yes",
+    principal_point_px: Annotated[float, "from the middle"] = 0.0,
+    gps_drift_m: Annotated[float, "0: about 1.4"] = 0.0,
+    pole_returns: Literal["yes", "no"] = "yes",
+    class_scheme: Literal["usual", "none", "unclassified", "lines"] = "usual",
+    *,
+    cloud: Annotated[Path, "LAZ to write, classified"],
+    truth: Annotated[Path, "GeoPackage to write"],
+    poles: Annotated[Path, "CSV of every post to write"],
+    videolog: Annotated[Path, "CSV of the images to write"],
+    cameras: Annotated[Path, "CSV of the true cameras to write"],
+) -> None:
     """Build the site, scan it, drive along it, and write cloud, truth and tables."""
-    site = build_rural(arguments.seed, arguments.length_m, relief=arguments.relief)
+    site = build_rural(seed, length_m, relief=relief)
     scanner = AirborneScanner(
-        pulses_per_m2=arguments.pulses_per_m2,
-        hits_poles=arguments.pole_returns == "yes",
-        class_scheme=arguments.class_scheme,
+        pulses_per_m2=pulses_per_m2,
+        hits_poles=pole_returns == "yes",
+        class_scheme=class_scheme,
     )
-    rng = np.random.default_rng([arguments.seed, 31])
+    rng = np.random.default_rng([seed, 31])
     xyz_m, dims = _cloud(scan_rural(RuralRenderer(site), rng, scanner))
-    write_laz(arguments.cloud, xyz_m, site.frame(), dims)
-    write_layers(arguments.truth, rural_layers(site), site.frame())
-    write_csv(arguments.poles, pole_table(site), POLE_DECIMALS)
-    sides = arguments.side_views == "yes"
+    write_laz(cloud, xyz_m, site.frame(), dims)
+    write_layers(truth, rural_layers(site), site.frame())
+    write_csv(poles, pole_table(site), POLE_DECIMALS)
+    sides = side_views == "yes"
     drives = random_drives(
-        arguments.seed,
-        hfov_deg=arguments.hfov_deg,
+        seed,
+        hfov_deg=hfov_deg,
         side_views=sides,
-        principal_point_px=arguments.principal_point_px,
-        gps=drifting(arguments.gps_drift_m) if arguments.gps_drift_m else GpsNoise(),
+        principal_point_px=principal_point_px,
+        gps=drifting(gps_drift_m) if gps_drift_m else GpsNoise(),
     )
-    places = [place for drive in drives for place in shots(site, drive, arguments.seed)]
-    write_csv(arguments.videolog, videolog_table(site, places), VIDEOLOG_DECIMALS)
-    write_csv(arguments.cameras, camera_table(site, places), CAMERA_DECIMALS)
+    places = [place for drive in drives for place in shots(site, drive, seed)]
+    write_csv(videolog, videolog_table(site, places), VIDEOLOG_DECIMALS)
+    write_csv(cameras, camera_table(site, places), CAMERA_DECIMALS)
     logging.info("%d points, %d places, %d posts", len(xyz_m), len(places), len(site.poles))
 
 
-def _cloud(parts: Iterable[Returns]) -> tuple[Floats, dict[str, NDArray]]:
+def _cloud(parts: Iterable[Returns]) -> tuple[Floats, dict[str, NDArray[Any]]]:
     """Points (n, 3) in local metres and their LAS dimensions."""
-    columns: dict[str, list[NDArray]] = {name: [] for name in Returns.__dataclass_fields__}
+    columns: dict[str, list[NDArray[Any]]] = {name: [] for name in Returns.__dataclass_fields__}
     for part in parts:
         for name, values in columns.items():
             values.append(getattr(part, name))
@@ -79,25 +96,7 @@ def _cloud(parts: Iterable[Returns]) -> tuple[Floats, dict[str, NDArray]]:
     return xyz_m, joined
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the stage."""
-    parser = argparse.ArgumentParser(prog="generate_rural", description=__doc__)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--length-m", type=float, default=1000.0, help="of the drive, 60 to 3000")
-    parser.add_argument("--pulses-per-m2", type=float, default=24.0, help="of the laser")
-    parser.add_argument("--relief", type=float, default=1.0, help="heights; 0 is level")
-    parser.add_argument("--hfov-deg", type=float, default=0.0, help="first camera; 0: about 20")
-    parser.add_argument("--side-views", choices=("yes", "no"), default="yes")
-    parser.add_argument("--principal-point-px", type=float, default=0.0, help="from the middle")
-    parser.add_argument("--gps-drift-m", type=float, default=0.0, help="0: about 1.4")
-    parser.add_argument("--pole-returns", choices=("yes", "no"), default="yes")
-    parser.add_argument("--class-scheme", choices=CLASS_SCHEMES, default="usual")
-    parser.add_argument("--cloud", required=True, help="LAZ to write, classified")
-    parser.add_argument("--truth", required=True, help="GeoPackage to write")
-    parser.add_argument("--poles", required=True, help="CSV of every post to write")
-    parser.add_argument("--videolog", required=True, help="CSV of the images to write")
-    parser.add_argument("--cameras", required=True, help="CSV of the true cameras to write")
-    return run_stage(parser, generate_rural, argv)
+main = Command(generate_rural)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.vector.sample import write_native_lines
 from roadsight.io.vector.vectors import write_layers
 from roadsight.scene.classes import VEGETATION
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.synthetic.highway.highway import EPSG, build_highway
 from roadsight.synthetic.highway.mobile_scanner import PointChunk, scan
 from roadsight.synthetic.highway.truth import digitised_edges, truth_layers
@@ -26,51 +27,46 @@ TRUTH_DIMENSION = "truth_class"
 """Extra dimension of the cloud with each point's `TruthClass`: for scoring, never an input."""
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="generate_sample", description=__doc__)
-    parser.add_argument("--scene", choices=["highway"], default="highway")
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--points", type=int, default=3_500_000, help="about so many points")
-    parser.add_argument("--length-m", type=float, default=250.0, help="length of road, 40 to 600")
-    parser.add_argument("--radius-m", type=float, default=600.0, help="of the curve to the left")
-    parser.add_argument("--grade", type=float, default=0.018, help="rise over run")
-    parser.add_argument("--tunnel", choices=["yes", "no"], default="yes", help="at its end")
-    parser.add_argument("--overhead", choices=["yes", "no"], default="no", help="wires, roofs")
-    parser.add_argument("--cloud", required=True, help="LAZ to write")
-    parser.add_argument(
-        "--class-scheme",
-        choices=["usual", "plants"],
-        default="usual",
-        help="usual: every point is 0, never classified; plants: vegetation is told",
-    )
-    parser.add_argument("--truth", required=True, help="GeoPackage to write")
-    parser.add_argument("--edges", required=True, help="GeoJSON to write")
-    return parser
-
-
-def generate_sample(arguments: argparse.Namespace) -> None:
+def generate_sample(
+    scene: Literal["highway"] = "highway",
+    seed: int = 1,
+    points: Annotated[int, "about so many points"] = 3500000,
+    length_m: Annotated[float, "length of road, 40 to 600"] = 250.0,
+    radius_m: Annotated[float, "of the curve to the left"] = 600.0,
+    grade: Annotated[float, "rise over run"] = 0.018,
+    tunnel: Annotated[Literal["yes", "no"], "at its end"] = "yes",
+    overhead: Annotated[Literal["yes", "no"], "wires, roofs"] = "no",
+    class_scheme: Annotated[
+        Literal["usual", "plants"],
+        "usual: every point is 0, never classified; plants: vegetation is told",
+    ] = "usual",
+    *,
+    cloud: Annotated[Path, "LAZ to write"],
+    truth: Annotated[Path, "GeoPackage to write"],
+    edges: Annotated[Path, "GeoJSON to write"],
+) -> None:
     """Build the site, scan it and write the three files."""
     highway = build_highway(
-        arguments.seed,
-        arguments.length_m,
-        arguments.radius_m,
-        arguments.grade,
-        arguments.tunnel == "yes",
-        arguments.overhead == "yes",
+        seed,
+        length_m,
+        radius_m,
+        grade,
+        tunnel == "yes",
+        overhead == "yes",
     )
     frame = highway.frame()
-    scan_rng, click_rng = np.random.default_rng(arguments.seed).spawn(2)
-    xyz_m, dims = _cloud(scan(highway, arguments.points, scan_rng))
-    if arguments.class_scheme == "plants":
-        truth = dims[TRUTH_DIMENSION]
-        dims["classification"] = np.where(np.isin(truth, VEGETATION), truth, 0).astype(np.uint8)
-    write_laz(arguments.cloud, xyz_m, frame, dims)
-    write_layers(arguments.truth, truth_layers(highway), frame)
-    write_native_lines(arguments.edges, digitised_edges(highway, click_rng), frame, EPSG)
-    logging.info("%d points on %g m of %s", len(xyz_m), arguments.length_m, arguments.scene)
+    scan_rng, click_rng = np.random.default_rng(seed).spawn(2)
+    xyz_m, dims = _cloud(scan(highway, points, scan_rng))
+    if class_scheme == "plants":
+        classes = dims[TRUTH_DIMENSION]
+        dims["classification"] = np.where(np.isin(classes, VEGETATION), classes, 0).astype(np.uint8)
+    write_laz(cloud, xyz_m, frame, dims)
+    write_layers(truth, truth_layers(highway), frame)
+    write_native_lines(edges, digitised_edges(highway, click_rng), frame, EPSG)
+    logging.info("%d points on %g m of %s", len(xyz_m), length_m, scene)
 
 
-def _cloud(chunks: Iterable[PointChunk]) -> tuple[Floats, dict[str, NDArray]]:
+def _cloud(chunks: Iterable[PointChunk]) -> tuple[Floats, dict[str, NDArray[Any]]]:
     """Points (n, 3) in local metres and their LAS dimensions; the class stays 0."""
     parts = list(chunks)
     xyz_m = np.concatenate([part.xyz_m for part in parts])
@@ -85,9 +81,7 @@ def _cloud(chunks: Iterable[PointChunk]) -> tuple[Floats, dict[str, NDArray]]:
     }
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the stage."""
-    return run_stage(_parser(), generate_sample, argv)
+main = Command(generate_sample)
 
 
 if __name__ == "__main__":

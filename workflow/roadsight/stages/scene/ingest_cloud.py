@@ -7,22 +7,20 @@ reprojected, the clouds are read again. Memory stays bounded by the largest tile
 
 from __future__ import annotations
 
-import argparse
 import logging
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.scene import Scene
-from roadsight.geometry.crs import METRES_PER_UNIT, unit_name
+from roadsight.base.sections.scene import Scene
+from roadsight.geometry.crs import unit_name
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import Reprojection, SiteFrame, centre_of, reprojection, site_frame
@@ -37,12 +35,9 @@ from roadsight.io.cloud.tiles import Tile
 from roadsight.io.records.atomic import write_json
 from roadsight.io.vector.extent import Within
 from roadsight.io.vector.extent import read_extent as read_site_extent
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger(__name__)
-
-UNITS = ("auto", *METRES_PER_UNIT)
-"""What a user may say of units."""
 
 
 def ingest(
@@ -256,48 +251,48 @@ def _promised(clouds: Sequence[Path], choice: UnitChoice) -> tuple[Frame | None,
     return frame, all(header.coloured for header in headers)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--site", required=True)
-    parser.add_argument("--crs", default="auto", help="auto, local, EPSG:nnnn or WKT")
-    parser.add_argument("--units", choices=UNITS, default="auto")
-    parser.add_argument("--vertical-units", choices=UNITS, default="auto")
-    parser.add_argument("--target-crs", nargs="?", help="reproject to this projected CRS")
-    add_settings(parser, Scene, "tile_size_m", "overlap", "pulse_share")
-    parser.add_argument("--extent", nargs="?", help="KIND=VALUE, see `read_extent`")
-    parser.add_argument("--extent-files", nargs="*", type=Path, default=[])
-    parser.add_argument("--extent-crs", nargs="?", help="of extent files that name none")
-    parser.add_argument("--cloud", type=Path, required=True, help="tiled cloud to write")
-    parser.add_argument("--frame", type=Path, required=True, help="frame to write")
-    parser.add_argument("clouds", type=Path, nargs="+", metavar="CLOUD")
-    return run_stage(parser, _run, argv)
-
-
-def _run(arguments: argparse.Namespace) -> None:
+def ingest_cloud(
+    clouds: Sequence[Path],
+    /,
+    site: str,
+    choice: UnitChoice,
+    settings: Scene,
+    target_crs: Annotated[str | None, "reproject to this projected CRS"] = None,
+    extent: Annotated[str | None, "KIND=VALUE, see `read_extent`"] = None,
+    extent_files: Sequence[Path] = (),
+    extent_crs: Annotated[str | None, "of extent files that name none"] = None,
+    *,
+    cloud: Annotated[Path, "tiled cloud to write"],
+    frame: Annotated[Path, "frame to write"],
+) -> None:
+    """Read the clouds of a site; what is wrong with them is told with its name."""
     try:
         ingest(
-            arguments.clouds,
-            UnitChoice(arguments.crs, arguments.units, arguments.vertical_units),
-            arguments.target_crs,
-            arguments.tile_size_m,
-            arguments.cloud,
-            arguments.frame,
-            overlap=arguments.overlap,
-            extent=_extent(arguments),
-            pulse_share=arguments.pulse_share,
+            clouds,
+            choice,
+            target_crs,
+            settings.tile_size_m,
+            cloud,
+            frame,
+            overlap=settings.overlap,
+            extent=_extent(extent, extent_files, extent_crs),
+            pulse_share=settings.pulse_share,
         )
     except InputError as error:
-        raise InputError(str(error), where=f"site {arguments.site}") from error
+        raise InputError(str(error), where=f"site {site}") from error
 
 
-def _extent(arguments: argparse.Namespace) -> Callable[[Frame], Within] | None:
+def _extent(
+    extent: str | None, files: Sequence[Path], crs: str | None
+) -> Callable[[Frame], Within] | None:
     """How the site's extent is found once its frame is known."""
-    if not arguments.extent:
+    if not extent:
         return None
-    kind, _, value = arguments.extent.partition("=")
-    files, crs = arguments.extent_files, arguments.extent_crs
+    kind, _, value = extent.partition("=")
     return lambda frame: read_site_extent(kind, value, frame, files, crs)
+
+
+main = Command(ingest_cloud)
 
 
 if __name__ == "__main__":

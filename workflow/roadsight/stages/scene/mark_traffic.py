@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 import shapely
 
-from roadsight.base.options import add_settings
-from roadsight.config.sections.sensing import Lidar
+from roadsight.base.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import POSITION, CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import Raster, read_raster
@@ -21,7 +21,7 @@ from roadsight.io.vector.vectors import read_layer
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.outline import inside
 from roadsight.scene.traffic import Columns, is_traffic
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("mark_traffic")
@@ -34,12 +34,20 @@ _LOWEST_M = 0.2
 """What is lower above the ground is pavement."""
 
 
-def mark_traffic(arguments: argparse.Namespace) -> None:
+def mark_traffic(
+    cloud_path: Path,
+    frame_path: Path,
+    dem_path: Path,
+    pavement: Path,
+    clear_below_m: Annotated[float, Lidar],
+    *,
+    out: Path,
+) -> None:
     """Write which points of the cloud are traffic, in the cloud's order."""
-    cloud = CloudTiles(arguments.cloud)
-    frame = Frame.from_dict(read_json(arguments.frame))
-    dem = read_raster(arguments.dem, frame)
-    outline = shapely.union_all(read_layer(arguments.pavement, "pavement", frame).geometry)
+    cloud = CloudTiles(cloud_path)
+    frame = Frame.from_dict(read_json(frame_path))
+    dem = read_raster(dem_path, frame)
+    outline = shapely.union_all(read_layer(pavement, "pavement", frame).geometry)
     inner = shapely.multipolygons(shapely.get_parts(outline.buffer(-_RIM_M)))
     columns = _columns(cloud, dem)
     parts = [np.empty(0, bool)]
@@ -47,15 +55,15 @@ def mark_traffic(arguments: argparse.Namespace) -> None:
         xyz, height_m = _tile(cloud, dem, number)
         on_pavement = inside(inner, xyz[:, 0], xyz[:, 1])
         top_m = columns.top_m(xyz[:, :2])
-        parts.append(is_traffic(height_m, top_m, on_pavement, _LOWEST_M, arguments.clear_below_m))
+        parts.append(is_traffic(height_m, top_m, on_pavement, _LOWEST_M, clear_below_m))
     traffic = np.concatenate(parts)
     log.info("%d of %d points are traffic", traffic.sum(), len(traffic))
     about = {
         "points": len(traffic),
         "cleared_points": int(traffic.sum()),
-        "clear_below_m": arguments.clear_below_m,
+        "clear_below_m": clear_below_m,
     }
-    write_table(arguments.out, pd.DataFrame({"traffic": traffic}), about)
+    write_table(out, pd.DataFrame({"traffic": traffic}), about)
 
 
 def _columns(cloud: CloudTiles, dem: Raster) -> Columns:
@@ -74,13 +82,7 @@ def _tile(cloud: CloudTiles, dem: Raster, number: int) -> tuple[np.ndarray, np.n
     return xyz, xyz[:, 2] - dem.sample(xyz[:, 0], xyz[:, 1])
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "frame", "dem", "pavement", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    add_settings(parser, Lidar, "clear_below_m")
-    return run_stage(parser, mark_traffic, argv)
+main = Command(mark_traffic)
 
 
 if __name__ == "__main__":

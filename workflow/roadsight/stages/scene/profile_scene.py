@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from roadsight.scene.profile import (
     join_cells,
     sample_distances,
 )
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger(__name__)
 
@@ -30,14 +30,14 @@ _INTENSITIES = 65_536
 """Intensities that there are: LAS holds them in 16 bits."""
 
 
-def profile_scene(arguments: argparse.Namespace) -> None:
+def profile_scene(cloud_path: Path, frame: Path, *, out: Path) -> None:
     """Write the profile of a tiled cloud."""
-    cloud = CloudTiles(arguments.cloud)
-    about = read_json(arguments.frame)
+    cloud = CloudTiles(cloud_path)
+    about = read_json(frame)
     if about["points"] != cloud.points:
         raise InputError(
             "is of another cloud",
-            where=str(arguments.frame),
+            where=str(frame),
             found=f"{about['points']} points",
             allowed=str(cloud.points),
             hint="run the workflow again",
@@ -56,7 +56,7 @@ def profile_scene(arguments: argparse.Namespace) -> None:
         profile["density_per_m2"]["median"],
         profile["spacing_m"],
     )
-    write_json(arguments.out, profile)
+    write_json(out, profile)
 
 
 def _cells(cloud: CloudTiles) -> tuple[Cells, Ints]:
@@ -96,12 +96,7 @@ def _distances(cloud: CloudTiles, cells: Cells) -> Floats:
     )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "frame", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    return run_stage(parser, profile_scene, argv)
+main = Command(profile_scene)
 
 
 if __name__ == "__main__":

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
+from pathlib import Path
+from typing import Annotated, Literal
 
 import numpy as np
 import shapely
 
 from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.poles import Voxels
+from roadsight.base.sections.poles import Voxels
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, Points, Tile
 from roadsight.io.cloud.voxel_tables import VoxelTableWriter
@@ -27,7 +28,7 @@ from roadsight.scene.pavement.paved import PavedArea
 from roadsight.scene.voxels.settled_voxels import Settled, join, settle_area
 from roadsight.scene.voxels.voxel_classes import ClassRuns, VoxelGrid, add_runs, count_classes
 from roadsight.stages.ahead import in_order
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("rasterise_lidar")
@@ -36,22 +37,44 @@ _ROWS = 32
 """Rows of voxels that are joined across a row of tiles and written together: bounds the memory."""
 
 
-def rasterise_lidar(arguments: argparse.Namespace) -> None:
+@dataclass(frozen=True)
+class RoadSource:
+    """What says where the cloud's road is."""
+
+    road_source: Literal["auto", "class", "pavement"] = "auto"
+    least_road_share: Annotated[
+        float, "auto: with a smaller share of road points, the pavement is used"
+    ] = 1e-4
+    pavement: Annotated[Path | None, "for a cloud without road class"] = None
+    dem: Annotated[Path | None, "for a cloud without road class"] = None
+    pavement_height_m: Annotated[float, "farthest from the terrain model"] = 0.3
+
+
+def rasterise_lidar(
+    cloud_path: Path,
+    frame_path: Path,
+    settings: Voxels,
+    source: RoadSource,
+    threads: int = 1,
+    *,
+    voxels_path: Path,
+    top_path: Path,
+) -> None:
     """Write the voxels and the overhead view, one row of tiles in memory at a time."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    cloud = CloudTiles(arguments.cloud)
-    table = class_table(arguments.road_classes, arguments.bridge_classes)
-    paved = _paved_area(arguments, cloud, table, frame)
+    frame = Frame.from_dict(read_json(frame_path))
+    cloud = CloudTiles(cloud_path)
+    table = class_table(settings.road_classes, settings.bridge_classes)
+    paved = _paved_area(source, cloud, cloud_path, settings, frame)
     bounds = np.array([tile.bounds_m for tile in cloud.tiles])
     corners = [*bounds[:, :3].min(axis=0), *bounds[:, 3:].max(axis=0)]
-    grid = VoxelGrid.over(frame, arguments.voxel_size_m, corners)
+    grid = VoxelGrid.over(frame, settings.voxel_size_m, corners)
     about = {"cell_size_m": grid.cell_size_m, "anchor": list(grid.anchor_m)}
     road = 0
     with (
-        VoxelTableWriter(arguments.voxels, about) as voxels,
-        TopRasterWriter(arguments.top, frame, grid) as top,
+        VoxelTableWriter(voxels_path, about) as voxels,
+        TopRasterWriter(top_path, frame, grid) as top,
     ):
-        for part in settled(grid, cloud, table, paved, arguments.threads):
+        for part in settled(grid, cloud, table, paved, threads):
             voxels.add(grid.indices(part.voxel), part.cls)
             top.add(part.columns)
             road += int(np.count_nonzero(is_road(part.cls)))
@@ -59,7 +82,7 @@ def rasterise_lidar(arguments: argparse.Namespace) -> None:
     if road == 0:
         raise InputError(
             "no point of the cloud lies on the pavement",
-            where=arguments.pavement,
+            where=str(source.pavement),
             hint="check that pavement, terrain model and cloud belong together",
         )
 
@@ -113,60 +136,42 @@ def _in_rows(grid: VoxelGrid, parts: list[Settled], starts: range) -> Iterator[S
 
 
 def _classes(points: Points, table: Bytes, paved: PavedArea | None) -> Bytes:
-    cls = table[points["classification"]]
+    cls: Bytes = table[points["classification"]]
     if paved is not None:
         cls[paved.holds(points["x"], points["y"], points["z"])] = ROAD
     return cls
 
 
 def _paved_area(
-    arguments: argparse.Namespace, cloud: CloudTiles, table: Bytes, frame: Frame
+    source: RoadSource, cloud: CloudTiles, cloud_path: Path, settings: Voxels, frame: Frame
 ) -> PavedArea | None:
     """Nothing for a cloud that knows its roads, else the pavement found in it or given."""
     log.info("points by class: %s", cloud.classes)
+    table = class_table(settings.road_classes, settings.bridge_classes)
     on_road = sum(count for cls, count in cloud.classes.items() if table[cls] == ROAD)
     share = on_road / max(cloud.points, 1)
-    use_class = arguments.road_source == "class" or (
-        arguments.road_source == "auto" and share >= arguments.least_road_share
+    use_class = source.road_source == "class" or (
+        source.road_source == "auto" and share >= source.least_road_share
     )
     if use_class and share > 0:
         return None
-    if use_class or not (arguments.pavement and arguments.dem):
+    if use_class or not (source.pavement and source.dem):
         raise InputError(
             "the cloud has no road points" if share == 0 else "the cloud has too few road points",
-            where=arguments.cloud,
-            found=f"{share:.3%} of classes {arguments.road_classes}",
+            where=str(cloud_path),
+            found=f"{share:.3%} of classes {settings.road_classes}",
             hint="name its road class (poles.road_classes), or have the pavement found",
         )
     from roadsight.io.vector.vectors import read_layer  # noqa: PLC0415  # slow to load, rarely needed
 
-    outline = shapely.union_all(
-        read_layer(arguments.pavement, "pavement", frame).geometry.to_numpy()
-    )
+    layer = read_layer(source.pavement, "pavement", frame)
+    outline = shapely.union_all(layer.geometry.to_numpy())
     log.info("%.0f m2 of pavement stand for the road class", outline.area)
-    return PavedArea(outline, read_raster(arguments.dem, frame).sample, arguments.pavement_height_m)
+    heights = read_raster(source.dem, frame)
+    return PavedArea(outline, heights.sample, source.pavement_height_m)
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "frame", "voxels", "top"):
-        parser.add_argument(f"--{name}", required=True)
-    for name in ("pavement", "dem"):
-        parser.add_argument(f"--{name}", nargs="?", help="for a cloud without road class")
-    add_settings(parser, Voxels, "voxel_size_m", "road_classes", "bridge_classes")
-    parser.add_argument("--road-source", choices=("auto", "class", "pavement"), default="auto")
-    parser.add_argument(
-        "--least-road-share",
-        type=float,
-        default=1e-4,
-        help="auto: with a smaller share of road points, the pavement is used",
-    )
-    parser.add_argument(
-        "--pavement-height-m", type=float, default=0.3, help="farthest from the terrain model"
-    )
-    parser.add_argument("--threads", type=int, default=1)
-    return run_stage(parser, rasterise_lidar, argv)
+main = Command(rasterise_lidar)
 
 
 if __name__ == "__main__":

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import math
 import sys
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import shapely
@@ -17,37 +18,40 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer, read_polygons
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger(__name__)
 
 
-def score_pavement(arguments: argparse.Namespace) -> None:
+def score_pavement(
+    cloud: Path,
+    frame_path: Path,
+    ground_path: Path,
+    pavement: Path,
+    truth: str,
+    truth_crs: Annotated[str | None, "CRS of the truth if its file names none"] = None,
+    truth_layer: Annotated[str | None, "layer of a generated truth file"] = None,
+    reach_m: Annotated[float, "extent of the truth"] = math.inf,
+    *,
+    out: Path,
+) -> None:
     """Write accuracy, recall, F1 and outline distances over all ground points."""
-    frame = Frame.from_dict(read_json(arguments.frame))
-    found = shapely.union_all(read_layer(arguments.pavement, "pavement", frame).geometry.to_numpy())
+    frame = Frame.from_dict(read_json(frame_path))
+    found = shapely.union_all(read_layer(pavement, "pavement", frame).geometry.to_numpy())
     polygons = (
-        read_layer(arguments.truth, arguments.truth_layer, frame)
-        if arguments.truth_layer
-        else read_polygons(arguments.truth, frame, arguments.truth_crs or None)
+        read_layer(truth, truth_layer, frame)
+        if truth_layer
+        else read_polygons(truth, frame, truth_crs)
     )
-    about = read_json(arguments.frame)
-    tell_near(log, "known polygons", polygons.geometry.to_numpy(), about, arguments.truth)
+    about = read_json(frame_path)
+    tell_near(log, "known polygons", polygons.geometry.to_numpy(), about, truth)
     true = shapely.union_all(polygons.geometry.to_numpy())
-    xyz = stack_xyz(CloudTiles(arguments.cloud).read(("x", "y", "z")))
-    ground = xyz[read_table(arguments.ground)["ground"].to_numpy()].astype(np.float64)
-    write_json(arguments.out, pavement_scores(ground[:, :2], found, true, arguments.reach_m))
+    xyz = stack_xyz(CloudTiles(cloud).read(("x", "y", "z")))
+    ground = xyz[read_table(ground_path)["ground"].to_numpy()].astype(np.float64)
+    write_json(out, pavement_scores(ground[:, :2], found, true, reach_m))
 
 
-def main(argv: list[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    for name in ("cloud", "frame", "ground", "pavement", "truth", "out"):
-        parser.add_argument(f"--{name}", required=True)
-    parser.add_argument("--truth-crs", nargs="?", help="CRS of the truth if its file names none")
-    parser.add_argument("--truth-layer", nargs="?", help="layer of a generated truth file")
-    parser.add_argument("--reach-m", type=float, default=math.inf, help="extent of the truth")
-    return run_stage(parser, score_pavement, argv)
+main = Command(score_pavement)
 
 
 if __name__ == "__main__":

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 
 from roadsight.evidence.truth.pavement import measure_pavement
-from roadsight.stages.truth.truth_stage import truth_main
+from roadsight.stages.truth.truth_stage import measuring
 
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Command line."""
-    return truth_main(__doc__, measure_pavement, argv)
+main = measuring(measure_pavement, __doc__)
 
 
 if __name__ == "__main__":

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import pandas as pd
 
@@ -16,15 +16,20 @@ from roadsight.evidence.truth.table import Figure, truth_rows
 from roadsight.io.records.atomic import atomic_path, read_json
 from roadsight.report.evidence.truth_page import ASSETS, render_truth
 from roadsight.report.files import read_assets
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command
 
 log = logging.getLogger("write_truth")
 
 
-def write_truth(arguments: argparse.Namespace) -> None:
+def write_truth(
+    figures: Annotated[Sequence[Path], "JSON files, area/dataset.json"],
+    *,
+    csv: Annotated[Path, "CSV file to write"],
+    page_path: Annotated[Path, "HTML file to write"],
+) -> None:
     """Gather the figures of all data sets; write the table and the page."""
     measured: dict[str, dict[str, list[Figure]]] = {area: {} for area in AREAS}
-    for path in map(Path, arguments.figures):
+    for path in figures:
         content = read_json(path)
         if content["missing"]:
             log.warning("%s: no such file: %s", path.stem, ", ".join(content["missing"]))
@@ -32,20 +37,14 @@ def write_truth(arguments: argparse.Namespace) -> None:
         measured[path.parent.name][path.stem] = [Figure(**row) for row in content["figures"]]
     parts = [truth_rows(name, area, measured[name]) for name, area in AREAS.items()]
     table = pd.concat([part.astype(object) for part in parts], ignore_index=True)
-    with atomic_path(arguments.csv) as temporary:
+    with atomic_path(csv) as temporary:
         table.to_csv(temporary, index=False, float_format="%.5g")
     page = render_truth(table, read_assets(ASSETS), __version__)
-    with atomic_path(arguments.page) as temporary:
+    with atomic_path(page_path) as temporary:
         temporary.write_text(page, encoding="utf-8")
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--figures", nargs="+", required=True, help="JSON files, area/dataset.json")
-    parser.add_argument("--csv", required=True, help="CSV file to write")
-    parser.add_argument("--page", required=True, help="HTML file to write")
-    return run_stage(parser, write_truth, argv)
+main = Command(write_truth)
 
 
 if __name__ == "__main__":

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import threading
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Reach
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
 from roadsight.io.images.videologs import ImageSource
@@ -20,7 +20,7 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.pose import Pose, pose_of
 from roadsight.poles.calibration.calibration import weak_mount
 from roadsight.poles.calibration.calibration_table import from_content
-from roadsight.stages.poles.alignment_inputs import AlignmentScene, add_arguments, read_scene
+from roadsight.stages.poles.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.studio.project import CLOUD, DEM, FRAME, SiteFolder
 
 POSE = ("x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px")
@@ -30,7 +30,6 @@ _FRAMES = "poles/frames.parquet"
 _ROAD = "poles/road_edges.parquet"
 _CALIBRATION = "poles/calibration.json"
 _TERRAIN = "poles/terrain.npz"
-_SHARED = ("nearest_m", "farthest_m", "edge_points", "pixels")
 
 
 class SiteDrive:
@@ -163,20 +162,22 @@ def pose_content(pose: Pose) -> dict[str, float]:
 
 
 def _scene(site: SiteFolder) -> AlignmentScene:
-    parser = argparse.ArgumentParser()
-    add_arguments(parser)
     edges = sorted((site.results / "poles/image_edges").glob("*.parquet"))
     if not edges:
         site.file("poles/image_edges/0.parquet")
-    options = ["--frames", str(site.file(_FRAMES)), "--road-edges", str(site.file(_ROAD))]
-    options += ["--frame", str(site.file(FRAME)), "--dem", str(site.file(DEM)), "--out", "none"]
-    options += ["--image-edges", *map(str, edges)]
-    if (site.results / _TERRAIN).exists():
-        options += ["--terrain", str(site.results / _TERRAIN)]
-    for name in _SHARED:
-        value = getattr(site.resolved.settings.alignment, name)
-        options += [f"--{name.replace('_', '-')}", str(value)]
-    return read_scene(parser.parse_args(options))
+    terrain = site.results / _TERRAIN
+    asked = site.resolved.settings.alignment
+    return read_scene(
+        SceneFiles(
+            site.file(_FRAMES),
+            site.file(_ROAD),
+            site.file(FRAME),
+            edges,
+            Reach(**asked.model_dump(include=set(Reach.model_fields))),
+            terrain if terrain.exists() else None,
+            site.file(DEM),
+        )
+    )
 
 
 def _cameras(site: SiteFolder) -> pd.DataFrame:

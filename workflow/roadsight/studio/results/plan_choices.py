@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 from dataclasses import dataclass
@@ -19,8 +18,8 @@ from roadsight.config.plan_options import FILES
 from roadsight.config.plans import Plan
 from roadsight.io.vector.layer_names import split_layer
 from roadsight.placement.plans.plan_problem import Asked, pose
-from roadsight.stages.placement.shared.cover_inputs import read_asked
-from roadsight.stages.placement.shared.plan_choices import read_choices
+from roadsight.stages.placement.shared.cover_inputs import PlanFiles, read_asked
+from roadsight.stages.placement.shared.plan_choices import ChoiceFiles, read_choices
 from roadsight.studio.project import FRAME, SiteFolder
 
 _TARGETS = "placement/targets.parquet"
@@ -132,10 +131,10 @@ def choices_to_try(
     """
     plan, frame = site.resolved.plans[name], site.frame()
     where = f"site {site.stem}, plan {name}"
-    arguments = _arguments(site, name, plan, files)
-    found = read_choices(arguments, [f"{name}={cost!r}" for name, cost in costs.items()], frame)
+    given = _given(site, name, plan, files)
+    found = read_choices(given, [f"{name}={cost!r}" for name, cost in costs.items()], frame)
     matrix = found.matrix(targets["target"])
-    asked = read_asked(arguments, frame) or Asked({}, 1, where, exclude=True)
+    asked = read_asked(given, frame) or Asked({}, 1, where, exclude=True)
     posed = pose(asked, matrix, found.choices, found.candidates, targets).deployment
     chosen = _chosen(found.choices, solution, str(files["solution"]))
     free = ~posed.problem.forbidden
@@ -151,29 +150,36 @@ def choices_to_try(
     )
 
 
-def _arguments(
-    site: SiteFolder, name: str, plan: Plan, files: dict[str, Path]
-) -> argparse.Namespace:
-    """Arguments of the solver's stage, as the rule ``solve_cover`` gives them."""
+@dataclass(frozen=True, kw_only=True)
+class _Given(ChoiceFiles, PlanFiles):
+    """What says where sensors may stand and what a plan asks of them."""
+
+
+def _given(site: SiteFolder, name: str, plan: Plan, files: dict[str, Path]) -> _Given:
+    """What the solver's stage takes, as the rule ``solve_cover`` gives it."""
     placement = site.resolved.site.placement
-    maps = {
-        part: site.resolved.layered(path) if (path := getattr(placement, part)) else None
-        for part in ("zones", "cabinets")
-    }
+    zones, cabinets = (
+        site.resolved.layered(path) if path else None
+        for path in (placement.zones, placement.cabinets)
+    )
     asked = {k: v for k, v in json.loads(plan.options() or "{}").items() if k in _WHERE_AND_COST}
-    own = {part: [plan.file_of(part)] if part in asked else [] for part in FILES}
-    return argparse.Namespace(
+    own = {
+        part: (file,) if part in asked and (file := plan.file_of(part)) else () for part in FILES
+    }
+    return _Given(
         site=site.stem,
         plan=name,
-        frame=str(files["frame"]),
+        frame=files["frame"],
         candidates=[path for short, path in files.items() if short.startswith("round")],
         detections=[path for short, path in files.items() if short.startswith("shard")],
         mounting=site.resolved.settings.mounting.model_dump_json(),
         options=json.dumps(asked) if asked else "",
         at_least=1,
         uncoverable="exclude",
-        **maps,
-        **own,
+        zones=zones,
+        cabinets=cabinets,
+        forbidden=own["forbidden"],
+        poles=own["poles"],
     )
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
@@ -27,15 +29,17 @@ from roadsight.placement.candidates.sites_for_sensors import outside_zones
 log = logging.getLogger(__name__)
 
 
-def add_allowed_arguments(parser: argparse.ArgumentParser) -> None:
-    """Arguments of stages that look only at candidates that may carry a sensor."""
-    parser.add_argument("--zones", nargs="?", help="polygons in which no sensor may stand")
-    parser.add_argument("--cabinets", nargs="?", help="points of power and fibre")
-    parser.add_argument("--mounting", default="{}", help="rules of mounting as JSON")
+@dataclass(frozen=True, kw_only=True)
+class AllowedFiles:
+    """What says which candidates may carry a sensor."""
+
+    zones: Annotated[str | None, "polygons in which no sensor may stand"] = None
+    cabinets: Annotated[str | None, "points of power and fibre"] = None
+    mounting: Annotated[str, "rules of mounting as JSON"] = "{}"
 
 
 def allowed_candidates(
-    arguments: argparse.Namespace, candidates: pd.DataFrame, frame: Frame
+    given: AllowedFiles, candidates: pd.DataFrame, frame_path: Path, frame: Frame
 ) -> tuple[Bools, Floats, Floats | None]:
     """Whether each candidate (m,) may carry a sensor, its cost beside it, and its cable's length.
 
@@ -43,18 +47,18 @@ def allowed_candidates(
     ------
     InputError : a file is not usable, a cabinet lies off the site, or no candidate is left.
     """
-    rules = Mounting(**json.loads(arguments.mounting or "{}"))
-    about = read_json(arguments.frame)
-    cabinets = read_points(arguments.cabinets, frame) if arguments.cabinets else None
-    if cabinets is not None:
+    rules = Mounting(**json.loads(given.mounting or "{}"))
+    about = read_json(frame_path)
+    cabinets = read_points(given.cabinets, frame) if given.cabinets else None
+    if given.cabinets and cabinets is not None:
         places = cabinets[["x", "y"]].to_numpy(np.float64)
-        tell_near(log, "cabinets", places, about, arguments.cabinets)
-    where = str(arguments.cabinets or "mounting")
+        tell_near(log, "cabinets", places, about, given.cabinets)
+    where = str(given.cabinets or "mounting")
     cable_m = cable_lengths_m(candidates, cabinets, rules, where)
     free = np.ones(len(candidates), bool)
-    if arguments.zones:
-        zones = list(read_polygons(arguments.zones, frame).geometry)
-        tell_near(log, "zones", np.array(zones, object), about, arguments.zones)
+    if given.zones:
+        zones = list(read_polygons(given.zones, frame).geometry)
+        tell_near(log, "zones", np.array(zones, object), about, given.zones)
         free = outside_zones(candidates[["x", "y"]].to_numpy(np.float64), zones)
     if "mount" not in candidates:
         return free, np.zeros(len(candidates)), cable_m
@@ -62,7 +66,7 @@ def allowed_candidates(
     if len(candidates) and not allowed.any():
         raise InputError(
             "no candidate may carry a sensor",
-            where=str(arguments.zones or "mounting"),
+            where=str(given.zones or "mounting"),
             found=f"{int((~free).sum())} of {len(candidates)} in zones without sensors, the others"
             " against the rules of mounting",
             hint="make the zones smaller (placement.zones) or the rules milder (mounting)",

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
-from roadsight.base.options import add_settings
-from roadsight.config.sections.sensing import Lidar, Tolerance
+from roadsight.base.sections.sensing import Lidar, Targets, Tolerance
+from roadsight.base.validation import needed
 from roadsight.io.records.poses import read_tilts
 from roadsight.io.records.surfels import read_surfels
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
@@ -22,38 +24,49 @@ from roadsight.placement.sensors.sensors import Sensor, load_sensors
 from roadsight.placement.sight.shapes import Box
 from roadsight.placement.sight.sight import count_beams
 from roadsight.placement.sight.wanted import beams_wanted, room_for
-from roadsight.stages.placement.shared.detection_inputs import read_shaped_targets, sight_of
+from roadsight.stages.placement.shared.detection_inputs import (
+    SightFiles,
+    read_shaped_targets,
+    sight_of,
+)
 
 
-def add_change_arguments(parser: argparse.ArgumentParser) -> None:
-    """How far sensors may be from their plan, and who casts the rays that tell."""
-    add_settings(parser, Tolerance, "move_m", "turn_deg", "other_height_m")
-    add_settings(parser, Lidar, "engine")
+@dataclass(frozen=True, kw_only=True)
+class ChangedFiles(SightFiles):
+    """How far sensors may be from their plan, and what tells what they see then."""
+
+    move_m: Annotated[float, Tolerance]
+    turn_deg: Annotated[float, Tolerance]
+    other_height_m: Annotated[float, Tolerance]
+    engine: Annotated[Engine, Lidar]
+    azimuth_stride: Annotated[int, Lidar]
+    min_beams: Annotated[int, Targets]
+    surfels: Annotated[Path | None, "the scene"] = None
+    sensors_file: Path | None = None
 
 
 class ChangedSight:
     """Sights of sensors in the scene.
 
-    Parameters
-    ----------
-    arguments : those of `add_sight_arguments` and `add_change_arguments`, sensors, surfels,
-        targets, min_beams and azimuth_stride.
+    Raises
+    ------
+    InputError : a file is missing or cannot be read.
     """
 
-    def __init__(self, arguments: argparse.Namespace) -> None:
-        self._arguments = arguments
-        self._sensors = load_sensors(arguments.sensors_file)
-        self._tilts = read_tilts(arguments.tilts)
-        self.targets, self._feet_m, shape = read_shaped_targets(arguments)
+    def __init__(self, given: ChangedFiles) -> None:
+        self._given = given
+        self._sensors = load_sensors(needed(given.sensors_file, "--sensors-file"))
+        self._tilts = read_tilts(given.tilts)
+        self.targets, self._feet_m, shape = read_shaped_targets(given)
         self._size_m: Any = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
         self._room_m = room_for(shape)
-        self.changes = changes(arguments.move_m, arguments.turn_deg, arguments.other_height_m)
+        self.changes = changes(given.move_m, given.turn_deg, given.other_height_m)
 
     @cached_property
     def _lidar(self) -> SurfelLidar:
         """The scene as it is."""
-        surfels = read_surfels(self._arguments.surfels)
-        return SurfelLidar(surfels, engine=self._arguments.engine)
+        surfels = read_surfels(needed(self._given.surfels, "--surfels"))
+        return SurfelLidar(surfels, engine=self._given.engine)
 
     def can_change(self, sensor: str) -> bool:
         """Whether a sensor is a spinning LiDAR; others are judged from panoramas."""
@@ -75,7 +88,7 @@ class ChangedSight:
         whole = self._sensors[place["sensor"]]
         if not isinstance(whole, Sensor):
             raise InputError("tolerance is measured of spinning LiDARs only", found=place["sensor"])
-        stride = self._arguments.azimuth_stride
+        stride = self._given.azimuth_stride
         sensor = whole.thinned(stride)
         position = np.array([place[axis] for axis in "xyz"], np.float64)
         yaw_deg = float(place["yaw_deg"])
@@ -85,14 +98,14 @@ class ChangedSight:
             position = position + level @ np.array(change.shift_m)
             yaw_deg += change.turn.yaw_deg
             tilt = self._tilted(yaw_deg, change, tilt)
-        curved = self._arguments.curvature == "simulate"
+        curved = self._given.curvature == "simulate"
         scene = self._lidar if lidar is None else lidar
-        sight = sight_of(self._arguments, place["sensor"], whole)
+        sight = sight_of(self._given, place["sensor"], whole)
         pose = (position, yaw_deg)
         wanted = beams_wanted(sensor, *pose, self._feet_m, self._room_m, tilt, curved)
         depth_m = scene.depth_map(sensor, *pose, tilt, curved, wanted)
         beams = count_beams(depth_m, sensor, *pose, self._feet_m, self._size_m, sight, tilt)
-        return np.asarray(stride * beams > self._arguments.min_beams)
+        return np.asarray(stride * beams > self._given.min_beams)
 
     @staticmethod
     def _tilted(yaw_deg: float, change: Change, tilt: Floats | None) -> Floats | None:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import json
 import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
 
 import geopandas as gpd
 import numpy as np
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.placement import Cover, Coverage
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.vector.point_tables import attribute_numbers, read_points
@@ -23,26 +27,42 @@ FILES = ("areas", "forbidden", "mandatory", "poles")
 """Options of a plan that name a file, each an argument of the stage."""
 
 
-def read_asked(arguments: argparse.Namespace, frame: Frame) -> Asked | None:
+@dataclass(frozen=True, kw_only=True)
+class PlanFiles:
+    """A plan of a site, what it asks for beside a cover, and the maps of that."""
+
+    site: str
+    plan: str
+    frame: Path
+    at_least: Annotated[int, Cover]
+    uncoverable: Annotated[str, Coverage]
+    options: Annotated[str, "options of the plan as JSON"] = ""
+    areas: Annotated[Sequence[str], "file of the option"] = ()
+    forbidden: Annotated[Sequence[str], "file of the option"] = ()
+    mandatory: Annotated[Sequence[str], "file of the option"] = ()
+    poles: Annotated[Sequence[str], "file of the option"] = ()
+
+
+def read_asked(given: PlanFiles, frame: Frame) -> Asked | None:
     """Options of the plan with their maps; None where it has none.
 
     Raises
     ------
     InputError : a file is not usable.
     """
-    if not arguments.options:
+    if not given.options:
         return None
-    options = json.loads(arguments.options)
+    options = json.loads(given.options)
     options.pop("robust", None)  # what sensors count for is settled before the plan is posed
     if not options:
         return None
     crs = {name: options.get(name, {}).get("crs") for name in FILES}
-    zones, fixed, poles = arguments.forbidden, arguments.mandatory, arguments.poles
+    zones, fixed, poles = given.forbidden, given.mandatory, given.poles
     asked = Asked(
         options,
-        options.get("at_least", arguments.at_least),
-        f"site {arguments.site}, plan {arguments.plan}",
-        _areas(arguments.areas[0], frame, crs["areas"]) if arguments.areas else None,
+        options.get("at_least", given.at_least),
+        f"site {given.site}, plan {given.plan}",
+        _areas(given.areas[0], frame, crs["areas"]) if given.areas else None,
         read_polygons(zones[0], frame, crs["forbidden"]) if zones else None,
         read_points(fixed[0], frame, crs["mandatory"], ["height_m"], ["candidate"])
         if fixed
@@ -50,9 +70,9 @@ def read_asked(arguments: argparse.Namespace, frame: Frame) -> Asked | None:
         read_points(poles[0], frame, crs["poles"], ["cost", "height_min_m", "height_max_m"])
         if poles
         else None,
-        arguments.uncoverable == "exclude",
+        given.uncoverable == "exclude",
     )
-    about = read_json(arguments.frame)
+    about = read_json(given.frame)
     for what, features in (
         ("areas", asked.areas),
         ("forbidden places", asked.zones),

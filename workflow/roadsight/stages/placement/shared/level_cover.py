@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.sections.placement import Cover as CoverSettings
 from roadsight.io.records.lanes import read_traffic
 from roadsight.placement.plans.availability import (
     CommonTraffic,
@@ -22,8 +24,20 @@ from roadsight.placement.plans.availability import (
 )
 from roadsight.setcover import Cover
 from roadsight.setcover.joint.joint import solve_joint
+from roadsight.stages.placement.shared.cover_inputs import PlanFiles
 
 log = logging.getLogger("solve_cover")
+
+
+@dataclass(frozen=True, kw_only=True)
+class LevelFiles(PlanFiles):
+    """A plan that must see each target with a probability."""
+
+    time_limit_s: Annotated[float, CoverSettings]
+    gap: Annotated[float, CoverSettings]
+    availability: Annotated[float | None, "how often targets must be in sight"] = None
+    lanes: Annotated[Sequence[Path], "lanes and their traffic"] = ()
+    target_height_m: float = 0.6
 
 
 @dataclass(frozen=True)
@@ -42,7 +56,8 @@ class Levelled:
 
 
 def cover_at_level(
-    arguments: argparse.Namespace,
+    given: LevelFiles,
+    level: float,
     detections: pd.DataFrame,
     choices: pd.DataFrame,
     candidates: pd.DataFrame,
@@ -54,31 +69,30 @@ def cover_at_level(
     ------
     InputError : targets cannot reach the level and may not be left below it.
     """
-    level = arguments.availability
     pairs = pd.MultiIndex.from_frame(choices[["sensor", "candidate"]].astype(str))
     shares = share_matrix(detections, pairs, pd.Index(targets["target"].astype(str)))
     position = choices["position"].to_numpy(np.int64)
     costs = choices["cost"].to_numpy(np.float64)
     oracle = None
-    if arguments.lanes:
+    if given.lanes:
         feet = targets[["x", "y", "z"]].to_numpy(np.float64)
-        middles = feet + np.array([0.0, 0.0, arguments.target_height_m / 2])
+        middles = feet + np.array([0.0, 0.0, given.target_height_m / 2])
         sensors_m = candidates[["x", "y", "z"]].to_numpy(np.float64)[position]
-        traffic = read_traffic(arguments.lanes[0]).lanes
+        traffic = read_traffic(given.lanes[0]).lanes
         shares = past_traffic(shares, traffic, sensors_m, middles)
         posed = at_level(shares, costs, position, level)
         oracle = CommonTraffic(traffic, sensors_m, middles, shares, level, posed.below)
     else:
         log.warning("no traffic is simulated: every sensor sees its targets for certain")
         posed = at_level(shares, costs, position, level)
-    _check_below(arguments, posed.below.tolist(), targets)
-    cover = solve_joint(posed.problem, arguments.time_limit_s, arguments.gap, oracle)
+    _check_below(given, level, posed.below.tolist(), targets)
+    cover = solve_joint(posed.problem, given.time_limit_s, given.gap, oracle)
     hidden = shares[cover.chosen].copy()
     hidden.data = np.log1p(-np.minimum(hidden.data, 1 - 1e-12))
     alone = -np.expm1(np.asarray(hidden.sum(axis=0)).ravel())
     seen = alone if oracle is None else oracle.joint_shares(cover.chosen)
     below = sorted({*posed.below.tolist(), *(oracle.given_up if oracle else ())})
-    _check_below(arguments, below, targets)
+    _check_below(given, level, below, targets)
     record = {
         "level": level,
         "independent": described(alone),
@@ -97,16 +111,16 @@ def described(shares: Floats) -> dict[str, Any]:
     }
 
 
-def _check_below(arguments: argparse.Namespace, below: list[int], targets: pd.DataFrame) -> None:
-    if not below or arguments.uncoverable == "exclude":
+def _check_below(given: LevelFiles, level: float, below: list[int], targets: pd.DataFrame) -> None:
+    if not below or given.uncoverable == "exclude":
         return
     first = ", ".join(targets["target"].astype(str).iloc[below[:5]])
     raise InputError(
         f"{len(below)} of {len(targets)} targets are in sight less often than the plan asks,"
         " even if every candidate carries a sensor",
-        where=f"site {arguments.site}, plan {arguments.plan}",
+        where=f"site {given.site}, plan {given.plan}",
         found=first,
-        allowed=f"{arguments.availability:g} of the time",
+        allowed=f"{level:g} of the time",
         hint="lower the plan's availability, lower conditions.availability so that sensors count"
         " that see a target less often, or leave these targets below it with"
         " coverage.uncoverable: exclude",

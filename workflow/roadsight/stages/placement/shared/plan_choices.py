@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import argparse
+from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import pandas as pd
 from scipy import sparse
@@ -14,7 +15,7 @@ from roadsight.io.records.poses import FOR_SENSORS
 from roadsight.io.records.tables import read_table
 from roadsight.placement.plans.choices import choices_of
 from roadsight.placement.sight.coverage import detection_matrix
-from roadsight.stages.placement.shared.allowed import allowed_candidates
+from roadsight.stages.placement.shared.allowed import AllowedFiles, allowed_candidates
 
 
 @dataclass(frozen=True)
@@ -38,9 +39,16 @@ class PlanChoices:
         return detection_matrix(self.detections, pairs, pd.Index(targets))
 
 
-def read_choices(
-    arguments: argparse.Namespace, cost_entries: list[str], frame: Frame
-) -> PlanChoices:
+@dataclass(frozen=True, kw_only=True)
+class ChoiceFiles(AllowedFiles):
+    """What tells where a plan's sensors may stand and what they see there."""
+
+    frame: Path
+    candidates: Sequence[Path]
+    detections: Sequence[Path]
+
+
+def read_choices(given: ChoiceFiles, cost_entries: Sequence[str], frame: Frame) -> PlanChoices:
     """Choices from candidates and detections; ``cost_entries``: sensor=cost of the plan's sensors.
 
     Raises
@@ -48,13 +56,13 @@ def read_choices(
     InputError : as `allowed_candidates`.
     """
     costs = {name: float(cost) for name, _, cost in (s.partition("=") for s in cost_entries)}
-    candidates = pd.concat([read_table(path) for path in arguments.candidates], ignore_index=True)
-    allowed, building_cost, cable_m = allowed_candidates(arguments, candidates, frame)
+    candidates = pd.concat([read_table(path) for path in given.candidates], ignore_index=True)
+    allowed, building_cost, cable_m = allowed_candidates(given, candidates, given.frame, frame)
     if cable_m is not None:
         candidates["cable_m"] = cable_m
     candidates = candidates[allowed].reset_index(drop=True)
     candidates = candidates.drop(columns=FOR_SENSORS, errors="ignore")
-    detections = read_detections(arguments.detections)
+    detections = read_detections(given.detections)
     choices = choices_of(costs, candidates, detections)
     choices["cost"] = choices["cost"] + building_cost[allowed][choices["position"]]
     return PlanChoices(candidates, detections, choices)

@@ -54,7 +54,7 @@ class Networks(Section):
     )
 
 
-class ImageEdges(Section):
+class EdgeTracing(Section):
     """Poles: road edges in the images; px of an image 1200 px high."""
 
     min_marking_px: Positive = Field(default=60.0, description="smaller markings are dropped, px2")
@@ -68,8 +68,8 @@ class ImageEdges(Section):
     )
 
 
-class Alignment(Section):
-    """Poles: camera poses by road alignment."""
+class AlignmentMethod(Section):
+    """How cameras are aligned."""
 
     method: Literal["auto", "road", "dense", "published", "none"] = Field(
         default="auto",
@@ -81,10 +81,26 @@ class Alignment(Section):
     ties: Literal["use", "skip"] = Field(
         default="use", description="whether what neighbouring images both show ties their cameras"
     )
+
+    @field_validator("method", mode="before")
+    @classmethod
+    def _former_name(cls, value: Any) -> Any:
+        """The road method was called ours when it was the only one of our own."""
+        return "road" if value == "ours" else value
+
+
+class Reach(Section):
+    """Which road edges are compared with an image, and how many points of both."""
+
     edge_points: Count = Field(default=400, description="LiDAR edge points of an image")
     pixels: Count = Field(default=400, description="edge pixels of an image")
     nearest_m: Metres = Field(default=3.0, description="nearer edges are not used, m")
     farthest_m: Metres = Field(default=240.0, description="farther edges are not used, m")
+
+
+class AlignmentLimits(Section):
+    """What is accepted, and how far the published method looks."""
+
     max_residual_px: Positive = Field(default=4.0, description="larger residuals are rejected, px")
     max_sigma_heading_deg: Positive = Field(
         default=0.15, description="less certain headings are rejected, degrees"
@@ -96,11 +112,9 @@ class Alignment(Section):
         default=0.11, gt=0, le=90, description="published: how far it may turn one, degrees"
     )
 
-    @field_validator("method", mode="before")
-    @classmethod
-    def _former_name(cls, value: Any) -> Any:
-        """The road method was called ours when it was the only one of our own."""
-        return "road" if value == "ours" else value
+
+class Alignment(AlignmentLimits, Reach, AlignmentMethod):
+    """Poles: camera poses by road alignment."""
 
 
 class Calibration(Section):
@@ -119,8 +133,8 @@ class Calibration(Section):
     gps_own_m: Metres = Field(default=0.2, description="error of each position by itself, m")
 
 
-class Sightings(Section):
-    """Poles: objects in the images; px of an image 1200 px high."""
+class SightingRules(Section):
+    """Which objects are looked for, and which are kept."""
 
     kinds: list[Literal["pole", "sign", "tree", "guardrail"]] = Field(
         default=["pole"], min_length=1, description="objects that are looked for"
@@ -133,16 +147,30 @@ class Sightings(Section):
     )
     min_height_m: Metres = Field(default=3.0, description="metric: lower poles are dropped, m")
     farthest_m: Metres = Field(default=60.0, description="farther objects are dropped, m")
+
+
+class PoleMasks(Section):
+    """What a pole is in a mask; px of an image 1200 px high."""
+
     min_aspect: Positive = Field(default=5.0, description="height over width of a pole")
     min_width_px: Positive = Field(default=4.0, description="thinner objects are dropped, px")
     min_height_px: Positive = Field(default=40.0, description="lower objects are dropped, px")
     wire_px: Positive = Field(default=30.0, description="what is thinner upright is wire, px")
+
+
+class SideViews(Section):
+    """Where the side views look."""
+
     side_views: Literal["found", "given"] = Field(
         default="found",
         description="a side view whose yaw the drive does not tell: left out, or as given",
     )
     left_yaw_deg: Degrees = Field(default=-60.0, description="left view from the front, degrees")
     right_yaw_deg: Degrees = Field(default=60.0, description="right view from the front, degrees")
+
+
+class Sightings(SideViews, PoleMasks, SightingRules):
+    """Poles: objects in the images; px of an image 1200 px high."""
 
 
 class Triangulation(Section):

@@ -27,8 +27,8 @@ class Scene(Section):
     )
 
 
-class Ground(Section):
-    """Robust pillar ground filter and terrain model."""
+class GroundFilter(Section):
+    """Robust pillar ground filter."""
 
     pillar_width_m: Metres = Field(
         default=0.2,
@@ -51,12 +51,17 @@ class Ground(Section):
     coarse_tolerance_m: Metres = Field(
         default=0.2, description="how far from the coarse surface a pillar's ground may lie, m"
     )
+
+
+class Ground(GroundFilter):
+    """Robust pillar ground filter and terrain model."""
+
     dem_cell_m: Metres = Field(default=0.5, description="cell of the terrain model, m")
     dem_fill_m: Metres = Field(default=20.0, description="gaps are filled up to this distance, m")
 
 
-class Pavement(Section):
-    """Pavement as one surface, or by FPFH and k-means (all other settings but intensity)."""
+class PavementMethod(Section):
+    """How the pavement is found."""
 
     method: Literal["auto", "surface", "published"] = Field(
         default="auto",
@@ -66,6 +71,14 @@ class Pavement(Section):
         default=[],
         description="surface: places on the road from which it grows, x and y as in the cloud",
     )
+    cluster_engine: Engine = Field(
+        default="own", description="who tells which smooth points are connected"
+    )
+
+
+class GroundClasses(Section):
+    """Smooth and rough ground by FPFH and k-means."""
+
     voxel_size_m: Metres = Field(
         default=0.1,
         description="ground points are thinned to one per column this wide, m; at least spacing",
@@ -76,9 +89,6 @@ class Pavement(Section):
     fpfh_engine: Engine = Field(
         default="own", description="who computes normals and FPFH (docs/howto/engines.md)"
     )
-    cluster_engine: Engine = Field(
-        default="own", description="who tells which smooth points are connected"
-    )
     intensity: Literal["auto", "use", "ignore"] = Field(
         default="auto",
         description="second cue; auto: as a surface, or where spacing exceeds 0.15 m",
@@ -87,6 +97,11 @@ class Pavement(Section):
         default=1.5, gt=0, le=10, description="weight of intensity against the whole histogram"
     )
     sample: Count = Field(default=100_000, description="points on which k-means is fitted")
+
+
+class PavementOutline(Section):
+    """Outline of the smooth ground."""
+
     cluster_distance_m: Metres = Field(
         default=0.2,
         description="points closer than this are connected, m; at least 2.5 thinned spacings",
@@ -98,6 +113,10 @@ class Pavement(Section):
     smallest_part_share: Share = Field(
         default=0.2, description="separate surfaces are kept above this share of the largest one"
     )
+
+
+class Pavement(PavementOutline, GroundClasses, PavementMethod):
+    """Pavement as one surface, or by FPFH and k-means (all other settings but intensity)."""
 
 
 class Edges(Section):
