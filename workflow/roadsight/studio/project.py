@@ -230,7 +230,8 @@ def _solved(site: SiteFolder) -> dict[str, str]:
 def _reasons(site: SiteFolder) -> Iterator[tuple[str, str]]:
     """Why each page cannot work on a site, in a few words; empty where it can."""
     jobs = site.resolved.site.jobs
-    results = ("placement" in jobs and _solved(site), "poles" in jobs and (site.results / _POLES).exists())
+    poles = "poles" in jobs and (site.results / _POLES).exists()
+    results = ("placement" in jobs and _solved(site), poles)
     cloud = "" if (site.results / CLOUD).exists() else "no cloud yet"
     images = "" if (site.results / _FRAMES).exists() else "no images yet"
     yield "edges", cloud

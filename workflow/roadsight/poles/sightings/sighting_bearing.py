@@ -34,8 +34,8 @@ _DEPTH_SHARE = 0.3
 """Share by which the distances of both may differ: sigma alone lets far ones match anything."""
 _HIDDEN_M = 1.2
 """Height of grass and bushes that hide a foot, m. What is seen of such a pole ends above its foot,
-and the ray there meets the ground up to twice as far away: on a generated road that was not used to
-find this, five of 31 poles were lost so, with feet 0.4 to 1 m up."""
+and the ray there meets the ground up to twice as far away: on a generated road five of
+31 poles were lost so, with feet 0.4 to 1 m up."""
 
 
 @dataclass(frozen=True)
