@@ -14,6 +14,7 @@ from roadsight.io.records.detections import read_detections, write_detections
 from roadsight.io.records.poses import read_poses
 from roadsight.io.records.surfels import read_surfels, write_surfels
 from roadsight.io.records.tables import write_table
+from roadsight.placement.sensors.rays import NOT_CAST_M
 from roadsight.scene.surfels.surfels import Surfels
 
 INFO = DepthMapInfo("VLP-16", "surfel", rows=3, columns=40, step_m=0.002)
@@ -48,12 +49,12 @@ def test_maps_survive_to_half_a_step_in_order(tmp_path, rng):
 
 def test_extreme_ranges_survive(tmp_path):
     depth = np.zeros((3, 40), np.float32)
-    depth[0, :4] = [130.0, 0.0001, 0, 130.0]
-    depth[2, -1] = 0.0009
+    depth[0, :4] = [130.0, 0.0012, 0, 130.0]
+    depth[2, -1] = NOT_CAST_M
     write_maps(tmp_path / "d.parquet", {"a": depth})
     ((_, back),) = DepthMaps(tmp_path / "d.parquet")
-    assert back[0, :4] == pytest.approx([130, 0.002, 0, 130])
-    assert back[2, -1] == pytest.approx(0.002)
+    assert back[0, :4] == pytest.approx([130, 0.004, 0, 130])
+    assert back[2, -1] == NOT_CAST_M
     assert np.count_nonzero(back) == 4
 
 

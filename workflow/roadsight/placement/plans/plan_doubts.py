@@ -60,13 +60,14 @@ def plan_doubts(solution: dict[str, Any], positions: int) -> list[Doubt]:
         found.append(Doubt("few_positions", "doubt", text, positions, FEW_POSITIONS))
     count = len(solution["sensors"])
     limit_m2 = LEAST_PER_SENSOR_M2 / solution["at_least"]
-    if count and solution["proven_area_m2"] / count < limit_m2:
+    area_m2 = solution.get("proven_area_m2")
+    if count and area_m2 is not None and area_m2 / count < limit_m2:
         text = (
             f"plan {plan} takes many sensors: look on the map whether vehicles that passed stand on"
             " the pavement as walls (lidar.clear_below_m clears them), or whether it is no road."
             " Pavement for each sensor, m2"
         )
-        each_m2 = round(solution["proven_area_m2"] / count)
+        each_m2 = round(area_m2 / count)
         found.append(Doubt("many_sensors", "doubt", text, each_m2, limit_m2))
     if solution["status"] != "optimal":
         text = f"plan {plan} is not proven optimal: its cost, and the least that is possible"

@@ -123,7 +123,8 @@ def _write(
                 taken += 1
                 continue
         if render is None:
-            render = _renderer(given, sensor, np.stack([*poses.values()]))
+            missing = [pose for other, pose in poses.items() if other not in known]
+            render = _renderer(given, sensor, np.array(missing).reshape(-1, 4))
         writer.append(name, render(sensor, position_m, yaw_deg, tilt, wanted))
     log.info("%d of %d maps are those of an earlier run", taken, len(poses))
 
