@@ -94,6 +94,12 @@ class TestConfig:
         found = message(load_config, {"candidates": {"height_min_m": low}})
         assert f"candidates: height_min_m ({low:g}) must be below height_max_m (10)" in found
 
+    def test_plants_are_left_out_of_surfels_alone(self):
+        winter = {"vegetation": "leave_out"}
+        assert load_config({"lidar": winter}).lidar.vegetation == "leave_out"
+        found = message(load_config, {"lidar": winter | {"model": "hybrid"}})
+        assert "model: hybrid looks at the points themselves; use model: surfel" in found
+
     @pytest.mark.parametrize(
         ("section", "key", "value"),
         [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from roadsight.base.engines import Engine
 from roadsight.base.section import Count, Metres, Section
@@ -123,3 +123,12 @@ class Lidar(Section):
         default=5, description="hybrid: cells with fewer points are filled"
     )
     neighbours: Count = Field(default=10, description="K2, hybrid: neighbours that fill a cell")
+
+    @model_validator(mode="after")
+    def _surfels_without_plants(self) -> Lidar:
+        if self.vegetation == "leave_out" and self.model != "surfel":
+            raise ValueError(
+                f"vegetation: leave_out takes plants off surfels, and model: {self.model} looks at"
+                " the points themselves; use model: surfel"
+            )
+        return self
