@@ -5,11 +5,14 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import pandas as pd
 
 from roadsight.base.engines import Engine
+from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import AlignmentLimits, Calibration
+from roadsight.base.validation import validated
 from roadsight.geometry.crs import Unit
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
@@ -43,6 +46,16 @@ class DriveFiles:
         "poles say first where the camera looks; needs --hfov-deg",
     ] = False
 
+    def __post_init__(self) -> None:
+        """Refuse words that stages do not know.
+
+        Raises
+        ------
+        InputError : one of them is unknown.
+        """
+        for name, words in (("units", Unit), ("vertical_units", Unit), ("engine", Engine)):
+            check_word(name, getattr(self, name), get_args(words))
+
 
 @dataclass(frozen=True)
 class Drive(DriveFiles):
@@ -66,6 +79,31 @@ class Drive(DriveFiles):
     max_sigma_heading_deg: Annotated[
         float, "cameras with a less certain heading are rejected; more for a rough map"
     ] = 0.12
+
+    def __post_init__(self) -> None:
+        """Refuse what the settings of calibration and alignment refuse, before any work.
+
+        Raises
+        ------
+        InputError : an unknown word, or a number out of its range.
+        """
+        super().__post_init__()
+        check_word("method", self.method, get_args(Method))
+        validated(Calibration, {"hfov_deg": self.hfov_deg}, "options")
+        limit = {"max_sigma_heading_deg": self.max_sigma_heading_deg}
+        validated(AlignmentLimits, limit, "options")
+
+
+def check_word(name: str, value: object, words: tuple[str, ...]) -> None:
+    """Refuse a value that is none of some words.
+
+    Raises
+    ------
+    InputError : it is none.
+    """
+    if value not in words:
+        allowed = ", ".join(words)
+        raise InputError(f"unknown {name}", where="options", found=repr(value), allowed=allowed)
 
 
 def align(
@@ -106,8 +144,9 @@ def cameras_of(videolog: str, drive: Drive) -> pd.DataFrame:
     InputError : as `align`.
     """
     from roadsight.api.chain import Chain  # noqa: PLC0415  # slow to load
+    from roadsight.stages.command import told_clearly  # noqa: PLC0415  # of the same
 
-    with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
+    with told_clearly("align"), tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
         chain = Chain(Path(folder), videolog, drive)
         chain.scene()
         chain.track()

@@ -31,7 +31,9 @@ def add_settings(parser: argparse.ArgumentParser, section: type[Section], *names
         _add(parser, name, field.annotation, field.get_default(), field.description)
 
 
-def add_options(parser: argparse.ArgumentParser, function: Callable[..., Any]) -> None:
+def add_options(
+    parser: argparse.ArgumentParser, function: Callable[..., Any], may_lack: bool = True
+) -> None:
     """Add an option for each parameter of a typed function.
 
     A parameter ``road_edges`` is the option ``--road-edges``, and so is ``road_edges_path``, which
@@ -41,6 +43,11 @@ def add_options(parser: argparse.ArgumentParser, function: Callable[..., Any]) -
     tuple of any length may be repeated. ``Annotated[X, "..."]`` says what it means,
     ``Annotated[X, Targets]`` that it is a setting of this section. A section becomes the options
     of all its settings, a dataclass those of its fields.
+
+    Parameters
+    ----------
+    may_lack : options may stand without their values, as rules write them; people who forget a
+        value are told.
     """
     for parameter in _parameters(function):
         kind = parameter.kind
@@ -49,7 +56,7 @@ def add_options(parser: argparse.ArgumentParser, function: Callable[..., Any]) -
         elif _is(kind, Section):
             add_settings(parser, kind)
         elif is_dataclass(kind) and isinstance(kind, type):
-            add_options(parser, kind)
+            add_options(parser, kind, may_lack)
         elif parameter.by_place:
             told = _kind(kind, parameter.name) | {"metavar": parameter.option.upper()}
             if "nargs" in told and parameter.default is inspect.Parameter.empty:
@@ -59,7 +66,8 @@ def add_options(parser: argparse.ArgumentParser, function: Callable[..., Any]) -
             flags, meaning = _flags(parameter.option), parameter.meaning
             parser.add_argument(*flags, action="store_true", help=meaning)
         else:
-            _add(parser, parameter.option, kind, parameter.default, parameter.meaning)
+            said = kind, parameter.default, parameter.meaning
+            _add(parser, parameter.option, *said, may_lack)
 
 
 def called(function: Callable[..., Any], arguments: argparse.Namespace) -> Any:
@@ -118,10 +126,17 @@ def _parameters(function: Callable[..., Any]) -> Iterator[_Parameter]:
 
 
 def _add(
-    parser: argparse.ArgumentParser, name: str, kind: Any, default: Any, meaning: str | None
+    parser: argparse.ArgumentParser,
+    name: str,
+    kind: Any,
+    default: Any,
+    meaning: str | None,
+    may_lack: bool = True,
 ) -> None:
     """Add an option, which must be given if it has no default."""
     told = _kind(kind, name) | {"help": meaning and meaning.replace("%", "%%")}
+    if not may_lack and told.get("nargs") in ("?", "*"):
+        told |= {"nargs": "+"} if told.pop("nargs") == "*" else {}
     if told.get("action") == "append":
         default = [] if default == () else default
     if default is not inspect.Parameter.empty:
@@ -187,7 +202,12 @@ def _reader_of(kinds: list[Any], name: str) -> Callable[[str], Any]:
 
 def _or_none(read: Callable[[str], Any]) -> Callable[[str], Any]:
     """Reads a value that may be absent: rules write nothing for it, or an empty text."""
-    return lambda text: read(text) if text else None
+
+    def optional(text: str) -> Any:
+        return read(text) if text else None
+
+    optional.__name__ = getattr(read, "__name__", "value")  # messages call it so
+    return optional
 
 
 def _switch(text: str) -> bool:

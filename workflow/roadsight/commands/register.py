@@ -48,8 +48,9 @@ def run(
         raise InputError("is no name for it", where=f"--out {out}", allowed=".json")
     _check_counts(pairs_path)
     from roadsight.api.chain import Chain  # noqa: PLC0415  # slow to load
+    from roadsight.stages.command import told_clearly  # noqa: PLC0415  # of the same
 
-    with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
+    with told_clearly("register"), tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
         chain = Chain(Path(folder), videolog, drive)
         chain.scene()
         chain.track()

@@ -26,5 +26,5 @@ class Verb:
     def add_to(self, verbs: argparse._SubParsersAction[argparse.ArgumentParser]) -> None:
         """Add it to the verbs of a command line."""
         parser = verbs.add_parser(self.name, help=self.about)
-        add_options(parser, self.run)
+        add_options(parser, self.run, may_lack=False)
         parser.set_defaults(run=partial(called, self.run))

@@ -326,7 +326,9 @@ def published_road(
     spacing_m = spacing_of(xyz_m)
     settings = GroundClasses()
     column_m = max(settings.voxel_size_m, spacing_m)
-    description = describe_ground(xyz_m[ground], intensity[ground], column_m, settings.neighbours)
+    description = describe_ground(
+        xyz_m[ground], intensity[ground], column_m, settings.neighbours, engine
+    )
     rng = np.random.default_rng(seed)
     count = len(description.variation)
     rows = np.sort(rng.choice(count, min(settings.sample, count), replace=False))

@@ -74,29 +74,46 @@ def run_stage(
     arguments = parser.parse_args(argv)
     before = _states(vars(arguments).values())
     try:
-        with _clean_termination():
+        with told_clearly(parser.prog):
             stage(arguments)
-        _check_unchanged(before)
-    except Exception as error:
-        print(f"roadsight: {_message(error, parser.prog)}", file=sys.stderr)
+            _check_unchanged(before)
+    except InputError as error:
+        print(f"roadsight: {error}", file=sys.stderr)
         return 2
     log.info("%s", own_usage())
     return 0
 
 
-def _message(error: Exception, stage: str) -> str:
-    """What to tell; a failure that nobody foresaw keeps its traceback."""
+@contextmanager
+def told_clearly(stage: str) -> Iterator[None]:
+    """Within, what a user can mend becomes an `InputError`, and a stop leaves the usual way.
+
+    Raises
+    ------
+    InputError : bad input, too little memory or disk, damaged kernels. A failure that nobody
+        foresaw stays as it is.
+    """
+    try:
+        with _clean_termination():
+            yield
+    except Exception as error:
+        mendable = _mendable(error, stage)
+        if mendable is None:
+            raise
+        raise mendable from error
+
+
+def _mendable(error: Exception, stage: str) -> InputError | None:
+    """What to tell of a failure; None for one that nobody foresaw."""
     if isinstance(error, MemoryError):
         hint = "give it more, use smaller tiles or more shards"
-        error = InputError("ran out of memory", where=stage, hint=hint)
-    elif isinstance(error, OSError) and error.errno in _FULL:
-        error = InputError("the disk is full", where=error.filename or stage, hint="free some")
-    elif _in_kernel_cache(error):
+        return InputError("ran out of memory", where=stage, hint=hint)
+    if isinstance(error, OSError) and error.errno in _FULL:
+        return InputError("the disk is full", where=error.filename or stage, hint="free some")
+    if _in_kernel_cache(error):
         where = os.environ.get("NUMBA_CACHE_DIR", "__pycache__")
-        error = InputError("the compiled kernels are damaged", where=where, hint="delete them")
-    if not isinstance(error, InputError):
-        raise error
-    return str(error)
+        return InputError("the compiled kernels are damaged", where=where, hint="delete them")
+    return error if isinstance(error, InputError) else None
 
 
 def _in_kernel_cache(error: Exception) -> bool:

@@ -53,6 +53,17 @@ def test_the_road_goes_on_past_the_rounded_corners_of_its_edge():
     np.testing.assert_allclose(stations_m([ring], np.array([[4.0, -5.0], [-3.0, 4.0]])), [4, 32])
 
 
+def test_a_loop_that_its_continuation_crosses_keeps_its_own_stations():
+    turn = np.radians(np.arange(0, 271, 5))
+    loop = np.column_stack([150 + 40 * np.sin(turn), 40 - 40 * np.cos(turn)])
+    edge = LineString([(0, 0), *loop, (110, -20)])
+    along = np.arange(2.0, edge.length - 2, 7.0)
+    places = np.array([edge.interpolate(at).coords[0] for at in along])
+    crossed = np.abs(places - [110, 0]).max(axis=1) < 5
+    assert crossed.any()
+    np.testing.assert_allclose(stations_m([edge], places), along, atol=1e-6)
+
+
 def test_rates_of_every_kind():
     sensors = load_sensors("config/sensors.yaml")
     assert data_rates(sensors["OS-128"], 10)["points_per_s"] == 128 * 3600 * 10

@@ -81,6 +81,25 @@ def test_panoramas_hold_what_poses_look_up(rng, shape):
     np.testing.assert_array_equal(seen[0][0], seen[1][0])
 
 
+@pytest.mark.parametrize("away_m", [30.0, 80.0, 150.0])
+def test_a_target_between_two_columns_of_a_panorama_is_found(rng, away_m):
+    place = np.array([0.0, 0.0, 5.0])
+    shape = Cylinder(0.25, 0.6)
+    empty = np.zeros(WHOLE.shape, np.float32)
+    narrow = Sensor(
+        azimuth_step_deg=0.05, elevation_min_deg=-30, elevation_max_deg=0, channels=601, range_m=200
+    )
+    raster = spinning_raster(narrow)
+    level = local_from_sensor(0.0, Turn(0.0, 0.0, 0.0))
+    for azimuth in np.radians(np.linspace(10.0, 12.0, 21)):
+        foot = np.array([[away_m * np.cos(azimuth), away_m * np.sin(azimuth), 0.0]])
+        wanted = beams_wanted(WHOLE, place, 0.0, foot, room_for(shape))
+        part = np.where(wanted, empty, np.float32(NOT_CAST_M))
+        view = Panorama(part, WHOLE, place, 0.0)
+        seen, met = weigh_targets(view, raster, level, foot, shape.packed, 200.0)
+        assert seen[0] == met[0] > 0
+
+
 def test_what_would_need_a_beam_that_was_not_cast_is_unseen(rng):
     place = np.zeros(3)
     targets = feet(rng, place)[:, :3].copy()

@@ -169,6 +169,19 @@ def test_of_two_things_that_end_at_one_column_the_taller_is_the_pole():
     assert found["kept"].tolist() == [True, False]
 
 
+def test_a_tall_pole_behind_a_column_stays_where_its_foot_is_seen():
+    near, far = (
+        rendered([place(350.0, 15.0)], height_m=4.0),
+        rendered([place(351.3, 25.0)], height_m=12.0),
+    )
+    pole = near[0] == PixelClass.POLE
+    mask, depth = (np.where(pole, a, b) for a, b in zip(near, far, strict=True))
+    camera = replace(CAMERA, sigma_lateral_m=0.25)
+    found = measure_view(camera, mask, depth, Evidence(level, one_column(15.0), np.empty((0, 3))))
+    assert found["reason"].tolist() == ["", ""]
+    assert found["depth_m"].tolist() == pytest.approx([15.0, 25.0], rel=0.1)
+
+
 def test_published_bearing_is_that_of_the_lidar_point_nearest_to_the_foot():
     points = np.array([[*place(350.0, 20.0), 0.0], [*place(350.3, 21.0), 3.0], [500.0, 0.0, 0.0]])
     uv, _ = project(CAMERA.intrinsics, CAMERA.rotation(), CAMERA.position_m, points)

@@ -8,14 +8,15 @@ import os
 import time
 from collections.abc import Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 
 from roadsight.io.records.atomic import atomic_path
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[3]
 _DECLARED = "roadsight.base.sections"
-"""Settings are declared there; their values reach a stage as its rule's params, so that a sentence
-about one makes no result stale."""
+"""Settings are declared there; their values reach a stage as its rule's params or are defaults, so
+that a sentence about one makes no result stale."""
 _CHAPTERS = ("scene", "placement", "poles", "evidence", "truth")
 
 
@@ -62,6 +63,8 @@ def stage_stamp(stage: str, folder: Path, *others: str) -> str:
     """
     files = [Path(name) for name in (*stage_sources(stage), *others)]
     content = "".join(f"{_checksum(path)}  {path}\n" for path in files)
+    sections = {name for path in files for name in _sections(path.absolute())}
+    content += "".join(f"{_defaults(name)}  {name}\n" for name in sorted(sections))
     date_ns = max(path.stat().st_mtime_ns for path in files)
     stamp = folder / stage
     try:
@@ -76,6 +79,29 @@ def stage_stamp(stage: str, folder: Path, *others: str) -> str:
         temporary.write_text(content, encoding="utf-8")
         os.utime(temporary, ns=(date_ns, date_ns))
     return str(stamp)
+
+
+@cache
+def _sections(path: Path) -> list[str]:
+    """Sections of settings that a source file names, by their dotted names."""
+    if path.suffix != ".py":
+        return []
+    return [
+        f"{statement.module}.{alias.name}"
+        for statement in _statements(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(statement, ast.ImportFrom)
+        and (statement.module or "").startswith(f"{_DECLARED}.")
+        for alias in statement.names
+    ]
+
+
+@cache
+def _defaults(section: str) -> str:
+    """Checksum of what a section holds where no rule hands on another value."""
+    module, _, name = section.rpartition(".")
+    fields = getattr(getattr(import_module(module), name), "model_fields", {})
+    values = {key: field.get_default(call_default_factory=True) for key, field in fields.items()}
+    return hashlib.sha256(repr(values).encode()).hexdigest()
 
 
 @cache

@@ -27,16 +27,18 @@ def stations_m(edges: Sequence[LineString], xy_m: Floats) -> Floats:
     longest = max(edges, key=lambda edge: edge.length)
     if longest.is_ring:
         return np.asarray(line_locate_point(longest, shapely_points(xy_m)))
-    vertices = np.asarray(longest.coords)[:, :2]
-    inner_m = min(_END_M, longest.length)
-    reach_m = 1.0 + float(np.ptp(np.vstack([vertices, xy_m]), axis=0).sum())
-    ends = [
-        end + (end - line_interpolate_point(longest, at_m).coords[0][:2]) / inner_m * reach_m
-        for end, at_m in ((vertices[0], inner_m), (vertices[-1], longest.length - inner_m))
-    ]
-    road = LineString([ends[0], *vertices, ends[1]])
-    before_m = float(np.hypot(*(ends[0] - vertices[0])))
-    return np.asarray(line_locate_point(road, shapely_points(xy_m))) - before_m
+    length_m, inner_m = longest.length, min(_END_M, longest.length)
+    station_m = np.array(line_locate_point(longest, shapely_points(xy_m)), np.float64)
+    for end_m, sign in ((0.0, -1.0), (length_m, 1.0)):
+        end, inside = (
+            np.asarray(line_interpolate_point(longest, at_m).coords[0][:2])
+            for at_m in (end_m, end_m - sign * inner_m)
+        )
+        onwards = (end - inside) / max(float(np.hypot(*(end - inside))), 1e-9)
+        here = station_m == end_m
+        beyond_m = (np.asarray(xy_m, np.float64)[here] - end) @ onwards
+        station_m[here] += sign * np.maximum(beyond_m, 0.0)
+    return station_m
 
 
 def handover(times_seen: Ints) -> dict[str, Any]:

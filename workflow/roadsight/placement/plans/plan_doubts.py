@@ -61,7 +61,8 @@ def plan_doubts(solution: dict[str, Any], positions: int) -> list[Doubt]:
     count = len(solution["sensors"])
     limit_m2 = LEAST_PER_SENSOR_M2 / solution["at_least"]
     area_m2 = solution.get("proven_area_m2")
-    if count and area_m2 is not None and area_m2 / count < limit_m2:
+    plain = "availability" not in solution and "options" not in solution
+    if plain and count and area_m2 is not None and area_m2 / count < limit_m2:
         text = (
             f"plan {plan} takes many sensors: look on the map whether vehicles that passed stand on"
             " the pavement as walls (lidar.clear_below_m clears them), or whether it is no road."

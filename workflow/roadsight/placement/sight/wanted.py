@@ -102,7 +102,8 @@ def _mark(
             first_row, end_row = 0, rows  # inside of it: whichever it meets
         first_row, end_row = max(first_row - _BESIDE, 0), min(end_row + _BESIDE, rows)
         for first, last in column_windows(x, y, radius_m, start_deg, cell_deg, columns):
-            beside = _BESIDE if last >= first else 0
+            # A target between two columns meets neither, but who looks between them needs both.
+            beside = _BESIDE if last >= first - 1 else 0
             for turned in range(first - beside, last + beside + 1):
                 column = turned % columns
                 for row in range(first_row, end_row):

@@ -41,6 +41,8 @@ _SIGMA_FOOT_PX = 8.0
 """Error of a foot down such an image."""
 _SIGMA_GROUND_M = 0.1
 """Error of the camera's height above the terrain at a foot."""
+_TALLEST_PX = 1e6
+"""More than any image is tall: what is preferred at any height."""
 _NEAREST_M = 2.0
 """Nearer objects are dropped."""
 _SIGN_POST_M = 4.5
@@ -96,7 +98,8 @@ def measure_view(
     sigma_u = np.hypot(np.maximum(_SIGMA_AXIS_PX * scale, 0.5), 0.1 * width)
     bearing, sigma = image_bearings(camera, feet, sigma_u)
     rises = np.column_stack([_rise(camera, feet), _rise(camera, table[["u_foot", "v_min"]])])
-    rises[np.isnan(ground[0])] = np.nan
+    told = np.array([one.foot == "visible" for one in found]) | np.isnan(ground[0])
+    rises[told] = np.nan
     match = matching_columns(
         camera, evidence.columns, bearing, sigma, prior, prior_sigma, settings.farthest_m, rises
     )
@@ -117,8 +120,13 @@ def measure_view(
 
 
 def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
-    """Of parts of one mask that end at one column, the tallest is the pole."""
+    """Of things that end at one column, the tallest is the pole.
+
+    Those come first whose own distance says that they end there.
+    """
+    own = table[["depth_network_m", "depth_ground_m"]].notna().any(axis=1)
     tall = (table["v_foot"] - table["v_min"]).where(table["kept"] & (match >= 0), -np.inf)
+    tall = tall.where(~own, tall + _TALLEST_PX)
     best = tall.groupby([table["kind"], match]).transform("max")
     part = (table["kept"] & (match >= 0) & (tall < best)).to_numpy()
     table.loc[part, "kept"], table.loc[part, "reason"] = False, "part of another pole"

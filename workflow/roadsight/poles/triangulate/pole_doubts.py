@@ -79,11 +79,11 @@ def pole_doubts(sightings: pd.DataFrame, network: Sequence[NetworkScale]) -> lis
             f" known to {FAR_SIGMA_M:g} m is withheld: share of sightings that end at one"
         )
         found.append(Doubt("poles_not_in_cloud", "doubt", text, round(share, 3), LEAST_ANCHORED))
-    if share < _FEW_ANCHORED:
+    if 0.0 < share < _FEW_ANCHORED:
         text = (
-            "few poles show in the cloud, and with so few the errors stated of headings and poles"
-            " are too small (a denser survey or a known lens, poles.intrinsics, mends that): share"
-            " of sightings that end at one"
+            "few poles show in the cloud, and a lens that is found from so few is stated too well,"
+            " so that errors of headings and poles are (a denser survey or a known lens,"
+            " poles.intrinsics, mends that): share of sightings that end at one"
         )
         found.append(Doubt("sigmas_too_small", "doubt", text, round(share, 3), _FEW_ANCHORED))
     lost = int((sightings["reason"] == UNTURNED).sum())

@@ -45,6 +45,11 @@ def measure_tradeoff(
         config["plans"] = [plan]
     resolved = _site(config, site, changes)
     sensors = _sensors(resolved, config)
+    for name in metrics:
+        if name not in METRICS:
+            raise InputError(
+                f"unknown metric {name!r}", where="--metrics", allowed=", ".join(METRICS)
+            )
     refuse_other_targets(metrics, resolved.settings.targets.model_dump())
     spinning = resolved.settings.poses.spinning.model_dump()
     refuse_sensors_without_maps(metrics, sensors, spinning)
