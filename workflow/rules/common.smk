@@ -101,8 +101,10 @@ def sources(stage):
 
 def sources_with(stage, engine):
     """The same, and the lock of Open3D where ``engine``, of wildcards, hands it a step."""
+    # Now, and not for the first job that asks: Snakemake lists a folder once.
+    stamp = sources(stage)
     return lambda wildcards: [
-        sources(stage),
+        stamp,
         *([OPEN3D_LOCK] if engine(wildcards) == "open3d" else []),
     ]
 
