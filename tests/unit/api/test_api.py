@@ -237,3 +237,18 @@ def test_the_montpellier_street_from_python(data):
     labels = roadsight.ground(cloud)
     given = np.asarray(cloud.native.dims["classification"])[cloud.taken] == 2
     assert (labels == given).mean() > 0.97
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"method": "dens"}, "unknown method; found 'dens'"),
+        ({"units": "feet"}, "unknown units; found 'feet'"),
+        ({"engine": "mine"}, "unknown engine; found 'mine'"),
+        ({"hfov_deg": 200.0}, "hfov_deg"),
+        ({"max_sigma_heading_deg": 0.0}, "max_sigma_heading_deg"),
+    ],
+)
+def test_align_refuses_what_it_does_not_know_before_it_reads_anything(wrong, told):
+    with pytest.raises(InputError, match=told):
+        roadsight.align("no.csv", "no.laz", "none", **wrong)

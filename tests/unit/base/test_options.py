@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Annotated, Literal
 import pytest
 from pydantic import Field
 
+from roadsight.base.options import add_options
 from roadsight.base.section import Section
 from roadsight.stages.command import Command
 
@@ -125,3 +127,21 @@ def test_what_must_be_given_is_asked_for(run, capsys):
     message = capsys.readouterr().err
     assert all(name in message for name in ("CLOUDS", "--frames", "--out"))
     assert "--shards" not in message.rpartition("required")[2]
+
+
+@pytest.mark.parametrize("forgotten", ["--crs", "--shards", "--kinds", "--cell-m"])
+def test_a_value_that_a_person_forgets_is_asked_for(forgotten, capsys):
+    def verb(
+        settings: Grid, tables: Tables, crs: str | None = None, spacing_m: float | None = None
+    ) -> None:
+        """Take what may lack in a rule."""
+
+    parser = argparse.ArgumentParser()
+    add_options(parser, verb, may_lack=False)
+    assert parser.parse_args(["--frames", "t", "--crs", "local"]).crs == "local"
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--frames", "t", forgotten])
+    assert "expected" in capsys.readouterr().err
+    with pytest.raises(SystemExit):
+        parser.parse_args(["--frames", "t", "--spacing-m", "far"])
+    assert "invalid float value: 'far'" in capsys.readouterr().err

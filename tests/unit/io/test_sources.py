@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from roadsight.base.sections.scene import PavementOutline
 from roadsight.io.records import sources
 from roadsight.io.records.sources import stage_sources, stage_stamp
 
@@ -100,7 +101,7 @@ class TestStamps:
     def stamp(self, package, tmp_path):
         def made():
             sources._checksum.cache_clear()
-            sources._imports.cache_clear()
+            sources._imported.cache_clear()
             return tmp_path / stage_stamp("one", Path("stamps"), "elsewhere/roadsightish.py")
 
         return made
@@ -126,6 +127,25 @@ class TestStamps:
         assert stamp().read_bytes() == before
         deep.write_text("def g():\n    return 2\n")
         assert stamp().read_bytes() != before
+
+    def test_a_default_of_a_section_that_a_source_names_changes_it(
+        self, project, monkeypatch, tmp_path
+    ):
+        monkeypatch.chdir(project)
+
+        def content():
+            sources._defaults.cache_clear()
+            return Path(stage_stamp("extract_pavement", tmp_path)).read_text()
+
+        before = content()
+        assert "roadsight.base.sections.scene.PavementOutline\n" in before
+        monkeypatch.setattr(PavementOutline.model_fields["closing_m"], "default", 9.0)
+        changed = set(content().splitlines()) - set(before.splitlines())
+        assert changed
+        assert all("PavementOutline" in line or "Pavement" in line for line in changed)
+        monkeypatch.setattr(PavementOutline.model_fields["closing_m"], "description", "other words")
+        assert set(content().splitlines()) - set(before.splitlines()) == changed
+        sources._defaults.cache_clear()
 
     def test_an_older_file_of_other_content_is_a_change_of_now(self, stamp, tmp_path):
         started = time.time()

@@ -15,12 +15,15 @@ from roadsight.base.section import Section
 from roadsight.base.validation import validated
 
 
-def add_settings(parser: argparse.ArgumentParser, section: type[Section], *names: str) -> None:
+def add_settings(
+    parser: argparse.ArgumentParser, section: type[Section], *names: str, may_lack: bool = True
+) -> None:
     """Add an option for settings of a section, with type, choices, default and meaning.
 
     Parameters
     ----------
     names : of the settings; none: all. A setting ``cell_size_m`` becomes ``--cell-size-m``.
+    may_lack : as `add_options` takes it.
 
     Raises
     ------
@@ -28,7 +31,8 @@ def add_settings(parser: argparse.ArgumentParser, section: type[Section], *names
     """
     for name in names or section.model_fields:
         field = section.model_fields[name]
-        _add(parser, name, field.annotation, field.get_default(), field.description)
+        said = field.annotation, field.get_default(), field.description
+        _add(parser, name, *said, may_lack)
 
 
 def add_options(
@@ -52,9 +56,9 @@ def add_options(
     for parameter in _parameters(function):
         kind = parameter.kind
         if parameter.section:
-            add_settings(parser, parameter.section, parameter.option)
+            add_settings(parser, parameter.section, parameter.option, may_lack=may_lack)
         elif _is(kind, Section):
-            add_settings(parser, kind)
+            add_settings(parser, kind, may_lack=may_lack)
         elif is_dataclass(kind) and isinstance(kind, type):
             add_options(parser, kind, may_lack)
         elif parameter.by_place:
@@ -131,19 +135,19 @@ def _add(
     kind: Any,
     default: Any,
     meaning: str | None,
-    may_lack: bool = True,
+    may_lack: bool,
 ) -> None:
     """Add an option, which must be given if it has no default."""
     told = _kind(kind, name) | {"help": meaning and meaning.replace("%", "%%")}
-    if not may_lack and told.get("nargs") in ("?", "*"):
-        told |= {"nargs": "+"} if told.pop("nargs") == "*" else {}
-    if told.get("action") == "append":
-        default = [] if default == () else default
-    if default is not inspect.Parameter.empty:
-        parser.add_argument(*_flags(name), default=default, **told)
-        return
-    several = {"nargs": "+"} if told.get("nargs") == "*" else {}
-    parser.add_argument(*_flags(name), required=True, **(told | several))
+    needed = default is inspect.Parameter.empty
+    if told.get("nargs") == "*" and (needed or not may_lack):
+        told["nargs"] = "+"
+    if told.get("nargs") == "?" and not may_lack:
+        del told["nargs"]
+    if told.get("action") == "append" and default == ():
+        default = []  # argparse appends to it
+    told |= {"required": True} if needed else {"default": default}
+    parser.add_argument(*_flags(name), **told)
 
 
 def _flags(name: str) -> tuple[str, ...]:

@@ -10,12 +10,12 @@ import numpy as np
 from roadsight.api.sight import CATALOGUE, in_company_of, points_in_reach
 from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
-from roadsight.base.sections.sensing import Lidar
+from roadsight.base.sections.sensing import DepthModel, Lidar
 from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
 from roadsight.commands.verb import Verb
 from roadsight.io.images.depth_networks import network_for
 from roadsight.io.records.atomic import atomic_path
-from roadsight.placement.depth.models import Model, model_of_points
+from roadsight.placement.depth.models import model_of_points
 from roadsight.placement.depth.surfel_lidar import lidar_of_points
 from roadsight.placement.sensors.sensors import load_sensor
 
@@ -32,7 +32,7 @@ def run(
     ],
     engine: Annotated[Engine, Lidar],
     outlier_radius_m: Annotated[float, Lidar],
-    model: Annotated[Model, Lidar],
+    model: Annotated[DepthModel, Lidar],
     sensors: Annotated[Path, "sensors file"] = CATALOGUE,
     azimuth_deg: Annotated[
         float, "direction of the sensor's x axis, counter-clockwise from the cloud's x axis"

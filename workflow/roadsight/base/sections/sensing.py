@@ -12,6 +12,9 @@ from roadsight.base.section import Count, Metres, Section
 Curve = Annotated[list[float], Field(min_length=2, max_length=2)]
 """a and b of p = a ln(n) + b."""
 
+DepthModel = Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"]
+"""Ways to a depth map (`roadsight.placement.depth.models`)."""
+
 
 class Targets(Section):
     """Pole-like targets on the pavement."""
@@ -73,9 +76,7 @@ class Tolerance(Section):
 class Lidar(Section):
     """Virtual LiDAR."""
 
-    model: Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"] = Field(
-        default="surfel", description="way to depth maps, see docs/placement"
-    )
+    model: DepthModel = Field(default="surfel", description="way to depth maps, see docs/placement")
     network: str = Field(
         default="resources/models/depth_unet.onnx",
         min_length=1,

@@ -63,7 +63,8 @@ def stage_stamp(stage: str, folder: Path, *others: str) -> str:
     """
     files = [Path(name) for name in (*stage_sources(stage), *others)]
     content = "".join(f"{_checksum(path)}  {path}\n" for path in files)
-    sections = {name for path in files for name in _sections(path.absolute())}
+    sources = [path.resolve() for path in files if path.suffix == ".py"]
+    sections = {name for path in sources for name in _imported(path) if _is_section(name)}
     content += "".join(f"{_defaults(name)}  {name}\n" for name in sorted(sections))
     date_ns = max(path.stat().st_mtime_ns for path in files)
     stamp = folder / stage
@@ -81,23 +82,14 @@ def stage_stamp(stage: str, folder: Path, *others: str) -> str:
     return str(stamp)
 
 
-@cache
-def _sections(path: Path) -> list[str]:
-    """Sections of settings that a source file names, by their dotted names."""
-    if path.suffix != ".py":
-        return []
-    return [
-        f"{statement.module}.{alias.name}"
-        for statement in _statements(ast.parse(path.read_text(encoding="utf-8")))
-        if isinstance(statement, ast.ImportFrom)
-        and (statement.module or "").startswith(f"{_DECLARED}.")
-        for alias in statement.names
-    ]
+def _is_section(name: str) -> bool:
+    """Whether a dotted name is that of something that a module of settings declares."""
+    return name.startswith(f"{_DECLARED}.") and _file(name) is None
 
 
 @cache
 def _defaults(section: str) -> str:
-    """Checksum of what a section holds where no rule hands on another value."""
+    """Checksum of what a section holds where no rule hands on another value; of a type, of none."""
     module, _, name = section.rpartition(".")
     fields = getattr(getattr(import_module(module), name), "model_fields", {})
     values = {key: field.get_default(call_default_factory=True) for key, field in fields.items()}
@@ -123,9 +115,14 @@ def _file(module: str) -> Path | None:
     return path if path.exists() else None
 
 
-@cache
 def _imports(path: Path) -> list[str]:
-    """Modules that a file imports, anywhere in it; ``from a import b`` may name a module a.b."""
+    """Modules that a file imports and that make its results stale."""
+    return [name for name in _imported(path) if _file(name) and not name.startswith(_DECLARED)]
+
+
+@cache
+def _imported(path: Path) -> list[str]:
+    """Names that a file imports of the package, anywhere in it, with the modules they come from."""
     names = []
     for statement in _statements(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(statement, ast.Import):
@@ -133,8 +130,7 @@ def _imports(path: Path) -> list[str]:
         elif isinstance(statement, ast.ImportFrom) and statement.module and not statement.level:
             module = statement.module
             names += [module, *(f"{module}.{alias.name}" for alias in statement.names)]
-    own = [name for name in dict.fromkeys(names) if name.partition(".")[0] == "roadsight"]
-    return [name for name in own if _file(name) and not name.startswith(_DECLARED)]
+    return [name for name in dict.fromkeys(names) if name.partition(".")[0] == "roadsight"]
 
 
 def _statements(block: ast.AST) -> Iterator[ast.AST]:

@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
 
 from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.unet import unet_depth, unet_mask_depth
-
-Model = Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"]
-"""All of them."""
 
 _UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
 NETWORK_MODELS = tuple(_UNETS)
@@ -29,7 +25,7 @@ def model_of_points(
 
     Parameters
     ----------
-    name : a `Model` but surfel. network : for `NETWORK_MODELS`.
+    name : a `DepthModel` but surfel. network : for `NETWORK_MODELS`.
     min_cell_points, neighbours : as `roadsight.placement.depth.hybrid.hybrid_depth` takes them.
 
     Raises

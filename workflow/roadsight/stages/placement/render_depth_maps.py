@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.engines import Engine
-from roadsight.base.sections.sensing import Lidar
+from roadsight.base.sections.sensing import DepthModel, Lidar
 from roadsight.base.shards import shard_of
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.images.depth_networks import network_for
@@ -28,7 +28,7 @@ from roadsight.io.records.kept import Kept, key_of, key_of_step
 from roadsight.io.records.poses import read_poses, read_tilts
 from roadsight.io.records.surfels import read_surfels
 from roadsight.io.records.tables import read_table
-from roadsight.placement.depth.models import Model, model_of_points
+from roadsight.placement.depth.models import model_of_points
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.sensors.rays import NOT_CAST_M, as_seen_from
 from roadsight.placement.sensors.sensors import Sensor, load_sensor, what_it_sees
@@ -51,7 +51,7 @@ class DepthFiles:
     sensors: Annotated[Path, "sensors file"]
     surfels: Annotated[Path, "used by the model surfel"]
     cloud: Annotated[Path, "used by the other models"]
-    model: Annotated[Model, Lidar]
+    model: Annotated[DepthModel, Lidar]
     engine: Annotated[Engine, Lidar]
     azimuth_stride: Annotated[int, Lidar]
     min_cell_points: Annotated[int, Lidar]
