@@ -59,7 +59,7 @@ def test_its_lock_counts_where_it_is_asked_for(tmp_path: Path) -> None:
         told = checkout.snakemake("--cores", "1", "--dry-run")
         assert told.returncode == 0, told.stdout[-4000:] + told.stderr[-4000:]
         jobs = re.findall(r"^(?:local)?rule (\w+):\n((?: .*\n)+)", told.stdout, re.MULTILINE)
-        assert {name for name, text in jobs if "envs/requirements.lock" in text}
+        assert {name for name, text in jobs if f"/sources/{name}" in text}
         return {name for name, text in jobs if "envs/requirements-open3d.lock" in text}
 
     assert readers() == set()
