@@ -103,7 +103,7 @@ def test_the_same_points_stand_alone(rng, others):
 def test_the_api_gives_the_same_by_both(ground):
     ranges = [roadsight.depth_map(ground, "OS1-64", [10, 6, 3], engine=e) for e in ENGINES]
     assert np.abs(ranges[0] - ranges[1]).max() < 1e-3
-    longer = np.concatenate([ground, ground + (20, 0, 0)])
+    longer = np.concatenate([ground, ground + np.array([20, 0, 0])])
     roads = [
         roadsight.pavement(
             longer, method="published", ground=np.ones(len(longer), bool), engine=engine

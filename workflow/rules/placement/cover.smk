@@ -49,6 +49,7 @@ rule solve_cover:
         availability=plan_availability,
         height_m=target_height,
         time_limit_s=setting("cover.time_limit_s"),
+        patience=setting("cover.patience"),
         gap=setting("cover.gap"),
         second=setting("cover.second_objective"),
         second_time_limit_s=setting("cover.second_time_limit_s"),
@@ -61,7 +62,8 @@ rule solve_cover:
         " --coverage {input.coverage} --targets {input.targets} --candidates {input.candidates}"
         " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
         " --at-least {params.at_least} {params.availability} --lanes {input.lanes}"
-        " --target-height-m {params.height_m} --time-limit-s {params.time_limit_s} --gap {params.gap}"
+        " --target-height-m {params.height_m} --time-limit-s {params.time_limit_s}"
+        " --patience {params.patience} --gap {params.gap}"
         " --second {params.second} --second-time-limit-s {params.second_time_limit_s}"
         " --edges {input.edges}"
         " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"

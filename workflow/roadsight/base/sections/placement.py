@@ -62,6 +62,12 @@ class Cover(Section):
         gt=0,
         description="solver limit for each plan, s; counted in steps of work, so that runs agree",
     )
+    patience: float = Field(
+        default=1.0,
+        ge=0,
+        description="a plan stays unproven where neither its cover nor its bound has moved for so"
+        " many times the work that the last move took, 5 s at least; 0: it goes on until the limit",
+    )
     gap: float = Field(
         default=0.0,
         ge=0,

@@ -13,7 +13,7 @@ import pandas as pd
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
 from roadsight.placement.plans.plan_problem import Asked, Posed
-from roadsight.setcover.common.deadline import Deadline, WorkLimit
+from roadsight.setcover.common.deadline import Deadline, Effort
 from roadsight.setcover.common.problem import objective_step
 from roadsight.setcover.common.result import INFEASIBLE, Cover
 from roadsight.setcover.cover.solve import solve_cover_problem
@@ -53,7 +53,7 @@ def answer(
     posed: Posed,
     choices: pd.DataFrame,
     candidates: pd.DataFrame,
-    limit_s: float,
+    effort: Effort,
     seed: int,
     gap: float,
     better: Better | None = None,
@@ -67,8 +67,8 @@ def answer(
     InputError : nothing meets what is asked, or nothing was found within the limit.
     """
     deployment = posed.deployment
-    cover = _solve(deployment, WorkLimit(limit_s), seed, gap)
-    _check(asked, cover, limit_s)
+    cover = _solve(deployment, effort.limit(), seed, gap)
+    _check(asked, cover, effort.seconds)
     if better is not None:
         cover = better(deployment, cover)
     names = choices["candidate"].astype(str).to_numpy()
@@ -78,13 +78,13 @@ def answer(
     record = {"asked": asked.options, "goal": _goal(asked, deployment, cover)}
     record |= _targets_record(asked, posed, deployment, cover, name)
     if "curve" in asked.options:
-        record["curve"] = _curve(asked, posed, cover, WorkLimit(limit_s), seed, gap)
+        record["curve"] = _curve(asked, posed, cover, effort.limit(), seed, gap)
     swaps: list[tuple[int, int]] = []
     different = np.empty(0, np.int64)
     if asked.options.get("alternatives"):
         others = replacements(deployment, cover.chosen)
         place = _places(candidates, position)
-        found = most_different(deployment, cover.chosen, place, WorkLimit(limit_s), seed)
+        found = most_different(deployment, cover.chosen, place, effort.limit(), seed)
         swaps = [(k, int(row)) for k, rows in enumerate(others) for row in rows]
         different = found.chosen
         record["alternatives"] = {

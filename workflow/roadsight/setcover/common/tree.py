@@ -76,7 +76,7 @@ class BestFirst(ABC):
             bound, depth, _, node = queue[0]
             if bound > self.goal:
                 return None
-            if self.is_enough(bound, deadline):
+            if self.is_enough(bound, deadline) or deadline.stalled((self.goal, bound)):
                 return bound
             heapq.heappop(queue)
             self.nodes += 1

@@ -32,7 +32,7 @@ from roadsight.placement.plans.seen_again import see_again, stretches
 from roadsight.placement.plans.tolerance import solve_with_tolerance
 from roadsight.placement.sight.coverage import availability, times_seen
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
-from roadsight.setcover.common.deadline import WorkLimit
+from roadsight.setcover.common.deadline import Effort
 from roadsight.setcover.common.result import WITHIN_GAP
 from roadsight.setcover.plans.deployment import Deployment
 from roadsight.stages.command import Command
@@ -51,6 +51,7 @@ class CoverFiles(ChangedFiles, ChoiceFiles, LevelFiles):
 
     coverage: Path
     sensors: Annotated[Sequence[str], "name=cost"]
+    patience: Annotated[float, placement.Cover]
     second_time_limit_s: Annotated[float, placement.Cover]
     second: Literal["True", "False"] = "False"
     robust: Annotated[bool, "sensors count with tolerance; needs surfels and sensors file"] = False
@@ -172,8 +173,8 @@ def _with_tolerance(
             groups=choices["position"].to_numpy(),
             at_least=given.at_least,
         )
-        limit_s, seed, gap = _limits(given)
-        cover = solve_cover_problem(problem, WorkLimit(limit_s), seed=seed, gap=gap)
+        effort, seed, gap = _limits(given)
+        cover = solve_cover_problem(problem, effort.limit(), seed=seed, gap=gap)
         return None if not len(cover.chosen) else np.asarray(cover.chosen, np.int64)
 
     reduced, known, rounds, exact = solve_with_tolerance(matrix, solve, look)
@@ -245,20 +246,20 @@ def _cheapest(
     better: Better,
 ) -> Cover:
     """Cheapest cover, as a plan without options asks for."""
-    limit_s, seed, gap = _limits(given)
+    effort, seed, gap = _limits(given)
     problem = CoverProblem(
         matrix,
         choices["cost"].to_numpy(),
         groups=choices["position"].to_numpy(),
         at_least=given.at_least,
     )
-    cover = solve_cover_problem(problem, WorkLimit(limit_s), seed=seed, gap=gap)
+    cover = solve_cover_problem(problem, effort.limit(), seed=seed, gap=gap)
     _check_solved(given, cover)
     return better(Deployment(problem), cover)
 
 
-def _limits(given: CoverFiles) -> tuple[float, int, float]:
-    return given.time_limit_s, given.seed, given.gap
+def _limits(given: CoverFiles) -> tuple[Effort, int, float]:
+    return Effort(given.time_limit_s, given.patience), given.seed, given.gap
 
 
 def _option_content(answered: Answer, sensors: pd.DataFrame) -> dict[str, Any]:
@@ -354,7 +355,7 @@ def _check_solved(given: CoverFiles, cover: Cover) -> None:
     if cover.status == WITHIN_GAP:
         log.info("proven as far as was asked for, gap %.1f %%", 100 * cover.gap)
     elif cover.status != "optimal":
-        log.warning("time limit: not proven, gap %.1f %%", 100 * cover.gap)
+        log.warning("not proven, gap %.1f %%: out of work or of patience (cover)", 100 * cover.gap)
 
 
 def _sensor_table(
