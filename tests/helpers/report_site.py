@@ -353,7 +353,7 @@ class ReportSite:
                 "targets": [31, 9],
                 "sensors": [2, 1],
                 "target": self.targets["target"].iloc[[3, 5]].to_list(),
-                "sensor": [sensors["candidate"].iloc[0]] * 2,
+                "candidate": [sensors["candidate"].iloc[0]] * 2,
                 "height_m": [2.4, 0.1],
                 "kind": ["object", "ground"],
             },

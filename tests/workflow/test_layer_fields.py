@@ -215,17 +215,17 @@ def check_obstacles(plan: Plan, local: gpd.GeoDataFrame, _: gpd.GeoDataFrame) ->
     assert local["height_m"].to_numpy() == pytest.approx(xyz[:, 2] - site.ground_m(xyz), **SAME)
     names = [candidate for _, candidate in plan.places]
     for row in local.itertuples():
-        assert not plan.seen.loc[names.index(row.sensor), row.target]
+        assert not plan.seen.loc[names.index(row.candidate), row.target]
     assert (local["sight_lines"] >= local[["targets", "sensors"]].max(axis=1)).all()
     assert (local["sight_lines"] <= local["targets"] * local["sensors"]).all()
-    start = site.candidates.loc[local["sensor"], ["x", "y", "z"]].to_numpy()
+    start = site.candidates.loc[local["candidate"], ["x", "y", "z"]].to_numpy()
     end = site.targets.loc[local["target"], ["x", "y", "z"]].to_numpy()
     lines = shapely.linestrings(np.stack([start[:, :2], end[:, :2]], axis=1))
     apart = shapely.distance(lines, shapely.points(xyz[:, :2]))
     assert apart.max() < 1.5  # a cube's mean of hits, within the cube's diagonal
     low = local["kind"] == "ground"
     assert (local["height_m"][low] < 0.5).all()
-    return {"sight_lines", "targets", "sensors", "target", "sensor", "height_m", "kind"}
+    return {"sight_lines", "targets", "sensors", "target", "candidate", "height_m", "kind"}
 
 
 def check_objects(plan: Plan, local: gpd.GeoDataFrame, _: gpd.GeoDataFrame) -> set[str]:

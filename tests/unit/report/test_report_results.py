@@ -161,7 +161,7 @@ class TestGaps:
             {
                 "kind": ["object", "ground"],
                 "target": "a",
-                "sensor": "p1",
+                "candidate": "p1",
                 "height_m": [2.5, np.nan],
                 "targets": [9, 1],
                 "sensors": 1,

@@ -183,7 +183,7 @@ def test_obstacles_are_grouped_by_cubic_metre():
     first, second = obstacles[["x", "y", "z"]].to_numpy()
     assert first == pytest.approx([0.5, 0.3, 0.7])
     assert second == pytest.approx([-0.1, 0.1, 0.5])
-    assert obstacles[["target", "sensor"]].to_numpy().tolist() == [["t0", "c0"], ["t2", "c1"]]
+    assert obstacles[["target", "candidate"]].to_numpy().tolist() == [["t0", "c0"], ["t2", "c1"]]
 
 
 def test_equal_obstacles_come_in_order_of_place():

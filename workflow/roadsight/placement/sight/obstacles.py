@@ -97,7 +97,7 @@ def group_obstacles(lines: pd.DataFrame) -> pd.DataFrame:
             "targets": groups["target"].nunique(),
             "sensors": groups["candidate"].nunique(),
             "target": groups["target"].first(),
-            "sensor": groups["candidate"].first(),
+            "candidate": groups["candidate"].first(),
         }
     )
     return table.sort_values("targets", ascending=False, kind="stable").reset_index(drop=True)

@@ -15,7 +15,7 @@ OUT_OF_SIGHT = "no candidate sees it"
 NOT_CHOSEN = "candidates see it, the chosen sensors do not"
 TOO_FEW = "fewer sensors see it than asked for"
 
-_TEXTS = ("kind", "target", "sensor")
+_TEXTS = ("kind", "target", "candidate")
 _NUMBERS = ("height_m", "targets", "sensors", "sight_lines")
 _DETAILS = ("nearest_m", "blocked_share", "obstacle_x", "obstacle_y")
 
@@ -71,7 +71,7 @@ def obstacles_of(features: gpd.GeoDataFrame) -> list[dict[str, Any]]:
     Parameters
     ----------
     features : points in local metres with columns kind, height_m, targets, sensors, sight_lines
-        (how many of each it cuts off), target and sensor (one of each, by name).
+        (how many of each it cuts off), target and candidate (one of each, by name).
     """
     xy = shapely.get_coordinates(features.geometry.to_numpy())
     columns = features[[*_TEXTS, *_NUMBERS]].to_dict("records")

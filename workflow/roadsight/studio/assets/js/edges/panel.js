@@ -53,8 +53,12 @@ export class Panel {
     const told = (preview?.problems ?? []).filter((text) => !(unfinished && unfinished.test(text)));
     const free = preview ? preview.forbidden.filter((not) => !not).length : 0;
     const not = preview ? preview.forbidden.length - free : 0;
+    const positions = () => {
+      if (!preview.edges.length && !preview.forbidden.length) return "No edges are drawn: the workflow takes those of the pavement that it finds.";
+      return `${free} candidate positions` + (not ? `, ${not} in zones without sensors` : "");
+    };
     this.told.replaceChildren(
-      el("p", { "data-told": "positions" }, preview ? `${free} candidate positions` + (not ? `, ${not} in zones without sensors` : "") : "…"),
+      el("p", { "data-told": "positions" }, preview ? positions() : "…"),
       ...told.map((text) => el("p", { className: "message", role: "alert" }, text)),
     );
   }
