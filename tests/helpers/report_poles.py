@@ -189,6 +189,7 @@ class PolesSite(ReportSite):
                         "sequence": int(camera["image"][5:10]),
                         "view": "front",
                         "kind": "pole",
+                        "foot_visible": kept,
                         "u_foot": u,
                         "v_foot": v,
                         "u_min": min(u, top[n, 0]) - 2,

@@ -15,6 +15,7 @@ from roadsight.base.sections.poles import (
     EdgeTracing,
     Hazard,
     Networks,
+    Pictures,
     RoadEdges,
     Sightings,
     TerrainMesh,
@@ -63,6 +64,7 @@ class Settings(Section):
     triangulation: Triangulation = Triangulation()
     hazard: Hazard = Hazard()
     validation: Validation = Validation()
+    pictures: Pictures = Pictures()
 
     @field_validator("effects")
     @classmethod

@@ -27,6 +27,7 @@ KINDS = (
     ("placement/*/scans.laz", "what the sensors would see", "CloudCompare, QGIS"),
     ("poles/poles.gpkg", "poles, their hazard, cross-sections, road geometry", "any GIS"),
     ("poles/poles.csv", "poles", "a spreadsheet"),
+    ("poles/pictures.zip", "a picture of each pole", "any picture viewer"),
     ("poles/hazard.csv", "hazard of the poles", "a spreadsheet"),
     ("poles/road_geometry.csv", "radius, grade, cross-slope, width by station", "a spreadsheet"),
     ("poles/road_edges.gpkg", "edges of the road in the LiDAR", "any GIS"),

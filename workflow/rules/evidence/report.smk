@@ -252,6 +252,7 @@ rule write_poles_page:
         code=sources("write_poles_page"),
     output:
         page="results/{site}/poles/page.json",
+        pictures="results/{site}/poles/pictures.zip",
     log:
         log_of("write_poles_page"),
     benchmark:
@@ -262,6 +263,7 @@ rule write_poles_page:
         title=site_field("title"),
         images=images_path,
         lenses=given_lenses,
+        options=flags("pictures"),
     shell:
         "python -m roadsight.stages.evidence.write_poles_page --site {wildcards.site}"
         " --title={params.title:q} --summary {input.summary} --frame {input.frame}"
@@ -272,4 +274,5 @@ rule write_poles_page:
         " --sections {input.sections}"
         " --validation {input.validation} --components {input.components}"
         " --drive {input.drive} --lenses {params.lenses:q}"
-        " --files {input.pole_files} --out {output.page} > {log} 2>&1"
+        " --files {input.pole_files} {params.options}"
+        " --out {output.page} --pictures {output.pictures} > {log} 2>&1"

@@ -246,6 +246,15 @@ class Hazard(Section):
     )
 
 
+class Pictures(Section):
+    """Poles: pictures in the report, and of each object."""
+
+    blur: bool = Field(
+        default=True,
+        description="vehicles and people, as masks show them, are made unrecognisable",
+    )
+
+
 class Validation(Section):
     """Poles: scores against known poles."""
 

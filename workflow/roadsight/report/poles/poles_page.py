@@ -31,6 +31,8 @@ from roadsight.report.poles.poles_layers import (
 from roadsight.report.poles.poles_raster import class_layer
 from roadsight.report.site.cautions import told_cautions
 
+MOST_PICTURES = 60
+"""Pictures of poles in the page, which holds them itself: some 5 kB each."""
 FORMAT = "roadsight.poles-page/1"
 """Of the page's content; the report refuses others."""
 
@@ -51,7 +53,8 @@ class PolesResult:
     read_image : image of a path, None where the images are not at hand.
     depth_fit : of one image, or None. validation : content of validation.json, or None.
     files : names of the files that hold the poles. sections : cross-sections at poles and along
-        roads. profiles : their measured heights, by pole.
+        roads. profiles : their measured heights, by pole. pictures : image, view and cut-out of the
+        poles that have one, by id.
     """
 
     top: TopRaster
@@ -68,6 +71,7 @@ class PolesResult:
     files: Sequence[str] = ()
     sections: pd.DataFrame = field(default_factory=pd.DataFrame)
     profiles: dict[str, Any] = field(default_factory=dict)
+    pictures: dict[str, tuple[str, str, Bytes]] = field(default_factory=dict)
 
 
 def build_poles_page(
@@ -108,6 +112,7 @@ def build_poles_page(
         "depth_fit": result.depth_fit,
         "depth_checks": depth_checks(result.sightings, owner, result.poles),
         "hazard": _table(result.hazard),
+        "pictures": _pictures(result),
         "hazard_profiles": hazard_profiles(result.hazard, result.sections, result.profiles),
         "validation": plain(result.validation),
         "files": list(result.files),
@@ -119,6 +124,19 @@ def build_poles_page(
             ]
         ],
     }
+
+
+def _pictures(result: PolesResult) -> list[dict[str, Any]]:
+    """Pictures of the poles, the most dangerous first; those beyond the first stay in the ZIP."""
+    names = [str(name) for name in result.poles["id"] if str(name) in result.pictures]
+    rank = dict.fromkeys(names, np.inf)
+    if "rank" in result.hazard:
+        rank |= dict(zip(result.hazard["id"].astype(str), result.hazard["rank"], strict=True))
+    shown = sorted(names, key=lambda name: rank[name])[:MOST_PICTURES]
+    return [
+        {"id": name, "image": image, "view": view, **picture(cut)}
+        for name, (image, view, cut) in ((name, result.pictures[name]) for name in shown)
+    ]
 
 
 def _kept(result: PolesResult) -> tuple[pd.Series, PolesResult]:

@@ -64,6 +64,7 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
         "rejections": page["rejections"],
         "images": page["images"],
         "poles": page["layers"]["poles"],
+        "pictures": _pictures(page),
         "routes": [
             {
                 "name": route["route"],
@@ -91,10 +92,17 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _pictures(page: dict[str, Any]) -> list[dict[str, Any]]:
+    """Pictures with the row of their pole."""
+    rows = {pole["id"]: row for row, pole in enumerate(page["layers"]["poles"])}
+    return [one | {"pole": rows.get(one["id"])} for one in page.get("pictures", [])]
+
+
 def _sections(page: dict[str, Any]) -> list[tuple[str, str]]:
     """Anchors and titles of the sections, those without content left out."""
     shown = (
         ("poles", "Poles on the map", True),
+        ("pictures", "Pictures", bool(page.get("pictures"))),
         ("images", "Images", bool(page["images"])),
         ("alignment", "Alignment", True),
         ("depth", "Depth", bool(page["depth_fit"] or page["depth_checks"])),

@@ -14,20 +14,23 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Bytes
+from roadsight.base.sections.poles import Pictures
 from roadsight.base.shards import shard_of
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.frames import Frame
-from roadsight.io.images.image_shards import ImageShard
+from roadsight.io.images.image_shards import ImageShard, ImageShardWriter
 from roadsight.io.images.videologs import ImageSource
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.raster.top_rasters import read_top
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
+from roadsight.poles.images.pictures import best_views, cut_out, unrecognisable
 from roadsight.poles.images.straightening import source_places, straightened
-from roadsight.poles.images.views import view_name
+from roadsight.poles.images.views import view_name, views_of
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.report.poles.poles_depth import depth_fit
+from roadsight.report.poles.poles_layers import match_sightings
 from roadsight.report.poles.poles_page import PolesResult, ReadEdges, ReadImage, build_poles_page
 from roadsight.stages.command import Command
 
@@ -48,6 +51,7 @@ def write_poles_page(
     cameras_paths: Annotated[Sequence[Path], "shards in order"],
     image_edges: Annotated[Sequence[Path], "shards in order"],
     sightings: Annotated[Sequence[Path], "shards in order"],
+    settings: Pictures,
     title: Annotated[str, "name of the site for people"] = "",
     hazard: Annotated[Path | None, "table of hazards by pole"] = None,
     sections: Annotated[Path | None, "cross-sections at poles"] = None,
@@ -62,26 +66,34 @@ def write_poles_page(
     files: Annotated[Sequence[Path], "files of the poles, to be named"] = (),
     *,
     out: Path,
+    pictures: Annotated[Path | None, "ZIP of a picture of each pole"] = None,
 ) -> None:
-    """Read the artifacts of a site's poles job and write its page."""
+    """Read the artifacts of a site's poles job and write its page and its poles' pictures."""
     about, summary = read_json(frame), read_json(summary_path)
     edges = read_table(road_edges, ["x", "y", "z"])
     cameras = _joined(cameras_paths)
+    read_image = None
+    if images:
+        hide = _Hidden(frames, masks if settings.blur else ())
+        read_image = _reader(images, drive, lenses, frames, hide)
+    seen, found = _joined(sightings), read_table(poles)
+    own = _cut_outs(found, seen, read_table(frames), read_image)
     result = PolesResult(
         read_top(top, Frame.from_dict(about)),
         edges.to_numpy(np.float64),
         read_table(frames),
         cameras,
-        _joined(sightings),
-        read_table(poles),
+        seen,
+        found,
         read_table(hazard) if hazard else pd.DataFrame(),
         _image_edges(image_edges),
-        _pictures(images, drive, lenses, frames) if images else None,
+        read_image,
         _depth_fit(dem, masks, depth, cameras, Frame.from_dict(about)),
         _validation(components, validation),
         [path.name for path in files],
         read_table(sections) if sections else pd.DataFrame(),
         read_about(sections).get("profiles", {}) if sections else {},
+        own,
     )
     page = build_poles_page(title or site, summary, about, result)
     counts = page["counts"]
@@ -89,13 +101,58 @@ def write_poles_page(
         "%d images, %d shown, %d poles", counts["images"], len(page["images"]), counts["poles"]
     )
     write_json(out, page)
+    if pictures:
+        about = {name: {"image": image, "view": view} for name, (image, view, _) in own.items()}
+        with ImageShardWriter(pictures, about) as archive:
+            for name, (_, _, picture) in own.items():
+                archive.write(name, picture)
 
 
-def _pictures(images: str, drive: Path | None, lenses_json: str, frames: Path) -> ReadImage:
+class _Hidden:
+    """Makes unrecognisable what masks say moves, in the image of a path."""
+
+    def __init__(self, frames: Path, masks: Sequence[Path]) -> None:
+        self._shards = [ImageShard(path) for path in masks]
+        self._views = {view.path: view for view in views_of(read_table(frames))}
+
+    def __call__(self, path: str, image: Bytes) -> Bytes:
+        view = self._views.get(path)
+        if not self._shards or view is None:
+            return image
+        shard = self._shards[shard_of(view.image, len(self._shards))]
+        return unrecognisable(image, shard.read(view.name)) if view.name in shard else image
+
+
+def _cut_outs(
+    poles: pd.DataFrame,
+    sightings: pd.DataFrame,
+    frames: pd.DataFrame,
+    read_image: ReadImage | None,
+) -> dict[str, tuple[str, str, Bytes]]:
+    """Image, view and picture of each pole that is kept and seen, by its id."""
+    if read_image is None:
+        return {}
+    kept = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
+    best = best_views(sightings, match_sightings(sightings, kept), len(kept))
+    paths = {(view.image, view.view): view.path for view in views_of(frames)}
+    found = {}
+    for name, row in zip(kept["id"].astype(str), best, strict=True):
+        if row < 0:
+            continue
+        seen = sightings.iloc[row]
+        place = str(seen["image"]), str(seen["view"])
+        u_min, v_min, u_max, v_max = (float(seen[k]) for k in ("u_min", "v_min", "u_max", "v_max"))
+        found[name] = (*place, cut_out(read_image(paths[place]), (u_min, v_min, u_max, v_max)))
+    return found
+
+
+def _reader(
+    images: str, drive: Path | None, lenses_json: str, frames: Path, hide: _Hidden
+) -> ReadImage:
     """Reader of images by their path; without the distortion of their lenses, if told of any."""
     source = ImageSource(images)
     if not drive:
-        return source.read
+        return lambda path: hide(path, source.read(path))
     lenses = with_given(read_json(drive)["lenses"], json.loads(lenses_json))
     keys = {
         str(path): (str(route), int(width), int(height))
@@ -108,7 +165,7 @@ def _pictures(images: str, drive: Path | None, lenses_json: str, frames: Path) -
         image = source.read(path)
         lens = lens_of(lenses, keys[path], (image.shape[0], image.shape[1]))
         places = source_places(lens, image.shape[1::-1], image.shape[:2])
-        return straightened(image, places, smooth=True)
+        return hide(path, straightened(image, places, smooth=True))
 
     return read
 
