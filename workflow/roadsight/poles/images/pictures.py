@@ -1,4 +1,4 @@
-"""Pictures of single objects, cut out of the image that shows each best, faces and plates hidden."""
+"""Pictures of single objects, cut out of the image that shows each best; what moves is hidden."""
 
 from __future__ import annotations
 
