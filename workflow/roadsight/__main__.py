@@ -23,6 +23,8 @@ COMMANDS = (
     "register",
     "triangulate",
     "changes",
+    "draw",
+    "score",
     "estimate",
     "studio",
 )

@@ -1,0 +1,133 @@
+"""A sample of found poles that people check, and what it says of all (paper 2, section 4.2).
+
+What was not checked counts neither for nor against: a pole that nobody looked at is no false one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.arrays import Floats, Ints
+from roadsight.poles.risk.validation import THRESHOLDS_M, describe
+
+POLE, NONE, MISSED = "pole", "none", "missed"
+"""Verdicts: a pole stands at the place given; none is near; a pole that the survey lacks."""
+FEWEST = 20
+"""Checked places that the national standard for spatial data accuracy asks for."""
+_LARGEST_STRATA = 10
+"""Values of a column at most that are strata of their own; numbers with more are cut in thirds."""
+_THIRDS = ("lowest third", "middle third", "highest third")
+_Z95 = 1.959963984540054
+"""Of a normal distribution, 95 % lie within so many standard deviations."""
+_ROUND, _OVAL = 1.7308, 2.4477
+"""Radius that holds 95 % of a normal error, over its root mean square distance where both axes
+are alike, over that of an axis where they are not (FGDC-STD-007.3, appendix 3-A)."""
+
+
+def strata(values: pd.Series) -> pd.Series:
+    """Name of the stratum of each row: its value, or the third in which a number lies."""
+    texts = values.astype(object).fillna("").astype(str).replace("", "unknown")
+    numbers = pd.to_numeric(values, errors="coerce")
+    if texts.nunique() <= _LARGEST_STRATA or numbers.isna().all():
+        return texts
+    rank = numbers.rank(method="first", pct=True)
+    edges = [0.0, 1 / 3, 2 / 3, 1.0]
+    third = pd.cut(rank, edges, labels=list(_THIRDS)).astype(object)
+    return third.where(numbers.notna(), "unknown")
+
+
+def draw(names: pd.Series, count: int, rng: np.random.Generator) -> Ints:
+    """Rows drawn at random, as many of each stratum as it is of all, but two at least.
+
+    Parameters
+    ----------
+    names : stratum of each row.
+    """
+    sizes = names.value_counts().sort_index()
+    count = min(count, len(names))
+    exact = sizes * count / len(names)
+    shares = exact.astype(int).clip(lower=2).clip(upper=sizes)
+    for name in (exact - shares).sort_values(ascending=False, kind="stable").index:
+        if shares.sum() >= count:
+            break
+        shares[name] += shares[name] < sizes[name]
+    rows = [
+        rng.choice(np.flatnonzero(names == name), share, replace=False)
+        for name, share in shares.items()
+    ]
+    return np.sort(np.concatenate(rows)) if rows else np.empty(0, np.int64)
+
+
+def score_checks(
+    error_m: Floats,
+    missed: int,
+    stratum: Sequence[str],
+    sizes: dict[str, int],
+    thresholds_m: tuple[float, ...] = THRESHOLDS_M,
+) -> dict[str, Any]:
+    """What the checked ones say of all.
+
+    Parameters
+    ----------
+    error_m : (n, 2) found less true place of each checked pole, NaN where none stands.
+    missed : poles that the checkers saw and the survey lacks. stratum : of each checked pole.
+    sizes : poles of each stratum, checked or not.
+
+    Returns
+    -------
+    thresholds : as `score_thresholds`, of the checked poles alone, with precision_all, that of all
+        poles by the strata's sizes, and its 95 % interval (Wilson, of as many independent checks
+        as the unequal weights leave). distance_m : statistics. nssda_m : 95 % of the places are
+        within it (None below 20 checks with a pole), rmse_x_m, rmse_y_m.
+    """
+    distance_m = np.hypot(*error_m.reshape(-1, 2).T)
+    stands = np.isfinite(distance_m)
+    checked = pd.Series(list(stratum)).value_counts()
+    weight = np.array([sizes[name] / checked[name] for name in stratum], np.float64)
+    rows = []
+    for threshold_m in thresholds_m:
+        right = stands & (distance_m <= threshold_m)
+        tp, fn = int(right.sum()), int((stands & ~right).sum()) + missed
+        share = float((weight * right).sum() / weight.sum()) if len(weight) else None
+        rows.append(
+            {
+                "threshold_m": threshold_m,
+                "tp": tp,
+                "fp": len(right) - tp,
+                "fn": fn,
+                "precision": tp / len(right) if len(right) else None,
+                "recall": tp / (tp + fn) if tp + fn else None,
+                "f1": 2 * tp / (len(right) + tp + fn) if len(right) + tp + fn else None,
+                "precision_all": share,
+                "precision_all_95": None if share is None else wilson(share, weight),
+            }
+        )
+    return {
+        "checked": len(error_m),
+        "missed": missed,
+        "thresholds": rows,
+        "distance_m": describe(distance_m),
+    } | _nssda(error_m[stands])
+
+
+def wilson(share: float, weight: Floats) -> tuple[float, float]:
+    """Interval that holds a share in 95 of 100 samples (Wilson 1927; weights by Kish 1965)."""
+    n = float(weight.sum() ** 2 / (weight**2).sum())
+    middle = (share + _Z95**2 / (2 * n)) / (1 + _Z95**2 / n)
+    half = np.sqrt(share * (1 - share) / n + _Z95**2 / (4 * n**2)) * _Z95 / (1 + _Z95**2 / n)
+    return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
+
+
+def _nssda(error_m: Floats) -> dict[str, Any]:
+    """Horizontal accuracy by the national standard for spatial data accuracy."""
+    if not len(error_m):
+        return {"nssda_m": None, "rmse_x_m": None, "rmse_y_m": None}
+    x, y = (float(value) for value in np.sqrt((error_m**2).mean(axis=0)))
+    alike = np.isclose(x, y, rtol=1e-6)
+    radius = _ROUND * np.hypot(x, y) if alike else _OVAL * 0.5 * (x + y)
+    enough = len(error_m) >= FEWEST
+    return {"nssda_m": float(radius) if enough else None, "rmse_x_m": x, "rmse_y_m": y}
