@@ -15,7 +15,7 @@ from roadsight.evidence.studies import load_evidence_sites, load_tradeoffs
 from roadsight.effects.catalogue import load_audit_sites
 from roadsight.base.errors import InputError
 from roadsight.io.records.checksums import CachedChecksums
-from roadsight.io.records.sources import stage_stamp
+from roadsight.io.records.sources import Stamps
 from roadsight.io.vector.layer_names import with_companions
 from roadsight.base.texts import read_yaml
 from roadsight.placement.sensors.sensors import load_sensors
@@ -64,7 +64,7 @@ SITES = (
     | ASKED_SITES
 )
 SENSORS = clearly(load_sensors, CONFIG.sensors_file)
-STAMPS = Path(".snakemake/roadsight/sources")
+STAMPS = Stamps(Path(".snakemake/roadsight/sources"), LOCK)
 CHECKSUMS = CachedChecksums(".snakemake/roadsight/checksums.json")
 
 
@@ -96,7 +96,7 @@ def site_field(path):
 @lru_cache(maxsize=None)
 def sources(stage):
     """What stands for the sources that a stage imports, and for the lock: an edit makes it stale."""
-    return stage_stamp(stage, STAMPS, LOCK)
+    return STAMPS.of(stage)
 
 
 def sources_with(stage, engine):

@@ -11,7 +11,7 @@ import pytest
 
 from roadsight.base.sections.scene import PavementOutline
 from roadsight.io.records import sources
-from roadsight.io.records.sources import stage_sources, stage_stamp
+from roadsight.io.records.sources import Stamps, stage_sources
 
 
 @pytest.fixture
@@ -100,9 +100,7 @@ class TestStamps:
     @pytest.fixture
     def stamp(self, package, tmp_path):
         def made():
-            sources._checksum.cache_clear()
-            sources._imported.cache_clear()
-            return tmp_path / stage_stamp("one", Path("stamps"), "elsewhere/roadsightish.py")
+            return tmp_path / Stamps(Path("kept/stamps"), "elsewhere/roadsightish.py").of("one")
 
         return made
 
@@ -135,7 +133,7 @@ class TestStamps:
 
         def content():
             sources._defaults.cache_clear()
-            return Path(stage_stamp("extract_pavement", tmp_path)).read_text()
+            return Path(Stamps(tmp_path / "stamps").of("extract_pavement")).read_text()
 
         before = content()
         assert "roadsight.base.sections.scene.PavementOutline\n" in before
@@ -146,6 +144,24 @@ class TestStamps:
         monkeypatch.setattr(PavementOutline.model_fields["closing_m"], "description", "other words")
         assert set(content().splitlines()) - set(before.splitlines()) == changed
         sources._defaults.cache_clear()
+
+    def test_what_files_import_is_parsed_once(self, stamp, tmp_path, monkeypatch):
+        stamp()
+        parsed = []
+        parse = sources._imports
+        monkeypatch.setattr(sources, "_imports", lambda c: parsed.append(c) or parse(c))
+        before = stamp().read_bytes()
+        assert not parsed
+        edited = tmp_path / "roadsight/core/near.py"
+        edited.write_text("import roadsight.other  # edited\n")
+        listed = stamp().read_text()
+        assert len(parsed) == 1
+        assert "roadsight/other.py" in listed and "roadsight/core/deep.py" not in listed
+        for damage in ("[1", "[]", "{}"):
+            (tmp_path / "kept/imports.json").write_text(damage)
+            assert stamp().read_text() == listed
+        edited.write_text("def f():\n    from roadsight.core.deep import g\n    return g\n")
+        assert stamp().read_bytes() == before
 
     def test_an_older_file_of_other_content_is_a_change_of_now(self, stamp, tmp_path):
         started = time.time()

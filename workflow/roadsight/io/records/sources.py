@@ -11,7 +11,8 @@ from functools import cache
 from importlib import import_module
 from pathlib import Path
 
-from roadsight.io.records.atomic import atomic_path
+from roadsight.base.errors import InputError
+from roadsight.io.records.atomic import atomic_path, read_json, write_json
 
 _PACKAGE_ROOT = Path(__file__).resolve().parents[3]
 _DECLARED = "roadsight.base.sections"
@@ -29,62 +30,133 @@ def stage_module(stage: str) -> str:
     """
     for chapter in _CHAPTERS:
         module = f"roadsight.stages.{chapter}.{stage}"
-        if stage.isidentifier() and _file(module) is not None:
+        path = _PACKAGE_ROOT.joinpath(*module.split(".")).with_suffix(".py")
+        if stage.isidentifier() and path.exists():
             return module
     raise ValueError(f"there is no stage {stage!r}")
 
 
 def stage_sources(stage: str) -> list[str]:
     """First-party files that the module of a stage pulls in, relative to the work folder."""
-    found: dict[str, Path] = {}
-    pending = [stage_module(stage)]
-    while pending:
-        module = pending.pop()
-        if module in found or (path := _file(module)) is None:
-            continue
-        found[module] = path
-        pending += _imports(path)
-        if "." in module:
-            pending.append(module.rpartition(".")[0])
-    root = _shown_root()
-    return sorted(str(root / path.relative_to(_PACKAGE_ROOT)) for path in found.values())
+    return [str(path) for path in _Sources().of(stage)]
 
 
-def stage_stamp(stage: str, folder: Path, *others: str) -> str:
-    """File that stands for the sources of a stage: it lists their checksums.
-
-    Its content changes with theirs and it is as old as the newest of them, or as their change where
-    an earlier stamp was of other content. One file instead of a hundred is what makes a list of
-    20,000 jobs short.
+class _Sources:
+    """The files of the package as they are now, and what each imports of it.
 
     Parameters
     ----------
-    folder : of the stamps. others : further files that the stage rests on.
+    memory : JSON file that keeps what files import by their checksums: reading 700 of them takes
+        0.1 s, parsing them 2 s.
     """
-    files = [Path(name) for name in (*stage_sources(stage), *others)]
-    content = "".join(f"{_checksum(path)}  {path}\n" for path in files)
-    sources = [path.resolve() for path in files if path.suffix == ".py"]
-    sections = {name for path in sources for name in _imported(path) if _is_section(name)}
-    content += "".join(f"{_defaults(name)}  {name}\n" for name in sorted(sections))
-    date_ns = max(path.stat().st_mtime_ns for path in files)
-    stamp = folder / stage
-    try:
-        before, before_ns = stamp.read_text(encoding="utf-8"), stamp.stat().st_mtime_ns
-    except OSError:
-        before, before_ns = None, 0
-    if before == content and before_ns >= date_ns:
+
+    def __init__(self, memory: Path | None = None) -> None:
+        self._root = _shown_root()
+        self._files: dict[str, Path] = {}
+        for path in sorted((_PACKAGE_ROOT / "roadsight").rglob("*.py")):
+            parts = path.relative_to(_PACKAGE_ROOT).with_suffix("").parts
+            self._files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+        self._names: dict[Path, list[str]] = {}
+        self._checksums: dict[Path, str] = {}
+        if memory is not None:
+            self._remember(memory)
+
+    def of(self, stage: str) -> list[Path]:
+        """Files behind a stage, relative to the work folder."""
+        return sorted(self._shown(self._files[module]) for module in self._modules(stage))
+
+    def sections_of(self, stage: str) -> set[str]:
+        """Dotted names of what modules of settings declare and these files name."""
+        names = {
+            name for module in self._modules(stage) for name in self._imported(self._files[module])
+        }
+        return {
+            name for name in names if name.startswith(f"{_DECLARED}.") and name not in self._files
+        }
+
+    def checksum(self, shown: Path) -> str:
+        """Of a file, whether it is one of the package or not."""
+        if shown not in self._checksums:
+            self._checksums[shown] = hashlib.sha256(shown.read_bytes()).hexdigest()
+        return self._checksums[shown]
+
+    def _modules(self, stage: str) -> set[str]:
+        found: set[str] = set()
+        pending = [stage_module(stage)]
+        while pending:
+            module = pending.pop()
+            if module in found or module not in self._files:
+                continue
+            found.add(module)
+            # Sections are declared, see `_DECLARED`.
+            names = self._imported(self._files[module])
+            pending += [name for name in names if not name.startswith(_DECLARED)]
+            if "." in module:
+                pending.append(module.rpartition(".")[0])
+        return found
+
+    def _shown(self, path: Path) -> Path:
+        return self._root / path.relative_to(_PACKAGE_ROOT)
+
+    def _imported(self, path: Path) -> list[str]:
+        if path not in self._names:
+            self._names[path] = _imports(path.read_bytes())
+        return self._names[path]
+
+    def _remember(self, memory: Path) -> None:
+        try:
+            known = read_json(memory)
+        except InputError:
+            known = None
+        known = known if isinstance(known, dict) else {}
+        found = {}
+        for path in self._files.values():
+            content = path.read_bytes()
+            checksum = hashlib.sha256(content).hexdigest()
+            names = known.get(checksum)
+            found[checksum] = _imports(content) if names is None else names
+            self._names[path] = found[checksum]
+            self._checksums[self._shown(path)] = checksum
+        if found != known:
+            write_json(memory, found)
+
+
+class Stamps:
+    """Files that stand for the sources of stages: each lists their checksums.
+
+    Their content changes with that of the sources, and they are as old as the newest of them, or as
+    their change where an earlier stamp was of other content. One file instead of a hundred is what
+    makes a list of 20,000 jobs short.
+
+    Parameters
+    ----------
+    folder : of the stamps. others : further files that each stage rests on.
+    """
+
+    def __init__(self, folder: Path, *others: str) -> None:
+        self._folder, self._others = folder, [Path(name) for name in others]
+        self._sources = _Sources(folder.parent / "imports.json")
+
+    def of(self, stage: str) -> str:
+        """The stamp of a stage, brought up to date."""
+        files = [*self._sources.of(stage), *self._others]
+        content = "".join(f"{self._sources.checksum(path)}  {path}\n" for path in files)
+        sections = sorted(self._sources.sections_of(stage))
+        content += "".join(f"{_defaults(name)}  {name}\n" for name in sections)
+        date_ns = max(path.stat().st_mtime_ns for path in files)
+        stamp = self._folder / stage
+        try:
+            before, before_ns = stamp.read_text(encoding="utf-8"), stamp.stat().st_mtime_ns
+        except OSError:
+            before, before_ns = None, 0
+        if before == content and before_ns >= date_ns:
+            return str(stamp)
+        if before not in (None, content):
+            date_ns = max(date_ns, time.time_ns())
+        with atomic_path(stamp) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+            os.utime(temporary, ns=(date_ns, date_ns))
         return str(stamp)
-    if before not in (None, content):
-        date_ns = max(date_ns, time.time_ns())
-    with atomic_path(stamp) as temporary:
-        temporary.write_text(content, encoding="utf-8")
-        os.utime(temporary, ns=(date_ns, date_ns))
-    return str(stamp)
-
-
-def _is_section(name: str) -> bool:
-    """Whether a dotted name is that of something that a module of settings declares."""
-    return name.startswith(f"{_DECLARED}.") and _file(name) is None
 
 
 @cache
@@ -96,11 +168,6 @@ def _defaults(section: str) -> str:
     return hashlib.sha256(repr(values).encode()).hexdigest()
 
 
-@cache
-def _checksum(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
-
-
 def _shown_root() -> Path:
     """Relative to the work folder, or its link to the package where it has one."""
     link = Path(_PACKAGE_ROOT.name)
@@ -109,22 +176,10 @@ def _shown_root() -> Path:
     return Path(os.path.relpath(_PACKAGE_ROOT))
 
 
-def _file(module: str) -> Path | None:
-    base = _PACKAGE_ROOT.joinpath(*module.split("."))
-    path = base / "__init__.py" if base.is_dir() else base.with_suffix(".py")
-    return path if path.exists() else None
-
-
-def _imports(path: Path) -> list[str]:
-    """Modules that a file imports and that make its results stale."""
-    return [name for name in _imported(path) if _file(name) and not name.startswith(_DECLARED)]
-
-
-@cache
-def _imported(path: Path) -> list[str]:
+def _imports(content: bytes) -> list[str]:
     """Names that a file imports of the package, anywhere in it, with the modules they come from."""
     names = []
-    for statement in _statements(ast.parse(path.read_text(encoding="utf-8"))):
+    for statement in _statements(ast.parse(content)):
         if isinstance(statement, ast.Import):
             names += [alias.name for alias in statement.names]
         elif isinstance(statement, ast.ImportFrom) and statement.module and not statement.level:
