@@ -103,7 +103,6 @@ class SurfelLidar:
         if self._scene is None or len(directions) == 0:
             return np.full(len(directions), np.inf, np.float32)
         origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
-        origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
         range_m = self._scene.first_hits(origins, directions, max_range_m)
         range_m[range_m >= np.float32(max_range_m)] = np.inf
         return range_m

@@ -11,14 +11,13 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bytes, Floats, Floats32, Ints32, Numbers
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.lens import RadialLens
+from roadsight.geometry.ray_casting import FirstHits, RayScene
 from roadsight.synthetic.rendering.rendering_shade import Hits, Look, shade
 from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_road import RuralSite
@@ -99,9 +98,7 @@ class RuralRenderer:
     def __init__(self, site: RuralSite) -> None:
         self.site = site
         mesh = site.mesh
-        self._scene = EmbreeScene()
-        TriangleMesh(self._scene, mesh.vertices_m.astype(np.float32), mesh.triangles)
-        self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+        self._scene = RayScene(mesh.vertices_m, mesh.triangles)
 
     def cast(self, origins_m: ArrayLike, directions: ArrayLike) -> Cast:
         """First surface along each ray.
@@ -110,21 +107,18 @@ class RuralRenderer:
         ----------
         origins_m : (n, 3), or (3,) for rays from one point. directions : (n, 3) unit vectors.
         """
-        ray = np.ascontiguousarray(directions, np.float32)
-        origin = np.ascontiguousarray(np.broadcast_to(np.asarray(origins_m, np.float32), ray.shape))
-        found = self._scene.run(origin, ray, output=1)
-        triangle = np.asarray(found["primID"], np.int32)
-        met = triangle >= 0
-        range_m = np.where(met, found["tfar"].astype(float), np.inf)
-        reach = np.where(met, range_m, 0.0)[:, None]
+        found = self._scene.first_hits(origins_m, directions)
+        range_m = found.range_m.astype(float)
+        reach = np.where(found.triangle >= 0, range_m, 0.0)[:, None]
         place = np.asarray(origins_m, float) + reach * np.asarray(directions, float)
-        return Cast(range_m, triangle, place, self._road(found, triangle))
+        return Cast(range_m, found.triangle, place, self._road(found))
 
-    def _road(self, found: dict[str, NDArray], triangle: Ints32) -> Floats:
+    def _road(self, found: FirstHits) -> Floats:
         """Station and offset, linear over each triangle of the corridor."""
+        triangle = found.triangle
         road = np.zeros((len(triangle), 2))
         rows = np.flatnonzero((triangle >= 0) & (triangle < self.site.corridor_triangles))
-        u, v = found["u"][rows, None].astype(float), found["v"][rows, None].astype(float)
+        u, v = found.u[rows, None].astype(float), found.v[rows, None].astype(float)
         corners = self.site.road_m[self.site.mesh.triangles[triangle[rows]]]
         road[rows] = (1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
         return road
@@ -141,10 +135,8 @@ class RuralRenderer:
         lit[near[far_leaf]] = _FAR_LEAF_LIT
         rows = near[(np.abs(facing) > 0.01) & (~leafy | (facing > 0.0)) & ~far_leaf]
         lift = np.where(leafy[np.searchsorted(near, rows)], 0.35, _SHADOW_LIFT_M)
-        start = (cast.place_m[rows] + lift[:, None] * sun).astype(np.float32)
-        way = np.ascontiguousarray(np.broadcast_to(sun.astype(np.float32), start.shape))
-        if len(rows):
-            lit[rows] = self._scene.run(start, way, query="OCCLUDED") != 0
+        start = cast.place_m[rows] + lift[:, None] * sun
+        lit[rows] = ~self._scene.occluded(start, np.broadcast_to(sun, start.shape))
         return lit
 
     def _hits(self, cast: Cast, directions: Floats, lit: NDArray, pixel_rad: float) -> Hits:
