@@ -108,20 +108,10 @@ class RuralRenderer:
         origins_m : (n, 3), or (3,) for rays from one point. directions : (n, 3) unit vectors.
         """
         found = self._scene.first_hits(origins_m, directions)
-        range_m = found.range_m.astype(float)
-        reach = np.where(found.triangle >= 0, range_m, 0.0)[:, None]
-        place = np.asarray(origins_m, float) + reach * np.asarray(directions, float)
-        return Cast(range_m, found.triangle, place, self._road(found))
-
-    def _road(self, found: FirstHits) -> Floats:
-        """Station and offset, linear over each triangle of the corridor."""
-        triangle = found.triangle
-        road = np.zeros((len(triangle), 2))
-        rows = np.flatnonzero((triangle >= 0) & (triangle < self.site.corridor_triangles))
-        u, v = found.u[rows, None].astype(float), found.v[rows, None].astype(float)
-        corners = self.site.road_m[self.site.mesh.triangles[triangle[rows]]]
-        road[rows] = (1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
-        return road
+        origins = np.asarray(origins_m, float).reshape(-1, 3)
+        road = self.site.mesh.triangles[: self.site.corridor_triangles], self.site.road_m
+        reached = _reach(origins, np.asarray(directions, float), found, *road)
+        return Cast(found.range_m.astype(float), found.triangle, *reached)
 
     def sunlit(self, cast: Cast, sun: Floats) -> Floats32:
         """Share of the sun that reaches each hit; far hits and the sky count as lit."""
@@ -154,8 +144,11 @@ class RuralRenderer:
         )
 
     def _shaded(self, look: Look, hits: Hits) -> tuple[Floats32, Bytes]:
-        heading = self.site.line.heading(hits.road[:, 0])
-        return shade(look, self.site.surface, hits, np.cos(heading), np.sin(heading))
+        ground = np.flatnonzero(hits.material == Material.GROUND)
+        heading = self.site.line.heading(hits.road[ground, 0])
+        cosine, sine = np.zeros((2, len(hits.depth)))
+        cosine[ground], sine[ground] = np.cos(heading), np.sin(heading)
+        return shade(look, self.site.surface, hits, cosine, sine)
 
     def render_view(
         self,
@@ -220,6 +213,30 @@ def _rays(uv: Floats, cx: float, cy: float, focal: float, rotation: Floats) -> F
         for k in range(3):
             rays[i, k] = (x * rotation[0, k] + y * rotation[1, k] + rotation[2, k]) / length
     return rays
+
+
+@njit(cache=True)
+def _reach(
+    origins: Floats, directions: Floats, found: FirstHits, triangles: Ints32, road_m: Floats
+) -> tuple[Floats, Floats]:
+    """Where rays end (n, 3), their origin if nowhere, and station and offset there (n, 2).
+
+    Parameters
+    ----------
+    triangles : of the corridor, over which ``road_m`` (corners, 2) is linear; 0 beyond them.
+    """
+    place, road = np.empty(directions.shape), np.zeros((len(directions), 2))
+    for i in range(len(directions)):
+        number, start = found.triangle[i], min(i, len(origins) - 1)
+        reach = float(found.range_m[i]) if number >= 0 else 0.0
+        for k in range(3):
+            place[i, k] = origins[start, k] + reach * directions[i, k]
+        if 0 <= number < len(triangles):
+            a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
+            u, v = float(found.u[i]), float(found.v[i])
+            for k in range(2):
+                road[i, k] = (1.0 - u - v) * road_m[a, k] + u * road_m[b, k] + v * road_m[c, k]
+    return place, road
 
 
 @dataclass(frozen=True)
