@@ -126,7 +126,7 @@ class SurfelLidar:
         """
         if wanted is None:
             wanted = np.ones(sensor.shape, bool)
-        directions = beam_directions(sensor, yaw_deg, tilt)[wanted]
+        directions = beam_directions(sensor, yaw_deg, tilt, wanted)
         range_m = self.cast(position_m, directions, sensor.range_m)
         if curved:
             range_m = self.cast(position_m, risen(directions, range_m), sensor.range_m)
