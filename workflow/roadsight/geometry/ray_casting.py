@@ -34,7 +34,7 @@ _UINT3 = 0x5003
 _FLOAT3 = 0x9003
 _ROBUST = 4
 _COHERENT = 1 << 16
-_ALL_FEATURES = 0xFFFFFFFF
+_ALL_FEATURES = -1
 _ROOM = 32
 """Rows of 16 numbers for a packet: 12 of rays, 9 of hits, and what a later 4.x may add."""
 # Rows of `RTCRayHit16`.
@@ -108,17 +108,20 @@ class RayScene:
         origins_m : (n, 3), or (3,) for rays from one point. directions : (n, 3) of any length.
         limit : what is met there or farther does not count, in lengths of the direction.
         """
-        origins, ways = _rays(origins_m, directions)
-        return FirstHits(*_first_hits(*self._call("rtcIntersect16"), origins, ways, limit))
+        rays = _rays(origins_m, directions)
+        return FirstHits(*_first_hits(*self._call("rtcIntersect16"), *rays, float(limit)))
 
     def occluded(self, origins_m: ArrayLike, directions: ArrayLike, limit: float = np.inf) -> Bools:
         """Whether rays (n,) meet any triangle; parameters as in `first_hits`."""
-        origins, ways = _rays(origins_m, directions)
-        return _occluded(*self._call("rtcOccluded16"), origins, ways, limit)
+        rays = _rays(origins_m, directions)
+        return _occluded(*self._call("rtcOccluded16"), *rays, float(limit))
 
-    def _call(self, name: str) -> tuple[int, int]:
-        """Addresses of a function of Embree and of the scene, as compiled code takes them."""
-        return _address(name), self._scene.value or 0
+    def _call(self, name: str) -> tuple[tuple[int, ...], Packet, Packet, Floats32]:
+        """What to call with which addresses, and what lies there: marks of rays, and a packet."""
+        valid, packet = _aligned(1), _aligned(_ROOM)
+        scene, more = self._scene.value or 0, _arguments().ctypes.data
+        at = _address(name), valid.ctypes.data, scene, packet.ctypes.data, more
+        return at, valid[0], packet, packet.view(np.float32)
 
 
 def _rays(origins_m: ArrayLike, directions: ArrayLike) -> tuple[Floats32, Floats32]:
@@ -158,6 +161,22 @@ def _address(name: str) -> int:
     return ctypes.cast(getattr(_embree(), name), Address).value or 0
 
 
+def _aligned(rows: int) -> Packet:
+    """Zeros (rows, 16) that begin at a multiple of 64 bytes."""
+    raw = np.zeros((rows + 1) * _PACKET, np.int32)
+    start = (-raw.ctypes.data % 64) // raw.itemsize
+    return raw[start : start + rows * _PACKET].reshape(rows, _PACKET)
+
+
+@cache
+def _arguments() -> Packet:
+    """`RTCIntersectArguments` and `RTCOccludedArguments` of rays that run side by side."""
+    arguments = _aligned(4)
+    arguments[0, 0] = _COHERENT
+    arguments[0, 1] = _ALL_FEATURES
+    return arguments
+
+
 @intrinsic
 def _call_embree(
     context: Any, function: Any, valid: Any, scene: Any, packet: Any, more: Any
@@ -175,36 +194,20 @@ def _call_embree(
 
 
 @njit(cache=True)
-def _room(rows: int) -> Packet:
-    """Zeros (rows, 16) that begin at a multiple of 64 bytes."""
-    raw = np.zeros((rows + 1) * _PACKET, np.int32)
-    start = (-raw.ctypes.data % 64) // 4
-    return raw[start : start + rows * _PACKET].reshape(rows, _PACKET)
-
-
-@njit(cache=True)
-def _arguments() -> Packet:
-    """`RTCIntersectArguments` and `RTCOccludedArguments` of rays that run side by side."""
-    arguments = _room(4)
-    arguments[0, 0] = _COHERENT
-    arguments[0, 1] = -1
-    return arguments
-
-
-@njit(cache=True)
-def _fill(
-    packet: Packet,
+def _cast(
+    at: tuple[int, ...],
     valid: Packet,
+    packet: Packet,
+    numbers: Floats32,
     origins: Floats32,
     ways: Floats32,
     limit: float,
     begin: int,
 ) -> int:
-    """Put the rays from ``begin`` on into a packet; how many there are."""
-    numbers = packet.view(np.float32)
+    """Cast the rays from ``begin`` on that fit into a packet; how many they are."""
     count = min(_PACKET, len(ways) - begin)
     for k in range(_PACKET):
-        valid[0, k] = -1 if k < count else 0
+        valid[k] = -1 if k < count else 0
         row = begin + min(k, count - 1)
         start = row if len(origins) > 1 else 0
         for axis in range(3):
@@ -215,42 +218,42 @@ def _fill(
         packet[_MASK, k] = packet[_TRIANGLE, k] = packet[_GEOMETRY, k] = -1
         packet[_ID, k] = packet[_FLAGS, k] = 0
         packet[_INSTANCE, k] = packet[_INSTANCE + 1, k] = -1
+    _call_embree(*at)
     return count
-
-
-@njit(cache=True)
-def _cast(function: int, scene: int, valid: Packet, packet: Packet, arguments: Packet) -> None:
-    at = valid.ctypes.data, scene, packet.ctypes.data, arguments.ctypes.data
-    _call_embree(function, *at)  # type: ignore[call-arg]
 
 
 @njit(cache=True, nogil=True)
 def _first_hits(
-    function: int, scene: int, origins: Floats32, ways: Floats32, limit: float
+    at: tuple[int, ...],
+    valid: Packet,
+    packet: Packet,
+    numbers: Floats32,
+    origins: Floats32,
+    ways: Floats32,
+    limit: float,
 ) -> tuple[Floats32, Ints32, Floats32, Floats32]:
     n = len(ways)
     range_m, triangle = np.empty(n, np.float32), np.empty(n, np.int32)
     u, v = np.empty(n, np.float32), np.empty(n, np.float32)
-    packet, valid, arguments = _room(_ROOM), _room(1), _arguments()
-    numbers = packet.view(np.float32)
     for begin in range(0, n, _PACKET):
-        count = _fill(packet, valid, origins, ways, limit, begin)
-        _cast(function, scene, valid, packet, arguments)
-        for k in range(count):
+        for k in range(_cast(at, valid, packet, numbers, origins, ways, limit, begin)):
             range_m[begin + k], triangle[begin + k] = numbers[_FAR, k], packet[_TRIANGLE, k]
             u[begin + k], v[begin + k] = numbers[_U, k], numbers[_V, k]
     return range_m, triangle, u, v
 
 
 @njit(cache=True, nogil=True)
-def _occluded(function: int, scene: int, origins: Floats32, ways: Floats32, limit: float) -> Bools:
-    n = len(ways)
-    hidden = np.empty(n, np.bool_)
-    packet, valid, arguments = _room(_ROOM), _room(1), _arguments()
-    numbers = packet.view(np.float32)
-    for begin in range(0, n, _PACKET):
-        count = _fill(packet, valid, origins, ways, limit, begin)
-        _cast(function, scene, valid, packet, arguments)
-        for k in range(count):
+def _occluded(
+    at: tuple[int, ...],
+    valid: Packet,
+    packet: Packet,
+    numbers: Floats32,
+    origins: Floats32,
+    ways: Floats32,
+    limit: float,
+) -> Bools:
+    hidden = np.empty(len(ways), np.bool_)
+    for begin in range(0, len(ways), _PACKET):
+        for k in range(_cast(at, valid, packet, numbers, origins, ways, limit, begin)):
             hidden[begin + k] = numbers[_FAR, k] < 0.0
     return hidden
