@@ -103,6 +103,27 @@ def test_depth_of_the_road_is_that_of_the_ground(site, renderer):
     assert np.abs(place[rows, 2] - site.height(place[rows, :2])).max() < 2e-3
 
 
+@pytest.mark.parametrize("count", [1, 3000])
+def test_stations_are_linear_over_the_triangles_that_rays_end_on(site, renderer, rng, count):
+    origins = np.array([*site.line.plan(80.0, 0.0), 40.0]) + rng.uniform(-20.0, 20.0, (count, 3))
+    ways = np.column_stack([rng.uniform(-2.0, 2.0, (count, 2)), np.full(count, -1.0)])
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    cast = renderer.cast(origins, ways)
+    for row in range(count):
+        number = cast.triangle[row]
+        reach = cast.range_m[row] if number >= 0 else 0.0
+        assert cast.place_m[row] == pytest.approx(origins[row] + reach * ways[row])
+        if not 0 <= number < site.corridor_triangles:
+            assert not cast.road_m[row].any()
+            continue
+        corners = site.mesh.triangles[number]
+        a, b, c = site.mesh.vertices_m[corners]
+        shares = np.linalg.lstsq(np.array([b - a, c - a]).T, cast.place_m[row] - a)[0]
+        expected = np.array([1.0 - shares.sum(), *shares]) @ site.road_m[corners]
+        assert cast.road_m[row] == pytest.approx(expected, abs=2e-3)
+    assert count == 1 or (cast.triangle < site.corridor_triangles).mean() > 0.1
+
+
 def test_poles_are_where_the_truth_projects_them(site, renderer):
     found = visible = 0
     for shot in shots(site, random_drives(5, (320, 208))[0], 5):

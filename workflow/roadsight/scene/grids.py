@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import ndimage
 
 from roadsight.base.arrays import Floats, Ints
 
@@ -94,12 +93,16 @@ def fill_gaps(values: Floats) -> Floats:
     gaps = np.isnan(values)
     if not gaps.any() or gaps.all():
         return values
+    from scipy import ndimage  # noqa: PLC0415  # slow to load
+
     nearest = ndimage.distance_transform_edt(gaps, return_distances=False, return_indices=True)
     return values[tuple(nearest)]
 
 
 def sample_bilinear(grid: Grid, values: Floats, x: ArrayLike, y: ArrayLike) -> Floats:
     """Values (rows, columns) at points (n,), bilinear between cell centres, constant outside."""
+    from scipy import ndimage  # noqa: PLC0415  # slow to load
+
     # Values belong to the centres of cells, half a cell from their corners.
     column = np.asarray(x, np.float64) / grid.cell_size_m - grid.west - 0.5
     row = np.asarray(y, np.float64) / grid.cell_size_m - grid.south - 0.5

@@ -58,6 +58,14 @@ def test_directions_are_the_sensor_frame_turned_by_yaw(yaw_deg):
     np.testing.assert_allclose(directions, expected, atol=1e-6)
 
 
+@pytest.mark.parametrize("leaning", [False, True])
+def test_directions_of_some_beams_are_those_of_all(rng, leaning):
+    wanted = rng.uniform(size=SENSOR.shape) < 0.4
+    tilt = np.array([[1.0, 0.0, 0.0], [0.0, 0.8, -0.6], [0.0, 0.6, 0.8]]) if leaning else None
+    found = beam_directions(SENSOR, 20.0, tilt, wanted)
+    np.testing.assert_allclose(found, beam_directions(SENSOR, 20.0, tilt)[wanted], atol=1e-7)
+
+
 def test_returns_lie_on_their_beams():
     depth = np.zeros(SENSOR.shape, np.float32)
     depth[1, 7], depth[3, 0] = 20.0, 5.0

@@ -9,13 +9,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.ray_casting import RayScene
 from roadsight.io.cloud.clouds import read_laz, write_laz
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.surfel_lidar import SurfelLidar
@@ -158,10 +157,8 @@ def rays_far_from_the_origin(rng: np.random.Generator) -> Errors:
     ours = lidar.depth_map(sensor, far, 0.0)
     corners = wall[:, None] + 0.05 * np.array([[0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]])
     triangles = (corners + far)[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3, 3)
-    scene = EmbreeScene()
-    TriangleMesh(scene, triangles.astype(np.float32))
-    origins = np.broadcast_to(far.astype(np.float32), (true.size, 3)).copy()
-    found = scene.run(origins, ways.reshape(-1, 3).astype(np.float32), query="DISTANCE")
+    scene = RayScene(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))
+    found = scene.first_hits(far, ways).range_m
     naive = np.minimum(found, sensor.range_m) - true.ravel()
     return np.abs(naive).max(), np.abs(ours - true).max()
 

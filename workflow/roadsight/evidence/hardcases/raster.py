@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections import Counter
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from scipy.spatial import Delaunay
 
 from roadsight.base.arrays import Numbers
@@ -14,6 +12,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import RoadEdges
 from roadsight.evidence.hardcases.case import Errors, fails, hard_case
 from roadsight.geometry.frames import Frame
+from roadsight.geometry.ray_casting import RayScene
 from roadsight.scene.edges.road_edges import (
     clean_road,
     edge_level,
@@ -149,10 +148,8 @@ def terrain_far_from_the_origin(rng: np.random.Generator) -> Errors:
     camera = np.array([30.0, 1.0, 9.0])
     true = TerrainSight(Terrain(local, triangles)).visible(camera, points)
     ours = TerrainSight(Terrain(local + _FAR, triangles)).visible(camera + _FAR, points + _FAR)
-    scene = EmbreeScene(robust=True)
-    TriangleMesh(scene, (local + _FAR).astype(np.float32), triangles)
-    origin = np.broadcast_to((camera + _FAR).astype(np.float32), points.shape).copy()
+    scene = RayScene(local + _FAR, triangles, robust=True)
+    origin = (camera + _FAR).astype(np.float32)
     way = (points + _FAR).astype(np.float32) + np.array([0, 0, 0.15], np.float32) - origin
-    limit = np.full(len(way), 0.9999, np.float32)
-    naive = scene.run(origin, way, dists=limit, query="OCCLUDED") < 0
+    naive = ~scene.occluded(origin, way, 0.9999)
     return np.mean(naive != true), np.mean(ours != true)

@@ -1,15 +1,14 @@
-"""First hits of rays on triangles: Intel Embree through embreex, or through Open3D."""
+"""First hits of rays on triangles: Intel Embree by its own interface, or through Open3D."""
 
 from __future__ import annotations
 
 from typing import Protocol
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
 from roadsight.base.arrays import Floats32, Ints32
 from roadsight.base.engines import Engine, open3d
+from roadsight.geometry.ray_casting import RayScene
 
 
 class Rays(Protocol):
@@ -20,7 +19,8 @@ class Rays(Protocol):
 
         Parameters
         ----------
-        origins_m, directions : (n, 3), directions of unit length, in the triangles' frame.
+        origins_m : (n, 3), or (3,) for rays from one point, in the triangles' frame.
+        directions : (n, 3) unit vectors.
         """
 
 
@@ -41,17 +41,14 @@ def rays_at(corners_m: Floats32, triangles: Ints32, engine: Engine = "own") -> R
 
 
 class EmbreeRays:
-    """By embreex."""
+    """By `RayScene`."""
 
     def __init__(self, corners_m: Floats32, triangles: Ints32) -> None:
-        self._scene = EmbreeScene()
-        TriangleMesh(self._scene, corners_m, triangles)
+        self._scene = RayScene(corners_m, triangles)
 
     def first_hits(self, origins_m: Floats32, directions: Floats32, limit_m: float) -> Floats32:
         """See `Rays`."""
-        limits = np.full(len(directions), limit_m, np.float32)
-        found = self._scene.run(origins_m, directions, dists=limits, query="DISTANCE")
-        return np.asarray(found, np.float32)
+        return self._scene.first_hits(origins_m, directions, limit_m).range_m
 
 
 class Open3dRays:
@@ -68,6 +65,7 @@ class Open3dRays:
 
     def first_hits(self, origins_m: Floats32, directions: Floats32, limit_m: float) -> Floats32:
         """See `Rays`; ranges beyond the limit are cast too and dropped by the caller."""
-        rays = self._tensor.from_numpy(np.hstack([origins_m, directions]))
+        origins = np.broadcast_to(origins_m, directions.shape)
+        rays = self._tensor.from_numpy(np.hstack([origins, directions]))
         hits = self._scene.cast_rays(rays, nthreads=1)
         return np.asarray(hits["t_hit"].numpy(), np.float32)

@@ -103,7 +103,6 @@ class SurfelLidar:
         if self._scene is None or len(directions) == 0:
             return np.full(len(directions), np.inf, np.float32)
         origins = (np.asarray(origins_m, np.float64) - self._origin_m).astype(np.float32)
-        origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
         range_m = self._scene.first_hits(origins, directions, max_range_m)
         range_m[range_m >= np.float32(max_range_m)] = np.inf
         return range_m
@@ -127,7 +126,7 @@ class SurfelLidar:
         """
         if wanted is None:
             wanted = np.ones(sensor.shape, bool)
-        directions = beam_directions(sensor, yaw_deg, tilt)[wanted]
+        directions = beam_directions(sensor, yaw_deg, tilt, wanted)
         range_m = self.cast(position_m, directions, sensor.range_m)
         if curved:
             range_m = self.cast(position_m, risen(directions, range_m), sensor.range_m)

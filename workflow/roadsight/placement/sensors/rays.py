@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.placement.sensors.earth import rise_m
 from roadsight.placement.sensors.sensors import Sensor
 
@@ -61,19 +61,24 @@ def sensor_from_spherical(
     return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
-def beam_directions(sensor: Sensor, yaw_deg: float, tilt: Floats | None = None) -> Floats32:
+def beam_directions(
+    sensor: Sensor, yaw_deg: float, tilt: Floats | None = None, wanted: Bools | None = None
+) -> Floats32:
     """Unit vectors of a sensor's beams in the local frame; shape (rows, columns, 3).
 
     Parameters
     ----------
     tilt : rotation (3, 3) from the levelled to the mounted sensor, local frame; None: levelled.
+    wanted : (rows, columns), beams of which alone the directions (n, 3) are returned, row by row.
     """
     azimuth = np.radians(sensor.azimuth_deg + yaw_deg)
-    elevation = np.radians(sensor.elevation_deg)[:, None]
-    directions = np.empty((*sensor.shape, 3), np.float32)
-    np.multiply(np.cos(elevation), np.cos(azimuth), out=directions[..., 0], casting="same_kind")
-    np.multiply(np.cos(elevation), np.sin(azimuth), out=directions[..., 1], casting="same_kind")
-    directions[..., 2] = np.sin(elevation)
+    elevation = np.radians(sensor.elevation_deg)
+    row, column = np.ogrid[: sensor.rows, : sensor.columns] if wanted is None else wanted.nonzero()
+    shape = sensor.shape if wanted is None else row.shape
+    level, directions = np.cos(elevation)[row], np.empty((*shape, 3), np.float32)
+    np.multiply(level, np.cos(azimuth)[column], out=directions[..., 0], casting="same_kind")
+    np.multiply(level, np.sin(azimuth)[column], out=directions[..., 1], casting="same_kind")
+    directions[..., 2] = np.sin(elevation)[row]
     return directions if tilt is None else directions @ tilt.T.astype(np.float32)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Ints
 
@@ -33,6 +32,8 @@ def road_alongside(points: pd.DataFrame, known: pd.DataFrame) -> int | None:
     ----------
     points, known : columns x, y, along_x, along_y; of the known ones road as well.
     """
+    from scipy.spatial import cKDTree  # noqa: PLC0415  # slow to load
+
     tree = cKDTree(known[["x", "y"]].to_numpy(np.float64))
     count = min(_NEIGHBOURS, len(known))
     away, near = tree.query(points[["x", "y"]].to_numpy(np.float64), k=[*range(1, count + 1)])
@@ -69,6 +70,8 @@ def lanes_abreast(lanes: pd.DataFrame) -> pd.Series:
 
 def _abreast(points: pd.DataFrame, chosen: Ints) -> Ints:
     """Lanes beside each chosen point of a road, its own among them."""
+    from scipy.spatial import cKDTree  # noqa: PLC0415  # slow to load
+
     xy = points[["x", "y"]].to_numpy(np.float64)
     along = points[["along_x", "along_y"]].to_numpy(np.float64)
     lane = points["lane"].to_numpy(np.int64)

@@ -9,7 +9,6 @@ import pandas as pd
 import shapely
 from numba import njit
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Floats32, Ints32
 from roadsight.placement.sight.carriageways import road_alongside
@@ -45,6 +44,8 @@ def trace_lanes(
     -------
     lane (number), road (number), station_m, x, y, along_x, along_y (unit tangent)
     """
+    from scipy.spatial import cKDTree  # noqa: PLC0415  # slow to load
+
     parts: list[pd.DataFrame] = []
     lanes, roads = 0, 0
     for edge in sorted(edges, key=lambda line: -line.length):
@@ -137,6 +138,8 @@ def rasterise_lanes(
     ----------
     lanes : as `trace_lanes` gives them, with z, the height of the road. per_m : as in `Traffic`.
     """
+    from scipy.spatial import cKDTree  # noqa: PLC0415  # slow to load
+
     xy = lanes[["x", "y"]].to_numpy(np.float64)
     reach = max(vehicle.width_m for vehicle in vehicles) / 2 + _CELL_M
     west, south = xy.min(axis=0) - reach

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm, qmc
 
 from roadsight.base.arrays import Floats, Floats32, Ints
 from roadsight.geometry.cameras import cam_from_world
@@ -284,6 +283,8 @@ def align_dense(task: DenseTask) -> DenseFit:
 
 def _starts() -> Floats:
     """Offsets (t, 6) in standard deviations, the expected pose first."""
+    from scipy.stats import norm, qmc  # noqa: PLC0415  # slow to load
+
     points = qmc.Halton(SIZE, scramble=False).random(_TRIALS + 1)[1:]
     starts = np.clip(norm.ppf(points), -_FARTHEST, _FARTHEST)
     starts[0] = 0.0

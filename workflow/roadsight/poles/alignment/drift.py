@@ -12,7 +12,6 @@ from dataclasses import astuple, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import minimize
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.sections.poles import Calibration
@@ -123,6 +122,8 @@ class Drift:
         """
         if len(self.station_m) < _FEWEST:
             return self
+        from scipy.optimize import minimize  # noqa: PLC0415  # slow to load
+
         said = np.log(astuple(self.model))
 
         def misfit(changed: Floats) -> float:

@@ -215,7 +215,9 @@ def slopes(unknowns: Floats, start: Floats, seen: Floats, there: Floats) -> Floa
         moved[a] = unknowns[a] - step
         low = measure(moved, start, seen, there)
         moved[a] = unknowns[a]
-        found[:, :, a] = (high[:, :3] - low[:, :3]) / (2.0 * step)
+        for k in range(len(seen)):
+            for b in range(3):
+                found[k, b, a] = (high[k, b] - low[k, b]) / (2.0 * step)
     return found
 
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.signal import savgol_filter
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
@@ -336,6 +335,8 @@ def _rights(line: Floats) -> Floats:
 
 def _smooth(line: Floats) -> Floats:
     """Line smoothed by cubics; its ends keep their direction."""
+    from scipy.signal import savgol_filter  # noqa: PLC0415  # slow to load
+
     window = min(int(_SMOOTH_M / STEP_M), (len(line) - 1) // 2 * 2 - 1)
     if window < 5:
         return line

@@ -83,10 +83,12 @@ def _covariances(xyz_m: Floats, neighbours: Ints) -> Floats:
     out = np.empty((len(xyz_m), 3, 3))
     group = np.empty((neighbours.shape[1] + 1, 3))
     for i in range(len(xyz_m)):
-        group[0], count = xyz_m[i], 1
-        for j in neighbours[i]:
-            if j >= 0:
-                group[count] = xyz_m[j]
+        count = 0
+        for j in range(-1, neighbours.shape[1]):
+            member = neighbours[i, j] if j >= 0 else i
+            if member >= 0:
+                for axis in range(3):
+                    group[count, axis] = xyz_m[member, axis]
                 count += 1
         for axis in range(3):
             centre = group[:count, axis].sum() / count

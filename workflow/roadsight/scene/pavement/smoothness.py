@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from sklearn.cluster import KMeans
 from threadpoolctl import threadpool_limits
 
 from roadsight.base.arrays import Bools, Floats, Floats32, Ints
@@ -76,6 +75,8 @@ def fit_smoothness(
     )
     if scale == _ALIKE and np.isinf(tone_scale):
         return model
+    from sklearn.cluster import KMeans  # noqa: PLC0415  # slow to load
+
     space = _normalise(model, shapes, tones)
     with threadpool_limits(1):  # sums over several threads depend on their number
         means = KMeans(n_clusters=2, n_init=4, random_state=seed).fit(space)

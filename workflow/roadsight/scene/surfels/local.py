@@ -8,7 +8,6 @@ own points.
 from __future__ import annotations
 
 import numpy as np
-from scipy import ndimage
 
 from roadsight.base.arrays import Bools, Ints
 from roadsight.scene.surfels.surfels import Surfels, build_surfels, concatenate
@@ -69,6 +68,8 @@ def _levels(voxels: VoxelMoments, west_south: Ints) -> Ints:
 
 def _surfels_of(voxels: VoxelMoments, own: Bools, west_south: Ints, doubling: int) -> Surfels:
     """Surfels of the blocks of one size, from voxels of that size in them and around them."""
+    from scipy import ndimage  # noqa: PLC0415  # slow to load
+
     around = ndimage.binary_dilation(own, np.ones((3, 3)), _MARGIN_BLOCKS)
     cells = unpack_keys(voxels.keys)[:, :2] >> (_BLOCK_DOUBLINGS - doubling)
     column, row = (cells - west_south).T

@@ -206,13 +206,13 @@ def _fit(
         planes.variance[i, 0], planes.variance[i, 1], planes.variance[i, 2] = low, middle, high
         planes.centroid[i, 0], planes.centroid[i, 1], planes.centroid[i, 2] = x, y, z
         _eigenvector(covariance, high, vector)
-        planes.axis[i] = vector
+        planes.axis[i, 0], planes.axis[i, 1], planes.axis[i, 2] = vector
         if low > flat_variance and planes.own[i] > 0:
             _flattest_corner(block, moments, total, covariance, low)
             x, y, z = _covariance(total, covariance)
             low = _eigenvalues(covariance)[0]
         _eigenvector(covariance, low, vector)
-        planes.normal[i] = vector
+        planes.normal[i, 0], planes.normal[i, 1], planes.normal[i, 2] = vector
         planes.spread[i] = low
         planes.offset[i] = x * vector[0] + y * vector[1] + z * vector[2]
 

@@ -174,7 +174,9 @@ def _off_plane(points: Floats) -> Floats:
     n = points.shape[1]
     centred = points.copy()
     for axis in range(3):
-        centred[axis] -= points[axis].mean()
+        middle = points[axis].mean()
+        for k in range(n):
+            centred[axis, k] -= middle
     x, y, z = centred[0], centred[1], centred[2]
     # Cells in a line give no cross slope.
     xx, xy, yy = (x * x).sum() + 0.1 * n, (x * y).sum(), (y * y).sum() + 0.1 * n
@@ -223,7 +225,9 @@ def _relax(values: Floats, known: Bools, passes: int) -> None:
                         + last[i, max(j - 1, 0)]
                         + last[i, min(j + 1, columns - 1)]
                     )
-        last[:] = values
+        for i in range(rows):
+            for j in range(columns):
+                last[i, j] = values[i, j]
 
 
 def box_sum(values: Floats, half: int) -> Floats:

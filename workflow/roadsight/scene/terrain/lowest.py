@@ -54,14 +54,13 @@ def _lowest(cell: Ints, z: Floats, cells: int) -> Floats:
         n = len(own)
         if n == 0:
             continue
-        out[c] = own.min()
+        own.sort()
+        out[c] = own[0]
         if n < _LEAST_POINTS:
             continue
         few = int(_SUPPORT * n) + 1
-        least = np.partition(own, few)[: few + 1]
-        least.sort()
         for k in range(few - 1, 0, -1):
-            if least[k] - least[k - 1] > _GAP_M:
-                out[c] = least[k]
+            if own[k] - own[k - 1] > _GAP_M:
+                out[c] = own[k]
                 break
     return out

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools
 from roadsight.geometry.cameras import wrap_deg
+from roadsight.geometry.ray_casting import RayScene
 from roadsight.scene.terrain.sight_lines import TOLERANCE_M
 from roadsight.scene.terrain.tin import Terrain
 
@@ -30,9 +29,8 @@ class TerrainSight:
         if len(terrain.triangles):
             # Single precision is safe only near the origin.
             self._origin_m = np.round(terrain.vertices.mean(axis=0))
-            vertices = np.ascontiguousarray(terrain.vertices - self._origin_m, np.float32)
-            self._scene = EmbreeScene(robust=True)
-            TriangleMesh(self._scene, vertices, np.ascontiguousarray(terrain.triangles))
+            vertices = terrain.vertices - self._origin_m
+            self._scene = RayScene(vertices, terrain.triangles, robust=True)
 
     def visible(
         self, camera_m: ArrayLike, points_m: ArrayLike, tolerance_m: float = TOLERANCE_M
@@ -52,13 +50,9 @@ class TerrainSight:
             return finite
         start = np.asarray(camera_m, np.float64)
         way = points[finite] - (start - np.array([0.0, 0.0, tolerance_m]))
-        origins = np.empty(way.shape, np.float32)
-        origins[:] = start - self._origin_m
         # An unnormalised ray ends at 1, wherever the point is.
-        limit = np.full(len(way), _LAST_SHARE, np.float32)
-        hit = self._scene.run(origins, way.astype(np.float32), dists=limit, query="OCCLUDED")
         seen = finite.copy()
-        seen[finite] = hit < 0
+        seen[finite] = ~self._scene.occluded(start - self._origin_m, way, _LAST_SHARE)
         return seen
 
 

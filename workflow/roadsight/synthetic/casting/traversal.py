@@ -246,8 +246,9 @@ def cast_rays(
         if ranges[i] > max_range:
             ranges[i] = math.inf
             objects[i] = -1
-            normals[i] = math.nan
+            normals[i, 0] = normals[i, 1] = normals[i, 2] = math.nan
             continue
         objects[i] = terrain.object_id if hit == _GROUND else bodies.object_id[hit]
-        normals[i] = _normal(bodies, terrain, ray, ranges[i], hit)
+        normal = _normal(bodies, terrain, ray, ranges[i], hit)
+        normals[i, 0], normals[i, 1], normals[i, 2] = normal
     return ranges, objects, normals

@@ -11,14 +11,13 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bytes, Floats, Floats32, Ints32, Numbers
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.lens import RadialLens
+from roadsight.geometry.ray_casting import FirstHits, RayScene
 from roadsight.synthetic.rendering.rendering_shade import Hits, Look, shade
 from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_road import RuralSite
@@ -99,9 +98,7 @@ class RuralRenderer:
     def __init__(self, site: RuralSite) -> None:
         self.site = site
         mesh = site.mesh
-        self._scene = EmbreeScene()
-        TriangleMesh(self._scene, mesh.vertices_m.astype(np.float32), mesh.triangles)
-        self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32))
+        self._scene = RayScene(mesh.vertices_m, mesh.triangles)
 
     def cast(self, origins_m: ArrayLike, directions: ArrayLike) -> Cast:
         """First surface along each ray.
@@ -110,24 +107,11 @@ class RuralRenderer:
         ----------
         origins_m : (n, 3), or (3,) for rays from one point. directions : (n, 3) unit vectors.
         """
-        ray = np.ascontiguousarray(directions, np.float32)
-        origin = np.ascontiguousarray(np.broadcast_to(np.asarray(origins_m, np.float32), ray.shape))
-        found = self._scene.run(origin, ray, output=1)
-        triangle = np.asarray(found["primID"], np.int32)
-        met = triangle >= 0
-        range_m = np.where(met, found["tfar"].astype(float), np.inf)
-        reach = np.where(met, range_m, 0.0)[:, None]
-        place = np.asarray(origins_m, float) + reach * np.asarray(directions, float)
-        return Cast(range_m, triangle, place, self._road(found, triangle))
-
-    def _road(self, found: dict[str, NDArray], triangle: Ints32) -> Floats:
-        """Station and offset, linear over each triangle of the corridor."""
-        road = np.zeros((len(triangle), 2))
-        rows = np.flatnonzero((triangle >= 0) & (triangle < self.site.corridor_triangles))
-        u, v = found["u"][rows, None].astype(float), found["v"][rows, None].astype(float)
-        corners = self.site.road_m[self.site.mesh.triangles[triangle[rows]]]
-        road[rows] = (1.0 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
-        return road
+        found = self._scene.first_hits(origins_m, directions)
+        origins = np.asarray(origins_m, float).reshape(-1, 3)
+        road = self.site.mesh.triangles[: self.site.corridor_triangles], self.site.road_m
+        reached = _reach(origins, np.asarray(directions, float), found, *road)
+        return Cast(found.range_m.astype(float), found.triangle, *reached)
 
     def sunlit(self, cast: Cast, sun: Floats) -> Floats32:
         """Share of the sun that reaches each hit; far hits and the sky count as lit."""
@@ -141,10 +125,8 @@ class RuralRenderer:
         lit[near[far_leaf]] = _FAR_LEAF_LIT
         rows = near[(np.abs(facing) > 0.01) & (~leafy | (facing > 0.0)) & ~far_leaf]
         lift = np.where(leafy[np.searchsorted(near, rows)], 0.35, _SHADOW_LIFT_M)
-        start = (cast.place_m[rows] + lift[:, None] * sun).astype(np.float32)
-        way = np.ascontiguousarray(np.broadcast_to(sun.astype(np.float32), start.shape))
-        if len(rows):
-            lit[rows] = self._scene.run(start, way, query="OCCLUDED") != 0
+        start = cast.place_m[rows] + lift[:, None] * sun
+        lit[rows] = ~self._scene.occluded(start, np.broadcast_to(sun, start.shape))
         return lit
 
     def _hits(self, cast: Cast, directions: Floats, lit: NDArray, pixel_rad: float) -> Hits:
@@ -162,8 +144,11 @@ class RuralRenderer:
         )
 
     def _shaded(self, look: Look, hits: Hits) -> tuple[Floats32, Bytes]:
-        heading = self.site.line.heading(hits.road[:, 0])
-        return shade(look, self.site.surface, hits, np.cos(heading), np.sin(heading))
+        ground = np.flatnonzero(hits.material == Material.GROUND)
+        heading = self.site.line.heading(hits.road[ground, 0])
+        cosine, sine = np.zeros((2, len(hits.depth)))
+        cosine[ground], sine[ground] = np.cos(heading), np.sin(heading)
+        return shade(look, self.site.surface, hits, cosine, sine)
 
     def render_view(
         self,
@@ -228,6 +213,30 @@ def _rays(uv: Floats, cx: float, cy: float, focal: float, rotation: Floats) -> F
         for k in range(3):
             rays[i, k] = (x * rotation[0, k] + y * rotation[1, k] + rotation[2, k]) / length
     return rays
+
+
+@njit(cache=True)
+def _reach(
+    origins: Floats, directions: Floats, found: FirstHits, triangles: Ints32, road_m: Floats
+) -> tuple[Floats, Floats]:
+    """Where rays end (n, 3), their origin if nowhere, and station and offset there (n, 2).
+
+    Parameters
+    ----------
+    triangles : of the corridor, over which ``road_m`` (corners, 2) is linear; 0 beyond them.
+    """
+    place, road = np.empty(directions.shape), np.zeros((len(directions), 2))
+    for i in range(len(directions)):
+        number, start = found.triangle[i], min(i, len(origins) - 1)
+        reach = float(found.range_m[i]) if number >= 0 else 0.0
+        for k in range(3):
+            place[i, k] = origins[start, k] + reach * directions[i, k]
+        if 0 <= number < len(triangles):
+            a, b, c = triangles[number, 0], triangles[number, 1], triangles[number, 2]
+            u, v = float(found.u[i]), float(found.v[i])
+            for k in range(2):
+                road[i, k] = (1.0 - u - v) * road_m[a, k] + u * road_m[b, k] + v * road_m[c, k]
+    return place, road
 
 
 @dataclass(frozen=True)

@@ -294,7 +294,7 @@ def shade(
 
     Parameters
     ----------
-    road_cos, road_sin : (n,) direction of the road at each hit.
+    road_cos, road_sin : (n,) direction of the road at each hit of the ground.
     """
     count = len(hits.depth)
     colours, classes = np.empty((count, 3), np.float32), np.empty(count, np.uint8)

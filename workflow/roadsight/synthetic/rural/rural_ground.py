@@ -65,7 +65,8 @@ class Branch:
 
     def along_across(self, xy_m: ArrayLike) -> tuple[Floats, Floats]:
         """Distance along the branch from the pavement's edge, and to the left of its middle."""
-        east, north = np.moveaxis(np.asarray(xy_m, float) - self.start_m, -1, 0)
+        offset = np.asarray(xy_m, float) - self.start_m
+        east, north = offset[..., 0], offset[..., 1]
         ax, ay = self.ahead
         return east * ax + north * ay, north * ax - east * ay
 

@@ -24,8 +24,11 @@ def add_plants(add: Furnisher, houses: list[Floats], detail: float = 1.0) -> Non
     rng, line = add.rng, add.ground.line
     first, last = line.station_m[0] + 3.0, line.station_m[-1] - 3.0
     grove = _groves(first, last, rng)
-    taken = [np.array(p.xyz_m[:2]) for p in add.poles if p.kind == "utility"]
-    for _ in range(round(_TREES_PER_M * (last - first))):
+    poles = [p.xyz_m[:2] for p in add.poles if p.kind == "utility"]
+    places = round(_TREES_PER_M * (last - first))
+    taken = np.full((len(poles) + places, 2), np.inf)
+    taken[: len(poles)] = np.reshape(poles, (-1, 2))
+    for number in range(len(poles), len(taken)):
         side = rng.choice([-1.0, 1.0])
         station = rng.uniform(first, last)
         offset = side * (10.0 + 92.0 * rng.uniform() ** 1.6)
@@ -33,9 +36,9 @@ def add_plants(add: Furnisher, houses: list[Floats], detail: float = 1.0) -> Non
             continue
         xy = line.plan(station, offset)
         near_house = any(np.hypot(*(xy - h)) < 13.0 for h in houses)
-        if near_house or any(np.hypot(*(xy - t)) < 2.6 for t in taken):
+        if near_house or (np.hypot(*(xy - taken[:number]).T) < 2.6).any():
             continue
-        taken.append(xy)
+        taken[number] = xy
         _tree(add, station, offset, detail)
     for _ in range(round(_BUSHES_PER_M * (last - first))):
         station, offset = (
