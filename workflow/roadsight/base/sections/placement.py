@@ -66,7 +66,7 @@ class Cover(Section):
         default=1.0,
         ge=0,
         description="a plan stays unproven where neither its cover nor its bound has moved for so"
-        " many times the work that the last move took, 5 s at least; 0: it goes on until the limit",
+        " many times the work up to the last move, 5 s at least; 0: it goes on until the limit",
     )
     gap: float = Field(
         default=0.0,

@@ -16,6 +16,10 @@ _MANY = 2**31 - 1
 class Deadline:
     """End of the time allowed, from now on, by the clock."""
 
+    patience = 0.0
+    """A search ends where nothing has moved for so many times the work up to the last move; 0: it
+    goes on until the limit."""
+
     def __init__(self, seconds: float | None) -> None:
         self._start = time.perf_counter()
         self._end = None if seconds is None else self._start + seconds
@@ -43,10 +47,6 @@ class Deadline:
     def spend(self, seconds: float) -> None:
         """Count work of about so many seconds; the clock has counted it already."""
 
-    def stalled(self, state: Hashable) -> bool:
-        """Whether ``state`` has not moved for longer than the patience; without one, never."""
-        return False
-
     def part(self, parts: int) -> Deadline:
         """Limit of the next of so many parts that share what is left."""
         left = self.left_s()
@@ -59,16 +59,14 @@ class WorkLimit(Deadline):
     Parameters
     ----------
     seconds : work allowed. payer : limit that pays for this one's work too.
-    patience : a search ends where its state has not moved for so many times the work that its last
-        move took, 5 s at least; 0: it goes on until the limit. A payer's counts for its parts.
+    patience : see `Deadline`.
     """
 
     def __init__(
         self, seconds: float, payer: WorkLimit | None = None, patience: float = 0.0
     ) -> None:
-        self._left, self._payer, self._patience = seconds, payer, patience
-        self._spent = self._moved_s = 0.0
-        self._state: Hashable = None
+        self._left, self._payer, self.patience = seconds, payer, patience
+        self._spent = 0.0
 
     def left_s(self) -> float:
         """Work left, never negative."""
@@ -93,18 +91,28 @@ class WorkLimit(Deadline):
         if self._payer is not None:
             self._payer.spend(seconds)
 
-    def stalled(self, state: Hashable) -> bool:
-        """Whether the state is the same for longer than the patience."""
-        if self._payer is not None:
-            return self._payer.stalled(state)
-        if state != self._state:
-            self._state, self._moved_s = state, self._spent
-        borne_s = max(self._patience * self._moved_s, _LEAST_PATIENCE_S)
-        return self._patience > 0 and self._spent - self._moved_s > borne_s
-
     def part(self, parts: int) -> WorkLimit:
         """Limit of the next of so many parts that share what is left."""
-        return WorkLimit(self.left_s() / parts, self)
+        return WorkLimit(self.left_s() / parts, self, self.patience)
+
+
+class Patience:
+    """Whether a search that begins now still moves, see `Deadline.patience`."""
+
+    def __init__(self, deadline: Deadline) -> None:
+        self._deadline, self._begun_s = deadline, deadline.spent_s()
+        self._moved_s = 0.0
+        self._state: Hashable = None
+
+    def is_over(self, state: Hashable) -> bool:
+        """Whether the state has not moved for longer than is borne."""
+        if not self._deadline.patience:
+            return False
+        spent_s = self._deadline.spent_s() - self._begun_s
+        if state != self._state:
+            self._state, self._moved_s = state, spent_s
+        borne_s = max(self._deadline.patience * self._moved_s, _LEAST_PATIENCE_S)
+        return spent_s - self._moved_s > borne_s
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from roadsight.base.arrays import Bools, Floats, Ints32
-from roadsight.setcover.common.deadline import Deadline
+from roadsight.setcover.common.deadline import Deadline, Patience
 from roadsight.setcover.common.relaxation import Node
 
 _FEW_CHANGES = 0.05
@@ -72,11 +72,14 @@ class BestFirst(ABC):
         # Entries are numbered downwards, so that of equals as deep the latest comes first.
         queue = [(bound, 0, 0, start)]
         pushed = 0
+        patience = Patience(deadline)
         while queue:
             bound, depth, _, node = queue[0]
             if bound > self.goal:
                 return None
-            if self.is_enough(bound, deadline) or deadline.stalled((self.goal, bound)):
+            # The root is always tried, and something is always looked for until it is found.
+            stalled = patience.is_over((self.goal, bound)) and bool(pushed)
+            if self.is_enough(bound, deadline) or (stalled and np.isfinite(self.goal)):
                 return bound
             heapq.heappop(queue)
             self.nodes += 1

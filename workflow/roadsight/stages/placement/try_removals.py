@@ -45,8 +45,9 @@ _OTHERWISE = ("options", "robust", "availability")
 _NEAR_M = 40.0
 """Candidates so near an object are rendered without it: its shadow is widest from there."""
 _LIMIT_SHARE = 0.2
-"""Share of the plan's limit that each object has: a plan that is proven within its limit is so
-without the object, and of one that is not, the cover at hand still stands."""
+"""Share of the plan's limit that each object has: an object more costs a fifth of a plan more. The
+cover at hand still stands without the object, so that a search cut short tells no saving, and its
+status says so."""
 _MOST_CANDIDATES = 300
 """Candidates rendered for an object, the nearest: 20 to 30 CPU s with 128 channels."""
 
