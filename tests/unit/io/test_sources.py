@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import subprocess
 import sys
@@ -157,11 +158,31 @@ class TestStamps:
         listed = stamp().read_text()
         assert len(parsed) == 1
         assert "roadsight/other.py" in listed and "roadsight/core/deep.py" not in listed
-        for damage in ("[1", "[]", "{}"):
+        kept = json.loads((tmp_path / "kept/imports.json").read_text())
+        numbers = dict.fromkeys(kept["imports"], 3)
+        for damage in ("[1", "[]", "{}", json.dumps(kept | {"imports": numbers})):
             (tmp_path / "kept/imports.json").write_text(damage)
             assert stamp().read_text() == listed
         edited.write_text("def f():\n    from roadsight.core.deep import g\n    return g\n")
         assert stamp().read_bytes() == before
+
+    def test_another_parser_looks_again(self, stamp, tmp_path):
+        listed = stamp().read_text()
+        kept = json.loads((tmp_path / "kept/imports.json").read_text())
+        nothing = {name: [] for name in kept["imports"]}
+        for parser, same in ((kept["parser"], False), ("an older one", True)):
+            memory = json.dumps({"parser": parser, "imports": nothing})
+            (tmp_path / "kept/imports.json").write_text(memory)
+            assert (stamp().read_text() == listed) is same
+
+    def test_a_broken_file_matters_where_it_is_needed(self, stamp, tmp_path):
+        listed = stamp().read_text()
+        (tmp_path / "roadsight/core/unused.py").write_text("def f(:\n")
+        (tmp_path / "roadsight/core/.#near.py").symlink_to("nowhere")
+        assert stamp().read_text() == listed
+        (tmp_path / "roadsight/core/near.py").write_text("def f(:\n")
+        with pytest.raises(SyntaxError):
+            stamp()
 
     def test_an_older_file_of_other_content_is_a_change_of_now(self, stamp, tmp_path):
         started = time.time()

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 
+import cv2
 import numpy as np
 import pytest
 
@@ -120,6 +122,43 @@ class TestPage:
             assert seen.shape == unseen.shape
             across = [np.abs(np.diff(image, axis=1)).max() for image in (seen, unseen)]
             assert across[1] < 0.7 * across[0]  # a pole of 3 px is no line any more
+
+    def test_images_without_a_mask_are_hidden_whole(self, sites, tmp_path, caplog):
+        site = sites[0]
+        empty = [str(tmp_path / f"{n}.zip") for n in range(len(site.shards("masks", "zip")))]
+        for path in empty:
+            with ImageShardWriter(path):
+                pass
+        arguments = without(site.poles_arguments, "out", "masks", "depth", "dem")
+        for masks in (["--masks", *empty], []):
+            page = tmp_path / "page.json"
+            caplog.clear()
+            assert write_poles_page.main([*arguments, *masks, "--out", str(page)]) == 0
+            assert "no mask" in caplog.text
+            for one in read_json(page)["images"]:
+                raw = np.frombuffer(base64.b64decode(one["jpeg"]), np.uint8)
+                image = cv2.imdecode(raw, cv2.IMREAD_COLOR).astype(float)
+                assert np.abs(np.diff(image, axis=1)).max() < 60  # poles are 100 and more
+
+    def test_side_views_of_a_bent_lens_have_pictures(self, sites, tmp_path):
+        """Each pole seen in the left view alone, through a lens with distortion."""
+        site = sites[0]
+        frames = site.frames.assign(left_path=site.frames["path"])
+        write_table(tmp_path / "frames.parquet", frames)
+        shards = [
+            tmp_path / f"s{n}.parquet" for n in range(len(site.shards("sightings", "parquet")))
+        ]
+        for old, new in zip(site.shards("sightings", "parquet"), shards, strict=True):
+            write_table(new, read_table(old).assign(view="left"))
+        sizes = frames[["route", "width_px", "height_px"]].drop_duplicates().to_dict("records")
+        lens = {"k1": -0.1, "k2": 0.0, "scale_px": 500.0}
+        write_json(tmp_path / "drive.json", {"lenses": [size | lens for size in sizes]})
+        rest = without(site.poles_arguments, "out", "frames", "sightings")
+        rest += ["--frames", str(tmp_path / "frames.parquet"), "--sightings", *map(str, shards)]
+        rest += ["--drive", str(tmp_path / "drive.json"), "--pictures", str(tmp_path / "p.zip")]
+        assert write_poles_page.main([*rest, "--out", str(tmp_path / "page.json")]) == 0
+        assert ImageShard(tmp_path / "p.zip").names == site.poles["id"].tolist()
+        assert {one["view"] for one in read_json(tmp_path / "page.json")["pictures"]} == {"left"}
 
     def test_images_of_unknown_place_are_not_on_the_map(self, valley):
         layer = valley["layers"]["cameras"]

@@ -42,6 +42,9 @@ def run(
     if count < 1 or not len(table):
         poles = count if len(table) else "no poles"
         raise InputError("nothing to draw", where="--count", found=poles, allowed="1 or more")
+    if seed < 0:
+        raise InputError("is negative", where="--seed", found=seed, allowed="0 or more")
+    _keep_verdicts(out)
     names = strata(table[by])
     rows = draw(names, count, np.random.default_rng(seed))
     drawn = table.iloc[rows]
@@ -61,10 +64,21 @@ def run(
     write_csv(out, sheet)
     print(
         f"{len(rows)} of {len(table)} poles in {sizes.size} strata of {by}: {out}\n"
-        f"fill in verdict ({POLE}, {NONE}; rows of your own for poles that are {MISSED}) and the"
-        f" true {axes[0]}, {axes[1]}; rows without a verdict do not count\n"
-        f"then: roadsight score {out}"
+        f"fill in verdict ({POLE} or {NONE}) and the true {axes[0]}, {axes[1]}; add rows {MISSED}"
+        " for poles that stand\nnearer to one of these than to any other found one and are not in"
+        " the file; rows without a verdict\ndo not count; then: roadsight score"
+        f" {out}"
     )
+
+
+def _keep_verdicts(sheet: Path) -> None:
+    """Refuse to write over what somebody has filled in."""
+    if not sheet.exists():
+        return
+    before = read_text_table(str(sheet))
+    if "verdict" in before and (before["verdict"].fillna("").astype(str).str.strip() != "").any():
+        hint = "give another file, or remove this one"
+        raise InputError("holds verdicts", where=str(sheet), hint=hint)
 
 
 def axes_of(table: pd.DataFrame, path: str, before: str) -> tuple[str, str]:
@@ -74,8 +88,11 @@ def axes_of(table: pd.DataFrame, path: str, before: str) -> tuple[str, str]:
     ------
     InputError : the table has neither degrees nor metres.
     """
-    for pair in (DEGREES, _METRES):
-        if {before + axis for axis in pair} <= set(table):
+    there = [pair for pair in (DEGREES, _METRES) if {before + axis for axis in pair} <= set(table)]
+    for pair in there:
+        # Degrees of a site without a place on Earth are empty.
+        cells = table[[before + axis for axis in pair]].fillna("").astype(str)
+        if (cells != "").all(axis=None) or pair == there[-1]:
             return pair
     allowed = " or ".join(", ".join(before + axis for axis in pair) for pair in (DEGREES, _METRES))
     found = ", ".join(table.columns)

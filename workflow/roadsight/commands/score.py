@@ -56,7 +56,8 @@ def run(
         raise InputError("holds no verdict", where=checks_path, hint="fill in the column verdict")
     true = _places(table, axes, (verdict == POLE).to_numpy(), checks_path)[drawn]
     placed = _places(table, [f"found_{axis}" for axis in axes], drawn, checks_path)[drawn]
-    names = table["stratum"].astype(str)
+    names = table["stratum"].fillna("").astype(str).str.strip()
+    _check_rows(table, names, drawn, checks_path)
     given = names.ne("") & verdict.ne(MISSED)
     sizes = _sizes(table[given], names[given], checks_path)
     missed = int((verdict == MISSED).sum())
@@ -65,6 +66,23 @@ def run(
     content["unchecked"] = int((verdict == "").sum())
     write_json(out, content)
     print(_told(content, out))
+
+
+def _check_rows(table: pd.DataFrame, names: pd.Series, drawn: Bools, path: str) -> None:
+    """Each pole that was checked is one that was drawn, once."""
+    lacking = drawn & names.eq("").to_numpy()
+    if lacking.any():
+        line = int(np.argmax(lacking)) + 2
+        raise InputError(
+            "has a verdict and no stratum",
+            where=f"{path}, line {line}",
+            hint=f"rows of your own are {MISSED}; others keep what `roadsight draw` wrote",
+        )
+    if "id" in table:
+        ids = table["id"].where(drawn).dropna()
+        repeated = ids[ids.duplicated()]
+        if len(repeated):
+            raise InputError("has a pole twice", where=path, found=repeated.iloc[0])
 
 
 def _places(table: pd.DataFrame, columns: Sequence[str], needed: Bools, path: str) -> Floats:
@@ -79,6 +97,16 @@ def _places(table: pd.DataFrame, columns: Sequence[str], needed: Bools, path: st
             found=", ".join(table[list(columns)].iloc[row].astype(str)),
             allowed=f"numbers in {', '.join(columns)}",
         )
+    if columns[0].endswith(DEGREES[0]):
+        beyond = needed & ((np.abs(numbers[:, 0]) > 90) | (np.abs(numbers[:, 1]) > 360))
+        if beyond.any():
+            row = int(np.argmax(beyond))
+            raise InputError(
+                "is no place on Earth",
+                where=f"{path}, line {row + 2}",
+                found=numbers[row].tolist(),
+                allowed="latitude within 90, longitude within 360 degrees",
+            )
     return np.where(needed[:, None], numbers, np.nan)
 
 
@@ -94,7 +122,11 @@ def _sizes(table: pd.DataFrame, names: pd.Series, path: str) -> dict[str, int]:
             where=f"{path}, line {row + 2}",
             found=table["stratum_size"][row],
         )
-    return {str(name): int(size) for name, size in zip(names, sizes, strict=True)}
+    pairs = {(str(name), int(size)) for name, size in zip(names, sizes, strict=True)}
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise InputError("gives two sizes of one stratum", where=path, found=sorted(pairs))
+    return found
 
 
 def _error_m(found: Floats, true: Floats, degrees: bool) -> Floats:
@@ -114,12 +146,18 @@ def _told(content: dict[str, Any], out: Path) -> str:
     lines = [", ".join(counts)]
     for row in content["thresholds"]:
         if row["threshold_m"] in _TOLD_M:
-            low, high = row["precision_all_95"]
-            lines.append(
-                f"within {row['threshold_m']:g} m: {row['tp']} right, {row['fp']} wrong,"
-                f" {row['fn']} missed, F1 {row['f1']:.2f}; of all poles"
-                f" {100 * row['precision_all']:.0f} % ({100 * low:.0f} to {100 * high:.0f} %)"
-            )
+            f1 = "none" if row["f1"] is None else f"{row['f1']:.2f}"
+            text = f"within {row['threshold_m']:g} m: {row['tp']} right, {row['fp']} wrong,"
+            text += f" {row['fn']} missed, F1 {f1}"
+            if row["precision_all"] is not None:
+                low, high = (100 * share for share in row["precision_all_95"])
+                text += (
+                    f"; of all poles {100 * row['precision_all']:.0f} % ({low:.0f} to {high:.0f} %)"
+                )
+            lines.append(text)
+    if content["unchecked_strata"]:
+        names = ", ".join(content["unchecked_strata"])
+        lines.append(f"of all poles nothing is said: no verdict in {names}")
     if content["nssda_m"] is None:
         lines.append(f"accuracy not stated: the standard asks for {FEWEST} poles that stand")
     else:

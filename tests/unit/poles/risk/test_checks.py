@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 from roadsight.__main__ import main
-from roadsight.poles.risk.checks import draw, score_checks, strata, wilson
+from roadsight.base.errors import InputError
+from roadsight.poles.risk.checks import draw, radius_95_m, score_checks, strata, wilson
 
 
 def test_numbers_are_cut_in_thirds_and_values_stay():
@@ -72,9 +73,36 @@ def test_strata_count_by_their_size():
 def test_intervals_hold_the_truth(rng):
     held = 0
     for _ in range(2000):
-        low, high = wilson(rng.binomial(30, 0.8) / 30, np.ones(30))
+        low, high = wilson(rng.binomial(30, 0.8) / 30, np.full(30, 100.0))
         held += low <= 0.8 <= high
     assert held / 2000 == pytest.approx(0.95, abs=0.025)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.8, 0.5, 0.2, 0.01, 0.0])
+def test_the_radius_holds_95_of_100_whatever_the_ellipse(rng, ratio):
+    error = rng.normal(0, 1.0, (400_000, 2)) * (3.0 * ratio, 3.0)
+    inside = np.hypot(*error.T) <= radius_95_m(3.0 * ratio, 3.0)
+    assert inside.mean() == pytest.approx(0.95, abs=0.01 if ratio >= 0.6 else 0.002)
+
+
+def test_nothing_is_left_to_chance_where_all_were_checked():
+    assert wilson(0.7, np.ones(30)) == (0.7, 0.7)
+    narrow, wide = (np.ptp(wilson(0.7, np.full(30, w))) for w in (1.2, 100.0))
+    assert narrow < 0.5 * wide
+
+
+def test_of_strata_that_nobody_checked_nothing_is_said():
+    error = np.zeros((4, 2))
+    found = score_checks(error, 0, ["good"] * 4, {"good": 50, "bad": 50})
+    assert found["unchecked_strata"] == ["bad"]
+    assert found["thresholds"][0]["precision"] == 1.0
+    assert found["thresholds"][0]["precision_all"] is None
+    assert found["thresholds"][0]["precision_all_95"] is None
+
+
+def test_texts_of_many_values_are_no_strata():
+    with pytest.raises(InputError, match="too many values"):
+        strata(pd.Series([*[f"r{n}" for n in range(20)], "40"], name="routes"))
 
 
 def test_the_standard_holds_95_of_100_places(rng):
@@ -131,6 +159,10 @@ def test_a_sheet_is_drawn_filled_in_and_scored(poles, tmp_path, capsys):
         ("verdict", "", "holds no verdict"),
         ("stratum_size", "0", "size of its stratum"),
         ("found_latitude", "north", "lacks a place"),
+        ("found_latitude", "353.0", "no place on Earth"),
+        ("stratum", "", "no stratum"),
+        ("stratum_size", "900", "two sizes of one stratum"),
+        ("id", "pole-0", "a pole twice"),
     ],
 )
 def test_sheets_that_are_wrong_are_refused(poles, tmp_path, capsys, column, value, told):
@@ -141,13 +173,42 @@ def test_sheets_that_are_wrong_are_refused(poles, tmp_path, capsys, column, valu
         table["verdict"] = "none"
     table[column] = table[column].astype(object)
     table.loc[3, column] = value
+    if column == "id":
+        table.loc[5, column] = value
     table.to_csv(sheet, index=False)
     assert main(["score", str(sheet), "-o", str(out)]) == 2
     assert told in capsys.readouterr().err
     assert not out.exists()
 
 
-@pytest.mark.parametrize("given", [["--by", "colour"], ["--count", "0"]])
+def test_a_sheet_with_verdicts_is_not_written_over(poles, tmp_path, capsys):
+    sheet = tmp_path / "sheet.csv"
+    main(["draw", str(poles), "-o", str(sheet)])
+    table = pd.read_csv(sheet, dtype=str)
+    table["verdict"] = ["none", *[""] * (len(table) - 1)]
+    table.to_csv(sheet, index=False)
+    before = sheet.read_bytes()
+    assert main(["draw", str(poles), "-o", str(sheet)]) == 2
+    assert "holds verdicts" in capsys.readouterr().err
+    assert sheet.read_bytes() == before
+
+
+def test_a_site_without_a_place_on_earth_is_checked_in_its_metres(poles, tmp_path):
+    table = pd.read_csv(poles)
+    x = np.arange(60.0)
+    table.assign(latitude="", longitude="", x=x, y=2 * x).to_csv(poles, index=False)
+    sheet, out = tmp_path / "sheet.csv", tmp_path / "score.json"
+    assert main(["draw", str(poles), "-o", str(sheet)]) == 0
+    sheet_table = pd.read_csv(sheet, dtype={"verdict": str})
+    sheet_table = sheet_table.assign(
+        verdict="POLE ", x=sheet_table["found_x"] + 3, y=sheet_table["found_y"] - 4
+    )
+    sheet_table.to_csv(sheet, index=False)
+    assert main(["score", str(sheet), "-o", str(out)]) == 0
+    assert json.loads(out.read_text())["distance_m"]["mean"] == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("given", [["--by", "colour"], ["--count", "0"], ["--seed", "-1"]])
 def test_draws_of_nothing_are_refused(poles, tmp_path, capsys, given):
     assert main(["draw", str(poles), *given, "-o", str(tmp_path / "sheet.csv")]) == 2
     assert len(capsys.readouterr().err.splitlines()) == 1

@@ -251,7 +251,8 @@ class Pictures(Section):
 
     blur: bool = Field(
         default=True,
-        description="vehicles and people, as masks show them, are made unrecognisable",
+        description="vehicles and people, as masks show them, are made unrecognisable; without a"
+        " mask the whole image is",
     )
 
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, read_json, write_json
@@ -54,6 +55,8 @@ class _Sources:
         self._root = _shown_root()
         self._files: dict[str, Path] = {}
         for path in sorted((_PACKAGE_ROOT / "roadsight").rglob("*.py")):
+            if not path.is_file():
+                continue  # a link that an editor left
             parts = path.relative_to(_PACKAGE_ROOT).with_suffix("").parts
             self._files[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
         self._names: dict[Path, list[str]] = {}
@@ -105,20 +108,27 @@ class _Sources:
 
     def _remember(self, memory: Path) -> None:
         try:
-            known = read_json(memory)
+            known: Any = read_json(memory)
         except InputError:
             known = None
-        known = known if isinstance(known, dict) else {}
+        # Another way to look for imports finds others.
+        parser = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
+        names = known.get("imports") if isinstance(known, dict) else None
+        before = names if isinstance(names, dict) and known.get("parser") == parser else {}
         found = {}
         for path in self._files.values():
             content = path.read_bytes()
             checksum = hashlib.sha256(content).hexdigest()
-            names = known.get(checksum)
-            found[checksum] = _imports(content) if names is None else names
-            self._names[path] = found[checksum]
             self._checksums[self._shown(path)] = checksum
-        if found != known:
-            write_json(memory, found)
+            known = before.get(checksum)
+            if not (isinstance(known, list) and all(isinstance(name, str) for name in known)):
+                try:
+                    known = _imports(content)
+                except SyntaxError:
+                    continue  # told where a stage needs the file
+            self._names[path] = found[checksum] = known
+        if found != before:
+            write_json(memory, {"parser": parser, "imports": found})
 
 
 class Stamps:

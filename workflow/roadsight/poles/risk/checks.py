@@ -10,34 +10,53 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.optimize import brentq
+from scipy.stats import norm
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.base.errors import InputError
 from roadsight.poles.risk.validation import THRESHOLDS_M, describe
 
 POLE, NONE, MISSED = "pole", "none", "missed"
 """Verdicts: a pole stands at the place given; none is near; a pole that the survey lacks."""
 FEWEST = 20
 """Checked places that the national standard for spatial data accuracy asks for."""
-_LARGEST_STRATA = 10
+LARGEST_STRATA = 10
 """Values of a column at most that are strata of their own; numbers with more are cut in thirds."""
+_UNKNOWN = "unknown"
 _THIRDS = ("lowest third", "middle third", "highest third")
 _Z95 = 1.959963984540054
 """Of a normal distribution, 95 % lie within so many standard deviations."""
-_ROUND, _OVAL = 1.7308, 2.4477
+_ROUND, _OVAL, _LEAST_RATIO = 1.7308, 2.4477, 0.6
 """Radius that holds 95 % of a normal error, over its root mean square distance where both axes
-are alike, over that of an axis where they are not (FGDC-STD-007.3, appendix 3-A)."""
+are alike, over that of an axis where they are not, and the least ratio of axes for which it holds
+(FGDC-STD-007.3, appendix 3-A)."""
+_NODES, _FAR_SIGMAS = 4001, 6.0
+"""Places along an axis at which a distribution is summed, and how far out."""
 
 
 def strata(values: pd.Series) -> pd.Series:
-    """Name of the stratum of each row: its value, or the third in which a number lies."""
-    texts = values.astype(object).fillna("").astype(str).replace("", "unknown")
-    numbers = pd.to_numeric(values, errors="coerce")
-    if texts.nunique() <= _LARGEST_STRATA or numbers.isna().all():
+    """Name of the stratum of each row: its value, or the third in which a number lies.
+
+    Raises
+    ------
+    InputError : more than 10 values that are not all numbers.
+    """
+    texts = values.astype(object).fillna("").astype(str).replace("", _UNKNOWN)
+    if texts.nunique() <= LARGEST_STRATA:
         return texts
-    rank = numbers.rank(method="first", pct=True)
+    given = texts != _UNKNOWN
+    numbers = pd.to_numeric(texts.where(given), errors="coerce")
+    if numbers[given].isna().any():
+        raise InputError(
+            "has too many values for strata",
+            where=f"column {values.name}",
+            found=texts.nunique(),
+            allowed=f"at most {LARGEST_STRATA} values, or numbers, which are cut in thirds",
+        )
     edges = [0.0, 1 / 3, 2 / 3, 1.0]
-    third = pd.cut(rank, edges, labels=list(_THIRDS)).astype(object)
-    return third.where(numbers.notna(), "unknown")
+    third = pd.cut(numbers.rank(method="first", pct=True), edges, labels=list(_THIRDS))
+    return third.astype(object).where(given, _UNKNOWN)
 
 
 def draw(names: pd.Series, count: int, rng: np.random.Generator) -> Ints:
@@ -74,25 +93,30 @@ def score_checks(
     Parameters
     ----------
     error_m : (n, 2) found less true place of each checked pole, NaN where none stands.
-    missed : poles that the checkers saw and the survey lacks. stratum : of each checked pole.
-    sizes : poles of each stratum, checked or not.
+    missed : poles that the survey lacks beside the checked ones: nearer to one of them than to any
+        other found pole. stratum : of each checked pole. sizes : poles of each stratum, checked or
+        not.
 
     Returns
     -------
-    thresholds : as `score_thresholds`, of the checked poles alone, with precision_all, that of all
-        poles by the strata's sizes, and its 95 % interval (Wilson, of as many independent checks
-        as the unequal weights leave). distance_m : statistics. nssda_m : 95 % of the places are
-        within it (None below 20 checks with a pole), rmse_x_m, rmse_y_m.
+    thresholds : as `score_thresholds`, of the checked poles, with precision_all, that of all poles
+        by the strata's sizes, and its 95 % interval (Wilson, of as many independent checks as the
+        unequal weights and the poles that are left leave); None where a stratum has no check.
+    unchecked_strata : their names. distance_m : statistics. nssda_m : 95 % of the places are within
+        it (None below 20 checks with a pole), rmse_x_m, rmse_y_m.
     """
     distance_m = np.hypot(*error_m.reshape(-1, 2).T)
     stands = np.isfinite(distance_m)
     checked = pd.Series(list(stratum)).value_counts()
+    lacking = sorted(set(sizes) - set(checked.index))
     weight = np.array([sizes[name] / checked[name] for name in stratum], np.float64)
     rows = []
     for threshold_m in thresholds_m:
         right = stands & (distance_m <= threshold_m)
         tp, fn = int(right.sum()), int((stands & ~right).sum()) + missed
-        share = float((weight * right).sum() / weight.sum()) if len(weight) else None
+        share = None
+        if len(weight) and not lacking:
+            share = float((weight * right).sum() / weight.sum())
         rows.append(
             {
                 "threshold_m": threshold_m,
@@ -109,14 +133,25 @@ def score_checks(
     return {
         "checked": len(error_m),
         "missed": missed,
+        "unchecked_strata": lacking,
         "thresholds": rows,
         "distance_m": describe(distance_m),
     } | _nssda(error_m[stands])
 
 
 def wilson(share: float, weight: Floats) -> tuple[float, float]:
-    """Interval that holds a share in 95 of 100 samples (Wilson 1927; weights by Kish 1965)."""
-    n = float(weight.sum() ** 2 / (weight**2).sum())
+    """Interval that holds a share in 95 of 100 samples (Wilson 1927; weights by Kish 1965).
+
+    Parameters
+    ----------
+    weight : (n,) of how many each one stands for. Where each is its own, nothing is left to chance.
+    """
+    total = float(weight.sum())
+    n = total**2 / float((weight**2).sum())
+    left = 1 - min(len(weight) / total, 1)
+    if left <= 0:
+        return share, share
+    n /= left
     middle = (share + _Z95**2 / (2 * n)) / (1 + _Z95**2 / n)
     half = np.sqrt(share * (1 - share) / n + _Z95**2 / (4 * n**2)) * _Z95 / (1 + _Z95**2 / n)
     return max(float(middle - half), 0.0), min(float(middle + half), 1.0)
@@ -126,8 +161,34 @@ def _nssda(error_m: Floats) -> dict[str, Any]:
     """Horizontal accuracy by the national standard for spatial data accuracy."""
     if not len(error_m):
         return {"nssda_m": None, "rmse_x_m": None, "rmse_y_m": None}
-    x, y = (float(value) for value in np.sqrt((error_m**2).mean(axis=0)))
-    alike = np.isclose(x, y, rtol=1e-6)
-    radius = _ROUND * np.hypot(x, y) if alike else _OVAL * 0.5 * (x + y)
+    rmse = np.sqrt((error_m**2).mean(axis=0))
     enough = len(error_m) >= FEWEST
-    return {"nssda_m": float(radius) if enough else None, "rmse_x_m": x, "rmse_y_m": y}
+    return {
+        "nssda_m": radius_95_m(*rmse) if enough else None,
+        "rmse_x_m": float(rmse[0]),
+        "rmse_y_m": float(rmse[1]),
+    }
+
+
+def radius_95_m(x_m: float, y_m: float) -> float:
+    """Radius that holds 95 % of a normal error with these root mean squares on its axes.
+
+    Where the lesser is at least 0.6 of the greater, by the formulas of FGDC-STD-007.3, appendix
+    3-A; it has none for longer ellipses, of which the distribution is integrated.
+    """
+    less, more = sorted((float(x_m), float(y_m)))
+    if np.isclose(less, more, rtol=1e-6):
+        return _ROUND * float(np.hypot(less, more))
+    if less >= _LEAST_RATIO * more:
+        return _OVAL * 0.5 * (less + more)
+    # Of each place along the longer axis, the share of the shorter one that stays within.
+    along = more * np.linspace(-_FAR_SIGMAS, _FAR_SIGMAS, _NODES)
+    density = norm.pdf(along / more)
+    density /= density.sum()
+
+    def missing(radius: float) -> float:
+        half = np.sqrt(np.maximum(radius**2 - along**2, 0.0))
+        inside = 2 * norm.cdf(half / max(less, 1e-12 * more)) - 1
+        return float((density * inside).sum()) - 0.95
+
+    return float(brentq(missing, 0.0, _FAR_SIGMAS * more))

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bytes, Ints
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.top_rasters import TopRaster
+from roadsight.poles.images.views import View
 from roadsight.report.poles.hazard_charts import hazard_profiles
 from roadsight.report.poles.poles_cautions import pole_cautions
 from roadsight.report.poles.poles_depth import depth_checks
@@ -53,8 +54,8 @@ class PolesResult:
     read_image : image of a path, None where the images are not at hand.
     depth_fit : of one image, or None. validation : content of validation.json, or None.
     files : names of the files that hold the poles. sections : cross-sections at poles and along
-        roads. profiles : their measured heights, by pole. pictures : image, view and cut-out of the
-        poles that have one, by id.
+        roads. profiles : their measured heights, by pole. pictures : id, view and cut-out of poles,
+        in the order in which they are shown. hidden : whether what moves is unrecognisable in them.
     """
 
     top: TopRaster
@@ -71,7 +72,8 @@ class PolesResult:
     files: Sequence[str] = ()
     sections: pd.DataFrame = field(default_factory=pd.DataFrame)
     profiles: dict[str, Any] = field(default_factory=dict)
-    pictures: dict[str, tuple[str, str, Bytes]] = field(default_factory=dict)
+    pictures: Sequence[tuple[str, View, Bytes]] = ()
+    hidden: bool = False
 
 
 def build_poles_page(
@@ -112,7 +114,11 @@ def build_poles_page(
         "depth_fit": result.depth_fit,
         "depth_checks": depth_checks(result.sightings, owner, result.poles),
         "hazard": _table(result.hazard),
-        "pictures": _pictures(result),
+        "pictures": [
+            {"id": name, "image": view.image, "view": view.view, **picture(cut)}
+            for name, view, cut in result.pictures
+        ],
+        "hidden": result.hidden,
         "hazard_profiles": hazard_profiles(result.hazard, result.sections, result.profiles),
         "validation": plain(result.validation),
         "files": list(result.files),
@@ -124,19 +130,6 @@ def build_poles_page(
             ]
         ],
     }
-
-
-def _pictures(result: PolesResult) -> list[dict[str, Any]]:
-    """Pictures of the poles, the most dangerous first; those beyond the first stay in the ZIP."""
-    names = [str(name) for name in result.poles["id"] if str(name) in result.pictures]
-    rank = dict.fromkeys(names, np.inf)
-    if "rank" in result.hazard:
-        rank |= dict(zip(result.hazard["id"].astype(str), result.hazard["rank"], strict=True))
-    shown = sorted(names, key=lambda name: rank[name])[:MOST_PICTURES]
-    return [
-        {"id": name, "image": image, "view": view, **picture(cut)}
-        for name, (image, view, cut) in ((name, result.pictures[name]) for name in shown)
-    ]
 
 
 def _kept(result: PolesResult) -> tuple[pd.Series, PolesResult]:

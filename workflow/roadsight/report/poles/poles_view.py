@@ -65,6 +65,7 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
         "images": page["images"],
         "poles": page["layers"]["poles"],
         "pictures": _pictures(page),
+        "hidden": page.get("hidden", False),
         "routes": [
             {
                 "name": route["route"],

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Bytes
+from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.sections.poles import Pictures
 from roadsight.base.shards import shard_of
 from roadsight.geometry.cameras import Intrinsics
@@ -25,17 +26,25 @@ from roadsight.io.raster.top_rasters import read_top
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
+from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.pictures import best_views, cut_out, unrecognisable
 from roadsight.poles.images.straightening import source_places, straightened
-from roadsight.poles.images.views import view_name, views_of
+from roadsight.poles.images.views import View, view_name, views_of
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.report.poles.poles_depth import depth_fit
 from roadsight.report.poles.poles_layers import match_sightings
-from roadsight.report.poles.poles_page import PolesResult, ReadEdges, ReadImage, build_poles_page
+from roadsight.report.poles.poles_page import (
+    MOST_PICTURES,
+    PolesResult,
+    ReadEdges,
+    ReadImage,
+    build_poles_page,
+)
 from roadsight.stages.command import Command
 
 log = logging.getLogger("write_poles_page")
 
+Hide = Callable[[str, Bytes], Bytes]
 _MOST_FITS_TRIED = 12
 """Images of which the fit of depth is tried, spread over the drive, until one can be shown."""
 
@@ -74,10 +83,10 @@ def write_poles_page(
     cameras = _joined(cameras_paths)
     read_image = None
     if images:
-        hide = _Hidden(frames, masks if settings.blur else ())
+        hide = _Hidden(frames, masks) if settings.blur else _shown
         read_image = _reader(images, drive, lenses, frames, hide)
     seen, found = _joined(sightings), read_table(poles)
-    own = _cut_outs(found, seen, read_table(frames), read_image)
+    rated = read_table(hazard) if hazard else pd.DataFrame()
     result = PolesResult(
         read_top(top, Frame.from_dict(about)),
         edges.to_numpy(np.float64),
@@ -85,7 +94,7 @@ def write_poles_page(
         cameras,
         seen,
         found,
-        read_table(hazard) if hazard else pd.DataFrame(),
+        rated,
         _image_edges(image_edges),
         read_image,
         _depth_fit(dem, masks, depth, cameras, Frame.from_dict(about)),
@@ -93,7 +102,8 @@ def write_poles_page(
         [path.name for path in files],
         read_table(sections) if sections else pd.DataFrame(),
         read_about(sections).get("profiles", {}) if sections else {},
-        own,
+        _pictures(found, seen, rated, read_table(frames), read_image, pictures),
+        settings.blur,
     )
     page = build_poles_page(title or site, summary, about, result)
     counts = page["counts"]
@@ -101,71 +111,94 @@ def write_poles_page(
         "%d images, %d shown, %d poles", counts["images"], len(page["images"]), counts["poles"]
     )
     write_json(out, page)
-    if pictures:
-        about = {name: {"image": image, "view": view} for name, (image, view, _) in own.items()}
-        with ImageShardWriter(pictures, about) as archive:
-            for name, (_, _, picture) in own.items():
-                archive.write(name, picture)
+
+
+def _shown(path: str, image: Bytes) -> Bytes:
+    """The image as it is."""
+    return image
 
 
 class _Hidden:
-    """Makes unrecognisable what masks say moves, in the image of a path."""
+    """Makes unrecognisable what masks say moves; the whole image where there is no mask."""
 
     def __init__(self, frames: Path, masks: Sequence[Path]) -> None:
         self._shards = [ImageShard(path) for path in masks]
-        self._views = {view.path: view for view in views_of(read_table(frames))}
+        self._masks: dict[str, tuple[ImageShard, str]] = {}
+        for view in views_of(read_table(frames)):
+            shard = self._shards[shard_of(view.image, len(masks))] if masks else None
+            if shard and view.name in shard:
+                self._masks[view.path] = shard, view.name
+        self._told: set[str] = set()
 
     def __call__(self, path: str, image: Bytes) -> Bytes:
-        view = self._views.get(path)
-        if not self._shards or view is None:
-            return image
-        shard = self._shards[shard_of(view.image, len(self._shards))]
-        return unrecognisable(image, shard.read(view.name)) if view.name in shard else image
+        if path in self._masks:
+            shard, name = self._masks[path]
+            return unrecognisable(image, shard.read(name))
+        if path not in self._told:
+            self._told.add(path)
+            log.warning("%s has no mask: all of it is made unrecognisable", path)
+        return unrecognisable(image, np.full((1, 1), PixelClass.VEHICLE, np.uint8))
 
 
-def _cut_outs(
+def _pictures(
     poles: pd.DataFrame,
     sightings: pd.DataFrame,
+    hazard: pd.DataFrame,
     frames: pd.DataFrame,
     read_image: ReadImage | None,
-) -> dict[str, tuple[str, str, Bytes]]:
-    """Image, view and picture of each pole that is kept and seen, by its id."""
-    if read_image is None:
-        return {}
-    kept = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
-    best = best_views(sightings, match_sightings(sightings, kept), len(kept))
-    paths = {(view.image, view.view): view.path for view in views_of(frames)}
-    found = {}
-    for name, row in zip(kept["id"].astype(str), best, strict=True):
-        if row < 0:
-            continue
-        seen = sightings.iloc[row]
-        place = str(seen["image"]), str(seen["view"])
-        u_min, v_min, u_max, v_max = (float(seen[k]) for k in ("u_min", "v_min", "u_max", "v_max"))
-        found[name] = (*place, cut_out(read_image(paths[place]), (u_min, v_min, u_max, v_max)))
-    return found
+    out: Path | None,
+) -> list[tuple[str, View, Bytes]]:
+    """Picture of each pole that is kept and seen, into the ZIP; the first of them for the page."""
+    best: list[tuple[str, View, pd.Series]] = []
+    if read_image is not None:
+        kept = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
+        rows = best_views(sightings, match_sightings(sightings, kept), len(kept))
+        views = {(view.image, view.view): view for view in views_of(frames)}
+        for name, row in zip(kept["id"].astype(str), rows, strict=True):
+            if row >= 0:
+                seen = sightings.iloc[row]
+                best.append((name, views[str(seen["image"]), str(seen["view"])], seen))
+    about = {name: {"image": view.image, "view": view.view} for name, view, _ in best}
+    rank = dict(zip(hazard["id"].astype(str), hazard["rank"], strict=True)) if len(hazard) else {}
+    first = sorted(about, key=lambda name: rank.get(name, np.inf))[:MOST_PICTURES]
+    shown = {}
+    with ImageShardWriter(out, about) if out else nullcontext() as archive:
+        for name, view, seen in best:
+            if read_image is None or not (archive or name in first):
+                continue
+            box = tuple(float(seen[key]) for key in ("u_min", "v_min", "u_max", "v_max"))
+            picture = cut_out(read_image(view.path), (box[0], box[1], box[2], box[3]))
+            if archive:
+                archive.write(name, picture)
+            if name in first:
+                shown[name] = name, view, picture
+    return [shown[name] for name in first]
 
 
 def _reader(
-    images: str, drive: Path | None, lenses_json: str, frames: Path, hide: _Hidden
+    images: str, drive: Path | None, lenses_json: str, frames: Path, hide: Hide
 ) -> ReadImage:
     """Reader of images by their path; without the distortion of their lenses, if told of any."""
     source = ImageSource(images)
     if not drive:
         return lambda path: hide(path, source.read(path))
     lenses = with_given(read_json(drive)["lenses"], json.loads(lenses_json))
-    keys = {
-        str(path): (str(route), int(width), int(height))
-        for path, route, width, height in read_table(frames)[
-            ["path", "route", "width_px", "height_px"]
-        ].itertuples(index=False)
+    table = read_table(frames)
+    names = ["image", "route", "width_px", "height_px"]
+    places = {
+        str(image): (str(route), int(width), int(height))
+        for image, route, width, height in table[names].itertuples(index=False)
     }
+    keys = {view.path: places[view.image] for view in views_of(table)}
+
+    @cache
+    def bent(key: tuple[str, int, int], shape: tuple[int, int]) -> Floats:
+        return source_places(lens_of(lenses, key, shape), shape[::-1], shape)
 
     def read(path: str) -> Bytes:
         image = source.read(path)
-        lens = lens_of(lenses, keys[path], (image.shape[0], image.shape[1]))
-        places = source_places(lens, image.shape[1::-1], image.shape[:2])
-        return hide(path, straightened(image, places, smooth=True))
+        shape = image.shape[0], image.shape[1]
+        return hide(path, straightened(image, bent(keys[path], shape), smooth=True))
 
     return read
 
