@@ -85,7 +85,7 @@ class TestConfig:
         )
 
     def test_an_unknown_key_far_from_all_others_gets_the_list(self):
-        assert "valid names: at_least, gap, second_objective, second_time_limit_s" in message(
+        assert "valid names: at_least, gap, patience, second_objective, second_time_limit_s" in message(
             load_config, {"cover": {"zzzzzz": 1}}
         )
 

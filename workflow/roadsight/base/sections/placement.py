@@ -65,8 +65,7 @@ class Cover(Section):
     patience: float = Field(
         default=1.0,
         ge=0,
-        description="a plan stays unproven where neither its cover nor its bound has moved for so"
-        " many times the work up to the last move, 5 s at least; 0: it goes on until the limit",
+        description="nothing moves for so many times the work up to the last move: stop; 0: never",
     )
     gap: float = Field(
         default=0.0,

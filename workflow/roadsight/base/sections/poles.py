@@ -251,8 +251,7 @@ class Pictures(Section):
 
     blur: bool = Field(
         default=True,
-        description="vehicles and people, as masks show them, are made unrecognisable; without a"
-        " mask the whole image is",
+        description="hide vehicles and people that masks show; without a mask the whole image",
     )
 
 
