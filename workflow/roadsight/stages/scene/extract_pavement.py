@@ -194,12 +194,13 @@ def _surface(
 
 
 def _whole(way: Way, cloud: CloudTiles) -> tuple[Floats, Floats | None, dict[str, NDArray[Any]]]:
-    """Points (n, 3), their intensity where it is used and varies, and all columns."""
+    """Points (n, 3), their intensity where it is used and varies, and the other columns."""
     names = ["x", "y", "z", "intensity", "classification"]
     points = cloud.read(names + (["scan"] if "scan" in cloud.columns else []))
     use = way.intensity != "ignore" and len(np.unique(points["intensity"][:100_000])) > 1
     intensity = points["intensity"].astype(np.float64) if use else None
-    return stack_xyz(points).astype(np.float64), intensity, points
+    xyz_m = stack_xyz(points).astype(np.float64)
+    return xyz_m, intensity, {name: column for name, column in points.items() if name not in "xyz"}
 
 
 def _sharpened(way: Way, cloud: CloudTiles, found: _Found) -> _Found:
