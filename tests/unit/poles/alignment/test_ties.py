@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from roadsight.geometry.cameras import wrap_deg
-from roadsight.poles.alignment.chain import Normal, others_say, surprise
-from roadsight.poles.alignment.drift import DriftModel
+from roadsight.poles.alignment.chain import Normal, others_say, solve_bordered, surprise
+from roadsight.poles.alignment.drift import OVERLAP, DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED, shared_misfit
 from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import FOCAL, SIZE, YAW, Spread, Start, pose_of
+from roadsight.poles.alignment.solve import Fit
 from roadsight.poles.alignment.ties import Member, pose_misfit, told_by_others
+from roadsight.poles.calibration.calibration import Mount
+from roadsight.poles.calibration.calibration_together import Tied, mount_together
 
 WIDTH = 640
 HEIGHT = 416
@@ -276,3 +279,75 @@ def test_what_the_drives_mean_leaves_open_stays_open_in_all_its_images():
         np.testing.assert_allclose(pose, certain[image][0], atol=1e-9)
     sure = told_by_others(members, (mean_unknowns(), uncertain), Spread(), DriftModel())
     assert sigmas(sure)[:, YAW].max() < 0.2
+
+
+@pytest.mark.parametrize("count", [1, 2, 6])
+def test_a_chain_with_shared_numbers_is_solved_as_one_large_system(count):
+    rng = np.random.default_rng(20 + count)
+    size, shared = 3, 2
+    members = [random_normal(rng, size + shared, 4) for _ in range(count)]
+    links = [random_normal(rng, 2 * size + shared, 4) for _ in range(count - 1)]
+    border = random_normal(rng, shared, 2)
+    whole = size * count + shared
+    common = np.arange(size * count, whole)
+    matrix, right = np.zeros((whole, whole)), np.zeros(whole)
+    parts = [(one, np.r_[size * k : size * (k + 1), common]) for k, one in enumerate(members)]
+    parts += [(one, np.r_[size * k : size * (k + 2), common]) for k, one in enumerate(links)]
+    for one, place in [*parts, (border, common)]:
+        matrix[np.ix_(place, place)] += one.matrix
+        right[place] += one.right
+    own, found, covariance = solve_bordered(members, links, border)
+    expected = np.linalg.solve(matrix, right)
+    np.testing.assert_allclose(own.ravel(), expected[: size * count], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(found, expected[size * count :], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(covariance, np.linalg.inv(matrix)[common][:, common], rtol=1e-6)
+
+
+def tied_drive(count, off):
+    """Images that measured their poses but no lens; their lens is taken as longer by a share."""
+    members, truth = drive(count)
+    sigma = np.array([0.1, 0.04, 0.03, 0.04, 0.04, 0.1])
+    normal = np.zeros((SIZE, SIZE))
+    normal[:POSED, :POSED] = np.diag(sigma**-2) / OVERLAP
+    fits = [
+        Fit(at, np.eye(SIZE), 0.0, np.empty((0, 2)), normal, np.zeros(SIZE)) if k % 3 == 0 else None
+        for k, at in enumerate(truth)
+    ]
+    mean = mean_unknowns()
+    mean[FOCAL] += off
+    members = [replace(m, unknowns=mean, measured=None) for m in members]
+    covariance = np.diag(np.r_[1.0, 0.7, 0.5, 3.0, 3.0, 1.5, 0.1, [0.2] * 4, 60.0, 60.0] ** 2)
+    pairs = zip(members, fits, strict=True)
+    return [Tied(member, fit) for member, fit in pairs], Mount(mean, covariance)
+
+
+def test_a_bend_tells_the_lens_by_what_images_share():
+    images, prior = tied_drive(24, off=0.03)
+    found = mount_together(images, prior, Spread(), DriftModel())
+    sigma = np.sqrt(np.diag(found.covariance))
+    error = found.mean - mean_unknowns()
+    assert sigma[FOCAL] < 0.005
+    assert abs(error[FOCAL]) < 3 * sigma[FOCAL]
+    assert abs(error[YAW]) < 3 * sigma[YAW]
+    assert found.images == 8
+    untied = [replace(one, member=replace(one.member, shared=np.empty((0, 4)))) for one in images]
+    alone = mount_together(untied, prior, Spread(), DriftModel())
+    assert np.sqrt(alone.covariance[FOCAL, FOCAL]) > 0.09
+
+
+def test_a_lens_that_is_known_is_held():
+    images, prior = tied_drive(12, off=0.0)
+    known = prior.covariance.copy()
+    known[FOCAL, FOCAL] = 1e-8
+    found = mount_together(images, replace(prior, covariance=known), Spread(), DriftModel())
+    assert found.mean[FOCAL] == pytest.approx(np.log(FOCAL_PX), abs=3e-4)
+
+
+def test_an_image_that_the_others_contradict_hardly_moves_the_mount():
+    images, prior = tied_drive(24, off=0.0)
+    right = mount_together(images, prior, Spread(), DriftModel())
+    wrong = images[12].fit.unknowns + 5.0 * np.eye(SIZE)[YAW]
+    images[12] = replace(images[12], fit=replace(images[12].fit, unknowns=wrong))
+    found = mount_together(images, prior, Spread(), DriftModel())
+    assert abs(found.mean[YAW] - right.mean[YAW]) < 0.1
+    assert abs(found.mean[FOCAL] - right.mean[FOCAL]) < 0.005

@@ -88,6 +88,20 @@ def test_axis_of_a_stem_seen_from_one_side(rng):
     assert used >= 8
 
 
+@pytest.mark.parametrize("noise_m", [0.02, 0.035])
+def test_errors_of_axes_are_as_their_sigmas_say(noise_m):
+    """Stems of 7 to 19 cm seen from one side, by scanners whose noise nobody stated."""
+    rng, squared = np.random.default_rng(5), []
+    for count in np.tile([4, 8, 12], 50):
+        angle = rng.uniform(0, 2 * np.pi) + rng.uniform(-1.4, 1.4, count)
+        hits = rng.uniform(0.07, 0.19) * np.column_stack([np.cos(angle), np.sin(angle)])
+        xy, sigma, _ = stem_axis(hits + rng.normal(0, noise_m, hits.shape))
+        squared.append(xy @ xy / sigma**2)
+    within = [np.mean(np.array(squared) < limit) for limit in (1.0, 5.99)]
+    assert 0.3 < within[0] < 0.75
+    assert within[1] > 0.9
+
+
 def test_arms_do_not_move_the_axis(rng):
     angle = rng.uniform(0, 2 * np.pi, 14)
     hits = 0.14 * np.column_stack([np.cos(angle), np.sin(angle)]) + rng.normal(0, 0.02, (14, 2))

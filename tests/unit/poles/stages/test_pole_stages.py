@@ -55,6 +55,7 @@ def site(tmp_path_factory):
     ).assign(route="r", kind="pole", y=0.0, sigma_bearing_deg=0.3, sigma_depth_m=1.0, kept=True)
     nothing = dict.fromkeys(NETWORK_COLUMNS, np.nan)
     sightings = sightings.assign(view="front", reason="", depth_from="network", **nothing)
+    sightings = sightings.assign(drift_east_m=0.0, drift_north_m=0.0)
     write_table(folder / "s0.parquet", sightings.iloc[::2])
     write_table(folder / "s1.parquet", sightings.iloc[1::2])
     write_table(folder / "none.parquet", sightings.iloc[:0])

@@ -22,15 +22,17 @@ def sightings(anchored, others=10, lost=0):
     return pd.concat([kept.assign(reason=""), left], ignore_index=True)
 
 
-@pytest.mark.parametrize(("anchored", "reach"), [(0, FAR_M), (1, FAR_M), (2, 40.0), (10, 40.0)])
+@pytest.mark.parametrize(
+    ("anchored", "reach"), [(0, FAR_M), (1, FAR_M), (6, FAR_M), (7, 40.0), (10, 40.0)]
+)
 def test_far_rays_count_where_the_cloud_shows_no_poles(anchored, reach):
     table = sightings(anchored)
     settings = far_reaching(table, UNAIDED)
     assert settings.max_distance_m == reach
     assert settings.max_sigma_m == (FAR_SIGMA_M if reach == FAR_M else 5.0)
     codes = [doubt.code for doubt in pole_doubts(table, [])]
-    told = ["poles_not_in_cloud"] if reach == FAR_M else []
-    assert codes == told + (["sigmas_too_small"] if 0 < anchored < 7 else [])
+    told = ["poles_not_in_cloud"] if anchored < 2 else []
+    assert codes == told + (["sigmas_too_small"] if reach == FAR_M else [])
 
 
 def test_a_wider_reach_is_never_narrowed():

@@ -13,12 +13,14 @@ from roadsight.poles.triangulate.locate import (
     calibrate_depths,
     drop_near_structures,
     error_ellipse,
+    triangulate,
     withhold_thin,
 )
 from roadsight.poles.triangulate.merging import follows_sequence, merge_groups
 from roadsight.poles.triangulate.packing import choose_groups
 from roadsight.poles.triangulate.rays import (
     UNAIDED,
+    TriangulationSettings,
     cross_rays,
     make_rays,
     pair_rays,
@@ -273,3 +275,22 @@ def test_poles_of_few_views_need_the_cloud():
     assert "fewer than 3 images" in found["reason"][0]
     assert found["reason"][3] == "long"
     assert withhold_thin(poles, pole_of, in_cloud, 2)["kept"].tolist() == [True, True, True, False]
+
+
+def test_an_error_along_the_way_that_near_cameras_share_does_not_average_out():
+    """A receiver that is off along a road moves all cameras of a stretch, and its poles."""
+    camera = np.column_stack([np.linspace(0.0, 28.0, 8), np.zeros(8)])
+    pole = np.array([40.0, 5.0])
+    gap = pole - camera
+    bearing = np.degrees(np.arctan2(gap[:, 0], gap[:, 1]))
+    own = {"sigma_bearing_deg": np.full(8, 0.1), "sigma_depth_m": np.full(8, 2.0)}
+    far = TriangulationSettings(calibrate_depth=False, max_distance_m=60.0)
+    sigma_m = []
+    for drift_m in (0.0, 0.6):
+        drift = np.tile([drift_m, 0.0], (8, 1))
+        depth = np.hypot(*gap.T)
+        rays = make_rays(camera, bearing, depth, image=np.arange(8), drift_m=drift, **own)
+        poles, _, _ = triangulate(rays, far)
+        assert len(poles) == 1
+        sigma_m.append(poles["sigma_major_m"].iloc[0])
+    assert sigma_m[1] == pytest.approx(np.hypot(sigma_m[0], 0.6), rel=0.15)

@@ -40,6 +40,9 @@ class Normal:
         return covariance @ self.right, 0.5 * (covariance + covariance.T)
 
 
+_Solved = tuple[Floats, Floats, Floats]
+
+
 def others_say(
     priors: Sequence[Normal], own: Sequence[Normal], links: Sequence[Normal]
 ) -> list[Normal]:
@@ -67,10 +70,54 @@ def _swept(
         matrix, right = link.matrix.copy(), link.right.copy()
         matrix[:size, :size] += here.matrix
         right[:size] += here.right
-        gain = np.linalg.solve(matrix[:size, :size], matrix[:size, size:])
-        rest = matrix[size:, size:] - matrix[size:, :size] @ gain
-        said.append(Normal(0.5 * (rest + rest.T), right[size:] - gain.T @ right[:size]))
+        said.append(eliminated(Normal(matrix, right), size)[0])
     return said
+
+
+def solve_bordered(members: Sequence[Normal], links: Sequence[Normal], border: Normal) -> _Solved:
+    """Least misfit of a chain whose members share some numbers, such as those of one camera.
+
+    Members are eliminated one by one, then found from the last to the first.
+
+    Parameters
+    ----------
+    members : (n) of each member's own k numbers, then the s shared ones, (k + s, k + s).
+    links : (n - 1) of each member's, the next one's, and the shared ones, (2 k + s, 2 k + s).
+    border : what is known of the shared numbers beforehand, (s, s).
+
+    Returns
+    -------
+    members' numbers (n, k), shared ones (s,) and their covariance (s, s)
+    """
+    shared = len(border.right)
+    size = len(members[0].right) - shared
+    own = np.r_[:size, 2 * size : 2 * size + shared]
+    rest = Normal(np.zeros_like(members[0].matrix), np.zeros_like(members[0].right))
+    gains = []
+    for member, link in zip(members, links, strict=False):
+        matrix, right = link.matrix.copy(), link.right.copy()
+        here = rest + member
+        matrix[np.ix_(own, own)] += here.matrix
+        right[own] += here.right
+        rest, gain = eliminated(Normal(matrix, right), size)
+        gains.append(gain)
+    rest, gain = eliminated(rest + members[-1], size)
+    common, covariance = (rest + border).least()
+    found = [gain.right - gain.matrix @ common]
+    for gain in gains[::-1]:
+        found.append(gain.right - gain.matrix @ np.r_[found[-1], common])
+    return np.array(found[::-1]), common, covariance
+
+
+def eliminated(one: Normal, size: int) -> tuple[Normal, Normal]:
+    """Misfit of what follows the first numbers, and these: ``right - matrix @`` what follows."""
+    head, cross = one.matrix[:size, :size], one.matrix[:size, size:]
+    both = np.column_stack([cross, one.right[:size]])
+    solved = np.asarray(np.linalg.solve(head, both), np.float64)
+    gain = Normal(solved[:, :-1], solved[:, -1])
+    matrix = one.matrix[size:, size:] - cross.T @ gain.matrix
+    right = one.right[size:] - cross.T @ gain.right
+    return Normal(0.5 * (matrix + matrix.T), right), gain
 
 
 def _swapped(link: Normal) -> Normal:

@@ -59,6 +59,12 @@ class ImageEdges:
         return self.from_pixels(self.uv_px, np.where(group % 2, 1, -1), group < 2, points)
 
 
+_OF_SPACING = 0.2
+"""Error of a road edge across, one standard deviation, as a share of the points' spacing: an edge
+lies anywhere between a point of the road and one beside it, and is smoothed along. Measured on the
+generated rural road: 0.07 m at 8 pulses/m2 and 0.16 m at 2, against the edges of 24."""
+
+
 @dataclass(frozen=True)
 class Noise:
     """One standard deviation of a pixel of an image edge and of a point of a road edge.
@@ -80,6 +86,12 @@ class Noise:
     height_m: float = 0.03
     independent: float = 0.03
     trust: tuple[float, float] = (1.0, 1.0)
+
+    @classmethod
+    def of_spacing(cls, spacing_m: float) -> Noise:
+        """Noise where the cloud's points on the road are so far apart; 0: not known."""
+        across_m = _OF_SPACING * spacing_m
+        return cls(across_m=max(cls.across_m, across_m), border_m=max(cls.border_m, across_m))
 
     def table(self) -> Floats:
         """What the kernel takes, (2, 4) of lanes and borders."""

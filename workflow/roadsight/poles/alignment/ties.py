@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED, shared_misfit
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, Spread
 
-_SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
+SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
 """Scale of each round, in standard deviations of a shared point: wide as long as headings are off,
 narrow against wrong matches. The last one is that of the result."""
 _STEP = np.array([0.5, 0.2, 0.05, 0.2, 0.2, 0.2])
@@ -35,7 +36,7 @@ _MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
 _INDEPENDENT = 0.15
 """Share of shared points that tell something new: they lie on few things, seen by one lens."""
-_HELD = Normal(np.diag(_STEP**-2.0), np.zeros(POSED))
+HELD = Normal(np.diag(_STEP**-2.0), np.zeros(POSED))
 """Keeps a step short: what images share is far from linear along the road."""
 _SOFT = 4.0 * POSED
 """Surprise, in squared standard deviations, at which a measurement counts a quarter: four times
@@ -87,18 +88,18 @@ def told_by_others(
         return {}
     now = [member.unknowns.copy() for member in members]
     weights = np.ones(len(members))
-    for scale in _SCALES[:-1]:
+    for scale in SCALES[:-1]:
         priors, own, links = _misfits(members, now, mean[0], spread, model, scale)
-        priors = [one + _HELD for one in priors]
+        priors = [one + HELD for one in priors]
         others, weights = _weighed(priors, own, links, weights)
         steps = [(r + o.times(w)).least()[0] for r, o, w in zip(others, own, weights, strict=True)]
         now = [np.r_[x[:POSED] + step, x[POSED:]] for x, step in zip(now, steps, strict=True)]
-    priors, own, links = _misfits(members, now, mean[0], spread, model, _SCALES[-1])
+    priors, own, links = _misfits(members, now, mean[0], spread, model, SCALES[-1])
     counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
     found = [rest.least() for rest in others_say(priors, counted, links)]
     focal = [
-        _shared(members[k], members[k + 1], (now[k], now[k + 1]), _SCALES[-1])[1]
-        for k in range(len(members) - 1)
+        -shared_points(pair, at, SCALES[-1]).matrix[:-1, -1]
+        for pair, at in zip(pairwise(members), pairwise(now), strict=True)
     ]
     by_focal = [w * m.by_focal for m, w in zip(members, weights, strict=True)]
     rests = _rests_on_mean(members, now, (priors, counted, links), spread, model, (by_focal, focal))
@@ -123,14 +124,14 @@ def _misfits(
 ) -> _Misfits:
     """Priors, own measurements and links, of the steps from where the images are now."""
     nothing = Normal(np.zeros((POSED, POSED)), np.zeros(POSED))
-    priors = [_sway(x, mean, spread) for x in now]
-    priors[0] = priors[0] + _first(members[0], now[0], mean, model)
+    priors = [swaying(x, mean, spread) for x in now]
+    priors[0] = priors[0] + first_place(members[0], now[0], mean, model)
     own = [_moved(m.measured or nothing, x) for m, x in zip(members, now, strict=True)]
-    links = [
-        _drift(members[k], members[k + 1], (now[k], now[k + 1]), mean, model)
-        + _shared(members[k], members[k + 1], (now[k], now[k + 1]), scale)[0]
-        for k in range(len(members) - 1)
-    ]
+    links = []
+    for pair, at in zip(pairwise(members), pairwise(now), strict=True):
+        points = shared_points(pair, at, scale)
+        alike = Normal(points.matrix[:-1, :-1], points.right[:-1])
+        links.append(drifting(*pair, at, mean, model) + alike)
     return priors, own, links
 
 
@@ -170,13 +171,13 @@ def _rests_on_mean(
         shift = np.zeros(len(now[0]))
         shift[number] = 1.0
         zero = np.zeros(len(shift))
-        moved = [Normal(one.matrix, _sway(zero, shift, spread).right) for one in priors]
+        moved = [Normal(one.matrix, swaying(zero, shift, spread).right) for one in priors]
         moved[0] = moved[0] + Normal(
-            0.0 * moved[0].matrix, _first(members[0], zero, shift, model).right
+            0.0 * moved[0].matrix, first_place(members[0], zero, shift, model).right
         )
         pulled = [
             Normal(
-                link.matrix, _drift(members[k], members[k + 1], (zero, zero), shift, model).right
+                link.matrix, drifting(members[k], members[k + 1], (zero, zero), shift, model).right
             )
             for k, link in enumerate(links)
         ]
@@ -190,14 +191,14 @@ def _moved(one: Normal, at: Floats) -> Normal:
     return Normal(one.matrix, one.right - one.matrix @ at[:POSED])
 
 
-def _sway(at: Floats, mean: Floats, spread: Spread) -> Normal:
+def swaying(at: Floats, mean: Floats, spread: Spread) -> Normal:
     """The vehicle about the drive's mean; where it is on the road is the track's matter."""
     weight = spread.vector()[:POSED] ** -2.0
     weight[_PLACE] = 0.0
     return Normal(np.diag(weight), weight * (mean - at)[:POSED])
 
 
-def _first(member: Member, at: Floats, mean: Floats, model: DriftModel) -> Normal:
+def first_place(member: Member, at: Floats, mean: Floats, model: DriftModel) -> Normal:
     """Error of the track at the drive's first image."""
     turn = np.zeros((2, POSED))
     turn[:, _PLACE] = axes(member.place.start.heading_deg).T
@@ -206,7 +207,7 @@ def _first(member: Member, at: Floats, mean: Floats, model: DriftModel) -> Norma
     return Normal(weight * turn.T @ turn, weight * turn.T @ gap)
 
 
-def _drift(
+def drifting(
     one: Member, other: Member, at: tuple[Floats, Floats], mean: Floats, model: DriftModel
 ) -> Normal:
     """How the error of the track changes between two images (first-order Gauss-Markov)."""
@@ -219,15 +220,13 @@ def _drift(
     return Normal(turn.T @ turn / variance, turn.T @ (turn @ apart) / variance)
 
 
-def _shared(
-    one: Member, other: Member, at: tuple[Floats, Floats], scale: float
-) -> tuple[Normal, Floats]:
-    """What the points that two images share tell, and how its right side (12,) moves with the lens.
+def shared_points(pair: tuple[Member, Member], at: tuple[Floats, Floats], scale: float) -> Normal:
+    """What points that two images share tell of steps of both poses and the log focal length.
 
-    Nothing where too few agree.
+    (13, 13); nothing where too few agree.
     """
-    zero = np.zeros(2 * POSED)
-    nothing = Normal(np.zeros((2 * POSED, 2 * POSED)), zero), zero
+    one, other = pair
+    nothing = Normal(np.zeros((2 * POSED + 1, 2 * POSED + 1)), np.zeros(2 * POSED + 1))
     if len(one.shared) < _FEWEST:
         return nothing
     start = one.place.start
@@ -239,8 +238,7 @@ def _shared(
     normal, gradient, residuals = shared_misfit(at, starts, one.shared, sigma_px, scale)
     if np.count_nonzero(np.abs(residuals) < scale) < _FEWEST:
         return nothing
-    normal, gradient = _INDEPENDENT * normal, _INDEPENDENT * gradient
-    return Normal(normal[:-1, :-1], -gradient[:-1]), -normal[:-1, -1]
+    return Normal(_INDEPENDENT * normal, -_INDEPENDENT * gradient)
 
 
 def _scatter(residuals: Floats, scale: float) -> float:

@@ -23,7 +23,8 @@ class Limits:
     ----------
     fewest_pixels : edge pixels in the image. fewest_points : LiDAR edge points ahead.
     residual_px : median distance of the edge pixels across their road edges, at 1,000 pixels of
-        image width. inliers : least share of pixels within three standard deviations.
+        image width, beside what the cloud's own edges leave open.
+    inliers : least share of pixels within three standard deviations.
     landmarks, inliers_with_landmarks : so many landmarks that agree let less of the edges do, since
         plants and side roads hide or feign borders.
     sigma_heading_deg, sigma_lateral_m : one standard deviation, of an image that stands alone; a
@@ -72,7 +73,8 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
         ),
         (inliers < share, "the edges of image and road disagree"),
         (
-            residual_px(best, share) > limits.residual_px * task.start.width_px / 1000,
+            residual_px(best, share)
+            > np.hypot(limits.residual_px * task.start.width_px / 1000, edge_sigma_px(best, task)),
             "the edges fit badly",
         ),
         (apart.max() > limits.from_expected, f"{worst} is too far from what was expected"),
@@ -87,6 +89,19 @@ def residual_px(fit: Fit, share: float = 0.5) -> float:
     """Distance in pixels within which a share of the edge pixels is from their road edges."""
     known = np.abs(fit.residuals[:, 0])
     return float(np.quantile(known, share)) if len(known) else float("nan")
+
+
+def edge_sigma_px(fit: Fit, task: Task) -> float:
+    """One standard deviation of the cloud's road edges in the image, pixels, median of the pixels.
+
+    In a sparse cloud an edge is known to some decimetres, which is many pixels near the camera.
+    """
+    own = np.array([task.noise.pixel_px, task.noise.border_px])
+    pixel = np.repeat(own, [task.seen.groups[2], len(task.seen.uv_px) - task.seen.groups[2]])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        variance = (fit.residuals[:, 0] / fit.residuals[:, 1]) ** 2 - pixel**2
+    variance = variance[np.isfinite(variance)]
+    return float(np.sqrt(max(np.median(variance), 0.0))) if len(variance) else 0.0
 
 
 def agreeing_landmarks(task: Task, fit: Fit) -> int:

@@ -1,4 +1,4 @@
-"""A drive's mount, side views and track error, once landmarks tell more than road edges alone."""
+"""A drive's mount, side views and track error from landmarks and points that images share."""
 
 from __future__ import annotations
 
@@ -15,16 +15,19 @@ from roadsight.poles.alignment.landmarks import VIEWS, LandmarkNoise
 from roadsight.poles.alignment.locate import locate
 from roadsight.poles.alignment.pose import FOCAL, TURNS, Spread
 from roadsight.poles.alignment.solve import Fit, Task
+from roadsight.poles.alignment.ties import Member
 from roadsight.poles.calibration.calibration import Loader, Mount, shared_mean, usable
 from roadsight.poles.calibration.calibration_sides import side_turns
 from roadsight.poles.calibration.calibration_spread import estimated_spread
 from roadsight.poles.calibration.calibration_table import DriveCalibration, drift_of
+from roadsight.poles.calibration.calibration_ties import Chain, Shared, in_order, is_tied
+from roadsight.poles.calibration.calibration_together import Tied, mount_together
 
 log = logging.getLogger(__name__)
 _ROUNDS = 8
 """Rounds at most; on the generated roads three suffice
 (`docs/decisions/033-a-drive-is-solved-together.md`)."""
-_SETTLED = 0.1
+_SETTLED = 0.2
 """Rounds end when the drive's mean moves by less than this, in standard deviations."""
 _STITCHED = 0.93
 """Turn of a side view as a share of the field of view, where views are made to be stitched."""
@@ -43,8 +46,11 @@ def with_landmarks(
     side_yaw_deg: tuple[float, float],
     starts: Mapping[str, Floats],
     model: DriftModel,
+    shared: Shared,
 ) -> tuple[DriveCalibration, Mapping[str, Floats]]:
-    """Calibration with what landmarks add, and the images' unknowns; the same if none has any.
+    """Calibration with what landmarks and shared points add, and the images' unknowns.
+
+    The same if there are neither.
 
     Each round aligns every image under what the others say, then takes mount, side views and the
     error of the track from all of them, until they no longer move. Lens, side views and poses are
@@ -56,15 +62,16 @@ def with_landmarks(
     ----------
     prior : what was known of the mount beforehand. side_yaw_deg : left and right, as far as known.
     starts : unknowns of the images, as road edges alone give them. model : of the receiver, as said
-    beforehand.
+    beforehand. shared : points of images that follow each other.
     """
     opened = False
+    chain = in_order(places, shared)
     for _ in range(_ROUNDS):
         images = [
             (place, load(*calibration.expected(place)))
             for place, load in zip(places, loaders, strict=True)
         ]
-        if all(task.sight is None for _, task in images):
+        if all(task.sight is None for _, task in images) and not is_tied(chain):
             return calibration, starts
         found = [(p, t, locate(t, noise, starts.get(p.image))) for p, t in images]
         good = [(p, t, fits[0]) for p, t, fits in found if usable(t, fits)]
@@ -72,7 +79,7 @@ def with_landmarks(
             return calibration, starts
         starts = {**starts, **{place.image: fit.unknowns for place, _, fit in good}}
         before = calibration.mount
-        calibration = _improved(calibration, good, prior, model)
+        calibration = _improved(calibration, good, prior, model, chain)
         if not opened:
             calibration, prior = _opened(calibration, good, prior, noise, side_yaw_deg)
             opened = True
@@ -88,16 +95,32 @@ def _moved(before: Mount, after: Mount) -> float:
 
 
 def _improved(
-    calibration: DriveCalibration, good: Sequence[_Posed], prior: Mount, model: DriftModel
+    calibration: DriveCalibration,
+    good: Sequence[_Posed],
+    prior: Mount,
+    model: DriftModel,
+    chain: Chain,
 ) -> DriveCalibration:
     mount, spread = calibration.mount, calibration.spread
     if not calibration.problem:
         fits = [fit for _, _, fit in good]
-        mount = shared_mean(fits, prior, spread)
+        if is_tied(chain):
+            found = {place.image: fit for place, _, fit in good}
+            images = [
+                _tied(calibration, place, found.get(place.image), points) for place, points in chain
+            ]
+            mount = mount_together(images, prior, spread, calibration.drift.model)
+        else:
+            mount = shared_mean(fits, prior, spread)
         spread = estimated_spread(fits, mount, Spread())
     measured = [(place, fit) for place, _, fit in good]
     drift, numbers = drift_of(measured, mount, spread, model)
     return replace(calibration, mount=mount, spread=spread, drift=drift, measured=numbers)
+
+
+def _tied(calibration: DriveCalibration, place: Place, fit: Fit | None, points: Floats) -> Tied:
+    unknowns = calibration.expected(place)[0] if fit is None else fit.unknowns
+    return Tied(Member(place, unknowns, None, points), fit)
 
 
 def _opened(

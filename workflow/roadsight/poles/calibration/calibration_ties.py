@@ -23,6 +23,22 @@ log = logging.getLogger(__name__)
 Shared = Mapping[tuple[str, str], Floats]
 """Pixels (n, 4) that two images share, by the names of both."""
 
+Chain = list[tuple[Place, Floats]]
+"""Places in the order of travel, each with the pixels (n, 4) that it shares with the next one."""
+
+
+def in_order(places: Sequence[Place], shared: Shared) -> Chain:
+    """Places of a drive in the order of travel with what each shares with the next one."""
+    ordered = sorted(places, key=lambda place: place.station_m)
+    pairs = [(one.image, other.image) for one, other in pairwise(ordered)]
+    empty = np.empty((0, 4))
+    return list(zip(ordered, [*(shared.get(p, empty) for p in pairs), empty], strict=True))
+
+
+def is_tied(chain: Chain) -> bool:
+    """Whether any two images of a drive share points."""
+    return any(len(points) for _, points in chain)
+
 
 def with_ties(
     calibration: DriveCalibration,
@@ -39,15 +55,13 @@ def with_ties(
     starts : unknowns of the images, as far as they were found. shared : of images that follow each
         other; the same calibration if there is none of this drive.
     """
-    order = sorted(range(len(places)), key=lambda k: places[k].station_m)
-    pairs = [(places[a].image, places[b].image) for a, b in pairwise(order)]
-    if not any(pair in shared for pair in pairs):
+    chain = in_order(places, shared)
+    if not is_tied(chain):
         return calibration
-    empty = np.empty((0, 4))
-    points = [shared.get(pair, empty) for pair in pairs] + [empty]
+    load = {place.image: loader for place, loader in zip(places, loaders, strict=True)}
     members = [
-        _member(calibration, places[k], loaders[k], noise, starts.get(places[k].image), seen)
-        for k, seen in zip(order, points, strict=True)
+        _member(calibration, place, load[place.image], noise, starts.get(place.image), points)
+        for place, points in chain
     ]
     mount, model = calibration.mount, calibration.drift.model
     told = told_by_others(members, (mount.mean, mount.covariance), calibration.spread, model)

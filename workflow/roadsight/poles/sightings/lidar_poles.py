@@ -35,14 +35,18 @@ _THIN_M = 0.3
 """Cells that count as one point each, however dense the cloud."""
 _HEAD_M = 1.2
 """Below the top by this much begin arms, lamps and wires, which lie beside the axis."""
-_NOISE_M = 0.03
-"""One standard deviation of a return about the surface of a stem."""
-_STRAY = 0.02
-"""Likelihood of a stray return against that of one on the surface."""
-_LEAST_SIGMA_M = 0.02
-"""Standard deviation that no place gets below: the cloud's own."""
-_CENTRES_M = np.arange(-0.30, 0.301, 0.02)
+_NOISE_M = (0.015, 0.02, 0.03, 0.045, 0.06)
+"""Standard deviations of a return about the surface of a stem that are tried, a factor of about 1.4
+apart: surveys and scanners differ, and so do stems, which lean and have bark."""
+_STRAY_PER_M = 0.67
+"""Density of a stray return at a distance from the surface, 1/m, over 2.5 (the square root of two
+pi): one in fifty at a noise of 3 cm."""
+_CENTRE_STEP_M = 0.02
+"""Step of the places tried."""
+_CENTRES_M = np.arange(-0.30, 0.301, _CENTRE_STEP_M)
 """Places tried in either direction from the median return."""
+_LEAST_SIGMA_M = _CENTRE_STEP_M / np.sqrt(12.0)
+"""Standard deviation that no place gets below: what a step of the grid leaves open."""
 _RADII_M = np.arange(0.03, 0.26, 0.02)
 """Radii tried, from a sign post's to a thick trunk's."""
 _USUAL_RADIUS_M = 0.13
@@ -185,8 +189,10 @@ def stem_axis(xy_m: Floats) -> tuple[Floats, float, int]:
     """Axis of a round stem in plan from returns on its surface.
 
     Returns lie on the side that faces the scanner: their mean is up to a radius off. The posterior
-    of centre and radius (usually 13 cm) is summed on a grid, with noise of 3 cm and strays that may
-    lie anywhere; its mean and spread are given, so that a second place that fits counts too.
+    of centre, radius (usually 13 cm) and noise (1.5 to 6 cm, each as likely beforehand) is summed
+    on a grid, with strays that may lie anywhere; its mean and spread are given, so that a second
+    place that fits counts too. They are relative to the cloud, whose own error on the ground is in
+    neither.
 
     Parameters
     ----------
@@ -200,13 +206,18 @@ def stem_axis(xy_m: Floats) -> tuple[Floats, float, int]:
     offset = xy_m - middle
     x, y = np.meshgrid(_CENTRES_M, _CENTRES_M, indexing="ij")
     away = np.hypot(offset[:, 0, None, None] - x, offset[:, 1, None, None] - y)
-    off = (away[..., None] - _RADII_M) / _NOISE_M
-    fits = np.log(np.exp(-0.5 * off**2) + _STRAY).sum(axis=0)
+    off_m = away[..., None] - _RADII_M
+    fits = np.stack(
+        [
+            np.log(np.exp(-0.5 * (off_m / noise) ** 2) / noise + _STRAY_PER_M).sum(axis=0)
+            for noise in _NOISE_M
+        ]
+    )
     fits -= 0.5 * ((_RADII_M - _USUAL_RADIUS_M) / _SPREAD_OF_RADII_M) ** 2
     weight = np.exp(fits - fits.max())
-    centre = weight.sum(axis=2) / weight.sum()
+    centre = weight.sum(axis=(0, 3)) / weight.sum()
     mean = np.array([(centre * x).sum(), (centre * y).sum()])
     variance = 0.5 * (centre * ((x - mean[0]) ** 2 + (y - mean[1]) ** 2)).sum()
     best = np.unravel_index(int(np.argmax(fits)), fits.shape)
-    agree = int(np.count_nonzero(np.abs(off[(slice(None), *best)]) < 3.0))
+    agree = int(np.count_nonzero(np.abs(off_m[(slice(None), *best[1:])]) < 3.0 * _NOISE_M[best[0]]))
     return middle + mean, float(np.hypot(np.sqrt(variance), _LEAST_SIGMA_M)), agree

@@ -104,9 +104,11 @@ def measure_view(
         camera, evidence.columns, bearing, sigma, prior, prior_sigma, settings.farthest_m, rises
     )
     lidar = _column_distances(camera, evidence.columns, match)
+    place = camera.sigma_towards_m(bearing)
     for other in (network, ground):
         with np.errstate(invalid="ignore"):
-            off = np.abs(other[0] - lidar[0]) > SNAP_DEPTHS * np.hypot(other[1], lidar[1])
+            sigma_m = np.sqrt(other[1] ** 2 + lidar[1] ** 2 + place**2)
+            off = np.abs(other[0] - lidar[0]) > SNAP_DEPTHS * sigma_m
         other[:, off] = np.nan
     table = _with_depths(table, {"network": network, "ground": ground, "lidar": lidar})
     sigma = with_place(camera, bearing, sigma, table["depth_m"].fillna(settings.farthest_m))
@@ -184,13 +186,16 @@ def _stack(*pairs: NDArray) -> tuple[Floats, Floats]:
 
 
 def _column_distances(camera: ViewCamera, columns: PoleColumns, match: Ints) -> Floats:
-    """Horizontal distance and sigma (2, n) of the columns that sightings match."""
+    """Horizontal distance and sigma (2, n) of the columns that sightings match.
+
+    Seen from where the camera is believed to be, a column's distance has no error of the camera's
+    place, as its direction has none: the ray ends at the column wherever the camera truly was.
+    """
     found = np.full((2, len(match)), np.nan)
     known = match >= 0
     offset = columns.xy_m[match[known]] - np.asarray(camera.position_m[:2])
-    direction = azimuth_deg(np.zeros(2), offset)
     found[0, known] = np.hypot(offset[:, 0], offset[:, 1])
-    found[1, known] = np.hypot(columns.sigma_m[match[known]], camera.sigma_towards_m(direction))
+    found[1, known] = columns.sigma_m[match[known]]
     return found
 
 
@@ -227,8 +232,6 @@ def _chosen_bearing(
             offset = evidence.columns.xy_m[match[i]] - np.asarray(camera.position_m[:2])
             away = float(np.hypot(*offset))
             direction = float(azimuth_deg(np.zeros(2), offset))
-            # Seen from where the camera is believed to be, the column's direction has no error of
-            # place: the ray meets the column wherever the camera truly was.
             own = float(np.degrees(np.arctan(evidence.columns.sigma_m[match[i]] / away)))
             share = sigma[i] ** 2 / (sigma[i] ** 2 + own**2)
             bearing[i] = (bearing[i] + share * float(wrap_deg(direction - bearing[i]))) % 360.0

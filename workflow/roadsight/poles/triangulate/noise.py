@@ -222,6 +222,8 @@ def misfits(
     turn_sigma = np.nan_to_num(own_turn)
     fixed = _spread(((1 - share) * alone + share * heading) * _pairs(free * turn_sigma), across)
     fixed += _spread(alone * _pairs(free * stated_depth), along)
+    drift = rays.drift_m[members]
+    fixed += _spread(np.exp(-apart / _DRIFT_M) * _pairs(free), drift)
     fixed += _spread(alone * _pairs(bound * turn_sigma), across)
     fixed += _spread(alone * _pairs(bound * stated_depth), along)
     column_m = bound * np.minimum(turn_sigma, stated_depth) * r

@@ -60,6 +60,8 @@ class Rays:
     row : row of the sighting in the caller's table.
     anchored : whether the sighting ends at something whose own place is known, such as a column of
         a cloud: errors of the camera's place, heading and depth scale do not add to its sigmas.
+    drift_m : 1 sigma of the camera's place that near images share, as a vector along its way, shape
+        (n, 2), beside what the settings say; alignment knows a place along the road least.
     """
 
     camera_m: Floats
@@ -72,6 +74,7 @@ class Rays:
     sequence: Ints
     row: Ints
     anchored: Bools
+    drift_m: Floats
 
     def __len__(self) -> int:
         return len(self.row)
@@ -102,6 +105,7 @@ def make_rays(
     route: NDArray | None = None,
     sequence: NDArray | None = None,
     anchored: NDArray | None = None,
+    drift_m: NDArray | None = None,
 ) -> Rays:
     """Rays in an order that does not depend on the order of the rows, without exact repeats.
 
@@ -110,7 +114,7 @@ def make_rays(
 
     Parameters
     ----------
-    camera_m : shape (n, 2). Others: shape (n,); image may be of any kind that sorts.
+    camera_m, drift_m : shape (n, 2). Others: shape (n,); image may be of any kind that sorts.
     """
     camera = np.asarray(camera_m, np.float64).reshape(-1, 2)
     n = len(camera)
@@ -134,6 +138,7 @@ def make_rays(
         sequences,
         np.arange(n),
         np.zeros(n, bool) if anchored is None else np.asarray(anchored, bool),
+        np.zeros((n, 2)) if drift_m is None else np.asarray(drift_m, np.float64),
     )
     keys = [sequences, route_codes, labels, sigma_depth, sigma_turn, depth, bearing]
     order = np.lexsort([*map(np.nan_to_num, keys), camera[:, 1], camera[:, 0]])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from roadsight.base.arrays import Ints
 from roadsight.base.errors import InputError
@@ -26,6 +27,8 @@ SIGHTING_COLUMNS = (
     "sigma_depth_m",
     "kept",
 )
+DRIFT_COLUMNS = ("drift_east_m", "drift_north_m")
+"""Error of the camera's place along its way, one sigma, as a vector, see `Rays.drift_m`."""
 POLE_COLUMNS = (
     "id",
     "kind",
@@ -59,7 +62,7 @@ def site_poles(
     Parameters
     ----------
     sightings : columns `SIGHTING_COLUMNS`, local metres; those not kept are left out. Optionally
-        ``anchored``: whether a sighting ends at something of the cloud.
+        ``anchored``: whether a sighting ends at something of the cloud; `DRIFT_COLUMNS`.
     method : ``packing`` (ours), ``listing`` (our former) or ``sweep`` (paper 2).
 
     Returns
@@ -95,10 +98,12 @@ def site_poles(
 
 def _rays(sightings: pd.DataFrame) -> Rays:
     names = ("depth_m", "sigma_bearing_deg", "sigma_depth_m", "image", "route", "sequence")
-    columns = {name: sightings[name].to_numpy() for name in names}
+    columns: dict[str, NDArray] = {name: sightings[name].to_numpy() for name in names}
     places = sightings[["x", "y"]].to_numpy(np.float64)
     if "anchored" in sightings:
         columns["anchored"] = sightings["anchored"].to_numpy(bool)
+    if set(DRIFT_COLUMNS) <= set(sightings):
+        columns["drift_m"] = sightings[list(DRIFT_COLUMNS)].to_numpy(np.float64)
     return make_rays(places, sightings["bearing_grid_deg"].to_numpy(np.float64), **columns)
 
 

@@ -86,15 +86,23 @@ def closing_radius(occupied: Bools, is_road: Bools, least: int) -> int:
     """Radius in cells at which next to no disc on the road is empty by chance.
 
     Points that fall at random with a mean of d a cell leave a disc of radius r empty with
-    probability exp(-pi d r^2); d follows from the share of occupied cells around the road.
+    probability exp(-pi d r^2).
+    """
+    density = points_per_cell(occupied, is_road)
+    radius = np.sqrt(-np.log(_MISSED_HOLES) / (np.pi * density))
+    # Discs are drawn a quarter of a cell larger than their radius, see `_disc`.
+    return int(np.clip(np.ceil(radius - 0.25), max(least, 1), max(least, _LARGEST_CLOSING)))
+
+
+def points_per_cell(occupied: Bools, is_road: Bools) -> float:
+    """Mean number of points of a cell on and around the road, from the share of occupied ones.
+
+    0.001 to 7: where next to all cells are occupied, the share tells no more.
     """
     around = cv2.dilate(is_road.view(np.uint8), _disc(2)).view(bool)
     cells = np.count_nonzero(around)
     share = np.count_nonzero(occupied & around) / cells if cells else 1.0
-    density = -np.log(max(1.0 - share, 1e-3))
-    radius = np.sqrt(-np.log(_MISSED_HOLES) / (np.pi * max(density, 1e-3)))
-    # Discs are drawn a quarter of a cell larger than their radius, see `_disc`.
-    return int(np.clip(np.ceil(radius - 0.25), max(least, 1), max(least, _LARGEST_CLOSING)))
+    return max(float(-np.log(max(1.0 - share, 1e-3))), 1e-3)
 
 
 def smoothing_cells(image: RoadImage, cell_size_m: float, settings: RoadEdges) -> float:

@@ -16,7 +16,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.io.images.intrinsics import read_intrinsics
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
-from roadsight.io.records.tables import read_table
+from roadsight.io.records.tables import read_about, read_table
 from roadsight.io.records.terrains import read_terrain
 from roadsight.placement.sensors.earth import rise_m
 from roadsight.poles.alignment.dense import GivenLens
@@ -147,7 +147,7 @@ def read_scene(given: SceneFiles, lens: str | None = None) -> AlignmentScene:
         edges,
         pixels,
         given.reach,
-        Noise(),
+        Noise.of_spacing(read_about(given.road_edges).get("spacing_m", 0.0)),
         _terrain(given.terrain),
         _pole_axes(given.pole_axes),
         _landmark_columns(given.columns),

@@ -171,7 +171,7 @@ def _calibrated(
     drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
     calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
     calibration, found = with_landmarks(
-        calibration, places, loaders, prior, noise, sides, starts, model
+        calibration, places, loaders, prior, noise, sides, starts, model, shared
     )
     return with_ties(calibration, places, loaders, noise, found, shared)
 

@@ -50,6 +50,8 @@ _COLUMNS = (
     "x",
     "y",
     "z",
+    "drift_east_m",
+    "drift_north_m",
     "latitude",
     "longitude",
     "bearing_grid_deg",
@@ -246,7 +248,10 @@ def _finished(
             dict.fromkeys(_TEXTS, str) | {"sequence": np.int64, "kept": bool, "foot_visible": bool}
         )
     table = sightings.join(frames.set_index("image")[["route", "sequence"]], on="image")
-    table = table.join(cameras[["x", "y", "z"]], on="image")
+    way = np.radians(cameras["heading_deg"])
+    sigma_m = cameras["sigma_along_m"].fillna(0.0)
+    drift = {"drift_east_m": sigma_m * np.sin(way), "drift_north_m": sigma_m * np.cos(way)}
+    table = table.join(cameras[["x", "y", "z"]].assign(**drift), on="image")
     xy = table[["x", "y"]].to_numpy(np.float64)
     nothing = np.full(len(table), np.nan)
     latitude, longitude, turn = nothing, nothing, nothing

@@ -31,7 +31,12 @@ from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
 from roadsight.poles.triangulate.pole_doubts import far_reaching, pole_doubts
 from roadsight.poles.triangulate.rays import TriangulationSettings
-from roadsight.poles.triangulate.site import POLE_COLUMNS, SIGHTING_COLUMNS, site_poles
+from roadsight.poles.triangulate.site import (
+    DRIFT_COLUMNS,
+    POLE_COLUMNS,
+    SIGHTING_COLUMNS,
+    site_poles,
+)
 from roadsight.stages.command import Command
 from roadsight.stages.doubts import tell
 
@@ -61,7 +66,7 @@ def triangulate_poles(
 ) -> None:
     """Write poles, their ellipses and the rays that show them."""
     frame = Frame.from_dict(read_json(frame_path))
-    columns = [*SIGHTING_COLUMNS, "view", "reason", "depth_from", *NETWORK_COLUMNS]
+    columns = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from", *NETWORK_COLUMNS]
     parts = [read_table(path, columns) for path in sightings_paths]
     sightings = pd.concat(parts, ignore_index=True)
     settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)

@@ -31,6 +31,7 @@ from roadsight.scene.edges.road_edges import (
     edge_lines,
     edge_pixels,
     outlines,
+    points_per_cell,
     smoothing_cells,
 )
 from roadsight.scene.edges.surface_heights import surface_heights
@@ -142,6 +143,7 @@ def _outlined(
     )
     about: dict[str, object] = {
         "cell_size_m": top.cell_size_m,
+        "spacing_m": top.cell_size_m / np.sqrt(points_per_cell(top.cls > 0, is_road(top.cls))),
         "method": settings.method,
         "settings": settings.model_dump(),
     }
