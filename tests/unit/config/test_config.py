@@ -85,8 +85,9 @@ class TestConfig:
         )
 
     def test_an_unknown_key_far_from_all_others_gets_the_list(self):
-        assert "valid names: at_least, gap, patience, second_objective, second_time_limit_s" in message(
-            load_config, {"cover": {"zzzzzz": 1}}
+        assert (
+            "valid names: at_least, gap, patience, second_objective, second_time_limit_s"
+            in message(load_config, {"cover": {"zzzzzz": 1}})
         )
 
     @pytest.mark.parametrize("low", [10.0, 12])
