@@ -52,7 +52,7 @@ def test_first_triangles_are_the_nearest_of_all(rng, soup, count, shared, robust
     assert np.array_equal(scene.occluded(origins, ways), met)
 
 
-def test_what_is_met_at_the_limit_or_farther_does_not_count(rng, soup):
+def test_what_is_met_beyond_the_limit_does_not_count(rng, soup):
     scene, ways = RayScene(*soup), _ways(rng, 400)
     nearest = _pairs(*soup, np.zeros(3), ways)[0].min(axis=1)
     found = scene.first_hits(np.zeros(3), ways, 8.0)
@@ -86,3 +86,16 @@ def test_a_scene_of_nothing_stops_no_ray():
     scene = RayScene(np.empty((0, 3)), np.empty((0, 3), int))
     assert scene.first_hits(np.zeros(3), np.eye(3)).triangle.tolist() == [-1, -1, -1]
     assert not scene.occluded(np.zeros(3), np.eye(3)).any()
+
+
+@pytest.mark.parametrize(
+    ("origins", "ways"), [((2, 3), (40, 3)), ((1, 3), (3, 40)), ((3,), (3,)), ((4,), (4, 3))]
+)
+def test_what_are_no_rays_are_refused(soup, origins, ways):
+    with pytest.raises(ValueError, match="are no rays"):
+        RayScene(*soup).first_hits(np.zeros(origins), np.ones(ways))
+
+
+def test_a_flat_triangle_is_one():
+    corners = np.array([[-1, -1, 5], [1, -1, 5], [0, 1, 5]])
+    assert RayScene(corners, [0, 1, 2]).first_hits(np.zeros(3), [[0, 0, 1]]).range_m == 5.0

@@ -33,6 +33,7 @@ _VERTEX_BUFFER = 1
 _UINT3 = 0x5003
 _FLOAT3 = 0x9003
 _ROBUST = 4
+_NO_ROOM = 4
 _COHERENT = 1 << 16
 _ALL_FEATURES = -1
 _ROOM = 32
@@ -79,7 +80,8 @@ class RayScene:
         corners = np.asarray(corners_m, np.float32)
         # Embree reads 16 bytes at each corner.
         self._corners = np.concatenate([corners, np.zeros((1, 3), np.float32)])
-        self._triangles = np.array(triangles, np.uint32, order="C")
+        self._triangles = np.array(triangles, np.uint32, order="C").reshape(-1, 3)
+        embree.rtcGetDeviceError(device)  # of an earlier call: it is kept until it is asked for
         self._scene = Address(embree.rtcNewScene(device))
         self._release = weakref.finalize(self, embree.rtcReleaseScene, self._scene)
         embree.rtcSetSceneFlags(self._scene, _ROBUST if robust else 0)
@@ -95,8 +97,10 @@ class RayScene:
         embree.rtcAttachGeometry(self._scene, geometry)
         embree.rtcReleaseGeometry(geometry)
         embree.rtcCommitScene(self._scene)
-        if embree.rtcGetDeviceError(device):
-            raise MemoryError(f"Embree has no room for {len(self._triangles)} triangles")
+        error = embree.rtcGetDeviceError(device)
+        if error:
+            told = f"Embree refuses {len(self._triangles)} triangles (its error {error})"
+            raise MemoryError(told if error != _NO_ROOM else f"{told}: no room")
 
     def first_hits(
         self, origins_m: ArrayLike, directions: ArrayLike, limit: float = np.inf
@@ -106,7 +110,7 @@ class RayScene:
         Parameters
         ----------
         origins_m : (n, 3), or (3,) for rays from one point. directions : (n, 3) of any length.
-        limit : what is met there or farther does not count, in lengths of the direction.
+        limit : what is met farther does not count, in lengths of the direction.
         """
         rays = _rays(origins_m, directions)
         return FirstHits(*_first_hits(*self._call("rtcIntersect16"), *rays, float(limit)))
@@ -125,9 +129,17 @@ class RayScene:
 
 
 def _rays(origins_m: ArrayLike, directions: ArrayLike) -> tuple[Floats32, Floats32]:
-    """Origins (n, 3) or (1, 3) and directions (n, 3) as compiled code takes them."""
-    ways = np.ascontiguousarray(directions, np.float32).reshape(-1, 3)
-    return np.ascontiguousarray(origins_m, np.float32).reshape(-1, 3), ways
+    """Origins (n, 3) or (1, 3) and directions (n, 3) as compiled code takes them.
+
+    Raises
+    ------
+    ValueError : they have other shapes.
+    """
+    ways = np.ascontiguousarray(directions, np.float32)
+    origins = np.ascontiguousarray(np.atleast_2d(np.asarray(origins_m, np.float32)))
+    if ways.shape != (len(ways), 3) or origins.shape not in ((1, 3), ways.shape):
+        raise ValueError(f"origins {origins.shape} and directions {ways.shape} are no rays")
+    return origins, ways
 
 
 @cache

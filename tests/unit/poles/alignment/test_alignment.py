@@ -17,6 +17,7 @@ from roadsight.poles.alignment.verdict import (
     Limits,
     condition,
     doubt,
+    edge_sigma_px,
     is_one_sided,
     sigmas,
     too_little,
@@ -75,6 +76,14 @@ def test_poses_are_right_and_sigmas_honest(bed, tasks, fits):
     assert np.median(errors[:, 1]) < 0.05 and np.median(errors[:, 2]) < 0.06
     assert (errors[:, 3:] < 3.0).all()
     assert all(doubt(t, f, Limits()) == "" for t, f in zip(tasks, fits, strict=True))
+
+
+def test_limits_are_wider_by_what_a_sparse_cloud_adds_alone(tasks, fits):
+    assert edge_sigma_px(fits[3][0], tasks[3]) == 0.0
+    sparse = [replace(task, noise=Noise.of_spacing(0.7)) for task in tasks[3:6]]
+    added = [edge_sigma_px(search(task)[0], task) for task in sparse]
+    # 0.14 m instead of 0.03 and 0.1 m, some 20 m away: pixels, of images 1000 px wide.
+    assert all(1.0 < one < 10.0 for one in added)
 
 
 def test_derivatives_match_differences(tasks):

@@ -54,6 +54,16 @@ def test_one_pole_in_two_views_counts_once():
     assert found["view"].tolist() == ["right"]
 
 
+@pytest.mark.parametrize(("place_m", "count"), [(0.6, 1), (0.05, 2)])
+def test_a_view_that_ends_at_a_column_has_no_error_of_the_place(place_m, count):
+    at_column = {"depth_m": 12.0, "sigma_depth_m": 0.03, "depth_lidar_m": 12.0}
+    front = sighting("front", 359.95, sigma_place_m=place_m, **at_column)
+    side = {"depth_m": 13.6, "sigma_depth_m": 0.45, "depth_lidar_m": np.nan}
+    assert len(kept(front, sighting("right", 0.05, sigma_place_m=place_m, **side))) == count
+    both = sighting("right", 0.05, sigma_place_m=place_m, **at_column | {"depth_m": 13.6})
+    assert len(kept(front, both)) == 2
+
+
 def test_halves_at_a_seam_become_one_in_the_middle():
     found = kept(
         sighting("front", 359.9, cut_side=True, width_deg=0.2),

@@ -110,6 +110,19 @@ def test_a_single_lidar_column_sharpens_bearing_and_distance():
     assert unmoved["bearing_grid_deg"] == plain["bearing_grid_deg"]
 
 
+@pytest.mark.parametrize("behind_m", [-1.2, 0.0, 1.2])
+def test_a_ray_that_ends_at_a_column_ends_there(behind_m):
+    """Also where the camera stands 2 sigmas off along the road, so that the others disagree."""
+    camera = replace(CAMERA, sigma_along_m=0.6)
+    mask, depth = rendered([place(350.0, 12.0)], camera)
+    column = PoleColumns(place(350.0, 12.0 + behind_m)[None], np.array([9.0]), np.array([0.03]))
+    evidence = Evidence(level, column, np.empty((0, 3)))
+    found = measure_view(camera, mask, depth, evidence).iloc[0]
+    assert found["depth_lidar_m"] == pytest.approx(12.0 + behind_m)
+    assert (found["depth_m"], found["depth_from"]) == (found["depth_lidar_m"], "lidar")
+    assert found["sigma_depth_m"] == pytest.approx(0.03)
+
+
 def test_two_columns_that_agree_are_not_used():
     two = PoleColumns(
         np.array([place(350.0, 20.0), place(350.1, 20.5)]), np.full(2, 9.0), np.full(2, 0.1)

@@ -22,7 +22,12 @@ from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.vectors import read_layer
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
-from roadsight.stages.poles import rate_hazard, triangulate_poles, validate_poles
+from roadsight.stages.poles import (
+    measure_poles,
+    rate_hazard,
+    triangulate_poles,
+    validate_poles,
+)
 
 FEET = Frame((900_000.0, 700_000.0, 2000.0), 1200 / 3937, 1200 / 3937, CRS("EPSG:6543").to_wkt())
 OUTPUTS = {
@@ -371,3 +376,18 @@ def test_verb_refuses_bad_values(tmp_path):
         run_verb(tmp_path / "s.csv", "--max-distance-m", "0", "-o", tmp_path / "p.csv")
     with pytest.raises(InputError, match="cannot be read"):
         run_verb(tmp_path / "none.csv", "-o", tmp_path / "p.csv")
+
+
+def test_errors_along_the_way_go_with_the_vehicle():
+    """East at 90 degrees from north; nothing where a camera states none."""
+    cameras = pd.DataFrame(
+        {"x": 0.0, "y": 0.0, "z": 0.0, "heading_deg": [90.0, 180.0, 45.0]}, index=["a", "b", "c"]
+    ).assign(sigma_along_m=[0.5, 0.3, np.nan])
+    frames = pd.DataFrame({"image": ["a", "b", "c"], "route": "r", "sequence": [1, 2, 3]})
+    empty = dict.fromkeys(measure_poles._COLUMNS, 0.0)
+    for name in ("x", "y", "z", "route", "sequence", "drift_east_m", "drift_north_m"):
+        del empty[name]
+    sightings = pd.DataFrame([empty | {"image": name} for name in "abc"])
+    found = measure_poles._finished(sightings, frames, cameras, Frame((0.0, 0.0, 0.0)), False)
+    drift = found[["drift_east_m", "drift_north_m"]].to_numpy()
+    assert drift == pytest.approx(np.array([[0.5, 0.0], [0.0, -0.3], [0.0, 0.0]]), abs=1e-12)

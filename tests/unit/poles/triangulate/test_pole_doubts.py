@@ -30,9 +30,16 @@ def test_far_rays_count_where_the_cloud_shows_no_poles(anchored, reach):
     settings = far_reaching(table, UNAIDED)
     assert settings.max_distance_m == reach
     assert settings.max_sigma_m == (FAR_SIGMA_M if reach == FAR_M else 5.0)
-    codes = [doubt.code for doubt in pole_doubts(table, [])]
+    codes = [doubt.code for doubt in pole_doubts(table, [], settings)]
     told = ["poles_not_in_cloud"] if anchored < 2 else []
     assert codes == told + (["sigmas_too_small"] if reach == FAR_M else [])
+
+
+def test_doubts_name_the_limits_that_hold():
+    own = UNAIDED.model_copy(update={"max_distance_m": 80.0, "max_sigma_m": 0.5})
+    (found,) = pole_doubts(sightings(3), [], own)
+    assert "up to 80 m" in found.message
+    assert "known to 0.5 m" in found.message
 
 
 def test_a_wider_reach_is_never_narrowed():
@@ -44,7 +51,7 @@ def test_a_wider_reach_is_never_narrowed():
 
 def test_what_was_scaled_and_left_out_is_told():
     network = [NetworkScale("a", "front", 0.6, 0.2, 90), NetworkScale("b", "front", 1.1, 0.1, 40)]
-    found = pole_doubts(sightings(9, lost=7), network)
+    found = pole_doubts(sightings(9, lost=7), network, UNAIDED)
     told = [(doubt.code, doubt.severity, doubt.measured) for doubt in found]
     assert told == [
         ("network_scale", "doubt", 0.6),

@@ -294,3 +294,28 @@ def test_an_error_along_the_way_that_near_cameras_share_does_not_average_out():
         assert len(poles) == 1
         sigma_m.append(poles["sigma_major_m"].iloc[0])
     assert sigma_m[1] == pytest.approx(np.hypot(sigma_m[0], 0.6), rel=0.15)
+
+
+def test_ways_out_and_back_do_not_cancel():
+    """Errors along the way are each drive's own, and turn round with it on a hairpin."""
+    x = np.r_[np.linspace(0.0, 25.0, 6), np.linspace(80.0, 55.0, 6)]
+    camera = np.column_stack([x, np.zeros(12)])
+    gap = np.array([40.0, 5.0]) - camera
+    bearing = np.degrees(np.arctan2(gap[:, 0], gap[:, 1]))
+    own = {"sigma_bearing_deg": np.full(12, 0.1), "sigma_depth_m": np.full(12, 0.5)}
+    far = TriangulationSettings(calibrate_depth=False, max_distance_m=60.0)
+
+    def sigma_m(back: float, routes: list[str]) -> float:
+        drift = np.zeros((12, 2))
+        drift[:6, 0], drift[6:, 0] = 0.6, back
+        depth, image = np.hypot(*gap.T), np.arange(12)
+        route = np.repeat(routes, 6)
+        rays = make_rays(camera, bearing, depth, image=image, route=route, drift_m=drift, **own)
+        (found,) = triangulate(rays, far)[0]["sigma_major_m"]
+        return float(found)
+
+    one_way, hairpin = sigma_m(0.6, ["a", "a"]), sigma_m(-0.6, ["a", "a"])
+    two = sigma_m(-0.6, ["a", "b"])
+    assert hairpin == pytest.approx(one_way)
+    assert two == pytest.approx(sigma_m(0.6, ["a", "b"]))
+    assert 0.6 / np.sqrt(2) * 0.8 < two < one_way

@@ -9,7 +9,7 @@ import numpy as np
 
 from roadsight.base.sections.poles import AlignmentLimits
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, PITCH, UNKNOWNS, YAW
-from roadsight.poles.alignment.solve import FINEST, Fit, Task
+from roadsight.poles.alignment.solve import FINEST, Fit, Noise, Task
 
 _PIXELS_OF_A_SIDE = 10
 """Edge pixels that a side of the road needs to count as seen."""
@@ -92,14 +92,19 @@ def residual_px(fit: Fit, share: float = 0.5) -> float:
 
 
 def edge_sigma_px(fit: Fit, task: Task) -> float:
-    """One standard deviation of the cloud's road edges in the image, pixels, median of the pixels.
+    """What the cloud's spacing adds to its road edges in the image, pixels, median of the pixels.
 
-    In a sparse cloud an edge is known to some decimetres, which is many pixels near the camera.
+    In a sparse cloud an edge is known to some decimetres, which is many pixels near the camera;
+    one standard deviation. A dense cloud adds nothing.
     """
+    usual = Noise()
     own = np.array([task.noise.pixel_px, task.noise.border_px])
-    pixel = np.repeat(own, [task.seen.groups[2], len(task.seen.uv_px) - task.seen.groups[2]])
+    usual_m = np.array([usual.across_m, usual.border_m])
+    added = 1.0 - (usual_m / np.array([task.noise.across_m, task.noise.border_m])) ** 2
+    counts = [task.seen.groups[2], len(task.seen.uv_px) - task.seen.groups[2]]
+    pixel, share = np.repeat(own, counts), np.repeat(np.maximum(added, 0.0), counts)
     with np.errstate(invalid="ignore", divide="ignore"):
-        variance = (fit.residuals[:, 0] / fit.residuals[:, 1]) ** 2 - pixel**2
+        variance = share * ((fit.residuals[:, 0] / fit.residuals[:, 1]) ** 2 - pixel**2)
     variance = variance[np.isfinite(variance)]
     return float(np.sqrt(max(np.median(variance), 0.0))) if len(variance) else 0.0
 

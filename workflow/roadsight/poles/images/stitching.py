@@ -66,7 +66,8 @@ def merge_views(sightings: pd.DataFrame) -> pd.DataFrame:
     Parameters
     ----------
     sightings : image, view, kind, bearing_grid_deg, sigma_bearing_deg, width_deg, depth_m,
-        sigma_depth_m, cut_side (bool), kept, reason.
+        sigma_depth_m, cut_side (bool), kept, reason; depth_lidar_m and sigma_place_m (error of the
+        camera's place along the ray, which the distance of a column has not) where they are known.
 
     Returns
     -------
@@ -102,6 +103,9 @@ def _apart_deg(front: pd.Series, side: pd.Series) -> float | None:
     if front["cut_side"] and side["cut_side"]:
         reach = max(reach, _SEAM_DEG)
     depth_sigma = np.hypot(front["sigma_depth_m"], side["sigma_depth_m"])
+    ends = [np.isfinite(one.get("depth_lidar_m", np.nan)) for one in (front, side)]
+    if ends[0] != ends[1]:
+        depth_sigma = np.hypot(depth_sigma, side.get("sigma_place_m", 0.0))
     depths_differ = abs(front["depth_m"] - side["depth_m"]) > max(_SIGMAS * depth_sigma, 1.0)
     return None if apart > reach or depths_differ else apart
 

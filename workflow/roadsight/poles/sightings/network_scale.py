@@ -85,7 +85,9 @@ def with_scales(sightings: pd.DataFrame, scales: list[NetworkScale]) -> pd.DataF
         table[name].to_numpy(np.float64).copy() for name in ("depth_m", "sigma_depth_m")
     )
     sources = table["depth_from"].to_numpy(object).copy()
-    for row in np.flatnonzero(touched & np.isfinite(network_m)):
+    # Of a sighting that ends at a column nothing else tells the distance.
+    free = ~np.isfinite(table["depth_lidar_m"].to_numpy(np.float64))
+    for row in np.flatnonzero(touched & free & np.isfinite(network_m)):
         depth_m[row], depth_sigma_m[row], used = fuse_depths(ways[row, ::2], ways[row, 1::2])
         sources[row] = "+".join(kind for kind, one in zip(_KINDS, used, strict=True) if one)
     return table.assign(depth_m=depth_m, sigma_depth_m=depth_sigma_m, depth_from=sources)

@@ -117,6 +117,7 @@ def measure_view(
         camera, (bearing, sigma), match, evidence, (feet, boxes), settings, 30.0 * scale
     )
     table["bearing_grid_deg"], table["sigma_bearing_deg"], table["method"] = bearing, sigma, method
+    table["sigma_place_m"] = place
     table["width_deg"] = np.degrees(np.arctan(width / camera.intrinsics.focal_px))
     return _once_a_column(_judged(table, found, camera, settings), match)
 
@@ -204,10 +205,14 @@ def _with_depths(table: pd.DataFrame, pairs: dict[str, NDArray]) -> pd.DataFrame
     for name, (distance, sigma) in pairs.items():
         columns[f"depth_{name}_m"], columns[f"sigma_depth_{name}_m"] = distance, sigma
     fused = [fuse_depths(*pair) for pair in zip(*_stack(*pairs.values()), strict=True)]
-    columns["depth_m"] = [one[0] for one in fused]
-    columns["sigma_depth_m"] = [one[1] for one in fused]
     names = np.array(list(pairs))
-    columns["depth_from"] = ["+".join(names[one[2]]) for one in fused]
+    told = ["+".join(names[one[2]]) for one in fused]
+    lidar = pairs["lidar"]
+    # A ray that ends at a column ends there: other distances have the error of the camera's place.
+    ends = np.isfinite(lidar[0])
+    columns["depth_m"] = np.where(ends, lidar[0], [one[0] for one in fused])
+    columns["sigma_depth_m"] = np.where(ends, lidar[1], [one[1] for one in fused])
+    columns["depth_from"] = np.where(ends, "lidar", np.array(told, dtype=object))
     return table.assign(**columns)
 
 

@@ -223,12 +223,24 @@ def misfits(
     fixed = _spread(((1 - share) * alone + share * heading) * _pairs(free * turn_sigma), across)
     fixed += _spread(alone * _pairs(free * stated_depth), along)
     drift = rays.drift_m[members]
-    fixed += _spread(np.exp(-apart / _DRIFT_M) * _pairs(free), drift)
+    fixed += _spread(_one_way(rays, members) * np.exp(-apart / _DRIFT_M) * _pairs(free), drift)
     fixed += _spread(alone * _pairs(bound * turn_sigma), across)
     fixed += _spread(alone * _pairs(bound * stated_depth), along)
     column_m = bound * np.minimum(turn_sigma, stated_depth) * r
     fixed += _spread(_pairs(column_m), axes) + _FLOOR_M2 * np.eye(2 * size)
     return Misfits(rest_m.reshape(groups, -1), np.stack(parts), fixed)
+
+
+def _one_way(rays: Rays, members: Ints) -> Floats:
+    """How alike errors along the ways of rays are (g, k, k), by sign: within a drive, by direction.
+
+    Ahead on the way out is astern on the way back.
+    """
+    drift = rays.drift_m[members]
+    length = np.hypot(drift[..., 0], drift[..., 1])[..., None]
+    ahead = np.divide(drift, length, out=np.zeros_like(drift), where=length > 0)
+    route = rays.route[members]
+    return np.asarray((route[:, :, None] == route[:, None]) * (ahead @ ahead.swapaxes(1, 2)))
 
 
 def _pairs(factor: Floats) -> Floats:

@@ -56,12 +56,17 @@ def far_reaching(sightings: pd.DataFrame, settings: TriangulationSettings) -> Tr
     return settings.model_copy(update={"max_distance_m": FAR_M, "max_sigma_m": sharp_m})
 
 
-def pole_doubts(sightings: pd.DataFrame, network: Sequence[NetworkScale]) -> list[Doubt]:
+def pole_doubts(
+    sightings: pd.DataFrame,
+    network: Sequence[NetworkScale],
+    settings: TriangulationSettings,
+) -> list[Doubt]:
     """Doubts about the poles of a site.
 
     Parameters
     ----------
     sightings : columns kept, anchored, reason. network : cameras whose network was scaled.
+    settings : by which they are triangulated, see `far_reaching`.
     """
     found = []
     for one in network:
@@ -80,8 +85,9 @@ def pole_doubts(sightings: pd.DataFrame, network: Sequence[NetworkScale]) -> lis
         found.append(Doubt("poles_not_in_cloud", "doubt", text, round(share, 3), LEAST_ANCHORED))
     if share < FEW_ANCHORED:
         text = (
-            f"few poles show in the cloud, so that sightings up to {FAR_M:g} m count, what is not"
-            f" known to {FAR_SIGMA_M:g} m is withheld, and errors along the road are larger than"
+            "few poles show in the cloud, so that sightings up to"
+            f" {settings.max_distance_m:g} m count, what is not known to {settings.max_sigma_m:g} m"
+            " is withheld, and errors along the road are larger than"
             " stated (a denser survey mends that): share of sightings that end at one"
         )
         found.append(Doubt("sigmas_too_small", "doubt", text, round(share, 3), FEW_ANCHORED))

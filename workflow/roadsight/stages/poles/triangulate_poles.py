@@ -76,7 +76,7 @@ def triangulate_poles(
     sightings = sightings.assign(anchored=in_cloud)
     settings = far_reaching(sightings, settings)
     if doubts_path:
-        doubts = pole_doubts(sightings, network)
+        doubts = pole_doubts(sightings, network, settings)
         tell(doubts, doubts_path, "poles", log)
     poles, pole_of, scales = site_poles(sightings, settings, settings.method)
     poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)
