@@ -49,7 +49,7 @@ test: .venv/.installed-dev ## the test suite
 	$(BIN)/python -m pytest -m "not full" -n $(CORES) --dist loadgroup
 
 test-full: .venv/.installed-dev ## the test suite with the longest runs
-	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup
+	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup --durations 20
 
 bench: .venv/.installed-dev ## side-by-side benchmarks into results/bench: bench.json and a page
 	$(BIN)/python benchmarks/run.py --out results/bench/bench.json
