@@ -89,7 +89,7 @@ def test_a_scene_of_nothing_stops_no_ray():
 
 
 @pytest.mark.parametrize(
-    ("origins", "ways"), [((2, 3), (40, 3)), ((1, 3), (3, 40)), ((3,), (3,)), ((4,), (4, 3))]
+    ("origins", "ways"), [((2, 3), (40, 3)), ((1, 3), (3, 40)), ((3, 1), (1, 3)), ((4,), (4, 3))]
 )
 def test_what_are_no_rays_are_refused(soup, origins, ways):
     with pytest.raises(ValueError, match="are no rays"):

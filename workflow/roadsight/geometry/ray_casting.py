@@ -135,11 +135,11 @@ def _rays(origins_m: ArrayLike, directions: ArrayLike) -> tuple[Floats32, Floats
     ------
     ValueError : they have other shapes.
     """
+    origins = np.ascontiguousarray(origins_m, np.float32)
     ways = np.ascontiguousarray(directions, np.float32)
-    origins = np.ascontiguousarray(np.atleast_2d(np.asarray(origins_m, np.float32)))
-    if ways.shape != (len(ways), 3) or origins.shape not in ((1, 3), ways.shape):
+    if not origins.shape[-1:] == ways.shape[-1:] == (3,) or origins.size not in (3, ways.size):
         raise ValueError(f"origins {origins.shape} and directions {ways.shape} are no rays")
-    return origins, ways
+    return origins.reshape(-1, 3), ways.reshape(-1, 3)
 
 
 @cache
