@@ -14,12 +14,12 @@ def test_patience_grows_with_the_work_up_to_the_last_move():
     limit.spend(300)  # of others
     patience = Patience(limit)
     assert not patience.is_over("a")
-    limit.spend(4)
-    assert not patience.is_over("a")  # 5 s are always borne
+    limit.spend(25)
+    assert not patience.is_over("a")  # 30 s are always borne
     limit.spend(6)
     assert patience.is_over("a")
-    assert not patience.is_over("b")  # moved, after 10 s
-    limit.spend(20)
+    assert not patience.is_over("b")  # moved, after 31 s
+    limit.spend(62)
     assert not patience.is_over("b")
     limit.spend(0.1)
     assert patience.is_over("b")
@@ -37,7 +37,7 @@ def test_parts_are_as_patient_as_the_whole():
     part = Effort(1000, 1.0).limit().part(2)
     patience = Patience(part)
     assert not patience.is_over("a")
-    part.spend(5.1)
+    part.spend(30.1)
     assert patience.is_over("a")
 
 

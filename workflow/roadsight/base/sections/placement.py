@@ -63,7 +63,7 @@ class Cover(Section):
         description="solver limit for each plan, s; counted in steps of work, so that runs agree",
     )
     patience: float = Field(
-        default=1.0,
+        default=4.0,
         ge=0,
         description="nothing moves for so many times the work up to the last move: stop; 0: never",
     )
