@@ -46,6 +46,29 @@ Address = ctypes.c_void_p
 Packet = NDArray[np.int32]
 
 
+class _Call(NamedTuple):
+    """A function of Embree with its arguments.
+
+    Parameters
+    ----------
+    at : addresses of the function, marks, scene, packet and further arguments. valid : marks of
+        the rays that count (16). packet, numbers : the same memory (32, 16), as integers and not.
+    """
+
+    at: tuple[int, ...]
+    valid: Packet
+    packet: Packet
+    numbers: Floats32
+
+
+class _Rays(NamedTuple):
+    """Origins (n, 3) or (1, 3), directions (n, 3), and the limit in their lengths."""
+
+    origins: Floats32
+    ways: Floats32
+    limit: float
+
+
 class FirstHits(NamedTuple):
     """First triangle along each ray.
 
@@ -112,24 +135,22 @@ class RayScene:
         origins_m : (n, 3), or (3,) for rays from one point. directions : (n, 3) of any length.
         limit : what is met farther does not count, in lengths of the direction.
         """
-        rays = _rays(origins_m, directions)
-        return FirstHits(*_first_hits(*self._call("rtcIntersect16"), *rays, float(limit)))
+        rays = _rays(origins_m, directions, limit)
+        return FirstHits(*_first_hits(self._call("rtcIntersect16"), rays))
 
     def occluded(self, origins_m: ArrayLike, directions: ArrayLike, limit: float = np.inf) -> Bools:
         """Whether rays (n,) meet any triangle; parameters as in `first_hits`."""
-        rays = _rays(origins_m, directions)
-        return _occluded(*self._call("rtcOccluded16"), *rays, float(limit))
+        return _occluded(self._call("rtcOccluded16"), _rays(origins_m, directions, limit))
 
-    def _call(self, name: str) -> tuple[tuple[int, ...], Packet, Packet, Floats32]:
-        """What to call with which addresses, and what lies there: marks of rays, and a packet."""
+    def _call(self, name: str) -> _Call:
         valid, packet = _aligned(1), _aligned(_ROOM)
         scene, more = self._scene.value or 0, _arguments().ctypes.data
         at = _address(name), valid.ctypes.data, scene, packet.ctypes.data, more
-        return at, valid[0], packet, packet.view(np.float32)
+        return _Call(at, valid[0], packet, packet.view(np.float32))
 
 
-def _rays(origins_m: ArrayLike, directions: ArrayLike) -> tuple[Floats32, Floats32]:
-    """Origins (n, 3) or (1, 3) and directions (n, 3) as compiled code takes them.
+def _rays(origins_m: ArrayLike, directions: ArrayLike, limit: float) -> _Rays:
+    """Rays as compiled code takes them.
 
     Raises
     ------
@@ -139,7 +160,7 @@ def _rays(origins_m: ArrayLike, directions: ArrayLike) -> tuple[Floats32, Floats
     ways = np.ascontiguousarray(directions, np.float32)
     if not origins.shape[-1:] == ways.shape[-1:] == (3,) or origins.size not in (3, ways.size):
         raise ValueError(f"origins {origins.shape} and directions {ways.shape} are no rays")
-    return origins.reshape(-1, 3), ways.reshape(-1, 3)
+    return _Rays(origins.reshape(-1, 3), ways.reshape(-1, 3), float(limit))
 
 
 @cache
@@ -206,66 +227,42 @@ def _call_embree(
 
 
 @njit(cache=True)
-def _cast(
-    at: tuple[int, ...],
-    valid: Packet,
-    packet: Packet,
-    numbers: Floats32,
-    origins: Floats32,
-    ways: Floats32,
-    limit: float,
-    begin: int,
-) -> int:
+def _cast(call: _Call, rays: _Rays, begin: int) -> int:
     """Cast the rays from ``begin`` on that fit into a packet; how many they are."""
-    count = min(_PACKET, len(ways) - begin)
+    packet, numbers = call.packet, call.numbers
+    count = min(_PACKET, len(rays.ways) - begin)
     for k in range(_PACKET):
-        valid[k] = -1 if k < count else 0
+        call.valid[k] = -1 if k < count else 0
         row = begin + min(k, count - 1)
-        start = row if len(origins) > 1 else 0
+        start = row if len(rays.origins) > 1 else 0
         for axis in range(3):
-            numbers[axis, k] = origins[start, axis]
-            numbers[_WAY + axis, k] = ways[row, axis]
+            numbers[axis, k] = rays.origins[start, axis]
+            numbers[_WAY + axis, k] = rays.ways[row, axis]
         numbers[_NEAR, k] = numbers[_TIME, k] = 0.0
-        numbers[_FAR, k] = limit
+        numbers[_FAR, k] = rays.limit
         packet[_MASK, k] = packet[_TRIANGLE, k] = packet[_GEOMETRY, k] = -1
         packet[_ID, k] = packet[_FLAGS, k] = 0
         packet[_INSTANCE, k] = packet[_INSTANCE + 1, k] = -1
-    _call_embree(*at)
+    _call_embree(*call.at)
     return count
 
 
 @njit(cache=True, nogil=True)
-def _first_hits(
-    at: tuple[int, ...],
-    valid: Packet,
-    packet: Packet,
-    numbers: Floats32,
-    origins: Floats32,
-    ways: Floats32,
-    limit: float,
-) -> tuple[Floats32, Ints32, Floats32, Floats32]:
-    n = len(ways)
+def _first_hits(call: _Call, rays: _Rays) -> tuple[Floats32, Ints32, Floats32, Floats32]:
+    n, numbers = len(rays.ways), call.numbers
     range_m, triangle = np.empty(n, np.float32), np.empty(n, np.int32)
     u, v = np.empty(n, np.float32), np.empty(n, np.float32)
     for begin in range(0, n, _PACKET):
-        for k in range(_cast(at, valid, packet, numbers, origins, ways, limit, begin)):
-            range_m[begin + k], triangle[begin + k] = numbers[_FAR, k], packet[_TRIANGLE, k]
+        for k in range(_cast(call, rays, begin)):
+            range_m[begin + k], triangle[begin + k] = numbers[_FAR, k], call.packet[_TRIANGLE, k]
             u[begin + k], v[begin + k] = numbers[_U, k], numbers[_V, k]
     return range_m, triangle, u, v
 
 
 @njit(cache=True, nogil=True)
-def _occluded(
-    at: tuple[int, ...],
-    valid: Packet,
-    packet: Packet,
-    numbers: Floats32,
-    origins: Floats32,
-    ways: Floats32,
-    limit: float,
-) -> Bools:
-    hidden = np.empty(len(ways), np.bool_)
-    for begin in range(0, len(ways), _PACKET):
-        for k in range(_cast(at, valid, packet, numbers, origins, ways, limit, begin)):
-            hidden[begin + k] = numbers[_FAR, k] < 0.0
+def _occluded(call: _Call, rays: _Rays) -> Bools:
+    hidden = np.empty(len(rays.ways), np.bool_)
+    for begin in range(0, len(hidden), _PACKET):
+        for k in range(_cast(call, rays, begin)):
+            hidden[begin + k] = call.numbers[_FAR, k] < 0.0
     return hidden

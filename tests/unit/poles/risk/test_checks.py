@@ -85,6 +85,17 @@ def test_the_radius_holds_95_of_100_whatever_the_ellipse(rng, ratio):
     assert inside.mean() == pytest.approx(0.95, abs=0.01 if ratio >= 0.6 else 0.002)
 
 
+@pytest.mark.parametrize("turn_deg", [0.0, 30.0, 45.0])
+def test_accuracy_does_not_hang_on_how_a_road_runs(rng, turn_deg):
+    """Errors along a road of any direction: half a metre across, three along it."""
+    along = np.radians(turn_deg)
+    axes = np.array([[np.cos(along), np.sin(along)], [-np.sin(along), np.cos(along)]])
+    error = rng.normal(0, 1.0, (50_000, 2)) * (3.0, 0.5) @ axes
+    found = score_checks(error, 0, ["all"] * len(error), {"all": len(error)})
+    inside = np.hypot(*error.T) <= found["nssda_m"]
+    assert inside.mean() == pytest.approx(0.95, abs=0.005)
+
+
 def test_nothing_is_left_to_chance_where_all_were_checked():
     assert wilson(0.7, np.ones(30)) == (0.7, 0.7)
     narrow, wide = (np.ptp(wilson(0.7, np.full(30, w))) for w in (1.2, 100.0))

@@ -107,28 +107,36 @@ class _Sources:
         return self._names[path]
 
     def _remember(self, memory: Path) -> None:
-        try:
-            known: Any = read_json(memory)
-        except InputError:
-            known = None
         # Another way to look for imports finds others.
         parser = hashlib.sha256(Path(__file__).read_bytes()).hexdigest()
-        names = known.get("imports") if isinstance(known, dict) else None
-        before = names if isinstance(names, dict) and known.get("parser") == parser else {}
-        found = {}
+        before, found = _kept_imports(memory, parser), {}
         for path in self._files.values():
             content = path.read_bytes()
             checksum = hashlib.sha256(content).hexdigest()
             self._checksums[self._shown(path)] = checksum
-            known = before.get(checksum)
-            if not (isinstance(known, list) and all(isinstance(name, str) for name in known)):
+            names = before.get(checksum)
+            if names is None:
                 try:
-                    known = _imports(content)
+                    names = _imports(content)
                 except SyntaxError:
                     continue  # told where a stage needs the file
-            self._names[path] = found[checksum] = known
+            self._names[path] = found[checksum] = names
         if found != before:
             write_json(memory, {"parser": parser, "imports": found})
+
+
+def _kept_imports(memory: Path, parser: str) -> dict[str, list[str]]:
+    """What the same parser found before, by checksum; nothing of a damaged file."""
+    try:
+        kept: Any = read_json(memory)
+    except InputError:
+        return {}
+    found = kept.get("imports") if isinstance(kept, dict) and kept.get("parser") == parser else None
+    return {
+        checksum: names
+        for checksum, names in (found.items() if isinstance(found, dict) else ())
+        if isinstance(names, list) and all(isinstance(name, str) for name in names)
+    }
 
 
 class Stamps:

@@ -103,7 +103,8 @@ def score_checks(
         by the strata's sizes, and its 95 % interval (Wilson, of as many independent checks as the
         unequal weights and the poles that are left leave); None where a stratum has no check.
     unchecked_strata : their names. distance_m : statistics. nssda_m : 95 % of the places are within
-        it (None below 20 checks with a pole), rmse_x_m, rmse_y_m.
+        it (None below 20 checks with a pole), by the errors along their own axes. rmse_x_m,
+        rmse_y_m.
     """
     distance_m = np.hypot(*error_m.reshape(-1, 2).T)
     stands = np.isfinite(distance_m)
@@ -164,10 +165,17 @@ def _nssda(error_m: Floats) -> dict[str, Any]:
     rmse = np.sqrt((error_m**2).mean(axis=0))
     enough = len(error_m) >= FEWEST
     return {
-        "nssda_m": radius_95_m(*rmse) if enough else None,
+        "nssda_m": radius_95_m(*_along_own_axes_m(error_m)) if enough else None,
         "rmse_x_m": float(rmse[0]),
         "rmse_y_m": float(rmse[1]),
     }
+
+
+def _along_own_axes_m(error_m: Floats) -> tuple[float, float]:
+    """Root mean squares of errors along their own axes: a road may run any way on the grid."""
+    squares = np.linalg.eigvalsh(error_m.T @ error_m / len(error_m))
+    less, more = np.sqrt(np.maximum(squares, 0.0))
+    return float(less), float(more)
 
 
 def radius_95_m(x_m: float, y_m: float) -> float:

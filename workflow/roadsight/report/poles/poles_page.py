@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,6 @@ from roadsight.report.poles.poles_layers import (
     cameras_of,
     edge_points,
     finite,
-    match_sightings,
     pole_records,
     sighting_layer,
 )
@@ -38,6 +37,8 @@ FORMAT = "roadsight.poles-page/1"
 """Of the page's content; the report refuses others."""
 
 ReadImage = Callable[[str], Bytes]
+Picture = tuple[str, View, Bytes]
+"""Id of a pole, the view that shows it best, and what is cut out of it."""
 ReadEdges = Callable[[str], pd.DataFrame]
 
 
@@ -48,14 +49,14 @@ class PolesResult:
     Parameters
     ----------
     top : overhead view of the cloud. road_edges_m : LiDAR road edge (n, 3).
-    frames, cameras, sightings, poles, hazard : tables of the job, whole; poles that were not kept
-        are counted, not shown.
+    frames, cameras, sightings, hazard : tables of the job, whole. owner : row of the pole of each
+        sighting, -1 if none. poles : those that are kept. withheld : reasons of the others.
     image_edges : u, v of the segmented edges of an image.
     read_image : image of a path, None where the images are not at hand.
     depth_fit : of one image, or None. validation : content of validation.json, or None.
     files : names of the files that hold the poles. sections : cross-sections at poles and along
-        roads. profiles : their measured heights, by pole. pictures : id, view and cut-out of poles,
-        in the order in which they are shown. hidden : whether what moves is unrecognisable in them.
+        roads. profiles : their measured heights, by pole. pictures : in the order in
+        which they are shown. hidden : whether what moves is unrecognisable in them.
     """
 
     top: TopRaster
@@ -63,7 +64,9 @@ class PolesResult:
     frames: pd.DataFrame
     cameras: pd.DataFrame
     sightings: pd.DataFrame
+    owner: Ints
     poles: pd.DataFrame
+    withheld: pd.Series
     hazard: pd.DataFrame
     image_edges: ReadEdges
     read_image: ReadImage | None
@@ -72,7 +75,7 @@ class PolesResult:
     files: Sequence[str] = ()
     sections: pd.DataFrame = field(default_factory=pd.DataFrame)
     profiles: dict[str, Any] = field(default_factory=dict)
-    pictures: Sequence[tuple[str, View, Bytes]] = ()
+    pictures: Sequence[Picture] = ()
     hidden: bool = False
 
 
@@ -88,8 +91,7 @@ def build_poles_page(
     images = cameras_of(result.frames, result.cameras)
     # Images of unknown place are counted, but have none on the map.
     cameras = images[images[["x", "y"]].notna().all(axis=1)].reset_index(drop=True)
-    withheld, result = _kept(result)
-    owner = match_sightings(result.sightings, result.poles)
+    owner = result.owner
     chosen = choose_images(cameras)
     names = cameras["image"].tolist()
     poles = pole_records(result.poles, names, Frame.from_dict(about))
@@ -101,7 +103,7 @@ def build_poles_page(
         "summary": summary,
         "frame": about,
         "counts": _counts(images, result),
-        "rejections": _rejections(images, result.sightings) | {"poles": _by_count(withheld)},
+        "rejections": _rejections(images, result.sightings) | {"poles": _by_count(result.withheld)},
         "layers": {
             "raster": class_layer(result.top, cameras[["x", "y"]].to_numpy()),
             "edges": edge_points(result.road_edges_m),
@@ -130,13 +132,6 @@ def build_poles_page(
             ]
         ],
     }
-
-
-def _kept(result: PolesResult) -> tuple[pd.Series, PolesResult]:
-    """Reasons of the poles that were not kept, and the result without them."""
-    kept = result.poles["kept"].to_numpy(bool)
-    poles = result.poles[kept].reset_index(drop=True)
-    return result.poles.loc[~kept, "reason"].astype(str), replace(result, poles=poles)
 
 
 def _seen_times(owner: Ints, poles: int) -> list[int]:

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.arrays import Bytes, Floats, Ints
 from roadsight.base.sections.poles import Pictures
 from roadsight.base.shards import shard_of
 from roadsight.geometry.cameras import Intrinsics
@@ -35,6 +35,7 @@ from roadsight.report.poles.poles_depth import depth_fit
 from roadsight.report.poles.poles_layers import match_sightings
 from roadsight.report.poles.poles_page import (
     MOST_PICTURES,
+    Picture,
     PolesResult,
     ReadEdges,
     ReadImage,
@@ -45,6 +46,7 @@ from roadsight.stages.command import Command
 log = logging.getLogger("write_poles_page")
 
 Hide = Callable[[str, Bytes], Bytes]
+_Best = tuple[str, View, tuple[float, float, float, float]]
 _MOST_FITS_TRIED = 12
 """Images of which the fit of depth is tried, spread over the drive, until one can be shown."""
 
@@ -80,20 +82,22 @@ def write_poles_page(
     """Read the artifacts of a site's poles job and write its page and its poles' pictures."""
     about, summary = read_json(frame), read_json(summary_path)
     edges = read_table(road_edges, ["x", "y", "z"])
-    cameras = _joined(cameras_paths)
-    read_image = None
-    if images:
-        hide = _Hidden(frames, masks) if settings.blur else _shown
-        read_image = _reader(images, drive, lenses, frames, hide)
-    seen, found = _joined(sightings), read_table(poles)
+    cameras, places, seen = _joined(cameras_paths), read_table(frames), _joined(sightings)
+    found, withheld = _kept(read_table(poles))
+    owner = match_sightings(seen, found)
     rated = read_table(hazard) if hazard else pd.DataFrame()
+    hide = _Hidden(places, masks) if settings.blur else _shown
+    read_image = _reader(images, drive, lenses, places, hide) if images else None
+    best = _best(found, seen, owner, places) if images else []
     result = PolesResult(
         read_top(top, Frame.from_dict(about)),
         edges.to_numpy(np.float64),
-        read_table(frames),
+        places,
         cameras,
         seen,
+        owner,
         found,
+        withheld,
         rated,
         _image_edges(image_edges),
         read_image,
@@ -102,7 +106,7 @@ def write_poles_page(
         [path.name for path in files],
         read_table(sections) if sections else pd.DataFrame(),
         read_about(sections).get("profiles", {}) if sections else {},
-        _pictures(found, seen, rated, read_table(frames), read_image, pictures),
+        _pictures(best, _most_dangerous(best, rated), read_image, pictures),
         settings.blur,
     )
     page = build_poles_page(title or site, summary, about, result)
@@ -113,6 +117,12 @@ def write_poles_page(
     write_json(out, page)
 
 
+def _kept(poles: pd.DataFrame) -> tuple[pd.DataFrame, pd.Series]:
+    """Poles that are kept, and the reasons of the others."""
+    kept = poles["kept"].to_numpy(bool)
+    return poles[kept].reset_index(drop=True), poles.loc[~kept, "reason"].astype(str)
+
+
 def _shown(path: str, image: Bytes) -> Bytes:
     """The image as it is."""
     return image
@@ -121,11 +131,11 @@ def _shown(path: str, image: Bytes) -> Bytes:
 class _Hidden:
     """Makes unrecognisable what masks say moves; the whole image where there is no mask."""
 
-    def __init__(self, frames: Path, masks: Sequence[Path]) -> None:
-        self._shards = [ImageShard(path) for path in masks]
+    def __init__(self, frames: pd.DataFrame, masks: Sequence[Path]) -> None:
+        shards = [ImageShard(path) for path in masks]
         self._masks: dict[str, tuple[ImageShard, str]] = {}
-        for view in views_of(read_table(frames)):
-            shard = self._shards[shard_of(view.image, len(masks))] if masks else None
+        for view in views_of(frames):
+            shard = shards[shard_of(view.image, len(masks))] if masks else None
             if shard and view.name in shard:
                 self._masks[view.path] = shard, view.name
         self._told: set[str] = set()
@@ -140,56 +150,60 @@ class _Hidden:
         return unrecognisable(image, np.full((1, 1), PixelClass.VEHICLE, np.uint8))
 
 
-def _pictures(
-    poles: pd.DataFrame,
-    sightings: pd.DataFrame,
-    hazard: pd.DataFrame,
-    frames: pd.DataFrame,
-    read_image: ReadImage | None,
-    out: Path | None,
-) -> list[tuple[str, View, Bytes]]:
-    """Picture of each pole that is kept and seen, into the ZIP; the first of them for the page."""
-    best: list[tuple[str, View, pd.Series]] = []
-    if read_image is not None:
-        kept = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
-        rows = best_views(sightings, match_sightings(sightings, kept), len(kept))
-        views = {(view.image, view.view): view for view in views_of(frames)}
-        for name, row in zip(kept["id"].astype(str), rows, strict=True):
-            if row >= 0:
-                seen = sightings.iloc[row]
-                best.append((name, views[str(seen["image"]), str(seen["view"])], seen))
-    about = {name: {"image": view.image, "view": view.view} for name, view, _ in best}
+def _best(
+    poles: pd.DataFrame, sightings: pd.DataFrame, owner: Ints, frames: pd.DataFrame
+) -> list[_Best]:
+    """Id, view and box (least u and v, greatest) of the best sighting of each pole that is seen."""
+    views = {(view.image, view.view): view for view in views_of(frames)}
+    rows = best_views(sightings, owner, len(poles))
+    seen = sightings.iloc[rows[rows >= 0]]
+    boxes = seen[["u_min", "v_min", "u_max", "v_max"]].to_numpy(np.float64).tolist()
+    places = zip(seen["image"].astype(str), seen["view"].astype(str), strict=True)
+    names = poles["id"].astype(str)[rows >= 0]
+    return [
+        (name, views[place], (u_min, v_min, u_max, v_max))
+        for name, place, (u_min, v_min, u_max, v_max) in zip(names, places, boxes, strict=True)
+    ]
+
+
+def _most_dangerous(best: Sequence[_Best], hazard: pd.DataFrame) -> list[str]:
+    """Ids of the poles whose pictures the page holds, the most dangerous first."""
     rank = dict(zip(hazard["id"].astype(str), hazard["rank"], strict=True)) if len(hazard) else {}
-    first = sorted(about, key=lambda name: rank.get(name, np.inf))[:MOST_PICTURES]
-    shown = {}
+    names = [name for name, _, _ in best]
+    return sorted(names, key=lambda name: rank.get(name, np.inf))[:MOST_PICTURES]
+
+
+def _pictures(
+    best: Sequence[_Best], wanted: Sequence[str], read_image: ReadImage | None, out: Path | None
+) -> list[Picture]:
+    """Cut the pictures out, all of them into the ZIP; those that are wanted, in their order."""
+    about = {name: {"image": view.image, "view": view.view} for name, view, _ in best}
+    found: dict[str, Picture] = {}
     with ImageShardWriter(out, about) if out else nullcontext() as archive:
-        for name, view, seen in best:
-            if read_image is None or not (archive or name in first):
-                continue
-            box = tuple(float(seen[key]) for key in ("u_min", "v_min", "u_max", "v_max"))
-            picture = cut_out(read_image(view.path), (box[0], box[1], box[2], box[3]))
-            if archive:
-                archive.write(name, picture)
-            if name in first:
-                shown[name] = name, view, picture
-    return [shown[name] for name in first]
+        for name, view, box_px in best:
+            if read_image and (archive or name in wanted):
+                picture = cut_out(read_image(view.path), box_px)
+                if archive:
+                    archive.write(name, picture)
+                if name in wanted:
+                    found[name] = name, view, picture
+    return [found[name] for name in wanted]
 
 
 def _reader(
-    images: str, drive: Path | None, lenses_json: str, frames: Path, hide: Hide
+    images: str, drive: Path | None, lenses_json: str, frames: pd.DataFrame, hide: Hide
 ) -> ReadImage:
     """Reader of images by their path; without the distortion of their lenses, if told of any."""
     source = ImageSource(images)
     if not drive:
         return lambda path: hide(path, source.read(path))
     lenses = with_given(read_json(drive)["lenses"], json.loads(lenses_json))
-    table = read_table(frames)
     names = ["image", "route", "width_px", "height_px"]
     places = {
         str(image): (str(route), int(width), int(height))
-        for image, route, width, height in table[names].itertuples(index=False)
+        for image, route, width, height in frames[names].itertuples(index=False)
     }
-    keys = {view.path: places[view.image] for view in views_of(table)}
+    keys = {view.path: places[view.image] for view in views_of(frames)}
 
     @cache
     def bent(key: tuple[str, int, int], shape: tuple[int, int]) -> Floats:
