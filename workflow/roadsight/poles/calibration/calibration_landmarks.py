@@ -27,7 +27,7 @@ log = logging.getLogger(__name__)
 _ROUNDS = 8
 """Rounds at most; on the generated roads three suffice
 (`docs/decisions/033-a-drive-is-solved-together.md`)."""
-_SETTLED = 0.2
+_SETTLED = 0.1
 """Rounds end when the drive's mean moves by less than this, in standard deviations."""
 _STITCHED = 0.93
 """Turn of a side view as a share of the field of view, where views are made to be stitched."""
