@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 _LEAST_PATIENCE_S = 30.0
 """Work without a move that is always borne: with 5 s a plan of six sensors on a real street stayed
-unproven, with this it is proven. Bounds of hard plans (16 and 32 channels along 250 m of highway) move
-after 1, 2, 8 and 35 s of work, about four times later each time."""
+unproven, with this it is proven. Bounds of hard plans (16 and 32 channels along 250 m of highway)
+move after 1, 2, 8 and 35 s of work, about four times later each time."""
 _MANY = 2**31 - 1
 """Most steps that are allowed at once: the largest limit that solvers take as 32-bit integer."""
 
