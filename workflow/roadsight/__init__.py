@@ -18,11 +18,28 @@ _HOMES = {
     "align": "drive",
     "triangulate": "sightings",
     "estimate": "costs",
+    "Cloud": "clouds",
+    "Cover": "covers",
+    "FoundRoad": "scene",
+    "GroundFilter": "scene",
+    "InputError": "clouds",
+    "Sensor": "sight",
+    "Targets": "sight",
+    "TriangulationSettings": "sightings",
 }
-"""Module of `roadsight.api` that holds each function; it is imported when it is first asked for, so
-that parts of the package work, and start, without the rest. Types are in `__init__.pyi`."""
+"""Module of `roadsight.api` that holds each function, and the types that they take, give and raise;
+it is imported when it is first asked for, so that parts of the package work, and start, without
+the rest. Types are in `__init__.pyi`."""
 
 __all__ = [
+    "Cloud",
+    "Cover",
+    "FoundRoad",
+    "GroundFilter",
+    "InputError",
+    "Sensor",
+    "Targets",
+    "TriangulationSettings",
     "align",
     "cover",
     "depth_map",

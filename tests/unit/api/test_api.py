@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import doctest
 import importlib
+import inspect
 import logging
+import re
 import subprocess
 import sys
+from dataclasses import fields
+from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
@@ -15,6 +19,7 @@ import pytest
 from scipy import sparse
 
 import roadsight
+from roadsight.api.drive import Drive, DriveOptions
 from roadsight.api.sight import in_company_of
 from roadsight.base import engines
 from roadsight.base.errors import InputError
@@ -23,25 +28,47 @@ from tests.helpers.las_files import wkt_of, write_las
 from tests.unit.scene.pavement.test_road_surface import f1
 from tests.unit.scene.pavement.test_road_surface import street as kerbed_street
 
+ROOT = Path(__file__).resolve().parents[3]
 MODULES = sorted(set(roadsight._HOMES.values()))
 
 
+FUNCTIONS = sorted(name for name in roadsight.__all__ if name.islower())
+UNRUN = {"align"}
+"""Whose example needs a videolog: `tests/unit/commands/test_camera_verbs.py` runs it."""
+
+
 @pytest.mark.parametrize("name", MODULES)
-def test_examples_hold(name):
+def test_examples_hold(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     module = importlib.import_module(f"roadsight.api.{name}")
-    failed, _ = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
+    failed, attempted = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
     assert failed == 0
+    assert attempted > 1 or name == "drive"
 
 
-@pytest.mark.parametrize("name", roadsight.__all__)
+@pytest.mark.parametrize("name", FUNCTIONS)
 def test_every_function_has_its_contract_and_an_example(name):
-    text = getattr(roadsight, name).__doc__
-    for part in ("Parameters", "Raises", "Examples", ">>> "):
+    function = getattr(roadsight, name)
+    text = function.__doc__
+    for part in ("Parameters", "Returns", "Raises", "Examples", ">>> "):
         assert part in text, part
+    assert ("# doctest: +SKIP" in text) == (name in UNRUN)
+    said = text[text.index("Parameters") : text.index("Returns")]
+    for parameter in inspect.signature(function).parameters:
+        assert re.search(rf"\b{parameter}\b.* :", said), parameter
+    assert re.search(r"paper [12]|docs/|LAS specification", text), "no source"
+
+
+def test_options_of_a_drive_are_those_that_its_function_takes():
+    files = {"cloud", "images"}
+    assert {field.name for field in fields(Drive)} - files == set(DriveOptions.__annotations__)
 
 
 def test_all_that_is_promised_is_there_and_nothing_else():
     assert set(roadsight.__all__) == set(roadsight._HOMES) <= set(dir(roadsight))
+    assert all(hasattr(roadsight, name) for name in roadsight.__all__)
+    typed = (ROOT / "workflow" / "roadsight" / "__init__.pyi").read_text()
+    assert all(f" as {name}\n" in typed for name in roadsight.__all__)
     with pytest.raises(AttributeError, match="no attribute 'curbs'"):
         _ = roadsight.curbs
 
@@ -81,6 +108,26 @@ def test_a_path_a_cloud_and_an_array_give_the_same_ground(file):
     assert np.array_equal(labels, roadsight.ground(cloud.xyz_m))
     assert labels[:20_000].mean() > 0.99
     assert labels[20_000:].mean() < 0.2
+
+
+def test_a_table_is_taken_by_the_names_of_its_columns(file):
+    xyz_m = roadsight.read_cloud(file).xyz_m
+    table = pd.DataFrame(xyz_m[:, ::-1], columns=["z", "y", "x"]).assign(label=7)
+    assert np.array_equal(roadsight.ground(table), roadsight.ground(xyz_m))
+    with pytest.raises(InputError, match="points: has no such column; found z"):
+        roadsight.ground(table.drop(columns="z"))
+
+
+def test_an_engine_that_has_nothing_to_do_is_told(rng):
+    xyz, _, _, _ = kerbed_street(rng)
+    with pytest.raises(InputError, match="method: has no use for an engine"):
+        roadsight.pavement(xyz, method="surface", engine="open3d")
+
+
+def test_a_matrix_is_taken_from_its_file(tmp_path):
+    matrix = sparse.csr_matrix([[1, 1, 0], [0, 1, 1]])
+    sparse.save_npz(tmp_path / "matrix.npz", matrix)
+    assert roadsight.cover(tmp_path / "matrix.npz").chosen.tolist() == [0, 1]
 
 
 def test_edges_are_in_the_crs_of_a_file_and_local_for_an_array(file):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
@@ -34,12 +35,14 @@ class Cloud:
     Parameters
     ----------
     native : as read, all dimensions. frame : its local frame.
-    all_xyz_m : (n, 3) local metres. taken : numbers (k,) of the points that take part.
+    choice : what was said of its CRS and units. all_xyz_m : (n, 3) local metres.
+    taken : numbers (k,) of the points that take part.
     like : (n,) the point that each one equals, itself where there is none before it.
     """
 
     native: NativeCloud
     frame: Frame
+    choice: UnitChoice
     all_xyz_m: Floats
     taken: Ints
     like: Ints
@@ -70,8 +73,8 @@ class Cloud:
         return str(self.native.header.path)
 
 
-Points = Cloud | ArrayLike | str | os.PathLike[str]
-"""A cloud that was read, the path of one, or an array (n, 3) of local metres."""
+Points = Cloud | pd.DataFrame | ArrayLike | str | os.PathLike[str]
+"""A cloud that was read, the path of one, or local metres: an array (n, 3) or columns x, y, z."""
 
 
 @dataclass(frozen=True)
@@ -94,11 +97,12 @@ class Taken:
 
 
 def taken(points: Points) -> Taken:
-    """Points of a cloud, a path or an array.
+    """Points of a cloud, a path, a table or an array.
 
     Raises
     ------
-    InputError : the file cannot be read, or the array is no (n, 3) of finite numbers.
+    InputError : the file cannot be read, a column is missing, or the array is no (n, 3) of finite
+        numbers.
     """
     if isinstance(points, (str, os.PathLike)):
         points = read_cloud(points)
@@ -106,6 +110,13 @@ def taken(points: Points) -> Taken:
         return Taken(
             points.xyz_m, points.intensity, points.scan, points.frame, points.where, points.classes
         )
+    if isinstance(points, pd.DataFrame):
+        missing = [name for name in "xyz" if name not in points]
+        if missing:
+            raise InputError(
+                "has no such column", where="points", found=missing[0], allowed="columns x, y, z"
+            )
+        points = points[list("xyz")]
     try:
         xyz_m = np.asarray(points, np.float64)
     except (TypeError, ValueError) as error:
@@ -130,13 +141,21 @@ def read_cloud(
 ) -> Cloud:
     """Read a LAS or LAZ file; without any CRS its coordinates are taken as local metres.
 
-    Noise, withheld and synthetic points, and what is there twice, take no part.
+    Noise, withheld and synthetic points, and what is there twice, take no part. Fields are those
+    of the LAS specification 1.4.
 
     Parameters
     ----------
+    path : the file.
     crs : auto (the file's own, else local), local, EPSG:nnnn or WKT.
     units, vertical_units : metre, foot, us-survey-foot, or auto: those of the CRS.
     overlap : "use" or "leave_out" points of overlapping flight lines.
+
+    Returns
+    -------
+    ``xyz_m`` (n, 3) local metres, ``intensity``, ``scan`` and ``classes`` (n,) of the points that
+    take part; ``frame``, whose ``to_native`` and ``to_local`` turn local metres into the file's
+    coordinates and back
 
     Raises
     ------
@@ -144,9 +163,15 @@ def read_cloud(
 
     Examples
     --------
-    >>> import roadsight
-    >>> cloud = roadsight.read_cloud("street.laz")  # doctest: +SKIP
-    >>> xyz_m, native = cloud.xyz_m, cloud.frame.to_native(cloud.xyz_m)  # doctest: +SKIP
+    >>> import laspy, numpy as np, roadsight
+    >>> plot = laspy.create()
+    >>> plot_m = np.random.default_rng(1).uniform(0, 9, (3, 500))
+    >>> plot.x, plot.y, plot.z = plot_m + [[500_000], [5_400_000], [100]]
+    >>> plot.write("plot.las")
+    >>> cloud = roadsight.read_cloud("plot.las", crs="EPSG:25832")
+    >>> native = cloud.frame.to_native(cloud.xyz_m)
+    >>> native.shape, bool(np.allclose(native[:, 0], plot.x))
+    ((500, 3), True)
     """
     path = Path(path)
     native = read_laz(path)
@@ -166,7 +191,7 @@ def read_cloud(
     if repeated:
         log.warning("%d points are there twice and count once", repeated)
     taken = np.flatnonzero(counts & (like == np.arange(len(like))))
-    return Cloud(native, site.frame, site.frame.to_local(native.xyz), taken, like)
+    return Cloud(native, site.frame, choice, site.frame.to_local(native.xyz), taken, like)
 
 
 def takes_part(native: NativeCloud, overlap: str) -> Bools:

@@ -33,10 +33,13 @@ def estimate(
 ) -> Estimate:
     """Core-hours, memory and storage of a road, in equal runs.
 
+    Each step costs what was measured, times its own amounts (``docs/running/scaling.md``).
+
     Parameters
     ----------
     miles : length of the road. run_miles : of one run.
     jobs : one or more of "placement" and "poles". cores : at one time.
+    costs : a cost model, as `roadsight estimate --fit` writes it.
     amounts : of one run, where they are known: points_m (millions), candidates, targets, images,
         sensors (kinds), plans, shards.
 

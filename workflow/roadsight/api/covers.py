@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from roadsight.io.records.matrices import read_matrix
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 
 
@@ -29,12 +31,15 @@ def cover(
     Parameters
     ----------
     matrix : (choices, targets), positive = covers: sparse, an array, or a DataFrame such as the
-        service areas of spopt. Rows are choices; of a model in columns give the transpose.
+        service areas of spopt, or the path of such a sparse matrix (.npz). Rows are choices; of a
+        model in columns give the transpose.
     costs : (choices,) positive; None = 1 each.
     at_least : how often each target is covered, one number or (targets,).
     groups : (choices,) at most one choice of a group; negative = none.
     mandatory, forbidden : numbers of choices.
-    seconds : limit by the clock; None = until it is proven. gap : leave so near to the bound.
+    seconds : limit by the clock; None = until it is proven.
+    gap : leave so near to the bound, as a share of the cost.
+    seed : of the search. With the same seed and no limit by the clock, the cover is the same.
 
     Returns
     -------
@@ -51,6 +56,8 @@ def cover(
     >>> best.status, best.chosen.tolist(), best.objective
     ('optimal', [0, 1], 2.0)
     """
+    if isinstance(matrix, (str, os.PathLike)):
+        matrix = read_matrix(str(matrix))
     if isinstance(matrix, pd.DataFrame):
         matrix = matrix.to_numpy()
     if not sparse.issparse(matrix):

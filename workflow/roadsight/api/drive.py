@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import os
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal, TypedDict, Unpack, get_args
 
 import pandas as pd
 
+from roadsight.api.clouds import Cloud
 from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import AlignmentLimits, Calibration
@@ -106,21 +108,49 @@ def check_word(name: str, value: object, words: tuple[str, ...]) -> None:
         raise InputError(f"unknown {name}", where="options", found=repr(value), allowed=allowed)
 
 
+class DriveOptions(TypedDict, total=False):
+    """What a drive may be told; fields of `Drive`, which holds what they are without a word."""
+
+    crs: str
+    units: Unit
+    vertical_units: Unit
+    engine: Engine
+    street: bool
+    masks: str | None
+    map: str
+    hfov_deg: float
+    baseline: str | None
+    intrinsics: str | None
+    method: Method
+    max_sigma_heading_deg: float
+
+
 def align(
-    videolog: str | Path, cloud: str | Path, images: str | Path, **options: object
+    videolog: pd.DataFrame | str | os.PathLike[str],
+    cloud: Cloud | str | os.PathLike[str],
+    images: str | os.PathLike[str],
+    **options: Unpack[DriveOptions],
 ) -> pd.DataFrame:
     """Where each camera of a videolog stood and looked (paper 2, sections 3.1 and 3.2).
 
     Parameters
     ----------
-    videolog : CSV with image, latitude, longitude. cloud : LAS or LAZ file.
+    videolog : columns image, latitude, longitude (WGS 84, degrees; x, y with ``crs="local"``), or
+        the path of such a CSV.
+    cloud : LAS or LAZ file, or what `read_cloud` made of one; its file is read again.
     images : folder or ZIP.
-    options : fields of `Drive`: crs, units, masks, map, intrinsics, hfov_deg, street, engine, ...
+    options : crs, units, vertical_units : of the cloud, as `read_cloud` takes them.
+        masks : folder of label images; None: a small network labels them. map : what labels mean.
+        hfov_deg : field of view, 0: unknown. intrinsics : CSV of a known lens. baseline : JSON of
+        registered cameras. street : a street mapped from a vehicle, whose edges are curbs.
+        method : auto, road, dense, published or none. max_sigma_heading_deg : cameras whose heading
+        is less certain are not accepted. engine : own or open3d, for the pavement.
 
     Returns
     -------
-    one row for each usable image: x, y, z in the cloud's CRS and units, heading_grid_deg,
-    pitch_deg, roll_deg, fx_px, cx_px, cy_px, sigmas, accepted and the reason where it was not
+    one row for each usable image: x, y, z in the cloud's CRS and units, heading_grid_deg clockwise
+    from grid north, pitch_deg, roll_deg, fx_px, cx_px, cy_px, sigma_heading_deg, sigma_lateral_m,
+    residual_px, accepted and the reason where it was not
 
     Raises
     ------
@@ -132,8 +162,22 @@ def align(
     >>> cameras = roadsight.align("videolog.csv", "cloud.laz", "images")  # doctest: +SKIP
     >>> usable = cameras[cameras["accepted"]]  # doctest: +SKIP
     """
-    drive = Drive(Path(cloud), str(images), **options)  # type: ignore[arg-type]
-    return cameras_of(str(videolog), drive)
+    if isinstance(cloud, Cloud):
+        read: DriveOptions = {
+            "crs": cloud.choice.crs,
+            "units": cloud.choice.units,
+            "vertical_units": cloud.choice.vertical_units,
+        }
+        path, options = cloud.native.header.path, {**read, **options}
+    else:
+        path = Path(cloud)
+    drive = Drive(path, str(images), **options)
+    if not isinstance(videolog, pd.DataFrame):
+        return cameras_of(str(videolog), drive)
+    with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
+        table = Path(folder) / "videolog.csv"
+        videolog.to_csv(table, index=False)
+        return cameras_of(str(table), drive)
 
 
 def cameras_of(videolog: str, drive: Drive) -> pd.DataFrame:

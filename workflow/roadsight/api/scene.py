@@ -27,11 +27,15 @@ IntensityUse = Literal["auto", "use", "ignore"]
 
 
 def ground(points: Points, settings: GroundFilter | None = None) -> Bools:
-    """Which points are ground (progressive pillars and a triangulation).
+    """Which points are ground.
+
+    Progressive pillars, then a triangulation that grows (``docs/scene/ground.md``; the first study
+    leaves this step to other programs, paper 1, section 2.1).
 
     Parameters
     ----------
-    points : a cloud, a path, or (n, 3) local metres.
+    points : a cloud, a path, or local metres, (n, 3) or columns x, y, z.
+    settings : thresholds; None: those of ``config.yaml``.
 
     Returns
     -------
@@ -76,7 +80,7 @@ def pavement(
 
     Parameters
     ----------
-    points : a cloud, a path, or (n, 3) local metres.
+    points : a cloud, a path, or local metres, (n, 3) or columns x, y, z.
     method : "surface" (a surface that runs on until a kerb, grass or a wall ends it), "published"
         (FPFH and k-means, paper 1, section 2.2), or "auto": surface where the cloud tells the scans
         of a vehicle apart or a place on the road is given, else published, with the edges of the
@@ -85,21 +89,27 @@ def pavement(
     ground : (n,) ground labels, found if absent; the published method alone needs them.
     seeds_xy, track_xy : (k, 2) places on the road, and where a vehicle drove in order, local
         metres: the surface grows from them.
+    seed : of k-means, which the published method alone has.
     engine : who computes normals, FPFH and clusters of the published method: own or open3d.
 
     Returns
     -------
-    ``outline`` (polygons, local metres), ``points`` (n,) and ``surface_m`` (k, 3)
+    ``outline`` (polygons, local metres), ``points`` (n,) and ``surface_m`` (k, 3) local metres
 
     Raises
     ------
-    InputError : no usable cloud, no pavement is found, or a place with the published method.
+    InputError : no usable cloud, no pavement is found, a place with the published method, or
+        another engine with the surface.
 
     Examples
     --------
-    >>> import roadsight
-    >>> road = roadsight.pavement("street.laz")  # doctest: +SKIP
-    >>> area_m2, points = road.outline.area, road.points.sum()  # doctest: +SKIP
+    >>> import numpy as np, roadsight
+    >>> x, y = np.random.default_rng(1).uniform([0, -7], [40, 7], (90_000, 2)).T
+    >>> verge = np.abs(y) > 4  # behind kerbs of 12 cm, and rough
+    >>> z = np.where(verge, 0.12, 0) + np.random.default_rng(2).normal(0, 0.003 + 0.03 * verge)
+    >>> road = roadsight.pavement(np.column_stack([x, y, z]), seeds_xy=[[20, 0]])
+    >>> round(road.outline.area, -1), round(float(road.points.sum() / (~verge).sum()), 2)
+    (320.0, 0.99)
     """
     if method == "published" and not (seeds_xy is None and track_xy is None):
         raise InputError(
@@ -107,6 +117,10 @@ def pavement(
             where="method",
             found=method,
             allowed="surface or auto",
+        )
+    if method == "surface" and engine != "own":
+        raise InputError(
+            "has no use for an engine", where="method", found=method, allowed="published or auto"
         )
     known = KnownRoad(_places(track_xy, "track_xy"), _places(seeds_xy, "seeds_xy"))
     return _pavement(taken(points), method, intensity, ground, seed, known, engine)
@@ -132,6 +146,8 @@ def _pavement(
 ) -> FoundRoad:
     choice = _chosen(cloud, method, known)
     told = cloud.intensity is not None and intensity != "ignore"
+    if choice == "surface" and engine != "own":
+        log.warning("engine %s does nothing here: the surface needs no FPFH", engine)
     tones = cloud.intensity if told else None
     try:
         if choice == "surface":
@@ -172,17 +188,17 @@ def edges(
     seed: int = 1,
     engine: Engine = "own",
 ) -> gpd.GeoDataFrame:
-    """Edges of the paved road as smooth lines.
+    """Edges of the paved road as smooth lines (paper 1, section 2.3).
 
     Parameters
     ----------
-    points : a cloud, a path, (n, 3) local metres, or what `pavement` found.
+    points : a cloud, a path, local metres ((n, 3) or columns x, y, z), or what `pavement` found.
     method, intensity, seed, engine : as `pavement` takes them; of no use for a road that was found.
 
     Returns
     -------
-    columns edge, kind, source, length_m; lines in the CRS of a cloud or path, in local metres for
-    an array or a road that was found
+    columns edge, kind, source, length_m; lines in the CRS and units of a cloud or path, in local
+    metres for an array, a table or a road that was found
 
     Raises
     ------
@@ -190,8 +206,14 @@ def edges(
 
     Examples
     --------
-    >>> import roadsight
-    >>> roadsight.edges("street.laz").to_file("edges.gpkg")  # doctest: +SKIP
+    >>> import numpy as np, roadsight
+    >>> x, y = np.random.default_rng(1).uniform([0, -7], [40, 7], (90_000, 2)).T
+    >>> verge = np.abs(y) > 4
+    >>> z = np.where(verge, 0.12, 0) + np.random.default_rng(2).normal(0, 0.003 + 0.03 * verge)
+    >>> road = roadsight.pavement(np.column_stack([x, y, z]), seeds_xy=[[20, 0]])
+    >>> lines = roadsight.edges(road)
+    >>> sorted(lines["kind"]), bool(np.allclose(np.abs(lines.centroid.y), 4, atol=0.15))
+    (['edge', 'edge'], True)
     """
     if isinstance(points, FoundRoad):
         return _edges(points, "points")

@@ -39,7 +39,7 @@ def depth_map(
 
     Parameters
     ----------
-    points : a cloud, a path, or (n, 3) local metres.
+    points : a cloud, a path, or local metres, (n, 3) or columns x, y, z.
     sensor : a spinning LiDAR, or its name in the catalogue.
     position_m : (3,) local metres; ``cloud.frame.to_local`` turns native coordinates into them.
     yaw_deg : direction of the sensor's x axis, counter-clockwise from local x.
@@ -121,7 +121,8 @@ def detection_matrix(
 
     Parameters
     ----------
-    points : a cloud, a path, (n, 3) local metres, or a `SurfelLidar` that was made of them.
+    points : a cloud, a path, local metres ((n, 3) or columns x, y, z), or a `SurfelLidar` that was
+        made of them.
     sensor : a spinning LiDAR, or its name in the catalogue.
     candidates : (k, 3) places of the sensor, or (k, 4) with its yaw in degrees; or columns x, y, z
         and yaw_deg if there is one; local metres.

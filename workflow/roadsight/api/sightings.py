@@ -25,6 +25,8 @@ def triangulate(
     sightings : columns lat, lon (WGS 84, of the camera), bearing (true, degrees) and depth (m;
         missing = unknown), further image, sigma_bearing_deg, sigma_depth_m; or the path of such a
         CSV; or a layer with a CRS, whose points stand for lat and lon.
+    settings : what a sighting is worth and what a pole takes; None: for positions and depths of
+        which nobody says how good they are.
 
     Returns
     -------

@@ -51,6 +51,20 @@ def test_a_street_ends_at_its_kerbs_whatever_the_registration(rng, layer_m):
     assert f1(road_points(surface, xyz, RoadSettings()), road) > 0.93
 
 
+@pytest.mark.parametrize("kerb_m", [0.04, 0.08, 0.12, 0.2, 0.5])
+def test_where_points_are_dense_the_road_ends_at_its_kerb(rng, kerb_m):
+    """Within a cell: windows see a high kerb from farther away than a low one."""
+    x, y = rng.uniform([0, -7], [40, 7], (100_000, 2)).T
+    z = np.where(np.abs(y) < HALF_ROAD_M, 0.0, kerb_m) + rng.normal(0, 0.004, len(x))
+    known = KnownRoad(seeds_xy=np.array([[20.0, 0.0]]))
+    surface = find_road(np.column_stack([x, y, z]), known=known)
+    row, column = np.nonzero(surface.road)
+    x_m, y_m = surface.grid.centres(column, row)
+    middle, half = np.abs(x_m - 20) < 12, surface.grid.cell_size_m / 2
+    assert y_m[middle].max() + half == pytest.approx(HALF_ROAD_M, abs=0.25)
+    assert y_m[middle].min() - half == pytest.approx(-HALF_ROAD_M, abs=0.25)
+
+
 @pytest.mark.parametrize("layer_m", [0.0, 0.03])
 def test_a_vehicle_that_stood_is_no_reason_to_look_across_the_street(rng, layer_m):
     xyz, tone, scan, road = street(rng, layer_m, drive=(25, 25))

@@ -50,7 +50,7 @@ class RoadSettings:
         spreads of the road's own intensity are.
     rough_ratio, rough_spreads : the same for roughness.
     edge_reach_m, edge_step_m : the last cells before an edge are taken when they lie this near the
-        surface's plane, in plan and in height.
+        surface's plane, in plan and in height. Growth ends 1 m before a kerb of 12 cm.
     point_m, point_spreads : a point belongs to the road up to this height from its surface, or this
         many times the layer's spread.
     smallest_m2, smallest_share : separate surfaces found without a track are kept above both, the
@@ -70,7 +70,7 @@ class RoadSettings:
     tone_spreads: float = 4.0
     rough_ratio: float = 0.25
     rough_spreads: float = 4.0
-    edge_reach_m: float = 0.8
+    edge_reach_m: float = 1.6
     edge_step_m: float = 0.025
     point_m: float = 0.08
     point_spreads: float = 2.5
