@@ -50,7 +50,7 @@ class RoadSettings:
         spreads of the road's own intensity are.
     rough_ratio, rough_spreads : the same for roughness.
     edge_reach_m, edge_step_m : the last cells before an edge are taken when they lie this near the
-        surface's plane, in plan and in height. Growth ends 1 m before a kerb of 12 cm.
+        surface's plane, in plan and in height; twice as far away where a step is seen.
     point_m, point_spreads : a point belongs to the road up to this height from its surface, or this
         many times the layer's spread.
     smallest_m2, smallest_share : separate surfaces found without a track are kept above both, the
@@ -70,7 +70,7 @@ class RoadSettings:
     tone_spreads: float = 4.0
     rough_ratio: float = 0.25
     rough_spreads: float = 4.0
-    edge_reach_m: float = 1.6
+    edge_reach_m: float = 0.8
     edge_step_m: float = 0.025
     point_m: float = 0.08
     point_spreads: float = 2.5
@@ -604,6 +604,8 @@ def _to_the_edge(ground: _Ground, road: Bools, settings: RoadSettings) -> tuple[
     height, _, _, _, total, _ = window_planes(weight, cells.height_m, cells.across, cells.up, sigma)
     away = ndimage.distance_transform_edt(~road) * cell_m
     near = (away <= max(settings.edge_reach_m, 1.5 * cell_m)) & (total > 0.05)
+    # Growth ended where windows began to see a step: up to 1 m before a kerb of 12 cm.
+    near |= (away <= 2 * settings.edge_reach_m) & (total > 0.05) & _step_seen(ground, settings)
     # So many points that their mean is off by a fifth of the step; one alone may be a stray.
     fewest = np.clip((5 * _layer_m(cells, road) / settings.edge_step_m) ** 2, 2, _OWN_POINTS)
     # Beside a wall the window's plane is lifted by it, but not the cell's own mean.
@@ -664,7 +666,11 @@ def _open_share(ground: _Ground, road: Bools, settings: RoadSettings) -> float:
     rim = road & ~ndimage.binary_erosion(road)
     if not rim.any():
         return 1.0
-    step = np.where(ground.measured, ground.step_m, 0.0)
     size = 2 * max(1, round(0.5 / cell_m)) + 1
-    seen = ndimage.maximum_filter(step, size=size) >= 1.5 * settings.step_m
+    seen = ndimage.maximum_filter(_step_seen(ground, settings) & ground.measured, size=size)
     return float(1.0 - seen[rim].mean())
+
+
+def _step_seen(ground: _Ground, settings: RoadSettings) -> Bools:
+    """Cells (rows, columns) whose window holds a step that may end the road."""
+    return np.asarray(ground.step_m >= 1.5 * settings.step_m)
