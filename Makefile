@@ -20,15 +20,15 @@ help: ## list the targets
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
 	@touch $@
 
-# Open3D is an engine that nothing needs: where it does not fit or cannot be had, one line says so.
+# Open3D is an engine that nothing needs: where it does not fit or cannot be had, one line says so. What
+# failed on the way is tried again by the next call.
 .venv/.installed-open3d: .venv/.installed envs/requirements-open3d.lock
-	@if $(BIN)/python scripts/check_machine.py open3d; then \
-	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes \
-	    -r envs/requirements-open3d.lock && $(BIN)/python -m roadsight.base.engines || \
-	  echo "Open3D is left out, all results come without it" >&2; fi
-	@touch $@
+	@if ! $(BIN)/python scripts/check_machine.py open3d; then touch $@; \
+	elif $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes \
+	  -r envs/requirements-open3d.lock; then $(BIN)/python -m roadsight.base.engines || true; touch $@; \
+	else echo "Open3D is left out, it could not be installed; all results come without it" >&2; fi
 
-.venv/.installed-dev: .venv/.installed envs/requirements-dev.lock
+.venv/.installed-dev: .venv/.installed .venv/.installed-open3d envs/requirements-dev.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r envs/requirements-dev.lock
 	@touch $@
 
@@ -79,7 +79,7 @@ lock: ## resolve the dependencies anew (needs uv)
 	  --custom-compile-command "make lock" -c envs/requirements.lock \
 	  --group open3d -o envs/requirements-open3d.lock
 	uv pip compile --universal --python-version 3.11 --generate-hashes --no-emit-index-url --no-annotate \
-	  --custom-compile-command "make lock" --extra dev --group open3d -c envs/requirements.lock \
+	  --custom-compile-command "make lock" --extra dev -c envs/requirements.lock \
 	  -c envs/requirements-open3d.lock pyproject.toml -o envs/requirements-dev.lock
 
 studio-vendor: ## bundle the studio's JavaScript libraries anew from web/package-lock.json (needs npm)
