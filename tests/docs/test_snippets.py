@@ -28,9 +28,10 @@ def test_what_the_page_shows_runs(
     write_las(tmp_path / "street.laz", np.column_stack([xy, height]) + corner)
     monkeypatch.chdir(tmp_path)
     snippets = _SNIPPET.findall(PAGE.read_text("utf-8"))
-    assert len(snippets) == 2
+    assert len(snippets) == 3
     names: dict[str, object] = {}
     for snippet in snippets:
         exec(compile(snippet, str(PAGE), "exec"), names)
     assert np.asarray(names["ground"]).mean() > 0.5
     assert names["cover"].bound <= len(names["cover"].chosen)
+    assert names["pulp"].value(names["model"].objective) == names["cover"].bound
