@@ -29,9 +29,20 @@ def test_pages_of_the_repository_link_to_what_is_there(generated: set[Path]):
         for target in _LINK.findall(file.read_text("utf-8")):
             url = urlsplit(target)
             path = (file.parent / url.path).resolve() if url.path else file
-            if not url.scheme and not path.exists() and path not in generated:
+            if url.scheme or path in generated:
+                continue
+            anchored = path.suffix != ".md" or not url.fragment or url.fragment in anchors(path)
+            if not path.exists() or not anchored:
                 missing.append(f"{file.relative_to(PROJECT)}: {target}")
     assert missing == []
+
+
+def anchors(page: Path) -> set[str]:
+    """Anchors of a page's headings, as a repository's pages and the built site name them."""
+    if not page.exists():
+        return set()
+    headings = re.findall(r"^#+ (.+)$", page.read_text("utf-8"), re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", text.lower()).replace(" ", "-") for text in headings}
 
 
 def test_every_page_is_in_the_contents(generated: set[Path]):
