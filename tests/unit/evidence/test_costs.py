@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,7 @@ from roadsight.evidence.costs import (
 from roadsight.evidence.estimate import StepEstimate, _wall_h, estimate
 from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import write_table
+from tests.conftest import PROJECT
 from tests.helpers.las_files import random_points, wkt_of, write_las
 
 FOOT_M = 1200 / 3937
@@ -171,6 +173,22 @@ def test_a_step_without_known_memory_is_fitted():
     cost = fit([Record("a", "ingest_cloud", 1, 2.0, 1.5, float("nan"))])["ingest_cloud"]
     assert cost.peak_mib.at(2.0) == 0.0
     assert cost.cpu_s.at(2.0) == pytest.approx(1.5)
+
+
+LEFT_OUT = {
+    "samples": {"generate_rural", "generate_sample", "render_videolog", "render_depth_pairs"},
+    "scores": {"score_cameras", "score_pavement", "validate_poles"},
+    "studies": {"compare_components", "match_inputs"},
+    "effects": {"measure_reflectivity", "model_fog", "model_rain", "tilt_mounts", "trace_lanes"},
+    "some sites": {"detect_poses", "undistort_views", "use_given_cameras"},
+}
+"""Steps that an estimate leaves out, by what they are for."""
+
+
+def test_every_step_of_the_rules_is_estimated_or_left_out_on_purpose():
+    rules = "".join(path.read_text("utf-8") for path in (PROJECT / "workflow/rules").rglob("*.smk"))
+    steps = set(re.findall(r'benchmark_of\(\s*"(\w+)"', rules))
+    assert steps == set(STEPS) | set().union(*LEFT_OUT.values())
 
 
 def test_shipped_model_knows_every_step():

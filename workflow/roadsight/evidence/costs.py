@@ -86,6 +86,7 @@ STEPS: dict[str, Step] = {
             "mark_traffic",
             "build_surfels",
             "place_targets",
+            "gather_objects",
             "write_site_page",
         )
     },
@@ -94,9 +95,18 @@ STEPS: dict[str, Step] = {
     "render_depth_maps": Step("placement", "candidate_sensors", "sensor_shard"),
     "build_detection_shard": Step("placement", "candidate_sensors", "sensor_shard"),
     "check_coverage": Step("placement", "candidate_sensors", "round"),
-    "solve_cover": Step("placement", "plan_targets", "plan"),
-    "find_obstacles": Step("placement", "plan_targets", "plan"),
-    "render_scans": Step("placement", "plan_targets", "plan"),
+    **{
+        name: Step("placement", "plan_targets", "plan")
+        for name in (
+            "solve_cover",
+            "find_obstacles",
+            "render_scans",
+            "measure_data",
+            "measure_tolerance",
+            "try_removals",
+        )
+    },
+    "write_stakeout": Step("placement", *_RUN),
     **{
         name: Step("poles", *_CLOUD)
         for name in ("rasterise_lidar", "extract_road_edges", "find_pole_columns", "build_terrain")
@@ -117,6 +127,7 @@ STEPS: dict[str, Step] = {
         name: Step("poles", "images")
         for name in (
             "read_videolog",
+            "profile_drive",
             "calibrate_drive",
             "turn_side_views",
             "triangulate_poles",
@@ -124,10 +135,13 @@ STEPS: dict[str, Step] = {
             "write_poles_page",
         )
     },
-    "plan_effects": Step("both", *_RUN),
-    "summarise_site": Step("both", *_RUN),
+    **{
+        name: Step("both", *_RUN)
+        for name in ("plan_effects", "summarise_site", "write_handover", "write_pdf")
+    },
 }
-"""Steps of a site, in their order. Generating samples and scoring against truth are left out."""
+"""Steps of a site, in their order. Left out are those that generate samples, that score against
+truth, and that only some sites ask for (effects, tilted mounts, poses, bent lenses)."""
 
 STORED: dict[str, Step] = {
     "scene": Step("both", "points_m"),
