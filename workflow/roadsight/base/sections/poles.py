@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from roadsight.base.section import Count, Degrees, LasClass, Metres, Positive, Section
 
@@ -81,12 +81,6 @@ class AlignmentMethod(Section):
     ties: Literal["use", "skip"] = Field(
         default="use", description="whether what neighbouring images both show ties their cameras"
     )
-
-    @field_validator("method", mode="before")
-    @classmethod
-    def _former_name(cls, value: Any) -> Any:
-        """The road method was called ours when it was the only one of our own."""
-        return "road" if value == "ours" else value
 
 
 class Reach(Section):
