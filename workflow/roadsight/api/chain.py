@@ -18,6 +18,7 @@ from roadsight.base.sections.poles import (
     Videolog,
     Voxels,
 )
+from roadsight.base.sections.run import Run
 from roadsight.base.sections.scene import (
     Ground,
     GroundClasses,
@@ -90,7 +91,7 @@ class Chain:
         clusters, classes = None, GroundClasses(fpfh_engine=drive.engine)
         if choose_method("auto", False, profile).method == "published":
             clusters = self.path("clusters.parquet")
-            cluster_fpfh(cloud, self._ground, self._profile, classes, out=clusters)
+            cluster_fpfh(cloud, self._ground, self._profile, classes, Run().seed, out=clusters)
         way = Way(
             PavementOutline(),
             PavementMethod().method,

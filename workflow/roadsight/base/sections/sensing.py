@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.base.section import Count, Metres, Section
 
 Curve = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -83,7 +83,7 @@ class Lidar(Section):
         description="unet, unet_mask: network that refines preliminary depth maps",
     )
     engine: Engine = Field(
-        default="own", description="who casts rays at surfels (docs/howto/engines.md)"
+        default=OWN, description="who casts rays at surfels (docs/howto/engines.md)"
     )
     outlier_radius_m: float = Field(
         default=0.0,
@@ -94,7 +94,7 @@ class Lidar(Section):
     outlier_neighbours: Annotated[int, Field(ge=1, le=100)] = Field(
         default=2, description="others within that radius that a point needs to stay"
     )
-    outlier_engine: Engine = Field(default="own", description="who looks for such points")
+    outlier_engine: Engine = Field(default=OWN, description="who looks for such points")
     surfel_size_m: Metres = Field(
         default=0.1, description="finest voxel of a surfel, m; larger where points are sparse"
     )

@@ -44,11 +44,11 @@ def write_targets(
     inset_m: Annotated[float | str, Targets],
     min_points: Annotated[int | str, Targets],
     cell_size_m: Annotated[float, Targets],
+    width_m: Annotated[float, "of a target, whatever its kind"],
     edges_paths: Annotated[Sequence[Path], "that bound the road"] = (),
     box: Annotated[
         tuple[float, float, float] | None, "targets are boxes, which have headings"
     ] = None,
-    width_m: Annotated[float, "of a target"] = 0.5,
     *,
     unexamined: Annotated[Path | None, "polygons without targets"] = None,
     doubts_path: Annotated[Path | None, "what the targets rest on"] = None,

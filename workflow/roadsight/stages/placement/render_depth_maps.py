@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.engines import Engine
 from roadsight.base.sections.sensing import DepthModel, Lidar
-from roadsight.base.shards import shard_of
+from roadsight.base.shards import Shard
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.images.depth_networks import network_for
 from roadsight.io.records.depth_maps import (
@@ -43,7 +43,7 @@ Render = Callable[[Sensor, ArrayLike, float, Tilt, Bools], Floats32]
 
 
 @dataclass(frozen=True, kw_only=True)
-class DepthFiles:
+class DepthFiles(Shard):
     """What a shard of depth maps is rendered of."""
 
     candidates: Path
@@ -56,8 +56,6 @@ class DepthFiles:
     azimuth_stride: Annotated[int, Lidar]
     min_cell_points: Annotated[int, Lidar]
     neighbours: Annotated[int, Lidar]
-    shard: int = 0
-    shards: int = 1
     targets: Annotated[Path | None, "only beams that may meet one of them are cast"] = None
     room_m: Annotated[tuple[float, float], "radius and height of a target"] = (0.5, 1.0)
     network: Annotated[Path | None, "ONNX file of the models unet and unet_mask"] = None
@@ -74,9 +72,7 @@ def render_depth_maps(given: DepthFiles, *, out: Path) -> None:
     # A panorama serves all sensors in poses, so that no candidate is for it alone.
     only = None if given.panorama else given.sensor
     poses = {
-        name: pose
-        for name, pose in read_poses(given.candidates, only).items()
-        if shard_of(name, given.shards) == given.shard
+        name: pose for name, pose in read_poses(given.candidates, only).items() if given.has(name)
     }
     tilts = read_tilts(given.tilts)
     keys = {

@@ -17,6 +17,7 @@ from scipy import sparse
 from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
 from roadsight.base.sections import placement
+from roadsight.base.sections.run import Run
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.io.records.atomic import read_json, write_json
@@ -53,10 +54,10 @@ class CoverFiles(ChangedFiles, ChoiceFiles, LevelFiles):
     sensors: Annotated[Sequence[str], "name=cost"]
     patience: Annotated[float, placement.Cover]
     second_time_limit_s: Annotated[float, placement.Cover]
+    seed: Annotated[int, Run]
     second: Literal["True", "False"] = "False"
     robust: Annotated[bool, "sensors count with tolerance; needs surfels and sensors file"] = False
     edges: Annotated[Path | None, "the road, for the length seen by two"] = None
-    seed: int = 1
 
 
 def solve_cover(
