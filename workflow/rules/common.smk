@@ -111,6 +111,16 @@ def sample_flags(*asked):
     return options
 
 
+def settings_of(*sections):
+    """Settings of sections as JSON, for a rule whose options would share names."""
+
+    def content(wildcards):
+        found = SITES[wildcards.site]
+        return json.dumps({name: found.setting(name).model_dump() for name in sections})
+
+    return content
+
+
 def settings_in(asked):
     """Names of settings: those named, and all of the sections among them."""
     found = []

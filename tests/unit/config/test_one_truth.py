@@ -131,7 +131,7 @@ def test_rules_hand_on_each_setting_that_their_stage_takes():
             if not module:
                 continue
             options = settings_of(importlib.import_module(module.group(1)).main.stage)
-            handed = set() if name == "compare_components" else handed_on(body)
+            handed = handed_on(body)
             one_by_one = set(re.findall(r"--([\w-]+)[ =]", body + beside))
             missing = {o for o in options - handed if o.replace("_", "-") not in one_by_one}
             if missing or handed - options:

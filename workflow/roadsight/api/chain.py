@@ -12,6 +12,7 @@ from roadsight.base.sections.poles import (
     Networks,
     PoleMasks,
     Reach,
+    RoadClasses,
     RoadEdges,
     SideViews,
     TerrainMesh,
@@ -138,10 +139,8 @@ class Chain:
             lines=self.path("road_edges.gpkg"),
         )
         find_columns(self.cloud, self.frame, self.dem, out=self._columns)
-        voxels, cell_m = Voxels(), TerrainMesh().terrain_cell_m
         ground = None if self._classified else self._ground
-        classes = voxels.road_classes, voxels.bridge_classes
-        build_terrain(self.cloud, *classes, cell_m, ground, out=self._terrain)
+        build_terrain(self.cloud, RoadClasses(), TerrainMesh(), ground, out=self._terrain)
 
     def images(self, drive: Drive) -> None:
         """What the images show."""

@@ -9,12 +9,17 @@ from pydantic import Field
 from roadsight.base.section import Count, Degrees, LasClass, Metres, Positive, Section
 
 
-class Voxels(Section):
+class RoadClasses(Section):
+    """Classes of the road."""
+
+    road_classes: list[LasClass] = Field(default=[11], description="LAS classes that are road")
+    bridge_classes: list[LasClass] = Field(default=[17], description="LAS classes that are bridge")
+
+
+class Voxels(RoadClasses):
     """Poles: the cloud as classified voxels and their top view."""
 
     voxel_size_m: Metres = Field(default=0.3048, description="edge of a voxel, m (1 foot)")
-    road_classes: list[LasClass] = Field(default=[11], description="LAS classes that are road")
-    bridge_classes: list[LasClass] = Field(default=[17], description="LAS classes that are bridge")
 
 
 class RoadEdges(Section):

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.engines import Engine
-from roadsight.base.sections.sensing import DepthModel, Lidar
+from roadsight.base.sections.sensing import CellFilling, DepthModel, Lidar
 from roadsight.base.shards import Shard
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.images.depth_networks import network_for
@@ -54,8 +54,7 @@ class DepthFiles(Shard):
     model: Annotated[DepthModel, Lidar]
     engine: Annotated[Engine, Lidar]
     azimuth_stride: Annotated[int, Lidar]
-    min_cell_points: Annotated[int, Lidar]
-    neighbours: Annotated[int, Lidar]
+    filling: CellFilling
     targets: Annotated[Path | None, "only beams that may meet one of them are cast"] = None
     room_m: Annotated[tuple[float, float], "radius and height of a target"] = (0.5, 1.0)
     network: Annotated[Path | None, "ONNX file of the models unet and unet_mask"] = None
@@ -151,8 +150,9 @@ def _step(given: DepthFiles, sensor: Sensor) -> str:
     cloud = [given.surfels]
     if given.model != "surfel":
         cloud = [given.cloud, *filter(None, (given.traffic, given.network))]
-    names = ("model", "engine", "azimuth_stride", "min_cell_points", "neighbours", "curvature")
-    return key_of_step(cloud, what_it_sees(sensor), [getattr(given, name) for name in names])
+    names = ("model", "engine", "azimuth_stride", "curvature")
+    said = [getattr(given, name) for name in names] + list(given.filling.model_dump().values())
+    return key_of_step(cloud, what_it_sees(sensor), said)
 
 
 def _renderer(given: DepthFiles, sensor: Sensor, poses: Floats) -> Render:
@@ -175,8 +175,7 @@ def _renderer(given: DepthFiles, sensor: Sensor, poses: Floats) -> Render:
     model = model_of_points(
         given.model,
         network_for(given.model, given.network),
-        min_cell_points=given.min_cell_points,
-        neighbours=given.neighbours,
+        **given.filling.model_dump(),
     )
 
     def render(
