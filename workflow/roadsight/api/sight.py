@@ -105,7 +105,7 @@ def points_in_reach(
             allowed=f"within {sensor.range_m:g} m, the sensor's range",
             hint="give the position in the cloud's own coordinates and units",
         )
-    return xyz_m[offset_m <= sensor.range_m + _MARGIN_M]
+    return np.asarray(xyz_m[offset_m <= sensor.range_m + _MARGIN_M])
 
 
 def detection_matrix(

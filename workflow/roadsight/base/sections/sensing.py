@@ -78,6 +78,38 @@ class Tolerance(Section):
     other_height_m: Metres = Field(default=0.5, description="another mast, lower or higher, m")
 
 
+class DepthMaps(Section):
+    """How depth maps are made."""
+
+    model: DepthModel = Field(default="surfel", description="way to depth maps, see docs/placement")
+    network: str = Field(
+        default="resources/models/depth_unet.onnx",
+        min_length=1,
+        description="unet, unet_mask: network that refines preliminary depth maps",
+    )
+    engine: Engine = Field(
+        default=OWN, description="who casts rays at surfels (docs/howto/engines.md)"
+    )
+    mounting: Literal["levelled", "normal"] = Field(
+        default="levelled", description="sensors stand upright, or normal to the road"
+    )
+    azimuth_stride: Count = Field(
+        default=1, description="only every n-th azimuth is simulated and stands for n beams"
+    )
+    frames_hz: float = Field(
+        default=10.0,
+        gt=0,
+        le=1000,
+        description="turns of spinning LiDARs and frames of cameras, for data rates, per s",
+    )
+    clear_below_m: float = Field(
+        default=0.0,
+        ge=0,
+        le=10,
+        description="passing vehicles, lower than this, are cleared off the pavement, m; 0: no",
+    )
+
+
 class SurfelMaking(Section):
     """The cloud as surfels."""
 
@@ -109,36 +141,8 @@ class CellFilling(Section):
     neighbours: Count = Field(default=10, description="K2, hybrid: neighbours that fill a cell")
 
 
-class Lidar(CellFilling, SurfelMaking):
+class Lidar(CellFilling, SurfelMaking, DepthMaps):
     """Virtual LiDAR."""
-
-    model: DepthModel = Field(default="surfel", description="way to depth maps, see docs/placement")
-    network: str = Field(
-        default="resources/models/depth_unet.onnx",
-        min_length=1,
-        description="unet, unet_mask: network that refines preliminary depth maps",
-    )
-    engine: Engine = Field(
-        default=OWN, description="who casts rays at surfels (docs/howto/engines.md)"
-    )
-    mounting: Literal["levelled", "normal"] = Field(
-        default="levelled", description="sensors stand upright, or normal to the road"
-    )
-    azimuth_stride: Count = Field(
-        default=1, description="only every n-th azimuth is simulated and stands for n beams"
-    )
-    frames_hz: float = Field(
-        default=10.0,
-        gt=0,
-        le=1000,
-        description="turns of spinning LiDARs and frames of cameras, for data rates, per s",
-    )
-    clear_below_m: float = Field(
-        default=0.0,
-        ge=0,
-        le=10,
-        description="passing vehicles, lower than this, are cleared off the pavement, m; 0: no",
-    )
 
     @model_validator(mode="after")
     def _surfels_without_plants(self) -> Lidar:
