@@ -145,8 +145,8 @@ class PlacementJob:
         self._stage("place_candidates", *site, *spacing, edges="edges.gpkg",
                     pavement="pavement.gpkg", dem="dem.tif", cloud="cloud", frame="frame",
                     out="candidates")  # fmt: skip
-        self._stage("place_targets", pavement="points", outline="pavement.gpkg", frame="frame",
-                    out="targets")  # fmt: skip
+        self._stage("place_targets", "--width-m", "0.5", pavement="points",
+                    outline="pavement.gpkg", frame="frame", out="targets")  # fmt: skip
         for shard in reversed(range(self.shards)):
             part = ("--shard", str(shard), "--shards", str(self.shards))
             self._stage("render_depth_maps", *sensor, *part, candidates="candidates",
@@ -157,7 +157,8 @@ class PlacementJob:
         self._stage("check_coverage", *seen, "--plans", f"one={SENSOR}", targets="targets",
                     candidates="candidates", out="coverage")  # fmt: skip
         self._stage("solve_cover", *site, *seen, "--plan", "one", "--sensors", f"{SENSOR}=1",
-                    "--uncoverable", "exclude", coverage="coverage", targets="targets",
+                    "--uncoverable", "exclude", "--second-objective", "False",
+                    coverage="coverage", targets="targets",
                     candidates="candidates", frame="frame", solution="solution",
                     layers="layers.gpkg", timing="timing")  # fmt: skip
 

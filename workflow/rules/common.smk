@@ -81,6 +81,64 @@ def setting(path):
     return lambda wildcards: NamedValue(path, SITES[wildcards.site].setting(path))
 
 
+def flags(section, *left_out):
+    """Settings of a section as command-line options, for a rule that takes them all."""
+
+    def options(wildcards):
+        values = SITES[wildcards.site].setting(section)
+        return as_options(values.model_dump(exclude=set(left_out)))
+
+    return options
+
+
+def some_flags(section, *asked):
+    """The same of some settings of a section: names, or the part of it that a stage takes."""
+
+    def options(wildcards):
+        values = SITES[wildcards.site].setting(section).model_dump()
+        return as_options({name: values[name] for name in settings_in(asked)})
+
+    return options
+
+
+def sample_flags(*asked):
+    """The same of what a site says of its generated scene."""
+
+    def options(wildcards):
+        values = SITES[wildcards.site].site.sample.model_dump()
+        return as_options({name: values[name] for name in settings_in(asked)})
+
+    return options
+
+
+def settings_of(*sections):
+    """Settings of sections as JSON, for a rule whose options would share names."""
+
+    def content(wildcards):
+        found = SITES[wildcards.site]
+        return json.dumps({name: found.setting(name).model_dump() for name in sections})
+
+    return content
+
+
+def settings_in(asked):
+    """Names of settings: those named, and all of the sections among them."""
+    found = []
+    for part in asked:
+        found += [part] if isinstance(part, str) else part.model_fields
+    return found
+
+
+def as_options(values):
+    return " ".join(
+        f"--{name.replace('_', '-')} {option(value)}" for name, value in values.items()
+    )
+
+
+def option(value):
+    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+
+
 def site_field(path):
     """Value of a site file's field."""
 

@@ -8,16 +8,19 @@ import importlib
 import inspect
 import pkgutil
 import re
+from functools import cache
 from typing import Annotated, get_args, get_origin, get_type_hints
 
 import pytest
 from pydantic_core import PydanticUndefined
 
 import roadsight
+import roadsight.base.sections as chapters
 from roadsight.base.options import add_settings
 from roadsight.base.section import Section
 from roadsight.base.sections.placement import Cover
 from roadsight.base.sections.poles import Voxels
+from roadsight.base.sections.sample import Sample
 from roadsight.base.sections.scene import Pavement
 from roadsight.config.schema import Settings
 from tests.conftest import PROJECT
@@ -25,7 +28,6 @@ from tests.conftest import PROJECT
 RULES = re.compile(
     r"^(?:rule|checkpoint) (\w+):\n(.*?)(?=^(?:rule|checkpoint|def|use|if) |\Z)", re.M | re.S
 )
-RULE = re.compile(r"^rule (\w+):\n(.*?)(?=^(?:rule|checkpoint|def|use) |\Z)", re.M | re.S)
 
 
 def sections(model: type[Section] = Settings, prefix: str = "") -> dict[str, dict[str, object]]:
@@ -40,6 +42,38 @@ def sections(model: type[Section] = Settings, prefix: str = "") -> dict[str, dic
     return found
 
 
+SECTIONS = {
+    name: kind
+    for found in pkgutil.iter_modules(chapters.__path__, f"{chapters.__name__}.")
+    for name, kind in vars(importlib.import_module(found.name)).items()
+    if inspect.isclass(kind) and issubclass(kind, Section)
+}
+"""All sections and their parts, by name."""
+
+
+@cache
+def named() -> dict[str, object]:
+    """What rules write by name in their flags: sections, and lists of settings."""
+    known: dict[str, object] = dict(SECTIONS)
+    for file in sorted((PROJECT / "workflow" / "rules").rglob("*_inputs.smk")):
+        for name, listed in re.findall(r"^([A-Z_]+) = (\([^()]*\))", file.read_text("utf-8"), re.M):
+            known[name] = eval(listed, known)
+    return known
+
+
+def handed_on(rule: str) -> set[str]:
+    """Settings that a rule hands on together, by `flags`, `some_flags` and `sample_flags`."""
+    found: set[str] = set()
+    for kind, arguments in re.findall(r"(\w*flags)\(([^()]*)\)", rule):
+        asked = list(eval(f"[{arguments}]", named()))
+        whole = set(Sample.model_fields if kind == "sample_flags" else sections()[asked.pop(0)])
+        parts = [[part] if isinstance(part, str) else part.model_fields for part in asked]
+        names = {name for part in parts for name in part}
+        assert names <= whole
+        found |= whole - names if kind == "flags" else names
+    return found
+
+
 def asked() -> dict[str, set[str]]:
     """Settings that rules hand on one by one or by section, by the module of their stage."""
     found: dict[str, set[str]] = {}
@@ -47,9 +81,7 @@ def asked() -> dict[str, set[str]]:
         for _, body in RULES.findall(file.read_text("utf-8")):
             module = re.search(r"python -m (roadsight\.stages\.[\w.]+)", body)
             if module:
-                names = set(re.findall(r'setting\("[\w.]+\.(\w+)"\)', body))
-                for section in re.findall(r'(?<!some_)flags\("([\w.]+)"', body):
-                    names |= set(sections()[section])
+                names = set(re.findall(r'setting\("(?:[\w.]+\.)?(\w+)"\)', body)) | handed_on(body)
                 found.setdefault(module.group(1), set()).update(names)
     return found
 
@@ -83,7 +115,8 @@ def test_no_stage_writes_the_default_of_a_setting_again():
     for module, names in asked().items():
         parameters = parameters_of(importlib.import_module(module).main.stage)
         own = {name for name, (_, default) in parameters.items() if default != inspect._empty}
-        if repeated := names & own:
+        # Without shards a stage does the whole.
+        if repeated := names & own - {"shards"}:
             twice[module] = repeated
     assert not twice
 
@@ -98,13 +131,12 @@ def test_rules_hand_on_each_setting_that_their_stage_takes():
             if not module:
                 continue
             options = settings_of(importlib.import_module(module.group(1)).main.stage)
-            for section in re.findall(r'flags\(\s*"([\w.]+)"', body):
-                options -= set(sections()[section])
-            missing = {
-                o for o in options if not re.search(f"--{o.replace('_', '-')}[ =]", body + beside)
-            }
-            if missing:
-                lacking[name] = missing
+            handed = handed_on(body)
+            one_by_one = set(re.findall(r"--([\w-]+)[ =]", body + beside))
+            left = options - handed - handed_on(beside)
+            missing = {o for o in left if o.replace("_", "-") not in one_by_one}
+            if missing or handed - options:
+                lacking[name] = missing, handed - options
     assert not lacking
 
 

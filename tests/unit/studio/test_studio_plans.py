@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from roadsight.base.errors import InputError
+from roadsight.config.plan_options import PlanOptions
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.vectors import read_polygons
 from roadsight.studio.plans.exports import Export, exported
@@ -235,3 +236,19 @@ def test_sensors_are_exported_where_they_stand_and_a_plan_reads_them(project, tm
     nothing = Export(version=layout.version, rows=[], format="yaml")
     with pytest.raises(InputError, match="no sensor stands"):
         exported(site, PLAN, layout, nothing)
+
+
+def test_the_form_asks_for_what_the_settings_say(project):
+    fields = about_plans(project, project.site("tiny"))["fields"]
+    assert fields["at_least"] == {
+        "default": None,
+        "description": PlanOptions.model_fields["at_least"].description,
+        "title": "At Least",
+        "type": "integer",
+        "minimum": 1,
+    }
+    assert fields["price"]["exclusiveMinimum"] == 0 and fields["price"]["maximum"] == 1e12
+    assert (fields["sensors"]["type"], fields["cost"]["minimum"]) == ("integer", 0)
+    assert fields["title"]["type"] == "string"
+    script = (PROJECT / "workflow/roadsight/studio/assets/js/plans/form.js").read_text()
+    assert not [text for text in ("min:", "max:", "step:") if text in script]

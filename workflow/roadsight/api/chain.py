@@ -12,12 +12,14 @@ from roadsight.base.sections.poles import (
     Networks,
     PoleMasks,
     Reach,
+    RoadClasses,
     RoadEdges,
     SideViews,
     TerrainMesh,
     Videolog,
     Voxels,
 )
+from roadsight.base.sections.run import Run
 from roadsight.base.sections.scene import (
     Ground,
     GroundClasses,
@@ -90,7 +92,7 @@ class Chain:
         clusters, classes = None, GroundClasses(fpfh_engine=drive.engine)
         if choose_method("auto", False, profile).method == "published":
             clusters = self.path("clusters.parquet")
-            cluster_fpfh(cloud, self._ground, self._profile, classes, out=clusters)
+            cluster_fpfh(cloud, self._ground, self._profile, classes, Run().seed, out=clusters)
         way = Way(
             PavementOutline(),
             PavementMethod().method,
@@ -137,10 +139,8 @@ class Chain:
             lines=self.path("road_edges.gpkg"),
         )
         find_columns(self.cloud, self.frame, self.dem, out=self._columns)
-        voxels, cell_m = Voxels(), TerrainMesh().terrain_cell_m
         ground = None if self._classified else self._ground
-        classes = voxels.road_classes, voxels.bridge_classes
-        build_terrain(self.cloud, *classes, cell_m, ground, out=self._terrain)
+        build_terrain(self.cloud, RoadClasses(), TerrainMesh(), ground, out=self._terrain)
 
     def images(self, drive: Drive) -> None:
         """What the images show."""

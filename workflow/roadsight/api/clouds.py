@@ -16,6 +16,7 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.crs import Unit
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
+from roadsight.io.cloud.cloud_scan import OVERLAP
 from roadsight.io.cloud.clouds import WAVEFORM, NativeCloud, read_laz, write_laz
 from roadsight.io.cloud.point_filter import (
     OVERLAP_CLASS,
@@ -137,7 +138,7 @@ def read_cloud(
     crs: str = "auto",
     units: Unit = "auto",
     vertical_units: Unit = "auto",
-    overlap: str = "use",
+    overlap: str = OVERLAP,
 ) -> Cloud:
     """Read a LAS or LAZ file; without any CRS its coordinates are taken as local metres.
 

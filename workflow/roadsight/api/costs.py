@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.run import Run
 from roadsight.evidence.cost_tables import SHIPPED, read_costs
 from roadsight.evidence.costs import Amounts
 from roadsight.evidence.estimate import Estimate
@@ -18,7 +19,7 @@ A_MILE = Amounts(points_m=5.4, candidates=7_900, sensors=1, targets=35_700, plan
 Candidates and targets are those of the generated highway, 1,228 and 5,552 on 250 m."""
 JOBS = ("placement", "poles")
 """What a run may do."""
-_SHARDS = 4
+_SHARDS = Run().shards
 """Of a run that nobody says more of."""
 
 

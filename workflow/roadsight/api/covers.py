@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import ArrayLike
 from scipy import sparse
 
+from roadsight.base.seeds import SEED
 from roadsight.io.records.matrices import read_matrix
 from roadsight.setcover import Cover, CoverProblem, solve_cover_problem
 
@@ -24,7 +25,7 @@ def cover(
     forbidden: ArrayLike = (),
     seconds: float | None = None,
     gap: float = 0.0,
-    seed: int = 1,
+    seed: int = SEED,
 ) -> Cover:
     """Cheapest choices that cover every target, with the bound that proves it (paper 1, Eqs. 5-7).
 

@@ -11,14 +11,16 @@ from typing import Annotated, Literal, TypedDict, Unpack, get_args
 import pandas as pd
 
 from roadsight.api.clouds import Cloud
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
-from roadsight.base.sections.poles import AlignmentLimits, Calibration
+from roadsight.base.sections.poles import Alignment, AlignmentLimits, Calibration
 from roadsight.base.validation import validated
 from roadsight.geometry.crs import Unit
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
+
+_ALIGNMENT, _CALIBRATION = Alignment(), Calibration()
 
 MANIFESTS = Path(__file__).resolve().parents[3] / "resources" / "manifests"
 Method = Literal["auto", "road", "dense", "published", "none"]
@@ -41,7 +43,7 @@ class DriveFiles:
     crs: Annotated[str, "EPSG:nnnn, or auto: the cloud's own"] = "auto"
     units: Annotated[Unit, "unit of x and y"] = "auto"
     vertical_units: Annotated[Unit, "unit of z"] = "auto"
-    engine: Annotated[Engine, "who computes normals, FPFH and clusters of a pavement"] = "own"
+    engine: Annotated[Engine, "who computes normals, FPFH and clusters of a pavement"] = OWN
     street: Annotated[
         bool,
         "a street mapped from a vehicle: edges are curbs, masks count to the first border, "
@@ -67,7 +69,7 @@ class Drive(DriveFiles):
     map: Annotated[str, "what the labels show; the project's own classes if absent"] = str(
         MANIFESTS / "labels_project.yaml"
     )
-    hfov_deg: Annotated[float, "field of view, if known"] = 0.0
+    hfov_deg: Annotated[float, Calibration] = _CALIBRATION.hfov_deg
     baseline: Annotated[str | None, "registered cameras, JSON"] = None
     intrinsics: Annotated[
         str | None,
@@ -77,10 +79,10 @@ class Drive(DriveFiles):
         Method,
         "dense: all that photograph and cloud share, needs --intrinsics, auto takes it then; "
         "road: road edges and poles; as published; or the track alone",
-    ] = "auto"
+    ] = _ALIGNMENT.method
     max_sigma_heading_deg: Annotated[
         float, "cameras with a less certain heading are rejected; more for a rough map"
-    ] = 0.12
+    ] = _ALIGNMENT.max_sigma_heading_deg
 
     def __post_init__(self) -> None:
         """Refuse what the settings of calibration and alignment refuse, before any work.

@@ -10,15 +10,18 @@ import numpy as np
 
 from roadsight.api.clouds import Points, Taken, taken
 from roadsight.base.arrays import Bools, Floats
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
-from roadsight.base.sections.scene import Edges, GroundFilter
+from roadsight.base.sections.scene import Edges, GroundFilter, Pavement
+from roadsight.base.seeds import SEED
 from roadsight.io.vector.vectors import native_features
 from roadsight.scene.edges.splines import outline_edges, spline_line
 from roadsight.scene.pavement.choice import choose_method
 from roadsight.scene.pavement.road_surface import KnownRoad
 from roadsight.scene.pavement.scan_levels import count_scans
 from roadsight.scene.whole import FoundRoad, ground_of, published_road, road_of, sharpen
+
+_USUAL = Pavement()
 
 log = logging.getLogger("roadsight")
 
@@ -68,13 +71,13 @@ def _ground(cloud: Taken, settings: GroundFilter | None = None) -> Bools:
 def pavement(
     points: Points,
     *,
-    method: Method = "auto",
-    intensity: IntensityUse = "auto",
+    method: Method = _USUAL.method,
+    intensity: IntensityUse = _USUAL.intensity,
     ground: Bools | None = None,
-    seed: int = 1,
+    seed: int = SEED,
     seeds_xy: Floats | None = None,
     track_xy: Floats | None = None,
-    engine: Engine = "own",
+    engine: Engine = OWN,
 ) -> FoundRoad:
     """Paved road of a cloud.
 
@@ -137,12 +140,12 @@ def _places(xy_m: Floats | None, name: str) -> Floats | None:
 
 def _pavement(
     cloud: Taken,
-    method: Method = "auto",
-    intensity: IntensityUse = "auto",
+    method: Method = _USUAL.method,
+    intensity: IntensityUse = _USUAL.intensity,
     ground: Bools | None = None,
-    seed: int = 1,
+    seed: int = SEED,
     known: KnownRoad | None = None,
-    engine: Engine = "own",
+    engine: Engine = OWN,
 ) -> FoundRoad:
     choice = _chosen(cloud, method, known)
     told = cloud.intensity is not None and intensity != "ignore"
@@ -183,10 +186,10 @@ def _chosen(
 def edges(
     points: Points | FoundRoad,
     *,
-    method: Method = "auto",
-    intensity: IntensityUse = "auto",
-    seed: int = 1,
-    engine: Engine = "own",
+    method: Method = _USUAL.method,
+    intensity: IntensityUse = _USUAL.intensity,
+    seed: int = SEED,
+    engine: Engine = OWN,
 ) -> gpd.GeoDataFrame:
     """Edges of the paved road as smooth lines (paper 1, section 2.3).
 

@@ -11,7 +11,7 @@ from scipy import sparse
 
 from roadsight.api.clouds import Points, taken
 from roadsight.base.arrays import Floats, Floats32
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.sensing import Lidar, Targets
 from roadsight.base.validation import validated
@@ -32,8 +32,8 @@ def depth_map(
     position_m: ArrayLike,
     yaw_deg: float = 0.0,
     *,
-    engine: Engine = "own",
-    outlier_radius_m: float = 0.0,
+    engine: Engine = OWN,
+    outlier_radius_m: float = Lidar().outlier_radius_m,
 ) -> Floats32:
     """What one sensor at one place would measure (paper 1, section 2.4).
 
@@ -105,7 +105,7 @@ def points_in_reach(
             allowed=f"within {sensor.range_m:g} m, the sensor's range",
             hint="give the position in the cloud's own coordinates and units",
         )
-    return xyz_m[offset_m <= sensor.range_m + _MARGIN_M]
+    return np.asarray(xyz_m[offset_m <= sensor.range_m + _MARGIN_M])
 
 
 def detection_matrix(
@@ -115,7 +115,7 @@ def detection_matrix(
     targets: pd.DataFrame | ArrayLike,
     settings: Targets | None = None,
     *,
-    engine: Engine = "own",
+    engine: Engine = OWN,
 ) -> sparse.csr_matrix:
     """Which candidates see which targets (paper 1, section 2.5).
 

@@ -11,8 +11,9 @@ from typing import Any, Literal, get_args
 from roadsight.base.errors import InputError
 
 Engine = Literal["own", "open3d"]
-"""Who does a step. ``own`` is the default everywhere, so that results do not depend on what a
-machine has installed."""
+"""Who does a step."""
+OWN: Engine = "own"
+"""The default everywhere, so that results do not depend on what a machine has installed."""
 ENGINES: tuple[str, ...] = get_args(Engine)
 """All engines, for command lines."""
 

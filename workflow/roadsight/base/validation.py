@@ -9,6 +9,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from roadsight.base.errors import InputError, nearest
+from roadsight.base.former import renamed
 
 _LONGEST_NAME = 255
 """Bytes of one part of a path (NAME_MAX of Linux)."""
@@ -39,7 +40,8 @@ def validated(model: type[Model], content: Any, where: str) -> Model:
 
     Raises
     ------
-    InputError : for the first thing that is wrong; a misspelt key is told its nearest valid one.
+    InputError : for the first thing that is wrong; a misspelt key is told its nearest valid one,
+        a former one its new name.
     """
     if not isinstance(content, dict):
         raise InputError("must be a mapping of keys to values", where=where, found=repr(content))
@@ -73,14 +75,13 @@ def _message(
     field = ".".join(_keys_of(content, first["loc"]))
     if first["type"] == "extra_forbidden":
         keys = _keys(model, first["loc"][:-1])
-        return InputError(
-            f"unknown key {field!r}", where=where, hint=nearest(str(first["loc"][-1]), keys)
-        )
+        hint = renamed(field) or nearest(str(first["loc"][-1]), keys)
+        return InputError(f"unknown key {field!r}", where=where, hint=hint)
     message = first["msg"].removeprefix("Value error, ")
     if first["type"] == "missing":
         return InputError(f"key {field!r} is missing", where=where)
     shown = None if isinstance(first["input"], dict) else repr(first["input"])
-    hint = ""
+    hint = renamed(field, first["input"])
     if first["type"] == "string_type" and isinstance(first["input"], _MISREAD | None):
         hint = f'put it in quotes: "..." (YAML reads it as a {_kind(first["input"])})'
     return InputError(f"{field or 'file'}: {message}", where=where, found=shown, hint=hint)

@@ -10,6 +10,7 @@ import numpy as np
 
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.base.seeds import SEED
 from roadsight.io.records.matrices import read_vector
 from roadsight.setcover import Cover, CoverProblem
 from roadsight.setcover.common.problem import objective_step
@@ -50,7 +51,7 @@ class CoverOptions:
         " seconds, counted in steps of work",
     ] = None
     time_limit: Annotated[float | None, "seconds; default none"] = None
-    seed: int = 1
+    seed: int = SEED
 
 
 @dataclass(frozen=True)

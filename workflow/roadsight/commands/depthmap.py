@@ -19,7 +19,7 @@ from roadsight.placement.depth.models import model_of_points
 from roadsight.placement.depth.surfel_lidar import lidar_of_points
 from roadsight.placement.sensors.sensors import load_sensor
 
-_NETWORK = Path(__file__).parents[3] / "resources" / "models" / "depth_unet.onnx"
+_NETWORK = Path(__file__).parents[3] / Lidar().network
 
 
 def run(

@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
+from roadsight.base.seeds import SEED
 from roadsight.commands.verb import Verb
 from roadsight.io.records.sighting_tables import read_text_table, write_csv
 from roadsight.poles.risk.checks import MISSED, NONE, POLE, draw, strata
@@ -23,7 +24,7 @@ def run(
     /,
     count: Annotated[int, "poles to check; the accuracy standard asks for 20 at least"] = 30,
     by: Annotated[str, "column whose values, or thirds of them, are the strata"] = "sigma_major_m",
-    seed: Annotated[int, "of the draw"] = 1,
+    seed: Annotated[int, "of the draw"] = SEED,
     *,
     out: Annotated[Path, "CSV to fill in"],
 ) -> None:

@@ -9,9 +9,10 @@ from typing import Annotated
 from roadsight.api.clouds import Cloud, labels_of, write_labelled
 from roadsight.api.scene import IntensityUse, Method, ground, pavement
 from roadsight.base.arrays import Bools
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Pavement
+from roadsight.base.seeds import SEED
 from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
 from roadsight.commands.verb import Verb
 from roadsight.io.vector.known_road import read_seeds, read_track
@@ -24,8 +25,8 @@ class Search:
 
     method: Annotated[Method, Pavement]
     intensity: Annotated[IntensityUse, Pavement]
-    engine: Annotated[Engine, "published: who computes normals, FPFH and clusters"] = "own"
-    seed: Annotated[int, "of the random sample of FPFH"] = 1
+    engine: Annotated[Engine, "published: who computes normals, FPFH and clusters"] = OWN
+    seed: Annotated[int, "of the random sample of FPFH"] = SEED
     seeds: Annotated[str, "places on the road, x,y;x,y as in the cloud: surface"] = ""
     track: Annotated[str | None, "line file, where a vehicle drove: surface"] = None
 

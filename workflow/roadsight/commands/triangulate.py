@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from roadsight.base.errors import InputError
+from roadsight.base.seeds import SEED
 from roadsight.commands.verb import Verb
 from roadsight.io.records.sighting_tables import read_sightings, write_csv
 from roadsight.poles.triangulate.geographic import triangulate_geographic, triangulate_published
@@ -44,7 +45,7 @@ def run(
     /,
     numbers: Numbers,
     published: Annotated[bool, "behave as the published code, in a random order"] = False,
-    seed: Annotated[int, "of the random order"] = 1,
+    seed: Annotated[int, "of the random order"] = SEED,
     depths_as_given: Annotated[bool, "do not calibrate the common scale of the depths"] = False,
     *,
     out: Annotated[Path, "CSV to write: lat, lon, score, sigma_m"],

@@ -18,8 +18,12 @@ FILES = ("areas", "forbidden", "mandatory", "poles")
 class Budget(Section):
     """What may be spent: see as much as possible for it."""
 
-    sensors: Count | None = Field(default=None, description="most sensors")
-    cost: Money | None = Field(default=None, description="most cost, in the sensors' unit of cost")
+    sensors: Count | None = Field(
+        default=None, description="see the most with at most so many sensors"
+    )
+    cost: Money | None = Field(
+        default=None, description="see the most for so much, in the sensors' unit of cost"
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> Budget:

@@ -6,7 +6,7 @@ from typing import Any
 
 from pydantic import Field, field_validator
 
-from roadsight.base.section import Count, Name, Section
+from roadsight.base.section import Name
 from roadsight.base.sections.conditions import Conditions
 from roadsight.base.sections.placement import Candidates, Cover, Coverage
 from roadsight.base.sections.poles import (
@@ -25,16 +25,15 @@ from roadsight.base.sections.poles import (
     Voxels,
 )
 from roadsight.base.sections.poses import Poses
+from roadsight.base.sections.run import Run
 from roadsight.base.sections.scene import Edges, Ground, Pavement, Scene
 from roadsight.base.sections.sensing import Lidar, Targets, Tolerance
 from roadsight.placement.candidates.mounting import Mounting
 
 
-class Settings(Section):
+class Settings(Run):
     """All settings that a site may override."""
 
-    seed: int = Field(default=1, ge=0, description="seed of everything random")
-    shards: Count = Field(default=4, description="shards of depth maps and detections")
     scene: Scene = Scene()
     ground: Ground = Ground()
     pavement: Pavement = Pavement()

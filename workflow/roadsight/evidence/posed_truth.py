@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.sections.sensing import Targets
 from roadsight.evidence.exact_highway import ExactHighway
 from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.sensors import AnySensor, load_sensor, panorama_name
@@ -18,9 +19,10 @@ from roadsight.placement.sight.sight import Sight
 
 _STEP_DEG = 0.2
 """Cells of the exact panorama that stands for the scene; finer ones cost the square in time."""
-TARGET = Cylinder(radius_m=0.25, height_m=0.6)
+_USUAL = Targets()
+TARGET = Cylinder(radius_m=_USUAL.radius_m, height_m=_USUAL.height_m)
 """The default target of the placement job."""
-RCS_M2 = 0.16
+RCS_M2 = _USUAL.rcs_m2
 """Radar cross-section of the default target."""
 
 

@@ -13,9 +13,10 @@ import shapely
 from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import GroundClasses, GroundFilter, PavementOutline
+from roadsight.base.seeds import SEED
 from roadsight.scene.grids import Grid, sample_bilinear
 from roadsight.scene.pavement.choice import MOST_SHARPENED, fits_surface
 from roadsight.scene.pavement.describe import describe_ground
@@ -307,9 +308,9 @@ def published_road(
     xyz_m: Floats,
     ground: Bools,
     intensity: Floats,
-    intensity_choice: str = "auto",
-    seed: int = 1,
-    engine: Engine = "own",
+    intensity_choice: str = GroundClasses().intensity,
+    seed: int = SEED,
+    engine: Engine = OWN,
 ) -> FoundRoad:
     """Road as the connected smooth ground by FPFH and k-means (paper 1, section 2.2).
 

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from roadsight.base.seeds import SEED
 from roadsight.io.records.checksums import sha256
 
 _WARM_UP = 0.05
@@ -33,7 +34,7 @@ class Schedule:
     steps: int
     batch: int
     rate: float = 3e-3
-    seed: int = 1
+    seed: int = SEED
 
     def rate_at(self, step: int) -> float:
         """Learning rate: a short rise, then a half cosine down to a hundredth."""

@@ -16,6 +16,7 @@ import torch
 from torch import nn
 
 from roadsight.base.errors import InputError
+from roadsight.base.seeds import SEED
 from roadsight.io.records.depth_pairs import DepthPairs, digest, read_dataset
 from roadsight.placement.depth.normalising import MULTIPLE_CELLS, STEP_DEG
 from roadsight.stages.command import Command
@@ -72,7 +73,7 @@ class Training:
     steps: int = 5000
     batch: Annotated[int, "patches of a step"] = 32
     rate: Annotated[float, "highest learning rate"] = 3e-3
-    seed: int = 1
+    seed: int = SEED
     threads: Annotated[int, "other numbers, other last digits"] = 1
 
 

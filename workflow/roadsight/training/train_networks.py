@@ -18,6 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from roadsight.base.errors import InputError
+from roadsight.base.seeds import SEED
 from roadsight.stages.command import Command
 from roadsight.training.augment import Batch, Crops, random_batch
 from roadsight.training.export import export_network
@@ -123,7 +124,7 @@ class Training:
     crop_px: Annotated[tuple[int, int] | None, "height and width, not the task's"] = None
     batch: Annotated[int | None, "crops of a step, instead of the task's"] = None
     start_from: Annotated[str | None, "ONNX file of this network to go on training from"] = None
-    seed: int = 1
+    seed: int = SEED
     first_seed: Annotated[int, "first site of the data"] = 1000
     sites: int = 44
     threads: Annotated[int, "other numbers, other last digits"] = 1

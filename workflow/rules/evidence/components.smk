@@ -35,24 +35,17 @@ rule compare_components:
         truth=layered_site("truth.poles", known_poles),
         truth_crs=site_field("truth.poles_crs"),
         truth_kind=known_pole_kind,
-        calibrate=stage_options(
-            flags("calibration"),
-            some_flags("sightings", "left_yaw_deg", "right_yaw_deg"),
-            flags("alignment", *ALIGNMENT_ONLY),
+        settings=settings_of(
+            "calibration", "alignment", "sightings", "triangulation", "validation"
         ),
-        align=stage_options(flags("alignment", "landmarks", "ties")),
-        measure=stage_options(flags("sightings")),
-        triangulate=stage_options(flags("triangulation")),
         views=used_views,
         curvature=decision_on("sight_curvature"),
         grid_convergence=decision_on("grid_convergence"),
     shell:
         "python -m roadsight.stages.evidence.compare_components --frames {input.frames}"
         " --matches {input.matches} --baseline {input.baseline:q}"
-        " --calibrate='{params.calibrate} --curvature {params.curvature}'"
-        " --align='{params.align} --curvature {params.curvature}'"
-        " --measure='{params.measure} --views {params.views}"
-        " --grid-convergence {params.grid_convergence}' --triangulate='{params.triangulate}'"
+        " --settings {params.settings:q} --views {params.views}"
+        " --curvature {params.curvature} --grid-convergence {params.grid_convergence}"
         " --image-edges {input.image_edges} --pole-axes {input.pole_axes} --masks {input.masks}"
         " --depth {input.depth} --road-edges {input.road_edges} --columns {input.columns}"
         " --terrain {input.terrain} --voxels {input.voxels} --dem {input.dem}"

@@ -45,14 +45,9 @@ rule solve_cover:
         poles=layered_plan_file("poles"),
         sensors=plan_costs,
         options=plan_options,
-        at_least=setting("cover.at_least"),
+        cover=flags("cover"),
         availability=plan_availability,
         height_m=target_height,
-        time_limit_s=setting("cover.time_limit_s"),
-        patience=setting("cover.patience"),
-        gap=setting("cover.gap"),
-        second=setting("cover.second_objective"),
-        second_time_limit_s=setting("cover.second_time_limit_s"),
         uncoverable=setting("coverage.uncoverable"),
         mounting=mounting_rules,
         robust=robust_arguments,
@@ -61,11 +56,8 @@ rule solve_cover:
         "python -m roadsight.stages.placement.solve_cover --site {wildcards.site} --plan {wildcards.plan}"
         " --coverage {input.coverage} --targets {input.targets} --candidates {input.candidates}"
         " --detections {input.detections} --frame {input.frame} --sensors {params.sensors:q}"
-        " --at-least {params.at_least} {params.availability} --lanes {input.lanes}"
-        " --target-height-m {params.height_m} --time-limit-s {params.time_limit_s}"
-        " --patience {params.patience} --gap {params.gap}"
-        " --second {params.second} --second-time-limit-s {params.second_time_limit_s}"
-        " --edges {input.edges}"
+        " {params.cover} {params.availability} --lanes {input.lanes}"
+        " --target-height-m {params.height_m} --edges {input.edges}"
         " --uncoverable {params.uncoverable} --seed {params.seed} --options={params.options:q}"
         " --areas {params.areas:q} --forbidden {params.forbidden:q}"
         " --mandatory {params.mandatory:q} --poles {params.poles:q}"

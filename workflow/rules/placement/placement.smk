@@ -6,6 +6,8 @@ USUAL STEPS      candidates and targets, depth maps and detections by shard, cov
                  of denser candidates near gaps
 """
 
+from roadsight.base.sections.sensing import CellFilling, TargetGrid
+
 
 rule place_candidates:
     input:
@@ -31,22 +33,13 @@ rule place_candidates:
         runtime=minutes(),
     params:
         mounts=layered_site("placement.mounts"),
-        spacing_m=setting("candidates.spacing_m"),
-        height_min_m=setting("candidates.height_min_m"),
-        height_max_m=setting("candidates.height_max_m"),
-        height_step_m=setting("candidates.height_step_m"),
-        search_radius_m=setting("candidates.search_radius_m"),
-        gap_factor=setting("candidates.gap_factor"),
-        arm_m=setting("candidates.arm_m"),
+        options=flags("candidates"),
         overhead_cover=decision_on("overhead_cover"),
     shell:
         "python -m roadsight.stages.placement.place_candidates --site {wildcards.site}"
         " --edges {input.edges} --pavement {input.pavement} --dem {input.dem}"
-        " --cloud {input.cloud} --frame {input.frame} --spacing-m {params.spacing_m}"
-        " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
-        " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --ground {input.ground} --mounts {params.mounts:q} --arm-m {params.arm_m}"
-        " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
+        " --cloud {input.cloud} --frame {input.frame} {params.options}"
+        " --ground {input.ground} --mounts {params.mounts:q} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"
 
 
@@ -68,15 +61,12 @@ rule place_targets:
     conda:
         ENVIRONMENT
     params:
-        cell_size_m=setting("targets.cell_size_m"),
-        min_points=setting("targets.min_points"),
-        inset_m=setting("targets.inset_m"),
+        grid=some_flags("targets", TargetGrid),
         width_m=target_width,
         box=target_box,
     shell:
         "python -m roadsight.stages.placement.place_targets --pavement {input.pavement}"
-        " --outline {input.outline} --frame {input.frame} --edges {input.edges} --inset-m={params.inset_m}"
-        " --cell-size-m {params.cell_size_m} --min-points {params.min_points}"
+        " --outline {input.outline} --frame {input.frame} --edges {input.edges} {params.grid}"
         " --width-m {params.width_m} {params.box}"
         " --unexamined {output.unexamined} --doubts {output.doubts} --out {output.targets} > {log} 2>&1"
 
@@ -142,8 +132,7 @@ rule render_depth_maps:
         engine=setting("lidar.engine"),
         azimuth_stride=stride_of_map,
         curvature=decision_on("curvature_refraction"),
-        min_cell_points=setting("lidar.min_cell_points"),
-        neighbours=setting("lidar.neighbours"),
+        filling=some_flags("lidar", CellFilling),
         room_m=target_room,
         panorama=panorama_flag,
         kept="results/{site}/placement/kept/round-{round}/depth/{sensor}/{shard}.parquet",
@@ -154,8 +143,7 @@ rule render_depth_maps:
         " --engine {params.engine} --azimuth-stride {params.azimuth_stride}"
         " --surfels {input.surfels} --cloud {input.cloud} --traffic {input.traffic}"
         " --network {input.network:q} --targets {input.targets} --room-m {params.room_m}"
-        " --min-cell-points {params.min_cell_points} --neighbours {params.neighbours}"
-        " {params.panorama} --kept {params.kept}"
+        " {params.filling} {params.panorama} --kept {params.kept}"
         " --tilts {input.tilts} --curvature {params.curvature} --out {output.depth} > {log} 2>&1"
 
 
@@ -262,22 +250,13 @@ rule densify_candidates:
         mounts=layered_site("placement.mounts"),
         plans=plan_sensors,
         radius_m=setting("coverage.radius_m"),
-        spacing_m=setting("candidates.spacing_m"),
-        height_min_m=setting("candidates.height_min_m"),
-        height_max_m=setting("candidates.height_max_m"),
-        height_step_m=setting("candidates.height_step_m"),
-        search_radius_m=setting("candidates.search_radius_m"),
-        gap_factor=setting("candidates.gap_factor"),
-        arm_m=setting("candidates.arm_m"),
+        options=flags("candidates"),
         overhead_cover=decision_on("overhead_cover"),
     shell:
         "python -m roadsight.stages.placement.densify_candidates"
         " --round {wildcards.round} --coverage {input.coverage} --targets {input.targets}"
         " --candidates {input.candidates} --edges {input.edges} --pavement {input.pavement}"
         " --dem {input.dem} --cloud {input.cloud} --frame {input.frame}"
-        " --plans {params.plans:q} --radius-m {params.radius_m} --spacing-m {params.spacing_m}"
-        " --height-min-m {params.height_min_m} --height-max-m {params.height_max_m}"
-        " --height-step-m {params.height_step_m} --search-radius-m {params.search_radius_m}"
-        " --ground {input.ground} --mounts {params.mounts:q} --arm-m {params.arm_m}"
-        " --gap-factor {params.gap_factor} --overhead-cover {params.overhead_cover}"
+        " --plans {params.plans:q} --radius-m {params.radius_m} {params.options}"
+        " --ground {input.ground} --mounts {params.mounts:q} --overhead-cover {params.overhead_cover}"
         " --out {output.candidates} > {log} 2>&1"

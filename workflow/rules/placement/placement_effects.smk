@@ -5,6 +5,8 @@ OUTPUTS          results/{site}/placement/effects/: rain, fog, reflectivity, lan
                  results/{site}/placement/round-*/tilts.parquet
 """
 
+from roadsight.base.sections.conditions import Traffic
+
 
 rule tilt_mounts:
     input:
@@ -111,16 +113,8 @@ rule trace_lanes:
     conda:
         ENVIRONMENT
     params:
-        aadt=setting("conditions.aadt"),
-        truck_share=setting("conditions.truck_share"),
-        speed_kmh=setting("conditions.speed_kmh"),
-        peak_share=setting("conditions.peak_share"),
-        lane_width_m=setting("conditions.lane_width_m"),
-        availability=setting("conditions.availability"),
+        traffic=some_flags("conditions", Traffic),
     shell:
         "python -m roadsight.stages.placement.trace_lanes --site {wildcards.site} --edges {input.edges}"
         " --pavement {input.pavement} --dem {input.dem} --frame {input.frame}"
-        " --aadt {params.aadt} --truck-share {params.truck_share}"
-        " --speed-kmh {params.speed_kmh} --peak-share {params.peak_share}"
-        " --lane-width-m {params.lane_width_m} --availability {params.availability}"
-        " --out {output.lanes} > {log} 2>&1"
+        " {params.traffic} --out {output.lanes} > {log} 2>&1"

@@ -338,10 +338,8 @@ def air_of_site(wildcards):
 def change_arguments(wildcards):
     """How targets are seen, and how far sensors may stand from their plan, as arguments."""
     found = SITES[wildcards.site].settings
-    change, targets = found.tolerance, found.targets
     text = (
-        f"--move-m {change.move_m} --turn-deg {change.turn_deg}"
-        f" --other-height-m {change.other_height_m} --radius-m {targets.radius_m}"
+        f"{flags('tolerance')(wildcards)} --radius-m {found.targets.radius_m}"
         f" --height-m {target_height(wildcards)} {target_box(wildcards)}"
         f" --min-beams {min_beams_of(wildcards.site)}"
         f" --azimuth-stride {found.lidar.azimuth_stride} --engine {found.lidar.engine}"

@@ -118,11 +118,6 @@ def dense_options(wildcards):
     return " ".join(parts)
 
 
-def stage_options(*parts):
-    """Options of a stage that another stage runs, as one text."""
-    return lambda wildcards: " ".join(part(wildcards) for part in parts)
-
-
 def uses_landmarks(wildcards):
     return SITES[wildcards.site].setting("alignment.landmarks") == "use"
 

@@ -1,35 +1,4 @@
-"""Helpers of the pole rules: settings as options, shards, the road, known and found poles."""
-
-
-def flags(section, *left_out):
-    """Settings of a section as command-line options, for a rule that takes them all."""
-
-    def options(wildcards):
-        values = (
-            SITES[wildcards.site].setting(section).model_dump(exclude=set(left_out))
-        )
-        return " ".join(
-            f"--{name.replace('_', '-')} {option(value)}"
-            for name, value in values.items()
-        )
-
-    return options
-
-
-def some_flags(section, *names):
-    """The same of some settings of a section, for a rule that shares them with another."""
-
-    def options(wildcards):
-        values = SITES[wildcards.site].setting(section).model_dump(include=set(names))
-        return " ".join(
-            f"--{name.replace('_', '-')} {option(values[name])}" for name in names
-        )
-
-    return options
-
-
-def option(value):
-    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+"""Helpers of the pole rules: shards, the road, known and found poles."""
 
 
 def image_shards(wildcards):

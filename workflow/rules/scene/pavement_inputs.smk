@@ -1,6 +1,6 @@
 """Helpers of the pavement rules: which way is taken, and what that way alone uses."""
 
-from roadsight.base.sections.scene import PavementOutline
+from roadsight.base.sections.scene import GroundClasses, PavementOutline
 from roadsight.scene.pavement.choice import (
     FINEST_M,
     MOST_CELLS,

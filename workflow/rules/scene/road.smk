@@ -4,6 +4,8 @@ REQUIRED INPUTS  results/{site}/scene/*
 OUTPUTS          results/{site}/poles/: voxels, top view, road edges, terrain
 """
 
+from roadsight.base.sections.poles import RoadClasses
+
 
 rule rasterise_lidar:
     input:
@@ -77,11 +79,9 @@ rule build_terrain:
         mem_mb=megabytes(60),
         runtime=minutes(),
     params:
-        road_classes=setting("voxels.road_classes"),
-        bridge_classes=setting("voxels.bridge_classes"),
-        terrain_cell_m=setting("terrain_mesh.terrain_cell_m"),
+        classes=some_flags("voxels", RoadClasses),
+        mesh=flags("terrain_mesh"),
     shell:
         "python -m roadsight.stages.scene.build_terrain --cloud {input.cloud}"
-        " --ground {input.ground} --road-classes {params.road_classes}"
-        " --bridge-classes {params.bridge_classes} --terrain-cell-m {params.terrain_cell_m}"
+        " --ground {input.ground} {params.classes} {params.mesh}"
         " --out {output.terrain} > {log} 2>&1"

@@ -3,6 +3,13 @@
 OUTPUTS          results/{site}/sample/: cloud, truth, edges; or cloud, truth, videolog with images
 """
 
+from roadsight.base.sections.sample import (
+    HighwayScene,
+    RuralLenses,
+    RuralScene,
+    RuralSurvey,
+)
+
 
 rule generate_sample:
     input:
@@ -22,25 +29,10 @@ rule generate_sample:
     resources:
         mem_mb=each_attempt(2000),
     params:
-        scene=site_field("sample.scene"),
-        points=site_field("sample.points"),
-        length_m=site_field("sample.length_m"),
-        radius_m=site_field("sample.radius_m"),
-        grade=site_field("sample.grade"),
-        tunnel=lambda wildcards: (
-            "yes" if SITES[wildcards.site].site.sample.tunnel else "no"
-        ),
-        overhead=lambda wildcards: NamedValue(
-            "sample.overhead",
-            "yes" if SITES[wildcards.site].site.sample.overhead else "no",
-        ),
-        class_scheme=site_field("sample.class_scheme"),
+        options=sample_flags(HighwayScene, "length_m", "class_scheme"),
         seed=setting("seed"),
     shell:
-        "python -m roadsight.stages.scene.generate_sample --scene {params.scene} --seed {params.seed}"
-        " --points {params.points} --length-m {params.length_m} --radius-m {params.radius_m}"
-        " --grade {params.grade} --tunnel {params.tunnel} --overhead {params.overhead}"
-        " --class-scheme {params.class_scheme}"
+        "python -m roadsight.stages.scene.generate_sample {params.options} --seed {params.seed}"
         " --cloud {output.cloud} --truth {output.truth} --edges {output.edges} > {log} 2>&1"
 
 
@@ -64,14 +56,10 @@ rule generate_rural:
     resources:
         mem_mb=each_attempt(2000),
     params:
-        pulses_per_m2=site_field("sample.pulses_per_m2"),
-        length_m=site_field("sample.length_m"),
-        scene=rural_options,
-        survey=rural_survey,
+        options=sample_flags(RuralScene, RuralSurvey, "length_m", "class_scheme"),
         seed=setting("seed"),
     shell:
-        "python -m roadsight.stages.scene.generate_rural --seed {params.seed}"
-        " --length-m {params.length_m} --pulses-per-m2 {params.pulses_per_m2} {params.scene} {params.survey}"
+        "python -m roadsight.stages.scene.generate_rural {params.options} --seed {params.seed}"
         " --cloud {output.cloud} --truth {output.truth} --poles {output.poles}"
         " --cameras {output.cameras} --videolog {output.videolog} > {log} 2>&1"
 
@@ -92,12 +80,10 @@ rule render_videolog:
     resources:
         mem_mb=each_attempt(2000),
     params:
-        length_m=site_field("sample.length_m"),
-        scene=rural_options,
-        lens=rural_lens,
+        options=sample_flags(RuralScene, RuralLenses, "length_m"),
         seed=setting("seed"),
         shards=setting("shards"),
     shell:
-        "python -m roadsight.stages.scene.render_videolog --seed {params.seed}"
-        " --length-m {params.length_m} {params.scene} {params.lens} --shard {wildcards.shard} --shards {params.shards}"
+        "python -m roadsight.stages.scene.render_videolog {params.options} --seed {params.seed}"
+        " --shard {wildcards.shard} --shards {params.shards}"
         " --images {output.images} > {log} 2>&1"

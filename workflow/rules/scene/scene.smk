@@ -32,15 +32,12 @@ rule ingest_cloud:
         extent=site_extent,
         extent_files=layered_extent_files,
         extent_crs=extent_crs,
-        tile_size_m=setting("scene.tile_size_m"),
-        overlap=setting("scene.overlap"),
-        pulse_share=setting("scene.pulse_share"),
+        options=flags("scene"),
     shell:
         "RAYON_NUM_THREADS={threads} python -m roadsight.stages.scene.ingest_cloud --site {wildcards.site}"
         " --crs={params.crs:q} --units {params.units} --vertical-units {params.vertical_units}"
         " --target-crs={params.target_crs:q} --extent={params.extent:q} --extent-files {params.extent_files:q}"
-        " --extent-crs={params.extent_crs:q} --tile-size-m {params.tile_size_m}"
-        " --overlap {params.overlap} --pulse-share {params.pulse_share} --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
+        " --extent-crs={params.extent_crs:q} {params.options} --cloud {output.cloud} --frame {output.frame} {input.clouds:q} > {log} 2>&1"
 
 
 checkpoint profile_scene:
@@ -84,23 +81,11 @@ rule build_dem:
         mem_mb=megabytes(60),
         runtime=minutes(),
     params:
-        pillar_width_m=setting("ground.pillar_width_m"),
-        height_threshold_m=setting("ground.height_threshold_m"),
-        coarse_cell_m=setting("ground.coarse_cell_m"),
-        max_object_width_m=setting("ground.max_object_width_m"),
-        slope=setting("ground.slope"),
-        coarse_tolerance_m=setting("ground.coarse_tolerance_m"),
-        dem_cell_m=setting("ground.dem_cell_m"),
-        dem_fill_m=setting("ground.dem_fill_m"),
+        options=flags("ground"),
     shell:
         "python -m roadsight.stages.scene.build_dem --site {wildcards.site}"
         " --cloud {input.cloud} --frame {input.frame} --profile {input.profile}"
-        " --pillar-width-m {params.pillar_width_m}"
-        " --height-threshold-m {params.height_threshold_m}"
-        " --coarse-cell-m {params.coarse_cell_m}"
-        " --max-object-width-m {params.max_object_width_m} --slope {params.slope}"
-        " --coarse-tolerance-m {params.coarse_tolerance_m}"
-        " --dem-cell-m {params.dem_cell_m} --dem-fill-m {params.dem_fill_m}"
+        " {params.options}"
         " --dem {output.dem} --ground {output.ground} --doubts {output.doubts} > {log} 2>&1"
 
 
@@ -122,20 +107,12 @@ rule cluster_fpfh:
         mem_mb=megabytes(150),
         runtime=minutes(),
     params:
-        voxel_size_m=setting("pavement.voxel_size_m"),
-        neighbours=setting("pavement.neighbours"),
-        fpfh_engine=setting("pavement.fpfh_engine"),
-        intensity=setting("pavement.intensity"),
-        intensity_weight=setting("pavement.intensity_weight"),
-        sample=setting("pavement.sample"),
+        options=some_flags("pavement", GroundClasses),
         seed=setting("seed"),
     shell:
         "python -m roadsight.stages.scene.cluster_fpfh"
         " --cloud {input.cloud} --ground {input.ground} --profile {input.profile}"
-        " --voxel-size-m {params.voxel_size_m} --neighbours {params.neighbours}"
-        " --intensity {params.intensity} --intensity-weight {params.intensity_weight}"
-        " --fpfh-engine {params.fpfh_engine} --sample {params.sample} --seed {params.seed}"
-        " --out {output.clusters} > {log} 2>&1"
+        " {params.options} --seed {params.seed} --out {output.clusters} > {log} 2>&1"
 
 
 rule extract_pavement:
@@ -164,9 +141,8 @@ rule extract_pavement:
         runtime=minutes(),
     params:
         tma=layered_site("placement.tma"),
-        method=setting("pavement.method"),
+        options=some_flags("pavement", "method", "intensity"),
         seeds=setting_of_pavement("surface", pavement_seeds),
-        intensity=setting("pavement.intensity"),
         edges=setting_of_pavement(
             "surface", layered_site("placement.edges", edges_file)
         ),
@@ -178,7 +154,7 @@ rule extract_pavement:
         "python -m roadsight.stages.scene.extract_pavement --site {wildcards.site}"
         " --cloud {input.cloud} --frame {input.frame} --ground {input.ground}"
         " --profile {input.profile} --clusters {input.clusters} --tma {params.tma:q}"
-        " --method {params.method} --seeds={params.seeds:q} --intensity {params.intensity}"
+        " {params.options} --seeds={params.seeds:q}"
         " --edges {params.edges:q} --edges-crs={params.edges_crs:q}"
         " --track {params.track:q} --track-crs={params.track_crs:q}"
         " {params.outline} --pavement {output.pavement} --points {output.points}"
@@ -203,16 +179,12 @@ rule build_edges:
     params:
         edges=layered_site("placement.edges", edges_file),
         edges_crs=site_field("placement.edges_crs"),
-        offset_m=setting("edges.offset_m"),
-        knot_spacing_m=setting("edges.knot_spacing_m"),
-        shortest_m=setting("edges.shortest_m"),
+        options=flags("edges"),
     shell:
         "python -m roadsight.stages.scene.build_edges --site {wildcards.site} --frame {input.frame}"
         " --pavement {input.pavement} --dem {input.dem}"
         " --digitised {params.edges:q} --digitised-crs={params.edges_crs:q}"
-        " --offset-m {params.offset_m}"
-        " --knot-spacing-m {params.knot_spacing_m} --shortest-m {params.shortest_m}"
-        " --out {output.edges} > {log} 2>&1"
+        " {params.options} --out {output.edges} > {log} 2>&1"
 
 
 rule score_pavement:

@@ -4,6 +4,8 @@ REQUIRED INPUTS  results/{site}/scene/: cloud, pavement, DEM
 OUTPUTS          results/{site}/scene/: traffic, surfels
 """
 
+from roadsight.base.sections.sensing import SurfelMaking
+
 
 rule mark_traffic:
     input:
@@ -48,15 +50,7 @@ rule build_surfels:
         mem_mb=megabytes(200),
         runtime=minutes(),
     params:
-        surfel_size_m=setting("lidar.surfel_size_m"),
-        outlier_radius_m=setting("lidar.outlier_radius_m"),
-        outlier_neighbours=setting("lidar.outlier_neighbours"),
-        outlier_engine=setting("lidar.outlier_engine"),
-        vegetation=setting("lidar.vegetation"),
+        options=some_flags("lidar", SurfelMaking),
     shell:
         "python -m roadsight.stages.scene.build_surfels --cloud {input.cloud}"
-        " --traffic {input.traffic} --surfel-size-m {params.surfel_size_m}"
-        " --vegetation {params.vegetation}"
-        " --outlier-radius-m {params.outlier_radius_m}"
-        " --outlier-neighbours {params.outlier_neighbours}"
-        " --outlier-engine {params.outlier_engine} --out {output.surfels} > {log} 2>&1"
+        " --traffic {input.traffic} {params.options} --out {output.surfels} > {log} 2>&1"

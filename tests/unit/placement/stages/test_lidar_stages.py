@@ -73,6 +73,7 @@ def site(tmp_path_factory):
     outline = gpd.GeoDataFrame({"part": [0]}, geometry=[box(-1, -1, 21, 21)])
     write_layers(folder / "outline.gpkg", {"pavement": outline}, frame)
     ground = ["--outline", str(folder / "outline.gpkg"), "--frame", str(folder / "frame.json")]
+    ground += ["--width-m", "0.5"]
     assert place_targets.main(["--pavement", paths["pavement"], *ground, "--out", targets]) == 0
     return folder
 

@@ -88,7 +88,7 @@ def detect(folder, sensor, *options, out=None):
         "sensors": "sensors.yaml",
     }
     named = [part for key, name in files.items() for part in (f"--{key}", str(folder / name))]
-    angles = ("--yaw-deg", *YAW, "--pitch-deg", *PITCH)
+    angles = ("--yaw-deg", *YAW, "--pitch-deg", *PITCH, "--roll-deg", "0")
     stage = [*named, "--sensor", sensor, *angles, *options, "--out", str(out)]
     assert detect_poses.main(stage) == 0
     return out
@@ -333,5 +333,6 @@ class TestBoxes:
         folder, _ = road
         options = [f"--{key}={folder / key}" for key in ("depth", "candidates", "targets")]
         options += [f"--sensors={folder / 'sensors.yaml'}", "--sensor=eye", "--out=x"]
+        options += [f"--{angle}-deg=0" for angle in ("yaw", "pitch", "roll")]
         assert detect_poses.main([*options, "--box", "1", "1", "1"]) == 2
         assert "has no headings" in capsys.readouterr().err

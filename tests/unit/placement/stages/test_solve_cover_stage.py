@@ -81,7 +81,8 @@ class Site:
         paths = [part for n, file in files.items() for part in (f"--{n}", str(self.folder / file))]
         return solve_cover.main(
             [
-                *("--site", "here", "--plan", "p", "--sensors", *sensors, *paths, *options),
+                *("--site", "here", "--plan", "p", "--sensors", *sensors, *paths),
+                *("--second-objective", "False", *options),
                 *("--candidates", *map(str, self.candidates)),
                 *("--detections", *map(str, self.detections), *map(str, extra)),
             ]
@@ -115,7 +116,7 @@ def test_of_two_cheapest_plans_the_one_that_sees_more_again_is_taken(tmp_path):
     assert site.check("p=S") == 0
     assert site.solve("S=1") == 0
     assert "second" not in site.read("solution.json")
-    limit = ("--second", "True", "--second-time-limit-s", "5")
+    limit = ("--second-objective", "True", "--second-time-limit-s", "5")
     assert site.solve("S=1", options=limit) == 0
     solution = site.read("solution.json")
     assert [sensor["candidate"] for sensor in solution["sensors"]] == ["a", "d"]

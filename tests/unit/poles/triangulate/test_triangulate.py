@@ -248,7 +248,7 @@ def site_table(rows, kind="pole"):
 def test_site_keeps_kinds_apart_and_names_images(method):
     _, rows = street(poles=3, noise_deg=0.05, noise_depth=0.02)
     both = pd.concat([site_table(rows), site_table(rows, "sign")], ignore_index=True)
-    poles, pole_of, _ = site_poles(both, FINE, method)
+    poles, pole_of, _ = site_poles(both, FINE.model_copy(update={"method": method}))
     assert set(POLE_COLUMNS) - {"z", "latitude", "longitude"} == set(poles.columns)
     assert poles.groupby("kind").size().to_dict() == {"pole": 3, "sign": 3}
     assert (poles["kind"].to_numpy()[pole_of[pole_of >= 0]] == both["kind"][pole_of >= 0]).all()

@@ -8,6 +8,7 @@ from roadsight.poles.risk.validation import score_thresholds
 from roadsight.poles.triangulate.earth import TangentFrame
 from roadsight.poles.triangulate.geographic import triangulate_geographic, triangulate_published
 from roadsight.poles.triangulate.published import (
+    FIRST_CODE,
     PUBLISHED_DISTANCE,
     Energy,
     Links,
@@ -44,12 +45,12 @@ def test_sweep_ends_where_no_single_link_lowers_the_energy():
     _, rows = street(poles=3)
     rays = rays_of(rows)
     links = find_links(rays, FINE)
-    on = sweep_links(links, rays.depth_m, Energy())
-    least = energy_reference(links, rays.depth_m, on, Energy())
+    on = sweep_links(links, rays.depth_m, FIRST_CODE)
+    least = energy_reference(links, rays.depth_m, on, FIRST_CODE)
     for link in range(len(on)):
         flipped = on.copy()
         flipped[link] = not flipped[link]
-        assert energy_reference(links, rays.depth_m, flipped, Energy()) >= least - 1e-12
+        assert energy_reference(links, rays.depth_m, flipped, FIRST_CODE) >= least - 1e-12
 
 
 def test_weights_of_the_sweep_are_settings():

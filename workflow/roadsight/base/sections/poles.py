@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field
 
 from roadsight.base.section import Count, Degrees, LasClass, Metres, Positive, Section
 
 
-class Voxels(Section):
+class RoadClasses(Section):
+    """Classes of the road."""
+
+    road_classes: list[LasClass] = Field(default=[11], description="LAS classes that are road")
+    bridge_classes: list[LasClass] = Field(default=[17], description="LAS classes that are bridge")
+
+
+class Voxels(RoadClasses):
     """Poles: the cloud as classified voxels and their top view."""
 
     voxel_size_m: Metres = Field(default=0.3048, description="edge of a voxel, m (1 foot)")
-    road_classes: list[LasClass] = Field(default=[11], description="LAS classes that are road")
-    bridge_classes: list[LasClass] = Field(default=[17], description="LAS classes that are bridge")
 
 
 class RoadEdges(Section):
@@ -81,12 +86,6 @@ class AlignmentMethod(Section):
     ties: Literal["use", "skip"] = Field(
         default="use", description="whether what neighbouring images both show ties their cameras"
     )
-
-    @field_validator("method", mode="before")
-    @classmethod
-    def _former_name(cls, value: Any) -> Any:
-        """The road method was called ours when it was the only one of our own."""
-        return "road" if value == "ours" else value
 
 
 class Reach(Section):

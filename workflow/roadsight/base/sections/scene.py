@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.base.section import Count, Metres, Section, Share
 
 
@@ -72,7 +72,7 @@ class PavementMethod(Section):
         description="surface: places on the road from which it grows, x and y as in the cloud",
     )
     cluster_engine: Engine = Field(
-        default="own", description="who tells which smooth points are connected"
+        default=OWN, description="who tells which smooth points are connected"
     )
 
 
@@ -87,7 +87,7 @@ class GroundClasses(Section):
         default=10, ge=3, le=100, description="K1, neighbours of a point for its FPFH"
     )
     fpfh_engine: Engine = Field(
-        default="own", description="who computes normals and FPFH (docs/howto/engines.md)"
+        default=OWN, description="who computes normals and FPFH (docs/howto/engines.md)"
     )
     intensity: Literal["auto", "use", "ignore"] = Field(
         default="auto",

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.base.section import Count, Metres, Section
 
 Curve = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -16,8 +16,8 @@ DepthModel = Literal["surfel", "hybrid", "preliminary", "unet", "unet_mask"]
 """Ways to a depth map (`roadsight.placement.depth.models`)."""
 
 
-class Targets(Section):
-    """Pole-like targets on the pavement."""
+class TargetGrid(Section):
+    """Where targets stand."""
 
     cell_size_m: Metres = Field(default=1.0, description="grid of targets, m")
     min_points: Count | Literal["local"] = Field(
@@ -28,6 +28,11 @@ class Targets(Section):
         default="local",
         description="targets keep this far inside the outline, m; local: a spacing of points",
     )
+
+
+class Targets(TargetGrid):
+    """Pole-like targets on the pavement."""
+
     kind: Literal["cylinder", "pedestrian", "car", "truck", "deer", "box"] = Field(
         default="cylinder",
         description="what a target is; box: of your size",
@@ -73,8 +78,8 @@ class Tolerance(Section):
     other_height_m: Metres = Field(default=0.5, description="another mast, lower or higher, m")
 
 
-class Lidar(Section):
-    """Virtual LiDAR."""
+class DepthMaps(Section):
+    """How depth maps are made."""
 
     model: DepthModel = Field(default="surfel", description="way to depth maps, see docs/placement")
     network: str = Field(
@@ -83,20 +88,7 @@ class Lidar(Section):
         description="unet, unet_mask: network that refines preliminary depth maps",
     )
     engine: Engine = Field(
-        default="own", description="who casts rays at surfels (docs/howto/engines.md)"
-    )
-    outlier_radius_m: float = Field(
-        default=0.0,
-        ge=0,
-        le=10,
-        description="points that stand alone within this are no surfels, m; 0: all points count",
-    )
-    outlier_neighbours: Annotated[int, Field(ge=1, le=100)] = Field(
-        default=2, description="others within that radius that a point needs to stay"
-    )
-    outlier_engine: Engine = Field(default="own", description="who looks for such points")
-    surfel_size_m: Metres = Field(
-        default=0.1, description="finest voxel of a surfel, m; larger where points are sparse"
+        default=OWN, description="who casts rays at surfels (docs/howto/engines.md)"
     )
     mounting: Literal["levelled", "normal"] = Field(
         default="levelled", description="sensors stand upright, or normal to the road"
@@ -116,14 +108,41 @@ class Lidar(Section):
         le=10,
         description="passing vehicles, lower than this, are cleared off the pavement, m; 0: no",
     )
+
+
+class SurfelMaking(Section):
+    """The cloud as surfels."""
+
+    outlier_radius_m: float = Field(
+        default=0.0,
+        ge=0,
+        le=10,
+        description="points that stand alone within this are no surfels, m; 0: all points count",
+    )
+    outlier_neighbours: Annotated[int, Field(ge=1, le=100)] = Field(
+        default=2, description="others within that radius that a point needs to stay"
+    )
+    outlier_engine: Engine = Field(default=OWN, description="who looks for such points")
+    surfel_size_m: Metres = Field(
+        default=0.1, description="finest voxel of a surfel, m; larger where points are sparse"
+    )
     vegetation: Literal["keep", "leave_out"] = Field(
         default="keep",
         description="leave_out: no surfels of plants (classes 3 to 5), as in winter",
     )
+
+
+class CellFilling(Section):
+    """What the hybrid depth map does with sparse cells."""
+
     min_cell_points: Count = Field(
         default=5, description="hybrid: cells with fewer points are filled"
     )
     neighbours: Count = Field(default=10, description="K2, hybrid: neighbours that fill a cell")
+
+
+class Lidar(CellFilling, SurfelMaking, DepthMaps):
+    """Virtual LiDAR."""
 
     @model_validator(mode="after")
     def _surfels_without_plants(self) -> Lidar:

@@ -11,11 +11,15 @@ import numpy as np
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.sections.scene import Scene
 from roadsight.io.cloud.chunks import Chunk
 from roadsight.io.cloud.clouds import CHUNK_POINTS, iter_chunks, read_header
 from roadsight.io.cloud.las_header import CloudHeader
 from roadsight.io.cloud.point_filter import noisy
 from roadsight.io.records.checksums import sha256
+
+OVERLAP = Scene().overlap
+"""What is done with points of overlapping flight lines where nobody says."""
 
 Move = Callable[[Floats], Floats]
 
@@ -73,7 +77,7 @@ def kept_chunks(
     path: str | os.PathLike[str],
     move: Move | None = None,
     chunk_points: int = CHUNK_POINTS,
-    overlap: str = "use",
+    overlap: str = OVERLAP,
     times: bool = False,
 ) -> Iterator[tuple[Chunk, int, int, int, int]]:
     """Stream the points that take part, in file order.
@@ -116,7 +120,7 @@ def scan_cloud(
     move: Move | None = None,
     chunk_points: int = CHUNK_POINTS,
     take: Take | None = None,
-    overlap: str = "use",
+    overlap: str = OVERLAP,
 ) -> CloudScan:
     """Read all points of a cloud once and keep what ingest has to know beforehand.
 

@@ -89,7 +89,7 @@ def steps_of(clouds: Sequence[Path]) -> Floats:
     return key_steps(np.array([read_header(cloud).scale for cloud in clouds]))
 
 
-def first_ones(clouds: Sequence[Path], folder: Path, overlap: str = "use") -> list[Bools]:
+def first_ones(clouds: Sequence[Path], folder: Path, overlap: str) -> list[Bools]:
     """Which of the points of each cloud that take part are there for the first time.
 
     Parameters

@@ -12,7 +12,12 @@ from shapely import LineString
 
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sensing import Targets
 from roadsight.scene.grids import Grid
+
+_USUAL = Targets()
+PUBLISHED_POINTS = 25
+"""Pavement points of a cell of 1 m that carries a target in paper 1."""
 
 _TANGENT_M = 2.0
 """The edge's direction beside a target is taken from this far behind it to this far ahead: over
@@ -48,8 +53,8 @@ def local_points(column: Ints, row: Ints, points: Ints, cell_size_m: float) -> F
 
 def place_targets(
     xyz_m: NDArray[np.floating],
-    cell_size_m: float = 1.0,
-    min_points: int = 25,
+    cell_size_m: float = _USUAL.cell_size_m,
+    min_points: int = PUBLISHED_POINTS,
     local: bool = False,
 ) -> pd.DataFrame:
     """One target at the centre of every cell that holds enough pavement points.

@@ -13,8 +13,11 @@ from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Floats, Floats32, Ints
+from roadsight.base.sections.sensing import Lidar
 from roadsight.placement.depth.angular_neighbours import Spherical, bin_points, fill_cells
 from roadsight.placement.sensors.sensors import Sensor
+
+_USUAL = Lidar()
 
 REACH_CELLS = 1.5
 """Points farther from a beam than this many of the cells' longest side do not fill its cell.
@@ -44,8 +47,8 @@ def hybrid_depth(
     position_m: ArrayLike,
     yaw_deg: float,
     *,
-    min_cell_points: int = 5,
-    neighbours: int = 10,
+    min_cell_points: int = _USUAL.min_cell_points,
+    neighbours: int = _USUAL.neighbours,
 ) -> Floats32:
     """Algorithm 1: range of every beam, 0 where nothing is near it; shape (rows, columns).
 

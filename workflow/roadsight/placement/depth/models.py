@@ -7,8 +7,11 @@ from functools import partial
 
 from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sensing import Lidar
 from roadsight.placement.depth.hybrid import hybrid_depth, preliminary_depth
 from roadsight.placement.depth.unet import unet_depth, unet_mask_depth
+
+_USUAL = Lidar()
 
 _UNETS = {"unet": unet_depth, "unet_mask": unet_mask_depth}
 NETWORK_MODELS = tuple(_UNETS)
@@ -19,7 +22,11 @@ Network = Callable[[Floats32], Floats32]
 
 
 def model_of_points(
-    name: str, network: Network | None = None, *, min_cell_points: int = 5, neighbours: int = 10
+    name: str,
+    network: Network | None = None,
+    *,
+    min_cell_points: int = _USUAL.min_cell_points,
+    neighbours: int = _USUAL.neighbours,
 ) -> Callable[..., Floats32]:
     """Function of points, sensor, position and yaw that gives a depth map.
 

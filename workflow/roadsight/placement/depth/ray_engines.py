@@ -7,7 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from roadsight.base.arrays import Floats32, Ints32
-from roadsight.base.engines import Engine, open3d
+from roadsight.base.engines import OWN, Engine, open3d
 from roadsight.geometry.ray_casting import RayScene
 
 
@@ -24,7 +24,7 @@ class Rays(Protocol):
         """
 
 
-def rays_at(corners_m: Floats32, triangles: Ints32, engine: Engine = "own") -> Rays:
+def rays_at(corners_m: Floats32, triangles: Ints32, engine: Engine = OWN) -> Rays:
     """Triangles made ready for rays, on one thread.
 
     Parameters

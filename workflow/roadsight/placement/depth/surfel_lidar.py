@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats, Floats32
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
+from roadsight.base.sections.sensing import Lidar
 from roadsight.placement.depth.ray_engines import rays_at
 from roadsight.placement.depth.votes import View, VoteSettings, seen_from_here
 from roadsight.placement.sensors.earth import rise_m
@@ -26,7 +27,7 @@ _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 """Corners of a square about its middle, in half edges, in turn."""
 _TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 """The two triangles that it is made of, by its corners."""
-SURFEL_M = 0.1
+SURFEL_M = Lidar().surfel_size_m
 """Edge of the finest voxels: finer ones gain nothing on a cloud of 3.7 million points a 250 m
 (docs/decisions/011-surfels.md)."""
 _FARTHEST_M = 1e6
@@ -54,7 +55,7 @@ class SurfelLidar:
         surfels: Surfels,
         samples: Samples | None = None,
         votes: VoteSettings | None = None,
-        engine: Engine = "own",
+        engine: Engine = OWN,
     ) -> None:
         self._samples = samples
         self._votes = votes or VoteSettings()
@@ -137,7 +138,7 @@ class SurfelLidar:
 
 
 def lidar_of_points(
-    xyz_m: Floats, surfel_size_m: float = SURFEL_M, engine: Engine = "own"
+    xyz_m: Floats, surfel_size_m: float = SURFEL_M, engine: Engine = OWN
 ) -> SurfelLidar:
     """Surfels of a cloud that is in memory, and samples that vote where it was scanned from here.
 

@@ -32,10 +32,10 @@ def see_again(
     deployment: Deployment,
     cover: Cover,
     limit_s: float,
-    stretch: Ints | None = None,
-    cell_m: float = 0.0,
-    allowed: Bools | None = None,
-    gap: float = 0.0,
+    stretch: Ints | None,
+    cell_m: float,
+    allowed: Bools | None,
+    gap: float,
 ) -> tuple[Cover, dict[str, Any] | None]:
     """A cover of the same cost that sees the most targets once more than asked, and its record.
 

@@ -16,7 +16,8 @@ from roadsight.base.sections.sensing import Targets
 from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 
-MIN_BEAMS = Targets().min_beams
+_USUAL = Targets()
+MIN_BEAMS = _USUAL.min_beams
 """A target is seen when more beams than this return from it (paper 1, Table 3)."""
 
 _TOUCH_M = 1e-9
@@ -29,8 +30,8 @@ def count_hits(
     position_m: ArrayLike,
     yaw_deg: float,
     targets_xyz_m: NDArray[np.floating],
-    radius_m: float = 0.25,
-    height_m: float = 0.6,
+    radius_m: float = _USUAL.radius_m,
+    height_m: float = _USUAL.height_m,
     max_range_m: float | None = None,
 ) -> Ints32:
     """Number of beams that return from each target (n,).

@@ -10,8 +10,11 @@ from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.track import sides_of_track
+
+_USUAL = Reach()
 
 _BATCH = 20_000
 """Edge points that are fitted at once, each with up to 64 neighbours: bounds the memory."""
@@ -178,9 +181,9 @@ def edges_ahead(
     heading_deg: float,
     track_xy_m: ArrayLike,
     *,
-    nearest_m: float = 3.0,
-    farthest_m: float = 240.0,
-    points: int = 800,
+    nearest_m: float = _USUAL.nearest_m,
+    farthest_m: float = _USUAL.farthest_m,
+    points: int = _USUAL.edge_points,
     visible: Bools | None = None,
 ) -> NearEdges:
     """Road edges in front of a place, thinned so that near and far both count.

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.base.sections.poles import Reach
 from roadsight.poles.alignment.kernel import costs, misfit
 from roadsight.poles.alignment.landmarks import Marks, Sight, landmark_misfit
 from roadsight.poles.alignment.pose import INSETS, TURNS, Start
@@ -30,7 +31,7 @@ class ImageEdges:
 
     @classmethod
     def from_pixels(
-        cls, uv_px: ArrayLike, side: ArrayLike, lane: ArrayLike, points: int = 400
+        cls, uv_px: ArrayLike, side: ArrayLike, lane: ArrayLike, points: int = Reach().pixels
     ) -> ImageEdges:
         """Group the pixels and thin them evenly, whatever their order.
 

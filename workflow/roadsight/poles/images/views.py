@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from roadsight.base.shards import shard_of
+from roadsight.base.shards import Shard
 
 ViewName = Literal["front", "left", "right"]
 VIEWS: tuple[ViewName, ...] = ("front", "left", "right")
@@ -41,9 +41,9 @@ def view_name(image: str, view: str = "front") -> str:
     return stem if view == "front" else f"{stem}.{view}"
 
 
-def usable(frames: pd.DataFrame, shard: int, shards: int) -> pd.DataFrame:
+def usable(frames: pd.DataFrame, shard: Shard) -> pd.DataFrame:
     """Frames of one shard that may be used, in the table's order."""
-    own = np.array([shard_of(image, shards) == shard for image in frames["image"]], bool)
+    own = np.array([shard.has(image) for image in frames["image"]], bool)
     return frames[(frames["status"] == "ok") & own].reset_index(drop=True)
 
 

@@ -21,6 +21,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.sections.poles import Hazard
+
+_HAZARD = Hazard()
 
 SOURCES = {
     "RDG 3.1": "AASHTO Roadside Design Guide, 4th edition (2011), table 3-1, wider end",
@@ -123,9 +126,9 @@ class Encroachments:
     downhill : from 6 % on; 1 up to 2 %, straight between. 1 leaves an influence out.
     """
 
-    outside: float = 4.0
-    inside: float = 2.0
-    downhill: float = 2.0
+    outside: float = _HAZARD.bend_outside
+    inside: float = _HAZARD.bend_inside
+    downhill: float = _HAZARD.downhill
 
 
 _USUAL = Encroachments()

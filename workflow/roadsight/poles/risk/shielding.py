@@ -24,11 +24,13 @@ import pandas as pd
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.doubts import Doubt, listed
+from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.roads import Roads, resampled
 
+_HAZARD = Hazard()
 TERMINAL_M = 3.81
 """The first 12.5 ft of a usual end terminal let vehicles through: shielding starts behind them."""
-DEFLECTION_M = 1.0
+DEFLECTION_M = _HAZARD.deflection_m
 """A W-beam on strong posts gives way about so far; the range of barriers is 0.6 to 2.1 m. Objects
 nearer behind it are hit through it."""
 _STEP_M = 1.0
@@ -192,7 +194,7 @@ class Demand:
     half_road_m: float
     from_low: bool = True
     divided: bool = False
-    runout_length_m: float = 0.0
+    runout_length_m: float = _HAZARD.runout_length_m
     deflection_m: float = DEFLECTION_M
 
 

@@ -24,15 +24,13 @@ POLE_COLUMNS = [
 ]
 
 
-def triangulate(
-    rays: Rays, settings: TriangulationSettings, method: str = "packing"
-) -> tuple[pd.DataFrame, Ints, float]:
+def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints, float]:
     """Poles with their errors.
 
     Parameters
     ----------
-    method : ``packing``: groups by the evidence for them; ``listing``: all groups, by their misfit
-        alone, slower and less sure.
+    settings : their method is ``listing``: all groups, by their misfit alone, slower and less sure;
+        else groups by the evidence for them.
 
     Returns
     -------
@@ -42,7 +40,7 @@ def triangulate(
     pole of each ray : row in ``poles``, -1 for none; shape (n,).
     scale : what depths were multiplied by; 1 if not calibrated.
     """
-    if method == "listing":
+    if settings.method == "listing":
         groups, places, covariances, scale = choose_listed(rays, settings)
     else:
         found = explain_rays(rays, settings)

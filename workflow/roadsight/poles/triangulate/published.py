@@ -50,9 +50,13 @@ class Energy:
     lonely : of a ray without partner.
     """
 
-    depth_weight: float = 0.2
-    spread_weight: float = 0.2
+    depth_weight: float
+    spread_weight: float
     lonely: float = 0.6
+
+
+FIRST_CODE = Energy(depth_weight=0.2, spread_weight=0.2)
+"""Constants of the first code."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +215,7 @@ def published_poles(
     narrow = float(np.cos(np.radians(latitude_deg)))
     far = settings.model_copy(update={"min_baseline_m": settings.min_baseline_m / _EARTH_RATIO})
     links = find_links(rays, far, UNIT_M * narrow)
-    on = sweep_links(links, rays.depth_m, Energy(), np.random.default_rng(seed))
+    on = sweep_links(links, rays.depth_m, FIRST_CODE, np.random.default_rng(seed))
     diagonal = 0.707 * settings.cluster_m * UNIT_M * float(np.hypot(1.0, narrow))
     return cluster_rays(links, on, len(rays), diagonal, np.array([1 / narrow, 1.0]))
 

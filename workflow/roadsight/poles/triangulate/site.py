@@ -7,7 +7,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Ints
-from roadsight.base.errors import InputError
 from roadsight.poles.triangulate.groups import locate_points
 from roadsight.poles.triangulate.locate import describe_groups, triangulate
 from roadsight.poles.triangulate.merging import merge_groups, places_of
@@ -50,12 +49,10 @@ POLE_COLUMNS = (
 
 _NUMBERS = ("x", "y", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition")
 """Columns of poles that hold real numbers."""
-_METHODS = ("packing", "listing", "sweep")
-"""Ours, our former, and that of the second paper."""
 
 
 def site_poles(
-    sightings: pd.DataFrame, settings: TriangulationSettings, method: str = "packing"
+    sightings: pd.DataFrame, settings: TriangulationSettings
 ) -> tuple[pd.DataFrame, Ints, dict[str, float]]:
     """Poles of all kinds.
 
@@ -63,7 +60,6 @@ def site_poles(
     ----------
     sightings : columns `SIGHTING_COLUMNS`, local metres; those not kept are left out. Optionally
         ``anchored``: whether a sighting ends at something of the cloud; `DRIFT_COLUMNS`.
-    method : ``packing`` (ours), ``listing`` (our former) or ``sweep`` (paper 2).
 
     Returns
     -------
@@ -71,24 +67,18 @@ def site_poles(
         semicolons; ids number the poles of a kind from west to east.
     pole of each sighting : row in ``poles``, -1 for none; shape (n,).
     scale by kind : what depths were multiplied by.
-
-    Raises
-    ------
-    InputError : ``method`` is unknown.
     """
-    if method not in _METHODS:
-        raise InputError("unknown method", found=method, allowed=", ".join(_METHODS))
     pole_of = np.full(len(sightings), -1, np.int64)
     tables, scales, before = [_empty()], {}, 0
     usable = sightings["kept"].to_numpy(bool)
     for kind in sorted(set(sightings["kind"][usable])):
         rows = np.flatnonzero(usable & (sightings["kind"] == kind).to_numpy())
         rays = _rays(sightings.iloc[rows])
-        if method == "sweep":
+        if settings.method == "sweep":
             poles, own = _sweep(rays, settings)
             scales[kind] = 1.0
         else:
-            poles, own, scales[kind] = triangulate(rays, settings, method)
+            poles, own, scales[kind] = triangulate(rays, settings)
         pole_of[rows[rays.row[own >= 0]]] = own[own >= 0] + before
         before += len(poles)
         tables.append(poles.assign(kind=kind, id=[f"{kind}-{n:05d}" for n in range(len(poles))]))

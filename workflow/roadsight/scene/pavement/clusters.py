@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 
 from roadsight.base.arrays import Floats, Ints
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.scene.pavement.open3d_engine import open3d_clusters
 
 
@@ -51,7 +51,7 @@ def _link(
                                 parent[_root(parent, j)] = root
 
 
-def euclidean_clusters(xyz_m: Floats, distance_m: float, engine: Engine = "own") -> Ints:
+def euclidean_clusters(xyz_m: Floats, distance_m: float, engine: Engine = OWN) -> Ints:
     """Cluster number of each point, 0 for the largest cluster.
 
     Two points share a cluster when a chain of points links them whose steps are shorter than

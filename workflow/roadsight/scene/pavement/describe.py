@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from roadsight.base.arrays import Floats, Floats32
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
 from roadsight.scene.pavement.open3d_engine import open3d_fpfh, open3d_normals
@@ -35,7 +35,7 @@ def describe_ground(
     intensity: Floats,
     column_m: float,
     neighbours: int,
-    engine: Engine = "own",
+    engine: Engine = OWN,
 ) -> GroundDescription:
     """Thin ground points to columns and describe each.
 

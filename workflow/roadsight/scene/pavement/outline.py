@@ -11,7 +11,7 @@ from shapely import MultiPolygon, Polygon
 from shapely.geometry import shape
 
 from roadsight.base.arrays import Bools, Floats
-from roadsight.base.engines import Engine
+from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import PavementOutline
 from roadsight.scene.grids import Grid
@@ -37,7 +37,7 @@ def pavement_settings_for(column_m: float, settings: PavementOutline) -> Pavemen
 
 
 def outline_pavement(
-    xyz_m: Floats, smooth: Bools, settings: PavementOutline, engine: Engine = "own"
+    xyz_m: Floats, smooth: Bools, settings: PavementOutline, engine: Engine = OWN
 ) -> MultiPolygon:
     """Polygons of the connected smooth surfaces.
 

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Numbers
-from roadsight.base.engines import Engine, open3d
+from roadsight.base.engines import OWN, Engine, open3d
 
 
 def in_company(
-    xyz_m: Numbers, around_m: Numbers, radius_m: float, others: int, engine: Engine = "own"
+    xyz_m: Numbers, around_m: Numbers, radius_m: float, others: int, engine: Engine = OWN
 ) -> Bools:
     """Points (n,) with at least ``others`` other points nearer than ``radius_m``.
 

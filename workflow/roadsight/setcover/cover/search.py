@@ -54,7 +54,7 @@ class Search(BestFirst):
         self,
         relaxation: Relaxation,
         local: LocalSearch,
-        gap: float = 0.0,
+        gap: float,
         ceiling: float = np.inf,
         long: LongSearch | None = None,
     ) -> None:

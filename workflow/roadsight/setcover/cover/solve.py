@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from roadsight.base.arrays import Bools
+from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import CoverProblem, Instance
 from roadsight.setcover.common.reductions import Reduced, reduce_problem
@@ -37,7 +38,7 @@ from roadsight.setcover.cover.search import Outcome, Search
 def solve_cover_problem(
     problem: CoverProblem,
     limit: Deadline | float | None = None,
-    seed: int = 1,
+    seed: int = SEED,
     gap: float = 0.0,
 ) -> Cover:
     """Cheapest cover, proven, or the best one found within the limit.

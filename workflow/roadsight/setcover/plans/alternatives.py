@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roadsight.base.arrays import Bools, Ints
+from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import objective_step
 from roadsight.setcover.cover.solve import solve_cover_problem
@@ -72,7 +73,7 @@ def most_different(
     chosen: Ints,
     place: Ints,
     limit: Deadline | float | None = None,
-    seed: int = 1,
+    seed: int = SEED,
 ) -> Different:
     """Answer, no dearer and seeing no less, that shares the fewest places with ``chosen``.
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from roadsight.base.arrays import Ints
 from roadsight.base.errors import InputError
+from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.result import INFEASIBLE, OPTIMAL, TIME_LIMIT, WITHIN_GAP, is_within
 from roadsight.setcover.plans.cuts import Cut
@@ -40,7 +41,7 @@ def coverage_curve(
     deployment: Deployment,
     budgets: Sequence[float],
     limit: Deadline | float | None = None,
-    seed: int = 1,
+    seed: int = SEED,
     gap: float = 0.0,
     known: Sequence[Ints] = (),
     full: float = 0.0,

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roadsight.base.arrays import Ints
+from roadsight.base.seeds import SEED
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.common.problem import CoverProblem
 from roadsight.setcover.common.result import (
@@ -49,7 +50,7 @@ class Deployed:
 def solve_deployment(
     deployment: Deployment,
     limit: Deadline | float | None = None,
-    seed: int = 1,
+    seed: int = SEED,
     gap: float = 0.0,
     starts: Iterable[Ints] = (),
     pool: list[Cut] | None = None,
@@ -90,7 +91,7 @@ def solve_deployment(
 
 
 def solve_costly_cover(
-    problem: CoverProblem, limit: Deadline, seed: int = 1, gap: float = 0.0
+    problem: CoverProblem, limit: Deadline, seed: int = SEED, gap: float = 0.0
 ) -> Cover:
     """Cheapest cover where many choices differ in cost, as `solve_cover_problem` finds it.
 

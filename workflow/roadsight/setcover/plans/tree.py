@@ -56,7 +56,7 @@ class Proof:
 class Tree(BestFirst):
     """Tree over the relaxation of a deployment."""
 
-    def __init__(self, master: Master, builder: Builder, gap: float = 0.0) -> None:
+    def __init__(self, master: Master, builder: Builder, gap: float) -> None:
         super().__init__(gap)
         self.master, self.builder = master, builder
         self.deployment = builder.deployment

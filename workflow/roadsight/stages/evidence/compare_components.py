@@ -2,59 +2,98 @@
 
 from __future__ import annotations
 
+import json
 import logging
-import shlex
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 import pandas as pd
 
-from roadsight.base.errors import InputError
+from roadsight.base.section import Section
+from roadsight.base.sections.poles import (
+    Alignment,
+    AlignmentLimits,
+    Calibration,
+    Reach,
+    Sightings,
+    Triangulation,
+    Validation,
+)
+from roadsight.base.shards import Shard
+from roadsight.base.validation import validated
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table, write_table
+from roadsight.poles.images.views import VIEWS, ViewName
 from roadsight.poles.triangulate.geographic import triangulate_published
 from roadsight.poles.triangulate.rays import UNAIDED
 from roadsight.stages.command import Command
-from roadsight.stages.poles import align_cameras, calibrate_drive, measure_poles, triangulate_poles
-from roadsight.stages.poles import validate_poles as validate
+from roadsight.stages.poles.align_cameras import align_cameras
+from roadsight.stages.poles.alignment_inputs import SceneFiles
+from roadsight.stages.poles.calibrate_drive import calibrate_drives
+from roadsight.stages.poles.dense_inputs import DenseFiles
+from roadsight.stages.poles.measure_poles import measure_poles
+from roadsight.stages.poles.triangulate_poles import triangulate_poles
+from roadsight.stages.poles.validate_poles import validate_poles
 
 log = logging.getLogger("compare_components")
 
+Part = TypeVar("Part", bound=Section)
 SEEDS = 5
 """Random orders of the published triangulation, whose median counts."""
 
 
+class PoleSettings(Section):
+    """Settings of the stages that are run."""
+
+    calibration: Calibration
+    alignment: Alignment
+    sightings: Sightings
+    triangulation: Triangulation
+    validation: Validation
+
+
 @dataclass(frozen=True)
 class Given:
-    """What the stages are run on, as their own command lines take it."""
+    """What the stages are run on."""
 
-    frames: str
-    image_edges: Annotated[Sequence[str], "shards in order"]
-    masks: Annotated[Sequence[str], "shards in order"]
-    depth: Annotated[Sequence[str], "shards in order"]
-    road_edges: str
-    columns: str
-    voxels: str
-    dem: str
-    frame: str
+    frames: Path
+    image_edges: Annotated[Sequence[Path], "shards in order"]
+    masks: Annotated[Sequence[Path], "shards in order"]
+    depth: Annotated[Sequence[Path], "shards in order"]
+    road_edges: Path
+    columns: Path
+    voxels: Path
+    dem: Path
+    frame: Path
     truth: str
-    pole_axes: Annotated[Sequence[str], "shards in order"] = ()
-    matches: Annotated[Sequence[str], "shards in order"] = ()
+    settings_json: Annotated[str, "settings of the stages, by section, as JSON"]
+    pole_axes: Annotated[Sequence[Path], "shards in order"] = ()
+    matches: Annotated[Sequence[Path], "shards in order"] = ()
     truth_kind: str | None = None
     truth_crs: str | None = None
-    terrain: str | None = None
+    terrain: Path | None = None
     baseline: str | None = None
-    calibrate: Annotated[str, "options of calibrate_drive, as one text"] = ""
-    align: Annotated[str, "options of align_cameras, as one text"] = ""
-    measure: Annotated[str, "options of measure_poles, as one text"] = ""
-    triangulate: Annotated[str, "options of triangulate_poles, as one text"] = ""
+    views: Sequence[ViewName] = VIEWS
+    curvature: Literal["simulate", "skip"] = "skip"
+    grid_convergence: Literal["simulate", "skip"] = "simulate"
+
+
+COMPONENTS = (
+    "lidar_bearing",
+    "alignment",
+    "occlusion",
+    "side_views",
+    "deterministic_mrf",
+    "pole_landmarks",
+    "image_ties",
+)
 
 
 def compare_components(given: Given, *, out: Path) -> None:
@@ -62,20 +101,12 @@ def compare_components(given: Given, *, out: Path) -> None:
 
     All runs have the site's own settings but for the component that is left out.
     """
-    variants: dict[str, dict[str, str]] = {
-        "all": {},
-        "lidar_bearing": {"bearing": "image"},
-        "alignment": {"method": "none"},
-        "occlusion": {"terrain": ""},
-        "side_views": {"views": "front"},
-        "deterministic_mrf": {"triangulation": "published"},
-        "pole_landmarks": {"columns": "", "pole_axes": ""},
-        "image_ties": {"matches": ""},
-    }
+    settings = validated(PoleSettings, json.loads(given.settings_json), "settings")
     records = []
-    for component, without in variants.items():
+    for component in ("all", *COMPONENTS):
         with tempfile.TemporaryDirectory(prefix="roadsight-") as folder:
-            records.append({"component": component, **_Variant(given, without, folder).run()})
+            variant = _Variant(given, settings, component, Path(folder))
+            records.append({"component": component, **variant.run()})
         log.info("%s", records[-1])
     write_json(out, records)
 
@@ -83,81 +114,110 @@ def compare_components(given: Given, *, out: Path) -> None:
 class _Variant:
     """One run of the stages from calibration to validation in a folder of its own."""
 
-    def __init__(self, given: Given, without: dict[str, str], folder: str) -> None:
-        self._given, self._without, self._folder = given, without, Path(folder)
+    def __init__(self, given: Given, settings: PoleSettings, without: str, folder: Path) -> None:
+        self._without, self._folder = without, folder
+        self._settings = settings
+        if without == "occlusion":
+            given = replace(given, terrain=None)
+        if without == "image_ties":
+            given = replace(given, matches=())
+        if without == "pole_landmarks":
+            given = replace(given, pole_axes=())
+        self._given = self._front_only(given) if without == "side_views" else given
 
     def run(self) -> dict[str, Any]:
         """Numbers of the variant."""
-        frames, axes = self._given.frames, self._given.pole_axes
-        if self._without.get("views") == "front":
-            frames, axes = self._front_only()
-        self._align(frames, axes)
+        self._align()
         images = int(read_table(self._path("cameras"), ["accepted"])["accepted"].sum())
-        self._measure(frames)
-        if self._without.get("triangulation") == "published":
+        self._measure()
+        if self._without == "deterministic_mrf":
             scores = [self._published(seed) for seed in range(1, SEEDS + 1)]
         else:
             scores = [self._triangulated()]
         medians = pd.DataFrame(scores).median()
         return {"images_accepted": images} | {str(k): _known(v) for k, v in medians.items()}
 
-    def _path(self, name: str, suffix: str = "parquet") -> str:
-        return str(self._folder / f"{name}.{suffix}")
+    def _path(self, name: str, suffix: str = "parquet") -> Path:
+        return self._folder / f"{name}.{suffix}"
 
-    def _front_only(self) -> tuple[str, list[str]]:
-        frames = read_table(self._given.frames).assign(left_path="", right_path="")
+    def _front_only(self, given: Given) -> Given:
+        frames = read_table(given.frames).assign(left_path="", right_path="")
         write_table(self._path("frames"), frames)
-        if not self._given.pole_axes:
-            return self._path("frames"), []
-        axes = pd.concat([read_table(path) for path in self._given.pole_axes])
+        given = replace(given, frames=self._path("frames"))
+        if not given.pole_axes:
+            return given
+        axes = pd.concat([read_table(path) for path in given.pole_axes])
         write_table(self._path("axes"), axes[axes["view"] == "front"])
-        return self._path("frames"), [self._path("axes")]
+        return replace(given, pole_axes=(self._path("axes"),))
 
-    def _align(self, frames: str, axes: Sequence[str]) -> None:
-        given = self._given
-        shared = [
-            *("--frames", frames, "--image-edges", *given.image_edges, "--frame", given.frame),
-            *("--road-edges", given.road_edges, "--dem", given.dem),
-            *_optional("--terrain", self._without.get("terrain", given.terrain)),
-            *_optional("--columns", self._without.get("columns", given.columns if axes else "")),
-            *(("--pole-axes", *axes) if "pole_axes" not in self._without else ()),
-        ]
-        calibration = self._path("calibration", "json")
-        tied = [] if "matches" in self._without else ["--matches", *given.matches]
-        known = _optional("--baseline", given.baseline)
-        options = [*shared, *tied, *known, *shlex.split(given.calibrate)]
-        _checked(calibrate_drive.main([*options, "--out", calibration]))
-        options = [*shared, *shlex.split(given.align), "--calibration", calibration]
-        options += _optional("--method", self._without.get("method"))
-        _checked(align_cameras.main([*options, "--out", self._path("cameras")]))
+    def _align(self) -> None:
+        given, asked = self._given, self._settings.alignment
+        files = SceneFiles(
+            given.frames,
+            given.road_edges,
+            given.frame,
+            given.image_edges,
+            _part(Reach, asked),
+            given.terrain,
+            given.dem,
+            given.curvature,
+            given.pole_axes,
+            given.columns if given.pole_axes else None,
+        )
+        calibration, sides = self._path("calibration", "json"), self._settings.sightings
+        calibrate_drives(
+            files,
+            DenseFiles(asked.method),
+            self._settings.calibration,
+            sides.left_yaw_deg,
+            sides.right_yaw_deg,
+            given.baseline,
+            given.matches,
+            out=calibration,
+        )
+        method = DenseFiles("none" if self._without == "alignment" else asked.method)
+        limits = _part(AlignmentLimits, asked)
+        align_cameras(files, method, limits, calibration, out=self._path("cameras"))
 
-    def _measure(self, frames: str) -> None:
-        given = self._given
-        bearing = self._without.get("bearing")
-        options = [
-            *("--frames", frames, "--cameras", self._path("cameras"), *shlex.split(given.measure)),
-            *("--dem", given.dem, "--frame", given.frame, *_optional("--bearing", bearing)),
-            *_optional("--columns", "" if bearing == "image" else given.columns),
-            *_optional("--voxels", given.voxels),
-            *("--calibration", self._path("calibration", "json")),
-            *("--shards", str(len(given.masks))),
-        ]
-        for shard, (masks, depth) in enumerate(zip(given.masks, given.depth, strict=True)):
-            own = ["--shard", str(shard), "--masks", masks, "--depth", depth]
-            out = self._path(f"sightings-{shard}")
-            _checked(measure_poles.main([*options, *own, "--out", out]))
-        parts = [read_table(self._path(f"sightings-{shard}")) for shard in range(len(given.masks))]
-        write_table(self._path("sightings"), pd.concat(parts, ignore_index=True))
+    def _measure(self) -> None:
+        given, settings = self._given, self._settings.sightings
+        if self._without == "lidar_bearing":
+            settings = settings.model_copy(update={"bearing": "image"})
+        parts = []
+        for number, (masks, depth) in enumerate(zip(given.masks, given.depth, strict=True)):
+            parts.append(self._path(f"sightings-{number}"))
+            measure_poles(
+                given.frames,
+                self._path("cameras"),
+                masks,
+                depth,
+                given.dem,
+                given.frame,
+                settings,
+                columns=None if self._without == "lidar_bearing" else given.columns,
+                calibration=self._path("calibration", "json"),
+                voxels=given.voxels,
+                views=given.views,
+                shard=Shard(number, len(given.masks)),
+                grid_convergence=given.grid_convergence,
+                out=parts[-1],
+            )
+        sightings = pd.concat([read_table(part) for part in parts], ignore_index=True)
+        write_table(self._path("sightings"), sightings)
 
     def _triangulated(self) -> dict[str, float]:
         given = self._given
-        options = [
-            *("--sightings", self._path("sightings"), "--frame", given.frame, "--dem", given.dem),
-            *("--voxels", given.voxels, "--layers", self._path("poles", "gpkg")),
-            *("--csv", self._path("poles", "csv"), "--geojson", self._path("poles", "geojson")),
-            *shlex.split(given.triangulate),
-        ]
-        _checked(triangulate_poles.main([*options, "--poles", self._path("poles")]))
+        triangulate_poles(
+            (self._path("sightings"),),
+            given.frame,
+            self._settings.triangulation,
+            given.dem,
+            voxels=given.voxels,
+            poles_path=self._path("poles"),
+            layers_path=self._path("poles", "gpkg"),
+            csv=self._path("poles", "csv"),
+            geojson=self._path("poles", "geojson"),
+        )
         return self._scores()
 
     def _published(self, seed: int) -> dict[str, float]:
@@ -180,13 +240,18 @@ class _Variant:
 
     def _scores(self) -> dict[str, float]:
         given, out = self._given, self._path("validation", "json")
-        options = [
-            *("--poles", self._path("poles"), "--truth", given.truth, "--frame", given.frame),
-            *("--frames", given.frames, "--edges", given.road_edges),
-            *_optional("--truth-kind", given.truth_kind),
-            *_optional("--truth-crs", given.truth_crs),
-        ]
-        _checked(validate.main([*options, "--out", out]))
+        validate_poles(
+            self._path("poles"),
+            given.truth,
+            given.frame,
+            given.frames,
+            given.road_edges,
+            self._settings.validation.reach_m,
+            self._settings.validation.match_m,
+            given.truth_kind,
+            given.truth_crs,
+            out=out,
+        )
         found = read_json(out)
         f1 = {row["threshold_m"]: row["f1"] for row in found["thresholds"]}
         values = {"poles": found["poles"], "mean_error_m": found["mean_m"]}
@@ -198,13 +263,9 @@ def _known(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _optional(flag: str, value: str | None) -> list[str]:
-    return [flag, value] if value else []
-
-
-def _checked(code: int) -> None:
-    if code:
-        raise InputError("a variant could not be run", hint="see the message above")
+def _part(part: type[Part], whole: Section) -> Part:
+    """The settings of a section that are of one of its parts."""
+    return part.model_validate(whole.model_dump(include=set(part.model_fields)))
 
 
 main = Command(compare_components)

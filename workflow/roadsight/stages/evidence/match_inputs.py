@@ -14,6 +14,7 @@ import numpy as np
 from roadsight.base.doubts import Doubt
 from roadsight.base.errors import InputError
 from roadsight.base.matches import tell_named
+from roadsight.base.shards import WHOLE
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import posed_images
 from roadsight.io.images.label_images import LabelImages
@@ -58,7 +59,7 @@ def match_inputs(
             named = posed_images(path)
             doubts += tell_named(log, f"{what} are of an image of the videolog", named, known, path)
         else:
-            shown = views_of(usable(read_table(frames), 0, 1), tuple(views))
+            shown = views_of(usable(read_table(frames), WHOLE), tuple(views))
             paths = [view.path for view in shown]
             doubts += LabelImages(path).matching(paths, what, log).doubts
     keep(doubts, doubts_path)

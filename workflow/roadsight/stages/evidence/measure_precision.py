@@ -10,6 +10,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from roadsight.base.arrays import Floats
+from roadsight.base.sections.scene import GroundClasses
 from roadsight.evidence.precision import (
     largest_error_m,
     normal_error_deg,
@@ -32,7 +33,7 @@ LEVELS = {
 DEFAULT = "float32, local"
 _POINTS = 100_000
 """The first points of the cloud; more would only take more time."""
-_NEIGHBOURS = 10
+_NEIGHBOURS = GroundClasses().neighbours
 """Of the plane whose normal is measured."""
 _REPEATS = 3
 """Timings of each way, of which the shortest counts."""

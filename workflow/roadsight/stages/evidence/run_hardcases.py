@@ -11,6 +11,7 @@ from typing import Annotated
 import pandas as pd
 
 from roadsight import __version__
+from roadsight.base.sections.run import Run
 from roadsight.evidence.hardcases.case import CaseResult, measure
 from roadsight.evidence.hardcases.catalogue import all_cases
 from roadsight.io.records.atomic import atomic_path
@@ -24,7 +25,7 @@ log = logging.getLogger("run_hardcases")
 
 
 def run_hardcases(
-    seed: int = 1,
+    seed: Annotated[int, Run],
     *,
     table: Annotated[Path, "CSV file to write"],
     page: Annotated[Path, "HTML file to write"],

@@ -44,9 +44,9 @@ _MOST_HITS = np.iinfo(np.uint16).max
 class PoseFiles(DetectionFiles):
     """What is tried of a sensor, and what its kind needs to see a target."""
 
-    yaw_deg: Sequence[float] = (0.0,)
-    pitch_deg: Sequence[float] = (0.0,)
-    roll_deg: Sequence[float] = (0.0,)
+    yaw_deg: Sequence[float]
+    pitch_deg: Sequence[float]
+    roll_deg: Sequence[float]
     rcs_m2: Annotated[float, Targets]
     min_pixels: Annotated[int | None, "what cameras need, not their definitions'"] = None
 

@@ -43,9 +43,7 @@ def measure_tolerance(
     skipped = len(solution["sensors"]) - len(places)
     content = {
         "plan": solution["plan"],
-        "move_m": given.move_m,
-        "turn_deg": given.turn_deg,
-        "other_height_m": given.other_height_m,
+        **given.tolerance.model_dump(),
         "targets": int(seen.any(axis=0).sum()),
         "rows": rows,
         "not_measured": skipped,

@@ -16,7 +16,7 @@ from shapely import LineString, MultiPolygon
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.base.sections.sensing import Targets
+from roadsight.base.sections.sensing import TargetGrid
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_about, read_table, write_table
@@ -41,14 +41,12 @@ def write_targets(
     pavement: Annotated[Path, "pavement points"],
     outline_path: Annotated[Path, "pavement polygons"],
     frame_path: Path,
-    inset_m: Annotated[float | str, Targets],
-    min_points: Annotated[int | str, Targets],
-    cell_size_m: Annotated[float, Targets],
+    grid: TargetGrid,
+    width_m: Annotated[float, "of a target, whatever its kind"],
     edges_paths: Annotated[Sequence[Path], "that bound the road"] = (),
     box: Annotated[
         tuple[float, float, float] | None, "targets are boxes, which have headings"
     ] = None,
-    width_m: Annotated[float, "of a target"] = 0.5,
     *,
     unexamined: Annotated[Path | None, "polygons without targets"] = None,
     doubts_path: Annotated[Path | None, "what the targets rest on"] = None,
@@ -56,25 +54,25 @@ def write_targets(
 ) -> None:
     """Write the targets, what pavement each stands for, and the pavement without any."""
     points = read_table(pavement, ["x", "y", "z"])
-    local = min_points == LOCAL
-    needed = points_needed(width_m, cell_size_m)
-    least = needed if local else int(min_points)
-    targets = place_targets(points.to_numpy(), cell_size_m, least, local)
+    local = grid.min_points == LOCAL
+    needed = points_needed(width_m, grid.cell_size_m)
+    least = needed if local else int(grid.min_points)
+    targets = place_targets(points.to_numpy(), grid.cell_size_m, least, local)
     frame = Frame.from_dict(read_json(frame_path))
     outline = _outline(outline_path, frame)
     edges = read_layer(edges_paths[0], "edges", frame) if edges_paths else None
     digitised = [] if edges is None else list(edges.geometry[edges["source"] == "digitised"])
     road = road_within(outline, digitised)
     given = read_about(pavement).get("source") == "user"
-    insets_m = _insets_m(inset_m, targets, given)
+    insets_m = _insets_m(grid.inset_m, targets, given)
     xy_m = targets[["x", "y"]].to_numpy(np.float64)
     on_road = at_least_inside(road, xy_m, insets_m)
     inside = targets[on_road].reset_index(drop=True)
-    cells = np.floor(inside[["x", "y"]].to_numpy(np.float64) / cell_size_m)
+    cells = np.floor(inside[["x", "y"]].to_numpy(np.float64) / grid.cell_size_m)
     columns_rows = cells[:, 0].astype(np.int64), cells[:, 1].astype(np.int64)
     rim_m = float(np.median(insets_m)) if len(insets_m) else 0.0
     inside["area_m2"], left = examined_areas_m2(
-        inside, columns_rows, outline, cell_size_m, max(rim_m, 0.0)
+        inside, columns_rows, outline, grid.cell_size_m, max(rim_m, 0.0)
     )
     if box:
         feet_xy_m = inside[["x", "y"]].to_numpy(np.float64)
@@ -90,7 +88,7 @@ def write_targets(
         len(targets) - len(inside),
     )
     about = {
-        "cell_size_m": cell_size_m,
+        "cell_size_m": grid.cell_size_m,
         "min_points": least,
         "pavement_area_m2": float(outline.area),
         "examined_area_m2": examined_m2,

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.engines import Engine
-from roadsight.base.sections.sensing import DepthModel, Lidar
-from roadsight.base.shards import shard_of
+from roadsight.base.sections.sensing import CellFilling, DepthModel, Lidar
+from roadsight.base.shards import Shard
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.images.depth_networks import network_for
 from roadsight.io.records.depth_maps import (
@@ -43,7 +43,7 @@ Render = Callable[[Sensor, ArrayLike, float, Tilt, Bools], Floats32]
 
 
 @dataclass(frozen=True, kw_only=True)
-class DepthFiles:
+class DepthFiles(Shard):
     """What a shard of depth maps is rendered of."""
 
     candidates: Path
@@ -54,10 +54,7 @@ class DepthFiles:
     model: Annotated[DepthModel, Lidar]
     engine: Annotated[Engine, Lidar]
     azimuth_stride: Annotated[int, Lidar]
-    min_cell_points: Annotated[int, Lidar]
-    neighbours: Annotated[int, Lidar]
-    shard: int = 0
-    shards: int = 1
+    filling: CellFilling
     targets: Annotated[Path | None, "only beams that may meet one of them are cast"] = None
     room_m: Annotated[tuple[float, float], "radius and height of a target"] = (0.5, 1.0)
     network: Annotated[Path | None, "ONNX file of the models unet and unet_mask"] = None
@@ -74,9 +71,7 @@ def render_depth_maps(given: DepthFiles, *, out: Path) -> None:
     # A panorama serves all sensors in poses, so that no candidate is for it alone.
     only = None if given.panorama else given.sensor
     poses = {
-        name: pose
-        for name, pose in read_poses(given.candidates, only).items()
-        if shard_of(name, given.shards) == given.shard
+        name: pose for name, pose in read_poses(given.candidates, only).items() if given.has(name)
     }
     tilts = read_tilts(given.tilts)
     keys = {
@@ -155,8 +150,9 @@ def _step(given: DepthFiles, sensor: Sensor) -> str:
     cloud = [given.surfels]
     if given.model != "surfel":
         cloud = [given.cloud, *filter(None, (given.traffic, given.network))]
-    names = ("model", "engine", "azimuth_stride", "min_cell_points", "neighbours", "curvature")
-    return key_of_step(cloud, what_it_sees(sensor), [getattr(given, name) for name in names])
+    names = ("model", "engine", "azimuth_stride", "curvature")
+    said = [getattr(given, name) for name in names] + list(given.filling.model_dump().values())
+    return key_of_step(cloud, what_it_sees(sensor), said)
 
 
 def _renderer(given: DepthFiles, sensor: Sensor, poses: Floats) -> Render:
@@ -179,8 +175,7 @@ def _renderer(given: DepthFiles, sensor: Sensor, poses: Floats) -> Render:
     model = model_of_points(
         given.model,
         network_for(given.model, given.network),
-        min_cell_points=given.min_cell_points,
-        neighbours=given.neighbours,
+        **given.filling.model_dump(),
     )
 
     def render(

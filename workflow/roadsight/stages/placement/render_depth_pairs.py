@@ -15,6 +15,7 @@ import numpy as np
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.sections.run import Run
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.records.depth_pairs import stack_pairs, write_pairs
 from roadsight.io.records.tables import read_table
@@ -32,10 +33,10 @@ _COLUMNS = ["x", "y", "ground_z_m", "yaw_deg"]
 def render_depth_pairs(
     candidates: Path,
     cloud_path: Path,
+    seed: Annotated[int, Run],
     traffic: Annotated[Path | None, "mask of points to leave out"] = None,
     pairs: int = 24,
     span_deg: Annotated[float, "azimuths of a map"] = 90.0,
-    seed: int = 1,
     *,
     out: Annotated[Path, "NPZ file"],
 ) -> None:

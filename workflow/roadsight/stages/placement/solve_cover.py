@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import geopandas as gpd
 import numpy as np
@@ -16,7 +16,7 @@ from scipy import sparse
 
 from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
-from roadsight.base.sections import placement
+from roadsight.base.sections.run import Run
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.places import bearing_deg, longitudes_latitudes
 from roadsight.io.records.atomic import read_json, write_json
@@ -51,12 +51,9 @@ class CoverFiles(ChangedFiles, ChoiceFiles, LevelFiles):
 
     coverage: Path
     sensors: Annotated[Sequence[str], "name=cost"]
-    patience: Annotated[float, placement.Cover]
-    second_time_limit_s: Annotated[float, placement.Cover]
-    second: Literal["True", "False"] = "False"
+    seed: Annotated[int, Run]
     robust: Annotated[bool, "sensors count with tolerance; needs surfels and sensors file"] = False
     edges: Annotated[Path | None, "the road, for the length seen by two"] = None
-    seed: int = 1
 
 
 def solve_cover(
@@ -171,7 +168,7 @@ def _with_tolerance(
             current[:, seen],
             choices["cost"].to_numpy(),
             groups=choices["position"].to_numpy(),
-            at_least=given.at_least,
+            at_least=given.cover.at_least,
         )
         effort, seed, gap = _limits(given)
         cover = solve_cover_problem(problem, effort.limit(), seed=seed, gap=gap)
@@ -179,12 +176,13 @@ def _with_tolerance(
 
     reduced, known, rounds, exact = solve_with_tolerance(matrix, solve, look)
     seen = np.asarray(reduced.sum(axis=0)).ravel() > 0
+    moved = given.tolerance
     if not seen.all() and given.uncoverable != "exclude":
         raise InputError(
             f"{int((~seen).sum())} of {len(seen)} targets are seen by no candidate with tolerance",
             where=f"site {given.site}, plan {given.plan}",
-            found=f"moved by {given.move_m:g} m, turned by {given.turn_deg:g} degrees,"
-            f" masts {given.other_height_m:g} m lower or higher",
+            found=f"moved by {moved.move_m:g} m, turned by {moved.turn_deg:g} degrees,"
+            f" masts {moved.other_height_m:g} m lower or higher",
             hint="narrow the tolerance, densify the candidates, leave robust out, or leave these"
             " targets out with coverage.uncoverable: exclude",
         )
@@ -215,8 +213,8 @@ class _Again:
         looked_at: Bools | None,
     ) -> None:
         self.record: dict[str, Any] | None = None
-        self._limit_s = given.second_time_limit_s if given.second == "True" else 0.0
-        self._allowed, self._gap = looked_at, given.gap
+        self._limit_s = given.cover.second_time_limit_s if given.cover.second_objective else 0.0
+        self._allowed, self._gap = looked_at, given.cover.gap
         self._cell_m = 0.0
         self._stretch: Ints | None = None
         if given.edges and self._limit_s:
@@ -251,7 +249,7 @@ def _cheapest(
         matrix,
         choices["cost"].to_numpy(),
         groups=choices["position"].to_numpy(),
-        at_least=given.at_least,
+        at_least=given.cover.at_least,
     )
     cover = solve_cover_problem(problem, effort.limit(), seed=seed, gap=gap)
     _check_solved(given, cover)
@@ -259,7 +257,7 @@ def _cheapest(
 
 
 def _limits(given: CoverFiles) -> tuple[Effort, int, float]:
-    return Effort(given.time_limit_s, given.patience), given.seed, given.gap
+    return Effort(given.cover.time_limit_s, given.cover.patience), given.seed, given.cover.gap
 
 
 def _option_content(answered: Answer, sensors: pd.DataFrame) -> dict[str, Any]:
@@ -340,7 +338,7 @@ def _check_solved(given: CoverFiles, cover: Cover) -> None:
                 hint="lower the plan's availability, or densify the candidates",
             )
         raise InputError(
-            f"no set of sensors covers every target {given.at_least} times",
+            f"no set of sensors covers every target {given.cover.at_least} times",
             where=f"site {given.site}, plan {given.plan}",
             found=f"{len(cover.uncoverable)} targets seen by too few candidates",
             hint="lower cover.at_least or densify the candidates",
@@ -349,7 +347,7 @@ def _check_solved(given: CoverFiles, cover: Cover) -> None:
         raise InputError(
             "no set of sensors was found within the time limit",
             where=f"site {given.site}, plan {given.plan}",
-            found=f"{given.time_limit_s:g} s",
+            found=f"{given.cover.time_limit_s:g} s",
             hint="raise cover.time_limit_s",
         )
     if cover.status == WITHIN_GAP:
@@ -394,7 +392,7 @@ def _content(
         "objective": cover.objective,
         "bound": cover.bound,
         "gap": cover.gap,
-        "at_least": given.at_least,
+        "at_least": given.cover.at_least,
         "sensors": sensors.to_dict("records"),
         "targets": len(targets),
         "covered_targets": len(targets) - len(uncovered),

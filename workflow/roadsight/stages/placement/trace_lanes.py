@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.conditions import Traffic
 from roadsight.geometry.frames import Frame
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
@@ -28,19 +29,14 @@ def trace_lanes(
     pavement_path: Path,
     dem_path: Path,
     frame_path: Path,
-    aadt: float,
-    truck_share: float,
-    speed_kmh: float,
-    peak_share: float,
-    lane_width_m: float,
-    availability: float,
+    traffic: Traffic,
     *,
     out: Path,
 ) -> None:
     """Write points of the lanes' middle lines with the vehicles on a metre of them."""
     frame = Frame.from_dict(read_json(frame_path))
     edges, pavement = read_road(edges_path, pavement_path, frame)
-    lanes = trace(list(edges.geometry), pavement, lane_width_m)
+    lanes = trace(list(edges.geometry), pavement, traffic.lane_width_m)
     if lanes.empty:
         raise InputError(
             "the pavement is too narrow for a lane wherever an edge runs beside it",
@@ -52,11 +48,7 @@ def trace_lanes(
     lanes["z"] = np.where(np.isfinite(ground), ground, np.nanmedian(ground))
     for road, count in lanes_abreast(lanes).items():
         cars, trucks = vehicles_per_m(
-            aadt,
-            truck_share,
-            speed_kmh,
-            peak_share,
-            count,
+            traffic.aadt, traffic.truck_share, traffic.speed_kmh, traffic.peak_share, count
         )
         lanes.loc[lanes["road"] == road, ["cars_per_m", "trucks_per_m"]] = (cars, trucks)
         log.info(
@@ -65,7 +57,7 @@ def trace_lanes(
             count,
             1000 * (cars + trucks),
         )
-    write_table(out, lanes, {"availability": availability})
+    write_table(out, lanes, {"availability": traffic.availability})
 
 
 main = Command(trace_lanes)

@@ -14,7 +14,7 @@ import pandas as pd
 from roadsight.base.errors import InputError
 from roadsight.base.matches import tell_named
 from roadsight.base.sections.poles import AlignmentLimits
-from roadsight.base.shards import shard_of
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.geometry.cameras import compass_deg
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
@@ -90,8 +90,7 @@ def align_cameras(
     accepted: AlignmentLimits,
     calibration: Path,
     corrections: Annotated[str | None, "poses of images set by a person, CSV"] = None,
-    shard: int = 0,
-    shards: int = 1,
+    shard: Shard = WHOLE,
     *,
     out: Path,
 ) -> None:
@@ -102,7 +101,7 @@ def align_cameras(
         residual_px=accepted.max_residual_px, sigma_heading_deg=accepted.max_sigma_heading_deg
     )
     bounds = (accepted.bound_m, accepted.bound_deg)
-    own = [p for p in scene.places if shard_of(p.image, shards) == shard]
+    own = [p for p in scene.places if shard.has(p.image)]
     by_hand = read_corrections(corrections, files)
     method = method_of(given.method, bool(scene.lenses))
     dense = DenseScene(files, given, scene.lenses) if method == "dense" else None

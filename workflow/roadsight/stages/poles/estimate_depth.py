@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Networks
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.images.label_images import LabelImages
 from roadsight.io.images.models import open_model
@@ -48,17 +49,14 @@ def estimate_depth(
     image_height_px: Annotated[int, Networks],
     folder_kind: Literal["inverse_depth", "depth"] = "inverse_depth",
     views: Sequence[ViewName] = VIEWS,
-    shard: int = 0,
-    shards: int = 1,
+    shard: Shard = WHOLE,
     threads: Annotated[int, "threads of a network"] = 1,
     *,
     out: Path,
 ) -> None:
     """Write the depth of every view of every usable frame of the shard."""
     folders = [] if _is_manifest(source) else [LabelImages(source)]
-    shown, left_out = views_with_images(
-        frames, views, (shard, shards), folders, "depth images", log
-    )
+    shown, left_out = views_with_images(frames, views, shard, folders, "depth images", log)
     metric, key, depth_of = _open(source, threads, images, image_height_px, folder_kind)
     about: dict[str, Any] = {
         "source": source,

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Floats
-from roadsight.base.shards import shard_of
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
@@ -37,8 +37,7 @@ def match_images(
     images_path: str,
     drive: Annotated[Path | None, "profile whose lenses distort; none: pinholes"] = None,
     lenses_json: Annotated[str, "given lenses as JSON: route, k1, k2, focal_px"] = "[]",
-    shard: int = 0,
-    shards: int = 1,
+    shard: Shard = WHOLE,
     *,
     out: Path,
 ) -> None:
@@ -46,7 +45,7 @@ def match_images(
     pairs = [
         (one, other)
         for one, other in consecutive(read_table(frames, _FRAME))
-        if shard_of(_run(one), shards) == shard
+        if shard.has(_run(one))
     ]
     images = ImageSource(images_path)
     lenses = None

@@ -15,6 +15,7 @@ import pandas as pd
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Sightings
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.geometry.cameras import Intrinsics, compass_deg
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -90,8 +91,7 @@ def measure_poles(
     calibration: Annotated[Path | None, "has the yaw of side views, if found"] = None,
     voxels: Annotated[Path | None, "only for the bearing `lidar`"] = None,
     views: Sequence[ViewName] = VIEWS,
-    shard: int = 0,
-    shards: int = 1,
+    shard: Shard = WHOLE,
     grid_convergence: Literal["simulate", "skip"] = "simulate",
     *,
     out: Path,
@@ -99,7 +99,7 @@ def measure_poles(
     """Write the sightings of every image of the shard whose camera was accepted."""
     given = ViewOffsets(settings.left_yaw_deg, settings.right_yaw_deg)
     found = _side_views(calibration, turns_path)
-    frames = usable(read_table(frames_path), shard, shards)
+    frames = usable(read_table(frames_path), shard)
     cameras = read_table(cameras_path)
     accepted = cameras[cameras["accepted"]].set_index("image")
     poses = {str(image): pose for image, pose in accepted.iterrows()}

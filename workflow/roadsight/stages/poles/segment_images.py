@@ -13,6 +13,7 @@ import numpy as np
 from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Networks
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.images.label_images import LabelImages
 from roadsight.io.images.models import open_model, read_label_map
@@ -45,8 +46,7 @@ def segment_images(
     ],
     image_height_px: Annotated[int, Networks],
     views: Sequence[ViewName] = VIEWS,
-    shard: int = 0,
-    shards: int = 1,
+    shard: Shard = WHOLE,
     threads: Annotated[int, "threads of a network"] = 1,
     *,
     out: Path,
@@ -54,9 +54,7 @@ def segment_images(
     """Write the mask of every view of every usable frame of the shard."""
     sources = [_open(one, threads, image_height_px) for one in source]
     folders = [LabelImages(one[0]) for one in source if len(one) == 2]
-    shown, left_out = views_with_images(
-        frames, views, (shard, shards), folders, "label images", log
-    )
+    shown, left_out = views_with_images(frames, views, shard, folders, "label images", log)
     pictures = ImageSource(images)
     pixels = np.zeros(256, np.int64)
     about = {"sources": [" ".join(s) for s in source], "scale": 1.0}

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.sections.poles import EdgeTracing
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.images.image_edges import BORDER, LANE, ImageEdges, trace_edges
@@ -25,13 +26,12 @@ def trace_image_edges(
     frames_path: Path,
     masks_path: Path,
     settings: EdgeTracing,
-    shard: int = 0,
-    shards: int = 1,
+    shard: Shard = WHOLE,
     *,
     out: Path,
 ) -> None:
     """Write a row for each edge point, by image."""
-    frames = usable(read_table(frames_path), shard, shards)
+    frames = usable(read_table(frames_path), shard)
     masks = ImageShard(masks_path)
     views = list(views_of(frames, ("front",)))
     tables, reasons = [], {}

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.sections.poles import PoleMasks
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.io.images.image_shards import ImageShard
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.images.pole_masks import Instance, find_instances
@@ -42,13 +43,12 @@ def trace_pole_axes(
     masks_path: Path,
     settings: PoleMasks,
     views: Sequence[ViewName] = VIEWS,
-    shard: int = 0,
-    shards: int = 1,
+    shard: Shard = WHOLE,
     *,
     out: Path,
 ) -> None:
     """Write a row for each pole that is large and slender enough, by image and view."""
-    frames = usable(read_table(frames_path), shard, shards)
+    frames = usable(read_table(frames_path), shard)
     masks = ImageShard(masks_path)
     shown = [view for view in views_of(frames, tuple(views)) if view.name in masks]
     rows = []

@@ -78,7 +78,7 @@ def triangulate_poles(
     if doubts_path:
         doubts = pole_doubts(sightings, network, settings)
         tell(doubts, doubts_path, "poles", log)
-    poles, pole_of, scales = site_poles(sightings, settings, settings.method)
+    poles, pole_of, scales = site_poles(sightings, settings)
     poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)
     if voxels:
         near = _structures(voxels)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 from roadsight.base.arrays import Floats
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.io.images.image_shards import ImageShard, ImageShardWriter
 from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json
@@ -30,14 +31,13 @@ def undistort_views(
     maps_path: Path,
     lenses_json: Annotated[str, "given lenses as JSON: route, k1, k2, focal_px"] = "[]",
     views: Sequence[ViewName] = VIEWS,
-    shard: int = 0,
-    shards: int = 1,
+    shard: Shard = WHOLE,
     *,
     out: Path,
 ) -> None:
     """Write the shard's maps without the distortion of their lenses."""
     lenses = with_given(read_json(drive)["lenses"], json.loads(lenses_json))
-    frames = usable(read_table(frames_path), shard, shards)
+    frames = usable(read_table(frames_path), shard)
     maps, images = ImageShard(maps_path), ImageSource(images_path)
     names = ("route", "width_px", "height_px")
     keys = {

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.matches import tell_named
-from roadsight.base.shards import shard_of
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.geometry.frames import Frame
 from roadsight.io.images.camera_tables import read_cameras
 from roadsight.io.records.atomic import read_json
@@ -34,8 +34,7 @@ def use_given_cameras(
     sigma_heading_deg: float = GivenSigma.heading_deg,
     sigma_pitch_deg: float = GivenSigma.pitch_deg,
     sigma_place_m: float = GivenSigma.lateral_m,
-    shard: int = 0,
-    shards: int = 1,
+    shard: Shard = WHOLE,
     *,
     out: Path,
 ) -> None:
@@ -48,7 +47,7 @@ def use_given_cameras(
     tell_named(log, told, set(given["image"]), known, cameras)
     poses = {str(row["image"]): row for _, row in given.iterrows()}
     sigma = GivenSigma(sigma_heading_deg, sigma_pitch_deg, sigma_place_m, sigma_place_m)
-    own = [p for p in scene.places if shard_of(p.image, shards) == shard]
+    own = [p for p in scene.places if shard.has(p.image)]
     rows, shares = [], []
     for place in logged(own, len(own), log, "images"):
         pose = poses.get(place.image)

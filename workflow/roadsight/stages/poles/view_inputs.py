@@ -6,6 +6,7 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.io.images.label_images import LabelImages
 from roadsight.io.records.tables import read_table
 from roadsight.poles.images.views import View, usable, views_of
@@ -14,7 +15,7 @@ from roadsight.poles.images.views import View, usable, views_of
 def views_with_images(
     frames_path: Path,
     wanted: Sequence[str],
-    place: tuple[int, int],
+    shard: Shard,
     folders: Sequence[LabelImages],
     what: str,
     log: logging.Logger,
@@ -25,19 +26,18 @@ def views_with_images(
 
     Parameters
     ----------
-    wanted : names of views. place : the shard, and how many there are. what : what the folders
-        hold, plural.
+    wanted : names of views. what : what the folders hold, plural.
 
     Raises
     ------
     InputError : a folder has an image of no view.
     """
     frames, wanted = read_table(frames_path), tuple(wanted)
-    everywhere = [view.path for view in views_of(usable(frames, 0, 1), wanted)]
+    everywhere = [view.path for view in views_of(usable(frames, WHOLE), wanted)]
     missing = {
         path for folder in folders for path in folder.matching(everywhere, what, log).without
     }
-    views = list(views_of(usable(frames, *place), wanted))
+    views = list(views_of(usable(frames, shard), wanted))
     left_out = [view for view in views if view.path in missing]
     if left_out:
         names = ", ".join(view.path for view in left_out)

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from roadsight.base.arrays import Floats32
-from roadsight.base.engines import Engine
-from roadsight.base.sections.sensing import Lidar
+from roadsight.base.sections.sensing import SurfelMaking
 from roadsight.io.cloud.standing import StandingCloud
 from roadsight.io.records.surfels import write_surfels
 from roadsight.scene.classes import VEGETATION
@@ -28,44 +27,39 @@ cloud, 1.9 % of a street that was scanned once, and 18 % of an airborne cloud sp
 
 def write_scene_surfels(
     cloud_path: Path,
-    surfel_size_m: Annotated[float, Lidar],
-    vegetation: Annotated[str, Lidar],
-    outlier_radius_m: Annotated[float, Lidar],
-    outlier_neighbours: Annotated[int, Lidar],
-    outlier_engine: Annotated[Engine, Lidar],
+    settings: SurfelMaking,
     traffic: Annotated[Path | None, "mask of points to leave out"] = None,
     *,
     out: Path,
 ) -> None:
     """Sum up the cloud in voxels, tile by tile, and turn them into surfels."""
-    without = VEGETATION if vegetation == "leave_out" else ()
+    without = VEGETATION if settings.vegetation == "leave_out" else ()
     cloud = StandingCloud(cloud_path, traffic, without)
     tiles = logged(range(len(cloud.tiles)), len(cloud.tiles), log, "tiles")
     parts, points = [], 0
     for tile in tiles:
-        xyz = _points(cloud, tile, outlier_radius_m, outlier_neighbours, outlier_engine)
-        parts.append(sum_moments(xyz, surfel_size_m))
+        xyz = _points(cloud, tile, settings)
+        parts.append(sum_moments(xyz, settings.surfel_size_m))
         points += len(xyz)
-    _tell_alone(cloud.points - points, cloud.points, outlier_radius_m)
+    _tell_alone(cloud.points - points, cloud.points, settings.outlier_radius_m)
     voxels = add_moments(parts)
     surfels = build_local_surfels(voxels)
     log.info(
         "%d points, %d voxels of %.3f m, %d surfels",
         points,
         len(voxels.keys),
-        surfel_size_m,
+        settings.surfel_size_m,
         len(surfels),
     )
-    write_surfels(out, surfels, {"voxel_m": surfel_size_m, "points": points})
+    write_surfels(out, surfels, {"voxel_m": settings.surfel_size_m, "points": points})
 
 
-def _points(
-    cloud: StandingCloud, tile: int, radius_m: float, others: int, engine: Engine
-) -> Floats32:
+def _points(cloud: StandingCloud, tile: int, settings: SurfelMaking) -> Floats32:
     """Points of a tile, without those that stand alone where these are to go."""
-    xyz = cloud.xyz(tile)
+    xyz, radius_m = cloud.xyz(tile), settings.outlier_radius_m
     if radius_m == 0:
         return xyz
+    others, engine = settings.outlier_neighbours, settings.outlier_engine
     return xyz[in_company(xyz, cloud.around(tile, radius_m), radius_m, others, engine)]
 
 

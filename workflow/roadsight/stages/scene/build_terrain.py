@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
 
 from roadsight.base.errors import InputError
-from roadsight.base.sections.poles import TerrainMesh, Voxels
+from roadsight.base.sections.poles import RoadClasses, TerrainMesh
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.tables import read_table
 from roadsight.io.records.terrains import write_terrain
@@ -29,9 +28,8 @@ the result does not depend on it."""
 
 def build_terrain(
     cloud_path: Path,
-    road_classes: Annotated[Sequence[int], Voxels],
-    bridge_classes: Annotated[Sequence[int], Voxels],
-    terrain_cell_m: Annotated[float, TerrainMesh],
+    classes: RoadClasses,
+    mesh: TerrainMesh,
     ground_path: Annotated[Path | None, "ground labels; class 2 of the cloud if not given"] = None,
     longest_m: Annotated[float, "longest side of a triangle at the outside"] = 30.0,
     *,
@@ -39,7 +37,7 @@ def build_terrain(
 ) -> None:
     """Thin ground and road points to one per cell, tile by tile, and triangulate them."""
     cloud = CloudTiles(cloud_path)
-    table = class_table(road_classes, bridge_classes)
+    table = class_table(classes.road_classes, classes.bridge_classes)
     ground = _ground_labels(ground_path, cloud)
     starts = np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
     parts = []
@@ -49,7 +47,7 @@ def build_terrain(
         is_road = (cls == ROAD) | (cls == BRIDGE)
         is_ground = cls == GROUND if ground is None else ground[starts[number] : starts[number + 1]]
         used = is_road | is_ground
-        parts.append(sum_cells(stack_xyz(points)[used], is_road[used], terrain_cell_m))
+        parts.append(sum_cells(stack_xyz(points)[used], is_road[used], mesh.terrain_cell_m))
         if len(parts) == _MERGE_EVERY:
             parts = [add_cells(parts)]
     terrain = triangulate(cell_means(add_cells(parts)), longest_m)

@@ -7,11 +7,13 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.run import Run
 from roadsight.base.sections.scene import GroundClasses
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
@@ -32,7 +34,7 @@ def cluster_fpfh(
     ground: Path,
     profile: Path,
     settings: GroundClasses,
-    seed: int = 1,
+    seed: Annotated[int, Run],
     *,
     out: Path,
 ) -> None:

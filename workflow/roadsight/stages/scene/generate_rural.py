@@ -6,12 +6,14 @@ import logging
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats
+from roadsight.base.sections.run import Run
+from roadsight.base.sections.sample import RuralScene, RuralSurvey, Sample
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.images.videolog_shards import write_csv
 from roadsight.io.vector.vectors import write_layers
@@ -39,16 +41,11 @@ OBJECT_DIMENSION = "truth_object"
 
 
 def generate_rural(
-    seed: int = 1,
-    length_m: Annotated[float, "of the drive, 60 to 3000"] = 1000.0,
-    pulses_per_m2: Annotated[float, "of the laser"] = 24.0,
-    relief: Annotated[float, "heights; 0 is level"] = 1.0,
-    hfov_deg: Annotated[float, "first camera; 0: about 20"] = 0.0,
-    side_views: Literal["yes", "no"] = "yes",
-    principal_point_px: Annotated[float, "from the middle"] = 0.0,
-    gps_drift_m: Annotated[float, "0: about 1.4"] = 0.0,
-    pole_returns: Literal["yes", "no"] = "yes",
-    class_scheme: Literal["usual", "none", "unclassified", "lines"] = "usual",
+    scene: RuralScene,
+    survey: RuralSurvey,
+    length_m: Annotated[float, Sample],
+    class_scheme: Annotated[str, Sample],
+    seed: Annotated[int, Run],
     *,
     cloud: Annotated[Path, "LAZ to write, classified"],
     truth: Annotated[Path, "GeoPackage to write"],
@@ -57,10 +54,10 @@ def generate_rural(
     cameras: Annotated[Path, "CSV of the true cameras to write"],
 ) -> None:
     """Build the site, scan it, drive along it, and write cloud, truth and tables."""
-    site = build_rural(seed, length_m, relief=relief)
+    site = build_rural(seed, length_m, relief=scene.relief)
     scanner = AirborneScanner(
-        pulses_per_m2=pulses_per_m2,
-        hits_poles=pole_returns == "yes",
+        pulses_per_m2=survey.pulses_per_m2,
+        hits_poles=survey.pole_returns,
         class_scheme=class_scheme,
     )
     rng = np.random.default_rng([seed, 31])
@@ -68,13 +65,12 @@ def generate_rural(
     write_laz(cloud, xyz_m, site.frame(), dims)
     write_layers(truth, rural_layers(site), site.frame())
     write_csv(poles, pole_table(site), POLE_DECIMALS)
-    sides = side_views == "yes"
     drives = random_drives(
         seed,
-        hfov_deg=hfov_deg,
-        side_views=sides,
-        principal_point_px=principal_point_px,
-        gps=drifting(gps_drift_m) if gps_drift_m else GpsNoise(),
+        hfov_deg=scene.hfov_deg,
+        side_views=scene.side_views,
+        principal_point_px=scene.principal_point_px,
+        gps=drifting(survey.gps_drift_m) if survey.gps_drift_m else GpsNoise(),
     )
     places = [place for drive in drives for place in shots(site, drive, seed)]
     write_csv(videolog, videolog_table(site, places), VIDEOLOG_DECIMALS)

@@ -6,12 +6,14 @@ import logging
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats
+from roadsight.base.sections.run import Run
+from roadsight.base.sections.sample import HighwayScene, Sample
 from roadsight.io.cloud.clouds import write_laz
 from roadsight.io.vector.sample import write_native_lines
 from roadsight.io.vector.vectors import write_layers
@@ -28,18 +30,10 @@ TRUTH_DIMENSION = "truth_class"
 
 
 def generate_sample(
-    scene: Literal["highway"] = "highway",
-    seed: int = 1,
-    points: Annotated[int, "about so many points"] = 3500000,
-    length_m: Annotated[float, "length of road, 40 to 600"] = 250.0,
-    radius_m: Annotated[float, "of the curve to the left"] = 600.0,
-    grade: Annotated[float, "rise over run"] = 0.018,
-    tunnel: Annotated[Literal["yes", "no"], "at its end"] = "yes",
-    overhead: Annotated[Literal["yes", "no"], "wires, roofs"] = "no",
-    class_scheme: Annotated[
-        Literal["usual", "plants"],
-        "usual: every point is 0, never classified; plants: vegetation is told",
-    ] = "usual",
+    scene: HighwayScene,
+    length_m: Annotated[float, Sample],
+    class_scheme: Annotated[str, Sample],
+    seed: Annotated[int, Run],
     *,
     cloud: Annotated[Path, "LAZ to write"],
     truth: Annotated[Path, "GeoPackage to write"],
@@ -49,21 +43,21 @@ def generate_sample(
     highway = build_highway(
         seed,
         length_m,
-        radius_m,
-        grade,
-        tunnel == "yes",
-        overhead == "yes",
+        scene.radius_m,
+        scene.grade,
+        scene.tunnel,
+        scene.overhead,
     )
     frame = highway.frame()
     scan_rng, click_rng = np.random.default_rng(seed).spawn(2)
-    xyz_m, dims = _cloud(scan(highway, points, scan_rng))
+    xyz_m, dims = _cloud(scan(highway, scene.points, scan_rng))
     if class_scheme == "plants":
         classes = dims[TRUTH_DIMENSION]
         dims["classification"] = np.where(np.isin(classes, VEGETATION), classes, 0).astype(np.uint8)
     write_laz(cloud, xyz_m, frame, dims)
     write_layers(truth, truth_layers(highway), frame)
     write_native_lines(edges, digitised_edges(highway, click_rng), frame, EPSG)
-    logging.info("%d points on %g m of %s", len(xyz_m), length_m, scene)
+    logging.info("%d points on %g m of road", len(xyz_m), length_m)
 
 
 def _cloud(chunks: Iterable[PointChunk]) -> tuple[Floats, dict[str, NDArray[Any]]]:

@@ -25,7 +25,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice, resolve
 from roadsight.geometry.site import Reprojection, SiteFrame, centre_of, reprojection, site_frame
 from roadsight.io.cloud.chunks import Chunk
-from roadsight.io.cloud.cloud_scan import CloudScan, Take, kept_chunks, scan_cloud
+from roadsight.io.cloud.cloud_scan import OVERLAP, CloudScan, Take, kept_chunks, scan_cloud
 from roadsight.io.cloud.clouds import CHUNK_POINTS, read_extent, read_header
 from roadsight.io.cloud.point_filter import in_share
 from roadsight.io.cloud.repeated import RepeatedSample, check_copies, first_ones, steps_of
@@ -48,9 +48,9 @@ def ingest(
     cloud_path: Path,
     frame_path: Path,
     chunk_points: int = CHUNK_POINTS,
-    overlap: str = "use",
+    overlap: str = OVERLAP,
     extent: Callable[[Frame], Within] | None = None,
-    pulse_share: float = 1.0,
+    pulse_share: float = Scene().pulse_share,
 ) -> None:
     """Read ``clouds``, check them and write the tiled cloud and its frame.
 
@@ -133,7 +133,7 @@ def survey(
     target_crs: str | None = None,
     chunk_points: int = CHUNK_POINTS,
     take: Take | None = None,
-    overlap: str = "use",
+    overlap: str = OVERLAP,
 ) -> tuple[SiteFrame, list[CloudScan], Reprojection | None]:
     """First pass: what the clouds hold, the frame they share and the way into its CRS.
 

@@ -7,11 +7,13 @@ import sys
 import zlib
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 
-from roadsight.base.shards import shard_of
+from roadsight.base.sections.run import Run
+from roadsight.base.sections.sample import RuralLenses, RuralScene, Sample
+from roadsight.base.shards import WHOLE, Shard
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.lens import RadialLens
 from roadsight.io.images.image_shards import ImageShardWriter
@@ -28,35 +30,30 @@ log = logging.getLogger("render_videolog")
 
 
 def render_videolog(
-    seed: int = 1,
-    length_m: Annotated[float, "of the drive, 60 to 3000"] = 1000.0,
-    relief: Annotated[float, "heights; 0 is level"] = 1.0,
-    hfov_deg: Annotated[float, "first camera; 0: about 20"] = 0.0,
-    side_views: Literal["yes", "no"] = "yes",
-    principal_point_px: Annotated[float, "from the middle"] = 0.0,
-    k1: Annotated[float, "of all lenses, focal length 1"] = 0.0,
-    k2: float = 0.0,
-    shard: int = 0,
-    shards: int = 1,
+    scene: RuralScene,
+    lenses: RuralLenses,
+    length_m: Annotated[float, Sample],
+    seed: Annotated[int, Run],
+    shard: Shard = WHOLE,
     labels_path: Annotated[Path | None, "ZIP of PNGs with project classes to write"] = None,
     depth: Annotated[Path | None, "ZIP of 16-bit PNGs with inverse depth to write"] = None,
     *,
     images_path: Annotated[Path, "ZIP of JPEGs to write"],
 ) -> None:
     """Write the images of the shard's places, and what is true about their pixels."""
-    site = build_rural(seed, length_m, relief=relief)
+    site = build_rural(seed, length_m, relief=scene.relief)
     renderer = RuralRenderer(site)
     drives = random_drives(
         seed,
-        hfov_deg=hfov_deg,
-        side_views=side_views == "yes",
-        principal_point_px=principal_point_px,
+        hfov_deg=scene.hfov_deg,
+        side_views=scene.side_views,
+        principal_point_px=scene.principal_point_px,
     )
     wanted = [
         (shot, view, number)
         for number, drive in enumerate(drives)
         for shot in shots(site, drive, seed)
-        if shard_of(shot.name(), shards) == shard
+        if shard.has(shot.name())
         for view in shot.cameras
     ]
     with ExitStack() as stack:
@@ -70,7 +67,7 @@ def render_videolog(
             own = [seed, zlib.crc32(name.encode())]
             finish = random_finish(np.random.default_rng(own))
             look = drive_look(seed, number)
-            lens = _lens(shot.cameras[view].intrinsics, k1, k2)
+            lens = _lens(shot.cameras[view].intrinsics, lenses.k1, lenses.k2)
             picture = renderer.render_view(shot.cameras[view], look, finish, own[1], lens)
             images.write(name, picture.colour)
             if labels is not None:

@@ -14,7 +14,8 @@ import pandas as pd
 import shapely
 
 from roadsight.base.errors import InputError
-from roadsight.config.plan_options import FILES, PlanOptions
+from roadsight.base.section import Section
+from roadsight.config.plan_options import FILES, Budget, PlanOptions
 from roadsight.config.plans import Plan, load_plans
 from roadsight.io.vector.vectors import read_polygons, write_geojson
 from roadsight.placement.sensors.sensors import load_sensors
@@ -38,8 +39,22 @@ def about_plans(project: Project, site: SiteFolder) -> dict[str, Any]:
     return {
         "version": site_version(site, "plans"),
         "sensors": [{"name": name, "cost": kind.cost} for name, kind in kinds.items()],
+        "fields": {
+            "title": _field(Plan, "title"),
+            "at_least": _field(PlanOptions, "at_least"),
+            "sensors": _field(Budget, "sensors"),
+            "cost": _field(Budget, "cost"),
+            "price": _field(PlanOptions, "price"),
+        },
         "plans": [_described(name, plan) | {"own": name in own} for name, plan in plans.items()],
     }
+
+
+def _field(section: type[Section], name: str) -> dict[str, Any]:
+    """What a form asks for: description, type and range of a setting, as JSON schema has them."""
+    told: dict[str, Any] = section.model_json_schema()["properties"][name]
+    kinds = [kind for kind in told.pop("anyOf", ()) if kind["type"] != "null"]
+    return told | (kinds[0] if kinds else {})
 
 
 def _described(name: str, plan: Plan) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from scipy import sparse
 
 from roadsight.base.arrays import Bools, Ints
 from roadsight.base.errors import InputError
+from roadsight.base.sections.placement import Cover
 from roadsight.config.plan_options import FILES
 from roadsight.config.plans import Plan
 from roadsight.io.vector.layer_names import split_layer
@@ -174,7 +175,7 @@ def _given(site: SiteFolder, name: str, plan: Plan, files: dict[str, Path]) -> _
         detections=[path for short, path in files.items() if short.startswith("shard")],
         mounting=site.resolved.settings.mounting.model_dump_json(),
         options=json.dumps(asked) if asked else "",
-        at_least=1,
+        cover=Cover(at_least=1),
         uncoverable="exclude",
         zones=zones,
         cabinets=cabinets,

@@ -11,6 +11,8 @@ from pyproj import CRS
 
 from roadsight.base.arrays import Bytes
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sample import Sample
+from roadsight.base.seeds import SEED
 from roadsight.geometry.frames import Frame
 from roadsight.synthetic.casting.alignment import Alignment, to_road
 from roadsight.synthetic.casting.materials import MATERIAL_NAMES, TruthClass
@@ -30,14 +32,12 @@ EPSG = 32650
 """UTM zone 50 north on WGS 84: metres, and places far from 0, where single precision fails."""
 ORIGIN_M = (668_000.0, 3_547_000.0, 0.0)
 """Easting, northing and height of station 0."""
-_RADIUS_M = 600.0
-"""Of the arc, unless asked for another."""
+_USUAL = Sample()
+"""What a highway is, unless asked for another."""
 _HEADING_DEG = 25.0
 """Of the road at station 0, from east to north: along neither axis."""
 _HEIGHT_M = 25.0
 """Of the road at station 0."""
-_GRADE = 0.018
-"""Rise of the road by its length, unless asked for another."""
 _TUNNEL_M = 30.0
 """Length of the tunnel at the end, at most a quarter of the road."""
 _FAR_M = 200.0
@@ -98,12 +98,12 @@ class Highway:
 
 
 def build_highway(
-    seed: int = 1,
-    length_m: float = 250.0,
-    radius_m: float = _RADIUS_M,
-    grade: float = _GRADE,
-    tunnel: bool = True,
-    overhead: bool = False,
+    seed: int = SEED,
+    length_m: float = _USUAL.length_m,
+    radius_m: float = _USUAL.radius_m,
+    grade: float = _USUAL.grade,
+    tunnel: bool = _USUAL.tunnel,
+    overhead: bool = _USUAL.overhead,
 ) -> Highway:
     """Build the sample site; the same arguments give the same site.
 

@@ -22,7 +22,7 @@ _CLICK_SIGMA_M = 0.05
 """How far a person clicks beside the edge, one sigma."""
 
 
-def sample_scene(seed: int = 1, length_m: float = 250.0) -> Scene:
+def sample_scene(seed: int, length_m: float) -> Scene:
     """Exact scene of the sample site in its local frame (see `Highway.frame`)."""
     return build_highway(seed, length_m).scene
 

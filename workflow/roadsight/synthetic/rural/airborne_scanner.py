@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Floats, Ints, Ints32
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sample import Sample
 from roadsight.synthetic.rendering.images import Cast, RuralRenderer
 from roadsight.synthetic.rural.rural_materials import (
     CLOUD_OF_GROUND,
@@ -40,6 +41,8 @@ _MEDIUM_M = 2.0
 """Plants below this are medium vegetation (class 4), those above it high (class 5)."""
 _EDGE_M = 1.0
 """Points within this distance of the pavement's edge may have the wrong class."""
+_USUAL = Sample()
+"""What a site is, unless asked for another."""
 CLASS_SCHEMES = ("usual", "none", "unclassified", "lines")
 """What producers say of points: ASPRS classes with poles in the vegetation; 0; 1; wires 14, poles
 15 and what is left 64."""
@@ -61,7 +64,7 @@ class AirborneScanner:
     hits_poles : whether returns on poles and wires are kept. class_scheme : of `CLASS_SCHEMES`.
     """
 
-    pulses_per_m2: float = 24.0
+    pulses_per_m2: float = _USUAL.pulses_per_m2
     half_width_m: float = 60.0
     flight_height_m: float = 1000.0
     line_offset_m: float = 150.0
@@ -69,7 +72,7 @@ class AirborneScanner:
     plan_sigma_m: float = 0.02
     edge_error_share: float = 0.01
     hits_poles: bool = True
-    class_scheme: str = "usual"
+    class_scheme: str = _USUAL.class_scheme
 
 
 @dataclass(frozen=True)

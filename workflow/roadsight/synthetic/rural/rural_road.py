@@ -10,6 +10,7 @@ from pyproj import CRS
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sample import RuralScene
 from roadsight.geometry.frames import Frame
 from roadsight.synthetic.rural.rural_buildings import add_house, add_mailbox, add_vehicle
 from roadsight.synthetic.rural.rural_furniture import (
@@ -40,6 +41,8 @@ from roadsight.synthetic.rural.rural_mesh import Mesh, MeshBuilder
 from roadsight.synthetic.rural.rural_plants import add_plants
 from roadsight.synthetic.rural.rural_surface import Surface, make_surface
 
+_USUAL = RuralScene()
+"""What a rural road is, unless asked for another."""
 EPSG = 6543
 """NAD83(2011) / North Carolina, US survey feet."""
 VERTICAL_EPSG = 6360
@@ -96,7 +99,7 @@ class RuralSite:
 
 
 def build_rural(
-    seed: int = 1, length_m: float = 1000.0, detail: float = 1.0, relief: float = 1.0
+    seed: int, length_m: float, detail: float = 1.0, relief: float = _USUAL.relief
 ) -> RuralSite:
     """Build the site; the same arguments give the same site.
 

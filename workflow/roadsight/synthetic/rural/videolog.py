@@ -13,10 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats
+from roadsight.base.sections.sample import RuralScene
 from roadsight.geometry.cameras import Intrinsics, attitude_deg, cam_from_world, compass_deg
 from roadsight.synthetic.rendering.images import Camera
 from roadsight.synthetic.rural.rural_road import RuralSite
 
+_USUAL = RuralScene()
+"""What a rural road is, unless asked for another."""
 _LANE_M = 1.6
 """Offset of the vehicle's way from the middle of the road."""
 _STITCH_OVERLAP_DEG = 1.5
@@ -130,9 +133,9 @@ def random_drives(
     seed: int,
     narrow_px: tuple[int, int] = (640, 416),
     wide_px: tuple[int, int] = (640, 448),
-    hfov_deg: float = 0.0,
-    side_views: bool = True,
-    principal_point_px: float = 0.0,
+    hfov_deg: float = _USUAL.hfov_deg,
+    side_views: bool = _USUAL.side_views,
+    principal_point_px: float = _USUAL.principal_point_px,
     gps: GpsNoise | None = None,
 ) -> tuple[Drive, Drive]:
     """A narrow camera with side views ahead every 8 m, and a wide one back every 16 m.

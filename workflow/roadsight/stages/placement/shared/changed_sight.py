@@ -35,9 +35,7 @@ from roadsight.stages.placement.shared.detection_inputs import (
 class ChangedFiles(SightFiles):
     """How far sensors may be from their plan, and what tells what they see then."""
 
-    move_m: Annotated[float, Tolerance]
-    turn_deg: Annotated[float, Tolerance]
-    other_height_m: Annotated[float, Tolerance]
+    tolerance: Tolerance
     engine: Annotated[Engine, Lidar]
     azimuth_stride: Annotated[int, Lidar]
     min_beams: Annotated[int, Targets]
@@ -60,7 +58,7 @@ class ChangedSight:
         self.targets, self._feet_m, shape = read_shaped_targets(given)
         self._size_m: Any = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
         self._room_m = room_for(shape)
-        self.changes = changes(given.move_m, given.turn_deg, given.other_height_m)
+        self.changes = changes(*given.tolerance.model_dump().values())
 
     @cached_property
     def _lidar(self) -> SurfelLidar:

@@ -34,7 +34,7 @@ class PlanFiles:
     site: str
     plan: str
     frame: Path
-    at_least: Annotated[int, Cover]
+    cover: Cover
     uncoverable: Annotated[str, Coverage]
     options: Annotated[str, "options of the plan as JSON"] = ""
     areas: Annotated[Sequence[str], "file of the option"] = ()
@@ -60,7 +60,7 @@ def read_asked(given: PlanFiles, frame: Frame) -> Asked | None:
     zones, fixed, poles = given.forbidden, given.mandatory, given.poles
     asked = Asked(
         options,
-        options.get("at_least", given.at_least),
+        options.get("at_least", given.cover.at_least),
         f"site {given.site}, plan {given.plan}",
         _areas(given.areas[0], frame, crs["areas"]) if given.areas else None,
         read_polygons(zones[0], frame, crs["forbidden"]) if zones else None,

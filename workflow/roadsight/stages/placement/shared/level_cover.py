@@ -13,7 +13,6 @@ import pandas as pd
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
-from roadsight.base.sections.placement import Cover as CoverSettings
 from roadsight.io.records.lanes import read_traffic
 from roadsight.placement.plans.availability import (
     CommonTraffic,
@@ -33,8 +32,6 @@ log = logging.getLogger("solve_cover")
 class LevelFiles(PlanFiles):
     """A plan that must see each target with a probability."""
 
-    time_limit_s: Annotated[float, CoverSettings]
-    gap: Annotated[float, CoverSettings]
     availability: Annotated[float | None, "how often targets must be in sight"] = None
     lanes: Annotated[Sequence[Path], "lanes and their traffic"] = ()
     target_height_m: float = 0.6
@@ -86,7 +83,7 @@ def cover_at_level(
         log.warning("no traffic is simulated: every sensor sees its targets for certain")
         posed = at_level(shares, costs, position, level)
     _check_below(given, level, posed.below.tolist(), targets)
-    cover = solve_joint(posed.problem, given.time_limit_s, given.gap, oracle)
+    cover = solve_joint(posed.problem, given.cover.time_limit_s, given.cover.gap, oracle)
     hidden = shares[cover.chosen].copy()
     hidden.data = np.log1p(-np.minimum(hidden.data, 1 - 1e-12))
     alone = -np.expm1(np.asarray(hidden.sum(axis=0)).ravel())

@@ -26,6 +26,15 @@ export function choice(options, value, onchange, label) {
   return group;
 }
 
+// What a setting of the server's schema asks of an input: its type and range.
+export function limits({ type, minimum, exclusiveMinimum, maximum, exclusiveMaximum }) {
+  if (type === "string") return { type: "text" };
+  return { type: "number", step: type === "integer" ? "1" : "any", min: minimum ?? exclusiveMinimum ?? "", max: maximum ?? exclusiveMaximum ?? "" };
+}
+
+export const fieldInput = (field, attributes = {}) => el("input", { ...limits(field), ...attributes });
+export const fieldLabel = ({ description }) => description[0].toUpperCase() + description.slice(1);
+
 export function select(options, value, onchange, attributes = {}) {
   const list = el("select", { onchange: () => onchange(list.value), ...attributes });
   list.append(...Object.entries(options).map(([name, text]) => el("option", { value: name }, text)));

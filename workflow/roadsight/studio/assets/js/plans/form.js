@@ -1,10 +1,11 @@
 // A plan as a form: which sensors, how often each target is seen, the goal, and the places.
 
 import { get, send, siteUrl } from "../api.js";
-import { button, el, note, select } from "../dom.js";
+import { button, el, fieldInput, fieldLabel, limits, note, select } from "../dom.js";
 import { barredText, readBarred, readStanding, standingText } from "./places.js";
 
-const GOALS = { cover: "see every target, as cheaply as possible", sensors: "see most with so many sensors", cost: "see most for so much cost", price: "pay so much for a target unseen" };
+const COVER = { cover: "the cheapest set that sees every target" };
+const AMOUNTS = ["sensors", "cost", "price"];
 const PLACES = {
   mandatory: { title: "Mandatory places", hint: "a line each: x; y; sensor; height in m; candidate with its pose, for sensors that are aimed (x and y as in the cloud's files)", write: standingText, read: readStanding },
   forbidden: { title: "Forbidden places", hint: "a line each: x; y; half the side of the square in m; they are added to those of the plan that it is based on", write: barredText, read: readBarred },
@@ -18,16 +19,17 @@ export async function planForm(site, { base = "", edit = false, given = {} } = {
 }
 
 class Form {
-  constructor(site, { sensors, plans, version }, base, edit, given) {
-    Object.assign(this, { site, plans, version, edit, given });
+  constructor(site, { sensors, plans, version, fields }, base, edit, given) {
+    Object.assign(this, { site, plans, version, fields, edit, given });
     this.base = plans.find(({ name }) => name === base) ?? null;
     this.name = el("input", { type: "text", required: true, pattern: "[a-z0-9][a-z0-9_\\-]*", maxLength: 60, disabled: edit, "data-do": "plan-name" });
-    this.title = el("input", { type: "text", required: true, maxLength: 200, "data-do": "plan-title" });
+    this.title = fieldInput(fields.title, { required: true, maxLength: 200, "data-do": "plan-title" });
     this.start = select({ "": "nothing", ...Object.fromEntries(plans.map(({ name, title }) => [name, title])) }, this.base?.name ?? "", (name) => { this.base = plans.find((one) => one.name === name) ?? null; this.fill(); }, { disabled: edit || Boolean(given.mandatory), "data-do": "plan-base" });
     this.boxes = sensors.map(({ name, cost }) => el("label", {}, el("input", { type: "checkbox", value: name }), `${name} (${cost})`));
-    this.least = el("input", { type: "number", min: 1, max: 99, step: 1, placeholder: "as set" });
-    this.amount = el("input", { type: "number", min: 0, step: "any", "aria-label": "Amount of the goal", "data-do": "amount" });
-    this.goal = select(GOALS, "cover", () => this.showAmount(), { "data-do": "goal" });
+    this.least = fieldInput(fields.at_least, { placeholder: "as set", "data-do": "at-least" });
+    this.amount = el("input", { "aria-label": "Amount of the goal", "data-do": "amount" });
+    const goals = { ...COVER, ...Object.fromEntries(AMOUNTS.map((name) => [name, fields[name].description])) };
+    this.goal = select(goals, "cover", () => this.showAmount(), { "data-do": "goal" });
     this.lists = Object.fromEntries(Object.keys(PLACES).map((part) => [part, this.list(part)]));
     this.told = el("div", { role: "alert" });
     this.dialog = el("dialog", { className: "form", "aria-label": "Plan", onclose: () => this.dialog.remove() }, this.content());
@@ -42,8 +44,8 @@ class Form {
     const sensors = el("fieldset", {}, el("legend", {}, "Sensors that it may place (cost)"), el("div", { className: "boxes" }, this.boxes));
     return el("form", { onsubmit: (event) => { event.preventDefault(); this.save(); } },
       el("h1", {}, this.edit ? `Plan ${this.base.name}` : "New plan of this site"),
-      field("Name: a-z, 0-9, - and _", this.name), field("Title", this.title), field("Based on", this.start), sensors,
-      field("Sensors that must see each target", this.least), field("Goal", this.goal, this.amount),
+      field("Name: a-z, 0-9, - and _", this.name), field(fieldLabel(this.fields.title), this.title), field("Based on", this.start), sensors,
+      field(fieldLabel(this.fields.at_least), this.least), field("Goal", this.goal, this.amount),
       Object.values(this.lists).map(({ element }) => element), this.told,
       el("div", { className: "row" }, el("button", { type: "submit", className: "primary", "data-do": "save-plan" }, "Save in the site file"), button("Cancel", () => this.dialog.close())));
   }
@@ -77,6 +79,7 @@ class Form {
   showAmount() {
     this.amount.hidden = this.goal.value === "cover";
     this.amount.required = !this.amount.hidden;
+    if (this.amount.required) Object.assign(this.amount, limits(this.fields[this.goal.value]));
   }
 
   places(part) {
