@@ -117,12 +117,12 @@ def check_sensors(plan: Plan, local: gpd.GeoDataFrame, native: gpd.GeoDataFrame)
         high[:, 2] - native["height_m"].to_numpy()
     )
     off = shapely.distance(shapely.points(xyz[:, :2]), site.pavement)
-    assert local["offset_m"].to_numpy() == pytest.approx(off, **SAME)
+    assert local["off_pavement_m"].to_numpy() == pytest.approx(off, **SAME)
     assert local["wall_m"].to_numpy() == pytest.approx(known["wall_m"].to_numpy(), nan_ok=True)
     assert local["key"].tolist() == [name.rpartition("-h")[0] for name in known.index]
     costs = load_sensors("config/sensors.yaml")
     assert local["cost"].tolist() == [costs[name].cost for name in local["sensor"]]
-    return found | {"edge_m", "ground_z_m", "offset_m", "wall_m", "key", "cost"}
+    return found | {"edge_m", "ground_z_m", "off_pavement_m", "wall_m", "key", "cost"}
 
 
 def on_feet(site: Results, local: gpd.GeoDataFrame) -> pd.DataFrame:

@@ -252,7 +252,7 @@ def test_the_stake_out_leads_back_to_the_sensors(site, tmp_path):
     sensors = [entry for plan in PLANS for entry in site.solutions[plan]["sensors"]]
     assert table["point"].is_unique and len(table) == len(sensors)
     native = site.frame.to_native([[entry[axis] for axis in "xyz"] for entry in sensors])
-    assert table[["easting", "northing", "sensor_m"]].to_numpy() == pytest.approx(native, abs=2e-3)
+    assert table[["easting", "northing", "height"]].to_numpy() == pytest.approx(native, abs=2e-3)
     assert (table["sensor_m"] - table["ground_m"]).to_numpy() == pytest.approx(
         table["mast_m"].to_numpy(), abs=2e-3
     )
@@ -269,12 +269,36 @@ def test_lengths_and_offset_lead_to_the_place():
     ]
     table = stakeout("p", sensors, edges, Frame((0.0, 0.0, 0.0)))
     assert table["edge_m"].tolist() == [10.0, 60.0, 150.0, 180.0]
+    assert table["edge_offset_m"].tolist() == [3.0, -2.0, 4.0, -3.0]
     assert table["chainage_m"].tolist() == [50.0, 100.0, 182.0, 212.0]
-    assert table["offset_m"].tolist() == [3.0, -2.0, 4.0, -3.0]
+    assert table["offset_m"].tolist() == [11.0, 6.0, 4.0, -3.0]
     assert table["latitude"].isna().all()
+    beyond = stakeout("p", [sensors[0] | {"y": 103.0, "x": 105.0}], edges, Frame((0.0, 0.0, 0.0)))
+    assert beyond[["chainage_m", "offset_m"]].to_numpy().tolist() == [[235.0, 5.0]]
     unknown = stakeout("p", [sensors[0] | {"edge": "none"}], edges, Frame((0.0, 0.0, 0.0)))
     assert unknown["edge_m"].isna().all()
     assert unknown["chainage_m"].tolist() == [50.0]
+
+
+def test_the_stake_out_of_a_site_in_feet_says_what_it_counts_in():
+    edges = gpd.GeoDataFrame({"edge": ["e"]}, geometry=[shapely.LineString([(0, 0), (100, 0)])])
+    sensor = {"x": 10.0, "y": 20.0, "z": 30.0, "height_m": 6.0, "yaw_deg": 10.0, "edge": "e"}
+    row = stakeout("p", [sensor], edges, FEET).iloc[0]
+    assert row["crs"] == f"{COMPOUND.sub_crs_list[0].name} (EPSG:6543)"
+    assert row["vertical"] == "NAVD88 height (ftUS) (EPSG:6360)"
+    assert row[["unit", "vertical_unit"]].tolist() == ["us-survey-foot", "us-survey-foot"]
+    native = FEET.to_native([10.0, 20.0, 30.0])
+    assert row[["easting", "northing", "height"]].tolist() == pytest.approx(native, abs=1e-3)
+    assert row["height"] * US_FOOT == pytest.approx(row["sensor_m"], abs=1e-3)
+    assert row["ground"] * US_FOOT == pytest.approx(row["ground_m"], abs=1e-3)
+    to_wgs84 = Transformer.from_crs(COMPOUND.sub_crs_list[0], "EPSG:4326", always_xy=True)
+    (lon, lat), (north_lon, north_lat) = (
+        to_wgs84.transform(row["easting"], row["northing"] + step) for step in (0.0, 100.0)
+    )
+    true_deg = Geod(ellps="WGS84").inv(lon, lat, north_lon, north_lat)[0]
+    assert row["convergence_deg"] == pytest.approx(true_deg, abs=2e-3)
+    local = stakeout("p", [sensor], edges, Frame((0.0, 0.0, 0.0))).iloc[0]
+    assert np.isnan(local["convergence_deg"]) and local["crs"] == "local"
 
 
 def test_styles_are_told_by_value():

@@ -75,6 +75,17 @@ def horizontal(crs: CRS) -> CRS:
     return flat if len(flat.axis_info) == 2 else flat.to_2d()
 
 
+def vertical(crs: CRS) -> CRS | None:
+    """Vertical part of ``crs``, None where it has none of its own."""
+    return next((part for part in crs.sub_crs_list if part.is_vertical), None)
+
+
+def label(crs: CRS) -> str:
+    """Name of ``crs`` with its code, where it has one: ``WGS 84 / UTM zone 32N (EPSG:32632)``."""
+    authority = crs.to_authority()
+    return crs.name if authority is None else f"{crs.name} ({':'.join(authority)})"
+
+
 def linear_units(crs: CRS, where: str) -> tuple[float, float | None]:
     """Metres in one unit of x and y, and of z (None where ``crs`` has no vertical axis).
 

@@ -100,14 +100,14 @@ def may_be_built(candidates: pd.DataFrame, rules: Mounting, cable_m: Floats | No
 
     Parameters
     ----------
-    candidates : columns mount and height_m; offset_m (off the pavement) and wall_m (to what stands
+    candidates : columns mount and height_m; off_pavement_m and wall_m (to what stands
         beside the sensor), where they were measured.
     """
     new = (candidates["mount"] != POLE).to_numpy()
     height_m = candidates["height_m"].to_numpy(np.float64)
     allowed = np.ones(len(candidates), bool)
-    if "offset_m" in candidates:
-        offset_m = candidates["offset_m"].to_numpy(np.float64)
+    if "off_pavement_m" in candidates:
+        offset_m = candidates["off_pavement_m"].to_numpy(np.float64)
         allowed &= ~new | (offset_m >= rules.offset_min_m - _ROUNDING_M)
         if rules.unshielded == "forbid":
             allowed &= ~new | (offset_m >= rules.clear_zone_m - _ROUNDING_M)
@@ -128,8 +128,8 @@ def building_cost(candidates: pd.DataFrame, rules: Mounting, cable_m: Floats | N
     new = (candidates["mount"] != POLE).to_numpy()
     height_m = candidates["height_m"].to_numpy(np.float64)
     mast = rules.mast_cost + rules.foundation_cost + rules.mast_cost_per_m * height_m
-    if "offset_m" in candidates:
-        near = candidates["offset_m"].to_numpy(np.float64) < rules.clear_zone_m - _ROUNDING_M
+    if "off_pavement_m" in candidates:
+        near = candidates["off_pavement_m"].to_numpy(np.float64) < rules.clear_zone_m - _ROUNDING_M
         mast = mast + rules.shielding_cost * near
     cable = 0.0 if cable_m is None else rules.cable_cost_per_m * cable_m
     return np.asarray(np.where(new, mast, 0.0) + cable, np.float64)

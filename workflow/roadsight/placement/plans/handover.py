@@ -7,7 +7,7 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from shapely import LineString, line_interpolate_point, line_locate_point
+from shapely import LineString, get_coordinates, line_interpolate_point, line_locate_point
 from shapely import points as shapely_points
 
 from roadsight.base.arrays import Bools, Floats, Ints
@@ -17,6 +17,8 @@ from roadsight.placement.sensors.sensors import AnySensor, Sensor
 _END_M = 20.0
 """The road goes on before and beyond its longest edge as the edge does over this length: longer
 than the rounding of a corner, at which automatic edges end."""
+_TANGENT_M = 1.0
+"""The direction of a line at a place is taken over so much before and after it."""
 
 
 def stations_m(edges: Sequence[LineString], xy_m: Floats) -> Floats:
@@ -39,6 +41,26 @@ def stations_m(edges: Sequence[LineString], xy_m: Floats) -> Floats:
         beyond_m = (np.asarray(xy_m, np.float64)[here] - end) @ onwards
         station_m[here] += sign * np.maximum(beyond_m, 0.0)
     return station_m
+
+
+def offsets_m(line: LineString, station_m: Floats, xy_m: Floats) -> Floats:
+    """Offset (n,) to the right of a line of points, in the line's direction.
+
+    Parameters
+    ----------
+    station_m : places along the line, (n,); before its start and beyond its end it goes on
+        straight, as in `stations_m`. xy_m : (n, 2).
+    """
+    inside_m = np.clip(station_m, 0.0, line.length)
+    reach_m = np.where(inside_m == station_m, _TANGENT_M, _END_M)
+    foot, start, end = (
+        get_coordinates(line_interpolate_point(line, np.clip(inside_m + step, 0.0, line.length)))
+        for step in (0.0, -reach_m, reach_m)
+    )
+    way = (end - start) / np.maximum(np.hypot(*(end - start).T), 1e-9)[:, None]
+    away = np.asarray(xy_m, np.float64) - foot - way * (station_m - inside_m)[:, None]
+    side = np.sign(away[:, 0] * way[:, 1] - away[:, 1] * way[:, 0])
+    return np.asarray(side * np.hypot(*away.T), np.float64)
 
 
 def handover(times_seen: Ints) -> dict[str, Any]:

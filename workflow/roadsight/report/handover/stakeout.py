@@ -9,44 +9,46 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import shapely
+from pyproj import CRS
 
 from roadsight.base.arrays import Floats
+from roadsight.geometry.crs import horizontal, label, unit_name, vertical
 from roadsight.geometry.frames import Frame
-from roadsight.placement.plans.handover import stations_m
+from roadsight.geometry.north import SiteNorth
+from roadsight.placement.plans.handover import offsets_m, stations_m
 from roadsight.report.handover.layers import sensor_table
 
 _DECIMALS = {"latitude": 8, "longitude": 8}
 """Degrees to a millimetre; everything else to a millimetre or a thousandth of a degree."""
+_LOCAL = "local"
+"""CRS of a site without one."""
+_OF_THE_CLOUD = "as in the cloud"
+"""Vertical datum of a site whose CRS names none."""
 
 
 def stakeout(
     plan: str, sensors: Sequence[dict[str, Any]], edges: gpd.GeoDataFrame, frame: Frame
 ) -> pd.DataFrame:
-    """One row a sensor.
+    """One row a sensor; docs/running/files.md says what the columns are.
 
     Parameters
     ----------
     sensors : entries of solution.json. edges : lines with their name (edge), local metres.
-
-    Returns
-    -------
-    plan, point (plan and number), easting and northing (native), ground_m and sensor_m (height of
-    ground and sensor in the cloud's vertical datum, metres), mast_m (sensor above ground),
-    azimuth_deg (to set, clockwise from grid north), pitch_deg, roll_deg, sensor, chainage_m (along
-    the road: its longest edge, from that edge's start), edge (whose line the sensor stands on),
-    edge_m (along that line from its start), offset_m (to the right of it in its direction),
-    latitude and longitude
     """
     table = sensor_table(sensors, frame)
-    xy = table[["x", "y"]].to_numpy(np.float64)
-    native = frame.to_native(xy)
-    along, beside = _along(edges, table["edge"].astype(str).tolist(), xy)
+    xyz = table[["x", "y", "z"]].to_numpy(np.float64)
+    native = frame.to_native(xyz)
+    road = max(edges.geometry, key=lambda line: line.length)
+    station = stations_m(list(edges.geometry), xyz[:, :2])
+    along, beside = _along(edges, table["edge"].astype(str).tolist(), xyz[:, :2])
     found = pd.DataFrame(
         {
             "plan": plan,
             "point": [f"{plan}-{number:02d}" for number in table["number"]],
             "easting": native[:, 0],
             "northing": native[:, 1],
+            "ground": native[:, 2] - table["height_m"] / frame.vertical_unit_m,
+            "height": native[:, 2],
             "ground_m": table["ground_m"],
             "sensor_m": table["sensor_m"],
             "mast_m": table["height_m"],
@@ -54,16 +56,36 @@ def stakeout(
             "pitch_deg": table["pitch_deg"],
             "roll_deg": table["roll_deg"],
             "sensor": table["sensor"],
-            "chainage_m": stations_m(list(edges.geometry), xy),
+            "chainage_m": station,
+            "offset_m": offsets_m(road, station, xyz[:, :2]),
             "edge": table["edge"],
             "edge_m": along,
-            "offset_m": beside,
+            "edge_offset_m": beside,
             "latitude": table["latitude"],
             "longitude": table["longitude"],
+            **_reference(frame, xyz[:, :2]),
         }
     )
     decimals = {str(name): 3 for name in found.select_dtypes("number")} | _DECIMALS
     return found.round(decimals).replace(-0.0, 0.0)
+
+
+def _reference(frame: Frame, xy_m: Floats) -> dict[str, Any]:
+    """Grid convergence of places, and what easting, northing and native heights are counted in."""
+    found = {
+        "convergence_deg": np.full(len(xy_m), np.nan),
+        "crs": _LOCAL,
+        "vertical": _OF_THE_CLOUD,
+        "unit": unit_name(frame.unit_m),
+        "vertical_unit": unit_name(frame.vertical_unit_m),
+    }
+    if frame.crs_wkt is not None:
+        crs = CRS.from_wkt(frame.crs_wkt)
+        up = vertical(crs)
+        found["convergence_deg"] = SiteNorth(frame).convergence_deg(xy_m)
+        found["crs"] = label(horizontal(crs))
+        found["vertical"] = _OF_THE_CLOUD if up is None else label(up)
+    return found
 
 
 def _along(edges: gpd.GeoDataFrame, names: list[str], xy_m: Floats) -> tuple[Floats, Floats]:
@@ -75,12 +97,5 @@ def _along(edges: gpd.GeoDataFrame, names: list[str], xy_m: Floats) -> tuple[Flo
         if line is None:
             continue
         length[row] = shapely.line_locate_point(line, shapely.Point(place))
-        step = min(1.0, line.length / 2)
-        start = shapely.line_interpolate_point(line, max(length[row] - step, 0.0))
-        end = shapely.line_interpolate_point(line, min(length[row] + step, line.length))
-        foot = shapely.line_interpolate_point(line, length[row])
-        way = np.array([end.x - start.x, end.y - start.y])
-        away = place - np.array([foot.x, foot.y])
-        side = np.sign(away[0] * way[1] - away[1] * way[0])
-        offset[row] = side * np.hypot(*away)
+        offset[row] = offsets_m(line, length[[row]], place[None])[0]
     return length, offset

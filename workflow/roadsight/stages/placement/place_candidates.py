@@ -42,7 +42,7 @@ _AROUND_M = 0.2
 """Cubes to which the surroundings of positions are thinned: a fraction of a wall's thickness."""
 COLUMNS = [
     *("candidate", "key", "edge", "mount", "station_m"),
-    *("x", "y", "z", "height_m", "ground_z_m", "yaw_deg", "offset_m", "wall_m"),
+    *("x", "y", "z", "height_m", "ground_z_m", "yaw_deg", "off_pavement_m", "wall_m"),
 ]
 
 
@@ -121,7 +121,7 @@ def candidates_at(
     dem = read_raster(given.dem, frame)
     positions = positions.assign(
         ground_z_m=dem.sample(positions["x"].to_numpy(), positions["y"].to_numpy()),
-        offset_m=_off_pavement_m(positions, pavement),
+        off_pavement_m=_off_pavement_m(positions, pavement),
     )
     xy = positions[["x", "y"]].to_numpy()
     near = _points_near(given.cloud, given.ground, xy, settings.search_radius_m)
