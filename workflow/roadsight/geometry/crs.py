@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from pyproj import CRS, Transformer
+from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError, ProjError
 
 from roadsight.base.errors import InputError
@@ -78,6 +79,14 @@ def horizontal(crs: CRS) -> CRS:
 def vertical(crs: CRS) -> CRS | None:
     """Vertical part of ``crs``, None where it has none of its own."""
     return next((part for part in crs.sub_crs_list if part.is_vertical), None)
+
+
+def with_heights(crs: CRS) -> CRS:
+    """CRS of places with heights: horizontal and vertical part, or the horizontal one alone."""
+    if crs.is_compound and not any(part.is_bound for part in crs.sub_crs_list):
+        return crs
+    flat, up = horizontal(crs), vertical(crs)
+    return flat if up is None else CompoundCRS(f"{flat.name} + {up.name}", [flat, up])
 
 
 def label(crs: CRS) -> str:

@@ -13,7 +13,7 @@ from rasterio.errors import RasterioError
 
 from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.base.errors import InputError
-from roadsight.geometry.crs import horizontal
+from roadsight.geometry.crs import horizontal, with_heights
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.whole import check_raster
@@ -138,7 +138,7 @@ def write_raster(
             width=pixels.shape[1],
             count=1 if measured is None else 2,
             dtype="float32",
-            crs=_crs(frame),
+            crs=crs_wkt(frame, is_height),
             transform=rasterio.Affine(cell_size, 0.0, west, 0.0, -cell_size, north),
             nodata=nodata,
             compress="deflate",
@@ -147,7 +147,7 @@ def write_raster(
         ) as raster:
             raster.write(pixels, 1)
             if is_height:
-                raster.set_band_unit(1, _unit(frame.vertical_unit_m))
+                raster.set_band_unit(1, unit_text(frame.vertical_unit_m))
             if measured is not None:
                 raster.write(np.asarray(measured, np.float32), 2)
                 raster.set_band_description(2, _MEASURED)
@@ -184,12 +184,15 @@ def read_raster(path: str | os.PathLike[str], frame: Frame) -> Raster:
     return Raster(values.astype(np.float32), west_m, north_m, cell_size_m, measured)
 
 
-def _unit(unit_m: float) -> str:
-    """Name of a unit of so many metres."""
+def crs_wkt(frame: Frame, is_height: bool) -> str | None:
+    """CRS of a raster: heights carry the vertical one too, where the site has one."""
+    if frame.crs_wkt is None:
+        return None
+    crs = CRS.from_wkt(frame.crs_wkt)
+    return (with_heights(crs) if is_height else horizontal(crs)).to_wkt()
+
+
+def unit_text(unit_m: float) -> str:
+    """Name of a unit of so many metres, as GDAL writes it."""
     known = {"metre": 1.0, "foot": 0.3048, "US survey foot": 1200 / 3937}
     return min(known, key=lambda name: abs(known[name] - unit_m))
-
-
-def _crs(frame: Frame) -> str | None:
-    """Horizontal CRS as WKT."""
-    return None if frame.crs_wkt is None else horizontal(CRS.from_wkt(frame.crs_wkt)).to_wkt()

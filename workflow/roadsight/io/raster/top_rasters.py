@@ -15,15 +15,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rasterio
 from numpy.typing import ArrayLike
-from pyproj import CRS
 from rasterio.errors import RasterioError
 from rasterio.io import DatasetReader, DatasetWriter
 from rasterio.windows import Window
 
 from roadsight.base.arrays import Bytes, Floats, Floats32
 from roadsight.base.errors import InputError
-from roadsight.geometry.crs import horizontal
 from roadsight.geometry.frames import Frame
+from roadsight.io.raster.rasters import crs_wkt, unit_text
 from roadsight.io.records.atomic import WholeFile
 from roadsight.io.records.whole import check_raster
 
@@ -71,7 +70,6 @@ class TopRasterWriter(WholeFile):
         cell = self._grid.cell_size_m / self._frame.unit_m
         west_m, south_m = self._grid.corner_m[:2]
         west, north = self._frame.to_native([west_m, south_m + rows * self._grid.cell_size_m])
-        crs = self._frame.crs_wkt and horizontal(CRS.from_wkt(self._frame.crs_wkt)).to_wkt()
         raster = rasterio.open(
             path,
             "w",
@@ -80,7 +78,7 @@ class TopRasterWriter(WholeFile):
             height=rows,
             count=3,
             dtype="float32",
-            crs=crs,
+            crs=crs_wkt(self._frame, is_height=True),
             nodata=_NODATA,
             compress="deflate",
             zlevel=1,
@@ -94,6 +92,7 @@ class TopRasterWriter(WholeFile):
         )
         for number, name in enumerate(_BANDS, start=1):
             raster.set_band_description(number, name)
+        raster.set_band_unit(_BANDS.index("height") + 1, unit_text(self._frame.vertical_unit_m))
         return raster
 
     def add(self, columns: Columns) -> None:

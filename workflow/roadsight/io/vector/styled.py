@@ -13,6 +13,7 @@ import geopandas as gpd
 import pyogrio
 from pyproj import CRS
 
+from roadsight.geometry.crs import with_heights
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.whole import check_geopackage
@@ -59,7 +60,7 @@ def write_styled(path: str | os.PathLike[str], layers: Sequence[StyledLayer], fr
     """
     if not layers:
         raise ValueError("a GeoPackage needs a layer")
-    whole = None if frame.crs_wkt is None else CRS.from_wkt(frame.crs_wkt)
+    whole = None if frame.crs_wkt is None else with_heights(CRS.from_wkt(frame.crs_wkt))
     with atomic_path(path) as temporary, fixed_date():
         for layer in layers:
             native = native_features(layer.features, frame)
