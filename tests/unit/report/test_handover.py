@@ -51,12 +51,14 @@ def site(tmp_path_factory):
 def handed_over(site, folder):
     names = {"layers": "gpkg", "project": "qgs", "kml": "kml", "drawing": "dxf"}
     files = {name: folder / f"tiny.{suffix}" for name, suffix in names.items()}
+    site.path("photo.tif").touch()
     arguments = ["--site", "tiny", *(t for n, p in files.items() for t in (f"--{n}", str(p)))]
     for name, path in (
         ("frame", "scene/frame.json"),
         ("dem", "scene/dem.tif"),
         ("pavement", "scene/pavement.gpkg"),
         ("edges", "placement/edges.gpkg"),
+        ("orthophoto", "photo.tif"),
     ):
         arguments += [f"--{name}", str(site.path(path))]
     for name, file in (
@@ -166,14 +168,26 @@ def test_unknown_ground_takes_its_neighbours():
     assert z.tolist() == [1.0, 2.0, 3.0]
 
 
-def test_the_project_names_every_layer_beside_it(files):
+def test_the_project_names_every_layer_and_where_it_lies(site, files):
     root = ET.fromstring(files["project"].read_text(encoding="utf-8").split("\n", 1)[1])
     named = [element.text for element in root.iter("datasource")]
     names = [name for name, kind in pyogrio.list_layers(files["layers"]) if kind is not None]
-    assert named == [f"./tiny.gpkg|layername={name}" for name in names]
+    own = [address for address in named if address.startswith("./")]
+    assert own == [f"./tiny.gpkg|layername={name}" for name in names]
+    others = [address for address in named if not address.startswith("./")]
+    assert len(others) == 3 * len(PLANS) + 2
+    for address in others:
+        file, _, name = address.partition("|layername=")
+        path = (files["project"].parent / file).resolve()
+        assert path.is_relative_to(site.path()), address
+        assert bool(name) == (path.suffix == ".gpkg")
+        if not name:
+            assert path.exists()
     assert len(root.findall("layer-tree-group/layer-tree-group")) == len(PLANS) + 1
     ids = [element.get("id") for element in root.iter("layer-tree-layer")]
-    assert len(set(ids)) == len(names)
+    assert len(set(ids)) == len(ids) == len(named)
+    relief = root.find("projectlayers/maplayer[id='terrain']")
+    assert relief.get("type") == "raster" and relief.find("pipe/rasterrenderer") is not None
     assert ids == [element.text for element in root.findall("projectlayers/maplayer/id")]
     assert root.find("projectCrs/spatialrefsys/authid").text == "EPSG:25832"
     west, east = (float(root.find(f"mapcanvas/extent/{k}").text) for k in ("xmin", "xmax"))
@@ -199,6 +213,16 @@ def test_kml_is_where_the_sensors_are(site, files):
         f.find(f"{KML}name").text.startswith("uncovered") and not f.findall(f"{KML}Placemark")
         for f in root.iter(f"{KML}Folder")
     )
+
+
+def test_kml_says_which_layers_it_leaves_out():
+    few = gpd.GeoDataFrame(geometry=gpd.points_from_xy([0.0], [0.0]))
+    many = gpd.GeoDataFrame(geometry=gpd.points_from_xy(np.arange(1501.0), np.zeros(1501)))
+    text = kml("Long", plan_layers("p", few, many, few, few), FEET)
+    document = ET.fromstring(text.encode()).find(f"{KML}Document")
+    about = document.find(f"{KML}description").text
+    assert "targets_p (1,501)" in about and "sensors_p" not in about
+    assert not any(f.find(f"{KML}name").text == "targets_p" for f in document.iter(f"{KML}Folder"))
 
 
 def test_kml_of_a_site_without_crs_says_so():
@@ -308,6 +332,10 @@ def test_styles_are_told_by_value():
     assert root.find("renderer-v2/categories/category").get("value") == "a"
     options = {o.get("name"): o.get("value") for o in root.iter("Option") if o.get("name")}
     assert options["color"] == "255,0,0,255"
+    hatched = Style("fill", "#112233", pattern="b_diagonal", opacity=0.4)
+    options = {o.get("name"): o.get("value") for o in ET.fromstring(qml(hatched)).iter("Option")}
+    assert options["style"] == "b_diagonal"
+    assert (options["color"], options["outline_color"]) == ("17,34,51,102", "17,34,51,255")
 
 
 def test_poles_and_rating_are_layers_of_their_own():

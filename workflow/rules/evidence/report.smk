@@ -199,13 +199,14 @@ rule write_handover:
         ENVIRONMENT
     params:
         title=site_field("title"),
+        orthophoto=beside_site("orthophoto"),
     shell:
         "python -m roadsight.stages.evidence.write_handover --site {wildcards.site}"
         " --title={params.title:q} --frame {input.frame} --dem {input.dem}"
         " --pavement {input.pavement} --edges {input.edges}"
         " --unexamined {input.unexamined} --solutions {input.solutions}"
         " --plan-layers {input.layers} --obstacles {input.obstacles} --poles {input.poles}"
-        " --road-edges {input.road_edges} --layers {output.layers}"
+        " --road-edges {input.road_edges} --orthophoto {params.orthophoto:q} --layers {output.layers}"
         " --project {output.project} --kml {output.kml} --drawing {output.drawing} > {log} 2>&1"
 
 

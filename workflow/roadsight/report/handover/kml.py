@@ -36,6 +36,13 @@ def kml(title: str, layers: Sequence[Layer], frame: Frame) -> str:
     if frame.crs_wkt is None:
         _text(document, "description", "The site has no coordinate reference system.")
         return _written(root)
+    crowded = [layer for layer in layers if len(layer.features) > _MOST_FEATURES]
+    if crowded:
+        named = ", ".join(f"{layer.name} ({len(layer.features):,})" for layer in crowded)
+        told = (
+            f"Left out, with more than {_MOST_FEATURES} features: {named}. The GeoPackage has them."
+        )
+        _text(document, "description", told)
     folders: dict[str, ET.Element] = {}
     for number, layer in enumerate(layers):
         _style(document, f"s{number}", layer.style)

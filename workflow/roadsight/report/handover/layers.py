@@ -37,6 +37,18 @@ _BESIDE = (
     Category("level", "level", "#16a34a"),
 )
 _KEPT = (Category("1", "kept", "#b45309"), Category("0", "withheld", "#cbd5e1"))
+_LOST = (
+    Category("2", "lost by more than 5 % of the changes", "#dc2626"),
+    Category("1", "lost by fewer", "#f59e0b"),
+    Category("0", "lost by none", "#16a34a"),
+)
+_BY_POINTS = (
+    Category("2", "10 or more", "#1e3a8a"),
+    Category("1", "fewer than 10", "#3b82f6"),
+    Category("0", "none", "#dc2626"),
+)
+_LOW = "coalesce(attribute('points_1'), attribute('pixels_1'))"
+"""On the lowest quarter of a target; plans of LiDARs have points, those of cameras pixels."""
 _EDGE = Style("line", "#0f172a", size_mm=0.4)
 SENSOR_STYLE = Style("marker", "#b45309", size_mm=3.4, label="number")
 
@@ -58,6 +70,26 @@ class Layer:
     features: gpd.GeoDataFrame
     style: Style
     geometry: str
+
+
+@dataclass(frozen=True)
+class Linked:
+    """A layer that a project shows from a file of its own.
+
+    Parameters
+    ----------
+    name, group, about : as of a `Layer`. source : address of the file from the project.
+    style : how features are drawn; None for a raster. geometry : of features, empty for a raster.
+    is_relief : whether a raster is drawn as relief.
+    """
+
+    name: str
+    group: str
+    about: str
+    source: str
+    style: Style | None = None
+    geometry: str = ""
+    is_relief: bool = False
 
 
 def draped(features: gpd.GeoDataFrame, dem: Raster) -> gpd.GeoDataFrame:
@@ -148,13 +180,13 @@ def scene_layers(
             "unexamined",
             "Pavement for which no target stands: nothing is proven there; z is the ground.",
             unexamined,
-            Style("fill", "#fca5a5", size_mm=0.2),
+            Style("fill", "#dc2626", size_mm=0.2, pattern="b_diagonal"),
         ),
         (
             "pavement",
             "Pavement on which targets are to be seen; z is the ground.",
             pavement,
-            Style("fill", "#cbd5e1", size_mm=0.2),
+            Style("fill", "#94a3b8", size_mm=0.2, opacity=0.4),
         ),
     ]
     return [
@@ -220,6 +252,51 @@ def plan_layers(
     ]
 
 
+def measured_layers(plan: str, folder: str) -> list[Linked]:
+    """What was measured of a plan beyond its cover: tolerance and data, in files of their own.
+
+    Parameters
+    ----------
+    folder : of the plan, from the project.
+    """
+    found = [
+        (
+            "data_sensors",
+            "Points and pixels a second of the sensors, and what each shares with the next.",
+            f"{folder}/data.gpkg|layername=sensors",
+            Style("marker", "#0f766e", size_mm=3.0, label="road_points_per_s"),
+        ),
+        (
+            "tolerance",
+            "Targets by the share of small changes that lose them.",
+            f"{folder}/tolerance.gpkg|layername=targets",
+            Style(
+                "marker",
+                _LOST[-1].colour,
+                size_mm=1.2,
+                by='CASE WHEN "lost_share" > 0.05 THEN 2 WHEN "lost_share" > 0 THEN 1 ELSE 0 END',
+                categories=_LOST,
+            ),
+        ),
+        (
+            "data_targets",
+            "Targets by the points, or pixels, of a frame on the lowest quarter of their height.",
+            f"{folder}/data.gpkg|layername=targets",
+            Style(
+                "marker",
+                _BY_POINTS[0].colour,
+                size_mm=1.2,
+                by=f"CASE WHEN {_LOW} >= 10 THEN 2 WHEN {_LOW} >= 1 THEN 1 ELSE 0 END",
+                categories=_BY_POINTS,
+            ),
+        ),
+    ]
+    return [
+        Linked(f"{name}_{plan}", f"Plan {plan}", about, source, style, "Point Z")
+        for name, about, source, style in found
+    ]
+
+
 _POLE_LAYERS = {
     "poles": (
         "Located poles, and those that were withheld with the reason.",
@@ -231,7 +308,11 @@ _POLE_LAYERS = {
         Style("line", "#94a3b8", size_mm=0.2),
         "LineString",
     ),
-    "ellipses": ("One-sigma ellipses of the poles.", Style("line", "#b45309", 0.3), "Polygon"),
+    "ellipses": (
+        "One-sigma ellipses of the poles.",
+        Style("fill", "#b45309", size_mm=0.3, opacity=0.2),
+        "Polygon",
+    ),
     "road_edges": (
         "Edges of the road in the LiDAR.",
         Style("line", "#0f172a", size_mm=0.4),

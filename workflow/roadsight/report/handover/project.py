@@ -8,12 +8,22 @@ from xml.etree import ElementTree as ET
 from pyproj import CRS
 
 from roadsight.base.arrays import Floats
-from roadsight.report.handover.layers import Layer
+from roadsight.report.handover.layers import Layer, Linked
 from roadsight.report.handover.styles import symbology
 
 _VERSION = "3.34.0"
 """QGIS whose project files these are; later ones read them."""
 _TYPES = {"Point": "Point", "LineString": "Line", "Polygon": "Polygon"}
+_RELIEF = {
+    "type": "hillshade",
+    "band": "1",
+    "angle": "45",
+    "azimuth": "315",
+    "zfactor": "1",
+    "multidirection": "1",
+    "opacity": "0.6",
+}
+"""Renderer of a terrain model: light from the north-west and three more directions."""
 _SHOWN_PLANS = 1
 """Plans that are switched on when the project is opened."""
 _MARGIN = 0.05
@@ -21,13 +31,19 @@ _MARGIN = 0.05
 
 
 def project(
-    title: str, source: str, layers: Sequence[Layer], crs: CRS | None, bounds: Floats
+    title: str,
+    source: str,
+    layers: Sequence[Layer],
+    crs: CRS | None,
+    bounds: Floats,
+    linked: Sequence[Linked] = (),
 ) -> str:
     """Text of a ``.qgs`` file.
 
     Parameters
     ----------
     source : name of the GeoPackage beside the project. layers : the topmost first.
+    linked : layers in files of their own, below those of their group.
     crs : horizontal CRS of the layers, None for local coordinates.
     bounds : west, south, east, north of what is shown, native coordinates, (4,).
     """
@@ -37,7 +53,8 @@ def project(
     spatial.append(_reference(crs))
     tree = ET.SubElement(root, "layer-tree-group")
     groups: dict[str, ET.Element] = {}
-    for layer in layers:
+    shown = _ordered(layers, linked)
+    for layer in shown:
         if layer.group not in groups:
             groups[layer.group] = ET.SubElement(
                 tree,
@@ -52,16 +69,16 @@ def project(
             id=_identifier(layer),
             name=layer.name,
             source=_address(source, layer),
-            providerKey="ogr",
-            checked="Qt::Checked",
+            providerKey=_provider(layer),
+            checked="Qt::Unchecked" if _is_extra(layer) else "Qt::Checked",
             expanded="0",
         )
     root.append(_canvas(crs, bounds))
     listed = ET.SubElement(root, "projectlayers")
-    for layer in layers:
+    for layer in shown:
         listed.append(_map_layer(source, layer, crs))
     order = ET.SubElement(root, "layerorder")
-    for layer in layers:
+    for layer in shown:
         ET.SubElement(order, "layer", id=_identifier(layer))
     properties = ET.SubElement(root, "properties")
     paths = ET.SubElement(properties, "Paths")
@@ -71,16 +88,34 @@ def project(
     return f"<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n{text}\n"
 
 
+def _ordered(layers: Sequence[Layer], linked: Sequence[Linked]) -> list[Layer | Linked]:
+    """Layers by group, in the order in which groups come first, linked ones at their ends."""
+    found: list[Layer | Linked] = [*layers, *linked]
+    groups = list(dict.fromkeys(layer.group for layer in found))
+    return sorted(found, key=lambda layer: groups.index(layer.group))
+
+
+def _provider(layer: Layer | Linked) -> str:
+    return "gdal" if isinstance(layer, Linked) and not layer.geometry else "ogr"
+
+
+def _is_extra(layer: Layer | Linked) -> bool:
+    """Whether a layer waits until it is switched on: it would hide those of its group."""
+    return isinstance(layer, Linked) and bool(layer.geometry)
+
+
 def _is_shown(group: str, before: dict[str, ET.Element]) -> bool:
     plans = sum(name.startswith("Plan ") for name in before)
     return not group.startswith("Plan ") or plans < _SHOWN_PLANS
 
 
-def _identifier(layer: Layer) -> str:
+def _identifier(layer: Layer | Linked) -> str:
     return "".join(c if c.isalnum() else "_" for c in layer.name)
 
 
-def _address(source: str, layer: Layer) -> str:
+def _address(source: str, layer: Layer | Linked) -> str:
+    if isinstance(layer, Linked):
+        return layer.source
     return f"./{source}|layername={layer.name}"
 
 
@@ -121,16 +156,21 @@ def _unit(crs: CRS) -> str:
     return "degrees" if "degree" in name else "meters"
 
 
-def _map_layer(source: str, layer: Layer, crs: CRS | None) -> ET.Element:
-    geometry = _TYPES[layer.geometry.split(" ")[0]]
-    element = ET.Element("maplayer", type="vector", geometry=geometry, autoRefreshEnabled="0")
-    element.set("labelsEnabled", "1" if layer.style.label else "0")
-    element.set("hasScaleBasedVisibilityFlag", "0")
+def _map_layer(source: str, layer: Layer | Linked, crs: CRS | None) -> ET.Element:
+    element = ET.Element("maplayer", autoRefreshEnabled="0", hasScaleBasedVisibilityFlag="0")
     ET.SubElement(element, "id").text = _identifier(layer)
     ET.SubElement(element, "datasource").text = _address(source, layer)
     ET.SubElement(element, "layername").text = layer.name
     ET.SubElement(element, "abstract").text = layer.about
-    ET.SubElement(element, "provider", encoding="UTF-8").text = "ogr"
+    ET.SubElement(element, "provider", encoding="UTF-8").text = _provider(layer)
+    if layer.style is None:
+        element.set("type", "raster")
+        if layer.is_relief:
+            ET.SubElement(ET.SubElement(element, "pipe"), "rasterrenderer", _RELIEF)
+        return element
+    element.set("type", "vector")
+    element.set("geometry", _TYPES[layer.geometry.split(" ")[0]])
+    element.set("labelsEnabled", "1" if layer.style.label else "0")
     reference = ET.SubElement(element, "srs")
     reference.append(_reference(crs))
     element.extend(symbology(layer.style))

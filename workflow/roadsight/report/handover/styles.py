@@ -30,6 +30,7 @@ class Style:
     kind : marker, line or fill. colour : as #rrggbb. size_mm : diameter or width on the screen.
     label : field that is written beside features, or empty.
     by, categories : expression and its values with colours of their own.
+    pattern : of a fill, as QGIS names it. opacity : of a fill, 0 to 1; its outline is opaque.
     """
 
     kind: Literal["marker", "line", "fill"]
@@ -38,6 +39,8 @@ class Style:
     label: str = ""
     by: str = ""
     categories: Sequence[Category] = ()
+    pattern: Literal["solid", "b_diagonal"] = "solid"
+    opacity: float = 1.0
 
 
 def qml(style: Style) -> str:
@@ -99,11 +102,11 @@ def _properties(style: Style, colour: str) -> dict[str, str]:
     if style.kind == "line":
         return {"line_color": _rgba(colour), "line_width": size, "line_width_unit": "MM"}
     return {
-        "color": _rgba(colour),
-        "outline_color": _rgba("#64748b"),
+        "color": _rgba(colour, style.opacity),
+        "outline_color": _rgba(colour),
         "outline_width": size,
         "outline_width_unit": "MM",
-        "style": "solid",
+        "style": style.pattern,
     }
 
 
@@ -123,6 +126,6 @@ def _labels(field: str) -> ET.Element:
     return labeling
 
 
-def _rgba(colour: str) -> str:
+def _rgba(colour: str, opacity: float = 1.0) -> str:
     """Red, green, blue and opacity, as QGIS writes them."""
-    return ",".join(str(int(colour[k : k + 2], 16)) for k in (1, 3, 5)) + ",255"
+    return ",".join(str(int(colour[k : k + 2], 16)) for k in (1, 3, 5)) + f",{255 * opacity:.0f}"

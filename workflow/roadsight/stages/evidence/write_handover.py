@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,7 +22,9 @@ from roadsight.report.handover.drawing import drawing
 from roadsight.report.handover.kml import kml
 from roadsight.report.handover.layers import (
     Layer,
+    Linked,
     bounds_native,
+    measured_layers,
     plan_layers,
     points,
     pole_layers,
@@ -51,6 +54,7 @@ def write_handover(
     solutions: Sequence[Path] = (),
     plan_layers: Sequence[Path] = (),
     obstacles: Sequence[Path] = (),
+    orthophoto: Annotated[Path | None, "picture below the project's layers"] = None,
     *,
     layers_path: Path,
     project_path: Path,
@@ -70,11 +74,12 @@ def write_handover(
         for layer in layers
     ]
     write_styled(layers_path, styled, frame)
+    linked = _linked(solutions, dem, orthophoto, project_path.parent)
     crs = None if frame.crs_wkt is None else horizontal(CRS.from_wkt(frame.crs_wkt))
     bounds = bounds_native(layers, frame)
     beside = layers_path.name
     texts = {
-        project_path: project(title or site, beside, layers, crs, bounds),
+        project_path: project(title or site, beside, layers, crs, bounds, linked),
         kml_path: kml(title or site, layers, frame),
         drawing_path: drawing(layers, frame, about["unit"]),
     }
@@ -120,6 +125,29 @@ def _plans(
             read_layer(obstacles, "objects", frame),
         )
     return found
+
+
+def _linked(
+    solutions: Sequence[Path], dem: Path | None, orthophoto: Path | None, folder: Path
+) -> list[Linked]:
+    """What the project shows from files that the folder does not hold."""
+    found = [
+        layer
+        for path in solutions
+        for layer in measured_layers(path.parent.name, _from(folder, path.parent))
+    ]
+    if dem:
+        about = "Ground; band 2 marks measured cells."
+        found.append(Linked("terrain", "Scene", about, _from(folder, dem), is_relief=True))
+    if orthophoto:
+        about = "Picture that the site file names."
+        found.append(Linked("orthophoto", "Scene", about, _from(folder, orthophoto)))
+    return found
+
+
+def _from(folder: Path, path: Path) -> str:
+    """Address of a file from a folder, with slashes."""
+    return Path(os.path.relpath(path, folder)).as_posix()
 
 
 def _poles(poles: Path | None, road_edges: Path | None, frame: Frame) -> list[Layer]:

@@ -108,8 +108,8 @@ def _objects(given: ObstacleFiles, lines: pd.DataFrame) -> pd.DataFrame:
     members = read_table(given.objects) if given.objects else pd.DataFrame()
     table = by_object(lines, members).rename(columns={"object": "name"})
     table["kind"] = [kind_of_name(name) for name in table["name"]]
-    numbers = ["x", "y", "z", "sight_lines", "targets", "sensors"]
-    return table.astype(dict.fromkeys(numbers, np.float64))
+    table = table.astype(dict.fromkeys("xyz", np.float64))
+    return table.astype(dict.fromkeys(["sight_lines", "targets", "sensors"], np.int64))
 
 
 def _name_obstacles(given: ObstacleFiles, obstacles: pd.DataFrame) -> None:
