@@ -62,7 +62,7 @@ def test_same_bytes_on_one_core_and_in_another_folder(finished, tmp_path):
     other = Checkout(tmp_path / "other")
     result = other.snakemake("--cores", "1")
     assert result.returncode == 0, result.stderr[-4000:]
-    timed = {"timing.json", "summary.json", "page.json", "report.html", "report.pdf"}
+    timed = {"timing.json", "summary.json", "run.json", "page.json", "report.html", "report.pdf"}
     compared = 0
     for path in sorted((finished.folder / "results").rglob("*")):
         relative = path.relative_to(finished.folder)

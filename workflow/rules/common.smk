@@ -309,6 +309,15 @@ def site_pages():
     return [f"results/{site}/page.json" for site in ASKED_SITES if has_scene_page(site)]
 
 
+def site_runs():
+    """When and by what each reported site was made."""
+    return [
+        f"results/{site}/run.json"
+        for site in ASKED_SITES
+        if has_scene_page(site) or wants(site, "poles")
+    ]
+
+
 def own_site_page(wildcards):
     """Page of the scene and the placement, where the site has one."""
     return (

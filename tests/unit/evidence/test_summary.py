@@ -56,6 +56,7 @@ def summarise(folder, *options, out="summary.json"):
         "profile": "profile.json",
         "effects": "effects.json",
         "out": out,
+        "run": f"run-of-{out}",
     }
     paths = [part for n, file in named.items() for part in (f"--{n}", str(folder / file))]
     fixed = ["--site", "here", "--seed", "7", "--settings", json.dumps(SETTINGS)]

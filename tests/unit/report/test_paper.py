@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from itertools import pairwise
 
@@ -12,9 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pypdf import PdfReader
 
-from roadsight import __version__
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.run_records import run_record
+from roadsight.io.records.run_records import RunRecord, run_record
 from roadsight.report.packing import pack, pack_points, unpack, unpack_points
 from roadsight.report.paper.plan_map import plan_map, times_seen
 from roadsight.report.paper.sheet import SCALES, Drawing, fit
@@ -122,19 +122,24 @@ def test_unpacked_points_are_within_half_a_step():
 
 
 class TestRunRecord:
-    def test_sums_of_the_steps(self, tmp_path):
+    def test_sums_and_times_of_the_steps(self, tmp_path, monkeypatch):
         head = "s\th:m:s\tmax_rss\tcpu_time\n"
         (tmp_path / "a.tsv").write_text(head + "2.0\t0:00:02\t300\t1.5\n")
         (tmp_path / "deep").mkdir()
         (tmp_path / "deep" / "b.tsv").write_text(head + "4.0\t0:00:04\t-\tNA\n")
+        os.utime(tmp_path / "a.tsv", (86402, 86402))
+        os.utime(tmp_path / "deep" / "b.tsv", (86470, 86470))
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", "90000")
         record = run_record([tmp_path, tmp_path / "none"], "1.2")
         assert (record.cpu_s, record.wall_s, record.peak_mib, record.steps) == (1.5, 6.0, 300.0, 2)
-        assert record.version == "1.2"
+        assert (record.started, record.date) == ("1970-01-02T00:00:00", "1970-01-02")
+        assert record.elapsed_s == 3600
+        assert ["First step to last", "1970-01-02 00:00 to 1970-01-02 01:00 UTC, 1 h 0 min"] in (
+            record.rows()
+        )
+        assert record.version == "1.2" and "commit" in record.line()
+        assert RunRecord.from_dict({"site": "a", **record.to_dict()}) == record
         assert "numpy" in record.packages and "pytest" not in record.packages
-
-    def test_the_day_may_be_given(self, monkeypatch):
-        monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
-        assert run_record([], "1").date == "1970-01-02"
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +151,9 @@ def pages(tmp_path_factory):
     assert write_site_page.main(site.arguments) == 0
     assert write_site_page.main(bare.arguments) == 0
     assert write_poles_page.main(poles.poles_arguments) == 0
+    write_json(folder / "run.json", run_record([], "1.2").to_dict())
     places = {"page": site.path("page.json"), "bare": bare.path("page.json")}
+    places["run"] = folder / "run.json"
     return places | {"poles-page": poles.poles_page}
 
 
@@ -157,12 +164,12 @@ def printed(pages, out, *names):
 
 
 def test_each_sheet_says_site_version_and_its_number(pages, tmp_path):
-    reader = printed(pages, tmp_path / "report.pdf", "page")
+    reader = printed(pages, tmp_path / "report.pdf", "page", "run")
     texts = [sheet.extract_text() for sheet in reader.pages]
     title = read_json(pages["page"])["title"]
     for number, text in enumerate(texts, start=1):
         assert title in text
-        assert f"roadsight {__version__}" in text
+        assert "roadsight 1.2 · commit" in text
         assert f"{number} / {len(texts)}" in text.replace("\n", " ")
 
 

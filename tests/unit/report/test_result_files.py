@@ -6,6 +6,8 @@ import re
 
 import pytest
 
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.run_records import run_record
 from roadsight.report.result_files import KINDS, result_files, size_text
 from roadsight.stages.evidence import write_report, write_site_page
 from tests.helpers.report_site import ReportSite
@@ -36,13 +38,15 @@ def test_only_files_that_are_there_in_the_order_of_kinds(tmp_path):
 
 
 def test_the_report_names_its_run_and_its_files(tmp_path, monkeypatch):
-    monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
     site = ReportSite(tmp_path, "tiny")
     assert write_site_page.main(site.arguments) == 0
-    benchmark = site.path("benchmarks", "a.tsv")
-    benchmark.write_text("s\tmax_rss\tcpu_time\n2.0\t100\t1.5\n")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "86400")
+    run = site.path("run.json")
+    write_json(run, {"site": "tiny"} | run_record([], "1.2").to_dict())
+    monkeypatch.delenv("SOURCE_DATE_EPOCH")
     out = tmp_path / "report.html"
-    assert write_report.main(["--pages", str(site.path("page.json")), "--out", str(out)]) == 0
+    arguments = ["--pages", str(site.path("page.json")), "--runs", str(run), "--out", str(out)]
+    assert write_report.main(arguments) == 0
     html = out.read_text(encoding="utf-8")
-    assert "1970-01-02" in html and "numpy" in html
+    assert "1970-01-02" in html and "roadsight 1.2" not in html and "numpy" in html
     assert re.search(r"<code>tiny/scene/dem.tif</code>", html)

@@ -1,7 +1,8 @@
 """What people and checks read: a summary of each site and one report page.
 
 REQUIRED INPUTS  everything a site's jobs produced
-OUTPUTS          results/{site}/summary.json, results/{site}/report.pdf, results/report.html,
+OUTPUTS          results/{site}/summary.json, results/{site}/run.json (date, code and times),
+                 results/{site}/report.pdf, results/report.html,
                  results/{site}/gis/: {site}.gpkg, .qgs, .kml, .dxf; results/{site}/stakeout.csv
 """
 
@@ -57,6 +58,7 @@ rule summarise_site:
         code=sources("summarise_site"),
     output:
         summary="results/{site}/summary.json",
+        run="results/{site}/run.json",
     log:
         log_of("summarise_site"),
     benchmark:
@@ -76,7 +78,8 @@ rule summarise_site:
         " --pavement {input.pavement} --timings {input.timings} --data {input.data} --tolerances {input.tolerances} --removals {input.removals} --frames {input.frames} --cameras {input.cameras}"
         " --sightings {input.sightings} --poles {input.poles} --validation {input.validation}"
         " --camera-scores {input.camera_scores} --doubts {input.doubts}"
-        " --out {output.summary} > {log} 2>&1"
+        " --benchmarks results/{wildcards.site}/benchmarks"
+        " --out {output.summary} --run {output.run} > {log} 2>&1"
 
 
 rule write_site_page:
@@ -133,6 +136,7 @@ rule write_report:
     input:
         pages=site_pages(),
         poles_pages=pole_pages(),
+        runs=site_runs(),
         handed_over=[*printed_reports(), *handovers()],
         assets=REPORT_ASSETS,
         code=sources("write_report"),
@@ -148,7 +152,7 @@ rule write_report:
         evidence=evidence_pages(),
     shell:
         "python -m roadsight.stages.evidence.write_report --pages {input.pages}"
-        " --poles-pages {input.poles_pages} --evidence {params.evidence:q}"
+        " --poles-pages {input.poles_pages} --runs {input.runs} --evidence {params.evidence:q}"
         " --out {output.report} > {log} 2>&1"
 
 
@@ -156,6 +160,7 @@ rule write_pdf:
     input:
         page=own_site_page,
         poles_page=own_poles_page,
+        run=rules.summarise_site.output.run,
         template=PAPER_ASSETS,
         code=sources("write_pdf"),
     output:
@@ -170,7 +175,7 @@ rule write_pdf:
         mem_mb=megabytes(100),
     shell:
         "python -m roadsight.stages.evidence.write_pdf --page {input.page} --poles-page {input.poles_page}"
-        " --benchmarks results/{wildcards.site}/benchmarks --out {output.pdf} > {log} 2>&1"
+        " --run {input.run} --out {output.pdf} > {log} 2>&1"
 
 
 rule write_handover:

@@ -6,13 +6,15 @@ import csv
 import os
 import subprocess
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 PACKAGE = "roadsight"
 _UNKNOWN = "unknown"
+_HOUR_S = 3600
 
 
 @dataclass(frozen=True)
@@ -21,14 +23,16 @@ class RunRecord:
 
     Parameters
     ----------
-    date : day of the run, ISO 8601, UTC. version : of the package. commit : of its code, with a
+    started, ended : of the first and of the last step whose results there are, ISO 8601, UTC.
+    version : of the package. commit : of its code, with a
         plus where files differ from it.
     packages : versions by name of what the package stands on.
     cpu_s, wall_s : sums over the site's steps, as Snakemake measured them. peak_mib : of any step.
     steps : number of those steps.
     """
 
-    date: str
+    started: str
+    ended: str
     version: str
     commit: str
     packages: dict[str, str]
@@ -37,9 +41,29 @@ class RunRecord:
     peak_mib: float
     steps: int
 
+    def to_dict(self) -> dict[str, Any]:
+        """JSON content; `from_dict` reads it back."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, content: dict[str, Any]) -> RunRecord:
+        """Record from the content of ``run.json`` (other keys are ignored)."""
+        return cls(**{name: content[name] for name in cls.__dataclass_fields__})
+
+    @property
+    def date(self) -> str:
+        """Day on which the last step ended."""
+        return self.ended[:10]
+
+    @property
+    def elapsed_s(self) -> float:
+        """From the start of the first step to the end of the last."""
+        first, last = map(datetime.fromisoformat, (self.started, self.ended))
+        return (last - first).total_seconds()
+
     def line(self) -> str:
         """What the head of each page says."""
-        return f"{self.date} · {PACKAGE} {self.version} · {self.commit}"
+        return f"{self.date} · {PACKAGE} {self.version} · commit {self.commit}"
 
     def rows(self) -> list[list[str]]:
         """Name and value, for a table."""
@@ -48,15 +72,23 @@ class RunRecord:
             ["Version", f"{PACKAGE} {self.version}"],
             ["Commit", self.commit],
             ["Steps", str(self.steps)],
+            ["First step to last", self._elapsed()],
             ["CPU time", f"{self.cpu_s:.0f} s"],
             ["Sum of the steps' wall time", f"{self.wall_s:.0f} s"],
             ["Most memory of a step", f"{self.peak_mib:.0f} MiB"],
             ["Packages", ", ".join(f"{name} {found}" for name, found in self.packages.items())],
         ]
 
+    def _elapsed(self) -> str:
+        first, last = (text[:16].replace("T", " ") for text in (self.started, self.ended))
+        hours, rest_s = divmod(self.elapsed_s, _HOUR_S)
+        minutes, seconds = divmod(rest_s, 60)
+        took = f"{hours:.0f} h {minutes:.0f} min" if hours else f"{minutes:.0f} min {seconds:.0f} s"
+        return f"{first} to {last} UTC, {took}"
+
 
 def run_record(benchmarks: Iterable[str | os.PathLike[str]], version: str) -> RunRecord:
-    """The record of a run.
+    """The record of a run whose last step is this one.
 
     Parameters
     ----------
@@ -65,11 +97,14 @@ def run_record(benchmarks: Iterable[str | os.PathLike[str]], version: str) -> Ru
 
     Notes
     -----
-    ``SOURCE_DATE_EPOCH``, the convention of reproducible builds, replaces the day.
+    A step's benchmark file is written at its end. ``SOURCE_DATE_EPOCH``, the convention of
+    reproducible builds, stands for the clock.
     """
     used = [row for folder in benchmarks for row in _measured(Path(folder))]
+    now = _now()
     return RunRecord(
-        _today(),
+        _text(min([now, *(row[3] for row in used)])),
+        _text(now),
         version,
         _commit(),
         _packages(),
@@ -80,10 +115,13 @@ def run_record(benchmarks: Iterable[str | os.PathLike[str]], version: str) -> Ru
     )
 
 
-def _today() -> str:
+def _now() -> float:
     epoch = os.environ.get("SOURCE_DATE_EPOCH", "")
-    now = datetime.fromtimestamp(int(epoch), UTC) if epoch.isdigit() else datetime.now(UTC)
-    return now.date().isoformat()
+    return float(epoch) if epoch.isdigit() else datetime.now(UTC).timestamp()
+
+
+def _text(epoch_s: float) -> str:
+    return datetime.fromtimestamp(epoch_s, UTC).replace(tzinfo=None).isoformat(timespec="seconds")
 
 
 def _commit() -> str:
@@ -112,13 +150,13 @@ def _packages() -> dict[str, str]:
     return found
 
 
-def _measured(folder: Path) -> Iterable[tuple[float, float, float]]:
-    """CPU seconds, wall seconds and MiB of each measured step."""
+def _measured(folder: Path) -> Iterable[tuple[float, float, float, float]]:
+    """CPU seconds, wall seconds, MiB and start (seconds of the epoch) of each measured step."""
     for path in sorted(folder.rglob("*.tsv")):
         with path.open(encoding="utf-8", newline="") as lines:
             for row in csv.DictReader(lines, delimiter="\t"):
                 values = tuple(_number(row.get(key)) for key in ("cpu_time", "s", "max_rss"))
-                yield values[0], values[1], values[2]
+                yield values[0], values[1], values[2], path.stat().st_mtime - values[1]
 
 
 def _number(text: str | None) -> float:

@@ -42,14 +42,14 @@ _GAPS_SHOWN = 40
 def paper_content(
     page: dict[str, Any] | None,
     poles_page: dict[str, Any] | None,
-    run: RunRecord,
+    run: RunRecord | None,
 ) -> tuple[dict[str, Any], dict[str, bytes]]:
     """Texts and pictures of a site's printed report.
 
     Parameters
     ----------
     page : content of page.json. poles_page : content of poles/page.json. One of them is there.
-    run : when and by what the site was made.
+    run : when and by what the site was made, where that is known.
 
     Returns
     -------
@@ -78,8 +78,8 @@ def paper_content(
             for group in settings_asked_for(about["summary"])
         ],
         "inputs": [list(item) for item in about["summary"]["inputs"].items()],
-        "run": run.rows(),
-        "run_line": run.line(),
+        "run": run.rows() if run else [],
+        "run_line": run.line() if run else "",
         "located": frame["crs_wkt"] is not None,
         "unit": frame["unit"],
     }

@@ -15,6 +15,7 @@ from roadsight import __version__
 from roadsight.base.doubts import Doubt, by_severity
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.checksums import sha256
+from roadsight.io.records.run_records import run_record
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.poles.drive.videolog import OK
 from roadsight.stages.command import Command
@@ -52,10 +53,12 @@ def summarise_site(
     coverage_paths: Sequence[Path] = (),
     pavement: Sequence[Path] = (),
     doubts: Sequence[Path] = (),
+    benchmarks: Annotated[Sequence[str], "folders with the times of the site's steps"] = (),
     *,
     out: Path,
+    run: Annotated[Path, "when, from what code and at what cost the results were made"],
 ) -> None:
-    """Write the summary; a job that the site does not ask for is absent."""
+    """Write the summary, and the run beside it; a job that the site does not ask for is absent."""
     frame = read_json(frame_path)
     scores = [read_json(path) for path in scores_paths]
     summary: dict[str, Any] = {
@@ -94,6 +97,7 @@ def summarise_site(
     told = [Doubt.from_dict(one) for path in doubts for one in read_json(path)]
     summary["warnings"] = [doubt.to_dict() for doubt in by_severity(told)]
     write_json(out, summary)
+    write_json(run, {"site": site} | run_record(benchmarks, __version__).to_dict())
 
 
 def _poles(frames_path: Path, poles_path: Path, found: PoleResults) -> dict[str, Any]:

@@ -6,16 +6,14 @@ import json
 import logging
 import sys
 import tempfile
-from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
 from typing import Annotated
 
 import typst
 
-from roadsight import __version__
 from roadsight.io.records.atomic import atomic_path, read_json
-from roadsight.io.records.run_records import run_record
+from roadsight.io.records.run_records import RunRecord
 from roadsight.report.paper.content import paper_content
 from roadsight.stages.command import Command
 
@@ -27,15 +25,15 @@ _TEMPLATE = "report.typ"
 def write_pdf(
     page_path: Annotated[Path | None, "page.json of the site"] = None,
     poles_page_path: Annotated[Path | None, "poles/page.json of the site"] = None,
-    benchmarks: Annotated[Sequence[str], "folders with the times of the site's steps"] = (),
+    run: Annotated[Path | None, "run.json of the site"] = None,
     *,
     out: Annotated[Path, "PDF file to write"],
 ) -> None:
     """Typeset what the site's pages hold."""
     page = read_json(page_path) if page_path else None
     poles_page = read_json(poles_page_path) if poles_page_path else None
-    run = run_record(benchmarks, __version__)
-    content, pictures = paper_content(page, poles_page, run)
+    made = RunRecord.from_dict(read_json(run)) if run else None
+    content, pictures = paper_content(page, poles_page, made)
     template = resources.files("roadsight.report") / "assets" / "paper" / _TEMPLATE
     with tempfile.TemporaryDirectory() as folder, atomic_path(out) as temporary:
         for name, data in pictures.items():

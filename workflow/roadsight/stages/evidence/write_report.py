@@ -12,7 +12,7 @@ from plotly.offline import get_plotlyjs
 
 from roadsight import __version__
 from roadsight.io.records.atomic import atomic_path, read_json
-from roadsight.io.records.run_records import run_record
+from roadsight.io.records.run_records import RunRecord
 from roadsight.report.document import render_report
 from roadsight.report.files import ASSETS, read_assets
 from roadsight.report.result_files import result_files
@@ -24,6 +24,7 @@ log = logging.getLogger("write_report")
 def write_report(
     pages_paths: Annotated[Sequence[Path], "page.json of each site"] = (),
     poles_pages: Annotated[Sequence[Path], "poles/page.json of each site with poles"] = (),
+    runs: Annotated[Sequence[Path], "run.json of each site"] = (),
     evidence: Annotated[Sequence[str], "title=path of further pages, from the report"] = (),
     *,
     out: Annotated[Path, "HTML file to write"],
@@ -35,9 +36,9 @@ def write_report(
     sites = dict.fromkeys(page["summary"]["site"] for page in (*pages, *poles))
     results = out.parent
     further = dict(entry.split("=", 1) for entry in evidence)
-    runs = {site: run_record([results / site / "benchmarks"], __version__) for site in sites}
+    made = {found["site"]: RunRecord.from_dict(found) for found in map(read_json, runs)}
     files = {site: result_files(results, site) for site in sites}
-    html = render_report(pages, poles, assets, get_plotlyjs(), __version__, further, runs, files)
+    html = render_report(pages, poles, assets, get_plotlyjs(), __version__, further, made, files)
     with atomic_path(out) as temporary:
         temporary.write_text(html, encoding="utf-8")
     log.info("%d sites, %.1f MB", len(sites), len(html) / 1e6)
