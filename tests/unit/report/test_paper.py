@@ -16,8 +16,9 @@ from pypdf import PdfReader
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.run_records import RunRecord, run_record
 from roadsight.report.packing import pack, pack_points, unpack, unpack_points
-from roadsight.report.paper.plan_map import plan_map, times_seen
-from roadsight.report.paper.sheet import SCALES, Drawing, fit
+from roadsight.report.paper.content import paper_content
+from roadsight.report.paper.plan_map import legend, plan_map, times_seen
+from roadsight.report.paper.sheet import HATCH, HATCH_COLOUR, SCALES, Drawing, fit
 from roadsight.report.paper.still import still, view_of
 from roadsight.stages.evidence import write_pdf, write_poles_page, write_site_page
 from tests.helpers.report_poles import PolesSite
@@ -215,3 +216,49 @@ def test_the_map_counts_what_the_page_holds(pages):
     assert np.bincount(counts, minlength=2)[0] == len(counts) - np.count_nonzero(counts)
     svg = plan_map(page, plan, 160, 190)
     assert svg.count('r="2"') == len(plan["sensors"])
+
+
+def test_crowded_marks_keep_their_numbers_legible():
+    drawing = Drawing(fit((0, 0, 100, 100), 100, 100))
+    xy = np.column_stack([np.arange(0.0, 60.0, 2.0), np.zeros(30)])
+    drawing.numbered(xy, [str(number) for number in range(1, 31)], "#000000")
+    svg = "".join(drawing.parts)
+    places = [float(x) for x in re.findall(r'<circle cx="([\d.]+)" cy="[\d.]+" r="2"', svg)]
+    assert svg.count("<circle") == 30 and 10 < len(places) < 30
+    assert min(b - a for a, b in pairwise(sorted(places))) >= 3.4
+    assert svg.count("<text") == len(places)
+
+
+def test_the_legend_holds_what_the_map_draws(pages):
+    page = read_json(pages["page"])
+    edges = page["layers"]["edges"]
+    page["layers"]["edges"] = [edges[0] | {"kind": "median", "source": "digitised"}, *edges]
+    page["layers"]["unexamined"] = page["layers"]["pavement"]
+    keys = legend(page)
+    svg = plan_map(page, page["plans"][0], 160, 190)
+    for kind, colour, name in keys:
+        assert name and colour in svg, kind
+    assert ["hatch", HATCH_COLOUR, "pavement not examined"] in keys
+    assert f'fill="url(#{HATCH})"' in svg
+    assert ["line", "#8a6d1f", "median"] in keys
+    page["layers"]["unexamined"] = []
+    assert f'fill="url(#{HATCH})"' not in plan_map(page, page["plans"][0], 160, 190)
+
+
+def test_costs_are_printed_where_they_tell_something(pages, tmp_path):
+    page = read_json(pages["page"])
+    for sensor in page["sensors"].values():
+        sensor["cost"] = 1
+    for plan in page["plans"]:
+        plan["objective"] = len(plan["sensors"])
+    content, _ = paper_content(page, None, None)
+    assert "Cost" not in content["columns"]
+    assert all(len(row) == len(content["columns"]) for row in content["compared"])
+    assert not any("cost" in plan["line"] for plan in content["plans"])
+    page["plans"][0]["objective"] += 1
+    page["plans"][0]["sensors"][0] |= {"pitch_deg": -15.0, "roll_deg": 0.0}
+    content, _ = paper_content(page, None, None)
+    assert "Cost" in content["columns"]
+    faces = {plan["title"]: plan["sensors"][0][4] for plan in content["plans"]}
+    assert faces[page["plans"][0]["title"]].endswith("15° down")
+    assert all(plan["verdict"][0].isupper() for plan in content["plans"])

@@ -279,3 +279,18 @@ def test_what_stages_told_is_said_once():
     ]
     (found,) = told_cautions([doubt | told for doubt in doubts])
     assert (found.level, found.text) == ("warning", "Noisy ground: 0.4 (limit 0.9).")
+
+
+@pytest.mark.parametrize(
+    ("message", "measured", "limit", "told"),
+    [
+        ("share of filled cells of the DEM", 0.1491, None, "14.9 %"),
+        ("share of the outline without a step", 0.5, 0.25, "50 % (limit 25 %)"),
+        ("pavement for each sensor, m2", 63.0, 100.0, "63 (limit 100)"),
+        ("the share is unknown", "none", 0.5, "none (limit 50 %)"),
+    ],
+)
+def test_shares_are_told_as_percentages(message, measured, limit, told):
+    doubt = {"code": "a", "severity": "note", "message": message}
+    (found,) = told_cautions([doubt | {"measured": measured, "limit": limit}])
+    assert found.text == f"{message[:1].upper()}{message[1:]}: {told}."

@@ -146,7 +146,7 @@ def _scene(page: _Page) -> dict[str, Any]:
         "examined": _has(page, "proven_share"),
         "tolerance": _has(page, "tolerance"),
         "unexamined": bool(page["layers"].get("unexamined")),
-        "priced": _is_priced(page),
+        "priced": is_priced(page),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
         "sketch": plan_sketch(page, best_plan(page["plans"])) if page["plans"] else "",
         "below": _below(page),
@@ -162,7 +162,7 @@ def _below(page: _Page) -> list[tuple[str, str]]:
     return [(name, title) for name, title in _BELOW.items() if name in there]
 
 
-def _is_priced(page: _Page) -> bool:
+def is_priced(page: _Page) -> bool:
     """Whether costs tell anything that the number of sensors does not."""
     costs = {sensor["cost"] for sensor in page["sensors"].values()}
     return len(costs) > 1 or any(p["objective"] != len(p["sensors"]) for p in page["plans"])
@@ -290,7 +290,7 @@ def _cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     best = best_plan(page["plans"])
     count = wording.counted(len(best["sensors"]), "sensor")
     first = [("Fewest sensors", count, best["title"]), *_proven_card(page)]
-    if _is_priced(page):
+    if is_priced(page):
         first.append(("Cost", wording.number(best["objective"]), best["title"]))
     targets = len(page["layers"]["targets"]["names"])
     unseen = len(best["gaps"])

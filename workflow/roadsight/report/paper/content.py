@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Mapping
 from typing import Any
 
@@ -11,11 +12,12 @@ from numpy.typing import NDArray
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.run_records import RunRecord
 from roadsight.report import wording
-from roadsight.report.document import cards_of
+from roadsight.report.document import cards_of, is_priced
 from roadsight.report.paper.plan_map import (
     SEEN,
     SEEN_LABELS,
     cloud_colours,
+    legend,
     plan_map,
     pole_map,
     scene_map,
@@ -35,6 +37,8 @@ _THUMBNAIL_MM = 95.0
 """Height of the map on the first page."""
 _MAP_MM = 190.0
 """Height of a map on a page of its own."""
+_PICTURES_SHOWN = 20
+"""Pictures of poles, the most dangerous first: a page."""
 _GAPS_SHOWN = 40
 """Uncovered targets that are listed; all are in solution.json and on the map."""
 
@@ -67,6 +71,8 @@ def paper_content(
         "cautions": _cautions(page, poles_page),
         "plans": [],
         "compared": [],
+        "columns": [],
+        "keys": [] if page is None else legend(page),
         "still": "",
         "map": "",
         "map_of": "",
@@ -108,7 +114,9 @@ def _add_scene(content: dict[str, Any], pictures: dict[str, bytes], page: dict[s
         content["plans"] = [
             _plan(view, page, times_seen(view, targets), pictures) for view in views
         ]
-        content["compared"] = [_compared(view) for view in views]
+        priced, proven = is_priced(page), any("proven_share" in view for view in views)
+        content["compared"] = [_compared(view, priced, proven) for view in views]
+        content["columns"] = [title for title, is_shown in _columns(priced, proven) if is_shown]
         content["map"], content["map_of"] = "map.svg", f"{best['title']}: targets seen"
         pictures["map.svg"] = plan_map(page, best, _WIDTH_MM, _THUMBNAIL_MM).encode()
         sensors = np.array([[s["x"], s["y"], s["z"]] for s in best["sensors"]]).reshape(-1, 3)
@@ -122,22 +130,38 @@ def _add_scene(content: dict[str, Any], pictures: dict[str, bytes], page: dict[s
         pictures["still.png"] = still(xyz_m, colours, sensors, feet)
 
 
-def _compared(view: dict[str, Any]) -> list[str]:
-    """A row of the table of plans."""
+def _columns(priced: bool, proven: bool) -> list[tuple[str, bool]]:
+    """Titles of the table of plans, and whether each is shown."""
     return [
+        ("Plan", True),
+        ("Sensors", True),
+        ("Cost", priced),
+        ("Result", True),
+        ("Pavement proven in sight", proven),
+        ("Lower bound", True),
+        ("Targets covered", True),
+    ]
+
+
+def _compared(view: dict[str, Any], priced: bool, proven: bool) -> list[str]:
+    """A row of the table of plans."""
+    cells = [
         view["title"],
         wording.number(len(view["sensors"])),
         wording.number(view["objective"]),
         _verdict(view),
+        wording.percent(view.get("proven_share")),
         wording.MISSING if view["bound"] is None else wording.number(view["bound"]),
         f"{wording.number(view['covered'])} of {wording.number(view['targets'])}",
     ]
+    shown = [is_shown for _, is_shown in _columns(priced, proven)]
+    return [cell for cell, is_shown in zip(cells, shown, strict=True) if is_shown]
 
 
 def _verdict(view: dict[str, Any]) -> str:
     if view["proven"]:
-        return "proven optimal"
-    return f"gap {wording.percent(view['gap'])}" if view["gap"] is not None else "not proven"
+        return "Proven optimal"
+    return f"Gap {wording.percent(view['gap'])}" if view["gap"] is not None else "Not proven"
 
 
 def _plan(
@@ -146,13 +170,14 @@ def _plan(
     """Map and tables of one plan."""
     name = f"map-{view['name']}.svg"
     pictures[name] = plan_map(page, view, _WIDTH_MM, _MAP_MM).encode()
+    cost = f", cost {wording.number(view['objective'])}" if is_priced(page) else ""
     return {
         "title": view["title"],
         "map": name,
         "verdict": _verdict(view),
         "line": (
-            f"{wording.counted(len(view['sensors']), 'sensor')}, cost"
-            f" {wording.number(view['objective'])}; {wording.number(view['covered'])} of"
+            f"{wording.counted(len(view['sensors']), 'sensor')}"
+            f"{cost}; {wording.number(view['covered'])} of"
             f" {wording.counted(view['targets'], 'target')} seen by at least"
             f" {wording.counted(view['at_least'], 'sensor')}."
         ),
@@ -173,12 +198,14 @@ def _plan(
 def _sensor(sensor: Mapping[str, Any]) -> list[str]:
     """A row of the table of sensors."""
     degrees = sensor["lon_lat_deg"]
+    pitch_deg, roll_deg = sensor.get("pitch_deg", 0.0), sensor.get("roll_deg", 0.0)
+    turned = f", {wording.pose(pitch_deg, roll_deg)}" if pitch_deg or roll_deg else ""
     return [
         str(sensor["number"]),
         sensor["sensor"],
         str(sensor["edge"]),
         wording.metres(sensor["height_m"], 2),
-        wording.bearing(sensor["bearing_deg"]),
+        wording.bearing(sensor["bearing_deg"]) + turned,
         *(f"{value:.2f}" for value in sensor["native"]),
         *(() if degrees is None else (f"{degrees[1]:.6f}", f"{degrees[0]:.6f}")),
         wording.number(sensor["targets"]),
@@ -202,8 +229,13 @@ def _add_poles(
     hazard = view["hazard"]
     printed = [n for n, key in enumerate((hazard or {}).get("keys", [])) if key not in _TOO_LONG]
     checked = view["checked"]
+    shown = view["pictures"][:_PICTURES_SHOWN]
+    for number, picture in enumerate(shown):
+        pictures[f"pole-{number}.jpg"] = base64.b64decode(picture["jpeg"])
     content["poles"] = {
         "map": "" if drawn is None else "map-poles.svg",
+        "pictures": [[f"pole-{n}.jpg", picture["id"]] for n, picture in enumerate(shown)],
+        "pictures_left": len(view["pictures"]) - len(shown),
         "rows": [_pole(number, pole, frame) for number, pole in enumerate(view["poles"], start=1)],
         "checked": None
         if checked is None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Floats
 from roadsight.report.packing import unpack, unpack_points
-from roadsight.report.paper.sheet import Drawing, Paper, fit
+from roadsight.report.paper.sheet import HATCH, HATCH_COLOUR, Drawing, Paper, fit
 from roadsight.report.poles.poles_raster import LEVELS
 from roadsight.report.site.layers import UNKNOWN_HEIGHT
 
@@ -20,10 +20,10 @@ SEEN = ("#dc2626", "#93c5fd", "#3b82f6", "#1e3a8a")
 """Targets that no sensor, one, two, and three or more sensors see."""
 SEEN_LABELS = ("by none", "by one", "by two", "by three or more")
 SENSOR = "#b45309"
+_PAVEMENT = "#cbd5e1"
+_EDGE, _MEDIAN = "#0f172a", "#8a6d1f"
 _SKETCH_MM = (84.0, 46.0)
 """Size of the sketch in units in which a sensor's mark is 4 wide."""
-_MOST_NUMBERED = 15
-"""Sensors of the sketch that are numbered; the numbers of more would hide each other."""
 _MARGIN_M = 5.0
 """Air around what a map is of."""
 _LOW = np.array([148, 163, 184])
@@ -63,6 +63,8 @@ def plan_map(page: dict[str, Any], plan: dict[str, Any], width_mm: float, height
     side_m = float(page["summary"]["settings"]["targets"]["cell_size_m"])
     for number, colour in enumerate(SEEN):
         drawing.squares(targets[counts == number, :2], side_m, f'fill="{colour}"')
+    for polygon in layers.get("unexamined", []):
+        drawing.areas([_ring(ring) for ring in polygon], f'fill="url(#{HATCH})"')
     _edges(drawing, layers["edges"])
     drawing.numbered(sensors, [str(s["number"]) for s in plan["sensors"]], SENSOR)
     return _finished(drawing, page)
@@ -79,12 +81,10 @@ def plan_sketch(page: dict[str, Any], plan: dict[str, Any]) -> str:
         drawing.areas(polygon, 'fill="var(--pavement)"')
     unseen = targets[times_seen(plan, len(targets)) == 0, :2]
     drawing.dots(unseen, 0.8, 'fill="var(--seen-0)"')
-    count = len(plan["sensors"])
-    if count > _MOST_NUMBERED:
-        drawing.dots(sensors, 1.4, 'fill="var(--sensor)"')
-    else:
-        drawing.numbered(sensors, [str(s["number"]) for s in plan["sensors"]], "var(--sensor)")
-    return drawing.inline(f"{count} sensors on the road as the plan {plan['title']} places them")
+    drawing.numbered(sensors, [str(s["number"]) for s in plan["sensors"]], "var(--sensor)")
+    return drawing.inline(
+        f"{len(sensors)} sensors on the road as the plan {plan['title']} places them"
+    )
 
 
 def scene_map(page: dict[str, Any], width_mm: float, height_mm: float) -> str:
@@ -138,7 +138,7 @@ def _scene(page: dict[str, Any], xy_m: NDArray, width_mm: float, height_mm: floa
     drawing.image(bytes(cv2.imencode(".png", pale)[1]), _bounds(relief))
     for polygon in page["layers"]["pavement"]:
         rings = [_ring(ring) for ring in polygon]
-        drawing.areas(rings, 'fill="#cbd5e1" stroke="#64748b" stroke-width="0.15"')
+        drawing.areas(rings, f'fill="{_PAVEMENT}" stroke="#64748b" stroke-width="0.15"')
     return drawing
 
 
@@ -154,10 +154,29 @@ def _bounds(raster: dict[str, Any]) -> tuple[float, float, float, float]:
     return west, north - raster["rows"] * cell, west + raster["columns"] * cell, north
 
 
+def legend(page: dict[str, Any]) -> list[list[str]]:
+    """Kind of mark (fill, hatch, line, dashes), colour and meaning of what lies below targets."""
+    layers = page["layers"]
+    keys = [["fill", _PAVEMENT, "pavement"]]
+    if layers.get("unexamined"):
+        keys.append(["hatch", HATCH_COLOUR, "pavement not examined"])
+    found = [list(_stroke(edge)) for edge in layers["edges"]]
+    return [*keys, *(key for number, key in enumerate(found) if key not in found[:number])]
+
+
+def _stroke(edge: dict[str, Any]) -> tuple[str, str, str]:
+    """How a line is drawn, and what it is."""
+    is_median = edge["kind"] == "median"
+    is_dashed = edge["source"] == "automatic"
+    name = ("median" if is_median else "road edge") + (", automatic" if is_dashed else "")
+    return "dashes" if is_dashed else "line", _MEDIAN if is_median else _EDGE, name
+
+
 def _edges(drawing: Drawing, edges: Sequence[dict[str, Any]]) -> None:
     for edge in edges:
-        dashes = "" if edge["kind"] == "edge" else ' stroke-dasharray="1.5 1"'
-        drawing.line(_ring(edge["xy"]), f'stroke="#0f172a" stroke-width="0.3"{dashes}')
+        kind, colour, _ = _stroke(edge)
+        dashes = ' stroke-dasharray="1.5 1"' if kind == "dashes" else ""
+        drawing.line(_ring(edge["xy"]), f'stroke="{colour}" stroke-width="0.3"{dashes}')
 
 
 def _ring(packed: dict[str, Any]) -> Floats:

@@ -21,6 +21,10 @@ _TICK_EVERY_MM = 30.0
 """Ticks are no closer on paper, so that six digits of a coordinate fit between them."""
 _BAR_SHARE = 0.3
 """The scale bar is no longer than this share of the map's width."""
+HATCH, HATCH_COLOUR = "hatch", "#7c2d12"
+"""Name of the pattern of hatched areas, and its colour."""
+_MARKS_APART_MM = 3.4
+"""Numbered marks are 4 mm wide; nearer ones hide each other's numbers."""
 _FONT = "Libertinus Serif"
 
 
@@ -118,8 +122,19 @@ class Drawing:
             self.parts.append(f'<circle cx="{x:.2f}" cy="{y:.2f}" r="{radius_mm}" {style}/>')
 
     def numbered(self, xy_m: NDArray, texts: Sequence[str], fill: str) -> None:
-        """Draw round marks with a text each, as the numbers of sensors."""
-        for (x, y), text in zip(self.paper.millimetres(xy_m), texts, strict=True):
+        """Draw round marks with a text each, as the numbers of sensors.
+
+        A mark that would hide one before it is a dot without a text.
+        """
+        places = self.paper.millimetres(xy_m)
+        free: list[int] = []
+        for number, place in enumerate(places):
+            if all(math.dist(place, places[other]) >= _MARKS_APART_MM for other in free):
+                free.append(number)
+        crowded = np.setdiff1d(np.arange(len(places)), free)
+        self.dots(xy_m[crowded], 0.9, f'fill="{fill}" stroke="#ffffff" stroke-width="0.2"')
+        for number in free:
+            (x, y), text = places[number], texts[number]
             self.parts.append(
                 f'<circle cx="{x:.2f}" cy="{y:.2f}" r="2" fill="{fill}" stroke="#ffffff"'
                 ' stroke-width="0.4"/>'
@@ -153,8 +168,9 @@ class Drawing:
             f' height="{height + 2 * margin + 6:.3f}mm" viewBox="{-margin} {-margin}'
             f' {width + 2 * margin:.3f} {height + 2 * margin + 6:.3f}">'
             f'<defs><clipPath id="c"><rect width="{width:.3f}" height="{height:.3f}"/></clipPath>'
-            '<pattern id="hatch" width="2" height="2" patternUnits="userSpaceOnUse"'
-            ' patternTransform="rotate(45)"><path d="M0 0V2" stroke="#7c2d12"'
+            f'<pattern id="{HATCH}" width="2" height="2" patternUnits="userSpaceOnUse"'
+            ' patternTransform="rotate(45)"><path d="M0 0V2"'
+            f' stroke="{HATCH_COLOUR}"'
             ' stroke-width="0.5"/></pattern></defs>'
             f'<rect width="{width:.3f}" height="{height:.3f}" fill="#f8fafc"/>'
             f'<g clip-path="url(#c)">{inner}</g>'

@@ -125,11 +125,19 @@ def told_cautions(doubts: Sequence[dict[str, Any]]) -> list[Caution]:
             continue
         text = str(doubt["message"])
         if doubt["measured"] is not None and not doubt["code"].startswith("raised_"):
-            text += f": {doubt['measured']}"
-            text += "" if doubt["limit"] is None else f" (limit {doubt['limit']})"
+            is_share = "share" in text.lower()
+            text += f": {_figure(doubt['measured'], is_share)}"
+            limit = doubt["limit"]
+            text += "" if limit is None else f" (limit {_figure(limit, is_share)})"
         level: Literal["warning", "note"] = "note" if doubt["severity"] == "note" else "warning"
         found.append(Caution(level, f"{text[:1].upper()}{text[1:].rstrip('.')}."))
     return found
+
+
+def _figure(value: Any, is_share: bool) -> str:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return str(value)
+    return percent(value) if is_share and 0 <= value <= 1 else number(value)
 
 
 def scene_cautions(
