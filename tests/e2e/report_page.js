@@ -35,6 +35,19 @@ window.choose = (selector, value) => {
 window.press = (key) =>
   shown("canvas.map")[0].dispatchEvent(new KeyboardEvent("keydown", { key }));
 
+// Whether a touch with so many fingers comes to an element.
+window.touch = (selector, fingers) => {
+  const [target] = shown(selector);
+  let reached = false;
+  const listen = () => { reached = true; };
+  target.addEventListener("touchstart", listen);
+  const touches = Array.from({ length: fingers }, (_, identifier) =>
+    new Touch({ identifier, target, clientX: 50 * identifier, clientY: 50 }));
+  target.dispatchEvent(new TouchEvent("touchstart", { touches, bubbles: true, cancelable: true }));
+  target.removeEventListener("touchstart", listen);
+  return reached;
+};
+
 window.middleOf = (selector) => {
   const [element] = shown(selector);
   element.scrollIntoView({ behavior: "instant", block: "center" });

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import base64
+import io
 import re
 from pathlib import Path
 
 import pytest
+from pypdf import PdfReader
+from pyproj import Transformer
 
+from roadsight.io.records.atomic import write_json
+from roadsight.io.records.run_records import run_record
 from roadsight.stages.evidence import write_report, write_site_page
 from tests.e2e.chromium import BINARY
 from tests.helpers.report_site import PLANS, ReportSite
@@ -28,7 +34,11 @@ def report(tmp_path_factory):
     for site in sites:
         assert write_site_page.main(site.arguments) == 0
     pages = [str(site.path("page.json")) for site in sites]
-    assert write_report.main(["--pages", *pages, "--out", str(folder / "report.html")]) == 0
+    runs = [str(site.path("run.json")) for site in sites]
+    for site, run in zip(sites, runs, strict=True):
+        write_json(run, {"site": site.name} | run_record([], "1.2").to_dict())
+    out = folder / "report.html"
+    assert write_report.main(["--pages", *pages, "--runs", *runs, "--out", str(out)]) == 0
     return folder / "report.html"
 
 
@@ -332,6 +342,43 @@ def test_a_chosen_row_lies_in_the_map(page):
         assert pixels(page, "accent") > 100
 
 
+@pytest.mark.parametrize("section", ["gaps", "scene"])
+def test_rows_of_places_and_lines_are_marked_on_the_map(page, section):
+    row = f'[id$="-{section}"] button[aria-pressed]'
+    before, home = pixels(page, "accent"), page.run("shown('.map-status a')[0].href")
+    click(page, row)
+    page.until("shown('.map-status a')[0].href !== " + repr(home))
+    assert pixels(page, "accent") > before + 50
+    page.until("shown('canvas.map')[0].getBoundingClientRect().top >= 0")
+    assert page.run(f"shown('{row}').map((b) => b.ariaPressed)").count("true") == 1
+    click(page, row)
+    assert pixels(page, "accent") == before
+    assert page.run(f"shown('{row}').map((b) => b.ariaPressed)").count("true") == 0
+
+
+def test_the_online_map_is_that_of_the_chosen_row(page):
+    rows = page.run(
+        "shown('[id$=\"-gaps\"] tr:has([data-show-place])').map((row) =>"
+        " [...row.cells].slice(1, 3).map((cell) => Number(cell.textContent.replaceAll(',', ''))))"
+    )
+    click(page, '[id$="-gaps"] [data-show-place]')
+    address = page.run("shown('.map-status a')[0].href")
+    lat, lon = (float(v) for v in re.search(r"mlat=([-\d.]+)&mlon=([-\d.]+)", address).groups())
+    to_wgs84 = Transformer.from_crs("EPSG:25832", "EPSG:4326", always_xy=True)
+    assert to_wgs84.transform(*rows[0]) == pytest.approx((lon, lat), abs=2e-6)
+
+
+def test_sheets_of_the_printed_page_say_what_they_are(page):
+    printed = page.call("Page.printToPDF", preferCSSPageSize=True, printBackground=True)
+    reader = PdfReader(io.BytesIO(base64.b64decode(printed["data"])))
+    title = page.run("document.querySelector('.site:not([hidden]) h1').textContent")
+    assert len(reader.pages) > 2
+    for number, sheet in enumerate(reader.pages, start=1):
+        text = sheet.extract_text().replace("\n", " ")
+        assert text.count(title) >= 1 and f"{number} / {len(reader.pages)}" in text
+        assert "roadsight 1.2" in text and "commit" in text
+
+
 def test_paper_is_light_and_maps_keep_their_shape(browser, report):
     browser.set_theme(dark=True)
     page = opened(browser, report)
@@ -366,5 +413,15 @@ def test_a_phone_scrolls_past_the_map(browser, report):
     assert ends and max(ends) <= 390
     heights = page.run("['.map-stage', '.map-status'].map((s) => shown(s)[0].clientHeight)")
     assert heights[0] <= 590 and heights[1] <= 45
+    order = page.run(
+        "['.card:nth-child(3)', '.sketch-link', '.cautions', '.card:nth-child(4)']"
+        ".map((s) => shown('.first ' + s)[0].getBoundingClientRect().top)"
+    )
+    assert order == sorted(order)
+    open_scene(page)
+    for finger in (1, 2):
+        page.run("shown('.scene3d')[0].scrollIntoView({ behavior: 'instant', block: 'center' })")
+        touched = page.run(f"touch('.scene3d canvas', {finger})")
+        assert touched == (finger == 2)  # whether the view, and not the page, gets the touch
     size |= {"width": 1280, "height": 720}
     browser.call("Emulation.setDeviceMetricsOverride", **size)

@@ -138,7 +138,7 @@ def test_bad_input_writes_nothing(tmp_path):
     ]:
         with pytest.raises(InputError, match=message):
             run(*clouds, "-o", out)
-    with pytest.raises(InputError, match="no letter or digit"):
+    with pytest.raises(InputError, match="gives no name of a site"):
         run(one, "-o", out, "--site", "!!")
     assert not out.exists()
 
@@ -178,7 +178,15 @@ def test_real_clouds(tmp_path, name, crs):
 
 @pytest.mark.parametrize(
     ("text", "name"),
-    [("Mühlstraße", "muehlstrasse"), ("MU\u0308HLE", "muehle"), ("Città 2", "citta_2")],
+    [
+        ("Mühlstraße", "muehlstrasse"),
+        ("MU\u0308HLE", "muehle"),
+        ("Città 2", "citta_2"),
+        ("Łódź", "lodz"),
+        ("Улица Мира", "ulitsa_mira"),
+        ("Οδός 3", "odos_3"),
+        ("København", "koebenhavn"),
+    ],
 )
 def test_letters_with_marks_stay_legible(tmp_path, text, name):
     cloud = write_las(tmp_path / f"{text}.laz", random_points(50), UTM)
@@ -187,6 +195,22 @@ def test_letters_with_marks_stay_legible(tmp_path, text, name):
     content = written(out)[1]
     assert content["site"] == name
     assert content["title"] == text
+
+
+def test_a_name_that_cannot_be_written_out_is_asked_for(tmp_path):
+    cloud = write_las(tmp_path / "道路.laz", random_points(50), UTM)
+    with pytest.raises(InputError, match=r"道路\.laz.*--site NAME"):
+        run(cloud, "-o", tmp_path / "site.yaml")
+    run(cloud, "-o", tmp_path / "site.yaml", "--site", "road")
+    assert written(tmp_path / "site.yaml")[1]["site"] == "road"
+
+
+def test_what_is_commented_out_is_a_valid_key(tmp_path):
+    cloud = write_las(tmp_path / "a.laz", random_points(50), UTM)
+    out = tmp_path / "site.yaml"
+    run(cloud, "-o", out)
+    text = out.read_text(encoding="utf-8").replace("# orthophoto:", "orthophoto:")
+    assert Site(**yaml.safe_load(text)).orthophoto == "orthophoto.tif"
 
 
 @pytest.mark.parametrize(

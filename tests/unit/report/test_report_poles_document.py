@@ -44,9 +44,13 @@ def valley(pages):
 
 
 @pytest.fixture(scope="module")
-def html(sites, pages, tmp_path_factory):
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("report")
+
+
+@pytest.fixture(scope="module")
+def html(sites, pages, folder):
     """A site with both jobs, one with its scene alone, one with poles alone."""
-    folder = tmp_path_factory.mktemp("report")
     bare = ReportSite(folder, "bare", placed=False)
     scenes = [bare, sites[0]]
     for site in scenes:
@@ -251,21 +255,26 @@ class TestReport:
         found = {"poles", "pictures", "images", "alignment", "depth", "hazard", "files"}
         checked = {"checked", "components"}
         assert by_site == {
-            0: common | scene,
+            0: common | scene | {"results"},  # its files lie beside the report
             1: common | scene | found | checked,
             2: common | found,
         }
 
-    def test_every_anchor_leads_somewhere(self, elements):
+    def test_every_anchor_leads_somewhere(self, elements, folder):
         identifiers = [a["id"] for _, a in elements.tags if "id" in a]
         assert len(identifiers) == len(set(identifiers))
-        assert {a["href"][1:] for t, a in elements.tags if t == "a"} <= set(identifiers)
+        addresses = {a["href"] for t, a in elements.tags if t == "a"}
+        within = {address[1:] for address in addresses if address.startswith("#")}
+        assert within <= set(identifiers)
+        files = {address for address in addresses if not address.startswith("#")}
+        assert {"bare/scene/dem.tif", "bare/summary.json"} <= files
+        assert all((folder / address).is_file() for address in files)
 
     def test_nothing_is_loaded_from_elsewhere(self, elements):
         for tag, attributes in elements.tags:
             assert tag not in ("link", "iframe", "object", "embed")
             assert attributes.get("src", "data:image/jpeg;").startswith("data:image/jpeg;")
-            assert attributes.get("href", "#").startswith("#")
+            assert ":" not in attributes.get("href", "#")
 
     def test_texts_from_data_are_escaped(self, html, elements):
         assert "<script>alert" not in html

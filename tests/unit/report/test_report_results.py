@@ -284,10 +284,10 @@ def test_what_stages_told_is_said_once():
 @pytest.mark.parametrize(
     ("message", "measured", "limit", "told"),
     [
-        ("share of filled cells of the DEM", 0.1491, None, "14.9 %"),
-        ("share of the outline without a step", 0.5, 0.25, "50 % (limit 25 %)"),
+        ("share of filled cells of the DEM", 0.1491, None, "14.9\u202f%"),
+        ("share of the outline without a step", 0.5, 0.25, "50\u202f% (limit 25\u202f%)"),
         ("pavement for each sensor, m2", 63.0, 100.0, "63 (limit 100)"),
-        ("the share is unknown", "none", 0.5, "none (limit 50 %)"),
+        ("the share is unknown", "none", 0.5, "none (limit 50\u202f%)"),
     ],
 )
 def test_shares_are_told_as_percentages(message, measured, limit, told):

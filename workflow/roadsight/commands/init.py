@@ -28,7 +28,7 @@ def run(
     ------
     InputError : a cloud cannot be read, or the site file exists already.
     """
-    name = site_name(site or clouds[0].stem)
+    name = site_name(site) if site else site_name(clouds[0].stem, str(clouds[0]))
     path = out or SITES / f"{name}.yaml"
     if path.exists() and not force:
         raise InputError("exists already", where=str(path), hint="choose another, or add --force")

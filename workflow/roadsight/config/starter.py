@@ -28,8 +28,21 @@ from roadsight.scene.profile import CELL_M, density, merge_counts
 
 _DATA_VARIABLE = "ROADSIGHT_DATA"
 """Environment variable that names the folder of a user's clouds."""
-_WRITTEN_OUT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "ß": "ss", "ø": "oe", "æ": "ae"})
-"""Letters that names of folders do without, as people who have them write them."""
+_LETTERS = {
+    "äöüßøæœþłđðı": "ae oe ue ss oe ae oe th l d d i",
+    "абвгдеёжзийклмнопрстуфхцчшщъыьэюяіїєґ": (
+        "a b v g d e e zh z i i k l m n o p r s t u f kh ts ch sh shch _ y _ e yu ya i i ie g"
+    ),
+    "αβγδεζηθικλμνξοπρσςτυφχψω": "a v g d e z i th i k l m n x o p r s s t y f ch ps o",
+}
+_WRITTEN_OUT = str.maketrans(
+    {
+        letter: plain.strip("_")
+        for letters, written in _LETTERS.items()
+        for letter, plain in zip(letters, written.split(), strict=True)
+    }
+)
+"""Letters that names of folders do without, as passports write them."""
 
 
 FIRST_PLANS = ("os-64", "os-128")
@@ -136,16 +149,27 @@ def doubts(density_m2: float | None) -> list[str]:
     ]
 
 
-def site_name(text: str) -> str:
+def site_name(text: str, where: str = "--site") -> str:
     """Name of letters, digits, - and _ that the workflow accepts, from any text.
 
-    Umlauts are written out (``Mühle`` gives ``muehle``), other accents are left off.
+    Umlauts, Cyrillic and Greek letters are written out (``Mühle`` gives ``muehle``); other accents
+    are left off.
+
+    Raises
+    ------
+    InputError : nothing is left; ``where`` the text stands is said.
     """
     plain = unicodedata.normalize("NFC", text.lower()).translate(_WRITTEN_OUT)
-    plain = unicodedata.normalize("NFKD", plain).encode("ascii", "ignore").decode()
-    name = re.sub(r"[^a-z0-9_-]+", "_", plain).strip("_-")
+    bare = "".join(c for c in unicodedata.normalize("NFKD", plain) if not unicodedata.combining(c))
+    name = re.sub(r"[^a-z0-9_-]+", "_", bare.translate(_WRITTEN_OUT)).strip("_-")
     if not name:
-        raise InputError("has no letter or digit", where="--site", found=repr(text))
+        raise InputError(
+            "gives no name of a site",
+            where=where,
+            found=repr(text),
+            allowed="letters a to z, digits, - and _",
+            hint="state one: --site NAME",
+        )
     return name
 
 
@@ -240,6 +264,8 @@ placement:
   # Polygons in which no sensor may stand; existing poles that may carry one (points, height_m).
   # zones: zones.geojson
   # mounts: poles.geojson
+# Picture below the report's map (GeoTIFF with a CRS, 8 bits), beside the relief.
+# orthophoto: orthophoto.tif
 # Settings of config/config.yaml that are others here.
 settings:
   coverage:

@@ -14,6 +14,7 @@ from roadsight.io.records.run_records import RunRecord
 from roadsight.placement.sensors.sensors import KINDS
 from roadsight.report import wording
 from roadsight.report.files import SCRIPTS, STYLES, TEMPLATES
+from roadsight.report.packing import unpack
 from roadsight.report.paper.plan_map import plan_sketch
 from roadsight.report.parameters import figure_rows, settings_asked_for
 from roadsight.report.poles.poles_page import FORMAT as POLES_FORMAT
@@ -68,16 +69,18 @@ def render_report(
     sites = _pairs(pages, poles_pages)
     environment = template_environment({name: assets[name] for name in TEMPLATES})
     environment.filters |= {name: getattr(wording, name) for name in _FILTERS} | {
-        "quantity": wording.quantity
+        "quantity": wording.quantity,
+        "css_text": css_text,
     }
     return environment.get_template("report.html.j2").render(
-        sites=[_site(*pair, f"site-{number}") for number, pair in enumerate(sites)],
+        sites=[_site(*pair, f"site-{number}", files or {}) for number, pair in enumerate(sites)],
         css="\n".join(assets[name] for name in STYLES),
         script="\n".join(assets[name] for name in SCRIPTS),
         plotly=plotly_js,
         version=version,
         evidence=evidence or {},
         runs={site: run.rows() for site, run in (runs or {}).items()},
+        lines={site: run.line() for site, run in (runs or {}).items()},
         files=files or {},
         rows=_ROWS_SHOWN,
     )
@@ -114,7 +117,12 @@ def _check(pages: Sequence[_Page], allowed: str, where: str) -> None:
         raise InputError("two pages of one site", where=where, found=repeated[0])
 
 
-def _site(page: _Page | None, poles_page: _Page | None, identifier: str) -> dict[str, Any]:
+def _site(
+    page: _Page | None,
+    poles_page: _Page | None,
+    identifier: str,
+    files: Mapping[str, Sequence[ResultFile]],
+) -> dict[str, Any]:
     """What the templates show of a site."""
     about = next(given for given in (page, poles_page) if given is not None)
     poles = None if poles_page is None else poles_view(poles_page)
@@ -126,7 +134,7 @@ def _site(page: _Page | None, poles_page: _Page | None, identifier: str) -> dict
         "poles": poles,
         "cards": cards_of(page, poles_page),
         "cautions": _cautions(page, poles_page),
-        "sections": _sections(page, poles, bool(about["summary"]["effects"])),
+        "sections": _sections(page, poles, about["summary"], files),
         "effects": effect_rows(about["summary"]["effects"]),
         **scene,
         **_coordinates(about["frame"]),
@@ -145,6 +153,7 @@ def _scene(page: _Page) -> dict[str, Any]:
         "shared": _has(page, "data"),
         "examined": _has(page, "proven_share"),
         "tolerance": _has(page, "tolerance"),
+        "densified": _is_densified(page),
         "unexamined": bool(page["layers"].get("unexamined")),
         "priced": is_priced(page),
         "whole_costs": all(float(cost).is_integer() for cost in costs),
@@ -154,6 +163,12 @@ def _scene(page: _Page) -> dict[str, Any]:
         **_evidence(page),
         "data": embedded(_drawn(page)),
     }
+
+
+def _is_densified(page: _Page) -> bool:
+    """Whether there are candidates of later rounds, which lie near gaps."""
+    candidates = page["layers"].get("candidates")
+    return candidates is not None and bool(unpack(candidates["round"]).any())
 
 
 def _below(page: _Page) -> list[tuple[str, str]]:
@@ -266,6 +281,11 @@ def embedded(content: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
+def css_text(text: str) -> str:
+    """Text that is safe between the quotes of a style sheet, whatever it holds."""
+    return "".join(c if c.isalnum() or c in " .,-+/:" else f"\\{ord(c):x} " for c in text)
+
+
 def cards_of(page: _Page | None, poles_page: _Page | None) -> list[tuple[str, str, str]]:
     """Key figures of a site: name, value, remark."""
     scene = [] if page is None else _cards(page)
@@ -314,7 +334,10 @@ def _proven_card(page: dict[str, Any]) -> list[tuple[str, str, str]]:
 
 
 def _sections(
-    page: _Page | None, poles: dict[str, Any] | None, effects: bool
+    page: _Page | None,
+    poles: dict[str, Any] | None,
+    summary: dict[str, Any],
+    files: Mapping[str, Sequence[ResultFile]],
 ) -> list[tuple[str, str]]:
     """Anchors and titles of a site's sections."""
     found = []
@@ -331,9 +354,12 @@ def _sections(
         found += poles["sections"]
     if page is not None:
         found.append(("scene", "Scene"))
-    if effects:
+    if summary["effects"]:
         found.append(("effects", "Effects"))
-    return [*found, ("parameters", "Parameters"), ("provenance", "Provenance")]
+    found.append(("parameters", "Parameters"))
+    if files.get(summary["site"]):
+        found.append(("results", "Files"))
+    return [*found, ("provenance", "Provenance")]
 
 
 def _unit_sign(name: str) -> str:

@@ -133,6 +133,12 @@ def kind_of_name(name: str) -> str:
     return re.split(r"[+-]", name, maxsplit=1)[0]
 
 
+def place_of_name(name: str) -> tuple[float, float] | None:
+    """Local x, y of an object by its name, to half a metre; None where it tells none."""
+    found = re.search(r"([+-]\d+)([+-]\d+)(-\d+)?$", name)
+    return None if found is None else (float(found[1]), float(found[2]))
+
+
 def objects_of(
     centre_m: Floats | Floats32, normal: Floats | Floats32, height_m: Floats
 ) -> tuple[Ints, pd.DataFrame]:

@@ -82,9 +82,8 @@ def plan_sketch(page: dict[str, Any], plan: dict[str, Any]) -> str:
     unseen = targets[times_seen(plan, len(targets)) == 0, :2]
     drawing.dots(unseen, 0.8, 'fill="var(--seen-0)"')
     drawing.numbered(sensors, [str(s["number"]) for s in plan["sensors"]], "var(--sensor)")
-    return drawing.inline(
-        f"{len(sensors)} sensors on the road as the plan {plan['title']} places them"
-    )
+    about = f"{len(sensors)} sensors on the road as the plan {plan['title']} places them"
+    return drawing.inline(about, _up(page))
 
 
 def scene_map(page: dict[str, Any], width_mm: float, height_mm: float) -> str:
@@ -186,5 +185,9 @@ def _ring(packed: dict[str, Any]) -> Floats:
 def _finished(drawing: Drawing, page: dict[str, Any]) -> str:
     frame = page["frame"]
     east, north, _ = frame["origin"]
-    up = "y" if frame["crs_wkt"] is None else "N"
-    return drawing.svg((float(east), float(north)), float(frame["unit_m"]), up)
+    return drawing.svg((float(east), float(north)), float(frame["unit_m"]), _up(page))
+
+
+def _up(page: dict[str, Any]) -> str:
+    """What lies up: north of the grid, or the axis of a site without CRS."""
+    return "y" if page["frame"]["crs_wkt"] is None else "N"

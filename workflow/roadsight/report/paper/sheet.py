@@ -179,12 +179,28 @@ class Drawing:
             f"{''.join(furniture.parts)}</svg>"
         )
 
-    def inline(self, about: str) -> str:
-        """The map alone as an element of a page, for its colours and with what it is of."""
+    def inline(self, about: str, up: str = "N") -> str:
+        """The map with scale and what lies up, as an element of a page and in its colours.
+
+        Parameters
+        ----------
+        about : what it is of. up : N or the axis of a site without CRS.
+        """
         width, height = self.paper.width_mm, self.paper.height_mm
+        length = self._bar_m()
+        bar = length * 1000 / self.paper.scale
+        y = height + 5.5
+        style = 'font-size="3.6" style="fill: var(--ink)"'
+        furniture = (
+            f'<path d="M0.3 {y - 1.2:.2f}v1.2h{bar:.2f}v-1.2" fill="none" stroke="var(--ink)"'
+            f' stroke-width="0.5"/><text x="{bar + 1.5:.2f}" y="{y:.2f}" {style}>{length} m</text>'
+            f'<path d="M{width - 2:.2f} {y - 4.5:.2f}l1.6 4.5l-1.6 -1.2l-1.6 1.2z"'
+            f' fill="var(--ink)"/><text x="{width - 4.6:.2f}" y="{y:.2f}" text-anchor="end"'
+            f" {style}>{escape(up)}</text>"
+        )
         return (
-            f'<svg class="sketch" viewBox="0 0 {width:.2f} {height:.2f}" role="img"'
-            f' aria-label="{escape(about, quote=True)}">{"".join(self.parts)}</svg>'
+            f'<svg class="sketch" viewBox="0 0 {width:.2f} {height + 6.5:.2f}" role="img"'
+            f' aria-label="{escape(about, quote=True)}">{"".join(self.parts)}{furniture}</svg>'
         )
 
     def _path(self, xy_m: NDArray) -> str:
@@ -227,10 +243,14 @@ class Drawing:
         style = 'font-size="3" text-anchor="middle" fill="#0f172a" stroke="none"'
         self.text(x, 13, up, style)
 
+    def _bar_m(self) -> int:
+        """Round length of the scale bar."""
+        longest = (self.paper.east_m - self.paper.west_m) * _BAR_SHARE
+        return max((s for s in _GRID_STEPS_M if s <= longest), default=_GRID_STEPS_M[0])
+
     def _bar(self) -> None:
         """Scale bar of a round length, in four parts."""
-        longest = (self.paper.east_m - self.paper.west_m) * _BAR_SHARE
-        length = max((s for s in _GRID_STEPS_M if s <= longest), default=_GRID_STEPS_M[0])
+        length = self._bar_m()
         part = length * 1000 / self.paper.scale / 4
         y = self.paper.height_mm + 5
         for number in range(4):

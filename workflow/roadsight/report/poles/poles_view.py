@@ -110,7 +110,7 @@ def _sections(page: dict[str, Any]) -> list[tuple[str, str]]:
         ("checked", "Against known poles", page["validation"] is not None),
         ("components", "Components", bool((page["validation"] or {}).get("ablation"))),
         ("hazard", "Roadside hazard", bool(page["hazard"]["rows"])),
-        ("files", "Files", bool(page["files"])),
+        ("files", "Files of the poles", bool(page["files"])),
     )
     return [(anchor, title) for anchor, title, there in shown if there]
 

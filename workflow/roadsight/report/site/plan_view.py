@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from roadsight.geometry.frames import Frame
+from roadsight.placement.sight.objects import place_of_name
 from roadsight.report.site.data_view import data_view, margins_view
 from roadsight.report.site.options_view import is_soft, options_view
 from roadsight.report.site.sight_view import sight_view
@@ -45,6 +46,7 @@ def plan_views(plans: list[dict[str, Any]], frame: Frame) -> list[dict[str, Any]
             "reduced": _reductions(plan["reductions"]),
             "gaps": [_gap(gap, frame) for gap in plan["gaps"]],
             "reasons": _by_count(Counter(gap["reason"] for gap in plan["gaps"])),
+            "objects": [o | {"place": place_of_name(o["name"])} for o in plan["objects"]],
             "obstacles": [o | {"native": _native(o, frame)} for o in plan["obstacles"]],
         }
         for plan in plans

@@ -22,6 +22,7 @@ function drawMap(map) {
     if (layers.obstacles) drawObstacles(map, plan);
     if (layers.sensors) drawSensors(map, plan);
   }
+  if (map.marked) drawMarked(map);
   drawScaleBar(map);
   drawUp(map);
 }
@@ -255,6 +256,19 @@ function drawSensor(map, plan, n) {
   context.textAlign = "center";
   context.textBaseline = "middle";
   context.fillText(sensor.number, x, y + 0.5);
+}
+
+// What a row of a table marks: a ring around a place, or a line.
+function drawMarked(map) {
+  const { context, marked } = map;
+  for (const [colour, width] of [["surface", 7], ["accent", 3.5]]) {
+    context.strokeStyle = map.colour(colour);
+    context.lineWidth = width;
+    context.beginPath();
+    if (marked.length > 2) trace(map, marked);
+    else context.arc(...map.toScreen(...marked), 15, 0, 2 * Math.PI);
+    context.stroke();
+  }
 }
 
 function drawScaleBar(map) {

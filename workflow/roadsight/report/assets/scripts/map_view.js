@@ -1,11 +1,14 @@
 // The map of scene and placement. What it draws is in map_layers.js.
 
+const MARKED_PX_PER_M = 6;
+
 class MapView extends PlanCanvas {
   constructor(canvas, site, state, tooltip) {
     super(canvas, site, state, tooltip);
     this.layers = { pavement: true, unexamined: true, edges: true, candidates: true, targets: true, obstacles: true, sensors: true };
     this.below = "orthophoto" in site.below ? "orthophoto" : "relief";
     for (const { image } of Object.values(site.below)) image.addEventListener("load", () => this.draw());
+    this.marked = null;
     this.recolour();
   }
 
@@ -20,6 +23,19 @@ class MapView extends PlanCanvas {
 
   pick(px, py) {
     return pick(this, px, py);
+  }
+
+  // The middle of what a row marks, or the chosen sensor.
+  get chosenPlace() {
+    const middle = this.marked && 2 * Math.floor(this.marked.length / 4);
+    if (this.marked) return [this.marked[middle], this.marked[middle + 1]];
+    const sensor = this.state.plan?.sensors[this.state.sensor];
+    return sensor ? [sensor.x, sensor.y] : null;
+  }
+
+  revealMarked() {
+    const [x, y] = this.chosenPlace;
+    this.reveal({ x, y }, this.marked.length > 2 ? this.fitted : Math.max(MARKED_PX_PER_M, this.fitted));
   }
 
   choose(found) {

@@ -167,7 +167,7 @@ class PlanCanvas {
   tell([x, y]) {
     if (this.ruler) this.status.textContent = this.ruler.text;
     else this.status.textContent = coordinatesText(this.site.place, x, y);
-    const address = onlineMap(this.site.place, ...this.centre);
+    const address = onlineMap(this.site.place, ...(this.chosenPlace ?? this.centre));
     this.online.hidden = address === null;
     if (address) this.online.href = address;
   }

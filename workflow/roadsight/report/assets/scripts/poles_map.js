@@ -37,6 +37,11 @@ class PolesMap extends PlanCanvas {
     return null;
   }
 
+  get chosenPlace() {
+    const pole = this.site.poles[this.state.pole];
+    return pole ? [pole.x, pole.y] : null;
+  }
+
   choose(found) {
     if (found?.camera !== undefined) this.state.showImage(this.site.cameras.shown[found.camera]);
     else this.state.choosePole(found === null || this.state.pole === found.pole ? null : found.pole, false);

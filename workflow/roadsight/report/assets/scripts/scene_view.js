@@ -20,6 +20,12 @@ class SceneView {
     }, { capture: true });
     element.addEventListener("pointerdown", () => { this.active = true; }, { capture: true });
     element.addEventListener("pointerleave", () => { this.active = false; });
+    // One finger moves the page; two turn the view.
+    for (const kind of ["touchstart", "touchmove"]) {
+      element.addEventListener(kind, (event) => {
+        if (event.touches.length === 1) event.stopPropagation();
+      }, { capture: true, passive: true });
+    }
   }
 
   open() {

@@ -25,6 +25,7 @@ class Site {
   choosePlan(name) {
     this.plan = this.content.plans.find((plan) => plan.name === name);
     this.sensor = null;
+    this.show(null);
     for (const input of this.all(".planbar input")) input.checked = input.value === name;
     this.showPlan();
     this.draw();
@@ -33,9 +34,24 @@ class Site {
   // Chosen in the table, it may lie outside the map's view.
   chooseSensor(number, reveals = false) {
     this.sensor = number;
+    this.show(null);
     if (number !== null && reveals) this.map.reveal(this.plan.sensors[number], this.map.fitted);
     this.showSensor();
     this.draw();
+  }
+
+  // Mark a line or a place of a table's row on the map; the same row again takes the mark away.
+  show(button, xy = null) {
+    const again = button?.getAttribute("aria-pressed") === "true";
+    this.map.marked = again ? null : xy;
+    for (const other of this.all("[data-show-place], [data-show-edge]")) {
+      other.setAttribute("aria-pressed", other === button && !again);
+    }
+    if (this.map.marked) {
+      this.map.revealMarked();
+      this.map.stage.scrollIntoView({ block: "center" });
+    }
+    this.map.draw();
   }
 
   draw() {
@@ -81,9 +97,12 @@ class Site {
       if (target.matches("[data-price]")) this.pricePlans();
     });
     this.section.addEventListener("click", ({ target }) => {
-      const { choosePlan, chooseSensor, camera } = target.closest("button")?.dataset ?? {};
+      const button = target.closest("button");
+      const { choosePlan, chooseSensor, camera, showPlace, showEdge } = button?.dataset ?? {};
       if (choosePlan !== undefined) this.choosePlan(choosePlan);
       if (chooseSensor !== undefined) this.chooseSensor(this.sensor === Number(chooseSensor) ? null : Number(chooseSensor), true);
+      if (showPlace !== undefined) this.show(button, showPlace.split(",").map(Number));
+      if (showEdge !== undefined) this.show(button, this.content.edges[showEdge].xy);
       if (camera !== undefined) this.scene.setCamera(camera);
     });
     this.showRamp();
