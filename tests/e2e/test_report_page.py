@@ -15,6 +15,7 @@ from roadsight.io.records.atomic import write_json
 from roadsight.io.records.run_records import run_record
 from roadsight.stages.evidence import write_report, write_site_page
 from tests.e2e.chromium import BINARY
+from tests.helpers.orthophoto import photo
 from tests.helpers.report_site import PLANS, ReportSite
 
 pytestmark = pytest.mark.skipif(BINARY is None, reason="no Chromium to open the report with")
@@ -268,6 +269,22 @@ def test_the_background_of_the_map_can_be_chosen(page):
         page.run("drawn()")
         looks.add(page.run(picture))
     assert len(looks) == len(names)
+
+
+def test_an_orthophoto_is_the_first_background(browser, tmp_path):
+    site = ReportSite(tmp_path, "photo", placed=False, truth=False)
+    picture = photo(site.path("photo.tif"), site.frame, epsg=25832)
+    assert write_site_page.main([*site.arguments, "--orthophoto", str(picture)]) == 0
+    out = tmp_path / "report.html"
+    assert write_report.main(["--pages", str(site.path("page.json")), "--out", str(out)]) == 0
+    page = opened(browser, out)
+    assert page.run("shown('[data-below]')[0].value") == "orthophoto"
+    reddish = "Object.entries(colours()).filter(([key]) => { const [r, g, b] ="
+    reddish += " key.split(',').map(Number); return r > 150 && g < 60 && b < 60; })"
+    page.until(f"{reddish}.reduce((sum, [, count]) => sum + count, 0) > 2000")
+    page.run("choose('[data-below]', 'relief')")
+    page.run("drawn()")
+    assert page.run(f"{reddish}.length") == 0
 
 
 def test_the_ruler_measures_as_the_map_is_scaled(page):

@@ -7,6 +7,7 @@ import json
 import pytest
 
 from tests.workflow.conftest import Checkout
+from tests.workflow.test_layer_fields import check_hidden
 
 SITE = "config/sites/tiny.yaml"
 RULES = {
@@ -92,4 +93,5 @@ def test_rain_traffic_and_dark_targets_lower_what_is_seen(copy_of_finished):
     )
     folder = copy_of_finished.folder / "results/tiny/placement/os-32"
     solution = json.loads((folder / "solution.json").read_text())
+    check_hidden(copy_of_finished.folder / "results/tiny", "os-32")
     assert 0.9 <= solution["availability"]["least"] <= solution["availability"]["mean"] < 1

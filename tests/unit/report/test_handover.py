@@ -325,6 +325,15 @@ def test_the_stake_out_of_a_site_in_feet_says_what_it_counts_in():
     assert np.isnan(local["convergence_deg"]) and local["crs"] == "local"
 
 
+def test_pitch_and_roll_go_along_to_layers_and_crew():
+    sensor = {"x": 1.0, "y": 2.0, "z": 3.0, "height_m": 6.0, "yaw_deg": 10.0, "edge": "e"}
+    sensors = [sensor | {"pitch_deg": -15.0, "roll_deg": 2.5}, sensor]
+    edges = gpd.GeoDataFrame({"edge": ["e"]}, geometry=[shapely.LineString([(0, 0), (100, 0)])])
+    for table in (points(sensor_table(sensors, FEET)), stakeout("p", sensors, edges, FEET)):
+        assert table["pitch_deg"].tolist() == [-15.0, 0.0]
+        assert table["roll_deg"].tolist() == [2.5, 0.0]
+
+
 def test_styles_are_told_by_value():
     style = Style("marker", "#112233", by="rating", categories=(Category("a", "A", "#ff0000"),))
     root = ET.fromstring(qml(style))

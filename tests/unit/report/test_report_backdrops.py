@@ -7,7 +7,6 @@ import base64
 import cv2
 import numpy as np
 import pytest
-import rasterio
 from pyproj import CRS, Transformer
 
 from roadsight.base.errors import InputError
@@ -16,6 +15,7 @@ from roadsight.geometry.places import longitudes_latitudes
 from roadsight.io.raster.orthophotos import read_orthophoto
 from roadsight.report.site.backdrops import backdrops
 from roadsight.report.site.place import map_place
+from tests.helpers.orthophoto import photo
 
 US_FOOT = 1200 / 3937
 FEET = Frame((759_000.0, 600_000.0, 0.0), US_FOOT, US_FOOT, CRS.from_epsg(6543).to_wkt())
@@ -102,28 +102,8 @@ def test_a_local_site_has_no_degrees():
     assert map_place(Frame((0.0, 0.0, 0.0)), [0, 0, 0, 0], "m")["lon_lat"] is None
 
 
-def photo(path, frame=FEET, epsg=6543, west=0.0, north=40.0, metres=0.5, **changes):
-    """GeoTIFF of 100 m by 40 m at local (0, 0): red in the west, blue in the east."""
-    pixels = np.zeros((3, int(40 / metres), int(100 / metres)), np.uint8)
-    pixels[0, :, : pixels.shape[2] // 2] = 200
-    pixels[2, :, pixels.shape[2] // 2 :] = 220
-    corner, cell = frame.to_native([west, north]), metres / frame.unit_m
-    profile = {
-        "driver": "GTiff",
-        "width": pixels.shape[2],
-        "height": pixels.shape[1],
-        "count": 3,
-        "dtype": "uint8",
-        "crs": None if epsg is None else f"EPSG:{epsg}",
-        "transform": rasterio.Affine(cell, 0, corner[0], 0, -cell, corner[1]),
-    } | changes
-    with rasterio.open(path, "w", **profile) as file:
-        file.write(pixels[: profile["count"]].astype(profile["dtype"]))
-    return path
-
-
 def test_an_orthophoto_lies_where_it_was_taken(tmp_path):
-    path = photo(tmp_path / "photo.tif")
+    path = photo(tmp_path / "photo.tif", FEET)
     picture = read_orthophoto(path, FEET, -10.0, 45.0, 50, 120, 1.0)
     assert picture.shape == (50, 120, 4)
     assert picture[2, 60, 3] == 0  # north of it
@@ -133,7 +113,7 @@ def test_an_orthophoto_lies_where_it_was_taken(tmp_path):
 
 
 def test_an_orthophoto_of_another_crs_is_warped(tmp_path):
-    path = photo(tmp_path / "photo.tif", frame=METRES, epsg=25832)
+    path = photo(tmp_path / "photo.tif", METRES, epsg=25832)
     lon, lat = longitudes_latitudes(METRES, np.array([[25.0, 20.0]]))[0]
     other = CRS.from_epsg(3035)
     origin = Transformer.from_crs(4326, other, always_xy=True).transform(lon, lat)
@@ -151,13 +131,13 @@ def test_an_orthophoto_of_another_crs_is_warped(tmp_path):
     ],
 )
 def test_an_orthophoto_that_cannot_serve_is_refused(tmp_path, changes, message):
-    path = photo(tmp_path / "photo.tif", **changes)
+    path = photo(tmp_path / "photo.tif", FEET, **changes)
     with pytest.raises(InputError, match=message):
         read_orthophoto(path, FEET, 0.0, 40.0, 20, 50, 2.0)
 
 
 def test_an_orthophoto_needs_a_site_with_a_crs_and_a_raster(tmp_path):
-    path = photo(tmp_path / "photo.tif")
+    path = photo(tmp_path / "photo.tif", FEET)
     with pytest.raises(InputError, match="needs a site with a CRS"):
         read_orthophoto(path, Frame((0.0, 0.0, 0.0)), 0.0, 40.0, 20, 50, 2.0)
     path.write_bytes(b"no raster")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.report.document import embedded
+from roadsight.report.document import css_text, embedded
 from roadsight.stages.evidence import write_report, write_site_page
 from tests.helpers.report_site import PLANS, ReportSite
 
@@ -275,3 +275,11 @@ class TestReport:
         assert "1 of 2 effects simulated" in text
         assert "it is <dry>" in text
         assert "simulate" in text
+
+
+@pytest.mark.parametrize("text", ["plain", 'a "b" \\ c', "</style>\n<b>;}", "Łódź · 50 %"])
+def test_texts_in_style_sheets_stay_texts(text):
+    told = css_text(text)
+    assert not set(told) & set('"<>;{}\n%')
+    back = re.sub(r"\\([0-9a-f]+) ", lambda found: chr(int(found[1], 16)), told)
+    assert back == text

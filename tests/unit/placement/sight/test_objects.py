@@ -2,7 +2,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from roadsight.placement.sight.objects import connected, kind_of_name, kind_of_object, objects_of
+from roadsight.placement.sight.objects import (
+    connected,
+    kind_of_name,
+    kind_of_object,
+    objects_of,
+    place_of_name,
+)
 from roadsight.placement.sight.obstacles import by_object
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -64,6 +70,9 @@ def test_objects_of_a_scene_have_stable_names(scene):
     assert sorted(objects["kind"]) == sorted(scene)
     assert (row[len(xyz) :] == -1).all()
     assert {kind_of_name(name) for name in objects["name"]} == set(scene)
+    places = np.array([place_of_name(name) for name in objects["name"]])
+    assert places == pytest.approx(objects[["x", "y"]].to_numpy(), abs=0.5)
+    assert place_of_name("tree-12+3-2") == (-12.0, 3.0) and place_of_name("tree") is None
     without = len(scene["barrier"][0])
     _, fewer = objects_of(xyz[without:], normal[without:], xyz[without:, 2])
     assert set(fewer["name"]) < set(objects["name"])
