@@ -22,7 +22,7 @@ from tests.workflow.conftest import Checkout
 
 Fault = Callable[[psutil.Process, list[psutil.Process], np.random.Generator], None]
 
-TIMED = {"timing.json", "summary.json", "page.json", "report.html", "report.pdf"}
+TIMED = {"timing.json", "summary.json", "run.json", "page.json", "report.html", "report.pdf"}
 """Results that hold the time they took."""
 
 
