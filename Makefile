@@ -28,7 +28,7 @@ help: ## list the targets
 	  -r envs/requirements-open3d.lock; then $(BIN)/python -m roadsight.base.engines || true; touch $@; \
 	else echo "Open3D is left out, it could not be installed; all results come without it" >&2; fi
 
-.venv/.installed-dev: .venv/.installed .venv/.installed-open3d envs/requirements-dev.lock
+.venv/.installed-dev: .venv/.installed envs/requirements-dev.lock | .venv/.installed-open3d
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r envs/requirements-dev.lock
 	@touch $@
 

@@ -131,12 +131,15 @@ def settings_in(asked):
 
 def as_options(values):
     return " ".join(
-        f"--{name.replace('_', '-')} {option(value)}" for name, value in values.items()
+        option(f"--{name.replace('_', '-')}", value) for name, value in values.items()
     )
 
 
-def option(value):
-    return " ".join(map(str, value)) if isinstance(value, list) else str(value)
+def option(name, value):
+    """A setting as an option; a number may begin with a minus, which argparse must not take apart."""
+    if isinstance(value, list):
+        return " ".join([name, *map(str, value)])
+    return f"{name}={value}"
 
 
 def site_field(path):

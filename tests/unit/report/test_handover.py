@@ -7,6 +7,7 @@ import sqlite3
 import subprocess
 import sys
 import xml.etree.ElementTree as ET
+from dataclasses import replace
 
 import ezdxf
 import geopandas as gpd
@@ -16,9 +17,10 @@ import pyogrio
 import pytest
 import shapely
 from pyproj import CRS, Geod, Transformer
+from pyproj.crs import CompoundCRS
 
 from roadsight.geometry.frames import Frame
-from roadsight.io.raster.rasters import Raster, read_raster
+from roadsight.io.raster.rasters import Raster, crs_wkt, read_raster
 from roadsight.io.vector.styled import StyledLayer, write_styled
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.report.handover.drawing import drawing
@@ -299,6 +301,7 @@ def test_lengths_and_offset_lead_to_the_place():
     assert table["latitude"].isna().all()
     beyond = stakeout("p", [sensors[0] | {"y": 103.0, "x": 105.0}], edges, Frame((0.0, 0.0, 0.0)))
     assert beyond[["chainage_m", "offset_m"]].to_numpy().tolist() == [[235.0, 5.0]]
+    assert beyond[["edge_m", "edge_offset_m"]].to_numpy().tolist() == [[203.0, 5.0]]
     unknown = stakeout("p", [sensors[0] | {"edge": "none"}], edges, Frame((0.0, 0.0, 0.0)))
     assert unknown["edge_m"].isna().all()
     assert unknown["chainage_m"].tolist() == [50.0]
@@ -323,6 +326,19 @@ def test_the_stake_out_of_a_site_in_feet_says_what_it_counts_in():
     assert row["convergence_deg"] == pytest.approx(true_deg, abs=2e-3)
     local = stakeout("p", [sensor], edges, Frame((0.0, 0.0, 0.0))).iloc[0]
     assert np.isnan(local["convergence_deg"]) and local["crs"] == "local"
+    assert len(stakeout("bought nothing", [], edges, FEET)) == 0
+
+
+def test_heights_in_another_unit_than_the_header_says_name_no_vertical_crs():
+    """A header's NAVD88 height counts in metres, the site says feet: its heights are feet."""
+    metres = CompoundCRS("header", [COMPOUND.sub_crs_list[0], CRS.from_epsg(5703)])
+    frame = replace(FEET, crs_wkt=metres.to_wkt())
+    edges = gpd.GeoDataFrame({"edge": ["e"]}, geometry=[shapely.LineString([(0, 0), (100, 0)])])
+    sensor = {"x": 10.0, "y": 20.0, "z": 30.0, "height_m": 6.0, "yaw_deg": 10.0, "edge": "e"}
+    row = stakeout("p", [sensor], edges, frame).iloc[0]
+    assert row[["vertical", "vertical_unit"]].tolist() == ["as in the cloud", "us-survey-foot"]
+    assert not CRS.from_wkt(crs_wkt(frame, is_height=True)).is_compound
+    assert CRS.from_wkt(crs_wkt(FEET, is_height=True)).is_compound
 
 
 def test_pitch_and_roll_go_along_to_layers_and_crew():

@@ -130,6 +130,8 @@ class TestRunRecord:
         (tmp_path / "deep" / "b.tsv").write_text(head + "4.0\t0:00:04\t-\tNA\n")
         os.utime(tmp_path / "a.tsv", (86402, 86402))
         os.utime(tmp_path / "deep" / "b.tsv", (86470, 86470))
+        (tmp_path / "deep" / "of a former run.tsv").write_text(head + "9.0\t0:00:09\t9\t9.0\n")
+        os.utime(tmp_path / "deep" / "of a former run.tsv", (500, 500))
         monkeypatch.setenv("SOURCE_DATE_EPOCH", "90000")
         record = run_record([tmp_path, tmp_path / "none"], "1.2")
         assert (record.cpu_s, record.wall_s, record.peak_mib, record.steps) == (1.5, 6.0, 300.0, 2)

@@ -80,7 +80,9 @@ class Chain:
         """Cloud, terrain and, where the cloud has no road class, pavement."""
         drive, site, cloud, frame = self._drive, self._site, self.cloud, self.frame
         choice = UnitChoice(drive.crs, drive.units, drive.vertical_units)
-        ingest_cloud((drive.cloud,), site, choice, Scene(), cloud=cloud, frame=frame)
+        ingest_cloud(
+            (drive.cloud,), site, choice, Scene(overlap=drive.overlap), cloud=cloud, frame=frame
+        )
         profile_scene(cloud, frame, out=self._profile)
         build_dem(
             site, cloud, frame, self._profile, Ground(), dem=self.dem, ground_path=self._ground

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.errors import InputError
+from roadsight.base.sections.scene import Overlap
 from roadsight.geometry.crs import Unit
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.reference import UnitChoice
@@ -36,14 +37,15 @@ class Cloud:
     Parameters
     ----------
     native : as read, all dimensions. frame : its local frame.
-    choice : what was said of its CRS and units. all_xyz_m : (n, 3) local metres.
-    taken : numbers (k,) of the points that take part.
+    choice, overlap : what was said of its CRS and units, and of overlap points.
+    all_xyz_m : (n, 3) local metres. taken : numbers (k,) of the points that take part.
     like : (n,) the point that each one equals, itself where there is none before it.
     """
 
     native: NativeCloud
     frame: Frame
     choice: UnitChoice
+    overlap: Overlap
     all_xyz_m: Floats
     taken: Ints
     like: Ints
@@ -138,7 +140,7 @@ def read_cloud(
     crs: str = "auto",
     units: Unit = "auto",
     vertical_units: Unit = "auto",
-    overlap: str = OVERLAP,
+    overlap: Overlap = OVERLAP,
 ) -> Cloud:
     """Read a LAS or LAZ file; without any CRS its coordinates are taken as local metres.
 
@@ -192,7 +194,7 @@ def read_cloud(
     if repeated:
         log.warning("%d points are there twice and count once", repeated)
     taken = np.flatnonzero(counts & (like == np.arange(len(like))))
-    return Cloud(native, site.frame, choice, site.frame.to_local(native.xyz), taken, like)
+    return Cloud(native, site.frame, choice, overlap, site.frame.to_local(native.xyz), taken, like)
 
 
 def takes_part(native: NativeCloud, overlap: str) -> Bools:

@@ -14,9 +14,11 @@ from roadsight.api.clouds import Cloud
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Alignment, AlignmentLimits, Calibration
+from roadsight.base.sections.scene import Overlap
 from roadsight.base.validation import validated
 from roadsight.geometry.crs import Unit
 from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.cloud_scan import OVERLAP
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 
@@ -43,6 +45,7 @@ class DriveFiles:
     crs: Annotated[str, "EPSG:nnnn, or auto: the cloud's own"] = "auto"
     units: Annotated[Unit, "unit of x and y"] = "auto"
     vertical_units: Annotated[Unit, "unit of z"] = "auto"
+    overlap: Annotated[Overlap, "points of overlapping flight lines"] = OVERLAP
     engine: Annotated[Engine, "who computes normals, FPFH and clusters of a pavement"] = OWN
     street: Annotated[
         bool,
@@ -57,7 +60,8 @@ class DriveFiles:
         ------
         InputError : one of them is unknown.
         """
-        for name, words in (("units", Unit), ("vertical_units", Unit), ("engine", Engine)):
+        named = {"units": Unit, "vertical_units": Unit, "overlap": Overlap, "engine": Engine}
+        for name, words in named.items():
             check_word(name, getattr(self, name), get_args(words))
 
 
@@ -116,6 +120,7 @@ class DriveOptions(TypedDict, total=False):
     crs: str
     units: Unit
     vertical_units: Unit
+    overlap: Overlap
     engine: Engine
     street: bool
     masks: str | None
@@ -141,7 +146,7 @@ def align(
         the path of such a CSV.
     cloud : LAS or LAZ file, or what `read_cloud` made of one; its file is read again.
     images : folder or ZIP.
-    options : crs, units, vertical_units : of the cloud, as `read_cloud` takes them.
+    options : crs, units, vertical_units, overlap : of the cloud, as `read_cloud` takes them.
         masks : folder of label images; None: a small network labels them. map : what labels mean.
         hfov_deg : field of view, 0: unknown. intrinsics : CSV of a known lens. baseline : JSON of
         registered cameras. street : a street mapped from a vehicle, whose edges are curbs.
@@ -169,6 +174,7 @@ def align(
             "crs": cloud.choice.crs,
             "units": cloud.choice.units,
             "vertical_units": cloud.choice.vertical_units,
+            "overlap": cloud.overlap,
         }
         path, options = cloud.native.header.path, {**read, **options}
     else:

@@ -23,6 +23,9 @@ METRES_PER_UNIT = {"metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}
 _AGREEMENT_M = 0.01
 """CRSs that put a place no farther apart mean the same: clouds are less accurate than that."""
 
+_SAME_UNIT = 1e-9
+"""Units nearer than this are one: the two feet differ by 2e-6."""
+
 
 @dataclass(frozen=True)
 class StatedCrs:
@@ -45,7 +48,7 @@ class StatedCrs:
 def unit_name(metres: float) -> str:
     """Name of the unit that is ``metres`` long."""
     for name, length in METRES_PER_UNIT.items():
-        if abs(metres / length - 1) < 1e-9:
+        if abs(metres / length - 1) < _SAME_UNIT:
             return name
     return f"unit of {metres:g} m"
 
@@ -76,16 +79,24 @@ def horizontal(crs: CRS) -> CRS:
     return flat if len(flat.axis_info) == 2 else flat.to_2d()
 
 
-def vertical(crs: CRS) -> CRS | None:
-    """Vertical part of ``crs``, None where it has none of its own."""
-    return next((part for part in crs.sub_crs_list if part.is_vertical), None)
+def vertical(crs: CRS, unit_m: float) -> CRS | None:
+    """Vertical part of ``crs``, None where it has none of its own or counts in another unit.
+
+    Parameters
+    ----------
+    unit_m : metres in one unit of the heights: a site may say that a header's unit is wrong.
+    """
+    up = next((part for part in crs.sub_crs_list if part.is_vertical), None)
+    if up is None or abs(up.axis_info[0].unit_conversion_factor / unit_m - 1) > _SAME_UNIT:
+        return None
+    return up
 
 
-def with_heights(crs: CRS) -> CRS:
+def with_heights(crs: CRS, unit_m: float) -> CRS:
     """CRS of places with heights: horizontal and vertical part, or the horizontal one alone."""
-    if crs.is_compound and not any(part.is_bound for part in crs.sub_crs_list):
+    flat, up = horizontal(crs), vertical(crs, unit_m)
+    if up is not None and not any(part.is_bound for part in crs.sub_crs_list):
         return crs
-    flat, up = horizontal(crs), vertical(crs)
     return flat if up is None else CompoundCRS(f"{flat.name} + {up.name}", [flat, up])
 
 

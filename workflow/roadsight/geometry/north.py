@@ -57,6 +57,8 @@ class SiteNorth:
 
         A direction's true bearing is its grid bearing plus this.
         """
+        if len(np.atleast_2d(xy_m)) == 0 or np.size(xy_m) == 0:  # PROJ takes no empty arrays
+            return np.empty(0)
         return np.asarray(self._factors(xy_m).meridian_convergence, float)
 
     def scale(self, xy_m: ArrayLike) -> Floats:

@@ -9,6 +9,9 @@ from pydantic import Field
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.section import Count, Metres, Section, Share
 
+Overlap = Literal["use", "leave_out"]
+"""What is done with points that are flagged as overlap of flight lines."""
+
 
 class Scene(Section):
     """Reading the cloud."""
@@ -16,7 +19,7 @@ class Scene(Section):
     tile_size_m: Metres = Field(
         default=50.0, description="side of a storage tile; bounds the memory, m"
     )
-    overlap: Literal["use", "leave_out"] = Field(
+    overlap: Overlap = Field(
         default="use", description="points that are flagged as overlap of flight lines"
     )
     pulse_share: float = Field(

@@ -189,7 +189,7 @@ def crs_wkt(frame: Frame, is_height: bool) -> str | None:
     if frame.crs_wkt is None:
         return None
     crs = CRS.from_wkt(frame.crs_wkt)
-    return (with_heights(crs) if is_height else horizontal(crs)).to_wkt()
+    return (with_heights(crs, frame.vertical_unit_m) if is_height else horizontal(crs)).to_wkt()
 
 
 def unit_text(unit_m: float) -> str:

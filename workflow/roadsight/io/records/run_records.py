@@ -71,7 +71,7 @@ class RunRecord:
             ["Date", self.date],
             ["Version", f"{PACKAGE} {self.version}"],
             ["Commit", self.commit],
-            ["Steps", str(self.steps)],
+            ["Steps, up to the summary", str(self.steps)],
             ["First step to last", self._elapsed()],
             ["CPU time", f"{self.cpu_s:.0f} s"],
             ["Sum of the steps' wall time", f"{self.wall_s:.0f} s"],
@@ -87,6 +87,9 @@ class RunRecord:
         return f"{first} to {last} UTC, {took}"
 
 
+_Step = tuple[float, float, float, float, bool]
+
+
 def run_record(benchmarks: Iterable[str | os.PathLike[str]], version: str) -> RunRecord:
     """The record of a run whose last step is this one.
 
@@ -100,7 +103,7 @@ def run_record(benchmarks: Iterable[str | os.PathLike[str]], version: str) -> Ru
     A step's benchmark file is written at its end. ``SOURCE_DATE_EPOCH``, the convention of
     reproducible builds, stands for the clock.
     """
-    used = [row for folder in benchmarks for row in _measured(Path(folder))]
+    used = [row for folder in benchmarks for row in _current(list(_measured(Path(folder))))]
     now = _now()
     return RunRecord(
         _text(min([now, *(row[3] for row in used)])),
@@ -150,13 +153,23 @@ def _packages() -> dict[str, str]:
     return found
 
 
-def _measured(folder: Path) -> Iterable[tuple[float, float, float, float]]:
-    """CPU seconds, wall seconds, MiB and start (seconds of the epoch) of each measured step."""
+def _current(steps: list[_Step]) -> list[_Step]:
+    """Steps without those of shards, plans and rounds that ended before the cloud was read again.
+
+    Steps that are one for a site write over their files, so that the first of these bounds all.
+    """
+    first = min((step[3] for step in steps if step[4]), default=0.0)
+    return [step for step in steps if step[3] + step[1] >= first]
+
+
+def _measured(folder: Path) -> Iterable[_Step]:
+    """CPU and wall seconds, MiB, start (epoch) of each step, and whether a site has it once."""
     for path in sorted(folder.rglob("*.tsv")):
         with path.open(encoding="utf-8", newline="") as lines:
             for row in csv.DictReader(lines, delimiter="\t"):
                 values = tuple(_number(row.get(key)) for key in ("cpu_time", "s", "max_rss"))
-                yield values[0], values[1], values[2], path.stat().st_mtime - values[1]
+                start = path.stat().st_mtime - values[1]
+                yield values[0], values[1], values[2], start, path.parent == folder
 
 
 def _number(text: str | None) -> float:

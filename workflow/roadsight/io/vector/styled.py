@@ -60,7 +60,9 @@ def write_styled(path: str | os.PathLike[str], layers: Sequence[StyledLayer], fr
     """
     if not layers:
         raise ValueError("a GeoPackage needs a layer")
-    whole = None if frame.crs_wkt is None else with_heights(CRS.from_wkt(frame.crs_wkt))
+    whole = None
+    if frame.crs_wkt is not None:
+        whole = with_heights(CRS.from_wkt(frame.crs_wkt), frame.vertical_unit_m)
     with atomic_path(path) as temporary, fixed_date():
         for layer in layers:
             native = native_features(layer.features, frame)

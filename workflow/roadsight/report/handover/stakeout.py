@@ -8,7 +8,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-import shapely
 from pyproj import CRS
 
 from roadsight.base.arrays import Floats
@@ -81,7 +80,7 @@ def _reference(frame: Frame, xy_m: Floats) -> dict[str, Any]:
     }
     if frame.crs_wkt is not None:
         crs = CRS.from_wkt(frame.crs_wkt)
-        up = vertical(crs)
+        up = vertical(crs, frame.vertical_unit_m)
         found["convergence_deg"] = SiteNorth(frame).convergence_deg(xy_m)
         found["crs"] = label(horizontal(crs))
         found["vertical"] = _OF_THE_CLOUD if up is None else label(up)
@@ -89,13 +88,16 @@ def _reference(frame: Frame, xy_m: Floats) -> dict[str, Any]:
 
 
 def _along(edges: gpd.GeoDataFrame, names: list[str], xy_m: Floats) -> tuple[Floats, Floats]:
-    """Length along its own edge and offset to the right of places; NaN if no edge has the name."""
+    """Length along its own edge, straight on beyond its ends, and offset to the right of it.
+
+    NaN where no edge has the name.
+    """
     lines = dict(zip(edges["edge"].astype(str), edges.geometry, strict=True))
     length, offset = np.full(len(xy_m), np.nan), np.full(len(xy_m), np.nan)
     for row, (name, place) in enumerate(zip(names, xy_m, strict=True)):
         line = lines.get(name)
         if line is None:
             continue
-        length[row] = shapely.line_locate_point(line, shapely.Point(place))
+        length[row] = stations_m([line], place[None])[0]
         offset[row] = offsets_m(line, length[[row]], place[None])[0]
     return length, offset
