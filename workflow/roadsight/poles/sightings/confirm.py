@@ -26,7 +26,7 @@ _SHOWN = 0.5
 """From this share of its points in the image on, a class is what stands there."""
 _FEWEST = 3
 """Points of an object in the image, so that one at its edge is not judged by a corner."""
-_NEAREST_M = 3.0
+_BESIDE_M = 3.0
 """Objects nearer to the camera are beside the vehicle."""
 _CROWN_SHARES = np.linspace(0.35, 0.95, 7)
 """Heights of the points on a tree, as shares of its own: below is the trunk, which bushes hide."""
@@ -78,7 +78,7 @@ def show(camera: ViewCamera, mask: Bytes, objects: Objects, farthest_m: float) -
     """
     count = int(objects.owner[-1]) + 1 if len(objects.owner) else 0
     away = np.hypot(*(objects.xyz_m[:, :2] - np.asarray(camera.position_m[:2])).T)
-    near = (away > _NEAREST_M) & (away <= farthest_m)
+    near = (away > _BESIDE_M) & (away <= farthest_m)
     uv, _ = project(camera.intrinsics, camera.rotation(), camera.position_m, objects.xyz_m[near])
     inside = camera.intrinsics.contains(uv)
     owner = objects.owner[near][inside]
