@@ -7,10 +7,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Ints
+from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.triangulate.groups import locate_points
 from roadsight.poles.triangulate.locate import describe_groups, triangulate
 from roadsight.poles.triangulate.merging import merge_groups, places_of
-from roadsight.poles.triangulate.pole_doubts import far_reaching
+from roadsight.poles.triangulate.pole_doubts import FAR_SIGMA_M, far_reaching
 from roadsight.poles.triangulate.published import swept_poles
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, make_rays
 
@@ -78,7 +79,10 @@ def site_poles(
         rays = _rays(sightings.iloc[rows])
         reaching = settings
         if "anchored" in sightings:
-            reaching = far_reaching(sightings.iloc[rows], settings)
+            # Few other things look like panels: groups of their far rays are mostly signs.
+            panel = kind in KINDS and KINDS[kind].shape == "panel"
+            most_m = settings.max_sigma_m if panel else FAR_SIGMA_M
+            reaching = far_reaching(sightings.iloc[rows], settings, most_m)
         if settings.method == "sweep":
             poles, own = _sweep(rays, reaching)
             scales[kind] = 1.0
