@@ -39,6 +39,7 @@ CONTENTS: Mapping[str, Sequence[str]] = {
         "scene/ground",
         "scene/effects",
         "poles/hazard",
+        "poles/objects",
         "poles/known-lenses",
         "poles/models",
         "poles/training",

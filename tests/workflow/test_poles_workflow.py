@@ -341,7 +341,8 @@ def test_poles_open_in_the_right_crs(finished_road):
     for name in ("x", "y"):
         assert table[name].to_numpy() == pytest.approx(points[name].to_numpy(), abs=1e-3)
         assert hazard[name].to_numpy() == pytest.approx(table[name].to_numpy(), abs=1e-3)
-    for layer in ("poles", "ellipses", "rays", "hazard", "cross_sections", "road_geometry"):
+    with_poles = ("poles", "ellipses", "rays", "guardrails")
+    for layer in (*with_poles, "hazard", "cross_sections", "road_geometry"):
         features = gpd.read_file(folder / "poles.gpkg", layer=layer)
         assert features.crs.to_epsg() == 6543 or "North Carolina (ftUS)" in features.crs.name
     world = gpd.read_file(folder / "poles.geojson")

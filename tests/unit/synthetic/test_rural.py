@@ -121,6 +121,21 @@ def test_posts_stand_on_the_ground_beside_the_road(site):
     assert set(kinds) <= {Ground.GRASS, Ground.SHOULDER}
 
 
+def test_trees_and_guardrails_of_the_truth_are_those_of_the_mesh(site):
+    layers, kinds = rural_layers(site), np.array(site.kinds)
+    assert len(layers["trees"]) == len(site.trees) == (kinds == "tree").sum() > 20
+    owners = site.mesh.object_id
+    for number, tree in zip(np.flatnonzero(kinds == "tree"), site.trees, strict=True):
+        trunk = np.unique(site.mesh.triangles[owners == number][:14])
+        middle = site.mesh.vertices_m[trunk, :2].mean(axis=0)
+        assert np.abs(middle - tree.xyz_m[:2]).max() < 0.05
+    rails = site.mesh.triangles[np.isin(owners, np.flatnonzero(kinds == "guardrail"))]
+    beams = shapely.points(site.mesh.vertices_m[np.unique(rails), :2])
+    lines = shapely.union_all(layers["guardrails"].geometry.to_numpy())
+    assert shapely.distance(beams, lines).max() < 0.1
+    assert lines.length == pytest.approx(80.0, abs=0.5)
+
+
 def test_the_full_site_has_thirty_to_forty_utility_poles():
     site = build_rural(1, detail=0.01)
     assert 30 <= sum(pole.kind == "utility" for pole in site.poles) <= 40

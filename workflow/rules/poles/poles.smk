@@ -43,6 +43,7 @@ rule measure_poles:
         dem=rules.build_dem.output.dem,
         columns=rules.find_pole_columns.output.columns,
         voxels=voxels_for_bearings,
+        objects=objects_of_cloud,
         frame=rules.ingest_cloud.output.frame,
         decided=after_profile("side_views", "grid_convergence"),
         code=sources("measure_poles"),
@@ -50,6 +51,7 @@ rule measure_poles:
         sightings=ensure(
             "results/{site}/poles/sightings/{shard}.parquet", non_empty=True
         ),
+        seen="results/{site}/poles/seen/{shard}.parquet",
     log:
         log_of("measure_poles", "{shard}"),
     benchmark:
@@ -64,9 +66,10 @@ rule measure_poles:
     shell:
         "python -m roadsight.stages.poles.measure_poles --frames {input.frames}"
         " --calibration {input.calibration} --turns {input.turns} --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
-        " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --frame {input.frame} {params.options}"
+        " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --objects {input.objects} --frame {input.frame} {params.options}"
         " --views {params.views} --grid-convergence {params.grid_convergence}"
-        " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings} > {log} 2>&1"
+        " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings}"
+        " --seen {output.seen} > {log} 2>&1"
 
 
 rule triangulate_poles:
@@ -75,6 +78,8 @@ rule triangulate_poles:
         frame=rules.ingest_cloud.output.frame,
         dem=rules.build_dem.output.dem,
         voxels=rules.rasterise_lidar.output.voxels,
+        objects=objects_of_cloud,
+        seen=all_seen,
         decisions=beside_site("poles.decisions"),
         code=sources("triangulate_poles"),
     output:
@@ -94,7 +99,7 @@ rule triangulate_poles:
     shell:
         "python -m roadsight.stages.poles.triangulate_poles --sightings {input.sightings}"
         " --frame {input.frame} --dem {input.dem} --voxels {input.voxels} {params.options}"
-        " --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
+        " --objects {input.objects} --seen {input.seen} --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
         " --geojson {output.geojson} --doubts {output.doubts} > {log} 2>&1"
 
 
@@ -155,7 +160,9 @@ rule rate_hazard:
 rule validate_poles:
     input:
         poles=rules.triangulate_poles.output.poles,
+        placed=rules.triangulate_poles.output.layers,
         truth=known_poles,
+        roadside=known_roadside,
         frame=rules.ingest_cloud.output.frame,
         frames=rules.read_videolog.output.frames,
         edges=rules.extract_road_edges.output.edges,
@@ -176,5 +183,5 @@ rule validate_poles:
     shell:
         "python -m roadsight.stages.poles.validate_poles --poles {input.poles}"
         " --truth {params.truth:q} --truth-crs={params.truth_crs:q} --truth-kind={params.truth_kind:q} --frame {input.frame}"
-        " --frames {input.frames} --edges {input.edges} {params.options}"
+        " --frames {input.frames} --edges {input.edges} --placed {input.placed} --roadside {input.roadside} {params.options}"
         " --out {output.validation} > {log} 2>&1"

@@ -17,6 +17,7 @@ all_image_edges = pole_shards("image_edges", "parquet")
 all_matches = pole_shards("matches", "parquet")
 all_pole_axes = pole_shards("pole_axes", "parquet")
 all_sightings = pole_shards("sightings", "parquet")
+all_seen = pole_shards("seen", "parquet")
 
 
 def pavement_for_roads(wildcards):
@@ -58,6 +59,14 @@ def voxels_for_bearings(wildcards):
     return [f"results/{wildcards.site}/poles/voxels.parquet"] if lidar else []
 
 
+def objects_of_cloud(wildcards):
+    """Trees and guardrails, where they are asked for."""
+    asked = {"tree", "guardrail"} & set(
+        SITES[wildcards.site].setting("sightings.kinds")
+    )
+    return [f"results/{wildcards.site}/poles/objects.parquet"] if asked else []
+
+
 def pole_frames(wildcards):
     return f"results/{wildcards.site}/poles/frames.parquet"
 
@@ -71,6 +80,12 @@ def known_poles(wildcards):
     if is_rendered(wildcards):
         return [f"results/{wildcards.site}/sample/truth_poles.csv"]
     return beside_site("truth.poles")(wildcards)
+
+
+def known_roadside(wildcards):
+    """Known trees and guardrails of a generated site that looks for them."""
+    known = is_rendered(wildcards) and objects_of_cloud(wildcards)
+    return [f"results/{wildcards.site}/sample/truth.gpkg"] if known else []
 
 
 def known_pole_kind(wildcards):

@@ -22,6 +22,8 @@ from roadsight.poles.risk.validation import (
     describe_scenarios,
     geodesic_m,
     match_points,
+    score_lines,
+    score_near,
     score_thresholds,
     split_errors,
     within_reach,
@@ -153,3 +155,31 @@ def test_tracks_stand_still_jump_routes_and_give_sides():
     nowhere = RouteTracks(track(xy[:1]))
     assert len(nowhere) == 0
     assert nowhere.side(np.zeros((1, 2))).tolist() == [0]
+
+
+def test_an_error_across_the_limit_is_not_counted_twice():
+    """A tree at 9.5 m, found at 10.5, is found; one at 10.5 m, found at 9.5, is not false."""
+    truth, found = np.array([[0.0, 9.5], [50.0, 10.5]]), np.array([[0.0, 10.5], [50.0, 9.5]])
+    near = [places[:, 1] <= 10.0 for places in (found, truth)]
+    scores = score_near(found, truth, *near)
+    assert (scores["tp"], scores["fp"], scores["fn"]) == (1, 0, 0)
+    nothing = score_near(np.empty((0, 2)), truth, np.zeros(0, bool), near[1])
+    assert (nothing["recall"], nothing["precision"], nothing["f1"]) == (0.0, None, 0.0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(0.0, 30.0), st.floats(1.0, 40.0), st.floats(0.0, 0.9))
+def test_lines_are_scored_by_length(start_m, length_m, aside_m):
+    truth = [np.array([[0.0, 0.0], [40.0, 0.0]])]
+    found = [np.array([[start_m, aside_m], [start_m + length_m, aside_m]])]
+    scores = score_lines(found, truth)
+    slack = np.sqrt(1 - aside_m**2)  # a line's end reaches a metre further
+    shared = min(start_m + length_m, 40.0) - start_m
+    assert shared - 1e-6 <= scores["tp"] <= min(shared + 2 * slack, 40.0) + 0.02
+    assert scores["tp"] + scores["fn"] == pytest.approx(40.0)
+    assert (
+        max(start_m + length_m - 41.0, 0.0) - 0.02
+        <= scores["fp"]
+        <= max(start_m + length_m - 40.0, 0.0) + 1e-6
+    )
+    assert score_lines([], truth)["recall"] == 0.0

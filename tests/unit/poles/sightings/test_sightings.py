@@ -271,3 +271,47 @@ def test_an_empty_view_has_no_rows():
     mask = np.zeros((600, 1000), np.uint8)
     table = measure_view(CAMERA, mask, None, Evidence(level, NONE, np.empty((0, 3))))
     assert len(table) == 0
+
+
+def signed(bearing_deg, away_m, size_m=0.7, low_m=2.0, camera=CAMERA):
+    """Mask of grass with the panel of a sign that faces the camera, and no post."""
+    mask = np.full((600, 1000), PixelClass.VEGETATION, np.uint8)
+    ends = np.array([[*place(bearing_deg, away_m), low_m + k * size_m] for k in (0, 1)])
+    (low, high), depth = project(camera.intrinsics, camera.rotation(), camera.position_m, ends)
+    half = 0.5 * size_m * camera.intrinsics.focal_px / depth[0]
+    rows = slice(round(float(high[1])), round(float(low[1])))
+    mask[rows, round(float(low[0] - half)) : round(float(low[0] + half))] = PixelClass.SIGN
+    return mask
+
+
+SIGNS = Sightings(kinds=["sign"], min_width_px=2.0)
+
+
+def test_a_panel_tells_its_bearing_and_by_its_size_roughly_its_distance():
+    """The ray through its lower edge meets the ground 100 m away, which says nothing."""
+    depth = np.full((600, 1000), 2000, np.uint16)
+    found = measure_view(
+        CAMERA, signed(350.0, 20.0), depth, Evidence(level, NONE, np.empty((0, 3))), SIGNS
+    )
+    (sign,) = found[found["kept"]].to_dict("records")
+    assert (sign["kind"], sign["depth_from"]) == ("sign", "size")
+    assert abs(float(wrap_deg(sign["bearing_grid_deg"] - 350.0))) < 0.1
+    assert sign["depth_m"] == pytest.approx(20.0, rel=0.15)
+    assert sign["sigma_depth_m"] == pytest.approx(0.5 * sign["depth_m"])
+    assert np.isnan([sign["depth_network_m"], sign["depth_ground_m"]]).all()
+
+
+@pytest.mark.parametrize(("top_m", "source"), [(2.7, "lidar"), (9.0, "size")])
+def test_a_panel_is_on_a_post_that_ends_where_it_does(top_m, source):
+    ground, points = np.zeros(1), np.full(1, 9.0)
+    post = (
+        place(350.0, 20.3)[None],
+        np.array([top_m]),
+        np.array([0.05]),
+        ground,
+        points,
+        np.zeros(1),
+    )
+    evidence = Evidence(level, PoleColumns(*post), np.empty((0, 3)))
+    (sign,) = measure_view(CAMERA, signed(350.0, 20.0), None, evidence, SIGNS).to_dict("records")
+    assert sign["depth_from"] == source

@@ -20,7 +20,7 @@ from roadsight.io.raster.rasters import write_raster
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.point_tables import read_points
-from roadsight.io.vector.vectors import read_layer
+from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.stages.poles import (
     measure_poles,
@@ -105,6 +105,33 @@ def run_triangulation(site, *shards, **more):
 
 
 @pytest.fixture(scope="module")
+def with_objects(site):
+    """The same with trees and rails of the cloud, some far away, and what images say of them."""
+    trees = [(30.0, 12.0, 0), (70.0, 9.0, 1), (50.0, -30.0, 2)]
+    rows = [("tree", n, x, y, -0.1 * abs(y), 9.0, 4.0, 0.8) for x, y, n in trees]
+    rails = [(0, 5.5, -10.0, 130.0), (1, 90.0, 0.0, 20.0)]
+    for number, y, start, end in rails:
+        way = np.arange(start, end + 0.5)
+        rows += [("guardrail", number, x, y, -0.1 * abs(y), *[np.nan] * 3) for x in way]
+    names = ["kind", "object", "x", "y", "z_ground", "top_m", "width_m", "sigma_m"]
+    write_table(site / "objects.parquet", pd.DataFrame(rows, columns=names))
+    said = [
+        ("tree", 0, "i002.jpg", 1),
+        ("tree", 0, "i001.jpg", 1),
+        ("tree", 1, "i001.jpg", -1),
+        ("guardrail", 0, "i001.jpg", 0),
+    ]
+    seen = pd.DataFrame(said, columns=["kind", "object", "image", "answer"]).assign(route="r")
+    write_table(site / "seen0.parquet", seen.iloc[::2])
+    write_table(site / "seen1.parquet", seen.iloc[1::2])
+    also = ["--objects", str(site / "objects.parquet"), "--seen"]
+    also += [str(site / f"seen{shard}.parquet") for shard in (0, 1)]
+    code, out = run_triangulation(site, "s0.parquet", "s1.parquet", tag="_objects", also=also)
+    assert code == 0
+    return out
+
+
+@pytest.fixture(scope="module")
 def poles(site):
     code, out = run_triangulation(site, "s0.parquet", "s1.parquet")
     assert code == 0
@@ -121,7 +148,12 @@ def test_poles_are_where_they_are(site, poles):
     assert table["latitude"].to_numpy() == pytest.approx(lat)
     assert read_about(poles["poles"])["method"] == "packing"
     layers = dict(pyogrio.list_layers(poles["layers"]))
-    assert layers == {"poles": "Point Z", "ellipses": "Polygon", "rays": "LineString"}
+    assert layers == {
+        "poles": "Point Z",
+        "ellipses": "Polygon",
+        "rays": "LineString",
+        "guardrails": "LineString",
+    }
     assert len(pyogrio.read_dataframe(poles["layers"], layer="rays")) == table["score"].sum()
     features = json.loads(Path(poles["geojson"]).read_text())["features"]
     assert features[0]["geometry"]["coordinates"][1] == pytest.approx(lat[0], abs=1e-8)
@@ -187,6 +219,7 @@ def test_layers_of_the_roadside_say_the_same_as_their_fields(site, poles, tmp_pa
         "poles": "Point Z",
         "ellipses": "Polygon",
         "rays": "LineString",
+        "guardrails": "LineString",
         "hazard": "Point Z",
         "cross_sections": "LineString Z",
         "road_geometry": "LineString Z",
@@ -293,6 +326,68 @@ def test_inventory_routes_and_barriers_reach_the_hazard(site, poles, tmp_path, c
     overlap = tmp_path / "inventory.csv"
     overlap.write_text("route,from_m,to_m\nSR 7,1000,1100\nSR 7,1050,1200\n")
     assert rate_hazard.main(arguments) == 2
+
+
+def test_objects_of_the_cloud_go_with_the_poles(with_objects):
+    table = read_table(with_objects["poles"])
+    trees = table[table["kind"] == "tree"].set_index("id")
+    assert (table["kind"] == "pole").sum() == len(POLES)
+    assert trees[["x", "y", "score", "kept"]].to_numpy().tolist() == [
+        [30.0, 12.0, 2, True],
+        [70.0, 9.0, 0, False],
+    ]
+    assert trees.loc["tree-00000", "images"] == "i001.jpg;i002.jpg"
+    assert trees["z"].to_numpy() == pytest.approx([-1.2, -0.9], abs=0.1)
+    assert "something else" in trees["reason"].iloc[1]
+    rails = read_layer(with_objects["layers"], "guardrails", FEET)
+    assert rails["id"].tolist() == ["guardrail-00000"]  # no image looks at the other one
+    assert rails.geometry.length.to_numpy() == pytest.approx(140.0, rel=1e-4)
+    written = pd.read_csv(with_objects["csv"])
+    assert written["kind"].value_counts().to_dict() == {"pole": len(POLES), "tree": 1}
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_a_guardrail_that_was_found_shields_and_its_ends_are_objects(
+    site, with_objects, tmp_path, given
+):
+    """One that the user gives too counts once."""
+    common = [f"--{name}={site / name}.{end}" for name, end in
+              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    common += ["--dem", str(site / "dem.tif"), "--poles", with_objects["poles"]]
+    common += [f"--out={tmp_path / 'h.parquet'}", f"--csv={tmp_path / 'h.csv'}"]
+    if given:
+        given_roads(tmp_path)
+        common += ["--barriers", str(tmp_path / "barriers.gpkg")]
+    assert rate_hazard.main([*common, "--placed", with_objects["layers"]]) == 0
+    table = read_table(tmp_path / "h.parquet")
+    ends = table[table["kind"] == "barrier end"]
+    name = "rail" if given else "guardrail-00000"
+    assert ends["id"].tolist() == [f"{name} start", f"{name} end"]
+    behind = table[(table["kind"] != "barrier end") & (table["y"] > 5.5)]
+    assert set(behind["kind"]) == {"pole", "tree"}
+    assert behind["shielded"].isin(["partial", "full"]).all()
+    assert behind["reasons"].str.contains(f"behind barrier {name}").all()
+    assert (table.loc[table["y"] < 0, "shielded"] == "none").all()
+
+
+def test_signs_trees_and_guardrails_are_scored_apart_from_poles(site, with_objects, tmp_path):
+    common = [f"--{name}={site / name}.{end}" for name, end in
+              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    known = {
+        "trees": [shapely.Point(31.0, 13.0), shapely.Point(100.0, 10.0), shapely.Point(60.0, 20.0)],
+        "guardrails": [shapely.LineString([(0.0, 5.8), (160.0, 5.8)])],
+    }
+    layers = {name: gpd.GeoDataFrame(geometry=own) for name, own in known.items()}
+    write_layers(tmp_path / "roadside.gpkg", layers, FEET)
+    arguments = [*common, "--poles", with_objects["poles"], "--placed", with_objects["layers"]]
+    arguments += ["--truth", str(site / "truth.csv"), "--out", str(tmp_path / "v.json")]
+    assert validate_poles.main([*arguments, "--roadside", str(tmp_path / "roadside.gpkg")]) == 0
+    found = read_json(tmp_path / "v.json")
+    assert found["poles"] == len(POLES) and found["thresholds"][0]["f1"] == 1.0
+    # The third tree is 16 m from the edge, and counts neither way.
+    assert [found["kinds"]["tree"][name] for name in ("tp", "fp", "fn")] == [1, 0, 1]
+    rail = found["kinds"]["guardrail"]
+    assert [rail[n] for n in ("tp", "fp", "fn")] == pytest.approx([131.0, 9.0, 29.0], abs=0.1)
 
 
 def test_validation(site, poles):

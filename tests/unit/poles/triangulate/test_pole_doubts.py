@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -14,6 +15,7 @@ from roadsight.poles.triangulate.pole_doubts import (
     pole_doubts,
 )
 from roadsight.poles.triangulate.rays import UNAIDED
+from roadsight.poles.triangulate.site import site_poles
 
 
 def sightings(anchored, others=10, lost=0):
@@ -33,6 +35,22 @@ def test_far_rays_count_where_the_cloud_shows_no_poles(anchored, reach):
     codes = [doubt.code for doubt in pole_doubts(table, [], settings)]
     told = ["poles_not_in_cloud"] if anchored < 2 else []
     assert codes == told + (["sigmas_too_small"] if reach == FAR_M else [])
+
+
+@pytest.mark.parametrize(("kind", "kept"), [("sign", True), ("pole", False)])
+def test_each_kind_reaches_as_far_as_its_own_sightings_ask(kind, kept):
+    """Seen from 35 to 56 m and known to metres: a panel is a sign, a stem may be anything."""
+    x = np.arange(0.0, 21.0, 4.0)
+    bearing = np.degrees(np.arctan2(55.0 - x, 12.0))
+    table = pd.DataFrame({"x": x, "bearing_grid_deg": bearing, "sequence": range(len(x))})
+    table["image"], table["depth_m"] = [f"i{n}" for n in range(len(x))], 50.0
+    table = table.assign(route="r", kind=kind, y=0.0, sigma_bearing_deg=0.3, sigma_depth_m=25.0)
+    table = table.assign(kept=True, anchored=False)
+    settings = UNAIDED.model_copy(update={"sigma_position_m": 0.2})
+    (found,) = site_poles(table, settings)[0].to_dict("records")
+    assert np.hypot(found["x"] - 55.0, found["y"] - 12.0) < 1.0
+    assert FAR_SIGMA_M < found["sigma_major_m"] < settings.max_sigma_m
+    assert found["kept"] == kept
 
 
 def test_doubts_name_the_limits_that_hold():

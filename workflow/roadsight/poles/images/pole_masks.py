@@ -1,7 +1,8 @@
-"""Single poles (signs, trees, rails) in a mask of project classes (paper 2, section 3.1).
+"""Single poles and panels of signs in a mask of project classes (paper 2, section 3.1).
 
 A pole is cleaned of its wires by a vertical opening, gets an axis by a robust line, and a foot at
-the lower end of the axis. More components than 255 are no difficulty: labels have 32 bits.
+the lower end of the axis. A panel has the middle of its pixels instead. More components than 255
+are no difficulty: labels have 32 bits.
 """
 
 from __future__ import annotations
@@ -16,16 +17,10 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.sections.poles import PoleMasks
 from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.images.kinds import KINDS
 
 PUBLISHED_HEIGHT_PX = 1200
 """Height of the study's images, for which its thresholds in pixels hold."""
-KINDS = {
-    "pole": (PixelClass.POLE,),
-    "sign": (PixelClass.SIGN,),
-    "tree": (PixelClass.TREE,),
-    "guardrail": (PixelClass.GUARDRAIL,),
-}
-"""Pixel classes of each kind of object."""
 _HIDERS = (
     PixelClass.VEHICLE,
     PixelClass.TREE,
@@ -42,6 +37,18 @@ _JOIN_SHARE = 0.5
 """Pieces of one axis are joined over gaps up to this share of the longer one's height."""
 _FOOT_PX = 12.0
 """Height of the strip below a foot that tells what hides it; px of an image 1200 px high."""
+_BOARDS = (PixelClass.OTHER, PixelClass.VEHICLE, PixelClass.MARKING, PixelClass.SIGN)
+"""Classes for which the shipped network takes white panels. It takes green ones for road, which
+also ends behind posts: with it, strays outweigh what is gained."""
+_COMPACT = 0.45
+"""Share of its box that a board fills; half of it is what a diamond does."""
+_ON_A_POST = 0.8
+"""Share of the rows below a board, as many as it has, in which its post is seen."""
+_POST_SHARE = 0.35
+"""Share of what is below a board that its post takes at most."""
+_POST_PX = 40.0
+"""Posts that part a panel are narrower than this, px of such an image: one of 7 cm is, from 9 m on,
+in a view of 20 degrees."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +57,8 @@ class Instance:
 
     Parameters
     ----------
-    kind : "pole", ... . u_foot, v_foot : lower end of its axis. u_min, v_min, u_max, v_max : box.
+    kind : "pole", ... . u_foot, v_foot : lower end of its axis, of a panel its middle.
+    u_min, v_min, u_max, v_max : box.
     slope : du / dv of the axis. width_px : median width. pixels : area. foot : "visible", "hidden",
     or "plants" (on grass, or behind a bush). cut : which of "left", "right", "top" and "bottom" of
     the frame cut it.
@@ -80,21 +88,60 @@ class Instance:
 def find_instances(
     mask: Bytes, kind: str = "pole", settings: PoleMasks | None = None
 ) -> list[Instance]:
-    """Objects of one kind in a mask (rows, columns), left to right.
+    """Poles or signs in a mask (rows, columns), left to right.
 
     All are given that are large enough to measure; ``reason`` says which of them are no poles.
     """
     settings = settings or PoleMasks()
     scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
-    own: NDArray = np.isin(mask, [int(c) for c in KINDS[kind]]).view(np.uint8)
-    if kind == "pole":
+    shape = KINDS[kind].shape
+    own: NDArray = np.isin(mask, [int(c) for c in KINDS[kind].classes]).view(np.uint8)
+    if shape == "stem":
         length = max(round(settings.wire_px * scale), 3) | 1  # an even kernel shifts by a pixel
         own = cv2.morphologyEx(own, cv2.MORPH_OPEN, np.ones((length, 1), np.uint8))
-    pieces = _pieces(own, max(settings.min_height_px * scale / 4, 3.0))
-    if kind == "pole":
+    if shape == "panel":
+        posts = (mask == PixelClass.POLE).view(np.uint8)
+        own = _whole_panels(own | _boards(mask, posts, settings, scale), posts, scale)
+    least_px = KINDS[kind].height_px or settings.min_height_px
+    pieces = _pieces(own, max(least_px * scale / 4, 3.0))
+    if shape == "stem":
         pieces = _joined(pieces, settings)
-    found = [_measured(piece, mask, kind, settings, scale) for piece in pieces]
+    measured = _panel if shape == "panel" else _measured
+    found = [measured(piece, mask, kind, settings, scale) for piece in pieces]
     return sorted(found, key=lambda one: (one.u_foot, one.v_foot))
+
+
+def _boards(mask: Bytes, posts: Bytes, settings: PoleMasks, scale: float) -> Bytes:
+    """What stands on a post and is of no class that could: panels that a network does not know.
+
+    It is compact, at most three times as wide as high, and only its post is below it.
+    """
+    board = _whole_panels(np.isin(mask, _BOARDS).view(np.uint8), posts, scale)
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(
+        board, connectivity=4, ltype=cv2.CV_32S
+    )
+    found = np.zeros_like(board)
+    least_px = (KINDS["sign"].height_px or settings.min_height_px) * scale
+    for number in range(1, count):
+        left, top, width, height, pixels = stats[number]
+        if height < least_px or width < 0.4 * height or width > 3.0 * height:
+            continue
+        if pixels < _COMPACT * width * height:
+            continue
+        below = posts[top + height : top + 2 * height, left : left + width]
+        middle = below[:, int(0.3 * width) : int(np.ceil(0.7 * width))]
+        if len(below) < height or middle.any(axis=1).mean() < _ON_A_POST:
+            continue
+        if below.mean() < _POST_SHARE:
+            found[labels == number] = 1
+    return found
+
+
+def _whole_panels(own: Bytes, posts: Bytes, scale: float) -> Bytes:
+    """Panels with the post that parts what is seen of them from behind."""
+    width = max(round(_POST_PX * scale), 3) | 1
+    closed = cv2.morphologyEx(own, cv2.MORPH_CLOSE, np.ones((1, width), np.uint8))
+    return np.asarray((own > 0) | ((closed > 0) & (posts > 0)), np.uint8)
 
 
 @dataclass
@@ -214,11 +261,8 @@ def _measured(piece: _Piece, mask: Bytes, kind: str, settings: PoleMasks, scale:
     foot = "hidden"
     if "bottom" not in cut:
         foot = _below_foot(mask, u_foot, v_foot, width, max(round(_FOOT_PX * scale), 2))
-    low, high = settings.min_width_px * scale, settings.min_height_px * scale
-    reason = ""
-    if width < low or piece.height < high:
-        reason = "too small"
-    elif kind == "pole" and piece.height * np.hypot(1.0, slope) < settings.min_aspect * width:
+    reason = _too_small(piece, kind, settings, scale)
+    if not reason and piece.height * np.hypot(1.0, slope) < settings.min_aspect * width:
         reason = "not slender"
     return Instance(
         kind,
@@ -236,6 +280,34 @@ def _measured(piece: _Piece, mask: Bytes, kind: str, settings: PoleMasks, scale:
         _touches(piece, mask, PixelClass.SIGN),
         reason,
     )
+
+
+def _panel(piece: _Piece, mask: Bytes, kind: str, settings: PoleMasks, scale: float) -> Instance:
+    """A panel, which stands above the ground: its place is the middle of its pixels."""
+    cut = _cut(piece, mask.shape)
+    reason = _too_small(piece, kind, settings, scale) or ("cut by the frame" if cut else "")
+    return Instance(
+        kind,
+        float(np.average(piece.u, weights=piece.width)),
+        float(np.average(piece.v, weights=piece.width)),
+        piece.u_min - 0.5,
+        piece.v[0] - 0.5,
+        piece.u_max + 0.5,
+        piece.v[-1] + 0.5,
+        0.0,
+        piece.middle_width,
+        piece.pixels,
+        "hidden",
+        cut,
+        True,
+        reason,
+    )
+
+
+def _too_small(piece: _Piece, kind: str, settings: PoleMasks, scale: float) -> str:
+    least_px = KINDS[kind].height_px or settings.min_height_px
+    small = piece.middle_width < settings.min_width_px * scale or piece.height < least_px * scale
+    return "too small" if small else ""
 
 
 def _lowest_row(piece: _Piece, u0: float, slope: float, width: float) -> float:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import shapely
 from numpy.typing import NDArray
 from pyproj import Geod
 from scipy.optimize import linear_sum_assignment
@@ -20,6 +22,12 @@ THRESHOLDS_M = tuple(range(1, 17))
 """Distances up to which a found pole counts as right, each scored by itself."""
 FEWEST_TRUTHS = 5
 """With fewer known poles the figures come with a warning."""
+OTHERS_M = 3.0
+"""Distance up to which a found sign or tree counts as right."""
+LINES_M = 1.0
+"""The same of a guardrail."""
+NEAR_EDGE_M = 10.0
+"""Trees count this near to the road's edge: clear zones end there, and forests begin."""
 
 _EDGE_REACH_M = 5.0
 """Edge points within this tell the edge's direction: fewer are noise, more follow a bend."""
@@ -78,18 +86,61 @@ def score_thresholds(
     rows: list[dict[str, float | int | None]] = []
     for threshold_m in thresholds_m:
         tp = len(match_points(found_m, truth_m, threshold_m))
-        rows.append(
-            {
-                "threshold_m": threshold_m,
-                "tp": tp,
-                "fp": len(found_m) - tp,
-                "fn": len(truth_m) - tp,
-                "precision": _ratio(tp, len(found_m)),
-                "recall": _ratio(tp, len(truth_m)),
-                "f1": _ratio(2 * tp, len(found_m) + len(truth_m)),
-            }
-        )
+        scores = _scores(tp, len(found_m) - tp, len(truth_m) - tp)
+        rows.append({"threshold_m": threshold_m, **scores})
     return rows
+
+
+def score_near(
+    found_m: Floats,
+    truth_m: Floats,
+    found_counts: Bools,
+    truth_counts: Bools,
+    threshold_m: float = OTHERS_M,
+) -> dict[str, float | int | None]:
+    """Scores of objects of which only those near something count.
+
+    An object beyond that limit may be the partner of one within it, so that an error of a place
+    across the limit is not two.
+
+    Parameters
+    ----------
+    found_counts, truth_counts : (n,) and (m,) whether each counts.
+    """
+    matches = match_points(found_m, truth_m, threshold_m)
+    tp = int(truth_counts[matches[:, 1]].sum())
+    alone = np.ones(len(found_m), bool)
+    alone[matches[:, 0]] = False
+    fp, fn = int((alone & found_counts).sum()), int(truth_counts.sum()) - tp
+    return {"threshold_m": threshold_m, **_scores(tp, fp, fn)}
+
+
+def score_lines(
+    found: Sequence[Floats], truth: Sequence[Floats], within_m: float = LINES_M
+) -> dict[str, float | int | None]:
+    """Scores by length, m: a line is right where one of the others runs within a distance.
+
+    Parameters
+    ----------
+    found, truth : lines, each (n, 2).
+    """
+    ours, theirs = (
+        shapely.union_all([shapely.LineString(one) for one in o]) for o in (found, truth)
+    )
+    tp = theirs.intersection(ours.buffer(within_m)).length
+    fp = ours.difference(theirs.buffer(within_m)).length
+    return {"threshold_m": within_m, **_scores(tp, fp, theirs.length - tp)}
+
+
+def _scores(tp: float, fp: float, fn: float) -> dict[str, float | int | None]:
+    return {
+        "tp": tp,
+        "fp": fp,
+        "fn": fn,
+        "precision": _ratio(tp, tp + fp),
+        "recall": _ratio(tp, tp + fn),
+        "f1": _ratio(2 * tp, 2 * tp + fp + fn),
+    }
 
 
 def geodesic_m(

@@ -36,6 +36,9 @@ _HIDDEN_M = 1.2
 """Height of grass and bushes that hide a foot, m. What is seen of such a pole ends above its foot,
 and the ray there meets the ground up to twice as far away: on a generated road five of
 31 poles were lost so, with feet 0.4 to 1 m up."""
+_PANEL_TOP_M = 0.5
+"""Posts end this near to the upper edge of the panel that they hold: they seldom stand out by more,
+and the cloud may miss their last returns."""
 
 
 @dataclass(frozen=True)
@@ -159,17 +162,20 @@ def matching_columns(
     sigma_depth_m: Floats,
     farthest_m: float,
     rises: Floats | None = None,
+    tops: Floats | None = None,
 ) -> Ints:
     """Number of the only pole-like column that agrees with each sighting, -1 if none or several.
 
     It agrees in bearing within two sigmas, its own and the camera's place included, and in distance
     within three sigmas and 30 % where a distance is known. A visible foot lies at or beyond the
     true one: where no column agrees so, the only one in the direction that is nearer does if what
-    is seen would end less than 1.2 m above its ground and be 3 m tall.
+    is seen would end less than 1.2 m above its ground and be 3 m tall. A panel has no foot: it is
+    on the post that ends where it does.
 
     Parameters
     ----------
     rises : (n, 2) rise per metre of the rays of foot and top, NaN where the foot tells no distance.
+    tops : (n,) rise per metre of the ray of a panel's upper edge, NaN for what is no panel.
     """
     matches = np.full(len(bearing_deg), -1, np.int64)
     offset = columns.xy_m - np.asarray(camera.position_m[:2])
@@ -198,6 +204,10 @@ def matching_columns(
                 as_far = agrees & (away < depth_m[i]) & (up_m >= 0.0) & (up_m <= _HIDDEN_M)
                 as_far &= tall_m >= _TALL_M
             agrees = as_far
+        if tops is not None and np.isfinite(tops[i]):
+            up_m = tops[i] * away + camera.position_m[2]
+            post_m = columns.z_ground_m[near] + columns.top_m[near]
+            agrees = agrees & (np.abs(up_m - post_m) <= _PANEL_TOP_M)
         found = np.flatnonzero(agrees)
         if len(found) == 1:
             matches[i] = near[found[0]]

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.sections.poles import Sightings
 from roadsight.geometry.cameras import azimuth_deg, wrap_deg
+from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.images.pole_masks import PUBLISHED_HEIGHT_PX, Instance, find_instances
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths
@@ -84,7 +85,8 @@ def measure_view(
     their sigmas, each distance by itself, height_m, kept and reason
     """
     settings = settings or Sightings()
-    found = [one for kind in settings.kinds for one in find_instances(mask, kind, settings)]
+    kinds = [kind for kind in settings.kinds if not KINDS[kind].from_cloud]
+    found = [one for kind in kinds for one in find_instances(mask, kind, settings)]
     scale = mask.shape[0] / PUBLISHED_HEIGHT_PX
     table = _pixels(found)
     if not found:
@@ -99,9 +101,19 @@ def measure_view(
     bearing, sigma = image_bearings(camera, feet, sigma_u)
     rises = np.column_stack([_rise(camera, feet), _rise(camera, table[["u_foot", "v_min"]])])
     told = np.array([one.foot == "visible" for one in found]) | np.isnan(ground[0])
+    panel = np.array([KINDS[one.kind].shape == "panel" for one in found])
     rises[told] = np.nan
+    tops = np.where(panel, _rise(camera, table[["u_foot", "v_min"]]), np.nan)
     match = matching_columns(
-        camera, evidence.columns, bearing, sigma, prior, prior_sigma, settings.farthest_m, rises
+        camera,
+        evidence.columns,
+        bearing,
+        sigma,
+        prior,
+        prior_sigma,
+        settings.farthest_m,
+        rises,
+        tops,
     )
     lidar = _column_distances(camera, evidence.columns, match)
     place = camera.sigma_towards_m(bearing)
@@ -111,6 +123,7 @@ def measure_view(
             off = np.abs(other[0] - lidar[0]) > SNAP_DEPTHS * sigma_m
         other[:, off] = np.nan
     table = _with_depths(table, {"network": network, "ground": ground, "lidar": lidar})
+    table = _with_sizes(table, found, camera)
     sigma = with_place(camera, bearing, sigma, table["depth_m"].fillna(settings.farthest_m))
     boxes = table[["u_min", "v_min", "u_max", "v_max"]].to_numpy()
     bearing, sigma, method = _chosen_bearing(
@@ -151,6 +164,8 @@ def _own_distances(
         fit = fit_view_depth(camera, mask, depth, evidence.height_at)
         network = np.array(network_distances(camera, found, depth, fit, mask.shape))
         hidden |= behind_plants(camera, found, depth, fit, evidence.height_at, mask.shape)
+    # A network takes a panel for what is behind it: what it says of one is no distance.
+    network[:, [KINDS[one.kind].shape == "panel" for one in found]] = np.nan
     # A network's error is shared by a whole image: scatter about the fit does not show it.
     network[1] = np.hypot(network[1], _MODEL_SHARE * network[0])
     reach_px = max(_SIGMA_FOOT_PX * mask.shape[0] / PUBLISHED_HEIGHT_PX, 1.0)
@@ -216,6 +231,17 @@ def _with_depths(table: pd.DataFrame, pairs: dict[str, NDArray]) -> pd.DataFrame
     return table.assign(**columns)
 
 
+def _with_sizes(table: pd.DataFrame, found: Sequence[Instance], camera: ViewCamera) -> pd.DataFrame:
+    """Distances of panels that nothing else tells, by how large their kind is."""
+    size_m, sigma = np.array([(KINDS[o.kind].size_m, KINDS[o.kind].size_sigma) for o in found]).T
+    away_m = size_m * camera.intrinsics.focal_px / np.sqrt([o.pixels for o in found])
+    told = np.isfinite(away_m) & table["depth_m"].isna().to_numpy()
+    table.loc[told, "depth_m"] = away_m[told]
+    table.loc[told, "sigma_depth_m"] = (sigma * away_m)[told]
+    table.loc[told, "depth_from"] = "size"
+    return table
+
+
 def _chosen_bearing(
     camera: ViewCamera,
     image: tuple[Floats, Floats],
@@ -254,7 +280,7 @@ def _judged(
     distances = table[["depth_m", "height_m"]].to_numpy(np.float64)
     in_cloud = table["depth_lidar_m"].notna().to_numpy() & (settings.height_rule == "metric")
     reasons = [
-        one.reason or _why_not(depth, height, one, camera, settings)
+        one.reason or _why_not(float(depth), float(height), one, camera, settings)
         for one, (depth, height) in zip(found, distances, strict=True)
     ]
     # The cloud's column is tall enough: only the part that the mask shows is low.
@@ -271,7 +297,7 @@ def _why_not(
         return "distance unknown"
     if not _NEAREST_M <= depth <= settings.farthest_m:
         return "too near" if depth < _NEAREST_M else "too far"
-    if one.kind != "pole" or settings.height_rule == "none":
+    if KINDS[one.kind].shape != "stem" or settings.height_rule == "none":
         return ""
     if settings.height_rule == "metric":
         # What the frame cuts at the top may be of any height.

@@ -121,20 +121,21 @@ def withhold_thin(
 
 
 def drop_near_structures(
-    poles: pd.DataFrame, structures: cKDTree | None, distance_m: float = 1.524
+    poles: pd.DataFrame, structures: cKDTree | None, distance_m: float | Floats = 1.524
 ) -> pd.DataFrame:
     """Poles with those near a road, bridge or building point withheld.
 
     Parameters
     ----------
     structures : tree of such points, (n, 2) local metres; None switches the filter off.
-    distance_m : 5 ft by default; a pole exactly that far is withheld.
+    distance_m : of all or of each (n,), 5 ft by default; a pole exactly that far is withheld.
     """
     if structures is None or structures.n == 0 or len(poles) == 0:
         return poles
     gap_m, _ = structures.query(poles[["x", "y"]].to_numpy(np.float64))
     near = (gap_m <= distance_m) & poles["kept"].to_numpy(bool)
-    reason = f"within {distance_m:.3g} m of a road, bridge or building"
+    limits_m = np.broadcast_to(distance_m, len(poles))
+    reasons = [f"within {limit:.3g} m of a road, bridge or building" for limit in limits_m]
     return poles.assign(
-        kept=poles["kept"] & ~near, reason=np.where(near, reason, poles["reason"]).astype(object)
+        kept=poles["kept"] & ~near, reason=np.where(near, reasons, poles["reason"]).astype(object)
     )

@@ -45,14 +45,17 @@ def anchored_share(sightings: pd.DataFrame) -> float:
     return float(sightings["anchored"].to_numpy(bool)[kept].mean()) if kept.any() else 1.0
 
 
-def far_reaching(sightings: pd.DataFrame, settings: TriangulationSettings) -> TriangulationSettings:
+def far_reaching(
+    sightings: pd.DataFrame, settings: TriangulationSettings, most_m: float = FAR_SIGMA_M
+) -> TriangulationSettings:
     """Settings by which far sightings count too, where the cloud shows few poles.
 
-    Their groups are more often of other things, so that a pole must be told more sharply.
+    Their groups are more often of other things, so that a pole must be told more sharply, to
+    ``most_m``.
     """
     if anchored_share(sightings) >= FEW_ANCHORED or settings.max_distance_m >= FAR_M:
         return settings
-    sharp_m = min(settings.max_sigma_m, FAR_SIGMA_M)
+    sharp_m = min(settings.max_sigma_m, most_m)
     return settings.model_copy(update={"max_distance_m": FAR_M, "max_sigma_m": sharp_m})
 
 

@@ -7,9 +7,11 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Ints
+from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.triangulate.groups import locate_points
 from roadsight.poles.triangulate.locate import describe_groups, triangulate
 from roadsight.poles.triangulate.merging import merge_groups, places_of
+from roadsight.poles.triangulate.pole_doubts import FAR_SIGMA_M, far_reaching
 from roadsight.poles.triangulate.published import swept_poles
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings, make_rays
 
@@ -59,7 +61,8 @@ def site_poles(
     Parameters
     ----------
     sightings : columns `SIGHTING_COLUMNS`, local metres; those not kept are left out. Optionally
-        ``anchored``: whether a sighting ends at something of the cloud; `DRIFT_COLUMNS`.
+        ``anchored``: whether a sighting ends at something of the cloud (kinds of which few do take
+        far sightings too, `far_reaching`); `DRIFT_COLUMNS`.
 
     Returns
     -------
@@ -74,11 +77,17 @@ def site_poles(
     for kind in sorted(set(sightings["kind"][usable])):
         rows = np.flatnonzero(usable & (sightings["kind"] == kind).to_numpy())
         rays = _rays(sightings.iloc[rows])
+        reaching = settings
+        if "anchored" in sightings:
+            # Few other things look like panels: groups of their far rays are mostly signs.
+            panel = kind in KINDS and KINDS[kind].shape == "panel"
+            most_m = settings.max_sigma_m if panel else FAR_SIGMA_M
+            reaching = far_reaching(sightings.iloc[rows], settings, most_m)
         if settings.method == "sweep":
-            poles, own = _sweep(rays, settings)
+            poles, own = _sweep(rays, reaching)
             scales[kind] = 1.0
         else:
-            poles, own, scales[kind] = triangulate(rays, settings)
+            poles, own, scales[kind] = triangulate(rays, reaching)
         pole_of[rows[rays.row[own >= 0]]] = own[own >= 0] + before
         before += len(poles)
         tables.append(poles.assign(kind=kind, id=[f"{kind}-{n:05d}" for n in range(len(poles))]))

@@ -313,6 +313,11 @@ _POLE_LAYERS = {
         Style("fill", "#b45309", size_mm=0.3, opacity=0.2),
         "Polygon",
     ),
+    "guardrails": (
+        "Guardrails of the cloud, and how many views show them.",
+        Style("line", "#0e7490", size_mm=0.8, label="id"),
+        "LineString",
+    ),
     "road_edges": (
         "Edges of the road in the LiDAR.",
         Style("line", "#0f172a", size_mm=0.4),

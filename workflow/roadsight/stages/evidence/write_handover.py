@@ -37,7 +37,15 @@ from roadsight.stages.command import Command
 
 log = logging.getLogger("write_handover")
 
-_POLE_LAYERS = ("poles", "rays", "ellipses", "hazard", "cross_sections", "road_geometry")
+_POLE_LAYERS = (
+    "poles",
+    "rays",
+    "ellipses",
+    "guardrails",
+    "hazard",
+    "cross_sections",
+    "road_geometry",
+)
 """Layers of poles.gpkg that go along."""
 
 

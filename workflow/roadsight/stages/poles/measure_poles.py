@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Bools, Floats
+from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Sightings
 from roadsight.base.shards import WHOLE, Shard
@@ -27,6 +27,7 @@ from roadsight.poles.alignment.landmarks import Turns
 from roadsight.poles.calibration.calibration_table import Key, from_content
 from roadsight.poles.images.stitching import ViewOffsets, merge_views, side_intrinsics
 from roadsight.poles.images.views import VIEWS, View, ViewName, usable, views_of
+from roadsight.poles.sightings.confirm import OUT_OF_VIEW, Objects, objects_of, show
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.poles.sightings.sightings import Evidence, measure_view
 from roadsight.poles.triangulate.pole_doubts import UNTURNED
@@ -76,6 +77,8 @@ _COLUMNS = (
 )
 _TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
 """Columns that hold texts, also where there is no row to tell."""
+_SEEN = {"kind": str, "object": np.int64, "image": str, "answer": np.int64}
+"""Columns of what views say about objects of the cloud, beside the route."""
 
 
 def measure_poles(
@@ -90,11 +93,13 @@ def measure_poles(
     columns: Annotated[Path | None, "pole-like columns of the cloud"] = None,
     calibration: Annotated[Path | None, "has the yaw of side views, if found"] = None,
     voxels: Annotated[Path | None, "only for the bearing `lidar`"] = None,
+    objects: Annotated[Path | None, "trees and guardrails of the cloud"] = None,
     views: Sequence[ViewName] = VIEWS,
     shard: Shard = WHOLE,
     grid_convergence: Literal["simulate", "skip"] = "simulate",
     *,
     out: Path,
+    seen: Annotated[Path | None, "what images show of the objects"] = None,
 ) -> None:
     """Write the sightings of every image of the shard whose camera was accepted."""
     given = ViewOffsets(settings.left_yaw_deg, settings.right_yaw_deg)
@@ -116,6 +121,8 @@ def measure_poles(
         shown = [view for view in shown if view.path not in lacking]
     routes = dict(zip(known["image"], known["route"].astype(str), strict=True))
     tables = []
+    asked = objects_of(read_table(objects)) if objects else []
+    answers = [pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _SEEN.items()})]
     for view in logged(shown, len(shown), log, "images"):
         mask = masks.read(view.name)
         pose = poses[view.image]
@@ -128,8 +135,10 @@ def measure_poles(
             camera = replace(camera, sigma_heading_deg=wider_deg)
         table = measure_view(camera, mask, depths.read(view.name), evidence.near(camera), settings)
         unturned = key in found and not np.isfinite(turn_sigma_deg)
-        if unturned and settings.side_views == "found" and len(table):
+        if unturned and settings.side_views == "found":
             table = table.assign(kept=False, reason=UNTURNED)
+        else:
+            answers += [_answers(camera, mask, one, view, settings) for one in asked]
         if len(table):
             tables.append(table.assign(image=view.image, view=view.view))
     sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
@@ -138,6 +147,19 @@ def measure_poles(
     for reason, count in table["reason"].value_counts().sort_index().items():
         log.info("%5d %s", count, reason or "kept")
     write_table(out, table, {"settings": settings.model_dump(), "offsets": asdict(given)})
+    if seen:
+        told = pd.concat(answers, ignore_index=True).astype(_SEEN)
+        write_table(seen, told.assign(route=told["image"].map(routes).astype(str)))
+
+
+def _answers(
+    camera: ViewCamera, mask: Bytes, asked: Objects, view: View, settings: Sightings
+) -> pd.DataFrame:
+    """What a view says about the objects that it looks at."""
+    answer = show(camera, mask, asked, settings.farthest_m)
+    rows = np.flatnonzero(answer != OUT_OF_VIEW)
+    told = {"kind": asked.kind, "object": rows, "image": view.image, "answer": answer[rows]}
+    return pd.DataFrame(told)
 
 
 def _side_views(calibrated: Path | None, matched: Path | None) -> dict[Key, Turns]:

@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 import pandas as pd
 
+from roadsight.base.arrays import Floats
 from roadsight.base.sections.poles import Hazard
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -43,7 +44,12 @@ log = logging.getLogger("rate_hazard")
 PLAN = ("x", "y")
 GEOMETRY_EVERY_M = 5.0
 """Spacing of the rows of road geometry: a radius or grade changes little over it."""
-KINDS = {"poles": "Point", "ellipses": "Polygon", "rays": "LineString"}
+KINDS = {
+    "poles": "Point",
+    "ellipses": "Polygon",
+    "rays": "LineString",
+    "guardrails": "LineString",
+}
 """Geometry of layers of poles that are empty."""
 _NONE = ("clear_zone_m", "runout_length_m")
 """Settings that 0 leaves to the guide's tables."""
@@ -80,8 +86,9 @@ def rate_hazard(
     height = read_raster(dem, frame).sample if dem else None
     scale = grid_scale(poles, frame) if scale_factor == "simulate" else 1.0
     tracks = RouteTracks(frames.assign(**{name: frames[name] / scale for name in PLAN}))
+    rails = _guardrails(placed, frame, scale)
     roads, inventory, barriers, told = given_roads(
-        given, frame, roads_of(tracks, edges_m / scale), scale
+        given, frame, roads_of(tracks, edges_m / scale), scale, rails
     )
     if doubts:
         tell(told, doubts, f"poles {poles_path}", log)
@@ -126,17 +133,23 @@ def rate_hazard(
     if sections_path:
         write_table(sections_path, sections, {"profiles": _profiles(objects, rated)})
     if layers_path:
-        layers = {
-            name: read_layer(placed, name, frame)
-            for name in ("poles", "ellipses", "rays")
-            if placed
-        }
+        layers = {name: read_layer(placed, name, frame) for name in KINDS if placed}
         layers |= {
             "hazard": hazard_points(table, height),
             "cross_sections": section_lines(sections, height),
             "road_geometry": geometry_lines(geometry, surroundings, GEOMETRY_EVERY_M, scale),
         }
         write_layers(layers_path, layers, frame, KINDS | GEOMETRY)
+
+
+def _guardrails(placed: Path | None, frame: Frame, scale: float) -> dict[str, Floats]:
+    """Lines (n, 2) of the guardrails that were found and kept, by name."""
+    if placed is None:
+        return {}
+    layer = read_layer(placed, "guardrails", frame)
+    kept = layer[layer["kept"].to_numpy(bool)] if len(layer) else layer
+    lines = [np.asarray(line.coords)[:, :2] / scale for line in kept.geometry]
+    return dict(zip(kept["id"], lines, strict=True))
 
 
 def _profiles(objects: pd.DataFrame, rated: Rated) -> dict[str, dict[str, list[float]]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -18,7 +19,7 @@ from roadsight.io.records.tables import read_table
 from roadsight.io.vector.road_files import read_barriers, read_inventory, read_routes
 from roadsight.poles.risk.inventory import Inventory, check_inventory
 from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts
-from roadsight.poles.risk.roads import Roads
+from roadsight.poles.risk.roads import Roads, resampled
 from roadsight.poles.risk.roadside import REACH_M
 from roadsight.poles.risk.routes import MeasureUnit, Route, with_routes
 from roadsight.poles.risk.shielding import Barrier, barriers_along
@@ -27,6 +28,8 @@ from roadsight.scene.terrain.tin import add_cells, cell_means, sum_cells
 THINNED_M = 0.1
 """One mean ground point a cell of this width: half a bin of a cross-section. Clouds of 24 points/m2
 stay as they are, mobile ones keep 100 a square metre."""
+_SAME_RAIL_M = 2.0
+"""A guardrail this near to a given one is the same: drawn lines are a metre or two off."""
 _ROAD_HALF_M = 12.0
 """Half of the widest road about its centreline: points further than this and a cross-section's
 reach decide about nothing."""
@@ -85,9 +88,15 @@ class RoadFiles:
 
 
 def given_roads(
-    given: RoadFiles, frame: Frame, roads: Roads, scale: float
+    given: RoadFiles, frame: Frame, roads: Roads, scale: float, rails: Mapping[str, Floats]
 ) -> tuple[Roads, Inventory | None, list[Barrier], list[Doubt]]:
-    """Roads measured along their routes, the inventory, the barriers, and doubts about them."""
+    """Roads measured along their routes, the inventory, the barriers, and doubts about them.
+
+    Parameters
+    ----------
+    rails : guardrails that were found, lines (n, 2) on the ground by name; those that the user
+        gives too count once, as given, and those of no road not at all.
+    """
     told: list[Doubt] = []
     inventory: Inventory | None = None
     routes: list[Route] = []
@@ -103,8 +112,20 @@ def given_roads(
     if inventory is not None:
         told += inventory_doubts(inventory, roads.roads, bool(routes))
     barriers: list[Barrier] = []
+    lines: list[Floats] = []
     if given.barriers:
-        lines, names = read_barriers(given.barriers, frame, given.barriers_crs)
-        barriers, more = barriers_along([line / scale for line in lines], names, roads)
+        stated, names = read_barriers(given.barriers, frame, given.barriers_crs)
+        lines = [line / scale for line in stated]
+        barriers, more = barriers_along(lines, names, roads)
         told += more
+    new = {name: line for name, line in rails.items() if not _is_given(line, lines)}
+    barriers += barriers_along(list(new.values()), list(new), roads)[0]
     return roads, inventory, barriers, [*told, *edge_doubts(roads.roads)]
+
+
+def _is_given(rail: Floats, lines: Sequence[Floats]) -> bool:
+    """Whether half of a guardrail's places or more lie along lines that the user gives."""
+    if not lines:
+        return False
+    tree = cKDTree(np.concatenate([resampled(line, 1.0) for line in lines]))
+    return bool(np.median(tree.query(rail)[0]) <= _SAME_RAIL_M)

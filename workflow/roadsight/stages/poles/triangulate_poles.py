@@ -25,8 +25,11 @@ from roadsight.io.records.pole_decisions import read_decisions
 from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.vectors import write_geojson, write_layers
+from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.sightings.confirm import confirmed
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.sightings.network_scale import network_scales, with_scales
+from roadsight.poles.triangulate.cloud_objects import guardrails_of, trees_of
 from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
 from roadsight.poles.triangulate.pole_doubts import far_reaching, pole_doubts
@@ -46,7 +49,12 @@ _STRUCTURES = (6, 11, 17)
 """ASPRS classes of buildings, road surface and bridge decks."""
 _CORNERS = 32
 """Corners of the polygon of an error ellipse."""
-_KINDS = {"poles": "Point", "ellipses": "Polygon", "rays": "LineString"}
+_LAYERS = {
+    "poles": "Point",
+    "ellipses": "Polygon",
+    "rays": "LineString",
+    "guardrails": "LineString",
+}
 """Geometry of each layer, for layers that are empty."""
 
 
@@ -57,6 +65,8 @@ def triangulate_poles(
     dem: Annotated[Path | None, "ground heights, for z"] = None,
     decisions: Annotated[str | None, "accepted, rejected, moved poles, CSV"] = None,
     voxels: Annotated[Path | None, "withhold poles near road, bridge, building"] = None,
+    objects_path: Annotated[Path | None, "trees and guardrails of the cloud"] = None,
+    seen: Annotated[Sequence[Path], "what images show of them"] = (),
     *,
     poles_path: Path,
     layers_path: Path,
@@ -74,15 +84,19 @@ def triangulate_poles(
     sightings = with_scales(sightings, network)
     in_cloud = sightings["depth_lidar_m"].notna().to_numpy()
     sightings = sightings.assign(anchored=in_cloud)
-    settings = far_reaching(sightings, settings)
     if doubts_path:
-        doubts = pole_doubts(sightings, network, settings)
+        own = sightings[sightings["kind"] == "pole"]
+        doubts = pole_doubts(own, network, far_reaching(own, settings))
         tell(doubts, doubts_path, "poles", log)
     poles, pole_of, scales = site_poles(sightings, settings)
     poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)
+    objects, told = _confirmed(objects_path, seen)
+    poles = pd.concat([part for part in (poles, trees_of(objects, told)) if len(part)] or [poles])
+    poles = poles.reset_index(drop=True)
     if voxels:
-        near = _structures(voxels)
-        poles = drop_near_structures(poles, near, settings.clearance_m)
+        least_m = {name: kind.clearance_m for name, kind in KINDS.items()}
+        clearance_m = poles["kind"].map(least_m).fillna(settings.clearance_m).to_numpy(np.float64)
+        poles = drop_near_structures(poles, _structures(voxels), clearance_m)
     poles = _with_place(_decided(poles, frame, decisions), frame, dem)
     if len(sightings) < 2:
         log.warning("fewer than two sightings: no pole can be triangulated")
@@ -96,10 +110,29 @@ def triangulate_poles(
         "poles": _points(poles),
         "ellipses": _ellipses(poles),
         "rays": _rays(sightings, poles, pole_of),
+        "guardrails": _lines(guardrails_of(objects, told)),
     }
-    write_layers(layers_path, layers, frame, _KINDS)
+    write_layers(layers_path, layers, frame, _LAYERS)
     write_csv(csv, in_native(poles[kept].drop(columns=["kept", "reason"]), frame))
     write_geojson(geojson, _points(poles[kept].reset_index(drop=True)), frame)
+
+
+def _confirmed(
+    objects_path: Path | None, seen: Sequence[Path]
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Objects of the cloud, a row a place, and what images say of each; none unless asked for."""
+    if objects_path is None or not seen:
+        return pd.DataFrame({"kind": pd.Series(dtype=str)}), pd.DataFrame()
+    objects = read_table(objects_path)
+    told = confirmed(objects, pd.concat([read_table(path) for path in seen], ignore_index=True))
+    for reason, count in (told["kind"] + " " + told["reason"]).value_counts().items():
+        log.info("%5d %s", count, reason)
+    return objects, told
+
+
+def _lines(guardrails: pd.DataFrame) -> gpd.GeoDataFrame:
+    lines = [shapely.LineString(places) for places in guardrails["places_m"]]
+    return gpd.GeoDataFrame(guardrails.drop(columns="places_m"), geometry=lines)
 
 
 def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFrame:

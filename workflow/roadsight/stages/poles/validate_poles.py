@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +13,7 @@ import numpy as np
 import pandas as pd
 import shapely
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.sections.poles import Validation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -23,6 +24,7 @@ from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer
 from roadsight.poles.risk.scenarios import RouteTracks, ScenarioSettings, classify_places
 from roadsight.poles.risk.validation import (
+    NEAR_EDGE_M,
     THRESHOLDS_M,
     RoadEdges,
     cautions,
@@ -30,6 +32,8 @@ from roadsight.poles.risk.validation import (
     describe_scenarios,
     geodesic_m,
     match_points,
+    score_lines,
+    score_near,
     score_thresholds,
     split_errors,
     within_reach,
@@ -46,6 +50,9 @@ _NAMES = {
 }
 """Scenarios as the report names them."""
 
+_DRIVEN_M = 15.0
+"""Edges of the road that was driven lie this near to its cameras: it has up to four lanes."""
+
 
 def validate_poles(
     poles_path: Path,
@@ -59,17 +66,21 @@ def validate_poles(
     truth_crs: Annotated[str | None, "CRS of a vector file that names none"] = None,
     pavement: Annotated[Path | None, "GeoPackage, to find extraneous features"] = None,
     pavement_layer: str = "pavement",
+    placed: Annotated[Path | None, "layers of the objects, with guardrails"] = None,
+    roadside: Annotated[Path | None, "GeoPackage of known trees and guardrails"] = None,
     *,
     out: Path,
 ) -> None:
     """Write errors, scores by threshold and errors by scenario."""
     frame = Frame.from_dict(read_json(frame_path))
     poles = read_table(poles_path)
-    poles = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
+    objects = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
+    poles = objects[objects["kind"] == "pole"].reset_index(drop=True)
     frames = read_table(frames_path, ["route", "sequence", "x", "y"])
     truth = read_points(truth_path, frame, truth_crs)
     places = truth[["x", "y"]].to_numpy(np.float64)
     tell_near(log, "known poles", places, read_json(frame_path), truth_path)
+    signs = truth[truth["kind"] == "sign"] if "kind" in truth else truth[:0]
     if truth_kind:
         truth = truth[truth["kind"] == truth_kind].reset_index(drop=True)
     cameras_m = frames[["x", "y"]].dropna().to_numpy(np.float64)
@@ -96,7 +107,56 @@ def validate_poles(
     }
     content["poles"], content["match_m"] = len(poles), match_m
     content["thresholds"] = score_thresholds(_xy(poles), _xy(known), THRESHOLDS_M)
+    edges_m = read_table(edges, ["x", "y"]).to_numpy(np.float64)
+    near_cameras = _Near(cameras_m, reach_m, edges_m)
+    content["kinds"] = _other_kinds(objects, signs, placed, roadside, frame, near_cameras)
     write_json(out, _plain(content))
+
+
+@dataclass(frozen=True)
+class _Near:
+    """Which places count: within reach of a camera, and of those the ones near the road's edge.
+
+    Edges further than `_DRIVEN_M` from every camera are of other roads.
+    """
+
+    cameras_m: Floats
+    reach_m: float
+    edges_m: Floats
+
+    def camera(self, places_m: Floats) -> Bools:
+        return within_reach(places_m, self.cameras_m, self.reach_m)
+
+    def edge(self, places_m: Floats) -> Bools:
+        driven = self.edges_m[within_reach(self.edges_m, self.cameras_m, _DRIVEN_M)]
+        return self.camera(places_m) & within_reach(places_m, driven, NEAR_EDGE_M)
+
+
+def _other_kinds(
+    objects: pd.DataFrame,
+    signs: pd.DataFrame,
+    placed: Path | None,
+    roadside: Path | None,
+    frame: Frame,
+    near: _Near,
+) -> dict[str, dict[str, float | int | None]]:
+    """Scores of signs, trees and guardrails, of kinds that were found or looked for in vain."""
+    found = {}
+    if len(signs):
+        ours, theirs = _xy(objects[objects["kind"] == "sign"]), _xy(signs)
+        found["sign"] = score_near(ours, theirs, near.camera(ours), near.camera(theirs))
+    if roadside and placed:
+        ours = _xy(objects[objects["kind"] == "tree"])
+        theirs = shapely.get_coordinates(read_layer(roadside, "trees", frame).geometry)
+        found["tree"] = score_near(ours, theirs, near.edge(ours), near.edge(theirs))
+        rails = read_layer(placed, "guardrails", frame)
+        kept = rails[rails["kept"].to_numpy(bool)] if len(rails) else rails
+        known = read_layer(roadside, "guardrails", frame)
+        rails_m = [shapely.get_coordinates(one) for one in kept.geometry]
+        found["guardrail"] = score_lines(
+            rails_m, [shapely.get_coordinates(one) for one in known.geometry]
+        )
+    return found
 
 
 def _errors(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
@@ -23,9 +23,9 @@ _WIRE_PIECES = 10
 
 @dataclass(frozen=True)
 class RuralPole:
-    """Upright post; ``xyz_m`` is its foot on the ground, local metres.
+    """Upright post or trunk; ``xyz_m`` is its foot on the ground, local metres.
 
-    ``kind`` is "utility", "sign", "delineator", "fence" or "mailbox".
+    ``kind`` is "utility", "sign", "delineator", "fence", "mailbox" or "tree".
     """
 
     kind: str
@@ -38,12 +38,14 @@ class RuralPole:
 
 @dataclass
 class Furnisher:
-    """Adds things by station and offset and keeps the list of poles."""
+    """Adds things by station and offset; keeps lists of poles, trees and lines of guardrails."""
 
     ground: RuralGround
     mesh: MeshBuilder
     rng: np.random.Generator
     poles: list[RuralPole]
+    trees: list[RuralPole] = field(default_factory=list)
+    guardrails: list[Floats] = field(default_factory=list)
 
     def place(self, station_m: float, offset_m: float) -> Floats:
         """Place (3,) of the ground."""
@@ -60,7 +62,8 @@ class Furnisher:
         """List a pole and return its foot (3,)."""
         foot = self.place(station_m, offset_m)
         x, y, z = foot.tolist()
-        self.poles.append(RuralPole(kind, station_m, offset_m, (x, y, z), height_m, radius_m))
+        own = self.trees if kind == "tree" else self.poles
+        own.append(RuralPole(kind, station_m, offset_m, (x, y, z), height_m, radius_m))
         return foot
 
     def free(self, station_m: float, offset_m: float, margin_m: float) -> bool:
@@ -238,6 +241,7 @@ def add_fence(add: Furnisher, start_m: float, end_m: float, offset_m: float) -> 
 def add_guardrail(add: Furnisher, start_m: float, end_m: float, offset_m: float) -> None:
     """W-beam on short posts."""
     stations = np.arange(start_m, end_m + 0.1, 2.0)
+    add.guardrails.append(np.array([add.place(station, offset_m) for station in stations]))
     outward = math.copysign(1.0, offset_m)
     levels = [(0.42, 0.0), (0.5, -0.08), (0.585, -0.01), (0.67, -0.08), (0.75, 0.0)]
     rows = []

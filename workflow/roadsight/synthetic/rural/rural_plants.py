@@ -69,11 +69,11 @@ def _tree(add: Furnisher, station: float, offset: float, detail: float) -> None:
     """Broad-leaved tree or conifer."""
     rng = add.rng
     height = rng.uniform(6.0, 17.0)
-    foot = add.place(station, offset)
+    radius = 0.014 * height + 0.03
+    foot = add.listed("tree", station, offset, height, radius)
     conifer = rng.uniform() < 0.3
     add.mesh.start("tree")
     trunk = (0.3 if not conifer else 0.7) * height
-    radius = 0.014 * height + 0.03
     add.mesh.post(
         foot, trunk + 0.2 * height, (radius, 0.4 * radius), 7, Material.BARK, rng.uniform()
     )

@@ -70,7 +70,8 @@ class RuralSite:
     mesh : every triangle; the first ``corridor_triangles`` are the corridor's ground, whose
         vertices have stations and offsets in ``road_m`` (k, 2).
     kinds : kind of each object of the mesh.
-    poles : every post, see `RuralPole`.
+    poles, trees : every post and every trunk, see `RuralPole`. guardrails : lines (n, 3) on the
+        ground.
     """
 
     seed: int
@@ -82,6 +83,8 @@ class RuralSite:
     road_m: Floats
     kinds: tuple[str, ...]
     poles: tuple[RuralPole, ...]
+    trees: tuple[RuralPole, ...]
+    guardrails: tuple[Floats, ...]
 
     @property
     def line(self) -> RuralLine:
@@ -143,6 +146,8 @@ def build_rural(
         road,
         tuple(builder.kinds),
         tuple(add.poles),
+        tuple(add.trees),
+        tuple(add.guardrails),
     )
 
 

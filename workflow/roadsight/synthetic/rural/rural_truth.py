@@ -19,9 +19,10 @@ _ARC_POINTS = 24
 
 
 def rural_layers(site: RuralSite) -> dict[str, gpd.GeoDataFrame]:
-    """Layers ``pavement`` (with side road), ``driveways``, ``edges``, ``centreline``, ``poles``.
+    """Layers of what is true, by name: road, its edges, and what stands beside it.
 
-    Curves are drawn by chords of 0.5 m, less than 0.2 mm off.
+    ``pavement`` (with side road), ``driveways``, ``edges``, ``centreline``, ``poles``, ``trees``,
+    ``guardrails``. Curves are drawn by chords of 0.5 m, less than 0.2 mm off.
     """
     stations = np.arange(-_MARGIN_M, site.length_m + _MARGIN_M + 0.25, 0.5)
     half = site.ground.section.pavement_m
@@ -38,6 +39,8 @@ def rural_layers(site: RuralSite) -> dict[str, gpd.GeoDataFrame]:
         "edges": _features([(name, shapely.LineString(line)) for name, line in lines.items()]),
         "centreline": _features([("middle", middle)]),
         "poles": _poles(site),
+        "trees": _trees(site),
+        "guardrails": _features([("guardrail", shapely.LineString(g)) for g in site.guardrails]),
     }
 
 
@@ -58,6 +61,17 @@ def _outline(branch: Branch) -> shapely.Polygon:
         for s in (1.0, -1.0)
     ]
     return shapely.Polygon(np.concatenate([sides[0], sides[1][::-1]]))
+
+
+def _trees(site: RuralSite) -> gpd.GeoDataFrame:
+    columns = {
+        "kind": [tree.kind for tree in site.trees],
+        "height_m": [tree.height_m for tree in site.trees],
+        "edge_distance_m": [
+            abs(tree.offset_m) - site.ground.section.pavement_m for tree in site.trees
+        ],
+    }
+    return gpd.GeoDataFrame(columns, geometry=[shapely.Point(tree.xyz_m) for tree in site.trees])
 
 
 def _poles(site: RuralSite) -> gpd.GeoDataFrame:

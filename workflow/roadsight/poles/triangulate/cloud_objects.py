@@ -1,0 +1,51 @@
+"""Trees and guardrails of the cloud as objects of a site, beside those that rays locate."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from roadsight.poles.sightings.confirm import UNSEEN
+
+_TOLD = ["score", "images", "routes", "kept", "reason"]
+"""What images say of an object."""
+
+
+def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
+    """Trees as rows of poles; those that no image looks at are left out.
+
+    Parameters
+    ----------
+    objects : kind, object, x, y, sigma_m. told : of each object, see `confirm.confirmed`.
+    """
+    own = objects[objects["kind"] == "tree"]
+    if own.empty:
+        return pd.DataFrame()
+    table = own.merge(told, on=["kind", "object"])
+    table = table[table["reason"] != UNSEEN]
+    table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
+    sigma = {"sigma_major_m": table["sigma_m"], "sigma_minor_m": table["sigma_m"]}
+    names = [f"tree-{number:05d}" for number in range(len(table))]
+    columns = ["kind", "x", "y", *_TOLD]
+    return table[columns].assign(**sigma, sigma_azimuth_deg=0.0, condition=1.0, id=names)
+
+
+def guardrails_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
+    """Guardrails with their places; those that no image looks at are left out.
+
+    Returns
+    -------
+    id, score, images, routes, kept, reason, length_m, places_m (each (n, 3), on the ground)
+    """
+    columns = ["id", *_TOLD, "length_m", "places_m"]
+    if objects.empty:
+        return pd.DataFrame(columns=columns)
+    rows = []
+    looked_at = told[(told["kind"] == "guardrail") & (told["reason"] != UNSEEN)]
+    for one in looked_at.itertuples(index=False):
+        own = (objects["kind"] == one.kind) & (objects["object"] == one.object)
+        places = objects.loc[own, ["x", "y", "z_ground"]].to_numpy(np.float64)
+        length_m = float(np.hypot(*np.diff(places[:, :2], axis=0).T).sum())
+        values = [getattr(one, name) for name in _TOLD]
+        rows.append((f"guardrail-{one.object:05d}", *values, length_m, places))
+    return pd.DataFrame(rows, columns=columns)

@@ -1,0 +1,98 @@
+"""Trees and guardrails of the cloud, for images to confirm."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import pandas as pd
+
+from roadsight.base.arrays import Floats
+from roadsight.base.sections.poles import SightingRules
+from roadsight.geometry.frames import Frame
+from roadsight.io.cloud.tiles import CloudTiles
+from roadsight.io.raster.rasters import read_raster
+from roadsight.io.records.atomic import read_json
+from roadsight.io.records.tables import write_table
+from roadsight.poles.sightings.crowns import SIGMA_M, Crowns, find_crowns
+from roadsight.poles.sightings.rails import RailReturns, find_rail_returns, join_rails
+from roadsight.stages.command import Command
+from roadsight.stages.progress import logged
+
+log = logging.getLogger("find_roadside_objects")
+COLUMNS = ("kind", "object", "x", "y", "z_ground", "top_m", "width_m", "sigma_m")
+_HALO_M = 8.0
+"""Margin of a tile: more than what decides about a crown or a return of a rail."""
+
+
+def find_roadside_objects(
+    cloud_path: Path,
+    frame: Path,
+    dem: Path,
+    kinds: Annotated[Sequence[str], SightingRules],
+    *,
+    out: Path,
+) -> None:
+    """Write a row for each tree, and one for each metre of each guardrail."""
+    ground = read_raster(dem, Frame.from_dict(read_json(frame)))
+    cloud = CloudTiles(cloud_path)
+    tiles = cloud.iter_tiles(_HALO_M, ["x", "y", "z", "classification"])
+    crowns, rails = [], [RailReturns(np.empty((0, 3)), np.empty((0, 2)))]
+    for bounds, points in logged(tiles, len(cloud.tiles), log, "tiles"):
+        xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
+        above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
+        cls = points["classification"]
+        if "tree" in kinds:
+            found = find_crowns(xyz, above, cls)
+            crowns.append(_trees(found, _inside(found.xy_m, bounds)))
+        if "guardrail" in kinds:
+            returns = find_rail_returns(xyz, above, cls)
+            own = _inside(returns.xyz_m, bounds)
+            rails.append(RailReturns(returns.xyz_m[own], returns.direction[own]))
+    lines = join_rails(
+        RailReturns(
+            np.concatenate([part.xyz_m for part in rails]),
+            np.concatenate([part.direction for part in rails]),
+        )
+    )
+    empty = pd.DataFrame({name: pd.Series(dtype=np.float64) for name in COLUMNS[2:]})
+    trees = pd.concat(crowns, ignore_index=True) if crowns else empty
+    trees = trees.sort_values(["x", "y"], kind="stable", ignore_index=True)
+    trees["z_ground"] = ground.sample(trees["x"].to_numpy(), trees["y"].to_numpy())
+    parts = [trees.assign(kind="tree", object=np.arange(len(trees)))]
+    parts += [_rail(line, number) for number, line in enumerate(lines)]
+    table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
+    table = table.astype({"object": np.int64, "kind": str})
+    log.info("%d trees, %d guardrails", len(trees), len(lines))
+    write_table(out, table, {"kinds": list(kinds)})
+
+
+def _inside(xy_m: Floats, bounds: tuple[float, float, float, float]) -> np.ndarray:
+    west, south, east, north = bounds
+    x, y = xy_m[:, 0], xy_m[:, 1]
+    return (x >= west) & (x < east) & (y >= south) & (y < north)
+
+
+def _trees(found: Crowns, own: np.ndarray) -> pd.DataFrame:
+    x, y = found.xy_m[own].T
+    size = {"top_m": found.top_m[own], "width_m": found.width_m[own]}
+    return pd.DataFrame({"x": x, "y": y, **size, "sigma_m": SIGMA_M})
+
+
+def _rail(line: Floats, number: int) -> pd.DataFrame:
+    x, y, z = line.T
+    unknown = {"top_m": np.nan, "width_m": np.nan, "sigma_m": np.nan}
+    return pd.DataFrame(
+        {"kind": "guardrail", "object": number, "x": x, "y": y, "z_ground": z}
+    ).assign(**unknown)
+
+
+main = Command(find_roadside_objects)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
