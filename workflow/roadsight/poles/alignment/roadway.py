@@ -30,9 +30,9 @@ _FEWEST = 12
 _TILT_SIGMA = np.array([0.5, 0.03, 0.04, 0.002, 1e-4])
 _HEIGHT_SIGMA_M = 0.03
 """One standard deviation of an edge point's height."""
-_COURSE_SIGMA = np.array([1.0, 0.03, 3e-4])
+_COURSE_SIGMA = np.array([1.0, 0.03, 1e-3])
 """The same of direction (radians), bend (1/m) and its change (1/m2): radii below some 30 m are
-unlikely, and so is a clothoid that reaches one of 60 m within 60 m."""
+unlikely, and so is a clothoid that reaches one of 30 m within 30 m."""
 _LEAST_TURN_DEG = 0.1
 """Least standard deviation of an edge point's direction."""
 _INDEPENDENT = 0.1
