@@ -84,6 +84,26 @@ def test_roadway_of_a_tilted_road():
     assert (alone.from_edges, alone.heading_deg, alone.grade) == (False, 3.0, 0.02)
 
 
+@pytest.mark.parametrize("change", [1.5e-4, -1.5e-4])
+def test_roadway_where_bend_and_grade_change(change):
+    """Heading change s^2 / 2 at station s, and the grade likewise: no lag behind either."""
+    station = np.arange(-80.0, 80.0, 0.1)
+    heading, grade_change = 0.5 * change * station**2, 3e-5
+    middle = np.cumsum(np.column_stack([np.sin(heading), np.cos(heading)]) * 0.1, axis=0)
+    middle -= middle[800]
+    right = np.column_stack([np.cos(heading), -np.sin(heading)])
+    z = grade_change * station**3 / 6
+    sides = [np.column_stack([middle + half * right, z])[::3] for half in (-4.0, 4.0)]
+    edges = RoadEdges.from_points(np.concatenate(sides))
+    for at in (800, 1000):
+        place = [*middle[at], z[at]]
+        road = roadway_at(edges, place, np.degrees(heading[at]) + 3.0, 0.0)
+        gap = road.heading_deg - np.degrees(heading[at])
+        assert abs((gap + 180) % 360 - 180) < 0.1
+        assert road.bend == pytest.approx(change * station[at], abs=5e-4)
+        assert road.grade == pytest.approx(0.5 * grade_change * station[at] ** 2, abs=0.001)
+
+
 def test_raster_steps_are_smoothed_away():
     angle = np.radians(30.0)
     true = straight_edges(80.0)
