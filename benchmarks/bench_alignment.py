@@ -93,7 +93,8 @@ def _ours(tasks: Sequence[Task]) -> tuple[list[NDArray[np.float64]], int]:
 
 def _theirs(tasks: Sequence[Task]) -> list[NDArray[np.float64]]:
     align: Callable[..., tuple[NDArray[np.float64], float]] = nelder_mead
-    return [align(task.start, task.seen, task.there, task.mean)[0] for task in tasks]
+    given = ((task.start, task.image_edges, task.map_edges, task.prior_mean) for task in tasks)
+    return [align(*one)[0] for one in given]
 
 
 def _right(bed: RoadBed, tasks: Sequence[Task], found: Sequence[NDArray[np.float64]]) -> float:

@@ -184,7 +184,7 @@ MODULES = [
     ("poles/images/lanes.py", after("trace_image_edges")),
     ("poles/triangulate/packing.py", after("triangulate_poles")),
     ("poles/risk/hazard.py", after("rate_hazard")),
-    ("stages/poles/hazard_layers.py", after("rate_hazard")),
+    ("stages/poles/shared/hazard_layers.py", after("rate_hazard")),
     ("scene/terrain/tin.py", after("build_terrain")),
     ("poles/images/plumb_line.py", after("profile_drive")),
     ("poles/images/straightening.py", after("calibrate_drive")),

@@ -20,8 +20,8 @@ from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.alignment.drive import near_edges, places_of
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.stages.poles import rate_hazard
-from roadsight.stages.poles.alignment_inputs import lowered
 from roadsight.stages.poles.rate_hazard import grid_scale
+from roadsight.stages.poles.shared.alignment_inputs import lowered
 from roadsight.synthetic.rendering.images import Camera, Finish, RuralRenderer
 from roadsight.synthetic.rendering.rendering_look import drive_look
 from roadsight.synthetic.rural.rural_road import build_rural

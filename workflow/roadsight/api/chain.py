@@ -31,13 +31,13 @@ from roadsight.geometry.reference import UnitChoice
 from roadsight.io.records.atomic import read_json
 from roadsight.scene.pavement.choice import choose_method
 from roadsight.stages.poles.align_cameras import align_cameras
-from roadsight.stages.poles.alignment_inputs import SceneFiles
 from roadsight.stages.poles.calibrate_drive import calibrate_drives
-from roadsight.stages.poles.dense_inputs import DenseFiles
 from roadsight.stages.poles.find_pole_columns import find_columns
 from roadsight.stages.poles.match_images import match_images
 from roadsight.stages.poles.read_videolog import read_videolog
 from roadsight.stages.poles.segment_images import segment_images
+from roadsight.stages.poles.shared.alignment_inputs import SceneFiles
+from roadsight.stages.poles.shared.dense_inputs import DenseFiles
 from roadsight.stages.poles.trace_image_edges import trace_image_edges
 from roadsight.stages.poles.trace_pole_axes import trace_pole_axes
 from roadsight.stages.scene.build_dem import build_dem

@@ -41,8 +41,8 @@ def tasks_of(bed, pixels=None, information=INFORMATION):
     edges = RoadEdges.from_points(bed.road_edges)
     for place, rows in zip(places_of(frames_of(bed), edges), pixels or bed.seen, strict=True):
         seen = ImageEdges.from_pixels(rows[:, :2], rows[:, 2], rows[:, 3] > 0.5)
-        there = near_edges(place, edges, Reach())
-        yield Task(place.start, seen, there, Noise(), expected(bed), information)
+        map_edges = near_edges(place, edges, Reach())
+        yield Task(place.start, seen, map_edges, Noise(), expected(bed), information)
 
 
 @pytest.fixture(scope="module")
@@ -92,9 +92,11 @@ def test_derivatives_match_differences(tasks, fits):
     at = fits[3][0].unknowns + 0.01
     off = np.abs(task.evaluate(at, 3.0)[3])
     near = (off < 3.0).all(axis=1)
-    group = np.repeat(np.arange(4), np.diff(task.seen.groups))[near]
-    few = ImageEdges.from_pixels(task.seen.uv_px[near], np.where(group % 2, 1, -1), group < 2)
-    task = replace(task, seen=few, noise=noise, information=np.eye(SIZE) * 1e-12)
+    group = np.repeat(np.arange(4), np.diff(task.image_edges.groups))[near]
+    few = ImageEdges.from_pixels(
+        task.image_edges.uv_px[near], np.where(group % 2, 1, -1), group < 2
+    )
+    task = replace(task, image_edges=few, noise=noise, prior_information=np.eye(SIZE) * 1e-12)
     _, _, gradient, _ = task.evaluate(at, 1e6)
     for number in range(SIZE):
         step = np.zeros(SIZE)
@@ -110,19 +112,19 @@ def test_derivatives_match_differences(tasks, fits):
 
 def test_distances_match_a_slow_reference(tasks):
     task = tasks[2]
-    unknowns = task.mean.copy()
+    unknowns = task.prior_mean.copy()
     unknowns[7:] = 0.0
     pose = pose_of(task.start, unknowns)
     camera = Intrinsics.centred(task.start.width_px, task.start.height_px, pose.focal_px)
     rotation = cam_from_world(pose.heading_deg, pose.pitch_deg, pose.roll_deg)
-    uv, depth = project(camera, rotation, pose.position_m, task.there.xyz_m)
+    uv, depth = project(camera, rotation, pose.position_m, task.map_edges.xyz_m)
     ahead, _ = project(
-        camera, rotation, pose.position_m, task.there.xyz_m + 1e-5 * task.there.along
+        camera, rotation, pose.position_m, task.map_edges.xyz_m + 1e-5 * task.map_edges.along
     )
     residuals = task.evaluate(unknowns, 3.0)[3]
-    side = np.arange(len(uv)) >= task.there.left
-    group = np.repeat(np.arange(4), np.diff(task.seen.groups))
-    for i, pixel in enumerate(task.seen.uv_px):
+    side = np.arange(len(uv)) >= task.map_edges.left
+    group = np.repeat(np.arange(4), np.diff(task.image_edges.groups))
+    for i, pixel in enumerate(task.image_edges.uv_px):
         usable = (side == group[i] % 2) & (depth >= 1.0)
         j = np.flatnonzero(usable)[np.argmin(np.hypot(*(uv[usable] - pixel).T))]
         tangent = (ahead[j] - uv[j]) / np.linalg.norm(ahead[j] - uv[j])
@@ -137,9 +139,11 @@ def moved(task, angle_rad, shift_m):
     at = np.array([task.start.x_m, task.start.y_m, task.start.z_road_m]) @ turn + shift_m
     heading = task.start.heading_deg - np.degrees(angle_rad)
     start = replace(task.start, x_m=at[0], y_m=at[1], z_road_m=at[2], heading_deg=heading)
-    e = task.there
-    there = NearEdges(e.xyz_m @ turn + shift_m, e.along @ turn, e.inward @ turn, e.half_m, e.left)
-    return replace(task, start=start, there=there)
+    e = task.map_edges
+    map_edges = NearEdges(
+        e.xyz_m @ turn + shift_m, e.along @ turn, e.inward @ turn, e.half_m, e.left
+    )
+    return replace(task, start=start, map_edges=map_edges)
 
 
 @pytest.mark.parametrize("angle_rad, shift", [(0.0, 5e6), (2.1, 0.0), (-1.0, 3e6)])
@@ -154,9 +158,9 @@ def test_left_and_right_are_alike(tasks):
     """A world seen in a mirror: yaw, roll, lateral place and bend change their sign."""
     task = tasks[4]
     flip = np.array([-1.0, 1.0, 1.0])
-    e, s = task.there, task.start
+    e, s = task.map_edges, task.start
     order = np.concatenate([np.arange(e.left, len(e.half_m)), np.arange(e.left)])
-    there = NearEdges(
+    map_edges = NearEdges(
         e.xyz_m[order] * flip,
         e.along[order] * flip,
         e.inward[order] * flip,
@@ -164,14 +168,16 @@ def test_left_and_right_are_alike(tasks):
         len(order) - e.left,
     )
     start = replace(s, x_m=-s.x_m, heading_deg=-s.heading_deg, bank=-s.bank, bend=-s.bend)
-    group = np.repeat(np.arange(4), np.diff(task.seen.groups))
-    uv = task.seen.uv_px * [-1, 1] + [task.start.width_px - 1, 0]
+    group = np.repeat(np.arange(4), np.diff(task.image_edges.groups))
+    uv = task.image_edges.uv_px * [-1, 1] + [task.start.width_px - 1, 0]
     seen = ImageEdges.from_pixels(uv, np.where(group % 2, -1, 1), group < 2)
     sign = np.array([1, -1, 1, -1, 1, -1, 1, 1, 1, 1, 1, -1, -1.0])
     swap = [0, 1, 2, 3, 4, 5, 6, 8, 7, 10, 9, 12, 11]
-    mirrored = Task(start, seen, there, task.noise, task.mean[swap] * sign, task.information)
-    near = descend(mirrored, mirrored.mean, 8.0).unknowns[swap] * sign
-    direct = descend(task, task.mean, 8.0)
+    mirrored = Task(
+        start, seen, map_edges, task.noise, task.prior_mean[swap] * sign, task.prior_information
+    )
+    near = descend(mirrored, mirrored.prior_mean, 8.0).unknowns[swap] * sign
+    direct = descend(task, task.prior_mean, 8.0)
     gap = np.abs(near - direct.unknowns) / np.sqrt(np.diag(direct.covariance))
     assert gap.max() < 0.3
 
@@ -184,17 +190,17 @@ def test_order_of_pixels_does_not_matter(bed, fits, rng):
 
 def test_nothing_to_see_keeps_the_expected_pose(bed, tasks):
     empty = ImageEdges.from_pixels(np.empty((0, 2)), [], [])
-    row = aligned(replace(tasks[0], seen=empty), "road", Limits())
+    row = aligned(replace(tasks[0], image_edges=empty), "road", Limits())
     assert not row["accepted"] and row["reason"] == "too few edges in the image"
-    pose = pose_of(tasks[0].start, tasks[0].mean)
+    pose = pose_of(tasks[0].start, tasks[0].prior_mean)
     assert (row["x"], row["heading_deg"]) == (pose.x_m, pose.heading_deg)
     nowhere = NearEdges(*(np.empty((0, 3)) for _ in range(3)), np.empty(0), 0)
-    assert too_little(replace(tasks[0], there=nowhere), Limits()) == "too few road edges ahead"
+    assert too_little(replace(tasks[0], map_edges=nowhere), Limits()) == "too few road edges ahead"
 
 
 def test_a_pose_carries_its_condition_number(bed, tasks, fits):
     empty = ImageEdges.from_pixels(np.empty((0, 2)), [], [])
-    unaligned = aligned(replace(tasks[0], seen=empty), "road", Limits())
+    unaligned = aligned(replace(tasks[0], image_edges=empty), "road", Limits())
     assert unaligned["condition"] == pytest.approx(1.0)
     found = [condition(fit[0], task) for fit, task in zip(fits, tasks, strict=True)]
     assert min(found) > 10 and np.isfinite(found).all()
@@ -212,7 +218,7 @@ def test_other_edges_are_refused(bed, tasks, rng):
     for task in tasks[:4]:
         uv = rng.uniform([0, 0], [bed.width_px, bed.height_px], (600, 2))
         seen = ImageEdges.from_pixels(uv, rng.choice([-1, 1], 600), rng.random(600) < 0.5)
-        assert not aligned(replace(task, seen=seen), "road", Limits())["accepted"]
+        assert not aligned(replace(task, image_edges=seen), "road", Limits())["accepted"]
 
 
 def test_one_side_alone_is_known_and_less_certain(bed, tasks, fits):
@@ -225,13 +231,13 @@ def test_one_side_alone_is_known_and_less_certain(bed, tasks, fits):
 
 def test_published_way_improves_on_its_start(bed, tasks):
     task = tasks[5]
-    mean = task.mean.copy()
+    mean = task.prior_mean.copy()
     mean[3] += 0.1
-    seen = task.seen.thinned(100)
-    unknowns, rms_px = nelder_mead(task.start, seen, task.there, mean, iterations=150)
+    seen = task.image_edges.thinned(100)
+    unknowns, rms_px = nelder_mead(task.start, seen, task.map_edges, mean, iterations=150)
     assert np.abs(unknowns[:3] - mean[:3]).max() <= 0.336
     assert np.abs(unknowns[FOCAL] - mean[FOCAL]) <= 0.0101
-    _, before = nelder_mead(task.start, seen, task.there, mean, iterations=1)
+    _, before = nelder_mead(task.start, seen, task.map_edges, mean, iterations=1)
     assert rms_px < before
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from roadsight.base.sections.poles import Reach
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project, wrap_deg
-from roadsight.poles.alignment.association import admissible, associate, marks_of
+from roadsight.poles.alignment.association import admissible, associate, match_landmarks
 from roadsight.poles.alignment.drive import near_edges, places_of, sight_of
 from roadsight.poles.alignment.landmarks import (
     LandmarkNoise,
@@ -126,8 +126,8 @@ def tasks_of(bed, columns, views=("front",), known=None, side_deg=(0.0, 0.0), si
         seen = ImageEdges.from_pixels(rows[:, :2], rows[:, 2], rows[:, 3] > 0.5)
         axes = axis_rows(bed, number, columns, rng, views)
         sight = sight_of(place, axes, known or columns, NOISE)
-        there = near_edges(place, edges, Reach())
-        yield Task(place.start, seen, there, Noise(), mean, information, sight)
+        map_edges = near_edges(place, edges, Reach())
+        yield Task(place.start, seen, map_edges, Noise(), mean, information, sight)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def test_landmarks_improve_heading_and_place_along(bed, tasks):
     before = errors_of(bed, tasks, [search(task)[0] for task in tasks])
     fits = [locate(task)[0] for task in tasks]
     after = errors_of(bed, tasks, fits)
-    assert np.median([len(fit.marks.pairs) for fit in fits if fit.marks is not None]) >= 2
+    assert np.median([len(fit.matched.pairs) for fit in fits if fit.matched is not None]) >= 2
     assert np.mean(after[:, 0] < 0.1) >= 0.9
     assert after[:, 0].mean() < before[:, 0].mean()
     assert after[:, 1].mean() < 0.7 * before[:, 1].mean()
@@ -160,25 +160,25 @@ def test_landmarks_improve_heading_and_place_along(bed, tasks):
 def test_pairs_are_the_true_ones(bed, columns, tasks):
     for number, task in list(enumerate(tasks))[:6]:
         fit = locate(task)[0]
-        if fit.marks is None:
+        if fit.matched is None:
             continue
         pose = bed.truth[number]
-        for axis, column in fit.marks.pairs:
-            foot = task.sight.columns.foot_m[column]
+        for axis, column in fit.matched.pairs:
+            foot = task.landmarks.columns.foot_m[column]
             camera = Intrinsics.centred(bed.width_px, bed.height_px, bed.intrinsics.focal_px)
             rotation = cam_from_world(pose.heading_deg, pose.pitch_deg, pose.roll_deg)
             middle = foot + np.array([0, 0, 0.5 * HEIGHT_M])
             uv, _ = project(camera, rotation, pose.position_m, middle[None])
-            assert abs(uv[0, 0] - camera.cx_px - task.sight.axes.middle_px[axis, 0]) < 15.0
+            assert abs(uv[0, 0] - camera.cx_px - task.landmarks.axes.middle_px[axis, 0]) < 15.0
 
 
 def test_no_landmarks_change_nothing(tasks):
     task = tasks[2]
-    nothing = replace(task, sight=None)
+    nothing = replace(task, landmarks=None)
     for a, b in zip(locate(nothing), locate(nothing, NOISE), strict=True):
         assert np.array_equal(a.unknowns, b.unknowns)
-    axes = replace(task.sight.axes, view=np.ones_like(task.sight.axes.view))
-    blind = replace(task, sight=replace(task.sight, axes=axes))
+    axes = replace(task.landmarks.axes, view=np.ones_like(task.landmarks.axes.view))
+    blind = replace(task, landmarks=replace(task.landmarks, axes=axes))
     assert np.array_equal(locate(blind)[0].unknowns, locate(nothing)[0].unknowns)
 
 
@@ -186,43 +186,43 @@ def test_columns_that_are_elsewhere_are_no_landmarks(bed, columns, tasks):
     rng = np.random.default_rng(1)
     moved = replace(columns, xy_m=columns.xy_m + rng.choice([-1.0, 1.0], columns.xy_m.shape) * 6.0)
     others = list(tasks_of(bed, columns, known=moved))
-    wrong = [0 if (m := locate(task)[0].marks) is None else len(m.pairs) for task in others]
-    right = [0 if (m := locate(task)[0].marks) is None else len(m.pairs) for task in tasks]
+    wrong = [0 if (m := locate(task)[0].matched) is None else len(m.pairs) for task in others]
+    right = [0 if (m := locate(task)[0].matched) is None else len(m.pairs) for task in tasks]
     assert sum(wrong) < 0.35 * sum(right)
 
 
 def test_bearings_and_slopes_match_differences(tasks):
-    task = next(t for t in tasks if t.sight is not None and len(t.sight.axes) > 1)
-    columns = np.full(len(task.sight.axes), -1)
+    task = next(t for t in tasks if t.landmarks is not None and len(t.landmarks.axes) > 1)
+    columns = np.full(len(task.landmarks.axes), -1)
     columns[:2] = [0, 1]
     scene = task.scene[0], task.origin_m
-    marks = marks_of(columns, task.sight, scene, task.mean)
-    seen = marks.seen.copy()
+    matched = match_landmarks(columns, task.landmarks, scene, task.prior_mean)
+    seen = matched.observed.copy()
     seen[:, 5] = [1, 2]
-    turn = slopes(task.mean, scene[0], seen, marks.there)
+    turn = slopes(task.prior_mean, scene[0], seen, matched.mapped)
     for number in (*range(INSETS), TURNS, TURNS + 1):
-        step = np.zeros(len(task.mean))
+        step = np.zeros(len(task.prior_mean))
         step[number] = 1e-5
-        up = measure(task.mean + step, scene[0], seen, marks.there)
-        down = measure(task.mean - step, scene[0], seen, marks.there)
+        up = measure(task.prior_mean + step, scene[0], seen, matched.mapped)
+        down = measure(task.prior_mean - step, scene[0], seen, matched.mapped)
         found = (up - down)[:, :3] / 2e-5
         np.testing.assert_allclose(found, turn[:, :, number], rtol=1e-3, atol=1e-6)
-    given = seen, marks.there, marks.sigma_rad
-    cost, normal, gradient, off = landmark_misfit(task.mean, scene[0], *given, 1e6, True)
+    given = seen, matched.mapped, matched.sigma_rad
+    cost, normal, gradient, off = landmark_misfit(task.prior_mean, scene[0], *given, 1e6, True)
     assert cost == pytest.approx(0.5 * (off**2).sum(), rel=1e-3)
-    by = turn[:, 0] / marks.sigma_rad[:, None]
+    by = turn[:, 0] / matched.sigma_rad[:, None]
     np.testing.assert_allclose(normal, by.T @ by, rtol=1e-6)
     np.testing.assert_allclose(gradient, by.T @ off, rtol=1e-6)
 
 
 def test_beam_finds_what_trying_all_finds(tasks):
     """The likeliest hypothesis among all combinations of admissible pairs."""
-    task = max(tasks, key=lambda t: 0 if t.sight is None else len(t.sight.axes))
+    task = max(tasks, key=lambda t: 0 if t.landmarks is None else len(t.landmarks.axes))
     fit = search(task)[0]
     scene, pose = (task.scene[0], task.origin_m), (fit.unknowns, fit.covariance)
-    pairs = admissible(task.sight, NOISE, scene, pose)
-    best = associate(task.sight, NOISE, scene, pose)[0]
-    options = [[-1, *pairs.column[pairs.axis == a]] for a in range(len(task.sight.axes))]
+    pairs = admissible(task.landmarks, NOISE, scene, pose)
+    best = associate(task.landmarks, NOISE, scene, pose)[0]
+    options = [[-1, *pairs.column[pairs.axis == a]] for a in range(len(task.landmarks.axes))]
     costs = {}
     for chosen in np.array(np.meshgrid(*options, indexing="ij")).reshape(len(options), -1).T:
         taken = chosen[chosen >= 0]
@@ -255,8 +255,8 @@ def test_yaw_of_side_views_is_found(bed, columns):
     sides = {"side_deg": turns.deg[1:], "side_sigma_deg": turns.sigma_deg[1:]}
     tasks = list(tasks_of(bed, columns, ("front", "left", "right"), **sides))
     with_sides = [locate(task)[0] for task in tasks]
-    counts = [0 if fit.marks is None else len(fit.marks.pairs) for fit in with_sides]
+    counts = [0 if fit.matched is None else len(fit.matched.pairs) for fit in with_sides]
     task, fit = tasks[int(np.argmax(counts))], with_sides[int(np.argmax(counts))]
-    assert (task.sight.axes.view[fit.marks.pairs[:, 0]] > 0).any()
-    rest = without_view(task, fit, "left").marks
-    assert rest is None or (task.sight.axes.view[rest.pairs[:, 0]] != 1).all()
+    assert (task.landmarks.axes.view[fit.matched.pairs[:, 0]] > 0).any()
+    rest = without_view(task, fit, "left").matched
+    assert rest is None or (task.landmarks.axes.view[rest.pairs[:, 0]] != 1).all()

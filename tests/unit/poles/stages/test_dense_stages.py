@@ -20,7 +20,7 @@ from roadsight.poles.alignment.dense import moved
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.images.views import view_name
 from roadsight.stages.poles import align_cameras, calibrate_drive
-from roadsight.stages.poles.dense_inputs import method_of, on_level, turned_axes
+from roadsight.stages.poles.shared.dense_inputs import method_of, on_level, turned_axes
 from tests.helpers.dense_street import LENS, SIZE, DenseStreet
 
 FRAME = Frame((0.0, 0.0, 0.0))

@@ -10,7 +10,7 @@ from roadsight.io.images.image_shards import ImageShardWriter
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.images.classes import PixelClass
 from roadsight.stages.poles import trace_pole_axes
-from roadsight.stages.poles.alignment_inputs import SceneFiles, read_columns
+from roadsight.stages.poles.shared.alignment_inputs import SceneFiles, read_columns
 
 
 def test_axes_of_all_views_are_traced(tmp_path):

@@ -72,7 +72,7 @@ def _straight_road_task() -> Task:
 def straight_road_tells_no_place(rng: np.random.Generator) -> Errors:
     """On a straight road nothing tells the place along it: the normal matrix has no inverse."""
     task = _straight_road_task()
-    fit = descend(task, task.mean, 3.0)
+    fit = descend(task, task.prior_mean, 3.0)
     try:
         naive = np.sqrt(np.abs(np.linalg.inv(fit.normal)[ALONG, ALONG]))
     except np.linalg.LinAlgError:

@@ -15,12 +15,12 @@ import numpy as np
 from roadsight.base.arrays import Floats, Ints
 from roadsight.poles.alignment.landmarks import (
     LandmarkNoise,
-    Marks,
-    Sight,
+    Landmarks,
+    MatchedLandmarks,
     Turns,
-    column_rows,
+    mapped_rows,
     measure,
-    seen_rows,
+    observed_rows,
     slopes,
 )
 
@@ -63,7 +63,7 @@ class _Pairs:
 
 
 def associate(
-    sight: Sight,
+    landmarks: Landmarks,
     noise: LandmarkNoise,
     scene: tuple[Floats, Floats],
     pose: tuple[Floats, Floats],
@@ -76,8 +76,8 @@ def associate(
     scene : `Start.vector` and its origin (3,). pose : unknowns (k,) and their covariance (k, k).
     count : how many at most.
     """
-    pairs = admissible(sight, noise, scene, pose)
-    empty = np.full(len(sight.axes), -1, np.int64)
+    pairs = admissible(landmarks, noise, scene, pose)
+    empty = np.full(len(landmarks.axes), -1, np.int64)
     beam = [Hypothesis(empty, pose[0], pose[1], 0.0)]
     candidates = np.bincount(pairs.axis, minlength=len(empty))
     for axis in np.argsort(candidates, kind="stable"):
@@ -86,7 +86,7 @@ def associate(
             continue
         grown = [_without(one, noise.clutter) for one in beam]
         for one in beam:
-            more = (_with(one, pairs, int(k), pose[0], sight) for k in own)
+            more = (_with(one, pairs, int(k), pose[0], landmarks) for k in own)
             grown += [hypothesis for hypothesis in more if hypothesis is not None]
         grown.sort(key=lambda one: (one.cost, one.columns.tolist()))
         beam = grown[:_BEAM]
@@ -97,10 +97,12 @@ def _without(one: Hypothesis, clutter: float) -> Hypothesis:
     return Hypothesis(one.columns, one.unknowns, one.covariance, one.cost + clutter)
 
 
-def _with(one: Hypothesis, pairs: _Pairs, k: int, at: Floats, sight: Sight) -> Hypothesis | None:
+def _with(
+    one: Hypothesis, pairs: _Pairs, k: int, at: Floats, landmarks: Landmarks
+) -> Hypothesis | None:
     """Hypothesis with one more pair; None if the pair is too far off or the column is taken."""
     axis, column = pairs.axis[k], pairs.column[k]
-    same_view = sight.axes.view == sight.axes.view[axis]
+    same_view = landmarks.axes.view == landmarks.axes.view[axis]
     if (one.columns[same_view] == column).any():
         return None
     slope = pairs.slope[k]
@@ -122,7 +124,7 @@ def _with(one: Hypothesis, pairs: _Pairs, k: int, at: Floats, sight: Sight) -> H
 
 
 def admissible(
-    sight: Sight,
+    landmarks: Landmarks,
     noise: LandmarkNoise,
     scene: tuple[Floats, Floats],
     pose: tuple[Floats, Floats],
@@ -131,13 +133,13 @@ def admissible(
 
     Views whose yaw is not known yet have none.
     """
-    axes, columns = sight.axes, sight.columns
+    axes, columns = landmarks.axes, landmarks.columns
     turns = Turns.of(*pose)
     usable = np.flatnonzero(turns.known(axes.view))
     axis = np.repeat(usable, len(columns.top_m))
     column = np.tile(np.arange(len(columns.top_m)), len(usable))
-    seen, there = seen_rows(axes)[axis], column_rows(columns, scene[1])[column]
-    rows = measure(pose[0], scene[0], seen, there)
+    observed, mapped = observed_rows(axes)[axis], mapped_rows(columns, scene[1])[column]
+    rows = measure(pose[0], scene[0], observed, mapped)
     # Most columns are out of sight by far: slopes are for the rest.
     sides = max(sigma for sigma in turns.sigma_deg if np.isfinite(sigma))
     loose = 0.05 + _GATE * np.radians(np.sqrt(pose[1][3, 3]) + sides)
@@ -145,7 +147,7 @@ def admissible(
     near = (rows[:, 3] >= noise.nearest_m) & (rows[:, 3] <= noise.farthest_m)
     near &= (np.abs(rows[:, 0]) < loose) & np.isfinite(rows[:, 1])
     axis, column, rows = axis[near], column[near], rows[near]
-    slope = slopes(pose[0], scene[0], seen[near], there[near])
+    slope = slopes(pose[0], scene[0], observed[near], mapped[near])
     open_ = np.einsum("nia,ab,nib->ni", slope, pose[1], slope)
     own = own_variance(axes.sigma_px[axis], columns.sigma_m[column], rows)
     focal = np.exp(pose[0][6]) * axes.scale[axis]
@@ -170,18 +172,18 @@ def own_variance(sigma_px: Floats, sigma_m: Floats, rows: Floats) -> Floats:
     return (sigma_px * rows[:, 4]) ** 2 + (sigma_m / rows[:, 3]) ** 2
 
 
-def marks_of(
+def match_landmarks(
     columns: Ints,
-    sight: Sight,
+    landmarks: Landmarks,
     scene: tuple[Floats, Floats],
     unknowns: Floats,
-) -> Marks:
+) -> MatchedLandmarks:
     """Pairs of a hypothesis with their sigmas at a pose."""
     axis = np.flatnonzero(columns >= 0)
     column = columns[axis]
-    seen = np.ascontiguousarray(seen_rows(sight.axes)[axis])
-    there = np.ascontiguousarray(column_rows(sight.columns, scene[1])[column])
-    rows = measure(unknowns, scene[0], seen, there)
-    sigma_m = sight.columns.sigma_m[column]
-    variance = own_variance(sight.axes.sigma_px[axis], sigma_m, rows)
-    return Marks(np.column_stack([axis, column]), seen, there, np.sqrt(variance))
+    observed = np.ascontiguousarray(observed_rows(landmarks.axes)[axis])
+    mapped = np.ascontiguousarray(mapped_rows(landmarks.columns, scene[1])[column])
+    rows = measure(unknowns, scene[0], observed, mapped)
+    sigma_m = landmarks.columns.sigma_m[column]
+    variance = own_variance(landmarks.axes.sigma_px[axis], sigma_m, rows)
+    return MatchedLandmarks(np.column_stack([axis, column]), observed, mapped, np.sqrt(variance))

@@ -109,7 +109,7 @@ class DenseTask:
         return np.sqrt(np.diag(self.covariance))
 
     @property
-    def information(self) -> Floats:
+    def prior_information(self) -> Floats:
         """Inverse (6, 6) of the covariance."""
         return np.asarray(np.linalg.inv(self.covariance), np.float64)
 
@@ -232,7 +232,7 @@ def descend_dense(
     task: DenseTask, samples: Samples, blur_px: float, offsets: Floats, steps: int
 ) -> tuple[float, Floats]:
     """Levenberg-Marquardt at one blur with Fisher's information; cost and offsets where it ends."""
-    prior, unit = task.information, task.sigma
+    prior, unit = task.prior_information, task.sigma
     state = _state(task, samples, blur_px, prior, offsets)
     damping, stretch = 1e-2, 1.0
     for _ in range(steps):
@@ -259,7 +259,7 @@ def align_dense(task: DenseTask) -> DenseFit:
     """The pose that photograph and cloud agree on best."""
     zero, unit = np.zeros(SIZE), task.sigma
     samples = gather(task, zero).thinned(4)
-    prior = task.information
+    prior = task.prior_information
     trials = _starts() @ np.linalg.cholesky(task.covariance).T
     costs = [
         0.5 * trial @ prior @ trial - evaluate(task, samples, _WIDEST_PX, trial, False)[0]
@@ -315,7 +315,7 @@ def _finished(task: DenseTask, offsets: Floats) -> tuple[float, Floats]:
 def _fit(task: DenseTask, minima: list[tuple[float, Floats]]) -> DenseFit:
     cost, offsets = minima[0]
     samples = gather(task, offsets)
-    prior = task.information
+    prior = task.prior_information
     state = _state(task, samples, FINEST_PX, prior, offsets)
     second = min(
         (

@@ -10,7 +10,7 @@ import pandas as pd
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.sections.poles import Reach
-from roadsight.poles.alignment.landmarks import VIEWS, Columns, LandmarkNoise, PoleAxes, Sight
+from roadsight.poles.alignment.landmarks import VIEWS, Columns, LandmarkNoise, Landmarks, PoleAxes
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges, edges_ahead
 from roadsight.poles.alignment.roadway import roadway_at
@@ -143,7 +143,7 @@ def image_edges_of(rows: pd.DataFrame, reach: Reach) -> ImageEdges:
 
 def sight_of(
     place: Place, rows: pd.DataFrame, columns: PoleColumns, noise: LandmarkNoise
-) -> Sight | None:
+) -> Landmarks | None:
     """Landmarks of one place; None where it has no axis or no column.
 
     Parameters
@@ -174,19 +174,21 @@ def sight_of(
         rows["top_cut"].to_numpy(bool),
         get["slope"],
     )
-    return Sight(axes, there)
+    return Landmarks(axes, there)
 
 
 def loader(
     place: Place,
-    seen: ImageEdges,
-    there: NearEdges,
+    image_edges: ImageEdges,
+    map_edges: NearEdges,
     noise: Noise,
-    sight: Sight | None = None,
+    landmarks: Landmarks | None = None,
 ) -> Callable[[Floats, Floats], Task]:
     """Maker of the image's task from expected unknowns and their inverse covariance."""
 
-    def load(mean: Floats, information: Floats) -> Task:
-        return Task(place.start, seen, there, noise, mean, information, sight)
+    def load(prior_mean: Floats, prior_information: Floats) -> Task:
+        return Task(
+            place.start, image_edges, map_edges, noise, prior_mean, prior_information, landmarks
+        )
 
     return load

@@ -38,7 +38,7 @@ class GivenSigma:
 
 
 def given_task(
-    pose: pd.Series, size_px: tuple[int, int], seen: ImageEdges, there: NearEdges
+    pose: pd.Series, size_px: tuple[int, int], image_edges: ImageEdges, map_edges: NearEdges
 ) -> Task:
     """The image as an alignment sees it, its pose fixed to the given one.
 
@@ -61,11 +61,11 @@ def given_task(
     # The pose is fixed; how far paint and borders lie inside the road's edge is not.
     information = np.full(SIZE, _FIXED)
     information[INSETS:] = 1.0 / np.diag(weak.covariance)[INSETS:]
-    return Task(start, seen, there, Noise(), unknowns, np.diag(information))
+    return Task(start, image_edges, map_edges, Noise(), unknowns, np.diag(information))
 
 
 def agreement(
-    pose: pd.Series, size_px: tuple[int, int], seen: ImageEdges, there: NearEdges
+    pose: pd.Series, size_px: tuple[int, int], image_edges: ImageEdges, map_edges: NearEdges
 ) -> tuple[float, float]:
     """How a given pose agrees with the road: median distance, share of edge pixels that agree.
 
@@ -73,10 +73,10 @@ def agreement(
     edge, in pixels; a pixel agrees within three standard deviations of the alignment. NaN where
     image or cloud show too little road.
     """
-    if len(seen.uv_px) < FEWEST_PIXELS or len(there.half_m) < FEWEST_POINTS:
+    if len(image_edges.uv_px) < FEWEST_PIXELS or len(map_edges.half_m) < FEWEST_POINTS:
         return float("nan"), float("nan")
-    task = given_task(pose, size_px, seen, there)
-    residuals = descend(task, task.mean, _COARSE).residuals
+    task = given_task(pose, size_px, image_edges, map_edges)
+    residuals = descend(task, task.prior_mean, _COARSE).residuals
     known = np.isfinite(residuals[:, 0])
     if not known.any():
         return float("inf"), 0.0

@@ -18,7 +18,7 @@ from roadsight.poles.alignment.pose import TURNS
 VIEWS = ("front", "left", "right")
 """Views in the order of their numbers."""
 POSE = 7
-"""How many of the unknowns move what is seen: all before the insets."""
+"""How many of the unknowns move what is observed: all before the insets."""
 _STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5])
 """Half steps of the numeric derivatives: metres, degrees, and the logarithm of the focal length."""
 _BEHIND_M = 1.0
@@ -78,7 +78,7 @@ class Columns:
 
 
 @dataclass(frozen=True)
-class Sight:
+class Landmarks:
     """What one place has of landmarks."""
 
     axes: PoleAxes
@@ -134,39 +134,41 @@ class LandmarkNoise:
 
 
 @dataclass(frozen=True)
-class Marks:
+class MatchedLandmarks:
     """Axes that were given a column, as the kernel takes them.
 
     Attributes
     ----------
-    pairs : (k, 2) numbers of axis and column. seen : (k, 7) as `seen_rows`.
-    there : (k, 4) as `column_rows`. sigma_rad : (k,) of the bearings.
+    pairs : (k, 2) numbers of axis and column. observed : (k, 7) as `observed_rows`.
+    mapped : (k, 4) as `mapped_rows`. sigma_rad : (k,) of the bearings.
     """
 
     pairs: Ints
-    seen: Floats
-    there: Floats
+    observed: Floats
+    mapped: Floats
     sigma_rad: Floats
 
-    def part(self, kept: Bools) -> Marks:
+    def part(self, kept: Bools) -> MatchedLandmarks:
         """Some of them."""
-        return Marks(self.pairs[kept], self.seen[kept], self.there[kept], self.sigma_rad[kept])
+        return MatchedLandmarks(
+            self.pairs[kept], self.observed[kept], self.mapped[kept], self.sigma_rad[kept]
+        )
 
 
-def seen_rows(axes: PoleAxes) -> Floats:
+def observed_rows(axes: PoleAxes) -> Floats:
     """Rows (n, 7): middle u, v, foot row, top row (pixels), focal scale, view, further turn."""
     ends = axes.foot_px, axes.top_px, axes.scale, axes.view, np.zeros(len(axes))
     return np.column_stack([axes.middle_px, *ends])
 
 
-def column_rows(columns: Columns, origin_m: Floats) -> Floats:
+def mapped_rows(columns: Columns, origin_m: Floats) -> Floats:
     """Rows (m, 4): x, y, height of foot and of top, from an origin."""
     foot = columns.foot_m - origin_m
     return np.column_stack([foot, foot[:, 2] + columns.top_m])
 
 
 @njit(cache=True, error_model="numpy")
-def measure(unknowns: Floats, start: Floats, seen: Floats, there: Floats) -> Floats:
+def measure(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -> Floats:
     """Rows (k, 5) of axis against column, pair by pair.
 
     Bearing of the axis from the column's (radians, clockwise), row of the foot and of the top from
@@ -175,25 +177,25 @@ def measure(unknowns: Floats, start: Floats, seen: Floats, there: Floats) -> Flo
     """
     turn, _, centre, _ = camera(start, unknowns)
     focal = np.exp(unknowns[6])
-    rows = np.empty((len(seen), 5))
-    for i in range(len(seen)):
-        f = focal * seen[i, 4]
-        view = int(seen[i, 5])
-        aside = seen[i, 6] + (unknowns[TURNS - 1 + view] * _DEGREE if view else 0.0)
+    rows = np.empty((len(observed), 5))
+    for i in range(len(observed)):
+        f = focal * observed[i, 4]
+        view = int(observed[i, 5])
+        aside = observed[i, 6] + (unknowns[TURNS - 1 + view] * _DEGREE if view else 0.0)
         c, s = np.cos(aside), np.sin(aside)
-        x, y = seen[i, 0] / f, seen[i, 1] / f
+        x, y = observed[i, 0] / f, observed[i, 1] / f
         right, down, ahead = c * x + s, y, c - s * x
         east = turn[0, 0] * right + turn[1, 0] * down + turn[2, 0] * ahead
         north = turn[0, 1] * right + turn[1, 1] * down + turn[2, 1] * ahead
-        dx, dy = there[i, 0] - centre[0], there[i, 1] - centre[1]
+        dx, dy = mapped[i, 0] - centre[0], mapped[i, 1] - centre[1]
         rows[i, 0] = np.arctan2(east * dy - north * dx, east * dx + north * dy)
         for end in range(2):
-            dz = there[i, 2 + end] - centre[2]
+            dz = mapped[i, 2 + end] - centre[2]
             right = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
             down = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
             ahead = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
             depth = s * right + c * ahead
-            row = seen[i, 2 + end] - f * down / depth
+            row = observed[i, 2 + end] - f * down / depth
             rows[i, 1 + end] = row if depth > _BEHIND_M else np.nan
         rows[i, 3] = np.sqrt(dx * dx + dy * dy)
         rows[i, 4] = 1.0 / (f * (1.0 + x * x))
@@ -201,21 +203,21 @@ def measure(unknowns: Floats, start: Floats, seen: Floats, there: Floats) -> Flo
 
 
 @njit(cache=True, error_model="numpy")
-def slopes(unknowns: Floats, start: Floats, seen: Floats, there: Floats) -> Floats:
+def slopes(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -> Floats:
     """Derivatives (k, 3, n) of bearing, foot and top of `measure` by the unknowns (n,)."""
-    found = np.zeros((len(seen), 3, len(unknowns)))
+    found = np.zeros((len(observed), 3, len(unknowns)))
     moved = unknowns.copy()
-    sides = seen[:, 5].max() > 0 if len(seen) else False
+    sides = observed[:, 5].max() > 0 if len(observed) else False
     for a in range(len(unknowns)):
         if POSE <= a < TURNS or (a >= TURNS and not sides):
             continue
         step = _STEPS[a] if a < POSE else _STEPS[3]  # Side views turn as the front view does.
         moved[a] = unknowns[a] + step
-        high = measure(moved, start, seen, there)
+        high = measure(moved, start, observed, mapped)
         moved[a] = unknowns[a] - step
-        low = measure(moved, start, seen, there)
+        low = measure(moved, start, observed, mapped)
         moved[a] = unknowns[a]
-        for k in range(len(seen)):
+        for k in range(len(observed)):
             for b in range(3):
                 found[k, b, a] = (high[k, b] - low[k, b]) / (2.0 * step)
     return found
@@ -225,8 +227,8 @@ def slopes(unknowns: Floats, start: Floats, seen: Floats, there: Floats) -> Floa
 def landmark_misfit(
     unknowns: Floats,
     start: Floats,
-    seen: Floats,
-    there: Floats,
+    observed: Floats,
+    mapped: Floats,
     sigma_rad: Floats,
     scale: float,
     sloping: bool,
@@ -239,14 +241,14 @@ def landmark_misfit(
     """
     size = len(unknowns)
     normal, gradient = np.zeros((size, size)), np.zeros(size)
-    gap = measure(unknowns, start, seen, there)[:, 0] / sigma_rad
+    gap = measure(unknowns, start, observed, mapped)[:, 0] / sigma_rad
     c2 = scale * scale
     cost = 0.0
     for i in range(len(gap)):
         cost += 0.5 * c2 * gap[i] ** 2 / (c2 + gap[i] ** 2)
     if not sloping or len(gap) == 0:
         return cost, normal, gradient, gap
-    slope = slopes(unknowns, start, seen, there)
+    slope = slopes(unknowns, start, observed, mapped)
     for i in range(len(gap)):
         weight = (c2 / (c2 + gap[i] ** 2)) ** 2
         for a in range(size):

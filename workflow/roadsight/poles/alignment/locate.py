@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from roadsight.base.arrays import Floats
-from roadsight.poles.alignment.association import Hypothesis, associate, marks_of
+from roadsight.poles.alignment.association import Hypothesis, associate, match_landmarks
 from roadsight.poles.alignment.landmarks import VIEWS, LandmarkNoise, Turns
 from roadsight.poles.alignment.search import search
 from roadsight.poles.alignment.solve import FINEST, Fit, Task, descend
@@ -62,11 +62,11 @@ def locate(
 
 def _sees(task: Task) -> bool:
     """Whether any axis is in a view whose yaw is known."""
-    if task.sight is None:
+    if task.landmarks is None:
         return False
-    covariance = np.asarray(np.linalg.inv(task.information), np.float64)
-    turns = Turns.of(task.mean, covariance)
-    return bool(turns.known(task.sight.axes.view).any())
+    covariance = np.asarray(np.linalg.inv(task.prior_information), np.float64)
+    turns = Turns.of(task.prior_mean, covariance)
+    return bool(turns.known(task.landmarks.axes.view).any())
 
 
 def weighed(task: Task, fit: Fit) -> Task:
@@ -74,10 +74,10 @@ def weighed(task: Task, fit: Fit) -> Task:
 
     Lanes and borders by themselves: where one is blurred, the other need not be.
     """
-    middle = task.seen.groups[2]
+    middle = task.image_edges.groups[2]
     parts = fit.residuals[:middle, 1], fit.residuals[middle:, 1]
     left, right = (_trust(part[part < FINEST]) for part in parts)
-    return replace(task, noise=replace(task.noise, trust=(left, right)))
+    return replace(task, noise=replace(task.noise, weight=(left, right)))
 
 
 def _trust(off: Floats) -> float:
@@ -89,18 +89,19 @@ def _trust(off: Floats) -> float:
 
 
 def _hypotheses(task: Task, fit: Fit, noise: LandmarkNoise, count: int) -> list[Hypothesis]:
-    assert task.sight is not None
+    assert task.landmarks is not None
     scene, pose = (task.scene[0], task.origin_m), (fit.unknowns, fit.covariance)
-    return associate(task.sight, noise, scene, pose, count)
+    return associate(task.landmarks, noise, scene, pose, count)
 
 
 def _improved(task: Task, one: Hypothesis, noise: LandmarkNoise) -> Fit:
     """Minimum with the landmarks of a hypothesis, and of the hypotheses that follow from it."""
-    assert task.sight is not None
+    assert task.landmarks is not None
     scene = task.scene[0], task.origin_m
     for number in range(_ROUNDS):
-        marks = marks_of(one.columns, task.sight, scene, one.unknowns)
-        fit = descend(task.with_marks(marks if len(marks.pairs) else None), one.unknowns, FINEST)
+        matched = match_landmarks(one.columns, task.landmarks, scene, one.unknowns)
+        told = task.with_matched(matched if len(matched.pairs) else None)
+        fit = descend(told, one.unknowns, FINEST)
         if number == _ROUNDS - 1:
             break
         # The pose without the landmarks' own say would gate too widely, with it too narrowly:
@@ -109,19 +110,19 @@ def _improved(task: Task, one: Hypothesis, noise: LandmarkNoise) -> Fit:
         if np.array_equal(again.columns, one.columns):
             break
         one = replace(again, unknowns=fit.unknowns)
-    left = len(one.columns) - len(marks.pairs)
+    left = len(one.columns) - len(matched.pairs)
     return replace(fit, cost=fit.cost + _UNEXPLAINED * left)
 
 
 def without_view(task: Task, fit: Fit, view: str) -> Fit:
     """The minimum that is left without the landmarks of one view."""
-    if fit.marks is None or task.sight is None:
+    if fit.matched is None or task.landmarks is None:
         return fit
-    kept = task.sight.axes.view[fit.marks.pairs[:, 0]] != VIEWS.index(view)
+    kept = task.landmarks.axes.view[fit.matched.pairs[:, 0]] != VIEWS.index(view)
     if kept.all():
         return fit
-    marks = fit.marks.part(kept) if kept.any() else None
-    return descend(task.with_marks(marks), fit.unknowns, FINEST)
+    matched = fit.matched.part(kept) if kept.any() else None
+    return descend(task.with_matched(matched), fit.unknowns, FINEST)
 
 
 def _same(one: Fit, other: Fit) -> bool:

@@ -25,8 +25,8 @@ _UNITS = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.01])
 
 def nelder_mead(
     start: Start,
-    seen: ImageEdges,
-    there: NearEdges,
+    image_edges: ImageEdges,
+    map_edges: NearEdges,
     mean: Floats,
     *,
     window_px: float = 300.0,
@@ -44,10 +44,12 @@ def nelder_mead(
         paper); the focal length may change by 1 %.
     """
     bounds = np.array([bound_m] * 3 + [bound_deg] * 3 + [1.0])
-    pixels = [np.concatenate([_part(seen, side), _part(seen, side + 2)]) for side in (0, 1)]
+    pixels = [
+        np.concatenate([_part(image_edges, side), _part(image_edges, side + 2)]) for side in (0, 1)
+    ]
 
     def cost(step: Floats) -> float:
-        return _mean_square(start, there, pixels, _moved(mean, step), window_px)
+        return _mean_square(start, map_edges, pixels, _moved(mean, step), window_px)
 
     result = minimize(
         cost,
@@ -63,8 +65,8 @@ def nelder_mead(
     return _moved(mean, result.x), float(np.sqrt(result.fun))
 
 
-def _part(seen: ImageEdges, group: int) -> Floats:
-    return seen.uv_px[seen.groups[group] : seen.groups[group + 1]]
+def _part(image_edges: ImageEdges, group: int) -> Floats:
+    return image_edges.uv_px[image_edges.groups[group] : image_edges.groups[group + 1]]
 
 
 def _moved(mean: Floats, step: Floats) -> Floats:
@@ -74,15 +76,15 @@ def _moved(mean: Floats, step: Floats) -> Floats:
 
 
 def _mean_square(
-    start: Start, there: NearEdges, pixels: list[Floats], unknowns: Floats, window_px: float
+    start: Start, map_edges: NearEdges, pixels: list[Floats], unknowns: Floats, window_px: float
 ) -> float:
     pose = pose_of(start, unknowns)
     camera = Intrinsics(start.width_px, start.height_px, pose.focal_px, start.cx_px, start.cy_px)
     rotation = cam_from_world(pose.heading_deg, pose.pitch_deg, pose.roll_deg)
-    uv, _ = project(camera, rotation, pose.position_m, there.xyz_m)
+    uv, _ = project(camera, rotation, pose.position_m, map_edges.xyz_m)
     inside = camera.contains(uv)
     total, count = 0.0, 0
-    for side, part in enumerate((slice(None, there.left), slice(there.left, None))):
+    for side, part in enumerate((slice(None, map_edges.left), slice(map_edges.left, None))):
         gained, found = squared_gaps(uv[part][inside[part]], pixels[side], window_px)
         total, count = total + gained, count + found
     return total / count if count else window_px**2

@@ -16,16 +16,16 @@ _PULL = 16.0
 
 def coarse_scale(task: Task) -> float:
     """Scale at which the expected pose pulls from as far as it may be wrong, at least 8."""
-    sigma_deg = np.sqrt(np.linalg.inv(task.information)[YAW, YAW])
-    reach_px = np.exp(task.mean[FOCAL]) * np.radians(sigma_deg)
+    sigma_deg = np.sqrt(np.linalg.inv(task.prior_information)[YAW, YAW])
+    reach_px = np.exp(task.prior_mean[FOCAL]) * np.radians(sigma_deg)
     return float(max(8.0, reach_px / task.noise.pixel_px))
 
 
 def uncertain_px(task: Task) -> float:
     """How far two standard deviations of the expected pose move road edges in the image."""
-    sigma = np.sqrt(np.diag(np.linalg.inv(task.information)))
+    sigma = np.sqrt(np.diag(np.linalg.inv(task.prior_information)))
     turn = max(np.radians(sigma[YAW]), np.radians(sigma[PITCH]), sigma[LATERAL] / _NEAR_M)
-    return float(2.0 * turn * np.exp(task.mean[FOCAL]))
+    return float(2.0 * turn * np.exp(task.prior_mean[FOCAL]))
 
 
 def search(task: Task, starts: int = 3) -> list[Fit]:
@@ -36,11 +36,11 @@ def search(task: Task, starts: int = 3) -> list[Fit]:
     """
     pull = uncertain_px(task) / task.noise.pixel_px
     if pull <= _PULL:
-        return [descend(task, task.mean, max(pull, FINEST))]
-    sigma = np.sqrt(np.diag(np.linalg.inv(task.information)))
+        return [descend(task, task.prior_mean, max(pull, FINEST))]
+    sigma = np.sqrt(np.diag(np.linalg.inv(task.prior_information)))
     scale = coarse_scale(task)
     grid = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    trials = np.repeat(task.mean[None], len(grid), axis=0)
+    trials = np.repeat(task.prior_mean[None], len(grid), axis=0)
     trials[:, [YAW, PITCH, LATERAL]] += grid * sigma[[YAW, PITCH, LATERAL]]
     values = task.scan(trials, 0.5 * scale)
     chosen: list[int] = []

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.sections.poles import Reach
 from roadsight.poles.alignment.kernel import costs, misfit
-from roadsight.poles.alignment.landmarks import Marks, Sight, landmark_misfit
+from roadsight.poles.alignment.landmarks import Landmarks, MatchedLandmarks, landmark_misfit
 from roadsight.poles.alignment.pose import INSETS, TURNS, Start
 from roadsight.poles.alignment.roadside import NearEdges
 
@@ -76,7 +76,7 @@ class Noise:
     Parameters
     ----------
     independent : share of edge pixels that tell something new: errors of neighbours are alike,
-        both in the image and on the road. trust : by how much more lanes and borders count, as
+        both in the image and on the road. weight : by how much more lanes and borders count, as
         far as they fit better or worse.
     """
 
@@ -86,7 +86,7 @@ class Noise:
     border_m: float = 0.1
     height_m: float = 0.03
     independent: float = 0.03
-    trust: tuple[float, float] = (1.0, 1.0)
+    weight: tuple[float, float] = (1.0, 1.0)
 
     @classmethod
     def of_spacing(cls, spacing_m: float) -> Noise:
@@ -96,7 +96,7 @@ class Noise:
 
     def table(self) -> Floats:
         """What the kernel takes, (2, 4) of lanes and borders."""
-        lanes, borders = (self.independent * trust for trust in self.trust)
+        lanes, borders = (self.independent * weight for weight in self.weight)
         return np.array(
             [
                 [self.pixel_px, self.across_m, self.height_m, lanes],
@@ -107,24 +107,25 @@ class Noise:
 
 @dataclass(frozen=True)
 class Task:
-    """One image: what is seen, what is there, where the vehicle is about and how sure that is.
+    """One image: edges in it and on the map, where the vehicle is about and how sure that is.
 
     Attributes
     ----------
-    mean, information : (k,), (k, k) the unknowns expected, and the inverse of their covariance.
-    sight : landmarks, if there are any. marks : those that were given a column.
+    image_edges, map_edges : of the road. prior_mean, prior_information : (k,), (k, k) the unknowns
+        expected, and the inverse of their covariance.
+    landmarks : axes and columns, if there are any. matched : axes that were given a column.
     scene : what the kernel takes of start and edges. coarse, coarse_scene : few of the pixels, and
         the scene with few of the edge points, for scans.
     """
 
     start: Start
-    seen: ImageEdges
-    there: NearEdges
+    image_edges: ImageEdges
+    map_edges: NearEdges
     noise: Noise
-    mean: Floats
-    information: Floats
-    sight: Sight | None = None
-    marks: Marks | None = None
+    prior_mean: Floats
+    prior_information: Floats
+    landmarks: Landmarks | None = None
+    matched: MatchedLandmarks | None = None
     scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
     coarse: ImageEdges = field(init=False, repr=False, compare=False)
     coarse_scene: tuple[Any, ...] = field(init=False, repr=False, compare=False)
@@ -134,34 +135,35 @@ class Task:
         """Where the kernel's coordinates begin (3,)."""
         return np.array([self.start.x_m, self.start.y_m, self.start.z_road_m])
 
-    def with_marks(self, marks: Marks | None) -> Task:
+    def with_matched(self, matched: MatchedLandmarks | None) -> Task:
         """The same image with these landmarks."""
         task = copy(self)
-        object.__setattr__(task, "marks", marks)
+        object.__setattr__(task, "matched", matched)
         return task
 
     def coarser(self, pixels: int = 120, step: int = 3) -> Task:
         """The same image with fewer pixels and points, which together tell as much."""
-        seen = self.seen.thinned(pixels)
-        share = len(self.seen.uv_px) / max(len(seen.uv_px), 1)
+        image_edges = self.image_edges.thinned(pixels)
+        share = len(self.image_edges.uv_px) / max(len(image_edges.uv_px), 1)
         noise = replace(self.noise, independent=share * self.noise.independent)
-        return replace(self, seen=seen, there=self.there.thinned(step), noise=noise)
+        map_edges = self.map_edges.thinned(step)
+        return replace(self, image_edges=image_edges, map_edges=map_edges, noise=noise)
 
     def __post_init__(self) -> None:
-        few = self.there.thinned(max(len(self.there.half_m) // _SCANNED, 1))
+        few = self.map_edges.thinned(max(len(self.map_edges.half_m) // _SCANNED, 1))
         # A frozen class has no other way to keep what is computed once.
-        object.__setattr__(self, "scene", self._scene(self.there))
-        object.__setattr__(self, "coarse", self.seen.thinned(80))
+        object.__setattr__(self, "scene", self._scene(self.map_edges))
+        object.__setattr__(self, "coarse", self.image_edges.thinned(80))
         object.__setattr__(self, "coarse_scene", self._scene(few))
 
-    def _scene(self, there: NearEdges) -> tuple[Any, ...]:
+    def _scene(self, map_edges: NearEdges) -> tuple[Any, ...]:
         edges = (
-            np.ascontiguousarray(there.xyz_m - self.origin_m),
-            np.ascontiguousarray(there.along),
-            np.ascontiguousarray(there.inward),
-            np.ascontiguousarray(there.half_m),
+            np.ascontiguousarray(map_edges.xyz_m - self.origin_m),
+            np.ascontiguousarray(map_edges.along),
+            np.ascontiguousarray(map_edges.inward),
+            np.ascontiguousarray(map_edges.half_m),
         )
-        sides = np.array([0, there.left, len(there.half_m)], np.int64)
+        sides = np.array([0, map_edges.left, len(map_edges.half_m)], np.int64)
         return self.start.vector(self.origin_m), edges, sides
 
     def evaluate(
@@ -177,35 +179,35 @@ class Task:
             start,
             edges,
             sides,
-            self.seen.uv_px,
-            self.seen.groups,
+            self.image_edges.uv_px,
+            self.image_edges.groups,
             self.noise.table(),
             scale,
             slopes,
         )
-        apart = unknowns - self.mean
-        expected = 0.5 * apart @ self.information @ apart
+        apart = unknowns - self.prior_mean
+        expected = 0.5 * apart @ self.prior_information @ apart
         total = cost + float(expected)
-        if self.marks is not None:
-            own = self.mark_misfit(unknowns, scale, slopes)
+        if self.matched is not None:
+            own = self.matched_misfit(unknowns, scale, slopes)
             total, normal, gradient = total + own[0], normal + own[1], gradient + own[2]
         return float(total), normal, gradient, residuals
 
-    def mark_misfit(
+    def matched_misfit(
         self, unknowns: Floats, scale: float, slopes: bool = True
     ) -> tuple[float, Floats, Floats, Floats]:
         """Cost, normal matrix, gradient and residuals of the landmarks alone."""
-        marks = self.marks
-        if marks is None:
+        matched = self.matched
+        if matched is None:
             size = len(unknowns)
             return 0.0, np.zeros((size, size)), np.zeros(size), np.empty(0)
-        given = marks.seen, marks.there, marks.sigma_rad
+        given = matched.observed, matched.mapped, matched.sigma_rad
         return landmark_misfit(unknowns, self.scene[0], *given, scale, slopes)
 
     def scan(self, trials: Floats, scale: float) -> Floats:
         """Cost of many sets of unknowns (t, k), on few of the pixels and of the edge points."""
         few = self.coarse
-        share = len(self.seen.uv_px) / max(len(few.uv_px), 1)
+        share = len(self.image_edges.uv_px) / max(len(few.uv_px), 1)
         start, edges, sides = self.coarse_scene
         data = costs(
             trials,
@@ -217,8 +219,8 @@ class Task:
             self.noise.table(),
             scale,
         )
-        apart = trials - self.mean
-        return share * data + 0.5 * np.einsum("ti,ij,tj->t", apart, self.information, apart)
+        apart = trials - self.prior_mean
+        return share * data + 0.5 * np.einsum("ti,ij,tj->t", apart, self.prior_information, apart)
 
 
 @dataclass(frozen=True)
@@ -229,8 +231,8 @@ class Fit:
     ----------
     unknowns : (k,). covariance : (k, k). cost : at the finest scale.
     residuals : (m, 2) of each pixel: across its edge in pixels, and in standard deviations.
-    normal, gradient : of the data alone, at the minimum. marks : the landmarks that count in it.
-    mark_normal, mark_gradient : their part of normal and gradient, None without any.
+    normal, gradient : of the data alone, at the minimum. matched : the landmarks that count in it.
+    matched_normal, matched_gradient : their part of normal and gradient, None without any.
     """
 
     unknowns: Floats
@@ -239,16 +241,16 @@ class Fit:
     residuals: Floats
     normal: Floats
     gradient: Floats
-    marks: Marks | None = None
-    mark_normal: Floats | None = None
-    mark_gradient: Floats | None = None
+    matched: MatchedLandmarks | None = None
+    matched_normal: Floats | None = None
+    matched_gradient: Floats | None = None
 
     def taught(self, edges: float, landmarks: float) -> tuple[Floats, Floats]:
         """Normal matrix and gradient with a share of what edges and landmarks say."""
         normal, gradient = edges * self.normal, edges * self.gradient
-        if self.mark_normal is not None and self.mark_gradient is not None:
-            normal = normal + (landmarks - edges) * self.mark_normal
-            gradient = gradient + (landmarks - edges) * self.mark_gradient
+        if self.matched_normal is not None and self.matched_gradient is not None:
+            normal = normal + (landmarks - edges) * self.matched_normal
+            gradient = gradient + (landmarks - edges) * self.matched_gradient
         return normal, gradient
 
 
@@ -273,7 +275,7 @@ def descend(task: Task, unknowns: Floats, scale: float) -> Fit:
     Unknowns are measured in their expected standard deviations. Where lines lie in the road moves
     only at the finest scale: a middle line that shows alone would else become the line at the edge.
     """
-    unit = 1.0 / np.sqrt(np.diag(task.information))
+    unit = 1.0 / np.sqrt(np.diag(task.prior_information))
     while True:
         finest = scale <= FINEST
         steps = 3 * _STEPS if finest else _STEPS
@@ -282,13 +284,13 @@ def descend(task: Task, unknowns: Floats, scale: float) -> Fit:
             break
         scale *= 0.5
     cost, normal, gradient, residuals = state
-    covariance = np.linalg.inv(normal + task.information)
+    covariance = np.linalg.inv(normal + task.prior_information)
     covariance = 0.5 * (covariance + covariance.T)
     fit = Fit(unknowns, covariance, cost, residuals, normal, gradient)
-    if task.marks is None:
+    if task.matched is None:
         return fit
-    _, own, slope, _ = task.mark_misfit(unknowns, FINEST)
-    return replace(fit, marks=task.marks, mark_normal=own, mark_gradient=slope)
+    _, own, slope, _ = task.matched_misfit(unknowns, FINEST)
+    return replace(fit, matched=task.matched, matched_normal=own, matched_gradient=slope)
 
 
 def _settle(
@@ -302,8 +304,8 @@ def _settle(
     damping = 1e-3
     for _ in range(steps):
         cost, normal, gradient, _ = state
-        full = (normal + task.information) * np.outer(unit, unit) + held
-        slope = (gradient + task.information @ (unknowns - task.mean)) * unit
+        full = (normal + task.prior_information) * np.outer(unit, unit) + held
+        slope = (gradient + task.prior_information @ (unknowns - task.prior_mean)) * unit
         damped = full + damping * np.diag(np.diag(full))
         step = -np.linalg.solve(damped, slope) * unit
         trial = task.evaluate(unknowns + step, scale)

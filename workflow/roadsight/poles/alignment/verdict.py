@@ -47,9 +47,9 @@ class Limits:
 
 def too_little(task: Task, limits: Limits) -> str:
     """Why there is nothing to align, or "" if there is enough."""
-    if len(task.seen.uv_px) < limits.fewest_pixels:
+    if len(task.image_edges.uv_px) < limits.fewest_pixels:
         return "too few edges in the image"
-    if len(task.there.half_m) < limits.fewest_points:
+    if len(task.map_edges.half_m) < limits.fewest_points:
         return "too few road edges ahead"
     return ""
 
@@ -58,8 +58,8 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
     """Why the best minimum cannot be trusted, or "" if it can."""
     best = fits[0]
     sigma = np.sqrt(np.diag(best.covariance))
-    expected = np.sqrt(np.diag(np.linalg.inv(task.information)))
-    apart = np.abs(best.unknowns - task.mean) / expected
+    expected = np.sqrt(np.diag(np.linalg.inv(task.prior_information)))
+    apart = np.abs(best.unknowns - task.prior_mean) / expected
     share = limits.inliers
     if agreeing_landmarks(task, best) >= limits.landmarks:
         share = limits.inliers_with_landmarks
@@ -101,7 +101,7 @@ def edge_sigma_px(fit: Fit, task: Task) -> float:
     own = np.array([task.noise.pixel_px, task.noise.border_px])
     usual_m = np.array([usual.across_m, usual.border_m])
     added = 1.0 - (usual_m / np.array([task.noise.across_m, task.noise.border_m])) ** 2
-    counts = [task.seen.groups[2], len(task.seen.uv_px) - task.seen.groups[2]]
+    counts = [task.image_edges.groups[2], len(task.image_edges.uv_px) - task.image_edges.groups[2]]
     pixel, share = np.repeat(own, counts), np.repeat(np.maximum(added, 0.0), counts)
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = share * ((fit.residuals[:, 0] / fit.residuals[:, 1]) ** 2 - pixel**2)
@@ -111,9 +111,9 @@ def edge_sigma_px(fit: Fit, task: Task) -> float:
 
 def agreeing_landmarks(task: Task, fit: Fit) -> int:
     """How many landmarks are where the pose says, within three standard deviations."""
-    if fit.marks is None:
+    if fit.matched is None:
         return 0
-    _, _, _, residuals = task.with_marks(fit.marks).mark_misfit(fit.unknowns, FINEST, False)
+    _, _, _, residuals = task.with_matched(fit.matched).matched_misfit(fit.unknowns, FINEST, False)
     return int(np.count_nonzero(np.abs(residuals) < FINEST))
 
 
@@ -134,7 +134,7 @@ def is_ambiguous(fits: Sequence[Fit], limits: Limits) -> bool:
 
 def is_one_sided(task: Task) -> bool:
     """Whether only one side of the road has edges in the image."""
-    count = np.diff(task.seen.groups)
+    count = np.diff(task.image_edges.groups)
     return bool(min(count[0] + count[2], count[1] + count[3]) < _PIXELS_OF_A_SIDE)
 
 
@@ -144,7 +144,7 @@ def condition(fit: Fit, task: Task) -> float:
     Near 1 where image and road tell nothing; large where they tell one direction of the pose far
     better than another, as on a straight road.
     """
-    unit = 1.0 / np.sqrt(np.diag(np.linalg.inv(task.information)))[:FOCAL]
+    unit = 1.0 / np.sqrt(np.diag(np.linalg.inv(task.prior_information)))[:FOCAL]
     scaled = fit.covariance[:FOCAL, :FOCAL] * np.outer(unit, unit)
     variances = np.linalg.eigvalsh(0.5 * (scaled + scaled.T))
     return float(variances[-1] / max(variances[0], 1e-300))

@@ -101,11 +101,11 @@ def usable(task: Task, fits: Sequence[Fit]) -> bool:
     A middle line that was taken for the line at the edge fits as well, with an inset of half the
     road.
     """
-    if not fits or len(task.seen.uv_px) < _FEWEST_PIXELS:
+    if not fits or len(task.image_edges.uv_px) < _FEWEST_PIXELS:
         return False
     near = fits[0].residuals[:, 1] < FINEST
     inset_m = fits[0].unknowns[INSETS:TURNS].max()
-    return bool(near.mean() > 0.5 and inset_m < _MIDDLE * task.there.half_width_m)
+    return bool(near.mean() > 0.5 and inset_m < _MIDDLE * task.map_edges.half_width_m)
 
 
 def calibrate(

@@ -71,7 +71,7 @@ def with_landmarks(
             (place, load(*calibration.expected(place)))
             for place, load in zip(places, loaders, strict=True)
         ]
-        if all(task.sight is None for _, task in images) and not is_tied(chain):
+        if all(task.landmarks is None for _, task in images) and not is_tied(chain):
             return calibration, starts
         found = [(p, t, locate(t, noise, starts.get(p.image))) for p, t in images]
         good = [(p, t, fits[0]) for p, t, fits in found if usable(t, fits)]
@@ -158,9 +158,9 @@ def _guesses(
     seen = {
         view
         for task, _ in images
-        if task.sight is not None
+        if task.landmarks is not None
         for view in VIEWS[1:]
-        if len(task.sight.axes.seen_by(view))
+        if len(task.landmarks.axes.seen_by(view))
     }
     pairs = zip(VIEWS[1:], side_yaw_deg, (-_STITCHED, _STITCHED), strict=True)
     return {view: [given, share * hfov] for view, given, share in pairs if view in seen}

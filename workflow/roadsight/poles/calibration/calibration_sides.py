@@ -18,9 +18,9 @@ from roadsight.poles.alignment.landmarks import (
     VIEWS,
     LandmarkNoise,
     Turns,
-    column_rows,
+    mapped_rows,
     measure,
-    seen_rows,
+    observed_rows,
     slopes,
 )
 from roadsight.poles.alignment.locate import without_view
@@ -93,16 +93,16 @@ def _turn(
 
 def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoise) -> Floats:
     """Rows (k, 3): number of the axis, yaw that would put it on a column, its sigma (degrees)."""
-    sight = task.sight
+    sight = task.landmarks
     own = sight.axes.seen_by(view) if sight is not None else np.empty(0, np.int64)
     if sight is None or not len(own):
         return np.empty((0, 3))
     axis = np.repeat(own, len(sight.columns.top_m))
     column = np.tile(np.arange(len(sight.columns.top_m)), len(own))
     start, pose = task.scene[0], fit.unknowns
-    seen = seen_rows(sight.axes)[axis]
+    seen = observed_rows(sight.axes)[axis]
     seen[:, 5:] = 0.0, np.radians(guess_deg)  # As if in the front view, turned by themselves.
-    there = column_rows(sight.columns, task.origin_m)[column]
+    there = mapped_rows(sight.columns, task.origin_m)[column]
     for _ in range(2):  # A tilted camera turns its views not quite by the bearings' difference.
         seen[:, 6] -= measure(pose, start, seen, there)[:, 0]
     rows = measure(pose, start, seen, there)

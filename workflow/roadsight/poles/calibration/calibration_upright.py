@@ -16,9 +16,9 @@ from roadsight.poles.alignment.association import own_variance
 from roadsight.poles.alignment.landmarks import (
     POSE,
     LandmarkNoise,
-    column_rows,
+    mapped_rows,
     measure,
-    seen_rows,
+    observed_rows,
     slopes,
 )
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, ROLL, YAW, Spread
@@ -73,9 +73,9 @@ def level_roll(prior: Mount, tasks: Sequence[Task]) -> Mount:
     """Mount whose roll is that at which the poles of all images together stand upright."""
     lean, across, sigma = [], [], []
     for task in tasks:
-        if task.sight is None:
+        if task.landmarks is None:
             continue
-        axes = task.sight.axes
+        axes = task.landmarks.axes
         front = axes.view == _FRONT
         bank_deg = np.degrees(np.arctan(task.start.bank))
         lean.append(-np.degrees(np.arctan(axes.slope[front])) - bank_deg)
@@ -136,14 +136,14 @@ def aimed_at_landmarks(
 def _pairs(task: Task, prior: Mount, noise: LandmarkNoise) -> _Pairs:
     """Every axis of the front view with every column that it might be."""
     nothing = task, np.empty((0, 7)), np.empty((0, 4)), np.empty(0, np.int64), np.empty(0)
-    if task.sight is None:
+    if task.landmarks is None:
         return nothing
-    axes, columns = task.sight.axes, task.sight.columns
+    axes, columns = task.landmarks.axes, task.landmarks.columns
     own = np.flatnonzero(axes.view == _FRONT)
     axis = np.repeat(own, len(columns.top_m))
     column = np.tile(np.arange(len(columns.top_m)), len(own))
-    seen = seen_rows(axes)[axis]
-    there = column_rows(columns, task.origin_m)[column]
+    seen = observed_rows(axes)[axis]
+    there = mapped_rows(columns, task.origin_m)[column]
     rows = measure(prior.mean, task.scene[0], seen, there)
     near = (rows[:, 3] >= noise.nearest_m) & (rows[:, 3] <= _FARTHEST_M)
     near &= np.abs(rows[:, 0]) < 0.5 * _RANGE_RAD

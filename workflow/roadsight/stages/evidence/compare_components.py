@@ -35,10 +35,10 @@ from roadsight.poles.triangulate.geographic import triangulate_published
 from roadsight.poles.triangulate.rays import UNAIDED
 from roadsight.stages.command import Command
 from roadsight.stages.poles.align_cameras import align_cameras
-from roadsight.stages.poles.alignment_inputs import SceneFiles
 from roadsight.stages.poles.calibrate_drive import calibrate_drives
-from roadsight.stages.poles.dense_inputs import DenseFiles
 from roadsight.stages.poles.measure_poles import measure_poles
+from roadsight.stages.poles.shared.alignment_inputs import SceneFiles
+from roadsight.stages.poles.shared.dense_inputs import DenseFiles
 from roadsight.stages.poles.triangulate_poles import triangulate_poles
 from roadsight.stages.poles.validate_poles import validate_poles
 

@@ -43,8 +43,8 @@ from roadsight.poles.alignment.verdict import (
 from roadsight.poles.calibration.calibration import implausible
 from roadsight.poles.calibration.calibration_table import DriveCalibration, from_content
 from roadsight.stages.command import Command
-from roadsight.stages.poles.alignment_inputs import AlignmentScene, SceneFiles, read_scene
-from roadsight.stages.poles.dense_inputs import (
+from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
+from roadsight.stages.poles.shared.dense_inputs import (
     DenseFiles,
     DenseScene,
     method_of,
@@ -179,10 +179,10 @@ def aligned(
     ----------
     bounds : of the published method, m and degrees.
     """
-    expected = np.asarray(np.linalg.inv(task.information), np.float64)
-    nothing = np.full((len(task.seen.uv_px), 2), np.nan)
+    expected = np.asarray(np.linalg.inv(task.prior_information), np.float64)
+    nothing = np.full((len(task.image_edges.uv_px), 2), np.nan)
     zero = np.zeros_like(expected), np.zeros(len(expected))
-    fit = Fit(task.mean, expected, 0.0, nothing, *zero)
+    fit = Fit(task.prior_mean, expected, 0.0, nothing, *zero)
     reason = "" if method == "none" else too_little(task, limits)
     if method == "road" and not reason:
         fits = locate(task, noise)
@@ -190,7 +190,12 @@ def aligned(
         fit = fits[0]
     elif method == "published" and not reason:
         unknowns, rms_px = nelder_mead(
-            task.start, task.seen, task.there, task.mean, bound_m=bounds[0], bound_deg=bounds[1]
+            task.start,
+            task.image_edges,
+            task.map_edges,
+            task.prior_mean,
+            bound_m=bounds[0],
+            bound_deg=bounds[1],
         )
         fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
     return _row(task, fit, reason)
@@ -201,8 +206,8 @@ def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -
 
     An image whose pose is not used keeps the expected one.
     """
-    expected = np.asarray(np.linalg.inv(task.information), np.float64)
-    own = scene.task(place, task.mean[:SIZE], expected[:SIZE, :SIZE])
+    expected = np.asarray(np.linalg.inv(task.prior_information), np.float64)
+    own = scene.task(place, task.prior_mean[:SIZE], expected[:SIZE, :SIZE])
     fit = align_dense(own)
     reason = dense_doubt(own, fit, DenseLimits.of(limits))
     pose, covariance = (own.pose, own.covariance) if reason else (fit.pose, fit.covariance)
@@ -253,7 +258,7 @@ def _row(task: Task, fit: Fit, reason: str) -> dict[str, Any]:
         **dict(zip(names, sigmas(fit, task), strict=True)),
         "condition": condition(fit, task),
         "residual_px": residual_px(fit),
-        "edge_points": len(task.seen.uv_px),
+        "edge_points": len(task.image_edges.uv_px),
         "landmarks": agreeing_landmarks(task, fit),
         "one_sided": is_one_sided(task),
         "accepted": not reason,

@@ -41,8 +41,8 @@ from roadsight.poles.calibration.calibration_table import (
 from roadsight.poles.calibration.calibration_ties import Shared, with_ties
 from roadsight.poles.calibration.calibration_upright import aimed
 from roadsight.stages.command import Command
-from roadsight.stages.poles.alignment_inputs import SceneFiles, read_scene
-from roadsight.stages.poles.dense_inputs import DenseFiles, DenseScene, method_of
+from roadsight.stages.poles.shared.alignment_inputs import SceneFiles, read_scene
+from roadsight.stages.poles.shared.dense_inputs import DenseFiles, DenseScene, method_of
 
 log = logging.getLogger("calibrate_drive")
 _Item = TypeVar("_Item")

@@ -32,7 +32,7 @@ from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.poles.sightings.sightings import Evidence, measure_view
 from roadsight.poles.triangulate.pole_doubts import UNTURNED
 from roadsight.stages.command import Command
-from roadsight.stages.poles.alignment_inputs import read_columns
+from roadsight.stages.poles.shared.alignment_inputs import read_columns
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("measure_poles")

@@ -31,13 +31,13 @@ from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.risk.shielding import Barrier, barrier_ends
 from roadsight.stages.command import Command
 from roadsight.stages.doubts import tell
-from roadsight.stages.poles.hazard_layers import (
+from roadsight.stages.poles.shared.hazard_layers import (
     GEOMETRY,
     geometry_lines,
     hazard_points,
     section_lines,
 )
-from roadsight.stages.poles.roadside_inputs import RoadFiles, given_roads, ground_near_roads
+from roadsight.stages.poles.shared.roadside_inputs import RoadFiles, given_roads, ground_near_roads
 
 log = logging.getLogger("rate_hazard")
 

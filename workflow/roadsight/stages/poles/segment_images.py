@@ -29,7 +29,7 @@ from roadsight.poles.images.networks import (
 )
 from roadsight.poles.images.views import VIEWS, View, ViewName
 from roadsight.stages.command import Command
-from roadsight.stages.poles.view_inputs import Stretched, views_with_images
+from roadsight.stages.poles.shared.view_inputs import Stretched, views_with_images
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("segment_images")

@@ -20,7 +20,7 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
 from roadsight.stages.command import Command
 from roadsight.stages.poles.align_cameras import CAMERA_COLUMNS, TEXTS
-from roadsight.stages.poles.alignment_inputs import AlignmentScene, SceneFiles, read_scene
+from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("use_given_cameras")

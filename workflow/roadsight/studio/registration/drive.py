@@ -20,7 +20,7 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.pose import Pose, pose_of
 from roadsight.poles.calibration.calibration import weak_mount
 from roadsight.poles.calibration.calibration_table import from_content
-from roadsight.stages.poles.alignment_inputs import AlignmentScene, SceneFiles, read_scene
+from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.studio.project import CLOUD, DEM, FRAME, SiteFolder
 
 POSE = ("x", "y", "z", "heading_deg", "pitch_deg", "roll_deg", "focal_px")

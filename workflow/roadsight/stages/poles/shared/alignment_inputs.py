@@ -99,11 +99,11 @@ class AlignmentScene:
             yield place, self.load(place)
 
 
-def lowered(there: NearEdges, place: Place) -> NearEdges:
+def lowered(map_edges: NearEdges, place: Place) -> NearEdges:
     """Road edges as low as a place sees them over the curved Earth through refracting air."""
-    away_m = np.hypot(*(there.xyz_m[:, :2] - [place.start.x_m, place.start.y_m]).T)
+    away_m = np.hypot(*(map_edges.xyz_m[:, :2] - [place.start.x_m, place.start.y_m]).T)
     drop_m = np.column_stack([np.zeros((len(away_m), 2)), rise_m(away_m)])
-    return replace(there, xyz_m=there.xyz_m - drop_m)
+    return replace(map_edges, xyz_m=map_edges.xyz_m - drop_m)
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from roadsight.poles.drive.drive_lenses import lens_of, with_given
 from roadsight.poles.images.evidence import ImageEvidence
 from roadsight.poles.images.straightening import source_places, straightened
 from roadsight.poles.images.views import view_name
-from roadsight.stages.poles.alignment_inputs import SceneFiles
+from roadsight.stages.poles.shared.alignment_inputs import SceneFiles
 
 _TILES = 64
 """Tiles that are kept in memory: of 50 m they cover the 80 m about a few images in a row."""

@@ -1,0 +1,1 @@
+"""What several stages of the pole job share: inputs and layers."""
