@@ -47,15 +47,18 @@ def test_raster_reads_back_where_it_was(tmp_path, frame, is_height):
     assert pixels[0, 0] == pytest.approx(native, abs=1e-3)
 
 
-@pytest.mark.parametrize("code", ["EPSG:6543+6360", "EPSG:25832+7837"])
-def test_heights_carry_the_vertical_crs(tmp_path, code):
-    frame = Frame(FRAMES[1].origin, US_FOOT, US_FOOT, wkt_of(code))
+@pytest.mark.parametrize(
+    ("code", "unit_m", "unit"),
+    [("EPSG:6543+6360", US_FOOT, "US survey foot"), ("EPSG:25832+7837", 1.0, "metre")],
+)
+def test_heights_carry_the_vertical_crs(tmp_path, code, unit_m, unit):
+    frame = Frame(FRAMES[1].origin, unit_m, unit_m, wkt_of(code))
     for is_height in (True, False):
         write_raster(tmp_path / "a.tif", VALUES, frame, 0, 0, 1, is_height=is_height)
         with rasterio.open(tmp_path / "a.tif") as raster:
             crs = CRS.from_wkt(raster.crs.to_wkt())
             assert crs.equals(CRS.from_user_input(code if is_height else code.split("+")[0]))
-            assert raster.units == (("US survey foot",) if is_height else (None,))
+            assert raster.units == ((unit,) if is_height else (None,))
 
 
 def test_same_values_same_bytes_at_another_time(tmp_path):

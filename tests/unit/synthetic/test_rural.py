@@ -137,7 +137,7 @@ def test_trees_and_guardrails_of_the_truth_are_those_of_the_mesh(site):
 
 
 def test_the_full_site_has_thirty_to_forty_utility_poles():
-    site = build_rural(1, detail=0.01)
+    site = build_rural(1, 1000.0, detail=0.01)
     assert 30 <= sum(pole.kind == "utility" for pole in site.poles) <= 40
     assert {pole.kind for pole in site.poles} == {
         "utility",

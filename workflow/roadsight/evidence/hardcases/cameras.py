@@ -17,6 +17,7 @@ from roadsight.poles.alignment.verdict import sigmas
 from roadsight.poles.calibration.calibration import Mount, shared_mean
 from roadsight.poles.calibration.registration import register_camera
 from roadsight.poles.sightings.lidar_poles import stem_axis
+from roadsight.poles.sightings.rails import find_rail_returns, join_rails
 
 _LENS = Intrinsics.centred(1920, 1200, 1600.0)
 """An ordinary camera of videologs: width and height px, focal length px."""
@@ -129,6 +130,23 @@ def stem_seen_from_one_side(rng: np.random.Generator) -> Errors:
         naive = max(naive, np.hypot(*(xy.mean(axis=0) - axis)))
         ours = max(ours, np.hypot(*(stem_axis(xy)[0] - axis)))
     return naive, ours
+
+
+@hard_case("find_roadside_objects", bound=0.2, unit="share")
+def rail_on_a_bridge(rng: np.random.Generator) -> Errors:
+    """Above the terrain below a bridge its rails stand as high as a house. Share of one missed."""
+    length_m, deck_m = 60.0, 6.0
+    rail = np.column_stack([rng.uniform(0, length_m, 150), np.zeros(150), np.full(150, 0.65)])
+    deck = np.column_stack([rng.uniform([0, -8], [length_m, 0], (4800, 2)), np.zeros(4800)])
+    xyz = np.vstack([rail, deck]) + rng.normal(0, 0.02, (4950, 3))
+    xyz[:, 2] += deck_m
+    bridge = np.repeat([1, 17], [150, 4800])
+    missed = []
+    for cls in (np.ones_like(bridge), bridge):
+        found = join_rails(find_rail_returns(xyz, xyz[:, 2], cls))
+        steps_m = sum(np.hypot(*np.diff(line[:, :2], axis=0).T).sum() for line in found)
+        missed.append(abs(1.0 - steps_m / length_m))
+    return missed[0], missed[1]
 
 
 @hard_case("calibrate_drive", bound=1.0, unit="m")
