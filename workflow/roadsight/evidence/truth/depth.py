@@ -39,7 +39,9 @@ SCANNER = Sensor.model_validate(
 )
 """The virtual scanner that is looked up at the real beams."""
 _FARTHEST_M = 90.0
+"""Farther returns are too few to compare."""
 _CELL_M = 0.02
+"""Other scans are thinned to one point in a cube of this width."""
 _BLOCK = 4_000
 """Beams whose cones are looked up at one time: it bounds memory."""
 

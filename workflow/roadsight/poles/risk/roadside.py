@@ -30,6 +30,7 @@ REACH_M = 12.0
 _LONGEST_M = 25.0
 """They never reach further."""
 _BEYOND_M = 3.0
+"""A profile goes on behind its object, so that what a vehicle meets beyond it is told."""
 _DEM_STEP_M = 0.25
 """Spacing of heights from a terrain model: half its usual cell."""
 SECTION_COLUMNS = (

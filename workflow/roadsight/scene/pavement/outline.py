@@ -96,6 +96,7 @@ def _check_roughness(outline: MultiPolygon, xyz_m: Floats) -> None:
 
 
 _PLANE_NEIGHBOURS = 8
+"""Points of the thinned surface that a place's plane goes through: the ring around it."""
 _HINT = "give the monitored area as a polygon (placement.tma) or raise pavement.voxel_size_m"
 
 

@@ -32,6 +32,7 @@ _PIT_PASSES = 2
 _PIT_HALVES = (2, 4, 8, 16)
 """Windows that tell a pit, half widths in cells: the first that holds so many known cells."""
 _PIT_CELLS = 8
+"""As many as surround a cell; fewer may be a pit's own neighbours."""
 _PIT_ABYSS_M = 3.0
 """Little drops so far within two cells, so that what is as deep gets a second look in wider
 windows: pits come in clusters. Airborne scans of a generated valley have some of 4 m: at 6 m of

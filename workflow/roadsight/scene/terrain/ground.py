@@ -55,6 +55,7 @@ _OBJECT_SHARE = 0.4
 _NARROW_SIGMAS = 0.5
 """A point within so many sigmas of the ground layer is of it where an object stands."""
 _NARROW_LEAST_M = 0.02
+"""... and never less: range noise of a scanner."""
 _WIDE_SIGMAS = 3.0
 """... and elsewhere."""
 _LAYER_M = 0.25

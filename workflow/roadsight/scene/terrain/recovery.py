@@ -18,6 +18,7 @@ _RECOVERY_CELLS_MIN = 6
 _RECOVERY_M = 0.3
 """A cell may lie this far from the plane of that half-disc, and further on a slope (per unit)."""
 _RECOVERY_PER_SLOPE_M = 0.3
+"""On 45 degrees twice the distance: heights within a cell differ by as much as it is wide."""
 _RECOVERY_STEEPEST = 1.0
 """Steeper planes (45 degrees) say nothing about the cell beside them."""
 _RECOVERY_PASSES = 5
