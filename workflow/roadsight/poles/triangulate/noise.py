@@ -42,7 +42,7 @@ _PLACINGS = 3
 _FLOOR_M2 = 1e-6
 """Least variance of a ray's point, a millimetre: keeps exact sightings from dividing by zero."""
 _PARTS = 6
-"""Variances of place, bearing and depth, each a ray's own and that of all rays of an image."""
+"""Variances of place, bearing and depth: a ray's own, and what near images share."""
 
 
 @dataclass(frozen=True)
