@@ -180,8 +180,9 @@ rule validate_poles:
         truth_crs=site_field("truth.poles_crs"),
         truth_kind=known_pole_kind,
         options=flags("validation", "components"),
+        kinds=some_flags("sightings", "kinds"),
     shell:
         "python -m roadsight.stages.poles.validate_poles --poles {input.poles}"
         " --truth {params.truth:q} --truth-crs={params.truth_crs:q} --truth-kind={params.truth_kind:q} --frame {input.frame}"
-        " --frames {input.frames} --edges {input.edges} --placed {input.placed} --roadside {input.roadside} {params.options}"
+        " --frames {input.frames} --edges {input.edges} --placed {input.placed} --roadside {input.roadside} {params.options} {params.kinds}"
         " --out {output.validation} > {log} 2>&1"

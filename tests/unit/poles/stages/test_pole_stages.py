@@ -13,6 +13,13 @@ import shapely
 from pyproj import CRS
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import (
+    Alignment,
+    Calibration,
+    Sightings,
+    Triangulation,
+    Validation,
+)
 from roadsight.commands import triangulate as verb
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
@@ -22,6 +29,7 @@ from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
+from roadsight.stages.evidence import compare_components
 from roadsight.stages.poles import (
     measure_poles,
     rate_hazard,
@@ -381,13 +389,67 @@ def test_signs_trees_and_guardrails_are_scored_apart_from_poles(site, with_objec
     write_layers(tmp_path / "roadside.gpkg", layers, FEET)
     arguments = [*common, "--poles", with_objects["poles"], "--placed", with_objects["layers"]]
     arguments += ["--truth", str(site / "truth.csv"), "--out", str(tmp_path / "v.json")]
-    assert validate_poles.main([*arguments, "--roadside", str(tmp_path / "roadside.gpkg")]) == 0
+    arguments += ["--roadside", str(tmp_path / "roadside.gpkg")]
+    assert validate_poles.main([*arguments, "--kinds", "pole", "tree", "guardrail"]) == 0
     found = read_json(tmp_path / "v.json")
+    assert set(found["kinds"]) == {"tree", "guardrail"}
     assert found["poles"] == len(POLES) and found["thresholds"][0]["f1"] == 1.0
     # The third tree is 16 m from the edge, and counts neither way.
     assert [found["kinds"]["tree"][name] for name in ("tp", "fp", "fn")] == [1, 0, 1]
+    # Cameras reach to 152 m.
     rail = found["kinds"]["guardrail"]
-    assert [rail[n] for n in ("tp", "fp", "fn")] == pytest.approx([131.0, 9.0, 29.0], abs=0.1)
+    assert [rail[n] for n in ("tp", "fp", "fn")] == pytest.approx([131.0, 9.0, 21.3], abs=0.1)
+
+
+@pytest.mark.parametrize(("kind", "found"), [("", 5), ("pole", 5), ("sign", 1)])
+def test_known_things_are_compared_with_what_is_of_their_kind(site, poles, tmp_path, kind, found):
+    """A known sign is no missed pole; where signs are what is known, signs are compared."""
+    known = pd.read_csv(site / "truth.csv").assign(kind=["pole"] * 5 + ["sign", "pole"])
+    known.to_csv(tmp_path / "truth.csv", index=False)
+    table = read_table(poles["poles"])
+    sign = np.hypot(*(table[["x", "y"]].to_numpy() - POLES[5]).T).argmin()
+    table.loc[sign, "kind"] = "sign"
+    write_table(tmp_path / "poles.parquet", table)
+    arguments = [f"--{name}={site / name}.{end}" for name, end in
+                 (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    arguments += ["--poles", str(tmp_path / "poles.parquet"), "--kinds", "pole", "sign"]
+    arguments += ["--truth", str(tmp_path / "truth.csv"), "--truth-kind", kind]
+    assert validate_poles.main([*arguments, "--out", str(tmp_path / "v.json")]) == 0
+    scores = read_json(tmp_path / "v.json")
+    assert [scores["thresholds"][0][name] for name in ("tp", "fp", "fn")] == [found, 0, 0]
+    assert scores["kinds"]["sign"]["tp"] == 1
+
+
+def test_the_published_triangulation_is_scored_like_ours(site, tmp_path):
+    """Of poles alone, whatever else was sighted."""
+    given = compare_components.Given(
+        frames=site / "frames.parquet",
+        image_edges=(),
+        masks=(),
+        depth=(),
+        road_edges=site / "edges.parquet",
+        columns=tmp_path,
+        voxels=tmp_path,
+        dem=site / "dem.tif",
+        frame=site / "frame.json",
+        truth=str(site / "truth.csv"),
+        settings_json="",
+    )
+    sections = (Calibration, Alignment, Sightings, Triangulation, Validation)
+    settings = compare_components.PoleSettings(
+        **{section.__name__.lower(): section() for section in sections}
+    )
+    variant = compare_components._Variant(given, settings, "deterministic_mrf", tmp_path)
+    table = pd.concat([read_table(site / f"s{n}.parquet") for n in (0, 1)])
+    north, xy = SiteNorth(FEET), table[["x", "y"]].to_numpy()
+    table["latitude"], table["longitude"] = north.to_geographic(xy)
+    table["bearing_deg"] = table["bearing_grid_deg"] + north.convergence_deg(xy)
+    signs = table.assign(kind="sign", depth_m=5.0)
+    scores = []
+    for rows in (table, pd.concat([table, signs], ignore_index=True)):
+        write_table(tmp_path / "sightings.parquet", rows)
+        scores.append(variant._published(1))
+    assert scores[0] == scores[1] and scores[0]["poles"] >= 1
 
 
 def test_validation(site, poles):
@@ -395,9 +457,10 @@ def test_validation(site, poles):
               (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
     common += ["--poles", poles["poles"]]
     result = site / "validation.json"
-    truth = ["--truth", str(site / "truth.csv"), "--out", str(result)]
+    truth = ["--truth", str(site / "truth.csv"), "--out", str(result), "--kinds", "pole"]
     assert validate_poles.main([*common, *truth]) == 0
     found = json.loads(result.read_text())
+    assert found["kinds"] == {}
     assert found["truth"] == {"within_reach": 6, "out_of_reach": 1, "reach_m": 25.0}
     assert found["thresholds"][0]["f1"] == 1.0
     assert len(found["thresholds"]) == 16

@@ -21,7 +21,7 @@ from roadsight.poles.triangulate.site import site_poles
 def sightings(anchored, others=10, lost=0):
     kept = pd.DataFrame({"kept": True, "anchored": [True] * anchored + [False] * others})
     left = pd.DataFrame({"kept": False, "anchored": False, "reason": [UNTURNED] * lost})
-    return pd.concat([kept.assign(reason=""), left], ignore_index=True)
+    return pd.concat([kept.assign(reason=""), left], ignore_index=True).assign(kind="pole")
 
 
 @pytest.mark.parametrize(
@@ -76,3 +76,8 @@ def test_what_was_scaled_and_left_out_is_told():
         ("network_scale", "note", 1.1),
         ("side_views_left_out", "doubt", 7),
     ]
+
+
+def test_side_views_that_are_left_out_are_told_of_every_kind():
+    signs = sightings(0, lost=4).assign(kind="sign")
+    assert [doubt.code for doubt in pole_doubts(signs, [], UNAIDED)] == ["side_views_left_out"]

@@ -68,7 +68,8 @@ def pole_doubts(
 
     Parameters
     ----------
-    sightings : columns kept, anchored, reason. network : cameras whose network was scaled.
+    sightings : columns kept, kind, anchored, reason; the cloud is asked for poles alone.
+    network : cameras whose network was scaled.
     settings : by which they are triangulated, see `far_reaching`.
     """
     found = []
@@ -79,7 +80,7 @@ def pole_doubts(
         )
         severity: Severity = "doubt" if abs(np.log(one.ratio)) > _LARGE else "note"
         found.append(Doubt("network_scale", severity, text, round(one.ratio, 3)))
-    share = anchored_share(sightings)
+    share = anchored_share(sightings[sightings["kind"] == "pole"])
     if share < LEAST_ANCHORED:
         text = (
             "the cloud shows next to no poles, so that their places rest on rays alone (a denser"

@@ -229,11 +229,12 @@ class _Variant:
             "bearing_deg": "bearing",
             "depth_m": "depth",
         }
-        kept = sightings[sightings["kept"]].rename(columns=named)
+        kept = sightings[sightings["kept"] & (sightings["kind"] == "pole")].rename(columns=named)
         poles = triangulate_published(kept, UNAIDED, seed)
         frame = Frame.from_dict(read_json(self._given.frame))
         xy = SiteNorth(frame).to_local(poles["lat"], poles["lon"])
         table = pd.DataFrame({"id": [f"p{n}" for n in range(len(xy))], "kept": True})
+        table["kind"] = "pole"
         table[["x", "y"]] = xy
         write_table(self._path("poles"), table)
         return self._scores()
@@ -248,6 +249,7 @@ class _Variant:
             given.road_edges,
             self._settings.validation.reach_m,
             self._settings.validation.match_m,
+            self._settings.sightings.kinds,
             given.truth_kind,
             given.truth_crs,
             out=out,

@@ -86,7 +86,7 @@ def triangulate_poles(
     sightings = sightings.assign(anchored=in_cloud)
     if doubts_path:
         own = sightings[sightings["kind"] == "pole"]
-        doubts = pole_doubts(own, network, far_reaching(own, settings))
+        doubts = pole_doubts(sightings, network, far_reaching(own, settings))
         tell(doubts, doubts_path, "poles", log)
     poles, pole_of, scales = site_poles(sightings, settings)
     poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)

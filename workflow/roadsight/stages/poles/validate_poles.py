@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import math
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +15,7 @@ import pandas as pd
 import shapely
 
 from roadsight.base.arrays import Bools, Floats
-from roadsight.base.sections.poles import Validation
+from roadsight.base.sections.poles import SightingRules, Validation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
@@ -22,6 +23,7 @@ from roadsight.io.records.tables import read_table
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer
+from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.risk.scenarios import RouteTracks, ScenarioSettings, classify_places
 from roadsight.poles.risk.validation import (
     NEAR_EDGE_M,
@@ -62,6 +64,7 @@ def validate_poles(
     edges: Path,
     reach_m: Annotated[float, Validation],
     match_m: Annotated[float, Validation],
+    kinds: Annotated[Sequence[str], SightingRules],
     truth_kind: Annotated[str | None, "only those whose `kind` is this"] = None,
     truth_crs: Annotated[str | None, "CRS of a vector file that names none"] = None,
     pavement: Annotated[Path | None, "GeoPackage, to find extraneous features"] = None,
@@ -71,11 +74,16 @@ def validate_poles(
     *,
     out: Path,
 ) -> None:
-    """Write errors, scores by threshold and errors by scenario."""
+    """Write errors, scores by threshold and errors by scenario.
+
+    They are of poles, or of the kind of object that the known ones are said to be; the scores of
+    each other kind that was looked for stand beside them.
+    """
     frame = Frame.from_dict(read_json(frame_path))
     poles = read_table(poles_path)
     objects = poles[poles["kept"].to_numpy(bool)].reset_index(drop=True)
-    poles = objects[objects["kind"] == "pole"].reset_index(drop=True)
+    of_kind = truth_kind if truth_kind in KINDS else "pole"
+    poles = objects[objects["kind"] == of_kind].reset_index(drop=True)
     frames = read_table(frames_path, ["route", "sequence", "x", "y"])
     truth = read_points(truth_path, frame, truth_crs)
     places = truth[["x", "y"]].to_numpy(np.float64)
@@ -83,6 +91,8 @@ def validate_poles(
     signs = truth[truth["kind"] == "sign"] if "kind" in truth else truth[:0]
     if truth_kind:
         truth = truth[truth["kind"] == truth_kind].reset_index(drop=True)
+    elif "kind" in truth:
+        truth = truth[~truth["kind"].isin(set(KINDS) - {"pole"})].reset_index(drop=True)
     cameras_m = frames[["x", "y"]].dropna().to_numpy(np.float64)
     near = within_reach(_xy(truth), cameras_m, reach_m)
     known = truth[near].reset_index(drop=True)
@@ -109,7 +119,8 @@ def validate_poles(
     content["thresholds"] = score_thresholds(_xy(poles), _xy(known), THRESHOLDS_M)
     edges_m = read_table(edges, ["x", "y"]).to_numpy(np.float64)
     near_cameras = _Near(cameras_m, reach_m, edges_m)
-    content["kinds"] = _other_kinds(objects, signs, placed, roadside, frame, near_cameras)
+    found = _other_kinds(objects, signs, placed, roadside, frame, near_cameras)
+    content["kinds"] = {kind: scores for kind, scores in found.items() if kind in kinds}
     write_json(out, _plain(content))
 
 
@@ -131,6 +142,12 @@ class _Near:
         driven = self.edges_m[within_reach(self.edges_m, self.cameras_m, _DRIVEN_M)]
         return self.camera(places_m) & within_reach(places_m, driven, NEAR_EDGE_M)
 
+    def parts(self, lines: Sequence[shapely.Geometry]) -> list[Floats]:
+        """Parts of lines, places (n, 2) each, that lie within reach of a camera."""
+        around = shapely.union_all(shapely.buffer(shapely.points(self.cameras_m), self.reach_m))
+        inside = shapely.get_parts(shapely.intersection(list(lines), around))
+        return [shapely.get_coordinates(one) for one in inside if one.length > 0]
+
 
 def _other_kinds(
     objects: pd.DataFrame,
@@ -140,7 +157,7 @@ def _other_kinds(
     frame: Frame,
     near: _Near,
 ) -> dict[str, dict[str, float | int | None]]:
-    """Scores of signs, trees and guardrails, of kinds that were found or looked for in vain."""
+    """Scores of signs, trees and guardrails, of which any are known."""
     found = {}
     if len(signs):
         ours, theirs = _xy(objects[objects["kind"] == "sign"]), _xy(signs)
@@ -153,9 +170,7 @@ def _other_kinds(
         kept = rails[rails["kept"].to_numpy(bool)] if len(rails) else rails
         known = read_layer(roadside, "guardrails", frame)
         rails_m = [shapely.get_coordinates(one) for one in kept.geometry]
-        found["guardrail"] = score_lines(
-            rails_m, [shapely.get_coordinates(one) for one in known.geometry]
-        )
+        found["guardrail"] = score_lines(rails_m, near.parts(known.geometry))
     return found
 
 

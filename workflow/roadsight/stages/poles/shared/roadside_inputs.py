@@ -113,12 +113,18 @@ def given_roads(
         told += inventory_doubts(inventory, roads.roads, bool(routes))
     barriers: list[Barrier] = []
     lines: list[Floats] = []
+    names: list[str] = []
     if given.barriers:
         stated, names = read_barriers(given.barriers, frame, given.barriers_crs)
         lines = [line / scale for line in stated]
         barriers, more = barriers_along(lines, names, roads)
         told += more
-    new = {name: line for name, line in rails.items() if not _is_given(line, lines)}
+    # What was found in a former run and is given now keeps its name.
+    new = {
+        f"{name} found" if name in names else name: line
+        for name, line in rails.items()
+        if not _is_given(line, lines)
+    }
     barriers += barriers_along(list(new.values()), list(new), roads)[0]
     return roads, inventory, barriers, [*told, *edge_doubts(roads.roads)]
 
