@@ -1,7 +1,12 @@
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from roadsight.poles.sightings.rails import find_rail_returns, join_rails
 
@@ -83,3 +88,64 @@ def test_on_a_bridge_heights_count_from_the_deck(rng):
 
 def test_nothing_gives_nothing():
     assert lines(np.empty((0, 3))) == []
+
+
+def means_of_cells(points):
+    cells = np.floor(points[:, :2] / 0.1).astype(int)
+    _, number = np.unique(cells, axis=0, return_inverse=True)
+    return np.array([points[number.ravel() == k].mean(axis=0) for k in range(number.max() + 1)])
+
+
+def direction_by_lists(point, points, above):
+    """Direction in which a point is a rail's, or None: the rules one by one, on lists of pairs."""
+    near, over = (
+        tree[cKDTree(tree[:, :2]).query_ball_point(point[:2], 4.0)][:, :2] - point[:2]
+        for tree in (points, above)
+    )
+    best = (0.0, None)
+    for turn in np.arange(48) * np.pi / 48:
+        along, across = np.array([np.cos(turn), np.sin(turn)]), [np.sin(turn), -np.cos(turn)]
+        off, higher = np.abs(near @ across), np.abs(over @ across)
+        on, beside = off <= 0.15, (off >= 0.3) & (off <= 1.0)
+        pieces = set(np.floor(near[on] @ along).clip(-4, 3))
+        gapless = len(pieces) >= 6 or pieces >= {-4, -3, -2, -1} or pieces >= {0, 1, 2, 3}
+        if not gapless or beside.sum() > 0.7 * on.sum() or (higher <= 0.3).sum() > 0.3 * on.sum():
+            continue
+        score = on.sum() - off[on].sum() / 0.15
+        best = max(best, (score, turn), key=lambda one: one[0])
+    return best[1]
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**31), st.sampled_from([2.5, 20.0, 400.0]), st.sampled_from([1, 20, 300]))
+def test_returns_are_those_that_lists_of_pairs_give(seed, rail_per_m, plants_per_m2):
+    """Sparse and dense, beside plants that fill all cells, and below something high."""
+    rng = np.random.default_rng(seed)
+    way = straight(10) @ [[np.cos(seed), np.sin(seed)], [-np.sin(seed), np.cos(seed)]]
+    low = np.concatenate(
+        [
+            rail(rng, way, per_m=rail_per_m),
+            rng.uniform([-3, 1, 0.4], [3, 4, 1.0], (18 * plants_per_m2, 3)),
+        ]
+    )
+    high = rng.uniform([2, -4, 1.3], [6, 0, 1.9], (rng.integers(1, 60), 3))
+    xyz = np.concatenate([low, high])
+    found = find_rail_returns(xyz, xyz[:, 2], np.ones(len(xyz), np.uint8))
+    points, above = (means_of_cells(part) for part in (low, high))
+    turns = [direction_by_lists(point, points, above) for point in points]
+    rails = np.array([turn is not None for turn in turns])
+    assert found.xyz_m[:, :2] == pytest.approx(points[rails, :2], abs=1e-9)
+    true = np.array([[np.cos(turn), np.sin(turn)] for turn in turns if turn is not None])
+    assert found.direction == pytest.approx(true.reshape(-1, 2), abs=1e-9)
+
+
+def test_memory_goes_with_returns_and_not_with_pairs(rng):
+    find = find_rail_returns
+    plants = rng.uniform([0, 0, 0.4], [15, 15, 1.0], (9000, 3))
+    cls = np.ones(len(plants), np.uint8)
+    find(plants[:10], plants[:10, 2], cls[:10])  # compiles
+    tracemalloc.start()
+    find(plants, plants[:, 2], cls)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 500 * len(plants)
