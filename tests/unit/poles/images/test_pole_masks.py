@@ -175,6 +175,23 @@ def test_what_stands_on_no_post_on_more_or_could_be_anything_is_none():
     assert find_instances(wide, "sign") == []
 
 
+def test_what_hangs_on_a_pole_that_goes_on_above_it_is_none():
+    """A transformer of 40 by 70 px on a utility pole; a post may end a little above its board."""
+    for above, signs in ((0, 1), (50, 1), (90, 0), (300, 0)):
+        mask = np.full((HEIGHT, WIDTH), PixelClass.VEGETATION, np.uint8)
+        draw(mask, 400, 400 - above, 900)
+        mask[400:470, 380:420] = PixelClass.OTHER
+        assert len(find_instances(mask, "sign")) == signs
+
+
+def test_boards_above_one_another_on_a_post_are_two():
+    mask = np.full((HEIGHT, WIDTH), PixelClass.VEGETATION, np.uint8)
+    draw(mask, 400, 400, 900)
+    for top in (400, 520):
+        panel(mask, 370, top, size=60, cls=PixelClass.OTHER)
+    assert len(find_instances(mask, "sign")) == 2
+
+
 def test_the_middle_of_a_panel_that_the_frame_cuts_is_unknown():
     (sign,) = find_instances(panel(scene(), 0, 600), "sign")
     assert sign.reason == "cut by the frame"

@@ -46,6 +46,9 @@ _ON_A_POST = 0.8
 """Share of the rows below a board, as many as it has, in which its post is seen."""
 _POST_SHARE = 0.35
 """Share of what is below a board that its post takes at most."""
+_POST_ABOVE = 1.0
+"""Heights of a board by which its post may go on above it: utility poles go on above what hangs on
+them, such as transformers."""
 _POST_PX = 40.0
 """Posts that part a panel are narrower than this, px of such an image: one of 7 cm is, from 9 m on,
 in a view of 20 degrees."""
@@ -114,7 +117,8 @@ def find_instances(
 def _boards(mask: Bytes, posts: Bytes, settings: PoleMasks, scale: float) -> Bytes:
     """What stands on a post and is of no class that could: panels that a network does not know.
 
-    It is compact, at most three times as wide as high, and only its post is below it.
+    It is compact, at most three times as wide as high, and only its post is below it, which ends
+    at it or not far above.
     """
     board = _whole_panels(np.isin(mask, _BOARDS).view(np.uint8), posts, scale)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(
@@ -129,8 +133,11 @@ def _boards(mask: Bytes, posts: Bytes, settings: PoleMasks, scale: float) -> Byt
         if pixels < _COMPACT * width * height:
             continue
         below = posts[top + height : top + 2 * height, left : left + width]
-        middle = below[:, int(0.3 * width) : int(np.ceil(0.7 * width))]
-        if len(below) < height or middle.any(axis=1).mean() < _ON_A_POST:
+        middle = slice(int(0.3 * width), int(np.ceil(0.7 * width)))
+        if len(below) < height or below[:, middle].any(axis=1).mean() < _ON_A_POST:
+            continue
+        above = posts[max(top - 2 * height, 0) : top, left : left + width]
+        if above[:, middle].any(axis=1).sum() > _POST_ABOVE * height:
             continue
         if below.mean() < _POST_SHARE:
             found[labels == number] = 1
