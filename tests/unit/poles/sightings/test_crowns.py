@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from roadsight.poles.sightings.crowns import SIGMA_M, find_crowns
+from roadsight.poles.sightings.crowns import (
+    SIGMA_M,
+    canopy_cell_m,
+    find_crowns,
+    measure_density,
+)
 
 
 def tree(rng, x, y, height=10.0, per_m2=50.0):
@@ -24,7 +29,7 @@ def ground(rng, half=40.0, per_m2=20.0):
 def found(*parts, cls=5):
     xyz = np.concatenate(parts)
     classes = np.where(xyz[:, 2] > 0.5, cls, 2).astype(np.uint8)
-    return find_crowns(xyz, xyz[:, 2], classes)
+    return find_crowns(xyz, xyz[:, 2], classes, canopy_cell_m([measure_density(xyz[:, :2])]))
 
 
 def wire(rng, y, z):
@@ -67,16 +72,22 @@ def test_a_sparse_cloud_has_the_same_trees(rng):
     assert np.sort(crowns.xy_m[:, 0]) == pytest.approx([0, 12], abs=2.0)
 
 
+def test_cells_suit_the_sparser_part_of_a_cloud_and_no_margin():
+    edge = [canopy_cell_m([(20.0, 1000), (per_m2, area)]) for per_m2, area in ((4, 500), (4, 100))]
+    assert edge == [1.0, 0.5]
+    assert canopy_cell_m([(0.5, 10)]) == 1.2
+
+
 def test_the_order_of_returns_and_the_origin_do_not_matter(rng):
     xyz = np.concatenate([ground(rng), tree(rng, 3, 4), tree(rng, -6, 1)])
     cls = np.where(xyz[:, 2] > 0.5, 5, 2).astype(np.uint8)
-    here = find_crowns(xyz, xyz[:, 2], cls)
+    here = find_crowns(xyz, xyz[:, 2], cls, 0.5)
     order = rng.permutation(len(xyz))
-    mixed = find_crowns(xyz[order], xyz[order, 2], cls[order])
+    mixed = find_crowns(xyz[order], xyz[order, 2], cls[order], 0.5)
     assert np.array_equal(here.xy_m, mixed.xy_m) and np.array_equal(here.top_m, mixed.top_m)
-    there = find_crowns(np.add(xyz, (100.0, -50.0, 0.0)), xyz[:, 2], cls)
+    there = find_crowns(np.add(xyz, (100.0, -50.0, 0.0)), xyz[:, 2], cls, 0.5)
     assert there.xy_m == pytest.approx(np.add(here.xy_m, (100.0, -50.0)), abs=SIGMA_M)
 
 
 def test_nothing_gives_nothing():
-    assert len(find_crowns(np.empty((0, 3)), np.empty(0), np.empty(0, np.uint8))) == 0
+    assert len(find_crowns(np.empty((0, 3)), np.empty(0), np.empty(0, np.uint8), 0.5)) == 0

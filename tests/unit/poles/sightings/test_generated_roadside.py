@@ -28,7 +28,10 @@ def scanned(request):
 
 def test_trees_are_found_where_their_trunks_stand(scanned):
     site, xyz, above, cls = scanned
-    found, truth = find_crowns(xyz, above, cls).xy_m, np.array([t.xyz_m[:2] for t in site.trees])
+    found, truth = (
+        find_crowns(xyz, above, cls, 0.5).xy_m,
+        np.array([t.xyz_m[:2] for t in site.trees]),
+    )
     counts = []
     for places in (found, truth):
         station, offset = site.line.road(places).T

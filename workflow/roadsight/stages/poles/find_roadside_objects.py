@@ -18,15 +18,22 @@ from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
-from roadsight.poles.sightings.crowns import SIGMA_M, Crowns, find_crowns
+from roadsight.poles.sightings.crowns import (
+    SIGMA_M,
+    Crowns,
+    canopy_cell_m,
+    find_crowns,
+    measure_density,
+    reach_m,
+)
 from roadsight.poles.sightings.rails import RailReturns, find_rail_returns, join_rails
 from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("find_roadside_objects")
 COLUMNS = ("kind", "object", "x", "y", "z_ground", "top_m", "width_m", "sigma_m")
-_HALO_M = 8.0
-"""Margin of a tile: more than what decides about a crown or a return of a rail."""
+_HALO_M = 6.0
+"""Margin of a tile: more than what decides about a return of a rail. Crowns have their own."""
 
 
 def find_roadside_objects(
@@ -40,14 +47,15 @@ def find_roadside_objects(
     """Write a row for each tree, and one for each metre of each guardrail."""
     ground = read_raster(dem, Frame.from_dict(read_json(frame)))
     cloud = CloudTiles(cloud_path)
-    tiles = cloud.iter_tiles(_HALO_M, ["x", "y", "z", "classification"])
+    cell_m = _canopy_cell_m(cloud)
+    tiles = cloud.iter_tiles(max(_HALO_M, reach_m(cell_m)), ["x", "y", "z", "classification"])
     crowns, rails = [], [RailReturns(np.empty((0, 3)), np.empty((0, 2)))]
     for bounds, points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
         above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
         cls = points["classification"]
         if "tree" in kinds:
-            found = find_crowns(xyz, above, cls)
+            found = find_crowns(xyz, above, cls, cell_m)
             crowns.append(_trees(found, _inside(found.xy_m, bounds)))
         if "guardrail" in kinds:
             returns = find_rail_returns(xyz, above, cls)
@@ -69,6 +77,15 @@ def find_roadside_objects(
     table = table.astype({"object": np.int64, "kind": str})
     log.info("%d trees, %d guardrails", len(trees), len(lines))
     write_table(out, table, {"kinds": list(kinds)})
+
+
+def _canopy_cell_m(cloud: CloudTiles) -> float:
+    """One for the whole cloud, by a first pass over its tiles."""
+    densities = []
+    for number in range(len(cloud.tiles)):
+        points = cloud.read(["x", "y"], [number])
+        densities.append(measure_density(np.column_stack([points["x"], points["y"]])))
+    return canopy_cell_m(densities)
 
 
 def _inside(xy_m: Floats, bounds: tuple[float, float, float, float]) -> np.ndarray:
