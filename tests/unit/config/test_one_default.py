@@ -25,7 +25,6 @@ OTHER = {
     "placement/candidates/candidates.py": ("reach_m", "length of edge that says a direction"),
     "poles/alignment/landmarks.py": ("axis_px nearest_m farthest_m", "errors and reach of poles"),
     "poles/alignment/pose.py": ("height_m", "spread of a mount"),
-    "poles/alignment/roadway.py": ("radius_m", "around a camera"),
     "poles/alignment/solve.py": ("height_m pixels", "error of a height; of the coarse search"),
     "poles/alignment/track.py": ("reach_m", "length of track that says a heading"),
     "poles/calibration": ("images rounds", "images that spoke so far; turns of a search"),

@@ -15,7 +15,7 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.poles.alignment.roadside import RoadEdges
 
-_RADIUS_M = 30.0
+_AROUND_M = 30.0
 """How far around a place edges tell the road's direction and tilt. Where a road changes its bend
 within this, a mean direction lags behind by a sixth of the radius squared times the change: 0.4
 degrees on the generated rural road, always towards a straighter road, so that the lens found with
@@ -65,7 +65,7 @@ def roadway_at(
     place_xyz_m: ArrayLike,
     heading_deg: float,
     grade: float,
-    radius_m: float = _RADIUS_M,
+    radius_m: float = _AROUND_M,
 ) -> Roadway:
     """Road under a place.
 
