@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 from pyproj import CRS, Proj, Transformer
-from pyproj.proj import Factors
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
@@ -57,9 +56,7 @@ class SiteNorth:
 
         A direction's true bearing is its grid bearing plus this.
         """
-        if len(np.atleast_2d(xy_m)) == 0 or np.size(xy_m) == 0:  # PROJ takes no empty arrays
-            return np.empty(0)
-        return np.asarray(self._factors(xy_m).meridian_convergence, float)
+        return self._factor("meridian_convergence", xy_m)
 
     def scale(self, xy_m: ArrayLike) -> Floats:
         """Metres of the grid for each metre on the ellipsoid at local places (n, 2).
@@ -67,9 +64,12 @@ class SiteNorth:
         The root of the factor of areas: the factor itself where the projection is conformal, the
         mean over all directions to second order elsewhere.
         """
-        return np.sqrt(np.asarray(self._factors(xy_m).areal_scale, float))
+        return np.sqrt(self._factor("areal_scale", xy_m))
 
-    def _factors(self, xy_m: ArrayLike) -> Factors:
+    def _factor(self, name: str, xy_m: ArrayLike) -> Floats:
+        """A factor of the projection at local places (n, 2)."""
         native = self._frame.to_native(np.asarray(xy_m, float)[..., :2])
+        if native.size == 0:  # PROJ takes no empty arrays
+            return np.empty(native.shape[:-1])
         longitude, latitude = self._geodetic.transform(native[..., 0], native[..., 1])
-        return self._projection.get_factors(longitude, latitude)
+        return np.asarray(getattr(self._projection.get_factors(longitude, latitude), name), float)

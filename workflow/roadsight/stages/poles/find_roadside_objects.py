@@ -47,8 +47,11 @@ def find_roadside_objects(
     """Write a row for each tree, and one for each metre of each guardrail."""
     ground = read_raster(dem, Frame.from_dict(read_json(frame)))
     cloud = CloudTiles(cloud_path)
-    cell_m = _canopy_cell_m(cloud)
-    tiles = cloud.iter_tiles(max(_HALO_M, reach_m(cell_m)), ["x", "y", "z", "classification"])
+    cell_m, halo_m = np.nan, _HALO_M
+    if "tree" in kinds:
+        cell_m = _canopy_cell_m(cloud)
+        halo_m = max(_HALO_M, reach_m(cell_m))
+    tiles = cloud.iter_tiles(halo_m, ["x", "y", "z", "classification"])
     crowns, rails = [], [RailReturns(np.empty((0, 3)), np.empty((0, 2)))]
     for bounds, points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)

@@ -58,7 +58,8 @@ class ChangedSight:
         self.targets, self._feet_m, shape = read_shaped_targets(given)
         self._size_m: Any = shape if isinstance(shape, Box) else (shape.radius_m, shape.height_m)
         self._room_m = room_for(shape)
-        self.changes = changes(*given.tolerance.model_dump().values())
+        asked = given.tolerance
+        self.changes = changes(asked.move_m, asked.turn_deg, asked.other_height_m)
 
     @cached_property
     def _lidar(self) -> SurfelLidar:
