@@ -47,6 +47,10 @@ _WRITTEN_OUT = str.maketrans(
 
 FIRST_PLANS = ("os-64", "os-128")
 """Plans of a first run: two sensors that most roads can be covered with."""
+FIRST_SPACING_M = (8.0, 2.0)
+"""Metres between its candidates, along edges and in height: a seventh of the usual number."""
+FIRST_LIMIT_S = 20.0
+"""Limit of its covers: what is not proven by then has a bound."""
 
 
 @dataclass(frozen=True)
@@ -241,6 +245,10 @@ def site_text(
     found = "\n".join(_comment(sentence) for sentence in contents)
     paths = "\n".join(f"  - {json.dumps(cloud, ensure_ascii=False)}" for cloud in clouds)
     keys = "\n".join(finding.lines(key) for key, finding in findings.items())
+    (along, up), usual = FIRST_SPACING_M, Settings()
+    spacing = (
+        f"{usual.candidates.spacing_m:g} m along edges, {usual.candidates.height_step_m:g} m up"
+    )
     return f"""# Site file, written by `roadsight init`. Found in the clouds:
 {found}
 
@@ -268,6 +276,10 @@ placement:
 # orthophoto: orthophoto.tif
 # Settings of config/config.yaml that are others here.
 settings:
+  # Few candidates, for a quick first answer; usual are {spacing}.
+  candidates: {{spacing_m: {along:g}, height_step_m: {up:g}}}
+  # Usual are {usual.cover.time_limit_s:g} s. A plan that is not proven by then has a bound.
+  cover: {{time_limit_s: {FIRST_LIMIT_S:g}}}
   coverage:
     # Objects in the way (trees, signs) to solve each plan without; 1 tells what the worst costs.
     felled: 0

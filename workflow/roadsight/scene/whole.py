@@ -340,6 +340,7 @@ def published_road(
         description.intensity[rows] if use else None,
         settings.intensity_weight,
         seed,
+        judge=intensity_choice == "auto",
     )
     smooth = is_smooth(model, description.histograms, description.variation, description.intensity)
     traced = pavement_settings_for(column_m, PavementOutline())

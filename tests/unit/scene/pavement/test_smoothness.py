@@ -2,11 +2,18 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
-from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth, local_intensity
+from roadsight.scene.pavement.smoothness import (
+    fit_smoothness,
+    is_smooth,
+    local_intensity,
+    two_tones,
+)
 
 
 @pytest.fixture
@@ -113,3 +120,75 @@ class TestLocalIntensity:
 
     def test_no_points(self):
         assert local_intensity(np.empty(0), np.empty((0, 3), np.int64)).shape == (0,)
+
+
+@given(
+    middle=st.floats(1.0, 60_000.0),
+    spread=st.floats(0.01, 0.3),
+    share=st.floats(0.2, 0.8),
+    apart=st.floats(6.0, 20.0),
+    seed=st.integers(0, 2**16),
+)
+@settings(max_examples=25, deadline=None)
+def test_one_gaussian_is_one_tone_and_two_far_apart_are_two(middle, spread, share, apart, seed):
+    rng = np.random.default_rng(seed)
+    one = rng.normal(middle, spread * middle, 4000)
+    assert not two_tones(one, 1)
+    second = rng.random(4000) < share
+    assert two_tones(one + second * apart * spread * middle, 1)
+
+
+def test_equal_intensities_are_one_tone():
+    assert not two_tones(np.full(50, 7.0), 1)
+
+
+@pytest.fixture
+def ground():
+    """Smooth and rough ground whose shapes differ; its histograms, variation and who is smooth."""
+    rng = np.random.default_rng(5)
+    smooth = np.arange(4000) < 2600
+    histograms = np.zeros((4000, 33), np.float32)
+    histograms[:, 5], histograms[:, 20] = np.where(smooth, 100, 40), np.where(smooth, 20, 80)
+    histograms += rng.normal(0, 4, histograms.shape)
+    variation = np.where(smooth, 0.001, 0.02) * rng.lognormal(0, 0.3, 4000)
+    return histograms, variation, smooth
+
+
+def test_one_tone_only_takes_its_outliers_from_smooth_ground(ground):
+    histograms, variation, smooth = ground
+    rng = np.random.default_rng(6)
+    tones = rng.normal(200, 30, 4000)
+    bright = np.zeros(4000, bool)
+    bright[:100] = True  # a garden as smooth as the street
+    tones[bright] = 380
+    model = fit_smoothness(histograms, variation, tones, 1.5, 1, judge=True)
+    found = is_smooth(model, histograms, variation, tones)
+    assert not model.by_tone
+    assert not found[bright | ~smooth].any()
+    assert found[smooth & ~bright].mean() > 0.93
+    stated = fit_smoothness(histograms, variation, tones, 1.5, 1)
+    assert stated.by_tone
+
+
+def test_two_tones_part_the_ground_but_not_its_roughest(ground):
+    histograms, variation, _ = ground
+    rng = np.random.default_rng(7)
+    road = rng.random(4000) < 0.5
+    # Shape says nothing here; woods are as dark as the road, and rough.
+    histograms = np.repeat(histograms[:1], 4000, axis=0) + rng.normal(0, 4, (4000, 33))
+    woods = road & (rng.random(4000) < 0.1)
+    variation = np.where(woods, 0.02, 0.001) * rng.lognormal(0, 0.3, 4000)
+    tones = np.where(road, 40, 200) + rng.normal(0, 10, 4000)
+    model = fit_smoothness(histograms.astype(np.float32), variation, tones, 1.5, 1, judge=True)
+    found = is_smooth(model, histograms.astype(np.float32), variation, tones)
+    assert model.by_tone
+    assert not found[woods | ~road].any()
+    assert found[road & ~woods].mean() > 0.9
+
+
+def test_without_intensity_nothing_is_judged(ground):
+    histograms, variation, _ = ground
+    judged = fit_smoothness(histograms, variation, None, 1.5, 1, judge=True)
+    plain = fit_smoothness(histograms, variation, None, 1.5, 1)
+    np.testing.assert_array_equal(judged.centres, plain.centres)
+    assert judged.roughest == np.inf

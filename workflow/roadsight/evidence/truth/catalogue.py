@@ -75,6 +75,10 @@ def _street(name: str, *patterns: str) -> tuple[str, ...]:
 
 
 _CLOUD = ("frames.laz", "labels.npz", "poses.csv")
+_SURVEYS = {
+    "delft": ("clouds/delft/cloud.laz", "clouds/delft/bgt_*.sqlite"),
+    "amsterdam": ("clouds/amsterdam_poles/cloud.laz", "clouds/amsterdam_poles/roads.csv"),
+}
 _PHOTOGRAPHS = ("truth_cameras.csv", "images/*.jpg", "masks/*.png", "road_masks/*.png")
 
 AREAS: dict[str, Area] = {
@@ -100,7 +104,7 @@ AREAS: dict[str, Area] = {
         peer="all ground is road",
         datasets={
             **{f"street_{name}": _street(name, *_CLOUD) for name in STREETS},
-            "delft": ("clouds/delft/cloud.laz", "clouds/delft/bgt_*.sqlite"),
+            **_SURVEYS,
         },
         metrics={
             # The study's own two sites: 90.4 and 96.3 %.
@@ -112,7 +116,7 @@ AREAS: dict[str, Area] = {
     "edges": Area(
         title="Road edges beside surveyed ones",
         peer="outline of all ground",
-        datasets={"delft": ("clouds/delft/cloud.laz", "clouds/delft/bgt_*.sqlite")},
+        datasets=_SURVEYS,
         metrics={
             "median_distance": Metric("m", goal="<0.5"),
             "completeness_0.5m": Metric("%"),

@@ -1,4 +1,4 @@
-"""An old town from the air with its surveyed paved area: Delft.
+"""Towns from the air with their surveyed paved area: Delft, and a street of Amsterdam.
 
 The survey covers some of the streets. Found pavement is judged within 5 m of surveyed area, where
 the cloud has points and neither a building nor water lies.
@@ -6,13 +6,16 @@ the cloud has points and neither a building nor water lies.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pyogrio
 import shapely
+from numpy.typing import NDArray
 from rasterio import features
 from rasterio.transform import Affine
 from scipy import ndimage
@@ -79,12 +82,18 @@ class Survey:
 
 
 def read_survey(files: Sequence[Path]) -> Survey:
-    """Read the cloud and the surveyed polygons of roads and bridges, all in EPSG:28992."""
+    """Read the cloud and the surveyed polygons of roads and bridges, all in EPSG:28992.
+
+    Parameters
+    ----------
+    files : one .laz, and layers: .sqlite, or .csv with a column `polygon` of vertices as JSON.
+    """
     cloud = read_laz(next(path for path in files if path.suffix == ".laz"))
     origin = np.append(np.floor(cloud.xyz[:, :2].min(axis=0)), 0.0)
     xyz_m = cloud.xyz - origin
-    layers = [pyogrio.read_dataframe(path) for path in files if path.suffix == ".sqlite"]
-    paved = shapely.union_all(np.concatenate([layer.geometry.to_numpy() for layer in layers]))
+    paved = shapely.union_all(
+        np.concatenate([_polygons(path) for path in files if path.suffix != ".laz"])
+    )
     paved = shapely.transform(shapely.force_2d(paved), lambda xy: xy - origin[:2])
     grid = Grid.around(xyz_m[:, 0], xyz_m[:, 1], _CELL_M)
     classes = np.asarray(cloud.dims["classification"], np.uint8)
@@ -103,6 +112,14 @@ def read_survey(files: Sequence[Path]) -> Survey:
     water = survey.area_of(xyz_m[classes == _WATER])
     known = near & covered & ~(building & ~open_ground) & ~water
     return Survey(xyz_m, survey.intensity, classes, paved, grid, known)
+
+
+def _polygons(path: Path) -> NDArray[np.object_]:
+    """Surveyed polygons of one file, invalid ones repaired."""
+    if path.suffix == ".csv":
+        vertices = pd.read_csv(path)["polygon"].map(json.loads)
+        return shapely.make_valid(np.array([shapely.Polygon(ring) for ring in vertices], object))
+    return pyogrio.read_dataframe(path).geometry.to_numpy()
 
 
 def _closed(cells: Bools) -> Bools:

@@ -62,6 +62,8 @@ def cluster_fpfh(
         columns["smooth"] = np.concatenate(
             [_classify(model, part, np.load(file)) for part, file in parts]
         )
+    if use and not model.by_tone:
+        log.info("intensity forms no two groups: it takes only its outliers from smooth ground")
     about = {"voxel_size_m": size_m, "intensity_used": use}
     log.info("%.1f %% of %d columns are smooth", 100 * columns["smooth"].mean(), len(columns))
     write_table(out, columns, about)
@@ -146,6 +148,7 @@ def _fit(
         intensity,
         settings.intensity_weight,
         seed,
+        judge=settings.intensity == "auto",
     )
 
 
