@@ -102,6 +102,15 @@ def test_errors_of_axes_are_as_their_sigmas_say(noise_m):
     assert within[1] > 0.9
 
 
+def test_many_returns_place_a_stem_as_some_do_and_are_all_counted(rng):
+    angle = rng.uniform(0, 2 * np.pi, 20_000)
+    hits = 0.14 * np.column_stack([np.cos(angle), np.sin(angle)])
+    hits += rng.normal(0, 0.02, hits.shape)
+    xy, sigma, used = stem_axis(hits)
+    assert np.hypot(*xy) < 3 * sigma < 0.03
+    assert 0.97 * len(hits) < used <= len(hits)
+
+
 def test_arms_do_not_move_the_axis(rng):
     angle = rng.uniform(0, 2 * np.pi, 14)
     hits = 0.14 * np.column_stack([np.cos(angle), np.sin(angle)]) + rng.normal(0, 0.02, (14, 2))

@@ -47,6 +47,9 @@ _CENTRES_M = np.arange(-0.30, 0.301, _CENTRE_STEP_M)
 """Places tried in either direction from the median return."""
 _LEAST_SIGMA_M = _CENTRE_STEP_M / np.sqrt(12.0)
 """Standard deviation that no place gets below: what a step of the grid leaves open."""
+_MOST_RETURNS = 250
+"""Returns that place a stem; of more, evenly chosen ones. At 3 cm of noise they place it to 3 mm, a
+half of a grid step's sigma. A mobile map of 3.4 million points: 66 CPU s and 2.3 GB without."""
 _RADII_M = np.arange(0.03, 0.26, 0.02)
 """Radii tried, from a sign post's to a thick trunk's."""
 _USUAL_RADIUS_M = 0.13
@@ -196,7 +199,7 @@ def stem_axis(xy_m: Floats) -> tuple[Floats, float, int]:
 
     Parameters
     ----------
-    xy_m : (n, 2) returns, n at least 1.
+    xy_m : (n, 2) returns, n at least 1; of many, some count, evenly chosen in their order.
 
     Returns
     -------
@@ -205,7 +208,8 @@ def stem_axis(xy_m: Floats) -> tuple[Floats, float, int]:
     middle = np.median(xy_m, axis=0)
     offset = xy_m - middle
     x, y = np.meshgrid(_CENTRES_M, _CENTRES_M, indexing="ij")
-    away = np.hypot(offset[:, 0, None, None] - x, offset[:, 1, None, None] - y)
+    some = offset[:: -(-len(offset) // _MOST_RETURNS)]
+    away = np.hypot(some[:, 0, None, None] - x, some[:, 1, None, None] - y)
     off_m = away[..., None] - _RADII_M
     fits = np.stack(
         [
@@ -218,6 +222,7 @@ def stem_axis(xy_m: Floats) -> tuple[Floats, float, int]:
     centre = weight.sum(axis=(0, 3)) / weight.sum()
     mean = np.array([(centre * x).sum(), (centre * y).sum()])
     variance = 0.5 * (centre * ((x - mean[0]) ** 2 + (y - mean[1]) ** 2)).sum()
-    best = np.unravel_index(int(np.argmax(fits)), fits.shape)
-    agree = int(np.count_nonzero(np.abs(off_m[(slice(None), *best[1:])]) < 3.0 * _NOISE_M[best[0]]))
+    noise, *place, radius = np.unravel_index(int(np.argmax(fits)), fits.shape)
+    surface = np.hypot(*(offset - _CENTRES_M[place]).T) - _RADII_M[radius]
+    agree = int(np.count_nonzero(np.abs(surface) < 3.0 * _NOISE_M[noise]))
     return middle + mean, float(np.hypot(np.sqrt(variance), _LEAST_SIGMA_M)), agree
