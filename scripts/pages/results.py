@@ -1,4 +1,4 @@
-"""Pages of measured results, from the tables that the workflow writes; none is pasted."""
+"""Pages of measured and of published results, from the tables that hold them; none is pasted."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from roadsight.base.texts import read_yaml
 from roadsight.evidence.truth.catalogue import AREAS
 from roadsight.evidence.truth.table import MEAN, holds
 from roadsight.report.evidence.bench_page import BOUND, is_bound
@@ -18,6 +19,8 @@ from roadsight.report.evidence.truth_page import words
 from scripts.pages.markdown import code, escaped, table
 
 _NONE = "–"  # noqa: RUF001
+_ROUNDING = 1e-9
+"""What is nearer to zero is rounding of a solver."""
 
 
 def results_pages(results: Path) -> dict[str, str]:
@@ -64,6 +67,46 @@ def _tradeoffs(path: Path) -> str:
         for knob, rows in of_job.groupby("knob", sort=False):
             parts.append(f"### {knob}\n\n{plain_table(rows.to_dict('records'))}\n")
     return "".join(parts)
+
+
+def published_page(studies: Path) -> str:
+    """Markdown of what the studies printed of costs and accuracies.
+
+    Parameters
+    ----------
+    studies : ``config/tradeoffs.yaml``.
+    """
+    content = read_yaml(studies)
+    parts = [
+        "# What the studies published\n\nAs printed, from `config/tradeoffs.yaml`. The same is"
+        " varied here ([measured](tradeoffs.md)), and stages stand beside ours in"
+        " [beside peers](bench.md).\n\n"
+    ]
+    for study in content["studies"].values():
+        if printed := study.get("published"):
+            source = f"{code(study['knob'])}. {printed['source'].rstrip('.')}"
+            parts.append(f"## {escaped(study['title'])}\n\n{source}.\n\n")
+            rows = [[escaped(str(cell)) for cell in row] for row in printed["rows"]]
+            parts.append(table(printed["columns"], rows))
+    parts.append("## Stages of the pole job\n\nPole paper, Table 4.\n\n")
+    parts.append(_stage_table(content["published_stages"]))
+    return "".join(parts)
+
+
+def _stage_table(stages: list[dict[str, Any]]) -> str:
+    head = ("Stage", "min/mile", "Cores", "GPU", "Core-minutes a mile", "Rules that do the same")
+    rows = [
+        (
+            stage["title"],
+            _number(stage["minutes_per_mile"]),
+            str(stage["cores"]),
+            "yes" if stage.get("gpu") else "",
+            _number(stage["minutes_per_mile"] * stage["cores"]),
+            ", ".join(map(code, stage["rules"])),
+        )
+        for stage in stages
+    ]
+    return table(head, rows, right=(1, 2, 4))
 
 
 def _truth(path: Path) -> str:
@@ -121,7 +164,10 @@ def _bench(path: Path) -> str:
 
 
 def _bench_table(rows: list[dict[str, Any]]) -> str:
-    head = ("Kernel", "Workload", "Beside", "CPU s", "Its CPU s", "Ratio", "MiB", "Agreement")
+    head = (
+        *("Kernel", "Workload", "Beside", "CPU s", "Its CPU s", "Ratio", "Ratio by the clock"),
+        *("MiB", "Its MiB", "Agreement"),
+    )
     cells = [
         (
             escaped(str(row["kernel"])),
@@ -130,12 +176,21 @@ def _bench_table(rows: list[dict[str, Any]]) -> str:
             _number(row["cpu_s_ours"]),
             _number(row["cpu_s_against"]),
             _number(row["ratio"]),
+            _by_the_clock(row),
             _number(row["peak_mib_ours"]),
+            _number(row["peak_mib_against"]),
             f"{_number(row['agreement'])} {escaped(_text(row['agreement_metric']))}".strip(),
         )
         for row in rows
     ]
-    return table(head, cells, right=(3, 4, 5, 6))
+    return table(head, cells, right=range(3, 9))
+
+
+def _by_the_clock(row: Mapping[str, Any]) -> str:
+    """Quotient of both times by the clock, where threads make it another than that of CPU times."""
+    if "wall_s_ours" not in row:
+        return ""
+    return _number(row["wall_s_against"] / max(row["wall_s_ours"], _ROUNDING))
 
 
 def _float(value: Any) -> float:
@@ -147,6 +202,7 @@ def _number(value: Any) -> str:
     number = _float(value)
     if math.isnan(number):
         return _NONE
+    number = 0.0 if abs(number) < _ROUNDING else number
     return f"{number:,.3g}" if abs(number) < 1000 else f"{number:,.0f}"
 
 

@@ -226,6 +226,9 @@ def test_names_are_changed_and_edges_taken_over(page, project):
         .find((b) => b.textContent === 'Take over the 1 pole found').click()""")
     assert drawing(page)["mounts"] == [{"name": "p7", "x": 30, "y": 12, "height_m": None}]
     page.run("document.querySelector('[aria-label=\"Rename a1\"]').click()")
+    name = "document.querySelector('dialog input')"
+    assert page.run(f"({name}.value = 'two words', {name}.checkValidity())") is False
+    assert page.run(f"({name}.value = 'a-b_c.d', {name}.checkValidity())") is True
     page.run("""(() => {
         document.querySelector('dialog input').value = 'kerb';
         document.querySelector('dialog form').requestSubmit();

@@ -81,14 +81,11 @@ def setting(path):
     return lambda wildcards: NamedValue(path, SITES[wildcards.site].setting(path))
 
 
-def flags(section, *left_out):
+def flags(section):
     """Settings of a section as command-line options, for a rule that takes them all."""
-
-    def options(wildcards):
-        values = SITES[wildcards.site].setting(section)
-        return as_options(values.model_dump(exclude=set(left_out)))
-
-    return options
+    return lambda wildcards: as_options(
+        SITES[wildcards.site].setting(section).model_dump()
+    )
 
 
 def some_flags(section, *asked):

@@ -30,11 +30,7 @@ from tests.unit.scene.pavement.test_road_surface import street as kerbed_street
 
 ROOT = Path(__file__).resolve().parents[3]
 MODULES = sorted(set(roadsight._HOMES.values()))
-
-
 FUNCTIONS = sorted(name for name in roadsight.__all__ if name.islower())
-UNRUN = {"align"}
-"""Whose example needs a videolog: `tests/unit/commands/test_camera_verbs.py` runs it."""
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -43,7 +39,7 @@ def test_examples_hold(name, tmp_path, monkeypatch):
     module = importlib.import_module(f"roadsight.api.{name}")
     failed, attempted = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
     assert failed == 0
-    assert attempted > 1 or name == "drive"
+    assert attempted > 1
 
 
 @pytest.mark.parametrize("name", FUNCTIONS)
@@ -52,7 +48,7 @@ def test_every_function_has_its_contract_and_an_example(name):
     text = function.__doc__
     for part in ("Parameters", "Returns", "Raises", "Examples", ">>> "):
         assert part in text, part
-    assert ("# doctest: +SKIP" in text) == (name in UNRUN)
+    assert "+SKIP" not in text
     said = text[text.index("Parameters") : text.index("Returns")]
     for parameter in inspect.signature(function).parameters:
         assert re.search(rf"\b{parameter}\b.* :", said), parameter

@@ -8,7 +8,6 @@ import importlib
 import inspect
 import pkgutil
 import re
-from functools import cache
 from typing import Annotated, get_args, get_origin, get_type_hints
 
 import pytest
@@ -51,26 +50,16 @@ SECTIONS = {
 """All sections and their parts, by name."""
 
 
-@cache
-def named() -> dict[str, object]:
-    """What rules write by name in their flags: sections, and lists of settings."""
-    known: dict[str, object] = dict(SECTIONS)
-    for file in sorted((PROJECT / "workflow" / "rules").rglob("*_inputs.smk")):
-        for name, listed in re.findall(r"^([A-Z_]+) = (\([^()]*\))", file.read_text("utf-8"), re.M):
-            known[name] = eval(listed, known)
-    return known
-
-
 def handed_on(rule: str) -> set[str]:
     """Settings that a rule hands on together, by `flags`, `some_flags` and `sample_flags`."""
     found: set[str] = set()
     for kind, arguments in re.findall(r"(\w*flags)\(([^()]*)\)", rule):
-        asked = list(eval(f"[{arguments}]", named()))
+        asked = list(eval(f"[{arguments}]", dict(SECTIONS)))
         whole = set(Sample.model_fields if kind == "sample_flags" else sections()[asked.pop(0)])
         parts = [[part] if isinstance(part, str) else part.model_fields for part in asked]
         names = {name for part in parts for name in part}
         assert names <= whole
-        found |= whole - names if kind == "flags" else names
+        found |= whole if kind == "flags" else names
     return found
 
 

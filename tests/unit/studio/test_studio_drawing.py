@@ -57,6 +57,13 @@ def test_what_is_saved_is_loaded(project):
     assert loaded["own"] == {"edges": True, "zones": True, "mounts": True, "tma": False}
 
 
+def test_the_form_asks_for_what_is_taken(project):
+    fields = load_drawing(project.site("tiny"))["fields"]
+    assert fields["kind"]["enum"] == ["edge", "median", "line"]
+    assert (fields["height_m"]["exclusiveMinimum"], fields["height_m"]["maximum"]) == (0, 100)
+    assert fields["name"]["pattern"].endswith("{0,39}$")
+
+
 def test_layers_of_a_file_are_read_and_stay_named(project):
     save(project, edges=[EDGE], zones=[ZONE], mounts=[POLE], tma={"remove": [ZONE["points"]]})
     folder, site = Path("config/sites/tiny"), Path("config/sites/tiny.yaml")

@@ -13,6 +13,7 @@ import yaml
 
 from roadsight.base.errors import InputError
 from roadsight.config.plan_options import PlanOptions
+from roadsight.config.plans import Plan
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.vectors import read_polygons
 from roadsight.studio.plans.exports import Export, exported
@@ -249,6 +250,12 @@ def test_the_form_asks_for_what_the_settings_say(project):
     }
     assert fields["price"]["exclusiveMinimum"] == 0 and fields["price"]["maximum"] == 1e12
     assert (fields["sensors"]["type"], fields["cost"]["minimum"]) == ("integer", 0)
-    assert fields["title"]["type"] == "string"
-    script = (PROJECT / "workflow/roadsight/studio/assets/js/plans/form.js").read_text()
-    assert not [text for text in ("min:", "max:", "step:") if text in script]
+    assert (fields["title"]["minLength"], fields["title"]["maxLength"]) == (1, 200)
+    assert fields["title"]["description"] == Plan.model_fields["title"].description
+    assert fields["name"]["pattern"] == "^[a-z0-9][a-z0-9_-]*$"
+
+
+@pytest.mark.parametrize("form", ["plans/form.js", "edges/panel.js"])
+def test_no_form_writes_a_range_again(form):
+    script = (PROJECT / "workflow/roadsight/studio/assets/js" / form).read_text()
+    assert not [text for text in ("min:", "max:", "pattern:") if text in script]

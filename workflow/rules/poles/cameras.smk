@@ -4,6 +4,8 @@ REQUIRED INPUTS  results/{site}/poles/: frames, image edges, pole axes, road edg
 OUTPUTS          results/{site}/poles/: calibration, cameras or given_cameras, camera scores
 """
 
+from roadsight.base.sections.poles import AlignmentLimits, Reach
+
 
 rule calibrate_drive:
     input:
@@ -37,7 +39,7 @@ rule calibrate_drive:
     params:
         options=flags("calibration"),
         sides=some_flags("sightings", "left_yaw_deg", "right_yaw_deg"),
-        shared=flags("alignment", *ALIGNMENT_ONLY),
+        shared=some_flags("alignment", Reach),
         method=some_flags("alignment", "method"),
         dense=dense_options,
         images_sha256=dense_digest,
@@ -83,7 +85,7 @@ rule align_cameras:
         mem_mb=camera_memory,
     params:
         shards=setting("shards"),
-        options=flags("alignment", "landmarks", "ties"),
+        options=some_flags("alignment", "method", Reach, AlignmentLimits),
         corrections=corrections_file,
         corrected=shard_corrections,
         dense=dense_options,
@@ -122,7 +124,7 @@ rule use_given_cameras:
         ENVIRONMENT
     params:
         shards=setting("shards"),
-        shared=flags("alignment", *ALIGNMENT_ONLY),
+        shared=some_flags("alignment", Reach),
     shell:
         "python -m roadsight.stages.poles.use_given_cameras --frames {input.frames}"
         " --image-edges {input.image_edges} --road-edges {input.road_edges}"

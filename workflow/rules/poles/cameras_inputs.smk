@@ -167,15 +167,3 @@ def tied_points(wildcards):
     if SITES[wildcards.site].setting("alignment.ties") != "use":
         return []
     return all_matches(wildcards)
-
-
-# Settings of the alignment that are no options of the calibration of the drives.
-ALIGNMENT_ONLY = (
-    "landmarks",
-    "ties",
-    "method",
-    "max_residual_px",
-    "max_sigma_heading_deg",
-    "bound_m",
-    "bound_deg",
-)

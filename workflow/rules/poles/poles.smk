@@ -179,7 +179,7 @@ rule validate_poles:
         truth=layered_site("truth.poles", known_poles),
         truth_crs=site_field("truth.poles_crs"),
         truth_kind=known_pole_kind,
-        options=flags("validation", "components"),
+        options=some_flags("validation", "reach_m", "match_m"),
         kinds=some_flags("sightings", "kinds"),
     shell:
         "python -m roadsight.stages.poles.validate_poles --poles {input.poles}"

@@ -5,6 +5,8 @@ OUTPUTS          results/{site}/poles/: frames, profile of the drive, masks, dep
                  matches
 """
 
+from roadsight.base.sections.poles import PoleMasks
+
 
 rule read_videolog:
     input:
@@ -190,9 +192,7 @@ rule trace_pole_axes:
     params:
         shards=setting("shards"),
         views=used_views,
-        options=some_flags(
-            "sightings", "min_aspect", "min_width_px", "min_height_px", "wire_px"
-        ),
+        options=some_flags("sightings", PoleMasks),
     shell:
         "python -m roadsight.stages.poles.trace_pole_axes --frames {input.frames} --masks {input.masks}"
         " --views {params.views} {params.options} --shard {wildcards.shard}"

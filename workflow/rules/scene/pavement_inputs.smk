@@ -1,15 +1,11 @@
 """Helpers of the pavement rules: which way is taken, and what that way alone uses."""
 
-from roadsight.base.sections.scene import GroundClasses, PavementOutline
 from roadsight.scene.pavement.choice import (
     FINEST_M,
     MOST_CELLS,
     MOST_SHARPENED,
     choose_method,
 )
-
-OUTLINE = ("cluster_engine", *PavementOutline.model_fields)
-"""Settings that only the published way to the pavement uses."""
 
 
 def pavement_is_given(wildcards):

@@ -5,6 +5,8 @@ OUTPUTS          results/{site}/scene/: cloud, frame, profile, DEM, ground, pave
                  results/{site}/placement/edges.gpkg
 """
 
+from roadsight.base.sections.scene import GroundClasses, PavementOutline
+
 
 rule ingest_cloud:
     input:
@@ -149,7 +151,9 @@ rule extract_pavement:
         edges_crs=setting_of_pavement("surface", site_field("placement.edges_crs")),
         track=setting_of_pavement("surface", layered_site("placement.track")),
         track_crs=setting_of_pavement("surface", site_field("placement.track_crs")),
-        outline=setting_of_pavement("published", some_flags("pavement", *OUTLINE)),
+        outline=setting_of_pavement(
+            "published", some_flags("pavement", "cluster_engine", PavementOutline)
+        ),
     shell:
         "python -m roadsight.stages.scene.extract_pavement --site {wildcards.site}"
         " --cloud {input.cloud} --frame {input.frame} --ground {input.ground}"

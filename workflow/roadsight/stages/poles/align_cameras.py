@@ -148,8 +148,10 @@ def read_corrections(path: str | None, files: SceneFiles) -> dict[str, pd.Series
 def corrected(scene: AlignmentScene, place: Place, pose: pd.Series) -> dict[str, Any]:
     """Row of an image whose pose a person set: taken as it is, and compared with the road."""
     size = place.start.width_px, place.start.height_px
-    seen, there = scene.edges_of(place)
-    return camera_row(pose, size, BY_HAND, agreement(pose, size, seen, there), len(seen.uv_px))
+    image_edges, map_edges = scene.edges_of(place)
+    return camera_row(
+        pose, size, BY_HAND, agreement(pose, size, image_edges, map_edges), len(image_edges.uv_px)
+    )
 
 
 def _drive(drives: dict[Any, DriveCalibration], place: Place) -> DriveCalibration:

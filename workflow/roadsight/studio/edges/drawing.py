@@ -22,11 +22,14 @@ from roadsight.io.vector.vectors import read_layer, read_lines, read_polygons, w
 from roadsight.studio.edges.preview import lifted, rings
 from roadsight.studio.edges.shapes import (
     Drawing,
+    Edge,
+    Pole,
     edge_lines,
     monitored,
     mount_points,
     zone_polygons,
 )
+from roadsight.studio.fields import field_of
 from roadsight.studio.project import DEM, Project, SiteFolder
 from roadsight.studio.site_files import Writer, save_beside, saving, site_version
 
@@ -52,6 +55,11 @@ def load_drawing(site: SiteFolder) -> dict[str, Any]:
         "area": rings(current_area(site, frame), terrain),
         "own": {name: getattr(placement, name) is not None for name in LAYERS},
         "reference": _reference(site, frame, terrain),
+        "fields": {
+            "name": field_of(Pole, "name"),
+            "kind": field_of(Edge, "kind"),
+            "height_m": field_of(Pole, "height_m"),
+        },
         "spacing_m": site.resolved.settings.candidates.spacing_m,
         "frame": {
             "origin": list(frame.origin),

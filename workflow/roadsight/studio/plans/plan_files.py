@@ -12,13 +12,15 @@ from typing import Any
 import geopandas as gpd
 import pandas as pd
 import shapely
+from pydantic import TypeAdapter
 
 from roadsight.base.errors import InputError
-from roadsight.base.section import Section
+from roadsight.base.section import Name
 from roadsight.config.plan_options import FILES, Budget, PlanOptions
 from roadsight.config.plans import Plan, load_plans
 from roadsight.io.vector.vectors import read_polygons, write_geojson
 from roadsight.placement.sensors.sensors import load_sensors
+from roadsight.studio.fields import field_of
 from roadsight.studio.plans.plan_bodies import Barred, PlanBody, Standing
 from roadsight.studio.project import Project, SiteFolder
 from roadsight.studio.site_files import Writer, saving, site_version, write_site
@@ -40,21 +42,15 @@ def about_plans(project: Project, site: SiteFolder) -> dict[str, Any]:
         "version": site_version(site, "plans"),
         "sensors": [{"name": name, "cost": kind.cost} for name, kind in kinds.items()],
         "fields": {
-            "title": _field(Plan, "title"),
-            "at_least": _field(PlanOptions, "at_least"),
-            "sensors": _field(Budget, "sensors"),
-            "cost": _field(Budget, "cost"),
-            "price": _field(PlanOptions, "price"),
+            "name": TypeAdapter(Name).json_schema(),
+            "title": field_of(Plan, "title") | field_of(PlanBody, "title"),
+            "at_least": field_of(PlanOptions, "at_least"),
+            "sensors": field_of(Budget, "sensors"),
+            "cost": field_of(Budget, "cost"),
+            "price": field_of(PlanOptions, "price"),
         },
         "plans": [_described(name, plan) | {"own": name in own} for name, plan in plans.items()],
     }
-
-
-def _field(section: type[Section], name: str) -> dict[str, Any]:
-    """What a form asks for: description, type and range of a setting, as JSON schema has them."""
-    told: dict[str, Any] = section.model_json_schema()["properties"][name]
-    kinds = [kind for kind in told.pop("anyOf", ()) if kind["type"] != "null"]
-    return told | (kinds[0] if kinds else {})
 
 
 def _described(name: str, plan: Plan) -> dict[str, Any]:

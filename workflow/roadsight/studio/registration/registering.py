@@ -86,8 +86,11 @@ class BaselineBody(Shape):
 def image_content(drive: SiteDrive, number: int) -> dict[str, Any]:
     """Poses of an image, its edges, and the cloud's edges and poles around it."""
     place = drive.place(number)
-    seen, there = drive.scene.edges_of(place)
-    groups = [seen.uv_px[a:b] for a, b in zip(seen.groups[:-1], seen.groups[1:], strict=True)]
+    image_edges, map_edges = drive.scene.edges_of(place)
+    groups = [
+        image_edges.uv_px[a:b]
+        for a, b in zip(image_edges.groups[:-1], image_edges.groups[1:], strict=True)
+    ]
     names = ("lane_left", "lane_right", "border_left", "border_right")
     expected = drive.expected(place)
     return {
@@ -97,8 +100,8 @@ def image_content(drive: SiteDrive, number: int) -> dict[str, Any]:
         "solved": drive.solved(place.image),
         "corrected": place.image in drive.corrections,
         "pixels": {n: g.round(1).ravel().tolist() for n, g in zip(names, groups, strict=True)},
-        "left": there.xyz_m[: there.left].round(3).ravel().tolist(),
-        "right": there.xyz_m[there.left :].round(3).ravel().tolist(),
+        "left": map_edges.xyz_m[: map_edges.left].round(3).ravel().tolist(),
+        "right": map_edges.xyz_m[map_edges.left :].round(3).ravel().tolist(),
         "error": alignment_error(drive, place, drive.solved(place.image) or expected),
     }
 
@@ -110,17 +113,20 @@ def alignment_error(drive: SiteDrive, place: Place, pose: dict[str, float]) -> d
     in the published alignment; None where nothing is near. Edges that the image does not show (a
     crest, a crossing) weigh on the mean square; the median is what fits by eye.
     """
-    seen, there = drive.scene.edges_of(place)
+    image_edges, map_edges = drive.scene.edges_of(place)
     start = place.start
     camera = Intrinsics(start.width_px, start.height_px, pose["focal_px"], start.cx_px, start.cy_px)
     rotation = cam_from_world(pose["heading_deg"], pose["pitch_deg"], pose["roll_deg"])
-    uv, _ = project(camera, rotation, [pose["x"], pose["y"], pose["z"]], there.xyz_m)
+    uv, _ = project(camera, rotation, [pose["x"], pose["y"], pose["z"]], map_edges.xyz_m)
     inside = camera.contains(uv)
     found: dict[str, Any] = {}
     total, count, every = 0.0, 0, [np.empty(0)]
-    for side, part in (("left", slice(None, there.left)), ("right", slice(there.left, None))):
+    for side, part in (
+        ("left", slice(None, map_edges.left)),
+        ("right", slice(map_edges.left, None)),
+    ):
         first = ("left", "right").index(side)
-        pixels = np.concatenate([_group(seen, first), _group(seen, first + 2)])
+        pixels = np.concatenate([_group(image_edges, first), _group(image_edges, first + 2)])
         gained, near = squared_gaps(uv[part][inside[part]], pixels, WINDOW_PX)
         every.append(_gaps(uv[part][inside[part]], pixels))
         found[f"{side}_px"] = float(np.sqrt(gained / near)) if near else None

@@ -185,6 +185,7 @@ class Runs:
             "outside": outside,
             "locked": not alive and not outside and lock_is_there(root),
             "most_cores": os.cpu_count() or 1,
+            "usual": Order().model_dump(),
         }
         folder = self._folder
         if not (folder / ORDER).exists():

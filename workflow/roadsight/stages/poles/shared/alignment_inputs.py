@@ -82,16 +82,16 @@ class AlignmentScene:
     def edges_of(self, place: Place) -> tuple[ImageEdges, NearEdges]:
         """Road edges in one image, and those of the cloud that it may show."""
         empty = pd.DataFrame({name: [] for name in _EDGE})
-        seen = image_edges_of(self.pixels.get(place.image, empty), self.reach)
-        there = near_edges(place, self.edges, self.reach, self.visible)
-        return seen, lowered(there, place) if self.curved else there
+        image_edges = image_edges_of(self.pixels.get(place.image, empty), self.reach)
+        map_edges = near_edges(place, self.edges, self.reach, self.visible)
+        return image_edges, lowered(map_edges, place) if self.curved else map_edges
 
     def load(self, place: Place) -> Loader:
         """Maker of the task of one image."""
-        seen, there = self.edges_of(place)
+        image_edges, map_edges = self.edges_of(place)
         rows = self.axes.get(place.image)
         sight = None if rows is None else sight_of(place, rows, self.columns, self.landmarks)
-        return loader(place, seen, there, self.noise, sight)
+        return loader(place, image_edges, map_edges, self.noise, sight)
 
     def loaders(self) -> Iterator[tuple[Place, Loader]]:
         """Each place with the maker of its task."""

@@ -26,9 +26,12 @@ export function choice(options, value, onchange, label) {
   return group;
 }
 
-// What a setting of the server's schema asks of an input: its type and range.
-export function limits({ type, minimum, exclusiveMinimum, maximum, exclusiveMaximum }) {
-  if (type === "string") return { type: "text" };
+// What a field of the server's schemas asks of an input: its type and range. In patterns of inputs a
+// hyphen that ends a set of characters is escaped.
+export function limits({ type, minimum, exclusiveMinimum, maximum, exclusiveMaximum, minLength, maxLength, pattern }) {
+  if (type === "string") {
+    return { type: "text", required: Boolean(minLength || pattern), ...(maxLength && { maxLength }), ...(pattern && { pattern: pattern.replaceAll("-]", "\\-]") }) };
+  }
   return { type: "number", step: type === "integer" ? "1" : "any", min: minimum ?? exclusiveMinimum ?? "", max: maximum ?? exclusiveMaximum ?? "" };
 }
 

@@ -43,7 +43,7 @@ class EdgesPage {
   }
 
   take(loaded) {
-    Object.assign(this, { references: loaded.reference, area: loaded.area, own: loaded.own, frame: loaded.frame, version: loaded.version });
+    Object.assign(this, { references: loaded.reference, area: loaded.area, own: loaded.own, frame: loaded.frame, fields: loaded.fields, version: loaded.version });
   }
 
   tellRestored() {

@@ -1,7 +1,7 @@
 // The panel beside the drawing: tools, lists, numbers, and what is wrong.
 
-import { ask, button, choice, digits, el, select } from "../dom.js";
-import { KINDS, LAYERS, itemsOf, pointsOf, setPoint } from "./shapes.js";
+import { ask, button, choice, digits, el, fieldInput, select } from "../dom.js";
+import { LAYERS, itemsOf, pointsOf, setPoint } from "./shapes.js";
 
 const TOOLS = { select: "Select", edge: "Edge", zone: "Zone", mount: "Pole", add: "Add area", remove: "Cut area" };
 
@@ -118,25 +118,25 @@ export class Panel {
   }
 
   details(layer, item, number) {
-    const { history } = this.page;
+    const { history, fields } = this.page;
     const change = (edit) => history.change((drawing) => edit(itemsOf(drawing, layer)[number]));
     const rename = button("Rename", () => this.rename(layer, number), { "aria-label": `Rename ${item.name}` });
     if (layer === "edges") {
       const length = this.page.preview?.edges.find(({ name }) => name === item.name)?.length_m;
       return [el("span", { className: "end" }, `${digits(length, 0)} m`),
-        select(KINDS, item.kind, (kind) => change((edge) => { edge.kind = kind; }), { "aria-label": `Kind of ${item.name}` }), rename];
+        select(Object.fromEntries(fields.kind.enum.map((kind) => [kind, kind])), item.kind, (kind) => change((edge) => { edge.kind = kind; }), { "aria-label": `Kind of ${item.name}` }), rename];
     }
     if (layer !== "mounts") return [rename];
-    const height = el("input", { type: "number", min: 1, max: 100, step: 0.5, value: item.height_m ?? "", placeholder: "m high", "aria-label": `Height of ${item.name}`, "data-focus": `height${number}`,
+    const height = fieldInput(fields.height_m, { value: item.height_m ?? "", placeholder: "m high", "aria-label": `Height of ${item.name}`, "data-focus": `height${number}`,
       onchange: () => change((pole) => { pole.height_m = height.value === "" ? null : Number(height.value); }) });
     height.style.width = "76px";
     return [height, rename];
   }
 
   rename(layer, number) {
-    const { history } = this.page;
+    const { history, fields } = this.page;
     const before = itemsOf(history.now, layer)[number].name;
-    const name = el("input", { type: "text", value: before, pattern: "[A-Za-z0-9][A-Za-z0-9_.\\-]{0,39}", required: true, "aria-label": "Name" });
+    const name = fieldInput(fields.name, { value: before, "aria-label": "Name" });
     const dialog = el("dialog", { onclose: () => dialog.remove() });
     const form = el("form", { onsubmit: (event) => {
       event.preventDefault();

@@ -7,7 +7,6 @@ export const LAYERS = {
   add: { title: "Added area", tool: "add", least: 3, closed: true },
   remove: { title: "Removed area", tool: "remove", least: 3, closed: true },
 };
-export const KINDS = { edge: "edge", median: "median", line: "line" };
 const INITIAL = { edges: "e", zones: "zone", mounts: "p" };
 
 export const documentOf = ({ edges, zones, mounts }) => ({ edges, zones, mounts, tma: { base: "current", add: [], remove: [] } });

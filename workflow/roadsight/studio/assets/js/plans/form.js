@@ -22,8 +22,8 @@ class Form {
   constructor(site, { sensors, plans, version, fields }, base, edit, given) {
     Object.assign(this, { site, plans, version, fields, edit, given });
     this.base = plans.find(({ name }) => name === base) ?? null;
-    this.name = el("input", { type: "text", required: true, pattern: "[a-z0-9][a-z0-9_\\-]*", maxLength: 60, disabled: edit, "data-do": "plan-name" });
-    this.title = fieldInput(fields.title, { required: true, maxLength: 200, "data-do": "plan-title" });
+    this.name = fieldInput(fields.name, { maxLength: 60, disabled: edit, "data-do": "plan-name" });
+    this.title = fieldInput(fields.title, { "data-do": "plan-title" });
     this.start = select({ "": "nothing", ...Object.fromEntries(plans.map(({ name, title }) => [name, title])) }, this.base?.name ?? "", (name) => { this.base = plans.find((one) => one.name === name) ?? null; this.fill(); }, { disabled: edit || Boolean(given.mandatory), "data-do": "plan-base" });
     this.boxes = sensors.map(({ name, cost }) => el("label", {}, el("input", { type: "checkbox", value: name }), `${name} (${cost})`));
     this.least = fieldInput(fields.at_least, { placeholder: "as set", "data-do": "at-least" });

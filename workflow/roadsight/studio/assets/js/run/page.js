@@ -16,7 +16,7 @@ const IDLE_MS = 5000;
 
 class RunPage {
   constructor(site, project) {
-    Object.assign(this, { site, project, state: null, plan: null, order: { site: site.stem, target: "all", cores: 2 } });
+    Object.assign(this, { site, project, state: null, plan: null, order: {} });
     this.keys = { L: "look what is stale", S: "start", X: "stop" };
     this.panel = el("div", { className: "panel" });
     this.plans = new PlanList(site);
@@ -28,6 +28,7 @@ class RunPage {
 
   async open() {
     this.state = await get("run");
+    Object.assign(this.order, this.state.usual, { site: this.site.stem });
     if (this.state.order) Object.assign(this.order, { target: this.state.order.target, cores: this.state.order.cores, site: this.state.order.site && this.site.stem });
     this.show();
     await this.plans.load();
