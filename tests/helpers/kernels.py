@@ -1,14 +1,17 @@
-"""Compiled kernels go along where tests copy the project, since compiling them takes minutes.
+"""Compiled kernels: parts that a test calls, and those that go along where it copies the project.
 
-Numba names the folders of a cache by the path of the sources and judges them by their content, so
-that kernels of one checkout fit another that has the same sources, in folders of other names.
+Compiling them takes minutes. Numba names the folders of a cache by the path of the sources and
+judges them by their content, so that kernels of one checkout fit another that has the same sources,
+in folders of other names.
 """
 
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
+from numba import njit
 from numba.core.caching import UserProvidedCacheLocator
 
 from roadsight.config.environment import kernel_cache
@@ -26,3 +29,13 @@ def bring_kernels(source: Path, target: Path) -> None:
         if compiled.is_dir():
             new = here / named(target / relative / "module.py")
             shutil.copytree(compiled, new, dirs_exist_ok=True)
+
+
+def from_python(part: Callable) -> Callable:
+    """A kernel that does what a `compiled_part` does, which Python cannot call."""
+
+    @njit
+    def call(*given):
+        return part(*given)
+
+    return call

@@ -7,15 +7,16 @@ import pytest
 
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, pixel_directions, project
 from roadsight.poles.images.classes import PixelClass
-from roadsight.synthetic.casting.primitives import ray_cylinder
+from roadsight.synthetic.casting import primitives
+from roadsight.synthetic.rendering import rendering_noise
 from roadsight.synthetic.rendering.images import Camera, Finish, RuralRenderer
 from roadsight.synthetic.rendering.rendering_look import drive_look, random_look
-from roadsight.synthetic.rendering.rendering_noise import hashed, noise2
 from roadsight.synthetic.rendering.rendering_training import random_training_views
 from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_mesh import MeshBuilder
 from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.videolog import random_drives, shots
+from tests.helpers.kernels import from_python
 
 LOOK, FINISH = random_look(np.random.default_rng(0)), Finish()
 SMALL = Intrinsics.from_field_of_view(160, 104, 40.0)
@@ -74,6 +75,7 @@ def test_depth_of_a_pole_is_that_of_a_cylinder(site):
     camera = Camera(lens, cam_from_world(4.0, 3.0, 0.0), np.array([0.0, 0.0, 2.0]))
     view = renderer.render_view(camera, LOOK, FINISH, 0)
     start = camera.position_m - foot - [0.0, 0.0, 4.8]
+    ray_cylinder = from_python(primitives.ray_cylinder)
     wanted = np.array([ray_cylinder(*start, *ray, 0.15, 5.2) for ray in rays(camera)])
     wanted = (wanted * (rays(camera) @ camera.rotation[2])).reshape(view.depth_m.shape)
     both = np.isfinite(wanted) & np.isfinite(view.depth_m)
@@ -185,6 +187,7 @@ def test_training_views_differ_and_repeat():
 
 
 def test_noise_is_bounded_and_continuous():
+    noise2, hashed = from_python(rendering_noise.noise2), from_python(rendering_noise.hashed)
     values = [noise2(x, 0.3, 7) for x in np.linspace(-5.0, 5.0, 2001)]
     assert -1.0 <= min(values) < -0.3 and 0.3 < max(values) <= 1.0
     assert np.abs(np.diff(values)).max() < 0.025

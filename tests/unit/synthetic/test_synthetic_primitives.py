@@ -11,8 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from roadsight.synthetic.casting import primitives as prim
 from roadsight.synthetic.casting.primitives import BOX, CYLINDER, ELLIPSOID, RECTANGLE, TUBE, Bodies
+from tests.helpers.kernels import from_python
 
 STEP_M, REACH_M = 1e-3, 12.0
+ray_body, body_normal = from_python(prim.ray_body), from_python(prim.body_normal)
+ray_box, ray_cylinder = from_python(prim.ray_box), from_python(prim.ray_cylinder)
+ray_ellipsoid, ray_rectangle = from_python(prim.ray_ellipsoid), from_python(prim.ray_rectangle)
+ray_tube = from_python(prim.ray_tube)
 
 
 def implicit(kind, p, half):
@@ -81,18 +86,18 @@ def test_ranges_equal_dense_sampling_from_outside_and_inside(kind, rng):
         unit = (target - local) / np.linalg.norm(target - local)
         origin, direction = centre + rotation @ local, rotation @ unit
         bodies = one_body(kind, half, centre, rotation)
-        found = prim.ray_body(bodies, 0, *origin, *direction)
+        found = ray_body(bodies, 0, *origin, *direction)
         expected = sampled_range(kind, local, unit, half)
         if math.isinf(expected) and not math.isinf(found):
             # The sampling steps over chords shorter than a millimetre, or the end of its reach.
-            later = prim.ray_body(bodies, 0, *(origin + (found + 2e-6) * direction), *direction)
+            later = ray_body(bodies, 0, *(origin + (found + 2e-6) * direction), *direction)
             assert later < STEP_M or found > REACH_M - STEP_M
             continue
         assert found == pytest.approx(expected, abs=1e-9)
         hits += math.isfinite(expected)
         if math.isfinite(expected):
             point = origin + found * direction
-            normal = np.array(prim.body_normal(bodies, 0, *point))
+            normal = np.array(body_normal(bodies, 0, *point))
             normal = rotation.T @ normal / np.linalg.norm(normal)
             check_normal(kind, local + found * unit, normal, half)
     assert hits > 100
@@ -117,50 +122,50 @@ def check_normal(kind, point, normal, half):
 
 @pytest.mark.parametrize("kind", list(HALVES))
 def test_a_body_behind_the_origin_is_not_met(kind):
-    assert math.isinf(prim.ray_body(one_body(kind, HALVES[kind]), 0, 0.1, 0.1, 5.0, 0.0, 0.0, 1.0))
+    assert math.isinf(ray_body(one_body(kind, HALVES[kind]), 0, 0.1, 0.1, 5.0, 0.0, 0.0, 1.0))
 
 
 def test_closed_forms():
     unit = (1.0, 0.0, 0.0)
-    assert prim.ray_box(-5, 0, 0, *unit, 1, 1, 1) == 4.0
-    assert prim.ray_box(0, 0, 0, *unit, 1, 1, 1) == 1.0  # from inside, to the inner face
-    assert prim.ray_cylinder(-5, 0, 0, *unit, 0.5, 1) == 4.5
-    assert prim.ray_cylinder(0, 0, 5, 0.0, 0.0, -1.0, 0.5, 1) == 4.0  # onto the cap
-    assert prim.ray_ellipsoid(-5, 0, 0, *unit, 2, 1, 1) == 3.0
-    assert prim.ray_rectangle(0, 0, 3, 0.0, 0.0, -1.0, 1, 1) == 3.0
+    assert ray_box(-5, 0, 0, *unit, 1, 1, 1) == 4.0
+    assert ray_box(0, 0, 0, *unit, 1, 1, 1) == 1.0  # from inside, to the inner face
+    assert ray_cylinder(-5, 0, 0, *unit, 0.5, 1) == 4.5
+    assert ray_cylinder(0, 0, 5, 0.0, 0.0, -1.0, 0.5, 1) == 4.0  # onto the cap
+    assert ray_ellipsoid(-5, 0, 0, *unit, 2, 1, 1) == 3.0
+    assert ray_rectangle(0, 0, 3, 0.0, 0.0, -1.0, 1, 1) == 3.0
     diagonal = math.sqrt(0.5)
-    assert prim.ray_tube(0, 0, 0, diagonal, 0.0, diagonal, 2.0, 3.0) == pytest.approx(2 / diagonal)
+    assert ray_tube(0, 0, 0, diagonal, 0.0, diagonal, 2.0, 3.0) == pytest.approx(2 / diagonal)
 
 
 def test_grazing_counts_and_just_beside_does_not():
     y = math.nextafter(1.0, 2.0)
-    assert prim.ray_box(-5, 1.0, 0, 1.0, 0.0, 0.0, 1, 1, 1) == 4.0
-    assert math.isinf(prim.ray_box(-5, y, 0, 1.0, 0.0, 0.0, 1, 1, 1))
-    assert prim.ray_cylinder(-5, 1.0, 0, 1.0, 0.0, 0.0, 1, 1) == 5.0
-    assert math.isinf(prim.ray_cylinder(-5, y, 0, 1.0, 0.0, 0.0, 1, 1))
-    assert prim.ray_ellipsoid(-5, 1.0, 0, 1.0, 0.0, 0.0, 1, 1, 1) == 5.0
-    assert math.isinf(prim.ray_ellipsoid(-5, y, 0, 1.0, 0.0, 0.0, 1, 1, 1))
-    assert prim.ray_rectangle(1.0, 1.0, 3, 0.0, 0.0, -1.0, 1, 1) == 3.0
-    assert math.isinf(prim.ray_rectangle(y, 0, 3, 0.0, 0.0, -1.0, 1, 1))
+    assert ray_box(-5, 1.0, 0, 1.0, 0.0, 0.0, 1, 1, 1) == 4.0
+    assert math.isinf(ray_box(-5, y, 0, 1.0, 0.0, 0.0, 1, 1, 1))
+    assert ray_cylinder(-5, 1.0, 0, 1.0, 0.0, 0.0, 1, 1) == 5.0
+    assert math.isinf(ray_cylinder(-5, y, 0, 1.0, 0.0, 0.0, 1, 1))
+    assert ray_ellipsoid(-5, 1.0, 0, 1.0, 0.0, 0.0, 1, 1, 1) == 5.0
+    assert math.isinf(ray_ellipsoid(-5, y, 0, 1.0, 0.0, 0.0, 1, 1, 1))
+    assert ray_rectangle(1.0, 1.0, 3, 0.0, 0.0, -1.0, 1, 1) == 3.0
+    assert math.isinf(ray_rectangle(y, 0, 3, 0.0, 0.0, -1.0, 1, 1))
 
 
 def test_parallel_rays():
-    assert math.isinf(prim.ray_rectangle(-5, 0, 0, 1.0, 0.0, 0.0, 1, 1))  # within its plane
-    assert math.isinf(prim.ray_tube(0, 0, -9, 0.0, 0.0, 1.0, 1, 1))  # along its axis
-    assert math.isinf(prim.ray_box(-5, 0, 1.5, 1.0, 0.0, 0.0, 1, 1, 1))
-    assert math.isinf(prim.ray_cylinder(2, 0, -9, 0.0, 0.0, 1.0, 1, 1))
+    assert math.isinf(ray_rectangle(-5, 0, 0, 1.0, 0.0, 0.0, 1, 1))  # within its plane
+    assert math.isinf(ray_tube(0, 0, -9, 0.0, 0.0, 1.0, 1, 1))  # along its axis
+    assert math.isinf(ray_box(-5, 0, 1.5, 1.0, 0.0, 0.0, 1, 1, 1))
+    assert math.isinf(ray_cylinder(2, 0, -9, 0.0, 0.0, 1.0, 1, 1))
 
 
 def test_a_ray_that_starts_on_a_surface_does_not_meet_it_there():
-    assert math.isinf(prim.ray_box(1.0, 0, 0, 1.0, 0.0, 0.0, 1, 1, 1))
-    assert prim.ray_box(-1.0, 0, 0, 1.0, 0.0, 0.0, 1, 1, 1) == 2.0
-    assert math.isinf(prim.ray_rectangle(0, 0, 0, 0.0, 0.0, 1.0, 1, 1))
-    assert prim.ray_ellipsoid(-1.0, 0, 0, 1.0, 0.0, 0.0, 1, 1, 1) == 2.0
+    assert math.isinf(ray_box(1.0, 0, 0, 1.0, 0.0, 0.0, 1, 1, 1))
+    assert ray_box(-1.0, 0, 0, 1.0, 0.0, 0.0, 1, 1, 1) == 2.0
+    assert math.isinf(ray_rectangle(0, 0, 0, 0.0, 0.0, 1.0, 1, 1))
+    assert ray_ellipsoid(-1.0, 0, 0, 1.0, 0.0, 0.0, 1, 1, 1) == 2.0
 
 
 def test_a_tube_is_seen_through_its_ends_from_outside():
     into = np.array([0.2, 0.0, -1.0]) / math.hypot(0.2, 1.0)
-    found = prim.ray_tube(0, 0, 2.0, *into, 0.5, 1.0)
+    found = ray_tube(0, 0, 2.0, *into, 0.5, 1.0)
     assert found == pytest.approx(0.5 / into[0])  # enters by the open end, meets the inner face
 
 

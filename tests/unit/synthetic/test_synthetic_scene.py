@@ -12,10 +12,12 @@ from roadsight.synthetic.casting import simple_scenes as simple
 from roadsight.synthetic.casting.alignment import to_plan
 from roadsight.synthetic.casting.cellgrid import build_grid
 from roadsight.synthetic.casting.materials import TruthClass
-from roadsight.synthetic.casting.primitives import BOX, ray_body
+from roadsight.synthetic.casting.primitives import BOX
+from roadsight.synthetic.casting.primitives import ray_body as ray_body_part
 from roadsight.synthetic.casting.scene import NO_TERRAIN, Scene, SceneBuilder, rotation_zyx
 from roadsight.synthetic.casting.terrain import height_at
 from roadsight.synthetic.highway.highway import build_highway
+from tests.helpers.kernels import from_python
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +36,9 @@ def views(highway, rng, n):
     xy = to_plan(highway.alignment, road)
     z = height_at(highway.terrain, xy) + rng.choice([0.05, 2.4, 15.0], n)
     return np.column_stack([xy, z]), unit_vectors(rng, n)
+
+
+ray_body = from_python(ray_body_part)
 
 
 def bodies_one_by_one(scene, origins, directions, reach):

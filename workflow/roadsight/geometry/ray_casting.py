@@ -15,12 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from embreex import rtcore_scene
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bools, Floats32, Ints32
+from roadsight.base.kernels import compiled, compiled_part
 
 _PACKET = 16
 """Rays that Embree casts at once."""
@@ -226,7 +227,7 @@ def _call_embree(
     return types.void(*[types.intp] * 5), generate
 
 
-@njit(cache=True)
+@compiled_part()
 def _cast(call: _Call, rays: _Rays, begin: int) -> int:
     """Cast the rays from ``begin`` on that fit into a packet; how many they are."""
     packet, numbers = call.packet, call.numbers
@@ -247,7 +248,7 @@ def _cast(call: _Call, rays: _Rays, begin: int) -> int:
     return count
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _first_hits(call: _Call, rays: _Rays) -> tuple[Floats32, Ints32, Floats32, Floats32]:
     n, numbers = len(rays.ways), call.numbers
     range_m, triangle = np.empty(n, np.float32), np.empty(n, np.int32)
@@ -259,7 +260,7 @@ def _first_hits(call: _Call, rays: _Rays) -> tuple[Floats32, Ints32, Floats32, F
     return range_m, triangle, u, v
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def _occluded(call: _Call, rays: _Rays) -> Bools:
     hidden = np.empty(len(rays.ways), np.bool_)
     for begin in range(0, len(hidden), _PACKET):

@@ -17,11 +17,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import zstandard
-from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
+from roadsight.base.kernels import compiled
 from roadsight.io.records.atomic import WholeFile
 from roadsight.placement.sensors.rays import NOT_CAST_M
 
@@ -219,7 +219,7 @@ class DepthMaps:
         )
 
 
-@njit(cache=True)
+@compiled()
 def _encode(range_m: Floats32, step_m: float) -> NDArray[np.uint16]:
     """Whole steps, at least 2 for a return, as differences along each row modulo 2**16."""
     steps = np.empty(range_m.shape, np.uint16)
@@ -235,7 +235,7 @@ def _encode(range_m: Floats32, step_m: float) -> NDArray[np.uint16]:
     return steps
 
 
-@njit(cache=True)
+@compiled()
 def _decode(steps: NDArray[np.uint16], step_m: float) -> Floats32:
     range_m = np.empty(steps.shape, np.float32)
     for row in range(steps.shape[0]):

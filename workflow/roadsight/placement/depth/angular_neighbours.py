@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled, compiled_part
 
 _BINS_IN_REACH = 6
 """Bins within the reach of a beam. More of them mean fewer points to look at in more bins; what is
@@ -64,7 +64,7 @@ def bin_points(points: Spherical, reach_deg: float, edges_deg: Floats) -> Bins:
     return Bins(start, order, columns, rows, 360.0 / columns, height, bottom)
 
 
-@njit(cache=True)
+@compiled()
 def fill_cells(
     points: Spherical,
     bins: Bins,
@@ -93,7 +93,7 @@ def fill_cells(
                     depth_m[row, column] = _weighted_range(points, nearest[:found], beam)
 
 
-@njit(cache=True)
+@compiled_part()
 def _find_nearest(
     points: Spherical,
     bins: Bins,
@@ -135,7 +135,7 @@ def _find_nearest(
     return found
 
 
-@njit(cache=True)
+@compiled_part()
 def _scan_bin(
     points: Spherical,
     bins: Bins,
@@ -171,7 +171,7 @@ def _scan_bin(
     return found
 
 
-@njit(cache=True)
+@compiled_part()
 def _weighted_range(points: Spherical, nearest: Ints, beam_deg: tuple[float, float]) -> float:
     """Mean range weighted by the inverse distance to the beam (Eqs. 3 and 4)."""
     bx, by, bz = _direction(beam_deg[0], beam_deg[1])
@@ -190,7 +190,7 @@ def _weighted_range(points: Spherical, nearest: Ints, beam_deg: tuple[float, flo
     return on_beam / hits if hits else total / weights
 
 
-@njit(cache=True)
+@compiled_part()
 def _direction(azimuth_deg: float, elevation_deg: float) -> tuple[float, float, float]:
     azimuth, elevation = np.radians(azimuth_deg), np.radians(elevation_deg)
     horizontal = np.cos(elevation)

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Floats32
+from roadsight.base.kernels import compiled
 
 
 def fill_linearly(depth_m: Floats32, wanted: Bools, *, wraps: bool = True) -> Floats32:
@@ -39,7 +39,7 @@ def _along_rows(depth_m: Floats32, wraps: bool) -> tuple[Floats32, Floats32]:
     return value.astype(np.float32), (1 / nearest).astype(np.float32)
 
 
-@njit(cache=True)
+@compiled()
 def _last_known(depth_m: Floats32, wraps: bool) -> tuple[Floats32, Floats32]:
     """Of each cell the last known range before it in its row, and how many cells back, 0: none."""
     rows, columns = depth_m.shape

@@ -9,10 +9,10 @@ beam (Eqs. 3 and 4) and returns their mean range weighted by 1 / d (Steps 6 and 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Floats, Floats32, Ints
+from roadsight.base.kernels import compiled
 from roadsight.base.sections.sensing import Lidar
 from roadsight.placement.depth.angular_neighbours import Spherical, bin_points, fill_cells
 from roadsight.placement.sensors.sensors import Sensor
@@ -97,7 +97,7 @@ def least_ranges(points: Spherical, sensor: Sensor) -> tuple[Floats, Ints]:
     return least, counts
 
 
-@njit(cache=True)
+@compiled()
 def _spherical(
     xyz_m: NDArray[np.floating], position_m: Floats, yaw: float, max_range_m: float
 ) -> tuple[Floats, Floats, Floats]:
@@ -121,7 +121,7 @@ def _spherical(
     return azimuth[:n].copy(), elevation[:n].copy(), distance[:n].copy()
 
 
-@njit(cache=True)
+@compiled()
 def _least(
     points: Spherical,
     edges_deg: Floats,

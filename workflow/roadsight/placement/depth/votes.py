@@ -10,10 +10,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats, Floats32, Ints, Ints32
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.scene.surfels.samples import Samples
 
 _COLUMNS = 12
@@ -174,7 +174,7 @@ def _rows(
     return samples.starts[size, reached], samples.starts[size, reached + 1]
 
 
-@njit(cache=True)
+@compiled()
 def _bucket(x: float, y: float, z: float, columns: int, rows: int) -> tuple[float, float]:
     """Place of a unit vector on the grid of buckets: pseudo-angle and sine of the elevation.
 
@@ -189,7 +189,7 @@ def _bucket(x: float, y: float, z: float, columns: int, rows: int) -> tuple[floa
     return turn * columns / 4, (z + 1) * rows / 2
 
 
-@njit(cache=True)
+@compiled()
 def _seen_from(
     xyz_m: Floats32,
     points: Floats32,
@@ -262,7 +262,7 @@ def _seen_from(
     return seen, starts, least, most
 
 
-@njit(cache=True)
+@compiled()
 def _box(d: Floats32, columns: int, rows: int, radius: float) -> tuple[int, int, int, int]:
     """Buckets that hold all within an angle of a direction: rows, and columns to be wrapped."""
     column, row = _bucket(d[0], d[1], d[2], columns, rows)
@@ -275,7 +275,7 @@ def _box(d: Floats32, columns: int, rows: int, radius: float) -> tuple[int, int,
     return low, high, int(np.floor(column - wide)), int(np.floor(column + wide))
 
 
-@njit(cache=True)
+@compiled()
 def _count(starts: Ints32, columns: int, low: int, high: int, first: int, last: int) -> int:
     """Samples in a box of buckets, from the first rows of buckets alone."""
     total = 0
@@ -292,7 +292,7 @@ def _count(starts: Ints32, columns: int, low: int, high: int, first: int, last: 
     return total
 
 
-@njit(cache=True)
+@compiled()
 def _agree(
     starts: Ints32,
     least: Floats32,
@@ -316,7 +316,7 @@ def _agree(
     return total >= agreeing
 
 
-@njit(cache=True)
+@compiled()
 def _gather(
     d: Floats32,
     seen: Floats32,
@@ -342,7 +342,7 @@ def _gather(
     return n
 
 
-@njit(cache=True)
+@compiled_part()
 def _met_at(row: Floats32, d: Floats32, trusted_m: float, reach: float) -> float:
     """Range at which a beam meets a sample's plane, or the sample's own."""
     r = row[3]
@@ -356,7 +356,7 @@ def _met_at(row: Floats32, d: Floats32, trusted_m: float, reach: float) -> float
     return r
 
 
-@njit(cache=True)
+@compiled()
 def _cone(
     d: Floats32,
     starts: Ints32,
@@ -379,7 +379,7 @@ def _cone(
     return float(half * min(np.sqrt(4 / np.pi * voters / count) * 1.25, 1.0))
 
 
-@njit(cache=True)
+@compiled()
 def _vote(
     directions: Floats32,
     first_m: Floats32,
@@ -435,7 +435,7 @@ def _vote(
     return out
 
 
-@njit(cache=True)
+@compiled()
 def _first_layer(  # noqa: PLR0912
     t: Floats, weight: Floats, stops: Floats, near: Floats, n: int, layer_m: float
 ) -> float:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Floats32, Ints, Ints32
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.placement.sight.lanes import Traffic
 
 MOST_SENSORS = 12
@@ -105,7 +105,7 @@ def _mean_number(spans: Floats, per_m: Floats) -> float:
     return float((per_m[lane, kind] * (spans[:, 3] - spans[:, 2])).sum())
 
 
-@njit(cache=True)
+@compiled()
 def _seen_by_any(spans: Floats, owner: Ints, per_m: Floats, sensors: int) -> float:
     """One minus the share of the time in which all of the sensors are hidden."""
     sets = 1 << sensors
@@ -140,7 +140,7 @@ def _seen_by_any(spans: Floats, owner: Ints, per_m: Floats, sensors: int) -> flo
     return min(max(1.0 - none, 0.0), 1.0)
 
 
-@njit(cache=True)
+@compiled_part()
 def _joined(spans: Floats, count: int, lane: int, kind: int, start: float, end: float) -> int:
     """Number of spans once one is added: it grows one of its lane and class that it meets."""
     for k in range(count):
@@ -154,7 +154,7 @@ def _joined(spans: Floats, count: int, lane: int, kind: int, start: float, end: 
     return count + 1
 
 
-@njit(cache=True)
+@compiled()
 def _walk(
     lane: Ints32,
     station_m: Floats32,

@@ -8,10 +8,10 @@ upright, solid, capped cylinder, and in the vertical plane of one azimuth it is 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Floats, Floats32, Ints32
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.base.sections.sensing import Targets
 from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
@@ -68,7 +68,7 @@ def count_hits(
     )
 
 
-@njit(cache=True)
+@compiled()
 def _count(
     depth_m: Floats32,
     heading: Floats,
@@ -100,7 +100,7 @@ def _count(
     return hits
 
 
-@njit(cache=True)
+@compiled_part()
 def column_windows(
     x: float, y: float, radius_m: float, start_deg: float, cell_deg: float, columns: int
 ) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -120,7 +120,7 @@ def column_windows(
     )
 
 
-@njit(cache=True)
+@compiled_part()
 def _cut(low_deg: float, high_deg: float, cell_deg: float, columns: int) -> tuple[int, int]:
     """Columns whose centres lie between two azimuths, counted from the field of view's limit."""
     # Rounding must not lose a column whose beam just touches the circle; `chord` decides on it.
@@ -129,7 +129,7 @@ def _cut(low_deg: float, high_deg: float, cell_deg: float, columns: int) -> tupl
     return max(first, 0), min(last, columns - 1)
 
 
-@njit(cache=True)
+@compiled_part()
 def chord(x: float, y: float, cosine: float, sine: float, radius_m: float) -> tuple[float, float]:
     """Horizontal distances at which a beam enters and leaves a circle; (0, 0) if it does not."""
     along, beside = x * cosine + y * sine, x * sine - y * cosine
@@ -141,7 +141,7 @@ def chord(x: float, y: float, cosine: float, sine: float, radius_m: float) -> tu
     return near if near > _TOUCH_M else 0.0, along + half
 
 
-@njit(cache=True)
+@compiled_part()
 def rows_across(rectangle: tuple[float, float, float, float], slope: Floats) -> tuple[int, int]:
     """Range of rows whose slopes lead from the origin into a rectangle (near, far, low, high)."""
     near, far, low, high = rectangle
@@ -157,7 +157,7 @@ def rows_across(rectangle: tuple[float, float, float, float], slope: Floats) -> 
     return int(first), int(end)
 
 
-@njit(cache=True)
+@compiled_part()
 def entry(rectangle: tuple[float, float, float, float], slope: float) -> float:
     """Horizontal distance at which a beam enters a rectangle that it meets."""
     near, _, low, high = rectangle

@@ -7,10 +7,10 @@ it, so that it counts for nothing.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import chord, column_windows, entry, rows_across
@@ -62,7 +62,7 @@ def count_shared_hits(
     )
 
 
-@njit(cache=True)
+@compiled()
 def _count(
     depth_m: Floats32,
     heading: Floats,
@@ -104,7 +104,7 @@ def _count(
     return shares
 
 
-@njit(cache=True)
+@compiled_part()
 def slopes_into(rectangle: tuple[float, float, float, float]) -> tuple[float, float]:
     """Least and greatest slope of lines from the origin into a rectangle (near, far, low, high)."""
     near, far, low, high = rectangle
@@ -113,7 +113,7 @@ def slopes_into(rectangle: tuple[float, float, float, float]) -> tuple[float, fl
     return min(low / near, low / far), max(high / near, high / far)
 
 
-@njit(cache=True)
+@compiled()
 def overlap(middle: float, width: float, low: float, high: float) -> float:
     """Share of an interval about ``middle`` that lies between two limits."""
     if width <= 0.0:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import shapely
-from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats, Floats32, Ints32
+from roadsight.base.kernels import compiled
 from roadsight.placement.sight.carriageways import road_alongside
 from roadsight.placement.sight.passing import VehicleClass
 from roadsight.scene.grids import Grid
@@ -201,7 +201,7 @@ def free_shares(traffic: Traffic, sensor_m: Floats, targets_m: Floats) -> Floats
     return np.exp(-expected)
 
 
-@njit(cache=True)
+@compiled()
 def _expected(
     lane: Ints32,
     station_m: Floats32,

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Floats, Floats32, Ints32
+from roadsight.base.kernels import compiled
 from roadsight.placement.sensors.rays import beam_directions, sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import column_windows
@@ -102,7 +102,7 @@ def beams_on(
     )
 
 
-@njit(cache=True)
+@compiled()
 def count_met(
     depth_m: Floats32,
     directions: Floats32,

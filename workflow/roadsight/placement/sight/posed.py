@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Floats32
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.placement.sensors.rasters import PINHOLE, SPHERICAL, Raster
 from roadsight.placement.sensors.spinning import Sensor
 from roadsight.placement.sight.footprints import CLEAN_SHARE
@@ -109,7 +109,7 @@ def weigh_by_height(
     )
 
 
-@njit(cache=True)
+@compiled()
 def _weigh(
     scene_m: Floats32,
     slopes: Floats,
@@ -170,7 +170,7 @@ def _weigh(
     return found
 
 
-@njit(cache=True)
+@compiled_part()
 def _window(
     projection: int, ahead: float, left: float, up: float, around_m: float
 ) -> tuple[float, float, float, float]:
@@ -211,7 +211,7 @@ def _window(
     )
 
 
-@njit(cache=True)
+@compiled_part()
 def _tangents(ahead: float, beside: float, around_m: float) -> tuple[float, float]:
     """Slopes of the lines from the origin that touch a circle, cut to what lies ahead."""
     distance = np.sqrt(ahead * ahead + beside * beside)
@@ -224,7 +224,7 @@ def _tangents(ahead: float, beside: float, around_m: float) -> tuple[float, floa
     return np.tan(low), np.tan(high)
 
 
-@njit(cache=True)
+@compiled_part()
 def _direction(projection: int, u: float, v: float) -> _Ray:
     """Unit vector in the sensor frame."""
     if projection == SPHERICAL:
@@ -240,7 +240,7 @@ def _direction(projection: int, u: float, v: float) -> _Ray:
     return np.cos(angle), share * u, share * v
 
 
-@njit(cache=True)
+@compiled_part()
 def _turned(rotation: Floats, ray: _Ray) -> _Ray:
     return (
         rotation[0, 0] * ray[0] + rotation[0, 1] * ray[1] + rotation[0, 2] * ray[2],
@@ -249,7 +249,7 @@ def _turned(rotation: Floats, ray: _Ray) -> _Ray:
     )
 
 
-@njit(cache=True)
+@compiled()
 def scene_range_m(scene_m: Floats32, slopes: Floats, start: float, ray: _Ray) -> float:
     """Range of the scene along a unit vector of the local frame; 0 where nothing is in range.
 

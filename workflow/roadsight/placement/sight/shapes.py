@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats
+from roadsight.base.kernels import compiled_part
 from roadsight.placement.sight.detection import chord
 from roadsight.placement.sight.footprints import overlap, slopes_into
 
@@ -109,7 +109,7 @@ def relative_to(feet_m: Floats, position_m: Floats) -> Floats:
     return np.ascontiguousarray(moved)
 
 
-@njit(cache=True)
+@compiled_part()
 def ball_around(shape: Packed) -> tuple[float, float]:
     """Height of the middle of a ball about a shape, and its radius."""
     kind, long_m, wide_m, height_m = shape
@@ -117,7 +117,7 @@ def ball_around(shape: Packed) -> tuple[float, float]:
     return height_m / 2, np.sqrt(across + height_m**2 / 4)
 
 
-@njit(cache=True)
+@compiled_part()
 def entry_range_m(
     direction: tuple[float, float, float],
     foot: Floats,
@@ -151,7 +151,7 @@ def entry_range_m(
     return enter if enter < leave else 0.0
 
 
-@njit(cache=True)
+@compiled_part()
 def entered_at(shape: Packed, foot: Floats, ray: tuple[float, float, float]) -> float:
     """Range at which a ray from the origin along a unit vector enters a shape; 0 if it does not."""
     kind, long_m, wide_m, height_m = shape
@@ -173,7 +173,7 @@ def entered_at(shape: Packed, foot: Floats, ray: tuple[float, float, float]) -> 
     return enter if enter < leave else 0.0
 
 
-@njit(cache=True)
+@compiled_part()
 def height_band(
     shape: Packed, foot: Floats, ray: tuple[float, float, float], range_m: float, bands: int
 ) -> int:
@@ -182,7 +182,7 @@ def height_band(
     return min(max(int(share * bands), 0), bands - 1)
 
 
-@njit(cache=True)
+@compiled_part()
 def _along_box(foot: Floats, ray: tuple[float, float, float]) -> tuple[float, float, float, float]:
     """Ray and foot along the length and the width of a box."""
     cosine, sine = np.cos(foot[3]), np.sin(foot[3])
@@ -194,7 +194,7 @@ def _along_box(foot: Floats, ray: tuple[float, float, float]) -> tuple[float, fl
     )
 
 
-@njit(cache=True)
+@compiled_part()
 def footprint_share(
     shape: Packed,
     foot: Floats,
@@ -233,7 +233,7 @@ def footprint_share(
     return share * overlap(slope, tall, low, high)
 
 
-@njit(cache=True)
+@compiled_part()
 def _stretch(
     ahead_m: float, half_long: float, ahead: float, left_m: float, half_wide: float, left: float
 ) -> tuple[float, float]:

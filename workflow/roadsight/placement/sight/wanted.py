@@ -7,10 +7,10 @@ scene along beams that meet a target and along no other, so that those alone are
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.kernels import compiled
 from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import column_windows, rows_across
@@ -77,7 +77,7 @@ def beams_wanted(
     return wanted
 
 
-@njit(cache=True)
+@compiled()
 def _mark(
     wanted: Bools,
     slope: Floats,

@@ -7,9 +7,9 @@ start's heading) and yaw, pitch, roll (degrees). Axes and angles as in `geometry
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Floats32, Ints
+from roadsight.base.kernels import compiled
 
 SIZE = 6
 """Along, lateral, up, yaw, pitch, roll."""
@@ -18,7 +18,7 @@ _NEAREST_M = 0.5
 _RADIANS = np.pi / 180.0
 
 
-@njit(cache=True)
+@compiled()
 def turned(heading: float, pitch: float, roll: float) -> Floats:
     """Rotation cam_from_world and its slopes by heading, pitch and roll: (4, 3, 3); radians."""
     sin_h, cos_h = np.sin(heading), np.cos(heading)
@@ -55,7 +55,7 @@ def turned(heading: float, pitch: float, roll: float) -> Floats:
     return out
 
 
-@njit(cache=True)
+@compiled()
 def score(  # noqa: PLR0912
     offsets: Floats,
     pose: Floats,

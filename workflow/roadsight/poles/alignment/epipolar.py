@@ -9,9 +9,9 @@ looks.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.poles.alignment.kernel import camera
 
 _DEGREE = np.pi / 180.0
@@ -20,7 +20,7 @@ POSED = 6
 """How many of the unknowns place and turn a camera."""
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_part(error_model="numpy")
 def _rays(
     pixels: Floats, start: Floats, unknowns: Floats, turn: Floats, turns: Floats
 ) -> tuple[Floats, Floats]:
@@ -43,14 +43,14 @@ def _rays(
     return rays, moved
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_part(error_model="numpy")
 def _cross(a: Floats, b: Floats) -> Floats:
     return np.array(
         [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_part(error_model="numpy")
 def _along(row: Floats, start: Floats, moves: Floats, by_centre: Floats) -> None:
     """Fill the derivatives by the place, which also turns a camera with its road."""
     for a in range(3):
@@ -58,7 +58,7 @@ def _along(row: Floats, start: Floats, moves: Floats, by_centre: Floats) -> None
     row[0] += (start[10] * row[3] + start[11] * row[4]) / _DEGREE
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def shared_misfit(
     unknowns: tuple[Floats, Floats],
     starts: tuple[Floats, Floats],

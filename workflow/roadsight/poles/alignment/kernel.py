@@ -8,9 +8,9 @@ Pixels cannot leave the image, so that a pose cannot improve by moving the road 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.base.kernels import compiled, compiled_part
 
 _DEGREE = np.pi / 180.0
 """Radians in a degree."""
@@ -20,7 +20,7 @@ _BLOCK = 8
 """Points in a box: smaller boxes are more boxes to compare, larger ones more distances in each."""
 
 
-@njit(cache=True, error_model="numpy", fastmath=False)
+@compiled(error_model="numpy")
 def camera(start: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """cam_from_world, its derivatives by yaw, pitch, roll (degrees), centre, its derivatives."""
     heading = start[3] + start[10] * unknowns[0] + unknowns[3] * _DEGREE
@@ -50,7 +50,7 @@ def camera(start: Floats, unknowns: Floats) -> tuple[Floats, Floats, Floats, Flo
     return turn[0], turn[1:], centre, moves
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_part(error_model="numpy")
 def _project(
     xyz: Floats,
     along: Floats,
@@ -90,7 +90,7 @@ def _project(
     return rows[np.argsort(rows[:, 1], kind="mergesort")]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_part(error_model="numpy")
 def _boxes(rows: Floats) -> Floats:
     """Least and greatest u and v (b, 4) of every few rows, which are sorted by v."""
     boxes = np.empty(((len(rows) + _BLOCK - 1) // _BLOCK, 4))
@@ -108,7 +108,7 @@ def _boxes(rows: Floats) -> Floats:
     return boxes
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_part(error_model="numpy")
 def _nearest(rows: Floats, boxes: Floats, u: float, v: float) -> int:
     """Row nearest to a pixel; rows are sorted by v, and there is at least one.
 
@@ -140,7 +140,7 @@ def _nearest(rows: Floats, boxes: Floats, u: float, v: float) -> int:
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a whole
     unknowns: Floats,
     start: Floats,
@@ -247,7 +247,7 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
     return cost, normal, gradient, residuals
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def costs(
     trials: Floats,
     start: Floats,

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled
 from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import TURNS
 
@@ -167,7 +167,7 @@ def mapped_rows(columns: Columns, origin_m: Floats) -> Floats:
     return np.column_stack([foot, foot[:, 2] + columns.top_m])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def measure(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -> Floats:
     """Rows (k, 5) of axis against column, pair by pair.
 
@@ -202,7 +202,7 @@ def measure(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -
     return rows
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def slopes(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -> Floats:
     """Derivatives (k, 3, n) of bearing, foot and top of `measure` by the unknowns (n,)."""
     found = np.zeros((len(observed), 3, len(unknowns)))
@@ -223,7 +223,7 @@ def slopes(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) ->
     return found
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def landmark_misfit(
     unknowns: Floats,
     start: Floats,

@@ -7,10 +7,10 @@ pixel of its own side within a window, box bounds around the baseline, 1,000 ite
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.optimize import Bounds, minimize
 
 from roadsight.base.arrays import Floats
+from roadsight.base.kernels import compiled
 from roadsight.base.sections.poles import AlignmentLimits
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.poles.alignment.pose import FOCAL, SIZE, Start, pose_of
@@ -90,7 +90,7 @@ def _mean_square(
     return total / count if count else window_px**2
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def squared_gaps(points: Floats, pixels: Floats, window_px: float) -> tuple[float, int]:
     """Sum of squared distances to the nearest pixel in the window, and of how many points."""
     total, count = 0.0, 0

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Floats
+from roadsight.base.kernels import compiled
 
 
 def sides_of_track(points_xy_m: ArrayLike, track_xy_m: ArrayLike) -> NDArray[np.int8]:
@@ -35,7 +35,7 @@ def _distinct(track_m: Floats) -> Floats:
     return track_m[moved]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _sides(points: Floats, track: Floats) -> NDArray[np.int8]:
     sides = np.zeros(len(points), np.int8)
     last = len(track) - 2

@@ -12,10 +12,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled
 from roadsight.poles.images import evidence
 
 SIDE, TOP, FOOT, MARK, FLAT, TALL, BRIGHT_SIDE, BRIGHT_TOP = range(8)
@@ -128,7 +128,7 @@ def intensity_contrast(xyz_m: Floats, intensity: Floats, is_ground: Bools) -> Fl
     return contrast
 
 
-@njit(cache=True)
+@compiled()
 def nearest_returns(
     xyz_m: Floats,
     rotation: Floats,
@@ -168,7 +168,7 @@ def nearest_returns(
     return depth, number, uvz, cell
 
 
-@njit(cache=True)
+@compiled()
 def front_returns(depth: Floats, uvz: Floats, cell: Ints, intensity: Floats) -> tuple[Ints, Floats]:
     """Outermost points (rows, columns, 4) of each cell's front surface, and its mean intensity.
 
@@ -197,7 +197,7 @@ def front_returns(depth: Floats, uvz: Floats, cell: Ints, intensity: Floats) -> 
     return ends, total
 
 
-@njit(cache=True)
+@compiled()
 def hidden_cells(depth: Floats) -> Bools:
     """Cells with a much nearer one on both sides, or above and below: a sparse front hides them."""
     rows, columns = depth.shape
@@ -217,7 +217,7 @@ def hidden_cells(depth: Floats) -> Bools:
     return out
 
 
-@njit(cache=True)
+@compiled()
 def depth_edges(  # noqa: PLR0912
     depth: Floats, ends: Ints, number: Ints, hidden: Bools, height_m: Floats
 ) -> tuple[Ints, Ints]:

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.base.sections.poles import EdgeTracing
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.lanes import (
@@ -118,7 +118,7 @@ def _cleaned_road(road: NDArray, settings: EdgeTracing) -> Bytes:
     return 1 - without_specks(1 - cleaned, smallest)
 
 
-@njit(cache=True)
+@compiled()
 def _road_span(road: Bytes) -> Floats:
     """First and last road column of each row (rows, 2), NaN without road."""
     rows, columns = road.shape
@@ -244,7 +244,7 @@ def _half_way(lanes: Floats, tolerance_px: float) -> Curve | None:
     return fit_curve(np.column_stack([half, rows[two].astype(float)]), tolerance_px)
 
 
-@njit(cache=True)
+@compiled()
 def _road_ahead(road: Bytes, hints: Floats) -> Floats:
     """Column (rows,) that goes straight up from the middle, and follows the road where it bends.
 
@@ -277,7 +277,7 @@ def _road_ahead(road: Bytes, hints: Floats) -> Floats:
     return line
 
 
-@njit(cache=True)
+@compiled_part()
 def _nearest_road(line: Bytes, start: int, reach: int) -> int:
     """Nearest road column to ``start`` within ``reach``, the left one of two; -1 if none."""
     for step in range(reach + 1):

@@ -8,9 +8,9 @@ what lies behind a parked car is not looked for.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Bytes, Floats
+from roadsight.base.kernels import compiled
 from roadsight.poles.images.classes import PixelClass
 
 # 1 for the classes over which the road runs on.
@@ -44,7 +44,7 @@ def on_nearest_border(
     return (points[:, 0] >= low) & (points[:, 0] <= high)
 
 
-@njit(cache=True)
+@compiled()
 def _first_ends(road: Bytes, kerb: Bytes, dividing: Floats) -> Floats:
     """Columns (rows, 4) between which the left and the right border lie; NaN without road."""
     rows, columns = road.shape

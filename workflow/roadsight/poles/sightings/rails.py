@@ -9,13 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix, csr_matrix
 from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.sightings.lidar_poles import NO_COLUMN
 
@@ -137,7 +137,7 @@ def _columns(thinned: Floats) -> Ints:
     return np.concatenate([column[:1], np.searchsorted(column, bounds)])
 
 
-@njit(cache=True)
+@compiled_part()
 def _gather(x: float, y: float, reach_m: float, points: Floats, columns: Ints, near: Floats) -> int:
     """Write the offsets (2, n) of the points within reach of a place, in their order; n of them."""
     first = max(int(np.floor((x - reach_m) / _THIN_M)) - 1 - columns[0], 0)
@@ -162,7 +162,7 @@ def _gather(x: float, y: float, reach_m: float, points: Floats, columns: Ints, n
     return count
 
 
-@njit(cache=True)
+@compiled()
 def _directions(
     points: Floats, columns: Ints, above: Floats, columns_above: Ints, ways: Floats
 ) -> Ints:
@@ -190,7 +190,7 @@ def _directions(
     return best
 
 
-@njit(cache=True)
+@compiled_part()
 def _counts(x: Floats, y: Floats, along_x: float, along_y: float) -> tuple[int, int]:
     """Points on a line through the origin, and beside it; flat arrays, which compile to vectors."""
     on, beside = 0, 0
@@ -201,7 +201,7 @@ def _counts(x: Floats, y: Floats, along_x: float, along_y: float) -> tuple[int, 
     return on, beside
 
 
-@njit(cache=True)
+@compiled_part()
 def _within(near: Floats, way: Floats, across_m: float) -> tuple[int, float]:
     """Number of points so near to a line through the origin, and the sum of their distances."""
     count, off = 0, 0.0
@@ -213,7 +213,7 @@ def _within(near: Floats, way: Floats, across_m: float) -> tuple[int, float]:
     return count, off
 
 
-@njit(cache=True)
+@compiled_part()
 def _goes_on(near: Floats, way: Floats) -> bool:
     """Whether points on the line fill most of its pieces, or all on one side."""
     side = int(REACH_M / _BIN_M)

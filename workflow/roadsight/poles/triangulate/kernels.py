@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled, compiled_part
 
 NEAREST_M = 0.5
 """A pole stands farther from a camera than this: the vehicle is in between."""
@@ -63,7 +63,7 @@ class Likelihood(NamedTuple):
     base_m: float
 
 
-@njit(cache=True)
+@compiled()
 def misfit(
     model: Likelihood, x: float, y: float, i: int, most: float
 ) -> tuple[float, float, float]:
@@ -95,7 +95,7 @@ def misfit(
     return chi2, -0.5 * (chi2 + np.log(4 * np.pi**2 * across * along)), r
 
 
-@njit(cache=True)
+@compiled()
 def settle(model: Likelihood, x: float, y: float, members: Ints) -> tuple[float, float, float]:
     """Place of members by Gauss-Newton, and half the log determinant of its covariance.
 
@@ -138,13 +138,13 @@ def settle(model: Likelihood, x: float, y: float, members: Ints) -> tuple[float,
     return x, y, half
 
 
-@njit(cache=True)
+@compiled_part()
 def bin_of(model: Likelihood, r: float) -> int:
     """Bin of a distance within reach."""
     return min(int(r / BIN_M), len(model.odds) - 1)
 
 
-@njit(cache=True)
+@compiled()
 def speaks(model: Likelihood, x: float, y: float, i: int, widen: float) -> float:
     """What ray i adds to the log evidence of a pole at a place, against being a stray.
 
@@ -156,7 +156,7 @@ def speaks(model: Likelihood, x: float, y: float, i: int, widen: float) -> float
     return density - model.stray[i] + model.odds[bin_of(model, r)]
 
 
-@njit(cache=True)
+@compiled()
 def choose(
     model: Likelihood, x: float, y: float, near: Ints, free: Bools, first: bool
 ) -> tuple[Ints, int]:
@@ -185,7 +185,7 @@ def choose(
     return members, count
 
 
-@njit(cache=True)
+@compiled()
 def grow(
     model: Likelihood, x: float, y: float, near: Ints, free: Bools
 ) -> tuple[Ints, float, float, float]:
@@ -211,7 +211,7 @@ def grow(
     return before, x, y, half
 
 
-@njit(cache=True)
+@compiled()
 def evidence(
     model: Likelihood, x: float, y: float, half: float, members: Ints, near: Ints
 ) -> float:
@@ -238,7 +238,7 @@ def evidence(
     return total
 
 
-@njit(cache=True)
+@compiled()
 def pair_seeds(
     model: Likelihood, start: Ints, ray: Ints, partners: int
 ) -> tuple[Ints, Floats, int]:
@@ -280,7 +280,7 @@ def pair_seeds(
     return who, place, tried
 
 
-@njit(cache=True)
+@compiled_part()
 def _start(model: Likelihood, i: int, j: int) -> tuple[float, float]:
     """First place of a pair: where ray i's depth puts it, or the crossing where that is unknown."""
     distance = 0.5 * model.reach_m
@@ -298,7 +298,7 @@ def _start(model: Likelihood, i: int, j: int) -> tuple[float, float]:
     return x, model.camera_m[i, 1] + distance * model.direction[i, 1]
 
 
-@njit(cache=True)
+@compiled()
 def speaking(model: Likelihood, places: Floats, rays: Ints) -> Floats:
     """What each ray (k,) adds to a pole at each place (p, 2); -inf if it cannot be its ray."""
     found = np.empty((len(places), len(rays)))

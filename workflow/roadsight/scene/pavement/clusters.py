@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Ints
 from roadsight.base.engines import OWN, Engine
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.scene.pavement.open3d_engine import open3d_clusters
 
 
-@njit(cache=True)
+@compiled_part()
 def _root(parent: Ints, i: int) -> int:
     while parent[i] != i:
         parent[i] = parent[parent[i]]
@@ -18,12 +18,12 @@ def _root(parent: Ints, i: int) -> int:
     return i
 
 
-@njit(cache=True)
+@compiled()
 def _roots(parent: Ints) -> Ints:
     return np.array([_root(parent, i) for i in range(len(parent))])
 
 
-@njit(cache=True)
+@compiled()
 def _link(
     xyz: Floats,
     first: Ints,

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Floats32, Ints
+from roadsight.base.kernels import compiled, compiled_part
 
 BINS = 11
 """Bins of each of the three angles."""
@@ -22,7 +22,7 @@ _SAME_ANGLE = 1e-9
 """Cosines that differ by less differ by rounding."""
 
 
-@njit(cache=True)
+@compiled_part()
 def _pair_bins(xyz: Floats, normals: Floats, i: int, j: int) -> tuple[int, int, int]:
     """Bins of the three pair angles; -1 where the pair has none (coincident or collinear)."""
     dx, dy, dz = xyz[j, 0] - xyz[i, 0], xyz[j, 1] - xyz[i, 1], xyz[j, 2] - xyz[i, 2]
@@ -51,13 +51,13 @@ def _pair_bins(xyz: Floats, normals: Floats, i: int, j: int) -> tuple[int, int, 
     return _bin((theta + math.pi) / math.pi), _bin(alpha + 1), _bin(phi + 1)
 
 
-@njit(cache=True)
+@compiled_part()
 def _bin(value: float) -> int:
     """Bin of a value from 0 to 2."""
     return min(BINS - 1, max(0, int(math.floor(BINS * value * 0.5))))
 
 
-@njit(cache=True)
+@compiled()
 def _simplified(xyz: Floats, normals: Floats, neighbours: Ints) -> Floats:
     """Simplified histograms (n, 33): each third sums to 100 where every pair is usable."""
     histograms = np.zeros((len(xyz), FEATURES))
@@ -79,7 +79,7 @@ def _simplified(xyz: Floats, normals: Floats, neighbours: Ints) -> Floats:
     return histograms
 
 
-@njit(cache=True)
+@compiled()
 def _weighted(
     simplified: Floats,
     neighbours: Ints,

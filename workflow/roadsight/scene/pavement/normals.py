@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.base.kernels import compiled
 
 
 def nearest_neighbours(
@@ -77,7 +77,7 @@ def plane_residuals_m(xyz_m: Floats, neighbours: Ints) -> Floats:
     return np.sqrt(np.maximum(least, 0.0))
 
 
-@njit(cache=True)
+@compiled()
 def _covariances(xyz_m: Floats, neighbours: Ints) -> Floats:
     """Covariance (n, 3, 3) of each point and its neighbours, about their own centroid."""
     out = np.empty((len(xyz_m), 3, 3))

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.kernels import compiled, compiled_part
 
 _BLANK_WEIGHT = 0.25
 """Of a bridged cell, whose height is itself an extrapolation."""
@@ -17,7 +17,7 @@ _NEAR_CELLS_2 = 25
 """Squared: measured surface within five cells needs no bridge's allowance."""
 
 
-@njit(cache=True)
+@compiled_part()
 def _continue(  # noqa: PLR0912
     grown: Bools,
     blank: Bools,
@@ -81,7 +81,7 @@ def _continue(  # noqa: PLR0912
     return s, mz - east * mx - north * my, east, north, near
 
 
-@njit(cache=True)
+@compiled()
 def grow(  # noqa: PLR0912, PLR0915
     seed: Bools,
     passable: Bools,

@@ -10,10 +10,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled, compiled_part
 
 
 class Patches(NamedTuple):
@@ -108,7 +108,7 @@ def merge_coplanar(patches: Patches, size_m: float, tolerance_m: float) -> tuple
     return merged, _take(sorted_patches, kept)
 
 
-@njit(cache=True)
+@compiled()
 def _merge(
     patches: Patches, height_m: Floats, starts: Ints, size_m: float, tolerance_m: float
 ) -> tuple[Patches, Bools]:
@@ -133,7 +133,7 @@ def _merge(
     return Patches(axis[:merged], cell[:merged], height[:merged], slope[:merged]), kept
 
 
-@njit(cache=True)
+@compiled_part()
 def _covers_parent(cell: Ints, begin: int, end: int) -> bool:
     """Whether all four cells of the parent are present."""
     present = 0
@@ -142,7 +142,7 @@ def _covers_parent(cell: Ints, begin: int, end: int) -> bool:
     return present == 15
 
 
-@njit(cache=True)
+@compiled_part()
 def _mean_plane(
     slope: Floats, height_m: Floats, begin: int, end: int
 ) -> tuple[float, float, float]:
@@ -155,7 +155,7 @@ def _mean_plane(
     return height / count, along_u / count, along_v / count
 
 
-@njit(cache=True)
+@compiled_part()
 def _agree(
     patches: Patches,
     height_m: Floats,

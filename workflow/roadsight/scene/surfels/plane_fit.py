@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Floats32, Ints
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.scene.surfels.voxel_moments import X_STEP, Y_STEP, Z_STEP, VoxelMoments, add_shifted
 
 _BLOCK_POINTS = 5
@@ -69,7 +69,7 @@ def _empty(n: int) -> Planes:
     return Planes(normal, offset, spread, variance, centroid, axis, points, own)
 
 
-@njit(cache=True)
+@compiled_part()
 def _find_block(key: int, occupied: Ints, pointers: Ints, block: Ints) -> None:
     """Rows of the 27 voxels around a key, -1 where empty.
 
@@ -87,7 +87,7 @@ def _find_block(key: int, occupied: Ints, pointers: Ints, block: Ints) -> None:
             row += 1
 
 
-@njit(cache=True)
+@compiled_part()
 def _sum_block(
     block: Ints,
     moments: Floats32,
@@ -107,7 +107,7 @@ def _sum_block(
                     add_shifted(total, moments[row], i - 1, j - 1, k - 1)
 
 
-@njit(cache=True)
+@compiled_part()
 def _covariance(total: Floats, covariance: Floats) -> tuple[float, float, float]:
     """Centroid; fills the covariance matrix."""
     count = total[0]
@@ -121,7 +121,7 @@ def _covariance(total: Floats, covariance: Floats) -> tuple[float, float, float]
     return x, y, z
 
 
-@njit(cache=True)
+@compiled_part()
 def _eigenvalues(a: Floats) -> tuple[float, float, float]:
     """Eigenvalues of a covariance matrix, increasing (trigonometric solution)."""
     mean = (a[0, 0] + a[1, 1] + a[2, 2]) / 3
@@ -141,7 +141,7 @@ def _eigenvalues(a: Floats) -> tuple[float, float, float]:
     return max(low, 0.0), max(3 * mean - low - high, 0.0), high
 
 
-@njit(cache=True)
+@compiled_part()
 def _eigenvector(a: Floats, value: float, vector: Floats) -> None:
     """Unit eigenvector: the longest cross product of two rows of a - value * identity.
 
@@ -164,7 +164,7 @@ def _eigenvector(a: Floats, value: float, vector: Floats) -> None:
                 vector[0], vector[1], vector[2] = x / length, y / length, z / length
 
 
-@njit(cache=True)
+@compiled_part()
 def _flattest_corner(
     block: Ints, moments: Floats32, total: Floats, covariance: Floats, low: float
 ) -> None:
@@ -183,7 +183,7 @@ def _flattest_corner(
         _sum_block(block, moments, 0, 0, 0, 3, total)
 
 
-@njit(cache=True)
+@compiled()
 def _fit(
     keys: Ints,
     occupied: Ints,
@@ -217,7 +217,7 @@ def _fit(
         planes.offset[i] = x * vector[0] + y * vector[1] + z * vector[2]
 
 
-@njit(cache=True)
+@compiled()
 def _continue_planes(keys: Ints, normal: Floats32, offset: Floats32, occupied: Ints) -> Ints:
     block, pointers = np.empty((9, 3), np.int64), np.zeros(9, np.int64)
     found = np.empty(8 * len(keys), np.int64)

@@ -11,11 +11,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Floats32, Ints
 from roadsight.base.errors import InputError
+from roadsight.base.kernels import compiled, compiled_part
 
 _BITS = 21
 """Bits of an index in a key: three of them fill the 63 bits that the sign leaves."""
@@ -107,7 +107,7 @@ def _grouped(edge_m: float, keys: Ints, moments: Floats32) -> VoxelMoments:
     return VoxelMoments(edge_m, ordered[first], np.add.reduceat(moments[order], first, axis=0))
 
 
-@njit(cache=True)
+@compiled()
 def _point_keys(xyz_m: NDArray[np.floating], edge_m: float) -> Ints:
     keys = np.empty(len(xyz_m), np.int64)
     for i in range(len(xyz_m)):
@@ -118,7 +118,7 @@ def _point_keys(xyz_m: NDArray[np.floating], edge_m: float) -> Ints:
     return keys
 
 
-@njit(cache=True)
+@compiled()
 def _point_moments(
     xyz_m: NDArray[np.floating], edge_m: float, order: Ints, ordered: Ints, voxels: int
 ) -> Floats32:
@@ -145,7 +145,7 @@ def _point_moments(
     return moments
 
 
-@njit(cache=True)
+@compiled_part()
 def add_shifted(total: NDArray, moments: NDArray, dx: float, dy: float, dz: float) -> None:
     """Add ``moments`` of points that lie (dx, dy, dz) away to ``total``, both of shape (10,)."""
     count, x, y, z = moments[0], moments[1], moments[2], moments[3]
@@ -161,7 +161,7 @@ def add_shifted(total: NDArray, moments: NDArray, dx: float, dy: float, dz: floa
     total[9] += moments[9] + dz * (2 * z + count * dz)
 
 
-@njit(cache=True)
+@compiled()
 def _shifted(moments: Floats32, shift: NDArray[np.floating]) -> Floats32:
     moved = np.zeros_like(moments)
     for i in range(len(moments)):

@@ -6,9 +6,9 @@ What `grids` does with arrays takes half the time of the ground filter; these gi
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.base.kernels import compiled
 from roadsight.scene.grids import Grid
 
 
@@ -17,7 +17,7 @@ def flat_cells(grid: Grid, x: Floats, y: Floats) -> Ints:
     return _flat(x, y, grid.west, grid.south, grid.columns, grid.rows, grid.cell_size_m)
 
 
-@njit(cache=True)
+@compiled()
 def _flat(
     x: Floats, y: Floats, west: int, south: int, columns: int, rows: int, cell_m: float
 ) -> Ints:
@@ -37,7 +37,7 @@ def sample_three(
     return out[0], out[1], out[2]
 
 
-@njit(cache=True)
+@compiled()
 def _sample(
     x: Floats,
     y: Floats,

@@ -15,10 +15,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numba import njit
 from scipy import ndimage
 
 from roadsight.base.arrays import Bools, Floats, Floats32, Ints
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid
 from roadsight.scene.terrain.ground_settings import ROUGHNESS_PER_SPACING
@@ -115,7 +115,7 @@ def low_outliers(lowest_m: Floats, deep_m: Floats) -> Bools:
     return pits & (pits != np.isfinite(lowest_m)).any()
 
 
-@njit(cache=True)
+@compiled()
 def pits_of(height: Floats, deep: Floats, halves: Ints, enough: int, share: float) -> Bools:
     """Cells with fewer than a share of the known cells around nearly as low or lower.
 
@@ -161,7 +161,7 @@ def pits_of(height: Floats, deep: Floats, halves: Ints, enough: int, share: floa
     return out
 
 
-@njit(cache=True)
+@compiled_part()
 def _middle_half(values: Floats) -> float:
     """Width of the middle half of values."""
     order = np.sort(values)
@@ -169,7 +169,7 @@ def _middle_half(values: Floats) -> float:
     return order[(3 * n) // 4] - order[n // 4]
 
 
-@njit(cache=True)
+@compiled_part()
 def _off_plane(points: Floats) -> Floats:
     """Heights (n,) of points (3, n) above their plane of least squares."""
     n = points.shape[1]
@@ -211,7 +211,7 @@ def fill_smoothly(values: Floats, known: Bools) -> Floats:
     return out + base
 
 
-@njit(cache=True)
+@compiled()
 def _relax(values: Floats, known: Bools, passes: int) -> None:
     """Move each unknown cell to the mean of its four neighbours, all at once, several times."""
     rows, columns = values.shape

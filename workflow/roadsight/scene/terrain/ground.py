@@ -21,11 +21,11 @@ the coarse surface, which knows `GroundFilter.max_object_width_m` around and gap
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from scipy import ndimage
 from scipy.special import ndtri
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled
 from roadsight.base.sections.scene import GroundFilter
 from roadsight.scene.grids import Grid
 from roadsight.scene.terrain.cells import flat_cells, sample_three
@@ -184,7 +184,7 @@ def pillar_mask(
     return _between(flat, rise_m, tilt, pattern + middle - allowed, top)
 
 
-@njit(cache=True)
+@compiled()
 def _lowest_and_tilt(
     flat: Ints, rise: Floats, near: Floats, tilt: Floats, rows: int, columns: int
 ) -> tuple[Floats, Floats]:
@@ -238,7 +238,7 @@ def _spread_m(
     return sigma, sigma * np.maximum(_LAYER_SIGMAS, _ABOVE_MIDDLE_SIGMAS + depth)
 
 
-@njit(cache=True)
+@compiled()
 def _layer_moments(
     flat: Ints, rise: Floats, tilt: Floats, lowest: Floats, layer_m: Floats
 ) -> tuple[Floats, Floats, Floats]:
@@ -264,7 +264,7 @@ def _object_share(flat: Ints, rise: Floats, level: Floats, tilt: Floats, layer_m
     return high / np.maximum(low + high, 1)
 
 
-@njit(cache=True)
+@compiled()
 def _low_and_high(
     flat: Ints,
     rise: Floats,
@@ -303,7 +303,7 @@ def _layer_middle_m(
     return total / np.maximum(count, 1)
 
 
-@njit(cache=True)
+@compiled()
 def _layer_mean(
     flat: Ints, rise: Floats, tilt: Floats, pattern: Floats, thick_m: Floats
 ) -> tuple[Floats, Floats]:
@@ -319,7 +319,7 @@ def _layer_mean(
     return count, total
 
 
-@njit(cache=True)
+@compiled()
 def _between(flat: Ints, rise: Floats, tilt: Floats, bottom: Floats, top: Floats) -> Bools:
     """Points between two levels, widened by the tilt."""
     low, high = bottom.ravel(), top.ravel()
@@ -345,7 +345,7 @@ def window_percentile(values: Floats, half: int, percent: int) -> Floats:
     return _line_percentile(np.ascontiguousarray(columns), half, percent / 100)
 
 
-@njit(cache=True)
+@compiled()
 def _line_percentile(values: Floats, half: int, share: float) -> Floats:
     """Percentile (the nearest rank) of the known values around, along each row."""
     rows, columns = values.shape

@@ -8,9 +8,9 @@ beside the points of the road, and a gap without points lies between.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.base.kernels import compiled
 from roadsight.scene.grids import Grid
 from roadsight.scene.terrain.cells import flat_cells
 
@@ -34,7 +34,7 @@ def lowest_supported(grid: Grid, x: Floats, y: Floats, z: Floats) -> Floats:
     return _lowest(cell, z, grid.rows * grid.columns).reshape(grid.shape)
 
 
-@njit(cache=True)
+@compiled()
 def _lowest(cell: Ints, z: Floats, cells: int) -> Floats:
     """Lowest supported height of each cell, NaN for none."""
     start = np.zeros(cells + 1, np.int64)

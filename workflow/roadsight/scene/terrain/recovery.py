@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled, compiled_part
 
 _RECOVERY_SPACINGS = 3.5
 """Cut ground comes back from a half-disc of this many spacings."""
@@ -42,7 +42,7 @@ def recover(
     return ground
 
 
-@njit(cache=True)
+@compiled()
 def recovered(height_m: Floats, ground: Bools, known: Bools, reach: Ints, cell_m: float) -> Bools:
     """Ground cells and those cut ones into which the ground on one side continues.
 
@@ -96,7 +96,7 @@ def recovered(height_m: Floats, ground: Bools, known: Bools, reach: Ints, cell_m
     return out
 
 
-@njit(cache=True)
+@compiled_part()
 def _plane_meets(s: Floats, cell_m: float) -> bool:
     """Whether the plane of a half-disc's sums passes through the cell at its centre."""
     n = s[0]

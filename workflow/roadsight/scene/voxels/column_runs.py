@@ -7,15 +7,15 @@ there are, so that a point soon finds its own.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bytes, Ints, Ints32
+from roadsight.base.kernels import compiled
 
 _KIND, _NEXT, _POINTS, _HEIGHTS = range(4)
 """Columns of a run: layer and class, the next run of its column, points, sum of their heights."""
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def chained(place: Ints, key: Ints, columns: int, steps: int) -> tuple[Ints32, Ints, int]:
     """Runs of points, chained by column.
 
@@ -53,7 +53,7 @@ def chained(place: Ints, key: Ints, columns: int, steps: int) -> tuple[Ints32, I
     return first, runs, used
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def by_column(
     first: Ints32, runs: Ints, used: int, shape: Ints, box: Ints
 ) -> tuple[Ints, Bytes, Ints, Ints]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Floats, Ints, Ints32
+from roadsight.base.kernels import compiled
 from roadsight.scene.classes import BRIDGE, ROAD
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(nogil=True, error_model="numpy")
 def point_keys(
     x: NDArray[np.floating],
     y: NDArray[np.floating],
@@ -41,7 +41,7 @@ def point_keys(
     return place, key
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def indices_of(voxel: Ints, shape: Ints, low: Ints) -> Ints32:
     """Indices ix, iy, iz (3, n) of voxel numbers (n,)."""
     indices = np.empty((3, len(voxel)), np.int32)
@@ -54,7 +54,7 @@ def indices_of(voxel: Ints, shape: Ints, low: Ints) -> Ints32:
     return indices
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def runs_of(keys: Ints) -> tuple[Ints, Bytes, Ints, Ints]:
     """Voxel, class, points and heights of the runs of sorted keys."""
     count = 0
@@ -72,7 +72,7 @@ def runs_of(keys: Ints) -> tuple[Ints, Bytes, Ints, Ints]:
     return voxel, cls, points, heights
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def winners(
     voxel: Ints, cls: Bytes, points: Ints, heights: Ints
 ) -> tuple[Ints, Bytes, Ints, Ints, Ints]:
@@ -101,7 +101,7 @@ def winners(
     return number, winner, own, total, height
 
 
-@njit(cache=True, nogil=True)
+@compiled(nogil=True)
 def tops(
     voxel: Ints,
     cls: Bytes,

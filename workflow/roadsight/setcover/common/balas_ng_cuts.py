@@ -9,10 +9,10 @@ one and two targets add up to 2; sets are found by descent from pairs that share
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.setcover.common.constraints import Constraint, common_shares, distinct, stacked
 
 _PARTNERS = 5
@@ -86,7 +86,7 @@ def _cut(count: NDArray[np.integer], size: int) -> Constraint:
     return Constraint(index.astype(np.int32), np.where(count[index] == size, 2.0, 1.0), 2.0)
 
 
-@njit(cache=True)
+@compiled()
 def _descend(pattern: Floats, x: Floats, pairs: Ints) -> tuple[Bools, Floats, float]:
     """From each pair of targets down to where none that joins or leaves lessens the left side.
 
@@ -120,7 +120,7 @@ def _descend(pattern: Floats, x: Floats, pairs: Ints) -> tuple[Bools, Floats, fl
     return sets, left, moves
 
 
-@njit(cache=True)
+@compiled_part()
 def _try(
     pattern: Floats, x: Floats, count: Floats, size: int, joins: Floats, leaves: Floats
 ) -> float:

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
+from roadsight.base.kernels import compiled, compiled_part
 
 Bits = NDArray[np.uint64]
 
 
-@njit(cache=True)
+@compiled()
 def pack_bits(start: Ints32, index: Ints32, members: int) -> Bits:
     """Bits (sets, words of 64 members) of sets in CSR form: targets by choice, or the reverse."""
     bits = np.zeros((len(start) - 1, (members + 63) // 64), np.uint64)
@@ -21,7 +21,7 @@ def pack_bits(start: Ints32, index: Ints32, members: int) -> Bits:
     return bits
 
 
-@njit(cache=True)
+@compiled_part()
 def _is_subset(bits: Bits, i: int, j: int, mask: Bits) -> bool:
     for w in range(bits.shape[1]):  # noqa: SIM110 (compiled)
         if bits[i, w] & mask[w] & ~bits[j, w]:
@@ -29,7 +29,7 @@ def _is_subset(bits: Bits, i: int, j: int, mask: Bits) -> bool:
     return True
 
 
-@njit(cache=True)
+@compiled()
 def drop_implied_targets(
     start: Ints32,
     index: Ints32,
@@ -68,7 +68,7 @@ def drop_implied_targets(
     return keep
 
 
-@njit(cache=True)
+@compiled()
 def residual_needs(
     start: Ints32, index: Ints32, need: Ints32, alive: Bools, fixed: Bools
 ) -> tuple[Ints32, Ints32]:
@@ -85,7 +85,7 @@ def residual_needs(
     return left, free
 
 
-@njit(cache=True)
+@compiled()
 def drop_dominated_choices(
     start: Ints32,
     index: Ints32,
@@ -138,7 +138,7 @@ def drop_dominated_choices(
     return gone
 
 
-@njit(cache=True)
+@compiled_part()
 def _rarest_open(
     i: int, start: Ints32, index: Ints32, left: Ints32, free: Ints32
 ) -> tuple[int, int]:
@@ -154,7 +154,7 @@ def _rarest_open(
     return rarest, wanted
 
 
-@njit(cache=True)
+@compiled_part()
 def _is_member(extra: Bools, i: int) -> bool:
     for k in range(extra.shape[0]):  # noqa: SIM110 (compiled)
         if extra[k, i]:
@@ -162,7 +162,7 @@ def _is_member(extra: Bools, i: int) -> bool:
     return False
 
 
-@njit(cache=True)
+@compiled_part()
 def _stands_in(bits: Bits, i: int, j: int, mask: Bits, extra: Bools) -> bool:
     """Whether choice j covers all that i covers in ``mask`` and is in all its extra sets."""
     for k in range(extra.shape[0]):
@@ -171,7 +171,7 @@ def _stands_in(bits: Bits, i: int, j: int, mask: Bits, extra: Bools) -> bool:
     return _is_subset(bits, i, j, mask)
 
 
-@njit(cache=True)
+@compiled()
 def propagate(
     start: Ints32,
     index: Ints32,
@@ -212,7 +212,7 @@ def propagate(
             return True, left, free
 
 
-@njit(cache=True)
+@compiled_part()
 def _close_groups(group: Ints, alive: Bools, fixed: Bools) -> bool:
     """Switch off the mates of fixed choices; False where two of a group are fixed."""
     taken = np.zeros(len(group), np.bool_)  # indexed by group: there are no more than choices
@@ -227,7 +227,7 @@ def _close_groups(group: Ints, alive: Bools, fixed: Bools) -> bool:
     return True
 
 
-@njit(cache=True)
+@compiled_part()
 def _fix_last_member(members: Bools, alive: Bools, fixed: Bools) -> int:
     """Take a set's only free choice: 1 if there was one, 0 if nothing to do, -1 if none left."""
     free = 0
@@ -244,7 +244,7 @@ def _fix_last_member(members: Bools, alive: Bools, fixed: Bools) -> int:
     return 0 if free else -1
 
 
-@njit(cache=True)
+@compiled()
 def coverage(start: Ints32, index: Ints32, x: Floats, targets: int) -> Floats:
     """Sum of the shares x of the choices that cover each target."""
     total = np.zeros(targets)
@@ -255,7 +255,7 @@ def coverage(start: Ints32, index: Ints32, x: Floats, targets: int) -> Floats:
     return total
 
 
-@njit(cache=True)
+@compiled()
 def reduced_costs(
     start: Ints32,
     index: Ints32,

@@ -11,10 +11,10 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from scipy import sparse
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled
 from roadsight.setcover.common.constraints import Constraint, common_shares, distinct, stacked
 
 _NEIGHBOURS = 10
@@ -115,7 +115,7 @@ def _moves(odd: Bools, odd_low: Bools, x: Floats) -> tuple[Ints, Ints, Ints]:
     return np.vstack([pairs, np.column_stack([even, even])]), first, np.nonzero(changed)[1]
 
 
-@njit(cache=True)
+@compiled()
 def _descend(
     odd: Bools,
     x: Floats,

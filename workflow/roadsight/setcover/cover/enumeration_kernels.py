@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Ints, Ints32
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.setcover.common.kernels import Bits
 
 UNDECIDED, EXCLUDED, FOUND = 0, 1, 2
@@ -67,7 +67,7 @@ class _Stack(NamedTuple):
     money: Floats
 
 
-@njit(cache=True)
+@compiled()
 def affordable_pairs(prices: Prices, group: Ints, slack: float) -> Bits:
     """Bits (n, words) of the choices that each choice can be taken together with."""
     count = len(prices.reduced)
@@ -85,7 +85,7 @@ def affordable_pairs(prices: Prices, group: Ints, slack: float) -> Bits:
     return bits
 
 
-@njit(cache=True)
+@compiled_part()
 def _charge(
     price: Floats, prices: Prices, c: int, choices: Bits, before: float, spare: float
 ) -> int:
@@ -104,12 +104,12 @@ def _charge(
     return count
 
 
-@njit(cache=True)
+@compiled_part()
 def _beyond(value: float, spare: float) -> float:
     return min(max(value - spare, 0.0), value)
 
 
-@njit(cache=True)
+@compiled()
 def enumerate_choices(
     prices: Prices,
     targets: Targets,
@@ -150,7 +150,7 @@ def enumerate_choices(
     return EXCLUDED, stack.taken[:0].copy(), moves
 
 
-@njit(cache=True)
+@compiled_part()
 def _new_stack(
     prices: Prices, targets: Targets, pairs: Bits, slack: float, money: float, depths: int
 ) -> _Stack:
@@ -173,7 +173,7 @@ def _new_stack(
     return stack
 
 
-@njit(cache=True)
+@compiled_part()
 def _choose_target(stack: _Stack, targets: Targets, depth: int) -> float:
     """Set the open target with the fewest choices (-1: none is open), which are to be tried.
 
@@ -200,7 +200,7 @@ def _choose_target(stack: _Stack, targets: Targets, depth: int) -> float:
     return moves
 
 
-@njit(cache=True)
+@compiled()
 def _ones(word: np.uint64) -> int:
     """Number of bits that are set."""
     word -= (word >> np.uint64(1)) & np.uint64(0x5555555555555555)
@@ -210,13 +210,13 @@ def _ones(word: np.uint64) -> int:
     return int((word * np.uint64(0x0101010101010101)) >> np.uint64(56))
 
 
-@njit(cache=True)
+@compiled()
 def _lowest(word: np.uint64) -> int:
     """Place of the lowest bit of a word that has one."""
     return _ones((word & (~word + np.uint64(1))) - np.uint64(1))
 
 
-@njit(cache=True)
+@compiled_part()
 def _next_choice(stack: _Stack, depth: int) -> int:
     """Take the next choice off those that are left to try, -1 where they are too few."""
     branch, left = stack.branch[depth], 0
@@ -233,7 +233,7 @@ def _next_choice(stack: _Stack, depth: int) -> int:
     return w * 64 + bit
 
 
-@njit(cache=True)
+@compiled_part()
 def _take(
     stack: _Stack, prices: Prices, targets: Targets, pairs: Bits, depth: int, choice: int
 ) -> float:
@@ -250,7 +250,7 @@ def _take(
     return end - start + len(need) // 8 + _charge_others(stack, prices, depth, choice)
 
 
-@njit(cache=True)
+@compiled_part()
 def _charge_others(stack: _Stack, prices: Prices, depth: int, choice: int) -> float:
     """Make what can be taken after a choice dearer; words and entries looked at."""
     stack.spare[depth], stack.price[depth] = stack.spare[depth - 1], stack.price[depth - 1]
@@ -265,7 +265,7 @@ def _charge_others(stack: _Stack, prices: Prices, depth: int, choice: int) -> fl
     return float(moves)
 
 
-@njit(cache=True)
+@compiled_part()
 def _drop_dear(stack: _Stack, prices: Prices, depth: int) -> None:
     """Switch off choices that are too dear beside those that are taken."""
     alive, price, cost = stack.alive[depth], stack.price[depth], prices.cost
@@ -279,7 +279,7 @@ def _drop_dear(stack: _Stack, prices: Prices, depth: int) -> None:
                 alive[w] ^= np.uint64(1) << np.uint64(bit)
 
 
-@njit(cache=True)
+@compiled_part()
 def _keep_those_that_cover_all(stack: _Stack, targets: Targets, depth: int) -> float:
     """Where one more choice can be paid, it has to cover all that is open; words looked at."""
     alive, need, bits = stack.alive[depth], stack.need[depth], targets.bits

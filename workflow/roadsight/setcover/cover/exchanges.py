@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
+from roadsight.base.kernels import compiled, compiled_part
 
 _State = namedtuple(
     "_State", "inside member place score ready stamp count weight open spot occupant sizes"
@@ -16,7 +16,7 @@ _State = namedtuple(
 ``sizes`` holds the numbers of members, of open targets, and of entries read so far."""
 
 
-@njit(cache=True)
+@compiled_part()
 def _new_state(start, index, need, group):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     choices, targets = len(start) - 1, len(need)
     return _State(
@@ -35,7 +35,7 @@ def _new_state(start, index, need, group):  # type: ignore[no-untyped-def]  # no
     )
 
 
-@njit(cache=True)
+@compiled_part()
 def _add(choice, start, index, tstart, tindex, need, group, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     state.inside[choice] = True
     state.member[state.sizes[0]] = choice
@@ -65,7 +65,7 @@ def _add(choice, start, index, tstart, tindex, need, group, state):  # type: ign
                 state.ready[other] = True
 
 
-@njit(cache=True)
+@compiled_part()
 def _remove(choice, start, index, tstart, tindex, need, group, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     state.inside[choice] = False
     state.sizes[0] -= 1
@@ -96,7 +96,7 @@ def _remove(choice, start, index, tstart, tindex, need, group, state):  # type: 
     state.ready[choice] = False
 
 
-@njit(cache=True)
+@compiled_part()
 def _better(a, b, cost, state, sign):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Choice a before b: more (sign 1) or less (-1) weight per cost, then the longest at rest."""
     if b < 0:
@@ -107,7 +107,7 @@ def _better(a, b, cost, state, sign):  # type: ignore[no-untyped-def]  # noqa: A
     return (state.stamp[a], a) < (state.stamp[b], b)
 
 
-@njit(cache=True)
+@compiled_part()
 def _cheapest_loss(tabu, cost, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     best = -1
     state.sizes[2] += state.sizes[0]
@@ -118,7 +118,7 @@ def _cheapest_loss(tabu, cost, state):  # type: ignore[no-untyped-def]  # noqa: 
     return best
 
 
-@njit(cache=True)
+@compiled()
 def fill(
     start: Ints32,
     index: Ints32,
@@ -155,7 +155,7 @@ def fill(
     return True
 
 
-@njit(cache=True)
+@compiled()
 def exchange(
     start: Ints32,
     index: Ints32,
@@ -225,7 +225,7 @@ def exchange(
     return state.inside.copy(), done, steps, state.sizes[2]
 
 
-@njit(cache=True)
+@compiled_part()
 def _best_ready(t, tstart, tindex, cost, total, goal, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Affordable choice over target t that gains most; -1: none."""
     best = -1
@@ -239,7 +239,7 @@ def _best_ready(t, tstart, tindex, cost, total, goal, state):  # type: ignore[no
     return best
 
 
-@njit(cache=True)
+@compiled_part()
 def _weigh_open(tstart, tindex, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Open targets weigh one more, for members too: a target may need several."""
     for k in range(state.sizes[1]):

@@ -6,9 +6,9 @@ import math
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.kernels import compiled, compiled_part
 from roadsight.setcover.common.deadline import Deadline
 from roadsight.setcover.plans.cuts import Cuts
 
@@ -192,7 +192,7 @@ class Builder:
         return kept
 
 
-@njit(cache=True)
+@compiled_part()
 def _begin(rules, inside, count, used, gain):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Counts of targets, sets used and gains where some choices are taken; their charge."""
     spent = 0.0
@@ -211,7 +211,7 @@ def _begin(rules, inside, count, used, gain):  # type: ignore[no-untyped-def]  #
     return spent
 
 
-@njit(cache=True)
+@compiled()
 def _fill(rules, inside, used, budget, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Adds the choice that gains most for its divisor, until none that is allowed gains enough."""
     count, gain = np.zeros(len(rules.need), np.int64), np.zeros(len(inside))

@@ -11,9 +11,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Ints, Ints32
+from roadsight.base.kernels import compiled
 from roadsight.setcover.plans.deployment import Deployment
 
 BLOCK_TARGETS = 100
@@ -214,7 +214,7 @@ class Cuts:
         return self.by_choice.indices[start[choice] : start[choice + 1]]
 
 
-@njit(cache=True)
+@compiled()
 def _count(start, index, x, targets):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     total = np.zeros(targets)
     for i in range(len(x)):
@@ -224,7 +224,7 @@ def _count(start, index, x, targets):  # type: ignore[no-untyped-def]  # noqa: A
     return total
 
 
-@njit(cache=True)
+@compiled()
 def _gain(start, index, targets, amount, choices):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     gain = np.zeros(choices)
     for t in targets:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bools, Floats, Ints, Ints32
+from roadsight.base.kernels import compiled, compiled_part
 
 LEVELS = 2
 """Further times that are counted: once more than asked, twice more."""
@@ -86,7 +86,7 @@ class _State(NamedTuple):
     work: Ints
 
 
-@njit(cache=True)
+@compiled_part()
 def _add(j: int, r: Rules, s: _State) -> None:
     for p in range(r.start[j], r.start[j + 1]):
         t = r.target[p]
@@ -102,7 +102,7 @@ def _add(j: int, r: Rules, s: _State) -> None:
     s.work[0] += _CHOICE_WORK + r.start[j + 1] - r.start[j]
 
 
-@njit(cache=True)
+@compiled_part()
 def _remove(j: int, r: Rules, s: _State) -> None:
     for p in range(r.start[j], r.start[j + 1]):
         t = r.target[p]
@@ -118,7 +118,7 @@ def _remove(j: int, r: Rules, s: _State) -> None:
     s.work[0] += _CHOICE_WORK + r.start[j + 1] - r.start[j]
 
 
-@njit(cache=True)
+@compiled_part()
 def _fits(j: int, money: float, r: Rules, s: _State) -> bool:
     if not r.allowed[j] or s.banned[j] or r.cost[j] > money:
         return False
@@ -128,7 +128,7 @@ def _fits(j: int, money: float, r: Rules, s: _State) -> bool:
     return taken == 0
 
 
-@njit(cache=True)
+@compiled_part()
 def _stretches_seen(r: Rules, s: _State, j: int) -> int:
     """Stretches with a target that is seen once more than asked; with choice j added, if any."""
     seen = np.zeros(r.stretches, np.bool_)
@@ -147,7 +147,7 @@ def _stretches_seen(r: Rules, s: _State, j: int) -> int:
     return int(seen.sum())
 
 
-@njit(cache=True)
+@compiled_part()
 def _is_better(
     first: float,
     second: float,
@@ -178,7 +178,7 @@ def _is_better(
     return True
 
 
-@njit(cache=True)
+@compiled_part()
 def _kept(found: Ints, count: int, choice: Ints32, first: int, end: int) -> int:
     """Number of the found choices, sorted, that are among those of a target, sorted as well."""
     kept, q = 0, first
@@ -199,7 +199,7 @@ def _kept(found: Ints, count: int, choice: Ints32, first: int, end: int) -> int:
     return kept
 
 
-@njit(cache=True)
+@compiled_part()
 def _last_choices(first: int, money: float, r: Rules, s: _State, found: Ints) -> int:
     """Number of choices, into ``found``, that cover alone all that is left uncovered.
 
@@ -241,7 +241,7 @@ class _Stack(NamedTuple):
     left: Floats
 
 
-@njit(cache=True)
+@compiled()
 def complete_covers(
     inside: Bools,
     money: float,
@@ -307,7 +307,7 @@ def complete_covers(
     return cover, is_found, True, s.work[0]
 
 
-@njit(cache=True)
+@compiled_part()
 def _begin(inside: Bools, r: Rules) -> _State:
     count = np.zeros(len(r.need), np.int64)
     for j in np.flatnonzero(inside):
@@ -332,7 +332,7 @@ def _begin(inside: Bools, r: Rules) -> _State:
     return s
 
 
-@njit(cache=True)
+@compiled_part()
 def _enter(
     depth: int, least_cost: float, best: Floats, r: Rules, s: _State, k: _Stack, found: Ints
 ) -> int:
@@ -351,7 +351,7 @@ def _enter(
     return _DIVIDED
 
 
-@njit(cache=True)
+@compiled_part()
 def _value_with(j: int, r: Rules, s: _State) -> tuple[float, float]:
     """Weight seen once more and twice more with choice j added, if any."""
     first, second = s.value[0], s.value[1]
@@ -368,7 +368,7 @@ def _value_with(j: int, r: Rules, s: _State) -> tuple[float, float]:
     return first, second
 
 
-@njit(cache=True)
+@compiled_part()
 def _next_branch(depth: int, r: Rules, s: _State, k: _Stack) -> bool:
     """Take the next choice of a node's target, for the node below; False where none is left."""
     end = r.tstart[s.order[k.place[depth]] + 1]
@@ -386,7 +386,7 @@ def _next_branch(depth: int, r: Rules, s: _State, k: _Stack) -> bool:
     return False
 
 
-@njit(cache=True)
+@compiled_part()
 def _leave(depth: int, r: Rules, s: _State, k: _Stack) -> int:
     """Take out the choice that led to a node; the depth above."""
     if depth:
@@ -394,7 +394,7 @@ def _leave(depth: int, r: Rules, s: _State, k: _Stack) -> int:
     return depth - 1
 
 
-@njit(cache=True)
+@compiled_part()
 def _leave_divided(depth: int, r: Rules, s: _State, k: _Stack) -> int:
     """The same; the choices that its branches left out may be taken again."""
     first = r.tstart[s.order[k.place[depth]]]
@@ -405,7 +405,7 @@ def _leave_divided(depth: int, r: Rules, s: _State, k: _Stack) -> int:
     return _leave(depth, r, s, k)
 
 
-@njit(cache=True)
+@compiled_part()
 def _is_hopeless(money: float, best: float, r: Rules, s: _State) -> bool:
     """Whether what is uncovered costs too much, or the best cannot be reached any more."""
     if s.value[2] + r.refund > money + 1e-7 * max(1.0, money):

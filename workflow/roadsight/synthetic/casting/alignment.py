@@ -10,11 +10,11 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats
-from roadsight.synthetic.casting.kernel import kernel
+from roadsight.base.kernels import compiled
+from roadsight.synthetic.casting.kernel import compiled_kernel, kernel
 
 
 class Alignment(NamedTuple):
@@ -48,7 +48,7 @@ def road_point(alignment: Alignment, x: float, y: float) -> tuple[float, float]:
     return math.atan2(u, v) / k, offset
 
 
-@kernel
+@compiled_kernel
 def plan_point(alignment: Alignment, station: float, offset: float) -> tuple[float, float]:
     """Plan point of one station and offset."""
     k = alignment.curvature_per_m
@@ -62,7 +62,7 @@ def plan_point(alignment: Alignment, station: float, offset: float) -> tuple[flo
     return alignment.x_m + cos * ahead - sin * left, alignment.y_m + sin * ahead + cos * left
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _road_points(alignment: Alignment, xy: Floats) -> Floats:
     road = np.empty_like(xy)
     for i in range(len(xy)):
@@ -70,7 +70,7 @@ def _road_points(alignment: Alignment, xy: Floats) -> Floats:
     return road
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _plan_points(alignment: Alignment, road: Floats) -> Floats:
     xy = np.empty_like(road)
     for i in range(len(road)):

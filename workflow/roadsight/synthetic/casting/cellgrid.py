@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Ints, Ints32
+from roadsight.base.kernels import compiled
 from roadsight.synthetic.casting.alignment import to_plan
 from roadsight.synthetic.casting.primitives import Bodies, body_extent_m
 from roadsight.synthetic.casting.terrain import CellBounds, Terrain, cell_bounds
@@ -113,7 +113,7 @@ def _terrain_corners(terrain: Terrain) -> Floats:
     return np.concatenate([corners - bulge, corners + bulge])
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _bodies_by_cell(start: Ints, end: Ints, rows: int, columns: int) -> tuple[Ints, Ints32]:
     """Bodies of each cell in ascending order, from the cells (row, column) that each covers."""
     first = np.zeros(rows * columns + 1, dtype=np.int64)
@@ -133,7 +133,7 @@ def _bodies_by_cell(start: Ints, end: Ints, rows: int, columns: int) -> tuple[In
     return first, body
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _widen(
     bottom: Floats,
     top: Floats,

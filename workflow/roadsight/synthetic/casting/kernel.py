@@ -1,4 +1,4 @@
-"""Decorator of the small functions that a ray runs through.
+"""Decorators of the small functions that a ray runs through.
 
 They allocate nothing, so counting references to their arrays (which costs more than the arithmetic)
 is off; they are inlined into the loops that call them.
@@ -6,7 +6,10 @@ is off; they are inlined into the loops that call them.
 
 from __future__ import annotations
 
-from numba import njit
+from roadsight.base.kernels import compiled, compiled_part
 
-# Numba's type stubs do not list the option.
-kernel = njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)  # type: ignore[call-overload]
+_OPTIONS = {"error_model": "numpy", "forceinline": True, "_nrt": False}
+
+kernel = compiled_part(**_OPTIONS)
+compiled_kernel = compiled(**_OPTIONS)
+"""The same of what Python calls as well."""

@@ -12,13 +12,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from roadsight.base.arrays import Floats
+from roadsight.base.kernels import compiled
 from roadsight.synthetic.casting.alignment import Alignment, heading_at, road_point, to_road
-from roadsight.synthetic.casting.kernel import kernel
+from roadsight.synthetic.casting.kernel import compiled_kernel, kernel
 
 _SLACK_M = 1e-6
 """Bounds are so much wider than computed: far more than rounding, far less than a bump."""
@@ -115,7 +115,7 @@ def _spline(terrain: Terrain, station: float, offset: float) -> tuple[float, flo
     return value, along / terrain.station_step_m, across / terrain.offset_step_m
 
 
-@kernel
+@compiled_kernel
 def surface_height(terrain: Terrain, x: float, y: float) -> float:
     """Height of the ground at a plan point, also beyond its limits (see `exists`)."""
     station, offset = road_point(terrain.alignment, x, y)
@@ -145,7 +145,7 @@ def exists(terrain: Terrain, x: float, y: float) -> bool:
     return along and terrain.right_m <= offset <= terrain.left_m
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _heights(terrain: Terrain, xy: Floats) -> Floats:
     z = np.empty(len(xy))
     for i in range(len(xy)):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Floats, Ints32
+from roadsight.base.kernels import compiled
 from roadsight.synthetic.casting.cellgrid import BLOCK, CellGrid
 from roadsight.synthetic.casting.kernel import kernel
 from roadsight.synthetic.casting.primitives import MIN_RANGE_M, Bodies, body_normal, ray_body
@@ -221,7 +221,7 @@ def _normal(
     return nx / length, ny / length, nz / length
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled(error_model="numpy", nogil=True)
 def cast_rays(
     bodies: Bodies,
     terrain: Terrain,

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from roadsight.base.arrays import Bytes, Floats, Floats32, Ints32, Numbers
+from roadsight.base.kernels import compiled
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.lens import RadialLens
 from roadsight.geometry.ray_casting import FirstHits, RayScene
@@ -204,7 +204,7 @@ def _pixel_rays(camera: Camera, uv_px: Floats, lens: RadialLens | None) -> Float
     return _rays(straight, own.cx_px, own.cy_px, own.focal_px, camera.rotation)
 
 
-@njit(cache=True)
+@compiled()
 def _rays(uv: Floats, cx: float, cy: float, focal: float, rotation: Floats) -> Floats:
     rays = np.empty((len(uv), 3))
     for i in range(len(uv)):
@@ -215,7 +215,7 @@ def _rays(uv: Floats, cx: float, cy: float, focal: float, rotation: Floats) -> F
     return rays
 
 
-@njit(cache=True)
+@compiled()
 def _reach(
     origins: Floats, directions: Floats, found: FirstHits, triangles: Ints32, road_m: Floats
 ) -> tuple[Floats, Floats]:

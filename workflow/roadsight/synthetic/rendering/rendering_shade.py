@@ -6,9 +6,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from roadsight.base.arrays import Bytes, Floats, Floats32
+from roadsight.base.kernels import compiled
 from roadsight.synthetic.casting.kernel import kernel
 from roadsight.synthetic.rendering.rendering_noise import (
     Colour,
@@ -286,7 +286,7 @@ def _footprint(hits: Hits, i: int, along_x: float, along_y: float) -> tuple[floa
     return math.sqrt(pixel * stretched), pixel * along + stretched * turn
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@compiled(error_model="numpy", nogil=True)
 def shade(
     look: Look, surface: Surface, hits: Hits, road_cos: Floats, road_sin: Floats
 ) -> tuple[Floats32, Bytes]:

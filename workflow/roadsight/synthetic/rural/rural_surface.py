@@ -6,10 +6,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Bytes, Floats
+from roadsight.base.kernels import compiled
 from roadsight.synthetic.casting.kernel import kernel
 from roadsight.synthetic.rural.rural_ground import GRAVEL_DRIVE, SIDE_ROAD, RuralGround
 from roadsight.synthetic.rural.rural_materials import Ground
@@ -151,7 +151,7 @@ def ground_kind(surface: Surface, x: float, y: float, s: float, o: float) -> int
     return _SHOULDER if away <= surface.shoulder_m else _GRASS
 
 
-@njit(cache=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _kinds(surface: Surface, xy: Floats, road: Floats, lines: bool) -> Bytes:
     kinds = np.empty(len(xy), np.uint8)
     for i in range(len(xy)):
