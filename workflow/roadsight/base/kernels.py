@@ -17,7 +17,8 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 def compiled(**options: Any) -> Callable[[_Function], _Function]:
     """Decorator of a compiled function that Python calls; ``options`` are Numba's."""
-    return njit(cache=True, no_cfunc_wrapper=True, **options)
+    # The type stubs of Numba do not list all options.
+    return njit(cache=True, no_cfunc_wrapper=True, **options)  # type: ignore[call-overload]
 
 
 def compiled_part(**options: Any) -> Callable[[_Function], _Function]:

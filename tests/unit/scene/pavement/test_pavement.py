@@ -7,10 +7,11 @@ from shapely import MultiPolygon, box
 
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import PavementOutline
+from roadsight.geometry.areas import inside
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.fpfh import fpfh
 from roadsight.scene.pavement.normals import nearest_neighbours, upward_normals
-from roadsight.scene.pavement.outline import inside, outline_pavement, vote
+from roadsight.scene.pavement.outline import outline_pavement, vote
 from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.surfels.thinning import column_means
 

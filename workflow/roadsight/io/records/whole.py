@@ -7,9 +7,10 @@ import sqlite3
 from collections.abc import Mapping
 from contextlib import closing
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import rasterio
-from rasterio.io import DatasetReader
+if TYPE_CHECKING:
+    from rasterio.io import DatasetReader
 
 
 def check_raster(path: Path, blocks: int | None = None) -> None:
@@ -23,6 +24,8 @@ def check_raster(path: Path, blocks: int | None = None) -> None:
     ------
     OSError : it is cut off, or blocks are missing. RasterioError : it cannot be opened.
     """
+    import rasterio  # noqa: PLC0415  # slow to load, and most files are none
+
     size = path.stat().st_size
     with rasterio.open(path) as raster:
         ends = _block_ends(raster)

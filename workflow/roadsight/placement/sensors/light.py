@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import lambertw
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
@@ -104,6 +103,8 @@ def range_in_air_m(clear_range_m: ArrayLike, extinction_per_m: float) -> Floats:
     clear = np.asarray(clear_range_m, np.float64)
     if extinction_per_m < _CLEAR_PER_M:
         return clear
+    from scipy.special import lambertw  # noqa: PLC0415  # slow to load
+
     return np.asarray(lambertw(extinction_per_m * clear).real / extinction_per_m)
 
 

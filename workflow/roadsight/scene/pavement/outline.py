@@ -14,6 +14,7 @@ from roadsight.base.arrays import Bools, Floats
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import PavementOutline
+from roadsight.geometry.areas import inside
 from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.clusters import euclidean_clusters
 from roadsight.scene.pavement.normals import nearest_neighbours, plane_residuals_m
@@ -177,9 +178,3 @@ def _multi(geometry: shapely.Geometry) -> MultiPolygon:
     """Polygons of a geometry, largest first."""
     parts = [part for part in shapely.get_parts(geometry) if isinstance(part, Polygon)]
     return MultiPolygon(sorted(parts, key=lambda part: -part.area))
-
-
-def inside(outline: MultiPolygon, x: Floats, y: Floats) -> Bools:
-    """Points (n,) inside the outline."""
-    shapely.prepare(outline)
-    return shapely.contains_xy(outline, x, y)

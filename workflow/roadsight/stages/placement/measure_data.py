@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.sections.sensing import Lidar, Targets
+from roadsight.geometry.areas import inside
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.records.atomic import read_json, write_json
@@ -38,7 +39,6 @@ from roadsight.placement.sight.probability import (
     Curves,
     found_by_plan,
 )
-from roadsight.scene.pavement.outline import inside
 from roadsight.stages.command import Command
 from roadsight.stages.placement.shared.chosen_points import MeasuringFiles, points_by_height
 from roadsight.stages.placement.shared.detection_inputs import (

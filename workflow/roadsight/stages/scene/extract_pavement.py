@@ -21,6 +21,7 @@ from roadsight.base.doubts import Doubt
 from roadsight.base.engines import Engine
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Pavement, PavementOutline
+from roadsight.geometry.areas import inside
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.atomic import read_json
@@ -29,7 +30,7 @@ from roadsight.io.vector.known_road import read_seeds, read_track
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
 from roadsight.scene.pavement.choice import Choice, choose_method
-from roadsight.scene.pavement.outline import inside, outline_pavement, pavement_settings_for
+from roadsight.scene.pavement.outline import outline_pavement, pavement_settings_for
 from roadsight.scene.pavement.pavement_doubts import PavementFacts, pavement_doubts
 from roadsight.scene.pavement.road_surface import KnownRoad
 from roadsight.scene.whole import road_of, sharpen

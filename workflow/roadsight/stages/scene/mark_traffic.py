@@ -12,6 +12,7 @@ import pandas as pd
 import shapely
 
 from roadsight.base.sections.sensing import Lidar
+from roadsight.geometry.areas import inside
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import POSITION, CloudTiles, stack_xyz
 from roadsight.io.raster.rasters import Raster, read_raster
@@ -19,7 +20,6 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import read_layer
 from roadsight.scene.grids import Grid
-from roadsight.scene.pavement.outline import inside
 from roadsight.scene.traffic import Columns, is_traffic
 from roadsight.stages.command import Command
 from roadsight.stages.progress import logged

@@ -44,6 +44,8 @@ _THIN = np.array(
 )
 """By `Material`, and last by nothing: what is often thinner than a pixel."""
 _NOTHING = len(Material)
+_LEAFY = np.isin(np.arange(len(Material)), (Material.LEAVES, Material.BUSH))
+"""By `Material`: what lets some of the sun through."""
 
 
 @dataclass(frozen=True)
@@ -117,14 +119,14 @@ class RuralRenderer:
         """Share of the sun that reaches each hit; far hits and the sky count as lit."""
         lit = np.ones(len(cast.range_m), np.float32)
         near = np.flatnonzero(cast.range_m < _SHADOW_REACH_M)
-        facing = self.site.mesh.normal[cast.triangle[near]] @ sun.astype(np.float32)
-        leafy = np.isin(
-            self.site.mesh.material[cast.triangle[near]], (Material.LEAVES, Material.BUSH)
-        )
+        triangle = cast.triangle[near]
+        facing = self.site.mesh.normal[triangle] @ sun.astype(np.float32)
+        leafy = _LEAFY[self.site.mesh.material[triangle]]
         far_leaf = leafy & (cast.range_m[near] > _LEAF_SHADOW_REACH_M)
         lit[near[far_leaf]] = _FAR_LEAF_LIT
-        rows = near[(np.abs(facing) > 0.01) & (~leafy | (facing > 0.0)) & ~far_leaf]
-        lift = np.where(leafy[np.searchsorted(near, rows)], 0.35, _SHADOW_LIFT_M)
+        asked = (np.abs(facing) > 0.01) & (~leafy | (facing > 0.0)) & ~far_leaf
+        rows = near[asked]
+        lift = np.where(leafy[asked], 0.35, _SHADOW_LIFT_M)
         start = cast.place_m[rows] + lift[:, None] * sun
         lit[rows] = ~self._scene.occluded(start, np.broadcast_to(sun, start.shape))
         return lit
