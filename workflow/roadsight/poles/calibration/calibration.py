@@ -9,14 +9,17 @@ the images to the drive's mean and its covariance.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import CameraPrior
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP
 from roadsight.poles.alignment.pose import (
+    CX,
+    CY,
     FOCAL,
     HEIGHT,
     INSETS,
@@ -35,6 +38,8 @@ _HEIGHT_M = (0.5, 5.0)
 """Heights above the road that it may have."""
 _ANY_TURN_DEG = 60.0
 """One standard deviation of the yaw of a side view of which nothing is known."""
+_SURE_PX = 0.01
+"""Least standard deviation of a principal point that is known; zero has no inverse."""
 _FEWEST_PIXELS = 40
 """Edge pixels of an image that teaches about its drive, as many as for a verdict (`Limits`)."""
 _MIDDLE = 0.75
@@ -63,21 +68,36 @@ class Mount:
         return np.asarray(np.linalg.inv(total), np.float64)
 
 
-def weak_mount(hfov_deg: float | None, width_px: int) -> Mount:
+def weak_mount(
+    hfov_deg: float | None, width_px: int, centre_px: float = CameraPrior().principal_point_px
+) -> Mount:
     """What is known of a camera on a survey vehicle before anything is measured.
 
     Parameters
     ----------
     hfov_deg : horizontal field of view where it is known to 10 %, else None.
+    centre_px : one standard deviation of the principal point, each axis.
     """
     focal = 0.5 * width_px / np.tan(np.radians(hfov_deg or 60.0) / 2)
     lens = 0.1 if hfov_deg else 0.6
-    # In the order of UNKNOWNS: on a roof, looking a little down, lines 0.3 m inside the edge.
-    mean = np.array([0.0, 0.0, 2.2, 0.0, -1.0, 0.0, np.log(focal), 0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
+    # On a roof, looking a little down, lines 0.3 m inside the edge.
+    mean = np.zeros(SIZE)
+    mean[[HEIGHT, PITCH, FOCAL]] = 2.2, -1.0, np.log(focal)
+    mean[INSETS : INSETS + 2] = 0.3
     sigma = np.array(
-        [1.2, 0.7, 0.5, 3.0, 4.0, 1.5, lens, 0.2, 0.2, 0.03, 0.03, _ANY_TURN_DEG, _ANY_TURN_DEG]
+        [*(1.2, 0.7, 0.5, 3.0, 4.0, 1.5), lens, *[max(centre_px, _SURE_PX)] * 2]
+        + [0.2, 0.2, 0.03, 0.03, _ANY_TURN_DEG, _ANY_TURN_DEG]
     )
     return Mount(mean, np.diag(sigma**2))
+
+
+def with_centre_sigma(mount: Mount, sigma_px: float) -> Mount:
+    """The same mount with a principal point that is known so well, each axis."""
+    covariance = mount.covariance.copy()
+    for number in (CX, CY):
+        covariance[number], covariance[:, number] = 0.0, 0.0
+        covariance[number, number] = max(sigma_px, _SURE_PX) ** 2
+    return replace(mount, covariance=covariance)
 
 
 def implausible(mount: Mount, width_px: int) -> str:

@@ -21,8 +21,15 @@ from roadsight.poles.alignment.dense import GivenLens
 from roadsight.poles.alignment.drift import Drift, DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import LandmarkNoise
-from roadsight.poles.alignment.pose import Spread
-from roadsight.poles.calibration.calibration import Loader, Mount, calibrate, find_focal, weak_mount
+from roadsight.poles.alignment.pose import CX, Spread
+from roadsight.poles.calibration.calibration import (
+    Loader,
+    Mount,
+    calibrate,
+    find_focal,
+    weak_mount,
+    with_centre_sigma,
+)
 from roadsight.poles.calibration.calibration_dense import (
     FEWEST,
     IMAGES,
@@ -50,6 +57,8 @@ _FEW = 12
 """Images that tell the focal length roughly: all are aligned anew for each of 14 focal lengths."""
 _SURE_LENS = 1e-4
 """Least standard deviation of the logarithm of a known focal length; zero has no inverse."""
+_SURE_PX = 0.01
+"""The same of a known principal point, px."""
 
 
 def calibrate_drives(
@@ -76,7 +85,7 @@ def calibrate_drives(
     content, sides = [], (left_yaw_deg, right_yaw_deg)
     for key, images in sorted(drives.items(), key=lambda item: item[0]):
         lenses = [scene.lenses[p.image] for p, _ in images if p.image in scene.lenses]
-        prior = _prior(key, settings.hfov_deg, baselines, lenses)
+        prior = _prior(key, settings, baselines, lenses)
         if dense is not None:
             calibration = _densely(key, [p for p, _ in images], settings, prior, dense)
         else:
@@ -98,10 +107,11 @@ def _baseline(key: Key, baselines: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def _prior(
-    key: Key, hfov_deg: float, baselines: dict[str, Any], given: list[GivenLens]
+    key: Key, settings: Calibration, baselines: dict[str, Any], given: list[GivenLens]
 ) -> tuple[Mount, str]:
     """What is known of a drive's mount beforehand, and what is wrong with its baseline."""
-    prior, baseline = weak_mount(hfov_deg or None, key[1]), _baseline(key, baselines)
+    baseline = _baseline(key, baselines)
+    prior = weak_mount(settings.hfov_deg or None, key[1], settings.principal_point_px)
     problem = ""
     if baseline is not None:
         try:
@@ -118,7 +128,8 @@ def _lens_held(mount: Mount, given: list[GivenLens]) -> Mount:
     focal = np.log([lens.focal_px for lens in given])
     # Images may have lenses of their own: the drive's spread holds all of them.
     sigma = max(_SURE_LENS, float(np.ptp(focal)))
-    return with_lens(mount, float(np.exp(np.median(focal))), sigma)
+    centre_px = max(max(lens.sigma_cx_px, lens.sigma_cy_px) for lens in given)
+    return with_lens(mount, float(np.exp(np.median(focal))), sigma, max(_SURE_PX, centre_px))
 
 
 def _densely(
@@ -154,7 +165,9 @@ def _calibrated(
 ) -> DriveCalibration:
     """Calibration from road edges; the focal length is sought on some images if on any."""
     places, loaders = [p for p, _ in images], [load for _, load in images]
-    spread, (prior, problem) = Spread(), known
+    spread, (weak, problem) = Spread(), known
+    # Where edges and poles are paired anew each time, a free principal point drifts with the yaw.
+    prior = with_centre_sigma(weak, 0.0)
     mount, chosen = prior, _evenly(loaders, settings.images)
     try:
         if problem:
@@ -170,6 +183,7 @@ def _calibrated(
     model = DriftModel(settings.gps_sigma_m, settings.gps_length_m, settings.gps_own_m)
     drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
     calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
+    prior = with_centre_sigma(prior, float(np.sqrt(weak.covariance[CX, CX])))
     calibration, found = with_landmarks(
         calibration, places, loaders, prior, noise, sides, starts, model, shared
     )
@@ -195,7 +209,7 @@ def _evenly(items: list[_Item], count: int) -> list[_Item]:
 
 def _summary(calibration: DriveCalibration) -> str:
     mount: Mount = calibration.mount
-    table = pd.Series(to_content(calibration))[["hfov_deg", "yaw_deg", "pitch_deg", "height_m"]]
+    table = pd.Series(to_content(calibration))[["hfov_deg", "cx_shift_px", "cy_shift_px", "yaw_deg", "pitch_deg", "height_m"]]
     numbers = ", ".join(f"{name} {value:.3f}" for name, value in table.items())
     return f"{mount.images} images, {len(calibration.measured)} track errors, {numbers}"
 
