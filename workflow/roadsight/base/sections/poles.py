@@ -123,7 +123,7 @@ class CameraPrior(Section):
         default=15.0,
         ge=0,
         le=1e4,
-        description="principal point from the images' middle, 1 sigma of each axis, px; 0: in it",
+        description="columns of the principal point from the images' middle, 1 sigma, px; 0: in it",
     )
 
 

@@ -173,7 +173,7 @@ def _road(
     mean, variance = prior.mean.copy(), np.diag(prior.covariance).copy()
     mean[:INSETS] = 0.0
     mean[[HEIGHT, PITCH, ROLL, FOCAL]] = z - road_m, pitch, roll, np.log(lens.focal_px)
-    variance[:INSETS] = np.r_[EXPECTED, [_SURE_SIGMA] * 3] ** 2
+    variance[:INSETS] = np.r_[EXPECTED, _SURE_SIGMA, _SURE_SIGMA] ** 2
     seen, reach = _image_edges(classes), Reach()
     there = near_edges(place, scene.edges, reach)
     noise = LandmarkNoise()

@@ -179,8 +179,8 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
     residuals = np.full((len(pixels), 2), np.inf)
     turn, turns, centre, moves = camera(start, unknowns)
     focal = np.exp(unknowns[6])
-    middle = start[6:8] + unknowns[7:9]
-    row, used = np.empty(10), np.arange(10)
+    middle = np.array([start[6] + unknowns[7], start[7]])
+    row, used = np.empty(9), np.arange(9)
     offset = np.empty(3)
     cost = 0.0
     c2 = scale * scale
@@ -189,8 +189,8 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
             continue
         one = slice(sides[group % 2], sides[group % 2 + 1])
         xyz, along, inward, half = edges[0][one], edges[1][one], edges[2][one], edges[3][one]
-        inset = unknowns[9 + group]
-        used[9] = 9 + group
+        inset = unknowns[8 + group]
+        used[8] = 8 + group
         own = noise[group // 2]
         pixel2, aside2, upward2, share = own[0] ** 2, own[1] ** 2, own[2] ** 2, own[3]
         rows = _project(xyz, along, inward, half, inset, turn, centre, focal, middle)
@@ -236,8 +236,9 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
             # Further along the road the camera also turns with the road's bend and hump.
             row[0] += (start[10] * row[3] + start[11] * row[4]) / _DEGREE
             row[6] = focal * (nu * x + nv * y) / z
-            row[7], row[8], row[9] = nu, nv, aside
-            for a in range(10):
+            row[7] = nu
+            row[8] = aside
+            for a in range(9):
                 pull = weight * row[a]
                 gradient[used[a]] -= pull * across
                 for b in range(a + 1):

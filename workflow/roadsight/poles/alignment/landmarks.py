@@ -17,9 +17,9 @@ from roadsight.poles.alignment.pose import TURNS
 
 VIEWS = ("front", "left", "right")
 """Views in the order of their numbers."""
-POSE = 9
+POSE = 8
 """How many of the unknowns move what is observed: all before the insets."""
-_STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5, 1e-2, 1e-2])
+_STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5, 1e-2])
 """Half steps of the numeric derivatives: metres, degrees, the logarithm of the focal length, px."""
 _BEHIND_M = 1.0
 """Ends of columns that are less far in front of a view have no row in it."""
@@ -184,8 +184,8 @@ def measure(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -
         aside = observed[i, 6] + (unknowns[TURNS - 1 + view] * _DEGREE if view else 0.0)
         c, s = np.cos(aside), np.sin(aside)
         # A side view has an optical axis of its own, which its yaw stands for.
-        cx, cy = (0.0, 0.0) if view else (unknowns[7], unknowns[8])
-        x, y = (observed[i, 0] - cx) / f, (observed[i, 1] - cy) / f
+        x = (observed[i, 0] - (0.0 if view else unknowns[7])) / f
+        y = observed[i, 1] / f
         right, down, ahead = c * x + s, y, c - s * x
         east = turn[0, 0] * right + turn[1, 0] * down + turn[2, 0] * ahead
         north = turn[0, 1] * right + turn[1, 1] * down + turn[2, 1] * ahead
@@ -197,7 +197,7 @@ def measure(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -
             down = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
             ahead = turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
             depth = s * right + c * ahead
-            row = observed[i, 2 + end] - cy - f * down / depth
+            row = observed[i, 2 + end] - f * down / depth
             rows[i, 1 + end] = row if depth > _BEHIND_M else np.nan
         rows[i, 3] = np.sqrt(dx * dx + dy * dy)
         rows[i, 4] = 1.0 / (f * (1.0 + x * x))

@@ -56,7 +56,7 @@ class Member:
     unknowns : (k,) as known so far. measured : what it measured of the six numbers of its pose,
         as a misfit of these; None where it measured nothing.
     shared : (n, 4) pixels shared with the next image: u, v here and there.
-    by_lens : (6, 3) how the right side of what it measured moves with the drive's log focal length
+    by_lens : (6, 2) how the right side of what it measured moves with the drive's log focal length
         and principal point.
     """
 
@@ -156,11 +156,11 @@ def _rests_on_mean(
     model: DriftModel,
     by_lens: tuple[Sequence[Floats], Sequence[Floats]],
 ) -> Floats:
-    """How far each pose (n, 6, 9) moves with each number of the drive's mean, the lens included.
+    """How far each pose (n, 6, 8) moves with each number of the drive's mean, the lens included.
 
     Parameters
     ----------
-    by_lens : how the right sides of measurements (6, 3) and links (12, 3) move with the lens.
+    by_lens : how the right sides of measurements (6, 2) and links (12, 2) move with the lens.
     """
     priors, own, links = misfits
     still = [Normal(one.matrix, np.zeros(POSED)) for one in own]
@@ -227,7 +227,7 @@ def drifting(
 def shared_points(pair: tuple[Member, Member], at: tuple[Floats, Floats], scale: float) -> Normal:
     """What points that two images share tell of steps of both poses and their lens.
 
-    (15, 15); nothing where too few agree.
+    (14, 14); nothing where too few agree.
     """
     one, other = pair
     nothing = Normal(np.zeros((2 * POSED + LENS, 2 * POSED + LENS)), np.zeros(2 * POSED + LENS))
@@ -265,7 +265,7 @@ def pose_misfit(
 
     Returns
     -------
-    its misfit, and how its right side moves (6, 3) with the mean of the first of the others, the
+    its misfit, and how its right side moves (6, 2) with the mean of the first of the others, the
     lens
     """
     right = normal @ unknowns - gradient
@@ -273,4 +273,6 @@ def pose_misfit(
     tail = right[POSED:] + mean[POSED:] / rest
     gain = np.linalg.solve(inner, normal[POSED:, :POSED])
     matrix = normal[:POSED, :POSED] - normal[:POSED, POSED:] @ gain
-    return Normal(0.5 * (matrix + matrix.T), right[:POSED] - gain.T @ tail), -(gain[:LENS] / rest[:LENS, None]).T
+    return Normal(0.5 * (matrix + matrix.T), right[:POSED] - gain.T @ tail), -(
+        gain[:LENS] / rest[:LENS, None]
+    ).T

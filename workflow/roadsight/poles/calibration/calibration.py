@@ -19,7 +19,6 @@ from roadsight.base.sections.poles import CameraPrior
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP
 from roadsight.poles.alignment.pose import (
     CX,
-    CY,
     FOCAL,
     HEIGHT,
     INSETS,
@@ -76,7 +75,7 @@ def weak_mount(
     Parameters
     ----------
     hfov_deg : horizontal field of view where it is known to 10 %, else None.
-    centre_px : one standard deviation of the principal point, each axis.
+    centre_px : one standard deviation of the principal point's column.
     """
     focal = 0.5 * width_px / np.tan(np.radians(hfov_deg or 60.0) / 2)
     lens = 0.1 if hfov_deg else 0.6
@@ -85,19 +84,47 @@ def weak_mount(
     mean[[HEIGHT, PITCH, FOCAL]] = 2.2, -1.0, np.log(focal)
     mean[INSETS : INSETS + 2] = 0.3
     sigma = np.array(
-        [*(1.2, 0.7, 0.5, 3.0, 4.0, 1.5), lens, *[max(centre_px, _SURE_PX)] * 2]
-        + [0.2, 0.2, 0.03, 0.03, _ANY_TURN_DEG, _ANY_TURN_DEG]
+        [
+            *(1.2, 0.7, 0.5, 3.0, 4.0, 1.5, lens, max(centre_px, _SURE_PX)),
+            *(0.2, 0.2, 0.03, 0.03, _ANY_TURN_DEG, _ANY_TURN_DEG),
+        ]
     )
     return Mount(mean, np.diag(sigma**2))
 
 
-def with_centre_sigma(mount: Mount, sigma_px: float) -> Mount:
-    """The same mount with a principal point that is known so well, each axis."""
-    covariance = mount.covariance.copy()
-    for number in (CX, CY):
-        covariance[number], covariance[:, number] = 0.0, 0.0
-        covariance[number, number] = max(sigma_px, _SURE_PX) ** 2
-    return replace(mount, covariance=covariance)
+def with_centre_held(mount: Mount) -> Mount:
+    """The same mount with a principal point that is where it is expected."""
+    mean, covariance = mount.mean.copy(), mount.covariance.copy()
+    mean[CX] = 0.0
+    covariance[CX], covariance[:, CX] = 0.0, 0.0
+    covariance[CX, CX] = _SURE_PX**2
+    return replace(mount, mean=mean, covariance=covariance)
+
+
+def with_centre_open(mount: Mount, sigma_px: float) -> Mount:
+    """The same mount with a principal point that is known no better than this.
+
+    The yaw was found for the point where it is: another one turns the camera by as much as leaves
+    what the image's middle shows where it is.
+    """
+    by_centre = apart_from_centre(mount.covariance)[1]
+    if by_centre[CX] <= _SURE_PX:
+        by_centre = np.zeros(SIZE)
+        by_centre[[YAW, CX]] = np.degrees(np.exp(-mount.mean[FOCAL])), 1.0
+    more = max((sigma_px / by_centre[CX]) ** 2 - mount.covariance[CX, CX] / by_centre[CX] ** 2, 0.0)
+    return replace(mount, covariance=mount.covariance + more * np.outer(by_centre, by_centre))
+
+
+def apart_from_centre(covariance: Floats) -> tuple[Floats, Floats]:
+    """Covariance (k, k) were the principal point known, and what its sigma moves (k,).
+
+    The covariance is that of the former and the outer product of the latter together.
+    """
+    by_centre = covariance[CX] / np.sqrt(covariance[CX, CX])
+    known = covariance - np.outer(by_centre, by_centre)
+    known[CX], known[:, CX] = 0.0, 0.0
+    known[CX, CX] = _SURE_PX**2
+    return 0.5 * (known + known.T), by_centre
 
 
 def implausible(mount: Mount, width_px: int) -> str:

@@ -27,7 +27,7 @@ from roadsight.poles.alignment.dense import (
 )
 from roadsight.poles.alignment.dense_kernel import SIZE
 from roadsight.poles.alignment.dense_verdict import DenseLimits
-from roadsight.poles.alignment.pose import CX, CY, FOCAL, Spread
+from roadsight.poles.alignment.pose import FOCAL, Spread
 from roadsight.poles.calibration.calibration import Mount
 
 DenseLoader = Callable[[Floats, Floats], DenseTask]
@@ -87,13 +87,12 @@ def calibrate_dense(
     return Mount(found, full, len(tasks)), [expected + one for one in images]
 
 
-def with_lens(prior: Mount, focal_px: float, sigma_log: float, centre_px: float) -> Mount:
-    """The same mount with a known focal length, and a principal point that is where it is known."""
+def with_lens(prior: Mount, focal_px: float, sigma_log: float) -> Mount:
+    """The same mount with a known focal length."""
     mean, covariance = prior.mean.copy(), prior.covariance.copy()
-    mean[[FOCAL, CX, CY]] = np.log(focal_px), 0.0, 0.0
-    for number, sigma in ((FOCAL, sigma_log), (CX, centre_px), (CY, centre_px)):
-        covariance[number, :], covariance[:, number] = 0.0, 0.0
-        covariance[number, number] = sigma**2
+    mean[FOCAL] = np.log(focal_px)
+    covariance[FOCAL, :], covariance[:, FOCAL] = 0.0, 0.0
+    covariance[FOCAL, FOCAL] = sigma_log**2
     return replace(prior, mean=mean, covariance=covariance)
 
 

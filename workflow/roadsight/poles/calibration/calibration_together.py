@@ -17,7 +17,7 @@ from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.chain import Normal, eliminated, solve_bordered
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP, DriftModel
 from roadsight.poles.alignment.epipolar import POSED
-from roadsight.poles.alignment.pose import FOCAL, INSETS, SIZE, Spread
+from roadsight.poles.alignment.pose import CX, FOCAL, SIZE, Spread
 from roadsight.poles.alignment.solve import Fit
 from roadsight.poles.alignment.ties import (
     HELD,
@@ -36,7 +36,7 @@ quarter: four times what is usual for so many unknowns."""
 _FLAT = 1e-9
 """Directions of an image's misfit this much flatter than the steepest tell nothing."""
 
-_LENS = np.arange(FOCAL, INSETS)
+_LENS = np.array([FOCAL, CX])
 """Unknowns of the lens, which all images have in common."""
 
 
@@ -100,7 +100,7 @@ def mount_together(
 
 
 def measured(fit: Fit, spread: Spread) -> Normal:
-    """What an image measured of its pose and of the drive's other mean unknowns, (15, 15).
+    """What an image measured of its pose and of the drive's other mean unknowns, (14, 14).
 
     Its own other unknowns, which lie about these, are taken out.
     """

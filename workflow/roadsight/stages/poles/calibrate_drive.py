@@ -28,7 +28,8 @@ from roadsight.poles.calibration.calibration import (
     calibrate,
     find_focal,
     weak_mount,
-    with_centre_sigma,
+    with_centre_held,
+    with_centre_open,
 )
 from roadsight.poles.calibration.calibration_dense import (
     FEWEST,
@@ -57,8 +58,6 @@ _FEW = 12
 """Images that tell the focal length roughly: all are aligned anew for each of 14 focal lengths."""
 _SURE_LENS = 1e-4
 """Least standard deviation of the logarithm of a known focal length; zero has no inverse."""
-_SURE_PX = 0.01
-"""The same of a known principal point, px."""
 
 
 def calibrate_drives(
@@ -128,8 +127,8 @@ def _lens_held(mount: Mount, given: list[GivenLens]) -> Mount:
     focal = np.log([lens.focal_px for lens in given])
     # Images may have lenses of their own: the drive's spread holds all of them.
     sigma = max(_SURE_LENS, float(np.ptp(focal)))
-    centre_px = max(max(lens.sigma_cx_px, lens.sigma_cy_px) for lens in given)
-    return with_lens(mount, float(np.exp(np.median(focal))), sigma, max(_SURE_PX, centre_px))
+    mount = with_lens(mount, float(np.exp(np.median(focal))), sigma)
+    return with_centre_open(with_centre_held(mount), max(lens.sigma_cx_px for lens in given))
 
 
 def _densely(
@@ -167,7 +166,7 @@ def _calibrated(
     places, loaders = [p for p, _ in images], [load for _, load in images]
     spread, (weak, problem) = Spread(), known
     # Where edges and poles are paired anew each time, a free principal point drifts with the yaw.
-    prior = with_centre_sigma(weak, 0.0)
+    prior = with_centre_held(weak)
     mount, chosen = prior, _evenly(loaders, settings.images)
     try:
         if problem:
@@ -182,10 +181,10 @@ def _calibrated(
         mount, problem = prior, str(error)
     model = DriftModel(settings.gps_sigma_m, settings.gps_length_m, settings.gps_own_m)
     drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
+    centre_px = float(np.sqrt(weak.covariance[CX, CX]))
     calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
-    prior = with_centre_sigma(prior, float(np.sqrt(weak.covariance[CX, CX])))
     calibration, found = with_landmarks(
-        calibration, places, loaders, prior, noise, sides, starts, model, shared
+        calibration, places, loaders, prior, noise, sides, starts, model, shared, centre_px
     )
     return with_ties(calibration, places, loaders, noise, found, shared)
 
@@ -209,7 +208,9 @@ def _evenly(items: list[_Item], count: int) -> list[_Item]:
 
 def _summary(calibration: DriveCalibration) -> str:
     mount: Mount = calibration.mount
-    table = pd.Series(to_content(calibration))[["hfov_deg", "cx_shift_px", "cy_shift_px", "yaw_deg", "pitch_deg", "height_m"]]
+    table = pd.Series(to_content(calibration))[
+        ["hfov_deg", "cx_shift_px", "yaw_deg", "pitch_deg", "height_m"]
+    ]
     numbers = ", ".join(f"{name} {value:.3f}" for name, value in table.items())
     return f"{mount.images} images, {len(calibration.measured)} track errors, {numbers}"
 
