@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roadsight.base.sections.poles import AlignmentLimits
 from roadsight.base.arrays import Floats
+from roadsight.base.sections.poles import AlignmentLimits
 from roadsight.poles.alignment.pose import ALONG, CX, FOCAL, LATERAL, PITCH, UNKNOWNS, YAW
 from roadsight.poles.alignment.solve import FINEST, Fit, Noise, Task
 

@@ -77,8 +77,11 @@ _COLUMNS = (
 )
 _TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
 """Columns that hold texts, also where there is no row to tell."""
-_CENTRE = ("sigma_cx_px", "heading_by_cx_deg")
-"""Columns of the cameras about the principal point."""
+_SIGMAS = (
+    *("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m"),
+    *("sigma_cx_px", "heading_by_cx_deg"),
+)
+"""Columns of the cameras that hold uncertainties, in the order of `ViewCamera`."""
 _SEEN = {"kind": str, "object": np.int64, "image": str, "answer": np.int64}
 """Columns of what views say about objects of the cloud, beside the route."""
 
@@ -246,11 +249,7 @@ def _camera(
     )
     own = front if view.view == "front" else side_intrinsics(front, shape[1], shape[0])
     angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
-    names = (
-        *("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m"),
-        *_CENTRE,
-    )
-    sigmas = [float(np.nan_to_num(pose[name])) for name in names]
+    sigmas = [float(np.nan_to_num(pose[name])) for name in _SIGMAS]
     position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
     heading, pitch, roll = angles
     camera = ViewCamera(own, position, heading, pitch, roll, offsets.of(view.view), *sigmas)
