@@ -34,7 +34,7 @@ def expected(bed):
     m = bed.mount
     angles = [m.yaw_deg, m.pitch_deg, m.roll_deg - 1.146]
     lens = np.log(bed.intrinsics.focal_px)
-    return np.array([0, m.lateral_m, m.height_m, *angles, lens, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0])
+    return np.array([0, m.lateral_m, m.height_m, *angles, lens, 0.0, 0.5, 0.5, *[0.0] * 4])
 
 
 def tasks_of(bed, pixels=None, information=INFORMATION):
