@@ -22,7 +22,11 @@ from roadsight.poles.calibration.calibration import (
     with_centre_held,
     with_centre_open,
 )
-from roadsight.poles.calibration.calibration_centre import centre_sigma_px, told_centre
+from roadsight.poles.calibration.calibration_centre import (
+    centre_doubts,
+    centre_sigma_px,
+    told_centre,
+)
 from roadsight.poles.calibration.calibration_together import Tied
 from roadsight.poles.sightings.sighting_bearing import ViewCamera, image_bearings
 
@@ -197,6 +201,17 @@ def test_a_point_that_is_not_clearly_off_the_middle_stays_there(off_px):
     own_px = np.hypot(2.0, BENT_PX)
     assert sigma_px == pytest.approx(own_px if told else np.hypot(own_px, off_px))
     assert mount.mean[PITCH] == held.mean[PITCH]
+
+
+def test_only_a_point_that_is_open_and_matters_is_told():
+    held = with_centre_held(weak_mount(60.0, 1000))
+    (told,) = centre_doubts("route", with_centre_open(held, 8.0))
+    assert told.measured == 8.0
+    assert "0.5 degrees" in told.message
+    assert not centre_doubts("route", with_centre_open(held, 1.0))
+    off = held.mean.copy()
+    off[CX] = 12.0
+    assert not centre_doubts("route", replace(with_centre_open(held, 8.0), mean=off))
 
 
 def test_an_image_without_a_column_is_as_if_it_had_never_been_paired():

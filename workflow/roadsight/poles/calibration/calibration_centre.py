@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from roadsight.base.doubts import Doubt
 from roadsight.poles.alignment.landmarks import landmark_misfit
 from roadsight.poles.alignment.pose import CX, FOCAL
 from roadsight.poles.alignment.solve import FINEST, Fit
@@ -28,6 +29,8 @@ _BENT_PX = 0.3
 rectified are so to some tenths of a pixel. A principal point moves what is there by its shift times
 (half the width / focal length)^2, so that a narrow lens hardly tells it: with a lens of 22 degrees,
 where that is 0.04, a point 15 px off was found in the middle with 5.8 px as its sigma."""
+_MATTERS_DEG = 0.1
+"""Turn of the camera from which an open principal point is told: the limit of a right heading."""
 _TOLD = 2.0
 """Standard deviations by which the point must be off the middle to be taken from the drive."""
 Solver = Callable[[Sequence[Tied], Mount], Mount]
@@ -53,6 +56,20 @@ def told_centre(
     if off_px < _TOLD * sigma_px:
         return with_centre_open(held, min(float(np.hypot(off_px, sigma_px)), centre_px)), False
     return with_centre_open(mount, sigma_px), True
+
+
+def centre_doubts(route: str, mount: Mount) -> list[Doubt]:
+    """What a drive leaves open of its principal point, as far as it matters to headings."""
+    sigma_px = float(np.sqrt(mount.covariance[CX, CX]))
+    turns_deg = float(np.degrees(sigma_px / np.exp(mount.mean[FOCAL])))
+    if mount.mean[CX] != 0.0 or turns_deg < _MATTERS_DEG:
+        return []
+    text = (
+        f"{route}: the drive does not tell the principal point, which is taken in the middle of the"
+        f" images: headings may be off by {turns_deg:.1f} degrees (1 sigma), bearings near the"
+        " middle are not (give poles.intrinsics where the lens is known): 1 sigma, px"
+    )
+    return [Doubt("principal_point_open", "note", text, round(sigma_px, 1))]
 
 
 def centre_sigma_px(images: Sequence[Tied], mount: Mount, prior: Mount, solve: Solver) -> float:

@@ -31,6 +31,7 @@ from roadsight.poles.calibration.calibration import (
     with_centre_held,
     with_centre_open,
 )
+from roadsight.poles.calibration.calibration_centre import centre_doubts
 from roadsight.poles.calibration.calibration_dense import (
     FEWEST,
     IMAGES,
@@ -49,6 +50,7 @@ from roadsight.poles.calibration.calibration_table import (
 from roadsight.poles.calibration.calibration_ties import Shared, with_ties
 from roadsight.poles.calibration.calibration_upright import aimed
 from roadsight.stages.command import Command
+from roadsight.stages.doubts import tell
 from roadsight.stages.poles.shared.alignment_inputs import SceneFiles, read_scene
 from roadsight.stages.poles.shared.dense_inputs import DenseFiles, DenseScene, method_of
 
@@ -68,6 +70,7 @@ def calibrate_drives(
     right_yaw_deg: Annotated[float, SideViews],
     baseline: Annotated[str | None, 'JSON by image size, {"2000x1200": {...}}, or "all"'] = None,
     matches: Annotated[Sequence[Path], "tables of shared points"] = (),
+    doubts_path: Annotated[Path | None, "what the drives leave open"] = None,
     *,
     out: Path,
 ) -> None:
@@ -81,7 +84,7 @@ def calibrate_drives(
     for place, load in scene.loaders():
         key = place.route, place.start.width_px, place.start.height_px
         drives.setdefault(key, []).append((place, load))
-    content, sides = [], (left_yaw_deg, right_yaw_deg)
+    content, sides, doubts = [], (left_yaw_deg, right_yaw_deg), []
     for key, images in sorted(drives.items(), key=lambda item: item[0]):
         lenses = [scene.lenses[p.image] for p, _ in images if p.image in scene.lenses]
         prior = _prior(key, settings, baselines, lenses)
@@ -96,7 +99,10 @@ def calibrate_drives(
             mount = _lens_held(calibration.mount, lenses)
             calibration = replace(calibration, mount=mount)
         log.info("%s %d x %d: %s", *key, _summary(calibration))
+        doubts += centre_doubts(key[0], calibration.mount)
         content.append(to_content(calibration))
+    if doubts_path:
+        tell(doubts, doubts_path, "poles", log)
     write_json(out, {"drives": content})
 
 
