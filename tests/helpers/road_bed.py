@@ -139,6 +139,7 @@ class RoadBed:
                     ),
                     m.roll_deg + self.roll_sway_deg * sway[i, 2] - np.degrees(0.02),
                     focal,
+                    self.intrinsics.cx_px,
                 )
             )
 

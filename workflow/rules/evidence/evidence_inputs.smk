@@ -20,6 +20,11 @@ def told_doubts(wildcards):
         told.append(rules.extract_pavement.output.doubts)
     if wants(wildcards.site, "poles"):
         told += [rules.triangulate_poles.output.doubts, rules.rate_hazard.output.doubts]
+        told += (
+            [rules.calibrate_drive.output.doubts]
+            if calibration_if_aligned(wildcards)
+            else []
+        )
     scene = [file.format(site=wildcards.site) for file in told]
     return [*scene, *matched, *placement_only(placement_doubts)(wildcards)]
 

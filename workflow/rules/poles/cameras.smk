@@ -28,6 +28,7 @@ rule calibrate_drive:
         code=sources("calibrate_drive"),
     output:
         calibration="results/{site}/poles/calibration.json",
+        doubts="results/{site}/doubts/calibrate_drive.json",
     log:
         log_of("calibrate_drive"),
     benchmark:
@@ -52,7 +53,7 @@ rule calibrate_drive:
         " --matches {input.matches} --baseline {input.baseline:q} {params.options} {params.sides} {params.shared}"
         " {params.method} {params.dense} --cloud {input.cloud} --masks {input.masks}"
         " --drive {input.drive} --curvature {params.curvature}"
-        " --out {output.calibration} > {log} 2>&1"
+        " --doubts {output.doubts} --out {output.calibration} > {log} 2>&1"
 
 
 rule align_cameras:

@@ -34,7 +34,7 @@ def expected(bed):
     m = bed.mount
     angles = [m.yaw_deg, m.pitch_deg, m.roll_deg - 1.146]
     lens = np.log(bed.intrinsics.focal_px)
-    return np.array([0, m.lateral_m, m.height_m, *angles, lens, 0.5, 0.5, 0.0, 0.0, 0.0, 0.0])
+    return np.array([0, m.lateral_m, m.height_m, *angles, lens, 0.0, 0.5, 0.5, *[0.0] * 4])
 
 
 def tasks_of(bed, pixels=None, information=INFORMATION):
@@ -171,8 +171,8 @@ def test_left_and_right_are_alike(tasks):
     group = np.repeat(np.arange(4), np.diff(task.image_edges.groups))
     uv = task.image_edges.uv_px * [-1, 1] + [task.start.width_px - 1, 0]
     seen = ImageEdges.from_pixels(uv, np.where(group % 2, -1, 1), group < 2)
-    sign = np.array([1, -1, 1, -1, 1, -1, 1, 1, 1, 1, 1, -1, -1.0])
-    swap = [0, 1, 2, 3, 4, 5, 6, 8, 7, 10, 9, 12, 11]
+    sign = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1, 1, 1, 1, -1, -1.0])
+    swap = [0, 1, 2, 3, 4, 5, 6, 7, 9, 8, 11, 10, 13, 12]
     mirrored = Task(
         start, seen, map_edges, task.noise, task.prior_mean[swap] * sign, task.prior_information
     )

@@ -111,6 +111,7 @@ def tasks_of(bed, columns, views=("front",), known=None, side_deg=(0.0, 0.0), si
             m.pitch_deg,
             m.roll_deg - 1.146,
             np.log(bed.intrinsics.focal_px),
+            0,
             0.5,
             0.5,
             0,
@@ -191,14 +192,15 @@ def test_columns_that_are_elsewhere_are_no_landmarks(bed, columns, tasks):
     assert sum(wrong) < 0.35 * sum(right)
 
 
-def test_bearings_and_slopes_match_differences(tasks):
+@pytest.mark.parametrize("views", [(1, 2), (0, 1)])
+def test_bearings_and_slopes_match_differences(tasks, views):
     task = next(t for t in tasks if t.landmarks is not None and len(t.landmarks.axes) > 1)
     columns = np.full(len(task.landmarks.axes), -1)
     columns[:2] = [0, 1]
     scene = task.scene[0], task.origin_m
     matched = match_landmarks(columns, task.landmarks, scene, task.prior_mean)
     seen = matched.observed.copy()
-    seen[:, 5] = [1, 2]
+    seen[:, 5] = views
     turn = slopes(task.prior_mean, scene[0], seen, matched.mapped)
     for number in (*range(INSETS), TURNS, TURNS + 1):
         step = np.zeros(len(task.prior_mean))

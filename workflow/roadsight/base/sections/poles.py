@@ -116,7 +116,18 @@ class Alignment(AlignmentLimits, Reach, AlignmentMethod):
     """Poles: camera poses by road alignment."""
 
 
-class Calibration(Section):
+class CameraPrior(Section):
+    """What is known of a camera beforehand."""
+
+    principal_point_px: float = Field(
+        default=15.0,
+        ge=0,
+        le=1e4,
+        description="columns of the principal point from the images' middle, 1 sigma, px; 0: in it",
+    )
+
+
+class Calibration(CameraPrior):
     """Poles: what the images of a drive share."""
 
     images: Count = Field(default=60, description="images of a drive that are used")

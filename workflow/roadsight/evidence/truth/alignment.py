@@ -30,7 +30,7 @@ from roadsight.poles.alignment.dense_verdict import DenseLimits, dense_doubt
 from roadsight.poles.alignment.drive import Place, image_edges_of, near_edges, sight_of
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.locate import locate
-from roadsight.poles.alignment.pose import FOCAL, HEIGHT, PITCH, ROLL, Start, pose_of
+from roadsight.poles.alignment.pose import FOCAL, HEIGHT, INSETS, PITCH, ROLL, Start, pose_of
 from roadsight.poles.alignment.roadside import RoadEdges
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.alignment.track import extended_track
@@ -171,9 +171,9 @@ def _road(
     place = Place(image, "", 0.0, Start(x, y, road_m, heading, 0.0, 0.0, *size, *centre), track)
     prior = weak_mount(None, size[0])
     mean, variance = prior.mean.copy(), np.diag(prior.covariance).copy()
-    mean[: FOCAL + 1] = 0.0
+    mean[:INSETS] = 0.0
     mean[[HEIGHT, PITCH, ROLL, FOCAL]] = z - road_m, pitch, roll, np.log(lens.focal_px)
-    variance[: FOCAL + 1] = np.append(EXPECTED, _SURE_SIGMA) ** 2
+    variance[:INSETS] = np.r_[EXPECTED, _SURE_SIGMA, _SURE_SIGMA] ** 2
     seen, reach = _image_edges(classes), Reach()
     there = near_edges(place, scene.edges, reach)
     noise = LandmarkNoise()

@@ -17,21 +17,23 @@ from roadsight.poles.alignment.kernel import camera
 _DEGREE = np.pi / 180.0
 """Radians in a degree."""
 POSED = 6
-"""How many of the unknowns place and turn a camera."""
+"""How many of the unknowns place and turn a camera; the lens's follow."""
 
 
 @compiled_part(error_model="numpy")
 def _rays(
     pixels: Floats, start: Floats, unknowns: Floats, turn: Floats, turns: Floats
 ) -> tuple[Floats, Floats]:
-    """Unit rays (n, 3) in the world and their derivatives (n, 4, 3).
+    """Unit rays (n, 3) in the world and their derivatives (n, 5, 3).
 
-    They are by yaw, pitch, roll (degrees) and the logarithm of the focal length.
+    They are by yaw, pitch, roll (degrees), the logarithm of the focal length and the principal
+    point's column.
     """
     focal = np.exp(unknowns[6])
-    rays, moved = np.empty((len(pixels), 3)), np.empty((len(pixels), 4, 3))
+    rays, moved = np.empty((len(pixels), 3)), np.empty((len(pixels), 5, 3))
     for i in range(len(pixels)):
-        x, y = (pixels[i, 0] - start[6]) / focal, (pixels[i, 1] - start[7]) / focal
+        x = (pixels[i, 0] - start[6] - unknowns[7]) / focal
+        y = (pixels[i, 1] - start[7]) / focal
         length = np.sqrt(x * x + y * y + 1.0)
         for k in range(3):
             rays[i, k] = (x * turn[0, k] + y * turn[1, k] + turn[2, k]) / length
@@ -40,6 +42,7 @@ def _rays(
                 moved[i, a, k] = part / length
             # A longer lens draws a ray towards the axis.
             moved[i, 3, k] = (turn[2, k] - rays[i, k] / length) / length
+            moved[i, 4, k] = (x * rays[i, k] / length - turn[0, k]) / (length * focal)
     return rays, moved
 
 
@@ -79,8 +82,8 @@ def shared_misfit(
 
     Returns
     -------
-    normal matrix (13, 13) and gradient (13,) by the six numbers of either pose and the logarithm of
-    the focal length that both share, and residuals (n,)
+    normal matrix (14, 14) and gradient (14,) by the six numbers of either pose, the logarithm of
+    the focal length and the principal point's column that both share, and residuals (n,)
     """
     turn1, turns1, centre1, moves1 = camera(starts[0], unknowns[0])
     turn2, turns2, centre2, moves2 = camera(starts[1], unknowns[1])
@@ -88,9 +91,9 @@ def shared_misfit(
     rays2, moved2 = _rays(pixels[:, 2:], starts[1], unknowns[1], turn2, turns2)
     base = centre2 - centre1
     sigma = sigma_px / np.exp(0.5 * (unknowns[0][6] + unknowns[1][6]))
-    normal, gradient = np.zeros((13, 13)), np.zeros(13)
+    normal, gradient = np.zeros((14, 14)), np.zeros(14)
     residuals = np.empty(len(pixels))
-    row = np.empty(13)
+    row = np.empty(14)
     for i in range(len(pixels)):
         side1, side2 = _cross(base, rays1[i]), _cross(rays2[i], base)
         plane = _cross(rays1[i], rays2[i])
@@ -104,20 +107,25 @@ def shared_misfit(
         for a in range(3):
             row[3 + a] = (moved1[i, a] @ side2 + gap * near1 * (base @ moved1[i, a])) / size
             row[9 + a] = (moved2[i, a] @ side1 + gap * near2 * (base @ moved2[i, a])) / size
-        row[12] = (moved1[i, 3] @ side2 + gap * near1 * (base @ moved1[i, 3])) / size
-        row[12] += (moved2[i, 3] @ side1 + gap * near2 * (base @ moved2[i, 3])) / size
+        for a in range(2):
+            row[12 + a] = (
+                moved1[i, 3 + a] @ side2 + gap * near1 * (base @ moved1[i, 3 + a])
+            ) / size
+            row[12 + a] += (
+                moved2[i, 3 + a] @ side1 + gap * near2 * (base @ moved2[i, 3 + a])
+            ) / size
         row[12] += gap  # A pixel is a smaller angle.
         longer = (2.0 * base) / size - near1 * rays1[i] - near2 * rays2[i]
         by_base = (plane - gap * longer) / size
         _along(row[:6], starts[0], moves1, -by_base)
         _along(row[6:12], starts[1], moves2, by_base)
         weight = (scale * scale / (scale * scale + residual * residual)) ** 2
-        for a in range(13):
+        for a in range(14):
             slope = row[a] / sigma
             gradient[a] += weight * slope * residual
             for b in range(a + 1):
                 normal[a, b] += weight * slope * row[b] / sigma
-    for a in range(13):
+    for a in range(14):
         for b in range(a):
             normal[b, a] = normal[a, b]
     return normal, gradient, residuals

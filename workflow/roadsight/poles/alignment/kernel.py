@@ -60,7 +60,7 @@ def _project(
     turn: Floats,
     centre: Floats,
     focal: float,
-    start: Floats,
+    middle: Floats,
 ) -> Floats:
     """Rows of projected points by v: u, v, unit tangent (2), half length px, number, x, y, z."""
     rows = np.empty((len(xyz), 9))
@@ -82,7 +82,7 @@ def _project(
         # A piece that points at the camera has no length in the image.
         length = max(np.sqrt(tu * tu + tv * tv), 1e-12)
         row = rows[count]
-        row[0], row[1] = start[6] + focal * x / z, start[7] + focal * y / z
+        row[0], row[1] = middle[0] + focal * x / z, middle[1] + focal * y / z
         row[2], row[3], row[4], row[5] = tu / length, tv / length, length * half[j], j
         row[6], row[7], row[8] = x, y, z
         count += 1
@@ -179,7 +179,8 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
     residuals = np.full((len(pixels), 2), np.inf)
     turn, turns, centre, moves = camera(start, unknowns)
     focal = np.exp(unknowns[6])
-    row, used = np.empty(8), np.arange(8)
+    middle = np.array([start[6] + unknowns[7], start[7]])
+    row, used = np.empty(9), np.arange(9)
     offset = np.empty(3)
     cost = 0.0
     c2 = scale * scale
@@ -188,11 +189,11 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
             continue
         one = slice(sides[group % 2], sides[group % 2 + 1])
         xyz, along, inward, half = edges[0][one], edges[1][one], edges[2][one], edges[3][one]
-        inset = unknowns[7 + group]
-        used[7] = 7 + group
+        inset = unknowns[8 + group]
+        used[8] = 8 + group
         own = noise[group // 2]
         pixel2, aside2, upward2, share = own[0] ** 2, own[1] ** 2, own[2] ** 2, own[3]
-        rows = _project(xyz, along, inward, half, inset, turn, centre, focal, start)
+        rows = _project(xyz, along, inward, half, inset, turn, centre, focal, middle)
         boxes = _boxes(rows)
         for i in range(groups[group], groups[group + 1]):
             if len(rows) == 0:
@@ -235,8 +236,9 @@ def misfit(  # noqa: PLR0912, PLR0915 - one pass over the pixels, compiled as a 
             # Further along the road the camera also turns with the road's bend and hump.
             row[0] += (start[10] * row[3] + start[11] * row[4]) / _DEGREE
             row[6] = focal * (nu * x + nv * y) / z
-            row[7] = aside
-            for a in range(8):
+            row[7] = nu
+            row[8] = aside
+            for a in range(9):
                 pull = weight * row[a]
                 gradient[used[a]] -= pull * across
                 for b in range(a + 1):

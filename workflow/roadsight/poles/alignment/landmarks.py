@@ -17,10 +17,10 @@ from roadsight.poles.alignment.pose import TURNS
 
 VIEWS = ("front", "left", "right")
 """Views in the order of their numbers."""
-POSE = 7
+POSE = 8
 """How many of the unknowns move what is observed: all before the insets."""
-_STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5])
-"""Half steps of the numeric derivatives: metres, degrees, and the logarithm of the focal length."""
+_STEPS = np.array([1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-3, 1e-5, 1e-2])
+"""Half steps of the numeric derivatives: metres, degrees, the logarithm of the focal length, px."""
 _BEHIND_M = 1.0
 """Ends of columns that are less far in front of a view have no row in it."""
 _BLIND_DEG = 1.0
@@ -183,7 +183,9 @@ def measure(unknowns: Floats, start: Floats, observed: Floats, mapped: Floats) -
         view = int(observed[i, 5])
         aside = observed[i, 6] + (unknowns[TURNS - 1 + view] * _DEGREE if view else 0.0)
         c, s = np.cos(aside), np.sin(aside)
-        x, y = observed[i, 0] / f, observed[i, 1] / f
+        # A side view has an optical axis of its own, which its yaw stands for.
+        x = (observed[i, 0] - (0.0 if view else unknowns[7])) / f
+        y = observed[i, 1] / f
         right, down, ahead = c * x + s, y, c - s * x
         east = turn[0, 0] * right + turn[1, 0] * down + turn[2, 0] * ahead
         north = turn[0, 1] * right + turn[1, 1] * down + turn[2, 1] * ahead

@@ -2,10 +2,11 @@
 
 The vehicle is on the road at its track position, in the road's direction, tilted with the road;
 further along, the road's direction and grade are those further along.
-The camera differs from that by the numbers of ``UNKNOWNS``. Four of them say how far painted edge
-lines and road borders lie inside the LiDAR's road edge, the last two how far the side views are
-turned from the front view. What a drive shares is among them, so that an image is solved with what
-the drive leaves open, and all images together tell what the drive shares.
+The camera differs from that by the numbers of ``UNKNOWNS``. One says how far the principal point is
+right of the image's middle, or of where its lens is known to have it. Four of them say how far
+painted edge lines and road borders lie inside the LiDAR's road edge, the last two how far the side
+views are turned from the front view. What a drive shares is among them, so that an image is solved
+with what the drive leaves open, and all images together tell what the drive shares.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ UNKNOWNS = (
     "pitch_deg",
     "roll_deg",
     "log_focal",
+    "cx_shift_px",
     "lane_inset_left_m",
     "lane_inset_right_m",
     "border_inset_left_m",
@@ -32,8 +34,8 @@ UNKNOWNS = (
     "left_yaw_deg",
     "right_yaw_deg",
 )
-ALONG, LATERAL, HEIGHT, YAW, PITCH, ROLL, FOCAL, INSETS = range(8)
-TURNS = 11
+ALONG, LATERAL, HEIGHT, YAW, PITCH, ROLL, FOCAL, CX, INSETS = range(9)
+TURNS = 12
 """Number of the first yaw of a side view; between `INSETS` and this are the four insets."""
 _TIMES = [1] * INSETS + [2, 2, 2]
 """How many unknowns share a value of `Spread`."""
@@ -100,6 +102,7 @@ class Pose:
     pitch_deg: float
     roll_deg: float
     focal_px: float
+    cx_px: float
 
     @property
     def position_m(self) -> Floats:
@@ -109,7 +112,7 @@ class Pose:
 
 def pose_of(start: Start, unknowns: Floats) -> Pose:
     """Camera pose of the unknowns (SIZE,)."""
-    along, lateral, height, yaw, pitch, roll, log_focal = unknowns[: FOCAL + 1]
+    along, lateral, height, yaw, pitch, roll, log_focal, cx_shift = unknowns[:INSETS]
     heading = np.radians(start.heading_deg)
     return Pose(
         start.x_m + along * np.sin(heading) + lateral * np.cos(heading),
@@ -119,6 +122,7 @@ def pose_of(start: Start, unknowns: Floats) -> Pose:
         float(np.degrees(np.arctan(start.grade) + start.hump * along) + pitch),
         float(np.degrees(np.arctan(start.bank)) + roll),
         float(np.exp(log_focal)),
+        float(start.cx_px + cx_shift),
     )
 
 
@@ -137,6 +141,7 @@ class Spread:
     pitch_deg: float = 0.5
     roll_deg: float = 0.3
     log_focal: float = 0.0002
+    cx_shift_px: float = 0.02
     lane_inset_m: float = 0.10
     border_inset_m: float = 0.10
     side_yaw_deg: float = 0.002

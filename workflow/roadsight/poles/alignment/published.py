@@ -79,7 +79,7 @@ def _mean_square(
     start: Start, map_edges: NearEdges, pixels: list[Floats], unknowns: Floats, window_px: float
 ) -> float:
     pose = pose_of(start, unknowns)
-    camera = Intrinsics(start.width_px, start.height_px, pose.focal_px, start.cx_px, start.cy_px)
+    camera = Intrinsics(start.width_px, start.height_px, pose.focal_px, pose.cx_px, start.cy_px)
     rotation = cam_from_world(pose.heading_deg, pose.pitch_deg, pose.roll_deg)
     uv, _ = project(camera, rotation, pose.position_m, map_edges.xyz_m)
     inside = camera.contains(uv)

@@ -19,7 +19,7 @@ from roadsight.poles.alignment.chain import Normal, others_say, surprise
 from roadsight.poles.alignment.drift import DriftModel, axes
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED, shared_misfit
-from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, Spread
+from roadsight.poles.alignment.pose import ALONG, INSETS, LATERAL, Spread
 
 SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
 """Scale of each round, in standard deviations of a shared point: wide as long as headings are off,
@@ -41,6 +41,8 @@ HELD = Normal(np.diag(_STEP**-2.0), np.zeros(POSED))
 _SOFT = 4.0 * POSED
 """Surprise, in squared standard deviations, at which a measurement counts a quarter: four times
 what is usual for the six numbers of a pose."""
+LENS = INSETS - POSED
+"""How many numbers of the lens images share: focal length and principal point."""
 _PLACE = np.array([ALONG, LATERAL])
 """Numbers of the place on the road, whose error is the track's."""
 
@@ -54,14 +56,15 @@ class Member:
     unknowns : (k,) as known so far. measured : what it measured of the six numbers of its pose,
         as a misfit of these; None where it measured nothing.
     shared : (n, 4) pixels shared with the next image: u, v here and there.
-    by_focal : (6,) how the right side of what it measured moves with the drive's log focal length.
+    by_lens : (6, 2) how the right side of what it measured moves with the drive's log focal length
+        and principal point.
     """
 
     place: Place
     unknowns: Floats
     measured: Normal | None
     shared: Floats
-    by_focal: Floats = field(default_factory=lambda: np.zeros(POSED))
+    by_lens: Floats = field(default_factory=lambda: np.zeros((POSED, LENS)))
 
 
 def told_by_others(
@@ -97,16 +100,16 @@ def told_by_others(
     priors, own, links = _misfits(members, now, mean[0], spread, model, SCALES[-1])
     counted = [one.times(w) for one, w in zip(own, weights, strict=True)]
     found = [rest.least() for rest in others_say(priors, counted, links)]
-    focal = [
-        -shared_points(pair, at, SCALES[-1]).matrix[:-1, -1]
+    linked = [
+        -shared_points(pair, at, SCALES[-1]).matrix[:-LENS, -LENS:]
         for pair, at in zip(pairwise(members), pairwise(now), strict=True)
     ]
-    by_focal = [w * m.by_focal for m, w in zip(members, weights, strict=True)]
-    rests = _rests_on_mean(members, now, (priors, counted, links), spread, model, (by_focal, focal))
+    by_lens = [w * m.by_lens for m, w in zip(members, weights, strict=True)]
+    rests = _rests_on_mean(members, now, (priors, counted, links), spread, model, (by_lens, linked))
     told = {}
     for m, x, (step, alone), rest in zip(members, now, found, rests, strict=True):
-        covariance = rest @ mean[1][: FOCAL + 1]
-        covariance[:, :POSED] = alone + covariance[:, : FOCAL + 1] @ rest.T
+        covariance = rest @ mean[1][:INSETS]
+        covariance[:, :POSED] = alone + covariance[:, :INSETS] @ rest.T
         told[m.place.image] = x[:POSED] + step, covariance
     return told
 
@@ -130,7 +133,7 @@ def _misfits(
     links = []
     for pair, at in zip(pairwise(members), pairwise(now), strict=True):
         points = shared_points(pair, at, scale)
-        alike = Normal(points.matrix[:-1, :-1], points.right[:-1])
+        alike = Normal(points.matrix[:-LENS, :-LENS], points.right[:-LENS])
         links.append(drifting(*pair, at, mean, model) + alike)
     return priors, own, links
 
@@ -151,22 +154,23 @@ def _rests_on_mean(
     misfits: _Misfits,
     spread: Spread,
     model: DriftModel,
-    by_focal: tuple[Sequence[Floats], Sequence[Floats]],
+    by_lens: tuple[Sequence[Floats], Sequence[Floats]],
 ) -> Floats:
-    """How far each pose (n, 6, 7) moves with each number of the drive's mean, the lens included.
+    """How far each pose (n, 6, 8) moves with each number of the drive's mean, the lens included.
 
     Parameters
     ----------
-    by_focal : how the right sides of measurements (6,) and links (12,) move with the lens.
+    by_lens : how the right sides of measurements (6, 2) and links (12, 2) move with the lens.
     """
     priors, own, links = misfits
     still = [Normal(one.matrix, np.zeros(POSED)) for one in own]
-    found = np.empty((len(members), POSED, FOCAL + 1))
+    found = np.empty((len(members), POSED, INSETS))
     level = [Normal(one.matrix, np.zeros(POSED)) for one in priors]
-    pulled = [Normal(one.matrix, pull) for one, pull in zip(own, by_focal[0], strict=True)]
-    linked = [Normal(one.matrix, pull) for one, pull in zip(links, by_focal[1], strict=True)]
-    for k, rest in enumerate(others_say(level, pulled, linked)):
-        found[k, :, FOCAL] = rest.least()[0]
+    for number in range(LENS):
+        pulled = [Normal(m.matrix, by[:, number]) for m, by in zip(own, by_lens[0], strict=True)]
+        linked = [Normal(m.matrix, by[:, number]) for m, by in zip(links, by_lens[1], strict=True)]
+        for k, rest in enumerate(others_say(level, pulled, linked)):
+            found[k, :, POSED + number] = rest.least()[0]
     for number in range(POSED):
         shift = np.zeros(len(now[0]))
         shift[number] = 1.0
@@ -221,12 +225,12 @@ def drifting(
 
 
 def shared_points(pair: tuple[Member, Member], at: tuple[Floats, Floats], scale: float) -> Normal:
-    """What points that two images share tell of steps of both poses and the log focal length.
+    """What points that two images share tell of steps of both poses and their lens.
 
-    (13, 13); nothing where too few agree.
+    (14, 14); nothing where too few agree.
     """
     one, other = pair
-    nothing = Normal(np.zeros((2 * POSED + 1, 2 * POSED + 1)), np.zeros(2 * POSED + 1))
+    nothing = Normal(np.zeros((2 * POSED + LENS, 2 * POSED + LENS)), np.zeros(2 * POSED + LENS))
     if len(one.shared) < _FEWEST:
         return nothing
     start = one.place.start
@@ -261,11 +265,14 @@ def pose_misfit(
 
     Returns
     -------
-    its misfit, and how the right side (6,) moves with the mean of the first of the others, the lens
+    its misfit, and how its right side moves (6, 2) with the mean of the first of the others, the
+    lens
     """
     right = normal @ unknowns - gradient
     inner = normal[POSED:, POSED:] + np.diag(1.0 / rest)
     tail = right[POSED:] + mean[POSED:] / rest
     gain = np.linalg.solve(inner, normal[POSED:, :POSED])
     matrix = normal[:POSED, :POSED] - normal[:POSED, POSED:] @ gain
-    return Normal(0.5 * (matrix + matrix.T), right[:POSED] - gain.T @ tail), -gain[0] / rest[0]
+    return Normal(0.5 * (matrix + matrix.T), right[:POSED] - gain.T @ tail), -(
+        gain[:LENS] / rest[:LENS, None]
+    ).T

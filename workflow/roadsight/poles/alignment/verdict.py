@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roadsight.base.arrays import Floats
 from roadsight.base.sections.poles import AlignmentLimits
-from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, PITCH, UNKNOWNS, YAW
+from roadsight.poles.alignment.pose import ALONG, CX, FOCAL, LATERAL, PITCH, UNKNOWNS, YAW
 from roadsight.poles.alignment.solve import FINEST, Fit, Noise, Task
 
 _PIXELS_OF_A_SIDE = 10
@@ -148,6 +149,21 @@ def condition(fit: Fit, task: Task) -> float:
     scaled = fit.covariance[:FOCAL, :FOCAL] * np.outer(unit, unit)
     variances = np.linalg.eigvalsh(0.5 * (scaled + scaled.T))
     return float(variances[-1] / max(variances[0], 1e-300))
+
+
+def moved_by_centre(fit: Fit, task: Task, by_centre: Floats) -> Floats:
+    """What one standard deviation of the drive's principal point moves (k,) in a solved image.
+
+    Parameters
+    ----------
+    by_centre : (k,) what it moves in the expectation, its own shift included.
+    """
+    rest = np.arange(len(by_centre)) != CX
+    expected = task.prior_information[np.ix_(rest, rest)]
+    pull = expected @ by_centre[rest] - fit.normal[rest, CX] * by_centre[CX]
+    moved = by_centre.copy()
+    moved[rest] = np.linalg.solve(expected + fit.normal[np.ix_(rest, rest)], pull)
+    return moved
 
 
 def sigmas(fit: Fit, task: Task) -> tuple[float, float, float, float]:

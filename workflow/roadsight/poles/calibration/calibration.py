@@ -9,14 +9,16 @@ the images to the drive's mean and its covariance.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import CameraPrior
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP
 from roadsight.poles.alignment.pose import (
+    CX,
     FOCAL,
     HEIGHT,
     INSETS,
@@ -35,6 +37,8 @@ _HEIGHT_M = (0.5, 5.0)
 """Heights above the road that it may have."""
 _ANY_TURN_DEG = 60.0
 """One standard deviation of the yaw of a side view of which nothing is known."""
+_SURE_PX = 0.01
+"""Least standard deviation of a principal point that is known; zero has no inverse."""
 _FEWEST_PIXELS = 40
 """Edge pixels of an image that teaches about its drive, as many as for a verdict (`Limits`)."""
 _MIDDLE = 0.75
@@ -63,21 +67,64 @@ class Mount:
         return np.asarray(np.linalg.inv(total), np.float64)
 
 
-def weak_mount(hfov_deg: float | None, width_px: int) -> Mount:
+def weak_mount(
+    hfov_deg: float | None, width_px: int, centre_px: float = CameraPrior().principal_point_px
+) -> Mount:
     """What is known of a camera on a survey vehicle before anything is measured.
 
     Parameters
     ----------
     hfov_deg : horizontal field of view where it is known to 10 %, else None.
+    centre_px : one standard deviation of the principal point's column.
     """
     focal = 0.5 * width_px / np.tan(np.radians(hfov_deg or 60.0) / 2)
     lens = 0.1 if hfov_deg else 0.6
-    # In the order of UNKNOWNS: on a roof, looking a little down, lines 0.3 m inside the edge.
-    mean = np.array([0.0, 0.0, 2.2, 0.0, -1.0, 0.0, np.log(focal), 0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
+    # On a roof, looking a little down, lines 0.3 m inside the edge.
+    mean = np.zeros(SIZE)
+    mean[[HEIGHT, PITCH, FOCAL]] = 2.2, -1.0, np.log(focal)
+    mean[INSETS : INSETS + 2] = 0.3
     sigma = np.array(
-        [1.2, 0.7, 0.5, 3.0, 4.0, 1.5, lens, 0.2, 0.2, 0.03, 0.03, _ANY_TURN_DEG, _ANY_TURN_DEG]
+        [
+            *(1.2, 0.7, 0.5, 3.0, 4.0, 1.5, lens, max(centre_px, _SURE_PX)),
+            *(0.2, 0.2, 0.03, 0.03, _ANY_TURN_DEG, _ANY_TURN_DEG),
+        ]
     )
     return Mount(mean, np.diag(sigma**2))
+
+
+def with_centre_held(mount: Mount) -> Mount:
+    """The same mount with a principal point that is where it is expected."""
+    mean, covariance = mount.mean.copy(), mount.covariance.copy()
+    mean[CX] = 0.0
+    covariance[CX], covariance[:, CX] = 0.0, 0.0
+    covariance[CX, CX] = _SURE_PX**2
+    return replace(mount, mean=mean, covariance=covariance)
+
+
+def with_centre_open(mount: Mount, sigma_px: float) -> Mount:
+    """The same mount with a principal point that is known no better than this.
+
+    The yaw was found for the point where it is: another one turns the camera by as much as leaves
+    what the image's middle shows where it is.
+    """
+    by_centre = apart_from_centre(mount.covariance)[1]
+    if by_centre[CX] <= _SURE_PX:
+        by_centre = np.zeros(SIZE)
+        by_centre[[YAW, CX]] = np.degrees(np.exp(-mount.mean[FOCAL])), 1.0
+    more = max((sigma_px / by_centre[CX]) ** 2 - mount.covariance[CX, CX] / by_centre[CX] ** 2, 0.0)
+    return replace(mount, covariance=mount.covariance + more * np.outer(by_centre, by_centre))
+
+
+def apart_from_centre(covariance: Floats) -> tuple[Floats, Floats]:
+    """Covariance (k, k) were the principal point known, and what its sigma moves (k,).
+
+    The covariance is that of the former and the outer product of the latter together.
+    """
+    by_centre = covariance[CX] / np.sqrt(covariance[CX, CX])
+    known = covariance - np.outer(by_centre, by_centre)
+    known[CX], known[:, CX] = 0.0, 0.0
+    known[CX, CX] = _SURE_PX**2
+    return 0.5 * (known + known.T), by_centre
 
 
 def implausible(mount: Mount, width_px: int) -> str:

@@ -13,10 +13,17 @@ from roadsight.poles.alignment.drift import DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import VIEWS, LandmarkNoise
 from roadsight.poles.alignment.locate import locate
-from roadsight.poles.alignment.pose import FOCAL, TURNS, Spread
+from roadsight.poles.alignment.pose import CX, FOCAL, TURNS, Spread
 from roadsight.poles.alignment.solve import Fit, Task
 from roadsight.poles.alignment.ties import Member
-from roadsight.poles.calibration.calibration import Loader, Mount, shared_mean, usable
+from roadsight.poles.calibration.calibration import (
+    Loader,
+    Mount,
+    shared_mean,
+    usable,
+    with_centre_open,
+)
+from roadsight.poles.calibration.calibration_centre import centre_sigma_px, told_centre
 from roadsight.poles.calibration.calibration_sides import side_turns
 from roadsight.poles.calibration.calibration_spread import estimated_spread
 from roadsight.poles.calibration.calibration_table import DriveCalibration, drift_of
@@ -47,6 +54,7 @@ def with_landmarks(
     starts: Mapping[str, Floats],
     model: DriftModel,
     shared: Shared,
+    centre_px: float,
 ) -> tuple[DriveCalibration, Mapping[str, Floats]]:
     """Calibration with what landmarks and shared points add, and the images' unknowns.
 
@@ -62,29 +70,56 @@ def with_landmarks(
     ----------
     prior : what was known of the mount beforehand. side_yaw_deg : left and right, as far as known.
     starts : unknowns of the images, as road edges alone give them. model : of the receiver, as said
-    beforehand. shared : points of images that follow each other.
+    beforehand. shared : points of images that follow each other. centre_px : one standard deviation
+    of the principal point, which ``prior`` and calibration have in the middle.
     """
-    opened = False
     chain = in_order(places, shared)
-    for _ in range(_ROUNDS):
-        images = [
-            (place, load(*calibration.expected(place)))
-            for place, load in zip(places, loaders, strict=True)
-        ]
-        if all(task.landmarks is None for _, task in images) and not is_tied(chain):
-            return calibration, starts
-        found = [(p, t, locate(t, noise, starts.get(p.image))) for p, t in images]
-        good = [(p, t, fits[0]) for p, t, fits in found if usable(t, fits)]
-        if len(good) < 3:
-            return calibration, starts
-        starts = {**starts, **{place.image: fit.unknowns for place, _, fit in good}}
-        before = calibration.mount
-        calibration = _improved(calibration, good, prior, model, chain)
-        if not opened:
-            calibration, prior = _opened(calibration, good, prior, noise, side_yaw_deg)
-            opened = True
-        elif _moved(before, calibration.mount) < _SETTLED:
-            break
+
+    def settled(
+        calibration: DriveCalibration, prior: Mount, starts: Mapping[str, Floats], opened: bool
+    ) -> tuple[DriveCalibration, Mount, Mapping[str, Floats], Sequence[_Posed]]:
+        good: Sequence[_Posed] = ()
+        for _ in range(_ROUNDS):
+            images = [
+                (place, load(*calibration.expected(place)))
+                for place, load in zip(places, loaders, strict=True)
+            ]
+            if all(task.landmarks is None for _, task in images) and not is_tied(chain):
+                break
+            found = [(p, t, locate(t, noise, starts.get(p.image))) for p, t in images]
+            good = [(p, t, fits[0]) for p, t, fits in found if usable(t, fits)]
+            if len(good) < 3:
+                break
+            starts = {**starts, **{place.image: fit.unknowns for place, _, fit in good}}
+            before = calibration.mount
+            calibration = _improved(calibration, good, prior, model, chain)
+            if not opened:
+                calibration, prior = _opened(calibration, good, prior, noise, side_yaw_deg)
+                opened = True
+            elif _moved(before, calibration.mount) < _SETTLED:
+                break
+        return calibration, prior, starts, good
+
+    calibration, prior, starts, good = settled(calibration, prior, starts, opened=False)
+    told = len(good) >= 3 and is_tied(chain) and not calibration.problem
+    if not told:
+        mount = with_centre_open(calibration.mount, centre_px)
+        return replace(calibration, mount=mount), starts
+
+    def solve(images: Sequence[Tied], prior: Mount) -> Mount:
+        return mount_together(images, prior, calibration.spread, calibration.drift.model)
+
+    images = _chained(calibration, good, chain)
+    mount, told = told_centre(images, calibration.mount, prior, centre_px, solve)
+    calibration = replace(calibration, mount=mount)
+    if told:
+        prior = with_centre_open(prior, centre_px)
+        calibration, prior, starts, good = settled(calibration, prior, starts, opened=True)
+        images = _chained(calibration, good, chain)
+        sigma_px = centre_sigma_px(images, calibration.mount, prior, solve)
+        calibration = replace(calibration, mount=with_centre_open(calibration.mount, sigma_px))
+    point = calibration.mount.mean[CX], np.sqrt(calibration.mount.covariance[CX, CX])
+    log.info("principal point %s: %.1f +- %.1f px", "found" if told else "not told", *point)
     return calibration, starts
 
 
@@ -105,10 +140,7 @@ def _improved(
     if not calibration.problem:
         fits = [fit for _, _, fit in good]
         if is_tied(chain):
-            found = {place.image: fit for place, _, fit in good}
-            images = [
-                _tied(calibration, place, found.get(place.image), points) for place, points in chain
-            ]
+            images = _chained(calibration, good, chain)
             mount = mount_together(images, prior, spread, calibration.drift.model)
         else:
             mount = shared_mean(fits, prior, spread)
@@ -116,6 +148,11 @@ def _improved(
     measured = [(place, fit) for place, _, fit in good]
     drift, numbers = drift_of(measured, mount, spread, model)
     return replace(calibration, mount=mount, spread=spread, drift=drift, measured=numbers)
+
+
+def _chained(calibration: DriveCalibration, good: Sequence[_Posed], chain: Chain) -> list[Tied]:
+    found = {place.image: fit for place, _, fit in good}
+    return [_tied(calibration, place, found.get(place.image), points) for place, points in chain]
 
 
 def _tied(calibration: DriveCalibration, place: Place, fit: Fit | None, points: Floats) -> Tied:

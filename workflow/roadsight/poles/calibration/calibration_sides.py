@@ -24,6 +24,7 @@ from roadsight.poles.alignment.landmarks import (
     slopes,
 )
 from roadsight.poles.alignment.locate import without_view
+from roadsight.poles.alignment.pose import CX
 from roadsight.poles.alignment.solve import Fit, Task
 
 _STEP_DEG = 0.02
@@ -102,6 +103,7 @@ def _votes(task: Task, fit: Fit, view: str, guess_deg: float, noise: LandmarkNoi
     start, pose = task.scene[0], fit.unknowns
     seen = observed_rows(sight.axes)[axis]
     seen[:, 5:] = 0.0, np.radians(guess_deg)  # As if in the front view, turned by themselves.
+    seen[:, 0] += pose[CX]
     there = mapped_rows(sight.columns, task.origin_m)[column]
     for _ in range(2):  # A tilted camera turns its views not quite by the bearings' difference.
         seen[:, 6] -= measure(pose, start, seen, there)[:, 0]

@@ -17,7 +17,7 @@ from roadsight.poles.alignment.landmarks import VIEWS, Turns
 from roadsight.poles.alignment.pose import ALONG, FOCAL, LATERAL, SIZE, UNKNOWNS, Spread
 from roadsight.poles.alignment.search import search
 from roadsight.poles.alignment.solve import Fit
-from roadsight.poles.calibration.calibration import Loader, Mount, usable
+from roadsight.poles.calibration.calibration import Loader, Mount, apart_from_centre, usable
 
 Key = tuple[str, int, int]
 """Route, width and height of images that share a camera."""
@@ -46,13 +46,23 @@ class DriveCalibration:
     @property
     def turns(self) -> Turns:
         """Yaw of the side views."""
-        return Turns.of(self.mount.mean, self.mount.covariance)
+        return Turns.of(self.mount.mean, apart_from_centre(self.mount.covariance)[0])
 
     def expected(self, place: Place) -> tuple[Floats, Floats]:
         """Expected unknowns of an image and the inverse of their covariance.
 
-        They rest on the drive and on what other images say about its track, not on the image.
+        They rest on the drive and on what other images say about its track, not on the image, and
+        hold for the drive's principal point: no image can tell it. `by_centre` has what it moves.
         """
+        mean, covariance = self._expected(place)
+        known = apart_from_centre(covariance)[0]
+        return mean, np.asarray(np.linalg.inv(known), np.float64)
+
+    def by_centre(self, place: Place) -> Floats:
+        """What one standard deviation of the principal point moves (k,) in an image's unknowns."""
+        return apart_from_centre(self._expected(place)[1])[1]
+
+    def _expected(self, place: Place) -> tuple[Floats, Floats]:
         variance = self.spread.vector() ** 2
         variance[[ALONG, LATERAL]] = 0.0
         error = self.drift.at(place.station_m, self.measured.get(place.image))
@@ -65,7 +75,7 @@ class DriveCalibration:
         if place.image in self.told:
             mean[:POSED], covariance[:POSED] = self.told[place.image]
             covariance[POSED:, :POSED] = covariance[:POSED, POSED:].T
-        return mean, np.asarray(np.linalg.inv(covariance), np.float64)
+        return mean, covariance
 
 
 def measure_drift(

@@ -15,7 +15,8 @@ from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.epipolar import POSED
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.locate import locate
-from roadsight.poles.alignment.ties import Member, pose_misfit, told_by_others
+from roadsight.poles.alignment.pose import INSETS
+from roadsight.poles.alignment.ties import LENS, Member, pose_misfit, told_by_others
 from roadsight.poles.calibration.calibration import Loader, usable
 from roadsight.poles.calibration.calibration_table import DriveCalibration
 
@@ -86,6 +87,6 @@ def _member(
     mount = calibration.mount
     rest = (np.diag(mount.covariance) + calibration.spread.vector() ** 2)[POSED:]
     # The drive has one lens: its error is no image's own.
-    rest[0] = calibration.spread.log_focal**2
-    measured, by_focal = pose_misfit(normal, gradient, fits[0].unknowns, mount.mean, rest)
-    return Member(place, fits[0].unknowns, measured, shared, by_focal)
+    rest[:LENS] = calibration.spread.vector()[POSED:INSETS] ** 2
+    measured, by_lens = pose_misfit(normal, gradient, fits[0].unknowns, mount.mean, rest)
+    return Member(place, fits[0].unknowns, measured, shared, by_lens)

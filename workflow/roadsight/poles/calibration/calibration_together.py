@@ -17,7 +17,7 @@ from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.chain import Normal, eliminated, solve_bordered
 from roadsight.poles.alignment.drift import MARK_OVERLAP, OVERLAP, DriftModel
 from roadsight.poles.alignment.epipolar import POSED
-from roadsight.poles.alignment.pose import FOCAL, SIZE, Spread
+from roadsight.poles.alignment.pose import CX, FOCAL, SIZE, Spread
 from roadsight.poles.alignment.solve import Fit
 from roadsight.poles.alignment.ties import (
     HELD,
@@ -35,6 +35,9 @@ _SOFT = 4.0 * SIZE
 quarter: four times what is usual for so many unknowns."""
 _FLAT = 1e-9
 """Directions of an image's misfit this much flatter than the steepest tell nothing."""
+
+_LENS = np.array([FOCAL, CX])
+"""Unknowns of the lens, which all images have in common."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ def mount_together(
     held.matrix[:POSED, :POSED] = HELD.matrix
     covariance = prior.covariance
     for scale in scales:
-        now[:, FOCAL] = mean[FOCAL]
+        now[:, _LENS] = mean[_LENS]
         own = [_own(*pair, mean) for pair in zip(now, data, strict=True)]
         counted = [
             _beside_mean(swaying(x, mean, spread)) + o.times(w)
@@ -97,7 +100,7 @@ def mount_together(
 
 
 def measured(fit: Fit, spread: Spread) -> Normal:
-    """What an image measured of its pose and of the drive's other mean unknowns, (13, 13).
+    """What an image measured of its pose and of the drive's other mean unknowns, (14, 14).
 
     Its own other unknowns, which lie about these, are taken out.
     """
@@ -138,7 +141,7 @@ def _beside_mean(one: Normal) -> Normal:
 def _with_lens(points: Normal) -> Normal:
     """Misfit of shared points, of steps of both poses and of the mean, whose lens both have."""
     size = 2 * POSED + SIZE
-    place = np.r_[: 2 * POSED, 2 * POSED + FOCAL]
+    place = np.r_[: 2 * POSED, 2 * POSED + _LENS]
     matrix, right = np.zeros((size, size)), np.zeros(size)
     matrix[np.ix_(place, place)] = points.matrix
     right[place] = points.right

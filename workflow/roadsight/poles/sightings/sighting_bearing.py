@@ -50,6 +50,8 @@ class ViewCamera:
     intrinsics : of this view. position_m : (3,), local metres. heading_deg, pitch_deg, roll_deg :
     of the front camera. yaw_deg : of this view from it. sigma_heading_deg, sigma_pitch_deg,
     sigma_lateral_m, sigma_along_m : 1 sigma; across and along the front camera's heading.
+    sigma_cx_px : 1 sigma of the principal point. heading_by_cx_deg : the part of the heading's
+    sigma that goes with it: another point turns the camera.
     """
 
     intrinsics: Intrinsics
@@ -62,6 +64,8 @@ class ViewCamera:
     sigma_pitch_deg: float = 0.0
     sigma_lateral_m: float = 0.0
     sigma_along_m: float = 0.0
+    sigma_cx_px: float = 0.0
+    heading_by_cx_deg: float = 0.0
 
     def rotation(self, pitch_more_deg: float = 0.0) -> Floats:
         """cam_from_world (3, 3), pitched up by some more."""
@@ -93,7 +97,8 @@ def image_bearings(
 ) -> tuple[Floats, Floats]:
     """Grid bearings of pixels (n, 2) and their sigma (n,), degrees.
 
-    Sigma has the pixel's own error, the heading's and what an error of pitch turns the ray by; the
+    Sigma has the pixel's own error, the heading's, the principal point's, which the heading mostly
+    undoes, and what an error of pitch turns the ray by; the
     camera's place is not in it, because that needs the distance (`with_place`).
     """
     uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
@@ -101,10 +106,12 @@ def image_bearings(
     per_px = wrap_deg(ray_bearing_deg(camera.rays(np.add(uv, (0.5, 0.0)))) - bearing) * 2.0
     tilted = ray_bearing_deg(camera.rays(uv, pitch_more_deg=_STEP_DEG))
     per_pitch = wrap_deg(tilted - bearing) / _STEP_DEG
+    own2 = camera.sigma_heading_deg**2 - camera.heading_by_cx_deg**2
     parts = np.array(
         [
             np.asarray(sigma_u_px, np.float64) * per_px,
-            np.full(len(uv), camera.sigma_heading_deg),
+            np.full(len(uv), np.sqrt(max(own2, 0.0))),
+            camera.heading_by_cx_deg - camera.sigma_cx_px * per_px,
             per_pitch * camera.sigma_pitch_deg,
         ]
     )

@@ -5,12 +5,14 @@ from __future__ import annotations
 import logging
 import sys
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
 
+from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 from roadsight.base.matches import tell_named
 from roadsight.base.sections.poles import AlignmentLimits
@@ -21,13 +23,14 @@ from roadsight.io.images.camera_tables import read_cameras
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.alignment.dense import PITCH as DENSE_PITCH
-from roadsight.poles.alignment.dense import SIZE, YAW, align_dense
+from roadsight.poles.alignment.dense import SIZE, align_dense
+from roadsight.poles.alignment.dense import YAW as DENSE_YAW
 from roadsight.poles.alignment.dense_verdict import DenseLimits, dense_doubt, lost_views
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.given_cameras import GivenSigma, agreement, camera_row
 from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.locate import locate
-from roadsight.poles.alignment.pose import pose_of
+from roadsight.poles.alignment.pose import ALONG, CX, YAW, pose_of
 from roadsight.poles.alignment.published import PUBLISHED_BOUNDS, nelder_mead
 from roadsight.poles.alignment.solve import Fit, Task
 from roadsight.poles.alignment.verdict import (
@@ -36,6 +39,7 @@ from roadsight.poles.alignment.verdict import (
     condition,
     doubt,
     is_one_sided,
+    moved_by_centre,
     residual_px,
     sigmas,
     too_little,
@@ -74,6 +78,8 @@ CAMERA_COLUMNS = (
     "sigma_pitch_deg",
     "sigma_lateral_m",
     "sigma_along_m",
+    "sigma_cx_px",
+    "heading_by_cx_deg",
     "condition",
     "residual_px",
     "edge_points",
@@ -114,7 +120,7 @@ def align_cameras(
         drive = _drive(drives, place)
         task = scene.load(place)(*drive.expected(place))
         if dense is None:
-            row = aligned(task, method, limits, scene.landmarks, bounds)
+            row = aligned(task, method, limits, scene.landmarks, bounds, drive.by_centre(place))
             if place.image in scene.lenses:
                 row["focal_px"] = scene.lenses[place.image].focal_px
         else:
@@ -172,6 +178,7 @@ def aligned(
     limits: Limits,
     noise: LandmarkNoise | None = None,
     bounds: tuple[float, float] = PUBLISHED_BOUNDS,
+    by_centre: Floats | None = None,
 ) -> dict[str, Any]:
     """Pose, uncertainty and verdict of one image by the method road, published or none.
 
@@ -179,7 +186,8 @@ def aligned(
 
     Parameters
     ----------
-    bounds : of the published method, m and degrees.
+    bounds : of the published method, m and degrees. by_centre : what one standard deviation of the
+    principal point moves (k,) in the expectation, nothing if None.
     """
     expected = np.asarray(np.linalg.inv(task.prior_information), np.float64)
     nothing = np.full((len(task.image_edges.uv_px), 2), np.nan)
@@ -200,7 +208,7 @@ def aligned(
             bound_deg=bounds[1],
         )
         fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
-    return _row(task, fit, reason)
+    return _row(task, fit, reason, np.zeros(len(expected)) if by_centre is None else by_centre)
 
 
 def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -> dict[str, Any]:
@@ -214,13 +222,13 @@ def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -
     reason = dense_doubt(own, fit, DenseLimits.of(limits))
     pose, covariance = (own.pose, own.covariance) if reason else (fit.pose, fit.covariance)
     # Along and across are those of the track, as everywhere, and not of the camera's view.
-    back = turned_axes(place.start.heading_deg - own.pose[YAW])
+    back = turned_axes(place.start.heading_deg - own.pose[DENSE_YAW])
     along, lateral, _, yaw, pitch, _ = np.sqrt(np.diag(back @ covariance @ back.T))
     spread = covariance / np.outer(own.sigma, own.sigma)
     variances = np.linalg.eigvalsh(0.5 * (spread + spread.T))
     return {
         **dict(zip(("x", "y", "z"), map(float, pose[:3]), strict=True)),
-        "heading_deg": float(compass_deg(pose[YAW])),
+        "heading_deg": float(compass_deg(pose[DENSE_YAW])),
         "pitch_deg": float(pose[DENSE_PITCH]),
         "roll_deg": float(pose[DENSE_PITCH + 1]),
         "focal_px": own.lens.focal_px,
@@ -242,8 +250,12 @@ def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -
     }
 
 
-def _row(task: Task, fit: Fit, reason: str) -> dict[str, Any]:
+def _row(task: Task, fit: Fit, reason: str, by_centre: Floats) -> dict[str, Any]:
     start, pose = task.start, pose_of(task.start, fit.unknowns)
+    # All images of a drive have its principal point; what it may be off is in their sigmas, and
+    # does not speak against any of them.
+    moved = moved_by_centre(fit, task, by_centre)
+    whole = replace(fit, covariance=fit.covariance + np.outer(moved, moved))
     names = "sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m"
     return {
         "x": pose.x_m,
@@ -253,11 +265,13 @@ def _row(task: Task, fit: Fit, reason: str) -> dict[str, Any]:
         "pitch_deg": pose.pitch_deg,
         "roll_deg": pose.roll_deg,
         "focal_px": pose.focal_px,
-        "cx_px": start.cx_px,
+        "cx_px": pose.cx_px,
         "cy_px": start.cy_px,
         "width_px": start.width_px,
         "height_px": start.height_px,
-        **dict(zip(names, sigmas(fit, task), strict=True)),
+        **dict(zip(names, sigmas(whole, task), strict=True)),
+        "sigma_cx_px": float(moved[CX]),
+        "heading_by_cx_deg": float(moved[YAW] + np.degrees(start.bend) * moved[ALONG]),
         "condition": condition(fit, task),
         "residual_px": residual_px(fit),
         "edge_points": len(task.image_edges.uv_px),

@@ -21,8 +21,17 @@ from roadsight.poles.alignment.dense import GivenLens
 from roadsight.poles.alignment.drift import Drift, DriftModel
 from roadsight.poles.alignment.drive import Place
 from roadsight.poles.alignment.landmarks import LandmarkNoise
-from roadsight.poles.alignment.pose import Spread
-from roadsight.poles.calibration.calibration import Loader, Mount, calibrate, find_focal, weak_mount
+from roadsight.poles.alignment.pose import CX, Spread
+from roadsight.poles.calibration.calibration import (
+    Loader,
+    Mount,
+    calibrate,
+    find_focal,
+    weak_mount,
+    with_centre_held,
+    with_centre_open,
+)
+from roadsight.poles.calibration.calibration_centre import centre_doubts
 from roadsight.poles.calibration.calibration_dense import (
     FEWEST,
     IMAGES,
@@ -41,6 +50,7 @@ from roadsight.poles.calibration.calibration_table import (
 from roadsight.poles.calibration.calibration_ties import Shared, with_ties
 from roadsight.poles.calibration.calibration_upright import aimed
 from roadsight.stages.command import Command
+from roadsight.stages.doubts import tell
 from roadsight.stages.poles.shared.alignment_inputs import SceneFiles, read_scene
 from roadsight.stages.poles.shared.dense_inputs import DenseFiles, DenseScene, method_of
 
@@ -60,6 +70,7 @@ def calibrate_drives(
     right_yaw_deg: Annotated[float, SideViews],
     baseline: Annotated[str | None, 'JSON by image size, {"2000x1200": {...}}, or "all"'] = None,
     matches: Annotated[Sequence[Path], "tables of shared points"] = (),
+    doubts_path: Annotated[Path | None, "what the drives leave open"] = None,
     *,
     out: Path,
 ) -> None:
@@ -73,10 +84,10 @@ def calibrate_drives(
     for place, load in scene.loaders():
         key = place.route, place.start.width_px, place.start.height_px
         drives.setdefault(key, []).append((place, load))
-    content, sides = [], (left_yaw_deg, right_yaw_deg)
+    content, sides, doubts = [], (left_yaw_deg, right_yaw_deg), []
     for key, images in sorted(drives.items(), key=lambda item: item[0]):
         lenses = [scene.lenses[p.image] for p, _ in images if p.image in scene.lenses]
-        prior = _prior(key, settings.hfov_deg, baselines, lenses)
+        prior = _prior(key, settings, baselines, lenses)
         if dense is not None:
             calibration = _densely(key, [p for p, _ in images], settings, prior, dense)
         else:
@@ -88,7 +99,10 @@ def calibrate_drives(
             mount = _lens_held(calibration.mount, lenses)
             calibration = replace(calibration, mount=mount)
         log.info("%s %d x %d: %s", *key, _summary(calibration))
+        doubts += centre_doubts(key[0], calibration.mount)
         content.append(to_content(calibration))
+    if doubts_path:
+        tell(doubts, doubts_path, "poles", log)
     write_json(out, {"drives": content})
 
 
@@ -98,10 +112,11 @@ def _baseline(key: Key, baselines: dict[str, Any]) -> dict[str, Any] | None:
 
 
 def _prior(
-    key: Key, hfov_deg: float, baselines: dict[str, Any], given: list[GivenLens]
+    key: Key, settings: Calibration, baselines: dict[str, Any], given: list[GivenLens]
 ) -> tuple[Mount, str]:
     """What is known of a drive's mount beforehand, and what is wrong with its baseline."""
-    prior, baseline = weak_mount(hfov_deg or None, key[1]), _baseline(key, baselines)
+    baseline = _baseline(key, baselines)
+    prior = weak_mount(settings.hfov_deg or None, key[1], settings.principal_point_px)
     problem = ""
     if baseline is not None:
         try:
@@ -118,7 +133,8 @@ def _lens_held(mount: Mount, given: list[GivenLens]) -> Mount:
     focal = np.log([lens.focal_px for lens in given])
     # Images may have lenses of their own: the drive's spread holds all of them.
     sigma = max(_SURE_LENS, float(np.ptp(focal)))
-    return with_lens(mount, float(np.exp(np.median(focal))), sigma)
+    mount = with_lens(mount, float(np.exp(np.median(focal))), sigma)
+    return with_centre_open(with_centre_held(mount), max(lens.sigma_cx_px for lens in given))
 
 
 def _densely(
@@ -154,7 +170,9 @@ def _calibrated(
 ) -> DriveCalibration:
     """Calibration from road edges; the focal length is sought on some images if on any."""
     places, loaders = [p for p, _ in images], [load for _, load in images]
-    spread, (prior, problem) = Spread(), known
+    spread, (weak, problem) = Spread(), known
+    # Where edges and poles are paired anew each time, a free principal point drifts with the yaw.
+    prior = with_centre_held(weak)
     mount, chosen = prior, _evenly(loaders, settings.images)
     try:
         if problem:
@@ -169,9 +187,10 @@ def _calibrated(
         mount, problem = prior, str(error)
     model = DriftModel(settings.gps_sigma_m, settings.gps_length_m, settings.gps_own_m)
     drift, measured, starts = measure_drift(places, loaders, mount, spread, model)
+    centre_px = float(np.sqrt(weak.covariance[CX, CX]))
     calibration = DriveCalibration(key, mount, spread, drift, measured, problem)
     calibration, found = with_landmarks(
-        calibration, places, loaders, prior, noise, sides, starts, model, shared
+        calibration, places, loaders, prior, noise, sides, starts, model, shared, centre_px
     )
     return with_ties(calibration, places, loaders, noise, found, shared)
 
@@ -195,7 +214,9 @@ def _evenly(items: list[_Item], count: int) -> list[_Item]:
 
 def _summary(calibration: DriveCalibration) -> str:
     mount: Mount = calibration.mount
-    table = pd.Series(to_content(calibration))[["hfov_deg", "yaw_deg", "pitch_deg", "height_m"]]
+    table = pd.Series(to_content(calibration))[
+        ["hfov_deg", "cx_shift_px", "yaw_deg", "pitch_deg", "height_m"]
+    ]
     numbers = ", ".join(f"{name} {value:.3f}" for name, value in table.items())
     return f"{mount.images} images, {len(calibration.measured)} track errors, {numbers}"
 

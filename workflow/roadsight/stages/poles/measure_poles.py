@@ -77,6 +77,11 @@ _COLUMNS = (
 )
 _TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
 """Columns that hold texts, also where there is no row to tell."""
+_SIGMAS = (
+    *("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m"),
+    *("sigma_cx_px", "heading_by_cx_deg"),
+)
+"""Columns of the cameras that hold uncertainties, in the order of `ViewCamera`."""
 _SEEN = {"kind": str, "object": np.int64, "image": str, "answer": np.int64}
 """Columns of what views say about objects of the cloud, beside the route."""
 
@@ -244,11 +249,17 @@ def _camera(
     )
     own = front if view.view == "front" else side_intrinsics(front, shape[1], shape[0])
     angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
-    names = ("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m")
-    sigmas = [float(np.nan_to_num(pose[name])) for name in names]
+    sigmas = [float(np.nan_to_num(pose[name])) for name in _SIGMAS]
     position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
     heading, pitch, roll = angles
-    return ViewCamera(own, position, heading, pitch, roll, offsets.of(view.view), *sigmas)
+    camera = ViewCamera(own, position, heading, pitch, roll, offsets.of(view.view), *sigmas)
+    if view.view == "front":
+        return camera
+    # A side view looks past a fixed thing of the front view: its yaw takes up the point's error.
+    apart_deg = np.sqrt(max(camera.sigma_heading_deg**2 - camera.heading_by_cx_deg**2, 0.0))
+    return replace(
+        camera, sigma_heading_deg=float(apart_deg), sigma_cx_px=0.0, heading_by_cx_deg=0.0
+    )
 
 
 def _finished(

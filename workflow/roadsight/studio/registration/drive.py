@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,9 @@ from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
 from roadsight.poles.alignment.drive import Place
-from roadsight.poles.alignment.pose import Pose, pose_of
+from roadsight.poles.alignment.pose import CX, Pose, Start, pose_of
 from roadsight.poles.calibration.calibration import weak_mount
-from roadsight.poles.calibration.calibration_table import from_content
+from roadsight.poles.calibration.calibration_table import DriveCalibration, Key, from_content
 from roadsight.stages.poles.shared.alignment_inputs import AlignmentScene, SceneFiles, read_scene
 from roadsight.studio.project import CLOUD, DEM, FRAME, SiteFolder
 
@@ -47,17 +48,26 @@ class SiteDrive:
     def __init__(self, site: SiteFolder) -> None:
         self.site, self.frame = site, site.frame()
         self.scene = _scene(site)
-        self.places = {place.image: place for place in self.scene.places}
         self.frames = read_table(site.file(_FRAMES))
         self.cameras = _cameras(site)
         self.corrections = read_corrections(site, self.frame)
         self._expected = self._calibration()
+        self.places = {place.image: self._centred(place) for place in self.scene.places}
         self._source: ImageSource | None = None
 
-    def _calibration(self) -> dict[Any, Any]:
+    def _calibration(self) -> dict[Key, DriveCalibration]:
         path = self.site.results / _CALIBRATION
         drives = map(from_content, read_json(path)["drives"]) if path.exists() else ()
         return {drive.key: drive for drive in drives}
+
+    def _drive(self, start: Start, route: str) -> DriveCalibration | None:
+        return self._expected.get((route, start.width_px, start.height_px))
+
+    def _centred(self, place: Place) -> Place:
+        """The place with the principal point that its drive was found to have."""
+        start, drive = place.start, self._drive(place.start, place.route)
+        shift_px = 0.0 if drive is None else float(drive.mount.mean[CX])
+        return replace(place, start=replace(start, cx_px=start.cx_px + shift_px))
 
     def row(self, number: int) -> pd.Series:
         """Row of an image by its place in the table of frames.
@@ -124,7 +134,7 @@ class SiteDrive:
     def expected(self, place: Place) -> dict[str, float]:
         """Pose by the drive's calibration, else by the track and a usual camera."""
         start = place.start
-        drive = self._expected.get((place.route, start.width_px, start.height_px))
+        drive = self._drive(start, place.route)
         if drive is not None:
             return pose_content(pose_of(start, drive.expected(place)[0]))
         return pose_content(pose_of(start, weak_mount(_USUAL_HFOV_DEG, start.width_px).mean))
