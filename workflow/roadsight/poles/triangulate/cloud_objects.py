@@ -16,7 +16,8 @@ def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
 
     Parameters
     ----------
-    objects : kind, object, x, y, sigma_m. told : of each object, see `confirm.confirmed`.
+    objects : kind, object, x, y, top_m, width_m, sigma_m. told : of each object, see
+    `confirm.confirmed`.
     """
     own = objects[objects["kind"] == "tree"]
     if own.empty:
@@ -25,9 +26,11 @@ def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
     table = table[table["reason"] != UNSEEN]
     table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
     sigma = {"sigma_major_m": table["sigma_m"], "sigma_minor_m": table["sigma_m"]}
+    shape = {"height_m": table["top_m"], "crown_width_m": table["width_m"]}
     names = [f"tree-{number:05d}" for number in range(len(table))]
     columns = ["kind", "x", "y", *_TOLD]
-    return table[columns].assign(**sigma, sigma_azimuth_deg=0.0, condition=1.0, id=names)
+    table = table[columns].assign(**shape)
+    return table.assign(**sigma, sigma_azimuth_deg=0.0, condition=1.0, id=names)
 
 
 def guardrails_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:

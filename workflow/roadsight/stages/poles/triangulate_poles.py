@@ -31,6 +31,7 @@ from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.sightings.network_scale import network_scales, with_scales
 from roadsight.poles.triangulate.cloud_objects import guardrails_of, trees_of
 from roadsight.poles.triangulate.decided import apply_decisions
+from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
 from roadsight.poles.triangulate.pole_doubts import far_reaching, pole_doubts
 from roadsight.poles.triangulate.rays import TriangulationSettings
@@ -67,6 +68,7 @@ def triangulate_poles(
     voxels: Annotated[Path | None, "withhold poles near road, bridge, building"] = None,
     objects_path: Annotated[Path | None, "trees and guardrails of the cloud"] = None,
     seen: Annotated[Sequence[Path], "what images show of them"] = (),
+    columns: Annotated[Path | None, "pole-like columns of the cloud: heights, leans, arms"] = None,
     *,
     poles_path: Path,
     layers_path: Path,
@@ -76,8 +78,8 @@ def triangulate_poles(
 ) -> None:
     """Write poles, their ellipses and the rays that show them."""
     frame = Frame.from_dict(read_json(frame_path))
-    columns = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from", *NETWORK_COLUMNS]
-    parts = [read_table(path, columns) for path in sightings_paths]
+    names = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from"]
+    parts = [read_table(path, [*names, *NETWORK_COLUMNS]) for path in sightings_paths]
     sightings = pd.concat(parts, ignore_index=True)
     settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)
     network = network_scales(sightings)
@@ -93,6 +95,7 @@ def triangulate_poles(
     objects, told = _confirmed(objects_path, seen)
     poles = pd.concat([part for part in (poles, trees_of(objects, told)) if len(part)] or [poles])
     poles = poles.reset_index(drop=True)
+    poles = with_shapes(poles, read_table(columns) if columns else None)
     if voxels:
         least_m = {name: kind.clearance_m for name, kind in KINDS.items()}
         clearance_m = poles["kind"].map(least_m).fillna(settings.clearance_m).to_numpy(np.float64)
@@ -164,7 +167,7 @@ def _with_place(poles: pd.DataFrame, frame: Frame, dem: Path | None) -> pd.DataF
     if frame.crs_wkt is not None and len(poles):
         latitude, longitude = SiteNorth(frame).to_geographic(np.column_stack([x, y]))
     placed = poles.assign(z=z, latitude=latitude, longitude=longitude)
-    return placed[[*POLE_COLUMNS, "decided"]]
+    return placed[[*POLE_COLUMNS, "decided", *SHAPE_COLUMNS]]
 
 
 def _points(poles: pd.DataFrame) -> gpd.GeoDataFrame:
