@@ -45,7 +45,7 @@ rule find_roadside_objects:
         mem_mb=megabytes(60),
         runtime=minutes(),
     params:
-        options=some_flags("sightings", "kinds"),
+        options=some_flags("sightings", "kinds", "building_classes", "headwall_classes"),
     shell:
         "python -m roadsight.stages.poles.find_roadside_objects --cloud {input.cloud} --frame {input.frame}"
         " --dem {input.dem} {params.options} --out {output.objects} > {log} 2>&1"

@@ -80,6 +80,7 @@ rule triangulate_poles:
         voxels=rules.rasterise_lidar.output.voxels,
         objects=objects_of_cloud,
         seen=all_seen,
+        frames=rules.read_videolog.output.frames,
         columns=rules.find_pole_columns.output.columns,
         decisions=beside_site("poles.decisions"),
         code=sources("triangulate_poles"),
@@ -100,7 +101,7 @@ rule triangulate_poles:
     shell:
         "python -m roadsight.stages.poles.triangulate_poles --sightings {input.sightings}"
         " --frame {input.frame} --dem {input.dem} --voxels {input.voxels} {params.options}"
-        " --objects {input.objects} --seen {input.seen} --columns {input.columns} --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
+        " --objects {input.objects} --seen {input.seen} --frames {input.frames} --columns {input.columns} --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
         " --geojson {output.geojson} --doubts {output.doubts} > {log} 2>&1"
 
 

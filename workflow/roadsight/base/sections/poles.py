@@ -132,10 +132,21 @@ class Calibration(Section):
     gps_own_m: Metres = Field(default=0.2, description="error of each position by itself, m")
 
 
+class BlockClasses(Section):
+    """Which returns of the cloud are of buildings and of headwalls."""
+
+    building_classes: list[LasClass] = Field(
+        default=[6], description="LAS classes that are building"
+    )
+    headwall_classes: list[LasClass] = Field(
+        default=[], description="LAS classes that are headwall: none is standard"
+    )
+
+
 class SightingRules(Section):
     """Which objects are looked for, and which are kept."""
 
-    kinds: list[Literal["pole", "sign", "tree", "guardrail"]] = Field(
+    kinds: list[Literal["pole", "sign", "tree", "guardrail", "building", "headwall"]] = Field(
         default=["pole"], min_length=1, description="objects that are looked for"
     )
     bearing: Literal["fused", "image", "lidar"] = Field(
@@ -168,7 +179,7 @@ class SideViews(Section):
     right_yaw_deg: Degrees = Field(default=60.0, description="right view from the front, degrees")
 
 
-class Sightings(SideViews, PoleMasks, SightingRules):
+class Sightings(SideViews, PoleMasks, BlockClasses, SightingRules):
     """Poles: objects in the images; px of an image 1200 px high."""
 
 

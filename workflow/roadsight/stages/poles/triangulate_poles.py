@@ -26,10 +26,11 @@ from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.vectors import write_geojson, write_layers
 from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.sightings.confirm import confirmed
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.sightings.network_scale import network_scales, with_scales
-from roadsight.poles.triangulate.cloud_objects import guardrails_of, trees_of
+from roadsight.poles.triangulate.cloud_objects import blocks_of, guardrails_of, trees_of
 from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
@@ -50,6 +51,7 @@ _STRUCTURES = (6, 11, 17)
 """ASPRS classes of buildings, road surface and bridge decks."""
 _CORNERS = 32
 """Corners of the polygon of an error ellipse."""
+_NO_TRACK = pd.DataFrame({"route": [], "sequence": [], "x": [], "y": []})
 _LAYERS = {
     "poles": "Point",
     "ellipses": "Polygon",
@@ -66,8 +68,9 @@ def triangulate_poles(
     dem: Annotated[Path | None, "ground heights, for z"] = None,
     decisions: Annotated[str | None, "accepted, rejected, moved poles, CSV"] = None,
     voxels: Annotated[Path | None, "withhold poles near road, bridge, building"] = None,
-    objects_path: Annotated[Path | None, "trees and guardrails of the cloud"] = None,
+    objects_path: Annotated[Path | None, "objects of the cloud"] = None,
     seen: Annotated[Sequence[Path], "what images show of them"] = (),
+    frames: Annotated[Path | None, "track, to which the nearest place of a building is"] = None,
     columns: Annotated[Path | None, "pole-like columns of the cloud: heights, leans, arms"] = None,
     *,
     poles_path: Path,
@@ -93,7 +96,9 @@ def triangulate_poles(
     poles, pole_of, scales = site_poles(sightings, settings)
     poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)
     objects, told = _confirmed(objects_path, seen)
-    poles = pd.concat([part for part in (poles, trees_of(objects, told)) if len(part)] or [poles])
+    track = read_table(frames, ["route", "sequence", "x", "y"]) if frames else _NO_TRACK
+    others = trees_of(objects, told), blocks_of(objects, told, RouteTracks(track))
+    poles = pd.concat([part for part in (poles, *others) if len(part)] or [poles])
     poles = poles.reset_index(drop=True)
     poles = with_shapes(poles, read_table(columns) if columns else None)
     if voxels:

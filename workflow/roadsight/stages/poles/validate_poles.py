@@ -40,6 +40,7 @@ from roadsight.poles.risk.validation import (
     split_errors,
     within_reach,
 )
+from roadsight.poles.triangulate.cloud_objects import BESIDE_M
 from roadsight.stages.command import Command
 
 log = logging.getLogger("validate_poles")
@@ -118,7 +119,7 @@ def validate_poles(
     content["poles"], content["match_m"] = len(poles), match_m
     content["thresholds"] = score_thresholds(_xy(poles), _xy(known), THRESHOLDS_M)
     edges_m = read_table(edges, ["x", "y"]).to_numpy(np.float64)
-    near_cameras = _Near(cameras_m, reach_m, edges_m)
+    near_cameras = _Near(cameras_m, reach_m, edges_m, RouteTracks(frames))
     found = _other_kinds(objects, signs, placed, roadside, frame, near_cameras)
     content["kinds"] = {kind: scores for kind, scores in found.items() if kind in kinds}
     write_json(out, _plain(content))
@@ -134,13 +135,25 @@ class _Near:
     cameras_m: Floats
     reach_m: float
     edges_m: Floats
+    tracks: RouteTracks
 
     def camera(self, places_m: Floats) -> Bools:
         return within_reach(places_m, self.cameras_m, self.reach_m)
 
+    def road(self, places_m: Floats) -> Bools:
+        away_m = np.hypot(*(places_m - self.tracks.locate(places_m)[2]).T)
+        return np.asarray(away_m <= BESIDE_M)
+
     def edge(self, places_m: Floats) -> Bools:
         driven = self.edges_m[within_reach(self.edges_m, self.cameras_m, _DRIVEN_M)]
         return self.camera(places_m) & within_reach(places_m, driven, NEAR_EDGE_M)
+
+    def nearest(self, outlines: Sequence[shapely.Geometry]) -> Floats:
+        """Of each outline the place (n, 2) that is nearest to a track."""
+        places = [shapely.get_coordinates(shapely.segmentize(one, 0.2))[:, :2] for one in outlines]
+        away = [np.hypot(*(one - self.tracks.locate(one)[2]).T) for one in places]
+        nearest = [one[int(np.argmin(off))] for one, off in zip(places, away, strict=True)]
+        return np.array(nearest, np.float64).reshape(-1, 2)
 
     def parts(self, lines: Sequence[shapely.Geometry]) -> list[Floats]:
         """Parts of lines, places (n, 2) each, that lie within reach of a camera."""
@@ -157,7 +170,7 @@ def _other_kinds(
     frame: Frame,
     near: _Near,
 ) -> dict[str, dict[str, float | int | None]]:
-    """Scores of signs, trees and guardrails, of which any are known."""
+    """Scores of signs, trees, buildings and guardrails, of which any are known."""
     found = {}
     if len(signs):
         ours, theirs = _xy(objects[objects["kind"] == "sign"]), _xy(signs)
@@ -166,6 +179,9 @@ def _other_kinds(
         ours = _xy(objects[objects["kind"] == "tree"])
         theirs = shapely.get_coordinates(read_layer(roadside, "trees", frame).geometry)
         found["tree"] = score_near(ours, theirs, near.edge(ours), near.edge(theirs))
+        ours = _xy(objects[objects["kind"] == "building"])
+        theirs = near.nearest(read_layer(roadside, "buildings", frame).geometry)
+        found["building"] = score_near(ours, theirs, near.road(ours), near.road(theirs))
         rails = read_layer(placed, "guardrails", frame)
         kept = rails[rails["kept"].to_numpy(bool)] if len(rails) else rails
         known = read_layer(roadside, "guardrails", frame)
