@@ -35,6 +35,7 @@ from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
 from roadsight.poles.triangulate.pole_doubts import far_reaching, pole_doubts
+from roadsight.poles.triangulate.probability import real_probability
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import (
     DRIFT_COLUMNS,
@@ -105,7 +106,8 @@ def triangulate_poles(
         least_m = {name: kind.clearance_m for name, kind in KINDS.items()}
         clearance_m = poles["kind"].map(least_m).fillna(settings.clearance_m).to_numpy(np.float64)
         poles = drop_near_structures(poles, _structures(voxels), clearance_m)
-    poles = _with_place(_decided(poles, frame, decisions), frame, dem)
+    poles = _decided(poles, frame, decisions)
+    poles = _with_place(poles.assign(probability=real_probability(poles)), frame, dem)
     if len(sightings) < 2:
         log.warning("fewer than two sightings: no pole can be triangulated")
     kept = poles["kept"].to_numpy(bool)
@@ -172,7 +174,7 @@ def _with_place(poles: pd.DataFrame, frame: Frame, dem: Path | None) -> pd.DataF
     if frame.crs_wkt is not None and len(poles):
         latitude, longitude = SiteNorth(frame).to_geographic(np.column_stack([x, y]))
     placed = poles.assign(z=z, latitude=latitude, longitude=longitude)
-    return placed[[*POLE_COLUMNS, "decided", *SHAPE_COLUMNS]]
+    return placed[[*POLE_COLUMNS, "decided", "probability", *SHAPE_COLUMNS]]
 
 
 def _points(poles: pd.DataFrame) -> gpd.GeoDataFrame:
