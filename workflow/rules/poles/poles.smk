@@ -168,6 +168,7 @@ rule validate_poles:
         frame=rules.ingest_cloud.output.frame,
         frames=rules.read_videolog.output.frames,
         edges=rules.extract_road_edges.output.edges,
+        voxels=rules.rasterise_lidar.output.voxels,
         code=sources("validate_poles"),
     output:
         validation="results/{site}/poles/validation.json",
@@ -186,5 +187,5 @@ rule validate_poles:
     shell:
         "python -m roadsight.stages.poles.validate_poles --poles {input.poles}"
         " --truth {params.truth:q} --truth-crs={params.truth_crs:q} --truth-kind={params.truth_kind:q} --frame {input.frame}"
-        " --frames {input.frames} --edges {input.edges} --placed {input.placed} --roadside {input.roadside} {params.options} {params.kinds}"
+        " --frames {input.frames} --edges {input.edges} --voxels {input.voxels} --placed {input.placed} --roadside {input.roadside} {params.options} {params.kinds}"
         " --out {output.validation} > {log} 2>&1"

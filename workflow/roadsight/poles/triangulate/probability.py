@@ -28,7 +28,8 @@ other, 64. How many images show it and how tall it is does not tell them apart."
 def real_probability(poles: pd.DataFrame) -> Floats:
     """Probability (n,) that an object is real and of its kind; NaN where nothing tells.
 
-    Of panels, which few other things look like, it is that their rays show one thing. What a person decided is certain.
+    Of panels, which few other things look like, it is that their rays show one thing. What a
+    person decided is certain.
 
     Parameters
     ----------
@@ -45,4 +46,4 @@ def real_probability(poles: pd.DataFrame) -> Floats:
     tree = (poles["kind"] == "tree") & (poles["score"] > 0) & poles["kept"]
     found = np.where(tree, _TREE, found)
     certain = poles["decided"].map({"accepted": 1.0, "moved": 1.0, "rejected": 0.0})
-    return certain.fillna(pd.Series(found, index=poles.index)).to_numpy(np.float64)
+    return np.asarray(certain.fillna(pd.Series(found, index=poles.index)), np.float64)

@@ -19,11 +19,12 @@ from roadsight.base.sections.poles import SightingRules, Validation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.tables import read_table
+from roadsight.io.records.tables import read_about, read_table
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer
 from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.risk.branches import find_branches
 from roadsight.poles.risk.scenarios import RouteTracks, ScenarioSettings, classify_places
 from roadsight.poles.risk.validation import (
     NEAR_EDGE_M,
@@ -53,6 +54,8 @@ _NAMES = {
 }
 """Scenarios as the report names them."""
 
+_PAVED = (11, 17)
+"""Classes of road surface and of bridge decks among voxels."""
 _DRIVEN_M = 15.0
 """Edges of the road that was driven lie this near to its cameras: it has up to four lanes."""
 
@@ -68,8 +71,7 @@ def validate_poles(
     kinds: Annotated[Sequence[str], SightingRules],
     truth_kind: Annotated[str | None, "only those whose `kind` is this"] = None,
     truth_crs: Annotated[str | None, "CRS of a vector file that names none"] = None,
-    pavement: Annotated[Path | None, "GeoPackage, to find extraneous features"] = None,
-    pavement_layer: str = "pavement",
+    voxels: Annotated[Path | None, "to find side roads, driveways, car parks"] = None,
     placed: Annotated[Path | None, "layers of the objects, with guardrails"] = None,
     roadside: Annotated[Path | None, "GeoPackage of known trees and guardrails"] = None,
     *,
@@ -100,8 +102,7 @@ def validate_poles(
     matches = match_points(_xy(poles), _xy(known), match_m)
     errors = _errors(
         edges,
-        pavement,
-        pavement_layer,
+        voxels,
         frame,
         frames,
         poles.iloc[matches[:, 0]],
@@ -192,8 +193,7 @@ def _other_kinds(
 
 def _errors(
     edges_path: Path,
-    pavement: Path | None,
-    pavement_layer: str,
+    voxels: Path | None,
     frame: Frame,
     frames: pd.DataFrame,
     found: pd.DataFrame,
@@ -212,18 +212,19 @@ def _errors(
         table["across_m"], table["along_m"] = across, along
         table["offset_m"] = edges.offset_m(found_m)[0]
         table["known_offset_m"] = edges.offset_m(known_m)[0]
-    settings = ScenarioSettings()
-    scenarios = classify_places(
-        known_m, RouteTracks(frames), _pavement(pavement, pavement_layer, frame), settings
-    )
+    tracks = RouteTracks(frames)
+    branches = find_branches(tracks, _paved(voxels), edges_m) if voxels else None
+    scenarios = classify_places(known_m, tracks, branches, ScenarioSettings())
     return pd.concat([table, scenarios], axis=1)
 
 
-def _pavement(pavement: Path | None, pavement_layer: str, frame: Frame) -> shapely.Geometry | None:
-    if not pavement:
-        return None
-    layer = read_layer(pavement, pavement_layer, frame)
-    return shapely.union_all(layer.geometry.to_numpy())
+def _paved(path: Path) -> Floats:
+    """Middles (n, 2) of the columns of voxels that hold road or a bridge deck."""
+    about = read_about(path)
+    table = read_table(path, ["ix", "iy", "cls"])
+    index = table.loc[table["cls"].isin(_PAVED), ["ix", "iy"]].drop_duplicates()
+    anchor = np.asarray(about["anchor"], np.float64)[:2]
+    return np.asarray(anchor + (index.to_numpy(np.float64) + 0.5) * float(about["cell_size_m"]))
 
 
 def _geodesic(frame: Frame, found_m: Floats, known_m: Floats) -> Floats:
