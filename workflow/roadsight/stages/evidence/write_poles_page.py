@@ -183,6 +183,8 @@ def _projected(poles: pd.DataFrame, cameras: pd.DataFrame, frames: pd.DataFrame)
     by_image = {str(image): _view_camera(pose)[0] for image, pose in known.iterrows()}
     at_m = known[["x", "y"]].to_numpy(np.float64)
     of_cloud = np.array([KINDS[kind].from_cloud for kind in poles["kind"]], bool)
+    if not of_cloud.any():
+        return []
     own = poles[of_cloud & poles["height_m"].notna().to_numpy()]
     sizes = own[["x", "y", "z", "height_m", "crown_width_m"]].to_numpy(np.float64)
     found = []
