@@ -22,8 +22,12 @@ _FEWEST = 8
 """Returns of a stem that tell its lean: of fewer, one of a wire that meets it is not told apart."""
 _LEAST_SPAN_M = 2.0
 """Height between its lowest and highest return, the same."""
+_THIN_M = 0.1
+"""Cells of which each counts as one return."""
+_STARTS = 60
+"""Returns between which lines are tried, spread over all heights."""
 _PAIRS = 400
-"""Pairs of returns whose lines are tried, spread over all."""
+"""Pairs of them that are tried, spread over all."""
 _OWN_M = 0.22
 """Returns of a stem are this near to its axis: its radius, 13 cm with a spread of 5, and noise of
 3 cm. Wires that meet it and transformers lie farther off for the most part."""
@@ -85,12 +89,9 @@ def stem_shapes(
     xyz_m : returns (n, 3), local metres. above_ground_m : (n,), NaN where unknown. cls : ASPRS
     class (n,).
     """
-    with np.errstate(invalid="ignore"):
-        used = ~np.isin(cls, NO_COLUMN) & (above_ground_m > _LOWEST_M)
-    points = np.column_stack([xyz_m[used, :2], above_ground_m[used]]).astype(np.float64)
-    points = points[np.lexsort(points.T)]
     found = np.full((len(columns), 5), np.nan)
-    if len(points) and len(columns):
+    points = _around(columns.xy_m, xyz_m, above_ground_m, cls)
+    if len(points):
         near = cKDTree(points[:, :2]).query_ball_point(columns.xy_m, _WIRE_M[1])
         for row, (own, axis, top_m) in enumerate(
             zip(near, columns.xy_m, columns.top_m, strict=True)
@@ -103,6 +104,25 @@ def stem_shapes(
                 around[:, :2] -= middle + around[:, 2:] * slope
             found[row] = lean, azimuth, np.degrees(sigma), *_arm(around, top_m)
     return StemShapes(*np.ascontiguousarray(found.T))
+
+
+def _around(axes_m: Floats, xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> Floats:
+    """Returns (n, 3) that may be of stems, arms and wires, with heights above the ground.
+
+    One for each small cell, their mean, so that a dense cloud takes no longer and counts no more.
+    """
+    if not len(axes_m):
+        return np.empty((0, 3))
+    with np.errstate(invalid="ignore"):
+        used = ~np.isin(cls, NO_COLUMN) & (above_ground_m > _LOWEST_M)
+    points = np.column_stack([xyz_m[used, :2], above_ground_m[used]]).astype(np.float64)
+    away, _ = cKDTree(axes_m).query(points[:, :2], distance_upper_bound=_WIRE_M[1])
+    points = points[np.isfinite(away)]
+    cell = np.floor(points / _THIN_M).astype(np.int64)
+    _, own, count = np.unique(cell, axis=0, return_inverse=True, return_counts=True)
+    own = own.ravel()
+    means = [np.bincount(own, axis, len(count)) / count for axis in points.T]
+    return np.column_stack(means)
 
 
 def _line(points: Floats, top_m: float) -> tuple[Floats, float, Floats]:
@@ -139,6 +159,7 @@ def _without_one(design: Floats, xy: Floats) -> float:
 def _start(xy: Floats, height: Floats) -> Floats:
     """Of the lines through two returns the one of least squares, none counted beyond `_OWN_M`."""
     order = np.argsort(height, kind="stable")
+    order = order[np.unique(np.linspace(0, len(order) - 1, _STARTS).astype(np.int64))]
     low, high = np.triu_indices(len(order), 1)
     rise = height[order[high]] - height[order[low]]
     pairs = np.flatnonzero(rise >= 0.5 * _LEAST_SPAN_M)
