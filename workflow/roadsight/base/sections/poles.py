@@ -183,6 +183,24 @@ class Sightings(SideViews, PoleMasks, BlockClasses, SightingRules):
     """Poles: objects in the images; px of an image 1200 px high."""
 
 
+class Columns(Section):
+    """Poles: pole-like columns of the cloud, tall, thin and with little around them."""
+
+    excluded_classes: list[LasClass] = Field(
+        default=[2, 7, 9, 11, 17, 18],
+        description="LAS classes that no pole has: ground, noise, water, road, bridge deck",
+    )
+    min_top_m: Metres = Field(default=3.0, description="lower columns are none, m")
+    radius_m: Metres = Field(default=0.6, description="returns this near are the column's, m")
+    around_m: Metres = Field(default=2.0, description="returns this near are around it, m")
+    around_trunk: float = Field(
+        default=0.5, ge=0, description="most returns around it below wires, over its own"
+    )
+    around_all: float = Field(
+        default=3.0, ge=0, description="the same at all heights: wires and arms, but no crown"
+    )
+
+
 class Triangulation(Section):
     """Poles: places from sightings."""
 

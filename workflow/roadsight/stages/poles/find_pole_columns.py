@@ -6,11 +6,11 @@ import logging
 import sys
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import pandas as pd
 
+from roadsight.base.sections.poles import Columns
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.raster.rasters import read_raster
@@ -35,7 +35,7 @@ def find_columns(
     cloud_path: Path,
     frame: Path,
     dem: Path,
-    min_top_m: Annotated[float, "lower columns are none"] = 3.0,
+    settings: Columns,
     *,
     out: Path,
 ) -> None:
@@ -48,7 +48,7 @@ def find_columns(
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
         above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
         cls = points["classification"]
-        tall = find_pole_columns(xyz, above, cls, min_top_m)
+        tall = find_pole_columns(xyz, above, cls, settings)
         found = with_stems(tall, find_stems(xyz, above, cls))
         x, y = found.xy_m.T
         inside = (x >= west) & (x < east) & (y >= south) & (y < north)
@@ -59,7 +59,7 @@ def find_columns(
     median_m = table["sigma_m"].median() if len(table) else float("nan")
     tell = log.info if len(table) else log.warning
     tell("%d pole-like columns, places good to %.3f m (median)", len(table), median_m)
-    write_table(out, table, {"min_top_m": min_top_m})
+    write_table(out, table, {"settings": settings.model_dump()})
 
 
 def _table(found: PoleColumns) -> pd.DataFrame:
