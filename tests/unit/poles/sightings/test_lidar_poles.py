@@ -138,4 +138,4 @@ def test_settings_say_what_a_column_is(rng):
     crowded = np.concatenate([stem, around])
     assert count(crowded) == 0
     assert count(crowded, around_trunk=2.0) >= 1
-    assert count(crowded, around_m=0.8) == 1
+    assert count(crowded, around_m=0.8) >= 1

@@ -181,14 +181,27 @@ def _other_kinds(
         theirs = shapely.get_coordinates(read_layer(roadside, "trees", frame).geometry)
         found["tree"] = score_near(ours, theirs, near.edge(ours), near.edge(theirs))
         ours = _xy(objects[objects["kind"] == "building"])
-        theirs = near.nearest(read_layer(roadside, "buildings", frame).geometry)
-        found["building"] = score_near(ours, theirs, near.road(ours), near.road(theirs))
+        outlines = read_layer(roadside, "buildings", frame).geometry
+        theirs = _nearest_to(ours, outlines) if len(ours) else near.nearest(outlines)
+        counts = near.road(ours), near.road(near.nearest(outlines))
+        found["building"] = score_near(ours, theirs, *counts)
         rails = read_layer(placed, "guardrails", frame)
         kept = rails[rails["kept"].to_numpy(bool)] if len(rails) else rails
         known = read_layer(roadside, "guardrails", frame)
         rails_m = [shapely.get_coordinates(one) for one in kept.geometry]
         found["guardrail"] = score_lines(rails_m, near.parts(known.geometry))
     return found
+
+
+def _nearest_to(places_m: Floats, outlines: Sequence[shapely.Geometry]) -> Floats:
+    """Of each outline the place (n, 2) that is nearest to any of some places.
+
+    Two corners of a wall along the road may be as near to it: where on its outline a building was
+    placed does not matter.
+    """
+    at = shapely.multipoints(places_m)
+    lines = [shapely.shortest_line(one.exterior, at) for one in outlines]
+    return np.array([line.coords[0][:2] for line in lines], np.float64).reshape(-1, 2)
 
 
 def _errors(
