@@ -153,7 +153,8 @@ def test_what_was_withheld_is_counted_by_its_reason(folder):
     ]
     sightings = pd.DataFrame({"kept": [True, False, True], "reason": ["", "too far", ""]})
     weak = "error ellipse longer than 5 m"
-    poles = pd.DataFrame({"kept": [True, False, False], "reason": ["", weak, weak]})
+    poles = pd.DataFrame({"kept": [True, True, False, False], "reason": ["", "", weak, weak]})
+    poles["kind"] = ["pole", "tree", "pole", "pole"]
     named = {"frames": frames, "c0": cameras[0], "c1": cameras[1], "s0": sightings, "poles": poles}
     path = {name: str(folder / f"{name}.parquet") for name in named}
     for name, table in named.items():
@@ -164,6 +165,7 @@ def test_what_was_withheld_is_counted_by_its_reason(folder):
     found = json.loads(out.read_text())["poles"]
     assert (found["images"], found["aligned_images"]) == (5, 2)
     assert (found["sightings"], found["poles"]) == (2, 1)
+    assert found["objects"] == {"pole": 1, "tree": 1}
     assert found["withheld"] == {
         "images": {"GPS jump": 1, "the edges fit badly": 2},
         "sightings": {"too far": 1},

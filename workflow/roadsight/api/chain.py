@@ -8,6 +8,7 @@ from roadsight.api.drive import MANIFESTS, Drive, DriveFiles
 from roadsight.base.sections.poles import (
     AlignmentLimits,
     Calibration,
+    Columns,
     EdgeTracing,
     Networks,
     PoleMasks,
@@ -140,7 +141,7 @@ class Chain:
             edges_path=self.road_edges,
             lines=self.path("road_edges.gpkg"),
         )
-        find_columns(self.cloud, self.frame, self.dem, out=self._columns)
+        find_columns(self.cloud, self.frame, self.dem, Columns(), out=self._columns)
         ground = None if self._classified else self._ground
         build_terrain(self.cloud, RoadClasses(), TerrainMesh(), ground, out=self._terrain)
 

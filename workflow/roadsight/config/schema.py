@@ -12,6 +12,7 @@ from roadsight.base.sections.placement import Candidates, Cover, Coverage
 from roadsight.base.sections.poles import (
     Alignment,
     Calibration,
+    Columns,
     EdgeTracing,
     Hazard,
     Networks,
@@ -59,6 +60,7 @@ class Settings(Run):
     image_edges: EdgeTracing = EdgeTracing()
     calibration: Calibration = Calibration()
     alignment: Alignment = Alignment()
+    columns: Columns = Columns()
     sightings: Sightings = Sightings()
     triangulation: Triangulation = Triangulation()
     hazard: Hazard = Hazard()

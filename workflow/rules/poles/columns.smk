@@ -22,9 +22,11 @@ rule find_pole_columns:
     resources:
         mem_mb=megabytes(60),
         runtime=minutes(),
+    params:
+        options=flags("columns"),
     shell:
         "python -m roadsight.stages.poles.find_pole_columns --cloud {input.cloud} --frame {input.frame}"
-        " --dem {input.dem} --out {output.columns} > {log} 2>&1"
+        " --dem {input.dem} {params.options} --out {output.columns} > {log} 2>&1"
 
 
 rule find_roadside_objects:
@@ -45,7 +47,7 @@ rule find_roadside_objects:
         mem_mb=megabytes(60),
         runtime=minutes(),
     params:
-        options=some_flags("sightings", "kinds"),
+        options=some_flags("sightings", "kinds", "building_classes", "headwall_classes"),
     shell:
         "python -m roadsight.stages.poles.find_roadside_objects --cloud {input.cloud} --frame {input.frame}"
         " --dem {input.dem} {params.options} --out {output.objects} > {log} 2>&1"

@@ -80,6 +80,8 @@ rule triangulate_poles:
         voxels=rules.rasterise_lidar.output.voxels,
         objects=objects_of_cloud,
         seen=all_seen,
+        frames=rules.read_videolog.output.frames,
+        columns=rules.find_pole_columns.output.columns,
         decisions=beside_site("poles.decisions"),
         code=sources("triangulate_poles"),
     output:
@@ -99,7 +101,7 @@ rule triangulate_poles:
     shell:
         "python -m roadsight.stages.poles.triangulate_poles --sightings {input.sightings}"
         " --frame {input.frame} --dem {input.dem} --voxels {input.voxels} {params.options}"
-        " --objects {input.objects} --seen {input.seen} --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
+        " --objects {input.objects} --seen {input.seen} --frames {input.frames} --columns {input.columns} --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
         " --geojson {output.geojson} --doubts {output.doubts} > {log} 2>&1"
 
 
@@ -166,6 +168,7 @@ rule validate_poles:
         frame=rules.ingest_cloud.output.frame,
         frames=rules.read_videolog.output.frames,
         edges=rules.extract_road_edges.output.edges,
+        voxels=rules.rasterise_lidar.output.voxels,
         code=sources("validate_poles"),
     output:
         validation="results/{site}/poles/validation.json",
@@ -184,5 +187,5 @@ rule validate_poles:
     shell:
         "python -m roadsight.stages.poles.validate_poles --poles {input.poles}"
         " --truth {params.truth:q} --truth-crs={params.truth_crs:q} --truth-kind={params.truth_kind:q} --frame {input.frame}"
-        " --frames {input.frames} --edges {input.edges} --placed {input.placed} --roadside {input.roadside} {params.options} {params.kinds}"
+        " --frames {input.frames} --edges {input.edges} --voxels {input.voxels} --placed {input.placed} --roadside {input.roadside} {params.options} {params.kinds}"
         " --out {output.validation} > {log} 2>&1"

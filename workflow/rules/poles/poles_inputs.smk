@@ -60,8 +60,8 @@ def voxels_for_bearings(wildcards):
 
 
 def objects_of_cloud(wildcards):
-    """Trees and guardrails, where they are asked for."""
-    asked = {"tree", "guardrail"} & set(
+    """Objects that the cloud shows, where they are asked for."""
+    asked = {"tree", "guardrail", "building", "headwall"} & set(
         SITES[wildcards.site].setting("sightings.kinds")
     )
     return [f"results/{wildcards.site}/poles/objects.parquet"] if asked else []

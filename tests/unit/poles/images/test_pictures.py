@@ -4,8 +4,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from roadsight.geometry.cameras import Intrinsics
 from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.pictures import best_views, cut_out, unrecognisable
+from roadsight.poles.images.pictures import best_views, cut_out, projected_box, unrecognisable
+from roadsight.poles.sightings.sighting_bearing import ViewCamera
 
 
 def seen(*rows):
@@ -62,3 +64,27 @@ def test_what_moves_is_in_blocks_and_the_rest_as_it_was(rng):
 def test_without_what_moves_an_image_stays():
     image = np.full((20, 30, 3), 7, np.uint8)
     assert unrecognisable(image, np.zeros((20, 30), np.uint8)) is image
+
+
+def camera_at(position_m=(0.0, 0.0, 1.5), heading_deg=0.0):
+    lens = Intrinsics(640, 480, 500.0, 320.0, 240.0)
+    return ViewCamera(lens, position_m, heading_deg, 0.0, 0.0)
+
+
+def test_a_box_holds_an_object_of_the_cloud():
+    found = projected_box(camera_at(), np.array([4.0, 30.0, 0.0]), 8.0, 3.0)
+    u_min, v_min, u_max, v_max = found
+    # The nearest and the farthest corner of a box 3 m wide, 28.5 and 31.5 m ahead.
+    assert u_min == pytest.approx(320 + 500 * 2.5 / 31.5)
+    assert u_max == pytest.approx(320 + 500 * 5.5 / 28.5)
+    assert v_min == pytest.approx(240 - 500 * 6.5 / 28.5)
+    assert v_max == pytest.approx(240 + 500 * 1.5 / 28.5)
+
+
+def test_what_is_behind_beside_or_mostly_outside_has_no_box():
+    size = 8.0, 3.0
+    assert projected_box(camera_at(heading_deg=180.0), np.array([4.0, 30.0, 0.0]), *size) is None
+    assert projected_box(camera_at(), np.array([3.0, 0.5, 0.0]), *size) is None
+    assert projected_box(camera_at(), np.array([24.0, 30.0, 0.0]), *size) is None
+    cut = projected_box(camera_at(), np.array([0.0, 15.0, 0.0]), *size)
+    assert cut is not None and cut[1] == 0.0

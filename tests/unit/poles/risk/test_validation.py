@@ -7,7 +7,6 @@ import pandas as pd
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from shapely import Polygon, union_all
 
 from roadsight.poles.risk.scenarios import (
     RouteTracks,
@@ -131,17 +130,6 @@ def test_straight_curved_and_crossing():
     assert errors["straight"]["mean"] == 2
     assert errors["intersection"]["count"] == 1
     assert errors["extraneous"] is None
-
-
-def test_a_driveway_is_extraneous():
-    xy = np.column_stack([np.arange(0, 300, 8.0), np.zeros(38)])
-    road = Polygon([(0, -4), (300, -4), (300, 4), (0, 4)])
-    drive = Polygon([(98, 4), (104, 4), (104, 20), (98, 20)])
-    places = np.array([[100.0, 9], [200, 9]])
-    classes = classify_places(
-        places, RouteTracks(track(xy)), union_all([road, drive]), ScenarioSettings()
-    )
-    assert classes["extraneous"].tolist() == [True, False]
 
 
 def test_tracks_stand_still_jump_routes_and_give_sides():

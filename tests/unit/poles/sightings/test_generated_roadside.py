@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
 
+from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.risk.validation import score_lines, score_near
+from roadsight.poles.sightings.blocks import block_cells, join_blocks
 from roadsight.poles.sightings.crowns import find_crowns
 from roadsight.poles.sightings.rails import find_rail_returns, join_rails
 from roadsight.synthetic.rendering.images import RuralRenderer
@@ -15,14 +18,14 @@ from roadsight.synthetic.rural.rural_road import build_rural
 
 @pytest.fixture(scope="module", params=[11, 12])
 def scanned(request):
-    """Site, returns, their heights above the true ground, classes; 40 m about a road of 200 m."""
+    """Site, returns, their heights above the true ground, classes; 55 m about a road of 200 m."""
     site = build_rural(request.param, 200.0)
     rng = np.random.default_rng(request.param)
     parts = list(scan_rural(RuralRenderer(site), rng, AirborneScanner(pulses_per_m2=24.0)))
     xyz = np.concatenate([part.xyz_m for part in parts])
     cls = np.concatenate([part.classification for part in parts])
     road = site.line.road(xyz[:, :2])
-    near = (np.abs(road[:, 1]) < 40.0) & (road[:, 0] > 0.0) & (road[:, 0] < 200.0)
+    near = (np.abs(road[:, 1]) < 55.0) & (road[:, 0] > 0.0) & (road[:, 0] < 200.0)
     return site, xyz[near], xyz[near, 2] - site.height(xyz[near, :2]), cls[near]
 
 
@@ -46,3 +49,20 @@ def test_guardrails_are_found_by_length_and_nothing_else_is(scanned):
     lines = join_rails(find_rail_returns(xyz, above, cls))
     scores = score_lines([line[:, :2] for line in lines], [r[:, :2] for r in site.guardrails])
     assert scores["recall"] > 0.9 and scores["f1"] > 0.9
+
+
+def test_buildings_are_found_where_their_eaves_are(scanned):
+    site, xyz, _, cls = scanned
+    found = join_blocks([block_cells(xyz[cls == 6])], KINDS["building"])
+    whole = [
+        shapely.Polygon(corners[:, :2])
+        for corners in site.buildings
+        if np.abs(site.line.road(corners[:, :2])[:, 1]).max() < 54.0
+    ]
+    assert whole
+    for truth in whole:
+        shares = [
+            truth.intersection(one).area / truth.union(one).area
+            for one in (shapely.Polygon(block.outline_m) for block in found)
+        ]
+        assert max(shares) > 0.8

@@ -3,6 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from roadsight.base.sections.poles import Columns
 from roadsight.poles.sightings.lidar_poles import NO_COLUMN, find_pole_columns, stem_axis
 
 CELL = 0.3
@@ -120,3 +121,21 @@ def test_arms_do_not_move_the_axis(rng):
     assert np.hypot(*(with_arm - alone)) < 0.03
     lone, sigma, used = stem_axis(hits[:1])
     assert used == 1 and sigma > 0.08 and np.hypot(*(lone - hits[0])) < 0.2
+
+
+def test_settings_say_what_a_column_is(rng):
+    """Its classes, its least height, its radius, and how much may stand around it."""
+    stem = np.column_stack([rng.normal(0, 0.05, (80, 2)), rng.uniform(1.2, 9.0, 80)])
+    around = np.column_stack([rng.uniform(0.7, 1.5, (25, 2)), rng.uniform(1.2, 4.4, 25)])
+
+    def count(points, cls=5, **asked):
+        classes = np.full(len(points), cls, np.uint8)
+        return len(find_pole_columns(points, points[:, 2], classes, Columns(**asked)))
+
+    assert count(stem) == 1 and count(stem, cls=9) == 0
+    assert count(stem, cls=9, excluded_classes=[2]) == 1
+    assert count(stem, min_top_m=9.5) == 0
+    crowded = np.concatenate([stem, around])
+    assert count(crowded) == 0
+    assert count(crowded, around_trunk=2.0) >= 1
+    assert count(crowded, around_m=0.8) >= 1

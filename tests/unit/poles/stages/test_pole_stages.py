@@ -384,6 +384,7 @@ def test_signs_trees_and_guardrails_are_scored_apart_from_poles(site, with_objec
     known = {
         "trees": [shapely.Point(31.0, 13.0), shapely.Point(100.0, 10.0), shapely.Point(60.0, 20.0)],
         "guardrails": [shapely.LineString([(0.0, 5.8), (160.0, 5.8)])],
+        "buildings": [shapely.box(20.0, -40.0, 32.0, -24.0)],
     }
     layers = {name: gpd.GeoDataFrame(geometry=own) for name, own in known.items()}
     write_layers(tmp_path / "roadside.gpkg", layers, FEET)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pyproj import CRS
 
+from roadsight.base.sections.poles import BlockClasses
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tile_writer import TileWriter
 from roadsight.io.raster.rasters import write_raster
@@ -56,9 +57,10 @@ def objects(folder, xyz, cls):
         writer.append(points | {"classification": cls})
         writer.finish()
     inputs = [folder / name for name in ("cloud.parquet", "frame.json", "dem.tif")]
-    find_roadside_objects(*inputs, ["tree", "guardrail"], out=folder / "objects.parquet")
-    table = read_table(folder / "objects.parquet")
-    return [table[table["kind"] == kind] for kind in ("tree", "guardrail")]
+    kinds, out = ["tree", "guardrail", "building"], folder / "objects.parquet"
+    find_roadside_objects(*inputs, kinds, BlockClasses(), out=out)
+    table = read_table(out)
+    return [table[table["kind"] == kind] for kind in kinds]
 
 
 @pytest.mark.parametrize(("west", "east"), [(3, 6), (9, 14), (4, 24)])
@@ -66,7 +68,7 @@ def test_tiles_give_what_the_whole_cloud_gives(rng, tmp_path, west, east):
     trees, xyz = surveyed(rng, west, east)
     xyz = xyz.astype(np.float32).astype(np.float64)
     cls = np.where(xyz[:, 2] > 0.1, 5, 2).astype(np.uint8)
-    found, rails = objects(tmp_path, xyz, cls)
+    found, rails, buildings = objects(tmp_path, xyz, cls)
     apart = np.hypot(*(trees[:, None] - found[["x", "y"]].to_numpy()).transpose(2, 0, 1))
     assert len(found) == len(trees) and (apart.min(axis=1) < 2.5).all()
     _, tile = np.unique(np.floor(xyz[:, :2] / TILE_M), axis=0, return_inverse=True)
@@ -77,3 +79,17 @@ def test_tiles_give_what_the_whole_cloud_gives(rng, tmp_path, west, east):
     np.testing.assert_allclose(columns, whole[np.lexsort(whole[:, 1::-1].T)], atol=1e-6)
     (line,) = join_rails(find_rail_returns(xyz, xyz[:, 2], cls))
     np.testing.assert_allclose(rails[["x", "y", "z_ground"]], line, atol=1e-6)
+    assert buildings.empty
+
+
+def test_a_building_in_four_tiles_is_one(rng, tmp_path):
+    ground = np.column_stack([rng.uniform(0, SIZE_M, (9000, 2)), np.zeros(9000)])
+    roof = np.column_stack([rng.uniform([44, 46], [57, 54], (2000, 2)), np.full(2000, 5.0)])
+    wall = np.column_stack([rng.uniform(44, 57, 60), np.full(60, 46.1), rng.uniform(0.2, 5, 60)])
+    cls = np.repeat([2, 6], [len(ground), len(roof) + len(wall)]).astype(np.uint8)
+    trees, rails, buildings = objects(tmp_path, np.concatenate([ground, roof, wall]), cls)
+    assert trees.empty and rails.empty
+    assert (buildings["object"] == 0).all() and len(buildings) > 35
+    assert buildings["top_m"].to_numpy() == pytest.approx(5.0, abs=0.01)
+    assert buildings["x"].min() == pytest.approx(44.0, abs=0.5)
+    assert buildings["y"].max() == pytest.approx(54.0, abs=0.5)

@@ -143,10 +143,21 @@ class Calibration(CameraPrior):
     gps_own_m: Metres = Field(default=0.2, description="error of each position by itself, m")
 
 
+class BlockClasses(Section):
+    """Which returns of the cloud are of buildings and of headwalls."""
+
+    building_classes: list[LasClass] = Field(
+        default=[6], description="LAS classes that are building"
+    )
+    headwall_classes: list[LasClass] = Field(
+        default=[], description="LAS classes that are headwall: none is standard"
+    )
+
+
 class SightingRules(Section):
     """Which objects are looked for, and which are kept."""
 
-    kinds: list[Literal["pole", "sign", "tree", "guardrail"]] = Field(
+    kinds: list[Literal["pole", "sign", "tree", "guardrail", "building", "headwall"]] = Field(
         default=["pole"], min_length=1, description="objects that are looked for"
     )
     bearing: Literal["fused", "image", "lidar"] = Field(
@@ -179,8 +190,26 @@ class SideViews(Section):
     right_yaw_deg: Degrees = Field(default=60.0, description="right view from the front, degrees")
 
 
-class Sightings(SideViews, PoleMasks, SightingRules):
+class Sightings(SideViews, PoleMasks, BlockClasses, SightingRules):
     """Poles: objects in the images; px of an image 1200 px high."""
+
+
+class Columns(Section):
+    """Poles: pole-like columns of the cloud, tall, thin and with little around them."""
+
+    excluded_classes: list[LasClass] = Field(
+        default=[2, 7, 9, 11, 17, 18],
+        description="LAS classes that no pole has: ground, noise, water, road, bridge deck",
+    )
+    min_top_m: Metres = Field(default=3.0, description="lower columns are none, m")
+    radius_m: Metres = Field(default=0.6, description="returns this near are the column's, m")
+    around_m: Metres = Field(default=2.0, description="returns this near are around it, m")
+    around_trunk: float = Field(
+        default=0.5, ge=0, description="most returns around it below wires, over its own"
+    )
+    around_all: float = Field(
+        default=3.0, ge=0, description="the same at all heights: wires and arms, but no crown"
+    )
 
 
 class Triangulation(Section):

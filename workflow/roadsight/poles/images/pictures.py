@@ -6,8 +6,10 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Bytes, Ints
+from roadsight.base.arrays import Bytes, Floats, Ints
+from roadsight.geometry.cameras import project
 from roadsight.poles.images.classes import PixelClass
+from roadsight.poles.sightings.sighting_bearing import ViewCamera
 
 _MARGIN = 0.15
 """Margin around an object, as a share of its height."""
@@ -15,6 +17,10 @@ _LEAST_WIDTH = 0.6
 """Width of a picture at least, as a share of its height: what stands beside it tells the place."""
 _HALF = 0.5
 """What a view counts whose foot is hidden, or whose top the image cuts off, against a whole one."""
+_LEAST_AWAY_M = 2.0
+"""What is nearer to the camera than this is beside it."""
+_SHOWN = 0.6
+"""Share of an object's width, and of its height, that an image must hold."""
 _CUT_PX = 1.0
 """So near the image's upper end an object is cut off."""
 _BLOCKS = 60
@@ -40,6 +46,38 @@ def best_views(sightings: pd.DataFrame, owner: Ints, objects: int) -> Ints:
         if owner[row] >= 0:
             best[owner[row]] = row
     return best
+
+
+def projected_box(
+    camera: ViewCamera, place_m: Floats, height_m: float, width_m: float
+) -> tuple[float, float, float, float] | None:
+    """Box of an object that stands at a place, as far as it is in the image; None if most is not.
+
+    Parameters
+    ----------
+    place_m : x, y, z of its foot, local metres.
+
+    Returns
+    -------
+    least u and v, greatest u and v, pixels
+    """
+    half = 0.5 * width_m
+    corners = np.array(
+        [[x, y, z] for x in (-half, half) for y in (-half, half) for z in (0.0, height_m)]
+    )
+    if np.hypot(*(place_m[:2] - np.asarray(camera.position_m[:2]))) <= half + _LEAST_AWAY_M:
+        return None
+    lens = camera.intrinsics
+    uv, ahead_m = project(lens, camera.rotation(), camera.position_m, place_m + corners)
+    if not (ahead_m > 0).all():
+        return None
+    low, high = uv.min(axis=0), uv.max(axis=0)
+    size = np.array([lens.width_px, lens.height_px], np.float64)
+    shown = np.clip(high, 0.0, size - 1) - np.clip(low, 0.0, size - 1)
+    if (shown < _SHOWN * (high - low)).any():
+        return None
+    (u_min, v_min), (u_max, v_max) = np.clip([low, high], 0.0, size - 1).tolist()
+    return u_min, v_min, u_max, v_max
 
 
 def cut_out(image: Bytes, box_px: tuple[float, float, float, float]) -> Bytes:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import Bools, Floats
 from roadsight.poles.risk.profiles import (
     STEP_M,
     Pieces,
@@ -33,6 +33,24 @@ BOTTOM_M = 3.6
 """Level ground between a foreslope and a backslope is a ditch's bottom up to this width."""
 KERB_M = 0.3
 """Higher steps up are walls: kerbs are 0.1 to 0.2 m high."""
+_FEWEST = 6
+"""Points of a strip, and heights of a profile."""
+_POOLED_M = 9.0
+"""Strips so far beyond the middle one are pooled with it."""
+_MANY = 3
+"""Strips from which on bins are half as wide."""
+_STRIP_M = 3.0
+"""Length of such a strip along the road."""
+_SHIFTS = 3
+"""Steps in which a strip is moved onto the middle one."""
+_MOST_ASIDE_M = 0.5
+"""A strip whose section lies farther aside is of another: on a bend of 80 m radius the farthest is
+0.35 m aside."""
+_ALIKE = 2.0
+"""Mean square of a strip's misfit in sigmas up to which it has the same section; about 1.3 is due
+to noise of both."""
+_FAR = 5.0
+"""Single misfits count no more sigmas than this."""
 KINDS = ("shoulder", "foreslope", "ditch bottom", "backslope", "level", "kerb", "drop-off", "wall")
 
 
@@ -205,6 +223,9 @@ def profile_from_points(
 ) -> Profile:
     """Profile of the ground points of a strip across the road, its slope along the road removed.
 
+    Strips beside it that have the same cross-section, moved by a bend or a grade at most, are
+    pooled with it: one alone does not tell the slope of a narrow bottom.
+
     Parameters
     ----------
     points_m : (n, 3) ground points. half_length_m : the strip reaches so far either way along the
@@ -212,19 +233,73 @@ def profile_from_points(
     """
     middle = edge_m + outward * reach_m / 2
     tree = cKDTree(points_m[:, :2]) if tree is None else tree
-    rows = np.array(
-        sorted(tree.query_ball_point(middle, np.hypot(reach_m / 2 + bin_m, half_length_m))), int
-    )
+    far_m = half_length_m + _POOLED_M
+    around = tree.query_ball_point(middle, np.hypot(reach_m / 2 + bin_m, far_m))
+    rows = np.array(sorted(around), int)
     gap = points_m[rows, :2] - edge_m
     run = gap @ outward
     along = gap @ np.array([-outward[1], outward[0]])
-    near = (np.abs(along) <= half_length_m) & (run >= -bin_m / 2) & (run <= reach_m)
-    run, along, height = run[near], along[near], points_m[rows[near], 2]
-    if len(run) < 6:
+    inside = (run >= -bin_m / 2) & (run <= reach_m) & (np.abs(along) <= far_m)
+    strips = [
+        _strip(run[own], along[own], points_m[rows[own], 2], bin_m)
+        for own in (inside & part for part in _parts(along, half_length_m))
+        if own.sum() >= _FEWEST
+    ]
+    near = inside & (np.abs(along) <= half_length_m)
+    if near.sum() < _FEWEST:
         none = np.zeros(0)
         return Profile(none, none, none)
-    height = height - along * _along_slope(run, along, height, bin_m)
-    return binned_profile(run, height - _level_at_edge(run, height), bin_m)
+    own = _strip(run[near], along[near], points_m[rows[near], 2], bin_m)
+    own = own[0], own[1] - _level_at_edge(*own)
+    profile = binned_profile(*own, bin_m)
+    if len(profile) < _FEWEST:
+        return profile
+    pieces = fit_pieces(profile)
+    alike = [moved for strip in strips if (moved := _moved(*strip, pieces, bin_m)) is not None]
+    if not alike:
+        return profile
+    pooled_run, pooled_height = np.concatenate([np.stack(one) for one in (own, *alike)], axis=1)
+    # So many points fill bins half as wide, which blur hinges less.
+    return binned_profile(pooled_run, pooled_height, bin_m / 2 if len(alike) >= _MANY else bin_m)
+
+
+def _parts(along: Floats, half_m: float) -> list[Bools]:
+    """Strips beside the middle one, from it outwards on either side."""
+    starts = np.arange(half_m, half_m + _POOLED_M - 1e-9, _STRIP_M)
+    return [
+        (side * along > low) & (side * along <= low + _STRIP_M)
+        for side in (-1, 1)
+        for low in starts
+    ]
+
+
+def _strip(run: Floats, along: Floats, height: Floats, bin_m: float) -> tuple[Floats, Floats]:
+    """Runs and heights of points as at the middle of their strip."""
+    along = along - along.mean()
+    return run, height - along * _along_slope(run, along, height, bin_m)
+
+
+def _moved(
+    run: Floats, height: Floats, pieces: Pieces, bin_m: float
+) -> tuple[Floats, Floats] | None:
+    """Points of a strip where the middle one's would be; None if it is another cross-section."""
+    strip = binned_profile(run, height, bin_m)
+    if len(strip) < _FEWEST:
+        return None
+    aside, up = 0.0, float(np.median(strip.height_m - pieces.height_m(strip.run_m)))
+    for _ in range(_SHIFTS):
+        at = strip.run_m - aside
+        slope = pieces.slope[np.clip(np.searchsorted(pieces.ends_m, at) - 1, 0, len(pieces) - 1)]
+        off = strip.height_m - pieces.height_m(at) - up
+        design = np.column_stack([-slope, np.ones(len(at))]) / strip.sigma_m[:, None]
+        step, *_ = np.linalg.lstsq(design, off / strip.sigma_m, rcond=None)
+        aside, up = aside + float(step[0]), up + float(step[1])
+        if abs(aside) > _MOST_ASIDE_M:
+            return None
+    off = (strip.height_m - pieces.height_m(strip.run_m - aside) - up) / strip.sigma_m
+    if np.mean(np.minimum(off**2, _FAR**2)) > _ALIKE:
+        return None
+    return run - aside, height - up
 
 
 def _along_slope(run: Floats, along: Floats, height: Floats, bin_m: float) -> float:

@@ -1,13 +1,14 @@
 """Where along the road a place lies, and what the road is like there.
 
 Scenario classes follow paper 2, table 3: straight or curved, intersection near, extraneous features
-(driveways, parking). The paper judged by eye; here they are measured from the track and the
-pavement's width.
+(driveways, parking). The paper judged by eye; here they are measured from the tracks and from
+pavement that leaves the road (`branches`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -15,6 +16,9 @@ import shapely
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
+
+if TYPE_CHECKING:  # which stands on the tracks here
+    from roadsight.poles.risk.branches import Branches
 
 
 @dataclass(frozen=True)
@@ -27,14 +31,14 @@ class ScenarioSettings:
     chord_m : half the length of track by which the radius is measured.
     crossing_m : an intersection is near if a track in another direction comes this near.
     crossing_deg : directions differ from this angle on.
-    widening : extraneous features change the pavement's width by this share of its median.
+    aside_m : extraneous features are near from here on.
     """
 
     curve_radius_m: float = 300.0
     chord_m: float = 25.0
     crossing_m: float = 30.0
     crossing_deg: float = 30.0
-    widening: float = 0.3
+    aside_m: float = 25.0
 
 
 class RouteTracks:
@@ -115,10 +119,15 @@ class RouteTracks:
 def classify_places(
     xy_m: Floats,
     tracks: RouteTracks,
-    pavement: shapely.Geometry | None,
+    branches: Branches | None,
     settings: ScenarioSettings,
 ) -> pd.DataFrame:
     """Scenario of each place.
+
+    Parameters
+    ----------
+    branches : side roads, driveways and car parks, None where no pavement is known. Side roads are
+    intersections whether anybody drove them or not.
 
     Returns
     -------
@@ -138,12 +147,10 @@ def classify_places(
     )
     curved = radius < settings.curve_radius_m
     crossing = _crossings(xy_m, tracks, piece, station_m, settings)
-    extraneous: list[bool | None] = [None] * len(xy_m)
-    if pavement is not None and not pavement.is_empty:
-        extraneous = [
-            bool(_widens(tracks, route, at, pavement, settings) and not near)
-            for route, at, near in zip(tracks.route[piece], station_m, crossing, strict=True)
-        ]
+    extraneous: object = None
+    if branches is not None:
+        crossing |= branches.near(xy_m, settings.crossing_m, road=True)
+        extraneous = branches.near(xy_m, settings.aside_m, road=False) & ~crossing
     columns = {"radius_m": radius, "straight": ~curved, "curved": curved}
     return pd.DataFrame(columns | {"intersection": crossing, "extraneous": extraneous})
 
@@ -174,38 +181,3 @@ def _crossings(
         turned = np.abs(cosine) < np.cos(np.radians(settings.crossing_deg))
         found[number] = bool(((~own | far) & turned).any())
     return found
-
-
-def _widens(
-    tracks: RouteTracks,
-    route: int,
-    station_m: float,
-    pavement: shapely.Geometry,
-    settings: ScenarioSettings,
-) -> bool:
-    """Whether the pavement's width changes around a station."""
-    stations = station_m + np.arange(-settings.chord_m, settings.chord_m + 1, 2.0)
-    stations = stations[(stations >= 0) & (stations <= tracks.route_length_m(route))]
-    if len(stations) < 2:
-        return False
-    places = tracks.place(route, stations)
-    way = tracks.place(route, stations + 1.0) - tracks.place(route, stations - 1.0)
-    long = np.hypot(*way.T)
-    good = long > 1e-6
-    side = np.column_stack([way[good, 1], -way[good, 0]]) / long[good, None]
-    ends = np.stack([places[good] - 30 * side, places[good] + 30 * side], axis=1)
-    cuts = shapely.intersection(shapely.linestrings(ends), pavement)
-    widths = np.array(
-        [_own_part_m(cut, place) for cut, place in zip(cuts, places[good], strict=True)]
-    )
-    widths = widths[widths > 0]
-    if len(widths) < 2:
-        return False
-    return bool(np.ptp(widths) > settings.widening * np.median(widths))
-
-
-def _own_part_m(cut: shapely.Geometry, place: Floats) -> float:
-    """Length of the part of a cut that holds a place (or comes within 1 m of it)."""
-    here = shapely.Point(place)
-    near = [part.length for part in shapely.get_parts(cut) if part.distance(here) < 1.0]
-    return float(max(near, default=0.0))

@@ -30,8 +30,11 @@ _BESIDE_M = 3.0
 """Objects nearer to the camera are beside the vehicle."""
 _CROWN_SHARES = np.linspace(0.35, 0.95, 7)
 """Heights of the points on a tree, as shares of its own: below is the trunk, which bushes hide."""
+_BLOCK_SHARES = np.linspace(0.3, 0.8, 3)
+"""The same of the points on the outline of a building."""
 _RAIL_M = 0.6
 """Height of the points on a rail."""
+_SHARES = {"crown": _CROWN_SHARES, "block": _BLOCK_SHARES, "line": np.ones(1)}
 
 
 @dataclass(frozen=True)
@@ -55,12 +58,12 @@ def objects_of(table: pd.DataFrame) -> list[Objects]:
     Parameters
     ----------
     table : kind, object (number within its kind), x, y, z_ground, top_m; a row a tree, and a row
-    for each place of a rail.
+    for each place of a rail and of an outline.
     """
     found = []
     for kind, own in table.groupby("kind", sort=True):
         rows = own.sort_values("object", kind="stable")
-        shares = _CROWN_SHARES if KINDS[str(kind)].shape == "crown" else np.ones(1)
+        shares = _SHARES[KINDS[str(kind)].shape]
         places = np.repeat(rows[["x", "y", "z_ground"]].to_numpy(np.float64), len(shares), axis=0)
         tall = rows["top_m"].to_numpy(np.float64)
         places[:, 2] += (tall[:, None] * shares).ravel() if len(shares) > 1 else _RAIL_M

@@ -13,8 +13,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats, Ints
+from roadsight.base.sections.poles import Columns
 
-NO_COLUMN = (2, 7, 9, 11, 17, 18)
+_USUAL = Columns()
+"""What a column is, unless asked for another."""
+NO_COLUMN = tuple(_USUAL.excluded_classes)
 """ASPRS classes that no return of a pole has: ground, noise, water, road, bridge deck. Producers
 file poles under anything else: 0, 1, vegetation, wires and towers, or numbers of their own."""
 _LOWEST_M = 1.0
@@ -25,10 +28,6 @@ _LAYER_M = 1.0
 """Height of the layers in which a column must have points."""
 _CELL_M = 0.5
 """Cells in plan in which columns are looked for."""
-_INNER_M = 0.6
-"""Points within this are the column's: a trunk, wherever in its cell it stands."""
-_OUTER_M = 2.0
-"""Points between the two radii are of something around it, such as a crown or a wall."""
 _APART_M = 1.5
 """Of columns nearer to each other, the one with more layers stays."""
 _THIN_M = 0.3
@@ -86,29 +85,31 @@ class PoleColumns:
 
 
 def find_pole_columns(
-    xyz_m: Floats, above_ground_m: Floats, cls: NDArray, min_top_m: float = 3.0
+    xyz_m: Floats, above_ground_m: Floats, cls: NDArray, settings: Columns = _USUAL
 ) -> PoleColumns:
     """Pole-like columns among returns, by falling number of layers and then by place.
 
     A column has points in at least three layers of 1 m, reaches ``min_top_m``, and has few points
     around it: at trunk height (below 4.5 m, under the wires) at most half as many as its own, above
-    at most three times as many (wires and arms, but no crown), all counted in cells of 0.3 m.
+    at most three times as many (wires and arms, but no crown), all counted in cells of 0.3 m, and
+    unless the settings say otherwise. Its own are within ``radius_m``, a trunk wherever in its cell
+    it stands; those up to ``around_m`` are of something around it, such as a crown or a wall.
 
     Parameters
     ----------
     xyz_m : returns (n, 3), local metres. above_ground_m : (n,), NaN where unknown.
-    cls : ASPRS class (n,). min_top_m : lower ones are none.
+    cls : ASPRS class (n,).
     """
     with np.errstate(invalid="ignore"):
-        high = ~np.isin(cls, NO_COLUMN) & (above_ground_m > _LOWEST_M)
+        high = ~np.isin(cls, settings.excluded_classes) & (above_ground_m > _LOWEST_M)
     points, height_m = np.asarray(xyz_m, np.float64)[high], above_ground_m[high]
     if not len(points):
         return PoleColumns(np.empty((0, 2)), *[_nothing()] * 5)
     # In order of place, so that the order of the returns does not matter.
     order = np.lexsort(points.T)
     points, height_m = points[order], height_m[order]
-    centres = _isolated(*_thinned(points[:, :2], height_m), min_top_m)
-    return _placed(centres, points, height_m)
+    centres = _isolated(*_thinned(points[:, :2], height_m), settings)
+    return _placed(centres, points, height_m, settings.radius_m)
 
 
 def _thinned(xy: Floats, height: Floats) -> tuple[Floats, Floats]:
@@ -121,17 +122,19 @@ def _thinned(xy: Floats, height: Floats) -> tuple[Floats, Floats]:
     return np.column_stack(mean[:2]), mean[2]
 
 
-def _isolated(xy: Floats, height: Floats, min_top_m: float) -> Floats:
+def _isolated(xy: Floats, height: Floats, settings: Columns) -> Floats:
     """Rough places (n, 2) of what is tall and thin."""
     centre, layers, top = _tall_cells(xy, height)
-    good = (layers >= 3) & (top >= min_top_m)
+    good = (layers >= 3) & (top >= settings.min_top_m)
     centre, layers = centre[good], layers[good]
     # A trunk may lie across two cells: the window must hold it whichever cell's centre is taken.
     tree, trunk = cKDTree(xy), cKDTree(xy[height < _TRUNK_M])
-    inner, outer = (_count(tree, centre, r) for r in (_INNER_M, _OUTER_M))
-    inner_trunk, outer_trunk = (_count(trunk, centre, r) for r in (_INNER_M, _OUTER_M))
+    radii_m = settings.radius_m, settings.around_m
+    inner, outer = (_count(tree, centre, r) for r in radii_m)
+    inner_trunk, outer_trunk = (_count(trunk, centre, r) for r in radii_m)
     # One or two points more, so that thin columns of a sparse cloud are not lost to a stray.
-    alone = (outer_trunk - inner_trunk <= 0.5 * inner_trunk + 1) & (outer <= 4 * inner + 2)
+    alone = outer_trunk - inner_trunk <= settings.around_trunk * inner_trunk + 1
+    alone &= outer - inner <= settings.around_all * inner + 2
     centre, layers, inner = centre[alone], layers[alone], inner[alone]
     order = np.lexsort((centre[:, 1], centre[:, 0], -inner, -layers))
     return centre[_apart(centre[order], order)]
@@ -172,12 +175,12 @@ def _apart(ordered: Floats, order: Ints) -> Ints:
     return np.array(kept, np.int64)
 
 
-def _placed(centres: Floats, points: Floats, height: Floats) -> PoleColumns:
+def _placed(centres: Floats, points: Floats, height: Floats, radius_m: float) -> PoleColumns:
     """Place each column on the axis of its own points below the arms and wires."""
     tree = cKDTree(points[:, :2])
     found = np.empty((len(centres), 6))
     for number, centre in enumerate(centres):
-        own = np.array(sorted(tree.query_ball_point(centre, _INNER_M)), np.int64)
+        own = np.array(sorted(tree.query_ball_point(centre, radius_m)), np.int64)
         top = float(height[own].max())
         stem = own[height[own] <= max(top - _HEAD_M, 0.7 * top, _TRUNK_M)]
         stem = stem if len(stem) >= 2 else own

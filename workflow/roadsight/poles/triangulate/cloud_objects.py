@@ -1,12 +1,17 @@
-"""Trees and guardrails of the cloud as objects of a site, beside those that rays locate."""
+"""Trees, guardrails and buildings of the cloud as objects of a site, beside those of rays."""
 
 from __future__ import annotations
 
 import numpy as np
 import pandas as pd
 
+from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.sightings.confirm import UNSEEN
 
+BESIDE_M = 40.0
+"""Buildings farther from a track are not beside its road: the widest clear zones, of fast roads on
+the outside of bends, end 21 m from the travelled way."""
 _TOLD = ["score", "images", "routes", "kept", "reason"]
 """What images say of an object."""
 
@@ -16,7 +21,8 @@ def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
 
     Parameters
     ----------
-    objects : kind, object, x, y, sigma_m. told : of each object, see `confirm.confirmed`.
+    objects : kind, object, x, y, top_m, width_m, sigma_m. told : of each object, see
+    `confirm.confirmed`.
     """
     own = objects[objects["kind"] == "tree"]
     if own.empty:
@@ -25,9 +31,40 @@ def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
     table = table[table["reason"] != UNSEEN]
     table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
     sigma = {"sigma_major_m": table["sigma_m"], "sigma_minor_m": table["sigma_m"]}
+    shape = {"height_m": table["top_m"], "crown_width_m": table["width_m"]}
     names = [f"tree-{number:05d}" for number in range(len(table))]
     columns = ["kind", "x", "y", *_TOLD]
-    return table[columns].assign(**sigma, sigma_azimuth_deg=0.0, condition=1.0, id=names)
+    table = table[columns].assign(**shape)
+    return table.assign(**sigma, sigma_azimuth_deg=0.0, condition=1.0, id=names)
+
+
+def blocks_of(objects: pd.DataFrame, told: pd.DataFrame, tracks: RouteTracks) -> pd.DataFrame:
+    """Buildings and headwalls as rows of poles, each at its place that is nearest to a track.
+
+    The cloud's classes say what they are: those that no image looks at stay, those farther from the
+    road than any clear zone are left out.
+
+    Parameters
+    ----------
+    objects : kind, object, x, y, z_ground, top_m, sigma_m, a row a place of an outline. told : of
+    each object, see `confirm.confirmed`. tracks : of the vehicles.
+    """
+    own = objects[[KINDS[kind].shape == "block" for kind in objects["kind"]]]
+    if own.empty:
+        return pd.DataFrame()
+    xy = own[["x", "y"]].to_numpy(np.float64)
+    away = np.hypot(*(xy - tracks.locate(xy)[2]).T)
+    nearest = own.assign(away=away).sort_values("away", kind="stable")
+    nearest = nearest.drop_duplicates(["kind", "object"])
+    table = nearest[nearest["away"] <= BESIDE_M].merge(told, on=["kind", "object"])
+    table = table.sort_values(["kind", "object"], ignore_index=True)
+    unseen = table["reason"] == UNSEEN
+    table = table.assign(kept=table["kept"] | unseen, reason=table["reason"].mask(unseen, ""))
+    sigma = {"sigma_major_m": table["sigma_m"], "sigma_minor_m": table["sigma_m"]}
+    number = table.groupby("kind").cumcount()
+    names = [f"{kind}-{n:05d}" for kind, n in zip(table["kind"], number, strict=True)]
+    table = table[["kind", "x", "y", *_TOLD]].assign(height_m=table["top_m"], **sigma)
+    return table.assign(sigma_azimuth_deg=0.0, condition=1.0, id=names)
 
 
 def guardrails_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:

@@ -34,7 +34,8 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
 
     Returns
     -------
-    poles : one row each, columns `POLE_COLUMNS`, local metres; ``score`` is the number of views,
+    poles : one row each, columns `POLE_COLUMNS` and ``evidence`` (log odds that its rays show a
+        pole and not strays, NaN where listed), local metres; ``score`` is the number of views,
         ``condition`` the ratio of the error ellipse's variances; poles too weak to use have
         ``kept`` False and a reason.
     pole of each ray : row in ``poles``, -1 for none; shape (n,).
@@ -42,14 +43,17 @@ def triangulate(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFra
     """
     if settings.method == "listing":
         groups, places, covariances, scale = choose_listed(rays, settings)
+        evidence = np.full(len(groups), np.nan)
     else:
         found = explain_rays(rays, settings)
         groups, scale = found.groups, found.scale
         places, covariances = found.place_m, found.covariance
+        evidence = found.gain + settings.pole_evidence
     pole = np.full(len(rays), -1, np.int64)
     for number, members in enumerate(groups):
         pole[members] = number
-    return describe_groups(groups, places, covariances, settings), pole, scale
+    poles = describe_groups(groups, places, covariances, settings)
+    return poles.assign(evidence=evidence), pole, scale
 
 
 def calibrate_depths(rays: Rays, settings: TriangulationSettings) -> float:

@@ -43,13 +43,22 @@ POLE_COLUMNS = (
     "sigma_minor_m",
     "sigma_azimuth_deg",
     "condition",
+    "evidence",
     "images",
     "routes",
     "kept",
     "reason",
 )
 
-_NUMBERS = ("x", "y", "sigma_major_m", "sigma_minor_m", "sigma_azimuth_deg", "condition")
+_NUMBERS = (
+    "x",
+    "y",
+    "sigma_major_m",
+    "sigma_minor_m",
+    "sigma_azimuth_deg",
+    "condition",
+    "evidence",
+)
 """Columns of poles that hold real numbers."""
 
 
@@ -115,7 +124,8 @@ def _sweep(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, I
     pole = np.full(len(rays), -1, np.int64)
     for number, members in enumerate(groups):
         pole[members] = number
-    return describe_groups(groups, *places_of(points, groups), settings), pole
+    poles = describe_groups(groups, *places_of(points, groups), settings)
+    return poles.assign(evidence=np.nan), pole
 
 
 def _empty() -> pd.DataFrame:

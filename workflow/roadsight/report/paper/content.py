@@ -225,7 +225,7 @@ def _add_poles(
     if drawn is not None:
         pictures["map-poles.svg"] = drawn.encode()
         content["map"] = content["map"] or "map-poles.svg"
-        content["map_of"] = content["map_of"] or "Located poles"
+        content["map_of"] = content["map_of"] or f"Located {view['thing']['many']}"
     hazard = view["hazard"]
     printed = [n for n, key in enumerate((hazard or {}).get("keys", [])) if key not in _TOO_LONG]
     checked = view["checked"]
@@ -233,6 +233,7 @@ def _add_poles(
     for number, picture in enumerate(shown):
         pictures[f"pole-{number}.jpg"] = base64.b64decode(picture["jpeg"])
     content["poles"] = {
+        "things": view["thing"]["many"].capitalize(),
         "map": "" if drawn is None else "map-poles.svg",
         "pictures": [[f"pole-{n}.jpg", picture["id"]] for n, picture in enumerate(shown)],
         "pictures_left": len(view["pictures"]) - len(shown),

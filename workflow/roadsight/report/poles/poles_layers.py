@@ -183,6 +183,8 @@ def pole_records(poles: pd.DataFrame, images: list[str], frame: Frame) -> list[d
             "cameras": [numbers[name] for name in names_in(row["images"]) if name in numbers],
             "images": len(names_in(row["images"])),
             "decided": row.get("decided", ""),
+            "probability": finite(row.get("probability")),
+            "height_m": finite(row.get("height_m")),
         }
         for number, row in enumerate(poles.to_dict("records"))
     ]

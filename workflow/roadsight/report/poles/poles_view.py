@@ -35,7 +35,7 @@ _COORDINATES = {
 }
 _HAZARD_FIRST = ("id", "pole", "kind")
 _HAZARD_TITLES = {
-    "id": "Pole",
+    "id": "Object",
     "offset_m": "Offset to the road edge",
     "inside_clear_zone": "In the clear zone",
     "slope_rise_over_run": "Side slope, rise over run",
@@ -64,6 +64,7 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
         "rejections": page["rejections"],
         "images": page["images"],
         "poles": page["layers"]["poles"],
+        "thing": _thing(page),
         "pictures": _pictures(page),
         "hidden": page.get("hidden", False),
         "routes": [
@@ -93,6 +94,19 @@ def poles_view(page: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _thing(page: dict[str, Any]) -> dict[str, Any]:
+    """What the located things are called, and whether columns of them hold anything."""
+    poles = page["layers"]["poles"]
+    one = "pole" if all(pole["kind"] == "pole" for pole in poles) else "object"
+    return {
+        "one": one,
+        "many": one + "s",
+        "a": f"{'an' if one == 'object' else 'a'} {one}",
+        "likely": any(pole.get("probability") is not None for pole in poles),
+        "high": any(pole.get("height_m") is not None for pole in poles),
+    }
+
+
 def _pictures(page: dict[str, Any]) -> list[dict[str, Any]]:
     """Pictures with the row of their pole."""
     rows = {pole["id"]: row for row, pole in enumerate(page["layers"]["poles"])}
@@ -101,8 +115,9 @@ def _pictures(page: dict[str, Any]) -> list[dict[str, Any]]:
 
 def _sections(page: dict[str, Any]) -> list[tuple[str, str]]:
     """Anchors and titles of the sections, those without content left out."""
+    things = _thing(page)["many"]
     shown = (
-        ("poles", "Poles on the map", True),
+        ("poles", f"{things.capitalize()} on the map", True),
         ("pictures", "Pictures", bool(page.get("pictures"))),
         ("images", "Images", bool(page["images"])),
         ("alignment", "Alignment", True),
@@ -110,7 +125,7 @@ def _sections(page: dict[str, Any]) -> list[tuple[str, str]]:
         ("checked", "Against known poles", page["validation"] is not None),
         ("components", "Components", bool((page["validation"] or {}).get("ablation"))),
         ("hazard", "Roadside hazard", bool(page["hazard"]["rows"])),
-        ("files", "Files of the poles", bool(page["files"])),
+        ("files", f"Files of the {things}", bool(page["files"])),
     )
     return [(anchor, title) for anchor, title, there in shown if there]
 
@@ -121,8 +136,15 @@ def poles_cards(page: dict[str, Any]) -> list[tuple[str, str, str]]:
     sigmas = [pole["sigma_major_m"] for pole in page["layers"]["poles"]]
     known = [sigma for sigma in sigmas if sigma is not None]
     km = f"{wording.number(counts['length_m'] / 1000, 2)} km of road"
+    kinds = Counter(pole["kind"] for pole in page["layers"]["poles"])
+    named = ", ".join(wording.counted(count, kind) for kind, count in kinds.most_common())
+    things = _thing(page)["many"]
     cards = [
-        ("Poles located", wording.number(counts["poles"]), km if counts["length_m"] else ""),
+        (
+            f"{things.capitalize()} located",
+            wording.number(counts["poles"]),
+            (km if counts["length_m"] else "") if things == "poles" else named,
+        ),
         (
             "Images aligned",
             wording.number(counts["aligned"]),

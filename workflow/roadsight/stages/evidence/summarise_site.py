@@ -105,14 +105,16 @@ def _poles(frames_path: Path, poles_path: Path, found: PoleResults) -> dict[str,
     frames = read_table(frames_path, ["status"])
     cameras = pd.concat([read_table(path, ["accepted", "reason"]) for path in found.cameras])
     sightings = pd.concat([read_table(path, ["kept", "reason"]) for path in found.sightings])
-    poles = read_table(poles_path, ["kept", "reason"])
+    poles = read_table(poles_path, ["kind", "kept", "reason"])
+    kinds = poles.loc[poles["kept"].astype(bool), "kind"]
     unused = frames.loc[frames["status"] != OK, "status"]
     refused = cameras.loc[~cameras["accepted"].astype(bool), "reason"]
     return {
         "images": len(frames),
         "aligned_images": int(cameras["accepted"].sum()),
         "sightings": int(sightings["kept"].sum()),
-        "poles": int(poles["kept"].sum()),
+        "poles": int((kinds == "pole").sum()),
+        "objects": dict(sorted(_counts(kinds).items())),
         "withheld": {
             "images": _counts(pd.concat([unused, refused])),
             "sightings": _counts(sightings.loc[~sightings["kept"].astype(bool), "reason"]),

@@ -27,7 +27,8 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
 from roadsight.poles.images.classes import PixelClass
-from roadsight.poles.images.pictures import best_views, cut_out, unrecognisable
+from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.images.pictures import best_views, cut_out, projected_box, unrecognisable
 from roadsight.poles.images.straightening import source_places, straightened
 from roadsight.poles.images.views import View, view_name, views_of
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
@@ -47,6 +48,10 @@ log = logging.getLogger("write_poles_page")
 
 Hide = Callable[[str, Bytes], Bytes]
 _Best = tuple[str, View, tuple[float, float, float, float]]
+_NEAR_M = 60.0
+"""Images so near to an object of the cloud may show it best."""
+_BUILDING_M = 6.0
+"""Width of a picture's object at the nearest place of a building."""
 _MOST_FITS_TRIED = 12
 """Images of which the fit of depth is tried, spread over the drive, until one can be shown."""
 
@@ -89,6 +94,7 @@ def write_poles_page(
     hide = _Hidden(places, masks) if settings.blur else _shown
     read_image = _reader(images, drive, lenses, places, hide) if images else None
     best = _best(found, seen, owner, places) if images else []
+    best += _projected(found, cameras, places) if images else []
     result = PolesResult(
         read_top(top, Frame.from_dict(about)),
         edges.to_numpy(np.float64),
@@ -164,6 +170,41 @@ def _best(
         (name, views[place], (u_min, v_min, u_max, v_max))
         for name, place, (u_min, v_min, u_max, v_max) in zip(names, places, boxes, strict=True)
     ]
+
+
+def _projected(poles: pd.DataFrame, cameras: pd.DataFrame, frames: pd.DataFrame) -> list[_Best]:
+    """The same of objects of the cloud, which have no sightings: by their place and their size.
+
+    The front view counts that holds the tallest picture, of those that show the object, or of all
+    near ones where none is known to.
+    """
+    views = {view.image: view for view in views_of(frames) if view.view == "front"}
+    known = cameras[cameras["accepted"].astype(bool)].set_index("image")
+    by_image = {str(image): _view_camera(pose)[0] for image, pose in known.iterrows()}
+    at_m = known[["x", "y"]].to_numpy(np.float64)
+    of_cloud = np.array([KINDS[kind].from_cloud for kind in poles["kind"]], bool)
+    if not of_cloud.any():
+        return []
+    own = poles[of_cloud & poles["height_m"].notna().to_numpy()]
+    sizes = own[["x", "y", "z", "height_m", "crown_width_m"]].to_numpy(np.float64)
+    found = []
+    for name, shown_in, (*place, height_m, crown_m) in zip(
+        own["id"].astype(str), own["images"].astype(str), sizes, strict=True
+    ):
+        near = np.hypot(*(at_m - place[:2]).T) <= _NEAR_M
+        images = [image for image in shown_in.split(";") if image in by_image]
+        images = images or known.index[near].astype(str).tolist()
+        width_m = crown_m if np.isfinite(crown_m) else _BUILDING_M
+        boxes = {
+            image: projected_box(by_image[image], np.array(place), height_m, width_m)
+            for image in sorted(images)
+            if image in views
+        }
+        shown = {image: box for image, box in boxes.items() if box is not None}
+        if shown and np.isfinite(place).all():
+            best = max(shown, key=lambda image: shown[image][3] - shown[image][1])
+            found.append((name, views[best], shown[best]))
+    return found
 
 
 def _most_dangerous(best: Sequence[_Best], hazard: pd.DataFrame) -> list[str]:
@@ -269,12 +310,16 @@ def _middle_first(accepted: pd.DataFrame) -> Iterator[tuple[ViewCamera, pd.Serie
     ordered = accepted.sort_values("image", kind="stable")
     rows = np.unique(np.linspace(0, len(ordered) - 1, _MOST_FITS_TRIED).astype(int))
     for row in sorted(rows.tolist(), key=lambda r: abs(2 * r - len(ordered))):
-        pose = ordered.iloc[row]
-        numbers = [float(pose[name]) for name in ("focal_px", "cx_px", "cy_px")]
-        own = Intrinsics(int(pose["width_px"]), int(pose["height_px"]), *numbers)
-        position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
-        angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
-        yield ViewCamera(own, position, *angles), pose
+        yield _view_camera(ordered.iloc[row])
+
+
+def _view_camera(pose: pd.Series) -> tuple[ViewCamera, pd.Series]:
+    """Camera of an image's front view, with its row."""
+    numbers = [float(pose[name]) for name in ("focal_px", "cx_px", "cy_px")]
+    own = Intrinsics(int(pose["width_px"]), int(pose["height_px"]), *numbers)
+    position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
+    angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
+    return ViewCamera(own, position, *angles), pose
 
 
 def _validation(components: Path | None, validation: Path | None) -> dict[str, Any] | None:

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import logging
 import sys
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 import pandas as pd
 
+from roadsight.base.sections.poles import Columns
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
 from roadsight.poles.sightings.lidar_poles import PoleColumns, find_pole_columns
+from roadsight.poles.sightings.stem_shapes import StemShapes, stem_shapes
 from roadsight.poles.sightings.stems import find_stems, with_stems
 from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("find_pole_columns")
 COLUMNS = ("x", "y", "z_ground", "top_m", "sigma_m", "points", "open_top")
+SHAPES = tuple(part.name for part in fields(StemShapes))
+"""Columns of their lean and arms."""
 _HALO_M = 6.0
 """Margin of a tile: more than what decides about a column, which lies within 2 m, and about its
 nearest neighbours, so that tiles do not show in the result."""
@@ -31,7 +35,7 @@ def find_columns(
     cloud_path: Path,
     frame: Path,
     dem: Path,
-    min_top_m: Annotated[float, "lower columns are none"] = 3.0,
+    settings: Columns,
     *,
     out: Path,
 ) -> None:
@@ -39,22 +43,23 @@ def find_columns(
     ground = read_raster(dem, Frame.from_dict(read_json(frame)))
     cloud = CloudTiles(cloud_path)
     tiles = cloud.iter_tiles(_HALO_M, ["x", "y", "z", "classification"])
-    tables = [pd.DataFrame(columns=list(COLUMNS), dtype=np.float64)]
+    tables = [pd.DataFrame(columns=[*COLUMNS, *SHAPES], dtype=np.float64)]
     for (west, south, east, north), points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
         above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
         cls = points["classification"]
-        tall = find_pole_columns(xyz, above, cls, min_top_m)
+        tall = find_pole_columns(xyz, above, cls, settings)
         found = with_stems(tall, find_stems(xyz, above, cls))
         x, y = found.xy_m.T
         inside = (x >= west) & (x < east) & (y >= south) & (y < north)
-        tables.append(_table(found)[inside])
+        shapes = asdict(stem_shapes(found, xyz, above, cls))
+        tables.append(_table(found).assign(**shapes)[inside])
     table = pd.concat([part for part in tables if len(part)] or tables[:1], ignore_index=True)
     table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
     median_m = table["sigma_m"].median() if len(table) else float("nan")
     tell = log.info if len(table) else log.warning
     tell("%d pole-like columns, places good to %.3f m (median)", len(table), median_m)
-    write_table(out, table, {"min_top_m": min_top_m})
+    write_table(out, table, {"settings": settings.model_dump()})
 
 
 def _table(found: PoleColumns) -> pd.DataFrame:

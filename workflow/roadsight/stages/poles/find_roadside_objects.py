@@ -1,4 +1,4 @@
-"""Trees and guardrails of the cloud, for images to confirm."""
+"""Trees, guardrails and buildings of the cloud, for images to confirm."""
 
 from __future__ import annotations
 
@@ -12,12 +12,15 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Floats
-from roadsight.base.sections.poles import SightingRules
+from roadsight.base.sections.poles import BlockClasses, SightingRules
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles
-from roadsight.io.raster.rasters import read_raster
+from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import write_table
+from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.sightings.blocks import SIGMA_M as BLOCK_SIGMA_M
+from roadsight.poles.sightings.blocks import Block, BlockCells, block_cells, join_blocks
 from roadsight.poles.sightings.crowns import (
     SIGMA_M,
     Crowns,
@@ -32,6 +35,7 @@ from roadsight.stages.progress import logged
 
 log = logging.getLogger("find_roadside_objects")
 COLUMNS = ("kind", "object", "x", "y", "z_ground", "top_m", "width_m", "sigma_m")
+BLOCKS = tuple(name for name, kind in KINDS.items() if kind.shape == "block")
 _HALO_M = 6.0
 """Margin of a tile: more than what decides about a return of a rail. Crowns have their own."""
 
@@ -41,10 +45,11 @@ def find_roadside_objects(
     frame: Path,
     dem: Path,
     kinds: Annotated[Sequence[str], SightingRules],
+    classes: BlockClasses,
     *,
     out: Path,
 ) -> None:
-    """Write a row for each tree, and one for each metre of each guardrail."""
+    """Write a row for each tree, and one for each metre of each guardrail and of each outline."""
     ground = read_raster(dem, Frame.from_dict(read_json(frame)))
     cloud = CloudTiles(cloud_path)
     cell_m, halo_m = np.nan, _HALO_M
@@ -52,6 +57,7 @@ def find_roadside_objects(
         cell_m = _canopy_cell_m(cloud)
         halo_m = max(_HALO_M, reach_m(cell_m))
     tiles = cloud.iter_tiles(halo_m, ["x", "y", "z", "classification"])
+    cells: dict[str, list[BlockCells]] = {kind: [] for kind in BLOCKS if kind in kinds}
     crowns, rails = [], [RailReturns(np.empty((0, 3)), np.empty((0, 2)))]
     for bounds, points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
@@ -64,6 +70,9 @@ def find_roadside_objects(
             returns = find_rail_returns(xyz, above, cls)
             own = _inside(returns.xyz_m, bounds)
             rails.append(RailReturns(returns.xyz_m[own], returns.direction[own]))
+        for kind, parts_of_kind in cells.items():
+            block = np.isin(cls, getattr(classes, f"{kind}_classes")) & _inside(xyz, bounds)
+            parts_of_kind.append(block_cells(xyz[block]))
     lines = join_rails(
         RailReturns(
             np.concatenate([part.xyz_m for part in rails]),
@@ -76,6 +85,11 @@ def find_roadside_objects(
     trees["z_ground"] = ground.sample(trees["x"].to_numpy(), trees["y"].to_numpy())
     parts = [trees.assign(kind="tree", object=np.arange(len(trees)))]
     parts += [_rail(line, number) for number, line in enumerate(lines)]
+    for kind, found_cells in cells.items():
+        blocks = join_blocks(found_cells, KINDS[kind])
+        tell = log.info if any(len(part.index) for part in found_cells) else log.warning
+        tell("%d of kind %s; classes %s", len(blocks), kind, getattr(classes, f"{kind}_classes"))
+        parts += [_block(block, kind, number, ground) for number, block in enumerate(blocks)]
     table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
     table = table.astype({"object": np.int64, "kind": str})
     log.info("%d trees, %d guardrails", len(trees), len(lines))
@@ -109,6 +123,16 @@ def _rail(line: Floats, number: int) -> pd.DataFrame:
     return pd.DataFrame(
         {"kind": "guardrail", "object": number, "x": x, "y": y, "z_ground": z}
     ).assign(**unknown)
+
+
+def _block(block: Block, kind: str, number: int, ground: Raster) -> pd.DataFrame:
+    x, y = block.outline_m.T
+    z = ground.sample(x, y)
+    lowest = np.nanmin(z) if np.isfinite(z).any() else np.nan
+    size = {"z_ground": z, "top_m": block.top_m - lowest, "width_m": np.sqrt(block.area_m2)}
+    return pd.DataFrame(
+        {"kind": kind, "object": number, "x": x, "y": y, **size, "sigma_m": BLOCK_SIGMA_M}
+    )
 
 
 main = Command(find_roadside_objects)

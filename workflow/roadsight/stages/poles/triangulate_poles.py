@@ -26,13 +26,16 @@ from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.vectors import write_geojson, write_layers
 from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.sightings.confirm import confirmed
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.sightings.network_scale import network_scales, with_scales
-from roadsight.poles.triangulate.cloud_objects import guardrails_of, trees_of
+from roadsight.poles.triangulate.cloud_objects import blocks_of, guardrails_of, trees_of
 from roadsight.poles.triangulate.decided import apply_decisions
+from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
 from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
 from roadsight.poles.triangulate.pole_doubts import far_reaching, pole_doubts
+from roadsight.poles.triangulate.probability import real_probability
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import (
     DRIFT_COLUMNS,
@@ -49,6 +52,7 @@ _STRUCTURES = (6, 11, 17)
 """ASPRS classes of buildings, road surface and bridge decks."""
 _CORNERS = 32
 """Corners of the polygon of an error ellipse."""
+_NO_TRACK = pd.DataFrame({"route": [], "sequence": [], "x": [], "y": []})
 _LAYERS = {
     "poles": "Point",
     "ellipses": "Polygon",
@@ -65,8 +69,10 @@ def triangulate_poles(
     dem: Annotated[Path | None, "ground heights, for z"] = None,
     decisions: Annotated[str | None, "accepted, rejected, moved poles, CSV"] = None,
     voxels: Annotated[Path | None, "withhold poles near road, bridge, building"] = None,
-    objects_path: Annotated[Path | None, "trees and guardrails of the cloud"] = None,
+    objects_path: Annotated[Path | None, "objects of the cloud"] = None,
     seen: Annotated[Sequence[Path], "what images show of them"] = (),
+    frames: Annotated[Path | None, "track, to which the nearest place of a building is"] = None,
+    columns: Annotated[Path | None, "pole-like columns of the cloud: heights, leans, arms"] = None,
     *,
     poles_path: Path,
     layers_path: Path,
@@ -76,8 +82,8 @@ def triangulate_poles(
 ) -> None:
     """Write poles, their ellipses and the rays that show them."""
     frame = Frame.from_dict(read_json(frame_path))
-    columns = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from", *NETWORK_COLUMNS]
-    parts = [read_table(path, columns) for path in sightings_paths]
+    names = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from"]
+    parts = [read_table(path, [*names, *NETWORK_COLUMNS]) for path in sightings_paths]
     sightings = pd.concat(parts, ignore_index=True)
     settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)
     network = network_scales(sightings)
@@ -91,13 +97,17 @@ def triangulate_poles(
     poles, pole_of, scales = site_poles(sightings, settings)
     poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)
     objects, told = _confirmed(objects_path, seen)
-    poles = pd.concat([part for part in (poles, trees_of(objects, told)) if len(part)] or [poles])
+    track = read_table(frames, ["route", "sequence", "x", "y"]) if frames else _NO_TRACK
+    others = trees_of(objects, told), blocks_of(objects, told, RouteTracks(track))
+    poles = pd.concat([part for part in (poles, *others) if len(part)] or [poles])
     poles = poles.reset_index(drop=True)
+    poles = with_shapes(poles, read_table(columns) if columns else None)
     if voxels:
         least_m = {name: kind.clearance_m for name, kind in KINDS.items()}
         clearance_m = poles["kind"].map(least_m).fillna(settings.clearance_m).to_numpy(np.float64)
         poles = drop_near_structures(poles, _structures(voxels), clearance_m)
-    poles = _with_place(_decided(poles, frame, decisions), frame, dem)
+    poles = _decided(poles, frame, decisions)
+    poles = _with_place(poles.assign(probability=real_probability(poles)), frame, dem)
     if len(sightings) < 2:
         log.warning("fewer than two sightings: no pole can be triangulated")
     kept = poles["kept"].to_numpy(bool)
@@ -164,7 +174,7 @@ def _with_place(poles: pd.DataFrame, frame: Frame, dem: Path | None) -> pd.DataF
     if frame.crs_wkt is not None and len(poles):
         latitude, longitude = SiteNorth(frame).to_geographic(np.column_stack([x, y]))
     placed = poles.assign(z=z, latitude=latitude, longitude=longitude)
-    return placed[[*POLE_COLUMNS, "decided"]]
+    return placed[[*POLE_COLUMNS, "decided", "probability", *SHAPE_COLUMNS]]
 
 
 def _points(poles: pd.DataFrame) -> gpd.GeoDataFrame:

@@ -19,11 +19,12 @@ from roadsight.base.sections.poles import SightingRules, Validation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.records.atomic import read_json, write_json
-from roadsight.io.records.tables import read_table
+from roadsight.io.records.tables import read_about, read_table
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer
 from roadsight.poles.images.kinds import KINDS
+from roadsight.poles.risk.branches import find_branches
 from roadsight.poles.risk.scenarios import RouteTracks, ScenarioSettings, classify_places
 from roadsight.poles.risk.validation import (
     NEAR_EDGE_M,
@@ -40,6 +41,7 @@ from roadsight.poles.risk.validation import (
     split_errors,
     within_reach,
 )
+from roadsight.poles.triangulate.cloud_objects import BESIDE_M
 from roadsight.stages.command import Command
 
 log = logging.getLogger("validate_poles")
@@ -52,6 +54,8 @@ _NAMES = {
 }
 """Scenarios as the report names them."""
 
+_PAVED = (11, 17)
+"""Classes of road surface and of bridge decks among voxels."""
 _DRIVEN_M = 15.0
 """Edges of the road that was driven lie this near to its cameras: it has up to four lanes."""
 
@@ -67,8 +71,7 @@ def validate_poles(
     kinds: Annotated[Sequence[str], SightingRules],
     truth_kind: Annotated[str | None, "only those whose `kind` is this"] = None,
     truth_crs: Annotated[str | None, "CRS of a vector file that names none"] = None,
-    pavement: Annotated[Path | None, "GeoPackage, to find extraneous features"] = None,
-    pavement_layer: str = "pavement",
+    voxels: Annotated[Path | None, "to find side roads, driveways, car parks"] = None,
     placed: Annotated[Path | None, "layers of the objects, with guardrails"] = None,
     roadside: Annotated[Path | None, "GeoPackage of known trees and guardrails"] = None,
     *,
@@ -99,8 +102,7 @@ def validate_poles(
     matches = match_points(_xy(poles), _xy(known), match_m)
     errors = _errors(
         edges,
-        pavement,
-        pavement_layer,
+        voxels,
         frame,
         frames,
         poles.iloc[matches[:, 0]],
@@ -118,7 +120,7 @@ def validate_poles(
     content["poles"], content["match_m"] = len(poles), match_m
     content["thresholds"] = score_thresholds(_xy(poles), _xy(known), THRESHOLDS_M)
     edges_m = read_table(edges, ["x", "y"]).to_numpy(np.float64)
-    near_cameras = _Near(cameras_m, reach_m, edges_m)
+    near_cameras = _Near(cameras_m, reach_m, edges_m, RouteTracks(frames))
     found = _other_kinds(objects, signs, placed, roadside, frame, near_cameras)
     content["kinds"] = {kind: scores for kind, scores in found.items() if kind in kinds}
     write_json(out, _plain(content))
@@ -134,13 +136,25 @@ class _Near:
     cameras_m: Floats
     reach_m: float
     edges_m: Floats
+    tracks: RouteTracks
 
     def camera(self, places_m: Floats) -> Bools:
         return within_reach(places_m, self.cameras_m, self.reach_m)
 
+    def road(self, places_m: Floats) -> Bools:
+        away_m = np.hypot(*(places_m - self.tracks.locate(places_m)[2]).T)
+        return np.asarray(away_m <= BESIDE_M)
+
     def edge(self, places_m: Floats) -> Bools:
         driven = self.edges_m[within_reach(self.edges_m, self.cameras_m, _DRIVEN_M)]
         return self.camera(places_m) & within_reach(places_m, driven, NEAR_EDGE_M)
+
+    def nearest(self, outlines: Sequence[shapely.Geometry]) -> Floats:
+        """Of each outline the place (n, 2) that is nearest to a track."""
+        places = [shapely.get_coordinates(shapely.segmentize(one, 0.2))[:, :2] for one in outlines]
+        away = [np.hypot(*(one - self.tracks.locate(one)[2]).T) for one in places]
+        nearest = [one[int(np.argmin(off))] for one, off in zip(places, away, strict=True)]
+        return np.array(nearest, np.float64).reshape(-1, 2)
 
     def parts(self, lines: Sequence[shapely.Geometry]) -> list[Floats]:
         """Parts of lines, places (n, 2) each, that lie within reach of a camera."""
@@ -157,7 +171,7 @@ def _other_kinds(
     frame: Frame,
     near: _Near,
 ) -> dict[str, dict[str, float | int | None]]:
-    """Scores of signs, trees and guardrails, of which any are known."""
+    """Scores of signs, trees, buildings and guardrails, of which any are known."""
     found = {}
     if len(signs):
         ours, theirs = _xy(objects[objects["kind"] == "sign"]), _xy(signs)
@@ -166,6 +180,11 @@ def _other_kinds(
         ours = _xy(objects[objects["kind"] == "tree"])
         theirs = shapely.get_coordinates(read_layer(roadside, "trees", frame).geometry)
         found["tree"] = score_near(ours, theirs, near.edge(ours), near.edge(theirs))
+        ours = _xy(objects[objects["kind"] == "building"])
+        outlines = read_layer(roadside, "buildings", frame).geometry
+        theirs = _nearest_to(ours, outlines) if len(ours) else near.nearest(outlines)
+        counts = near.road(ours), near.road(near.nearest(outlines))
+        found["building"] = score_near(ours, theirs, *counts)
         rails = read_layer(placed, "guardrails", frame)
         kept = rails[rails["kept"].to_numpy(bool)] if len(rails) else rails
         known = read_layer(roadside, "guardrails", frame)
@@ -174,10 +193,20 @@ def _other_kinds(
     return found
 
 
+def _nearest_to(places_m: Floats, outlines: Sequence[shapely.Geometry]) -> Floats:
+    """Of each outline the place (n, 2) that is nearest to any of some places.
+
+    Two corners of a wall along the road may be as near to it: where on its outline a building was
+    placed does not matter.
+    """
+    at = shapely.multipoints(places_m)
+    lines = [shapely.shortest_line(one.exterior, at) for one in outlines]
+    return np.array([line.coords[0][:2] for line in lines], np.float64).reshape(-1, 2)
+
+
 def _errors(
     edges_path: Path,
-    pavement: Path | None,
-    pavement_layer: str,
+    voxels: Path | None,
     frame: Frame,
     frames: pd.DataFrame,
     found: pd.DataFrame,
@@ -196,18 +225,19 @@ def _errors(
         table["across_m"], table["along_m"] = across, along
         table["offset_m"] = edges.offset_m(found_m)[0]
         table["known_offset_m"] = edges.offset_m(known_m)[0]
-    settings = ScenarioSettings()
-    scenarios = classify_places(
-        known_m, RouteTracks(frames), _pavement(pavement, pavement_layer, frame), settings
-    )
+    tracks = RouteTracks(frames)
+    branches = find_branches(tracks, _paved(voxels), edges_m) if voxels else None
+    scenarios = classify_places(known_m, tracks, branches, ScenarioSettings())
     return pd.concat([table, scenarios], axis=1)
 
 
-def _pavement(pavement: Path | None, pavement_layer: str, frame: Frame) -> shapely.Geometry | None:
-    if not pavement:
-        return None
-    layer = read_layer(pavement, pavement_layer, frame)
-    return shapely.union_all(layer.geometry.to_numpy())
+def _paved(path: Path) -> Floats:
+    """Middles (n, 2) of the columns of voxels that hold road or a bridge deck."""
+    about = read_about(path)
+    table = read_table(path, ["ix", "iy", "cls"])
+    index = table.loc[table["cls"].isin(_PAVED), ["ix", "iy"]].drop_duplicates()
+    anchor = np.asarray(about["anchor"], np.float64)[:2]
+    return np.asarray(anchor + (index.to_numpy(np.float64) + 0.5) * float(about["cell_size_m"]))
 
 
 def _geodesic(frame: Frame, found_m: Floats, known_m: Floats) -> Floats:

@@ -12,6 +12,9 @@ from roadsight.synthetic.rural.rural_ground import Branch
 from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_mesh import raised, turned
 
+_OVERHANG_M = 0.4
+"""Of a roof over its walls."""
+
 
 def add_house(add: Furnisher, branch: Branch) -> Floats:
     """House beside the end of a driveway; returns its plan place (2,)."""
@@ -30,20 +33,23 @@ def add_house(add: Furnisher, branch: Branch) -> Floats:
     add.mesh.box(
         raised(place, 0.5 * wall - 1.0), [*half, 0.5 * wall + 1.0], heading, Material.WALL, tint
     )
+    eaves = half + _OVERHANG_M
+    corners = np.column_stack([eaves * [[-1, -1], [1, -1], [1, 1], [-1, 1]], np.zeros(4)])
+    add.buildings.append(turned(corners, heading, raised(place, wall)))
     _roof(add, raised(place, wall), half, heading, tint)
     _windows(add, place, half, heading)
     return xy
 
 
 def _roof(add: Furnisher, eaves: Floats, half: Floats, heading: float, tint: float) -> None:
-    """Gable roof with an overhang of 0.4 m."""
-    x, y = half + 0.4
+    """Gable roof with its overhang."""
+    x, y = half + _OVERHANG_M
     rise = 0.55 * y
     corners = [[-x, -y, 0], [x, -y, 0], [x, y, 0], [-x, y, 0], [-x, 0, rise], [x, 0, rise]]
     place = turned(np.array(corners) - [0.0, 0.0, 0.1], heading, eaves)
     add.mesh.add(place, [[0, 1, 5], [0, 5, 4], [2, 3, 4], [2, 4, 5]], Material.ROOF, tint)
     gable = [[0, 4, 3], [1, 2, 5]]
-    inner = turned(np.array(corners) * [(x - 0.4) / x, 1.0, 1.0] - [0.0, 0.0, 0.12], heading, eaves)
+    inner = turned(np.array(corners) * [half[0] / x, 1.0, 1.0] - [0.0, 0.0, 0.12], heading, eaves)
     add.mesh.add(inner, gable, Material.WALL, tint)
 
 

@@ -38,7 +38,7 @@ class RuralPole:
 
 @dataclass
 class Furnisher:
-    """Adds things by station and offset; keeps lists of poles, trees and lines of guardrails."""
+    """Adds things by station and offset; keeps lists of poles, trees, guardrails and buildings."""
 
     ground: RuralGround
     mesh: MeshBuilder
@@ -46,6 +46,7 @@ class Furnisher:
     poles: list[RuralPole]
     trees: list[RuralPole] = field(default_factory=list)
     guardrails: list[Floats] = field(default_factory=list)
+    buildings: list[Floats] = field(default_factory=list)
 
     def place(self, station_m: float, offset_m: float) -> Floats:
         """Place (3,) of the ground."""

@@ -71,7 +71,7 @@ class RuralSite:
         vertices have stations and offsets in ``road_m`` (k, 2).
     kinds : kind of each object of the mesh.
     poles, trees : every post and every trunk, see `RuralPole`. guardrails : lines (n, 3) on the
-        ground.
+        ground. buildings : corners (4, 3) of their eaves.
     """
 
     seed: int
@@ -85,6 +85,7 @@ class RuralSite:
     poles: tuple[RuralPole, ...]
     trees: tuple[RuralPole, ...]
     guardrails: tuple[Floats, ...]
+    buildings: tuple[Floats, ...]
 
     @property
     def line(self) -> RuralLine:
@@ -148,6 +149,7 @@ def build_rural(
         tuple(add.poles),
         tuple(add.trees),
         tuple(add.guardrails),
+        tuple(add.buildings),
     )
 
 

@@ -22,7 +22,7 @@ def rural_layers(site: RuralSite) -> dict[str, gpd.GeoDataFrame]:
     """Layers of what is true, by name: road, its edges, and what stands beside it.
 
     ``pavement`` (with side road), ``driveways``, ``edges``, ``centreline``, ``poles``, ``trees``,
-    ``guardrails``. Curves are drawn by chords of 0.5 m, less than 0.2 mm off.
+    ``guardrails``, ``buildings``. Curves are drawn by chords of 0.5 m, less than 0.2 mm off.
     """
     stations = np.arange(-_MARGIN_M, site.length_m + _MARGIN_M + 0.25, 0.5)
     half = site.ground.section.pavement_m
@@ -41,6 +41,7 @@ def rural_layers(site: RuralSite) -> dict[str, gpd.GeoDataFrame]:
         "poles": _poles(site),
         "trees": _trees(site),
         "guardrails": _features([("guardrail", shapely.LineString(g)) for g in site.guardrails]),
+        "buildings": _features([("building", shapely.Polygon(b)) for b in site.buildings]),
     }
 
 

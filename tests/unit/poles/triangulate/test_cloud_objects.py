@@ -1,0 +1,76 @@
+"""Buildings and trees of the cloud as rows beside poles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.sightings.confirm import UNSEEN, confirmed
+from roadsight.poles.triangulate.cloud_objects import blocks_of, trees_of
+
+
+def outline(kind, number, corner, size=(10.0, 8.0)):
+    low, high = np.array(corner), np.array(corner) + size
+    x, y = np.meshgrid(np.arange(low[0], high[0] + 0.1), np.arange(low[1], high[1] + 0.1))
+    edge = (x == low[0]) | (x == high[0]) | (y == low[1]) | (y == high[1])
+    places = {"x": x[edge], "y": y[edge], "z_ground": 1.0, "top_m": 6.0}
+    return pd.DataFrame(places | {"kind": kind, "object": number, "width_m": 9.0, "sigma_m": 0.3})
+
+
+@pytest.fixture
+def objects():
+    """Two buildings beside a road along x, one far from it, a headwall."""
+    return pd.concat(
+        [
+            outline("building", 0, (20.0, 12.0)),
+            outline("building", 1, (60.0, -30.0)),
+            outline("building", 2, (20.0, 70.0)),
+            outline("headwall", 0, (90.0, 5.0), (3.0, 1.0)),
+        ],
+        ignore_index=True,
+    )
+
+
+TRACK = RouteTracks(
+    pd.DataFrame({"route": "r", "sequence": range(15), "x": np.arange(15) * 8.0, "y": 0.0})
+)
+
+
+def said(answers):
+    names = ["kind", "object", "answer"]
+    return pd.DataFrame(answers, columns=names).assign(image="i.jpg", route="r")
+
+
+def test_a_building_is_where_it_is_nearest_to_the_road(objects):
+    told = confirmed(objects, said([("building", 0, 1), ("building", 1, 0)]))
+    found = blocks_of(objects, told, TRACK).set_index("id")
+    assert found.index.tolist() == ["building-00000", "building-00001", "headwall-00000"]
+    assert found["y"].tolist() == [12.0, -22.0, 5.0]
+    assert found["height_m"].tolist() == [6.0, 6.0, 6.0]
+    assert found["kept"].all()
+    # One that no image looks at stays: the cloud's class says what it is.
+    assert (told.set_index(["kind", "object"]).loc[("headwall", 0), "reason"]) == UNSEEN
+    assert found.loc["headwall-00000", ["reason", "score"]].tolist() == ["", 0]
+
+
+def test_a_building_that_images_contradict_is_withheld(objects):
+    told = confirmed(objects, said([("building", 0, -1), ("building", 1, 1)]))
+    found = blocks_of(objects, told, TRACK).set_index("id")
+    assert not found.loc["building-00000", "kept"]
+    assert "something else" in found.loc["building-00000", "reason"]
+
+
+def test_without_blocks_or_track_there_are_none(objects):
+    told = confirmed(objects, said([("building", 0, 1)]))
+    assert blocks_of(objects[:0], told, TRACK).empty
+    nowhere = RouteTracks(pd.DataFrame({"route": [], "sequence": [], "x": [], "y": []}))
+    assert blocks_of(objects, told, nowhere).empty
+
+
+def test_trees_have_their_height_and_the_width_of_their_crowns():
+    tree = {"kind": "tree", "object": 0, "x": 3.0, "y": 9.0, "top_m": 8.0, "width_m": 4.5}
+    table = pd.DataFrame([tree | {"sigma_m": 0.8}])
+    found = trees_of(table, confirmed(table, said([("tree", 0, 1)])))
+    assert found[["height_m", "crown_width_m"]].iloc[0].tolist() == [8.0, 4.5]

@@ -1,0 +1,142 @@
+"""Probabilities of objects are shares of those that are real, on worlds that made none of them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from roadsight.poles.triangulate.explain import explain_rays
+from roadsight.poles.triangulate.probability import real_probability
+from roadsight.poles.triangulate.rays import UNAIDED
+from tests.helpers.drives import Drive, rays_and_poles, simulate
+
+DRIVES = (
+    Drive(strays=0.3, shown=0.6),
+    Drive(strays=0.7, shown=0.5, bend_m=150.0),
+    Drive(strays=0.5, shown=0.7, gap_m=30.0, step_m=10.0),
+    Drive(strays=0.9, shown=0.6, place_m=0.8, turn_deg=1.8, depth=0.25),
+)
+"""Rates of strays and shares of images other than those of the fit; seeds are too."""
+ROAD = (
+    (15.7, 0.73, 1),
+    (23.6, 0.54, 1),
+    (73.4, 0.08, 1),
+    (10.9, 1.79, 0),
+    (13.6, 1.15, 0),
+    (39.3, 0.36, 1),
+    (52.6, 0.24, 1),
+    (17.1, 0.93, 0),
+    (62.3, 0.26, 1),
+    (54.7, 0.39, 1),
+    (30.6, 0.26, 1),
+    (96.0, 0.04, 1),
+    (4.9, 2.67, 0),
+    (7.0, 0.78, 1),
+    (30.7, 0.45, 1),
+    (42.7, 0.52, 1),
+    (23.5, 0.42, 1),
+    (34.6, 0.09, 1),
+    (20.9, 0.09, 1),
+    (27.2, 0.24, 1),
+    (8.9, 0.20, 0),
+    (32.4, 0.06, 1),
+    (43.3, 0.07, 1),
+    (33.2, 0.06, 1),
+    (50.1, 0.04, 1),
+    (35.7, 0.03, 1),
+    (48.8, 0.04, 1),
+    (30.9, 0.10, 1),
+    (46.9, 0.05, 1),
+    (10.8, 0.21, 0),
+    (34.2, 0.05, 1),
+    (34.6, 0.04, 1),
+    (44.6, 0.07, 1),
+    (48.3, 0.05, 1),
+    (30.5, 0.11, 1),
+    (31.6, 0.08, 1),
+    (19.6, 0.10, 1),
+    (32.7, 0.09, 1),
+    (9.7, 0.17, 1),
+    (26.3, 0.05, 1),
+    (27.7, 0.23, 1),
+    (26.7, 0.20, 1),
+    (31.8, 0.08, 1),
+    (31.5, 0.09, 1),
+    (20.7, 0.05, 1),
+    (50.3, 0.04, 1),
+    (26.1, 0.03, 1),
+    (12.3, 0.09, 1),
+)
+"""Evidence, error (m), and whether it is a pole, of groups on a generated road of another seed than
+the one of the fit, in two clouds, by the shipped network's masks."""
+
+
+def table(evidence, sigma_m, kind="sign", decided=""):
+    columns = {"kind": kind, "evidence": evidence, "sigma_major_m": sigma_m, "decided": decided}
+    columns |= {"score": 3, "kept": True}
+    return pd.DataFrame(columns)
+
+
+@pytest.fixture(scope="module")
+def groups():
+    """Probability and truth of groups of simulated drives."""
+    said, real = [], []
+    for drive in DRIVES:
+        for seed in range(3000, 3006):
+            _, rows = simulate(replace(drive, poles=25), seed)
+            rays, own = rays_and_poles(rows)
+            found = explain_rays(rays, UNAIDED)
+            evidence = found.gain + UNAIDED.pole_evidence
+            said += real_probability(table(evidence, np.ones(len(evidence)))).tolist()
+            real += [_shows_one(own[members]) for members in found.groups]
+    return np.array(said), np.array(real)
+
+
+def _shows_one(own):
+    views = np.bincount(own[own >= 0], minlength=1)
+    return bool(views.max() >= 2)
+
+
+def test_of_what_is_said_to_be_likely_as_many_are_real(groups):
+    said, real = groups
+    assert len(said) > 500 and 0.03 < 1.0 - real.mean() < 0.4
+    assert said.mean() == pytest.approx(real.mean(), abs=0.04)
+    for low, high in ((0.0, 0.6), (0.6, 0.85), (0.85, 0.97), (0.97, 1.0)):
+        own = (said > low) & (said <= high)
+        assert own.sum() > 30
+        spread = np.sqrt(said[own].mean() * (1 - said[own].mean()) / own.sum())
+        assert real[own].mean() == pytest.approx(said[own].mean(), abs=0.05 + 2.5 * spread)
+
+
+def test_poles_of_another_road_are_as_often_real_as_is_said():
+    evidence, sigma_m, real = np.array(ROAD).T
+    said = real_probability(table(evidence, sigma_m, "pole"))
+    assert said.sum() == pytest.approx(real.sum(), abs=2.0)
+    assert ((said - real) ** 2).mean() < 0.6 * real.mean() * (1 - real.mean())
+    sure = said > 0.9
+    assert sure.sum() > 30 and real[sure].mean() > 0.95
+    assert real[said < 0.5].mean() < 0.5
+
+
+def test_more_evidence_is_more_likely_and_a_wider_error_less():
+    more = real_probability(table(np.array([0.0, 5.0, 20.0]), np.full(3, 0.3), "pole"))
+    assert (np.diff(more) > 0).all() and more[0] > 0.0 and more[-1] < 1.0
+    wider = real_probability(table(np.full(3, 10.0), np.array([0.1, 1.0, 4.0]), "pole"))
+    assert (np.diff(wider) < 0).all()
+
+
+def test_what_a_person_decided_is_certain_and_what_nothing_tells_unknown():
+    rows = table(np.array([2.0, 2.0, 40.0, np.nan]), np.full(4, 0.5), "pole")
+    rows["decided"] = ["accepted", "moved", "rejected", ""]
+    found = real_probability(rows)
+    assert found[:3].tolist() == [1.0, 1.0, 0.0] and np.isnan(found[3])
+    assert len(real_probability(rows[:0])) == 0
+
+
+def test_trees_have_one_where_an_image_shows_them_and_buildings_none():
+    rows = table(np.full(4, np.nan), np.full(4, 0.8), ["tree", "tree", "tree", "building"])
+    found = real_probability(rows.assign(score=[2, 0, 2, 4], kept=[True, True, False, True]))
+    assert found[0] == pytest.approx(0.96) and np.isnan(found[1:]).all()
