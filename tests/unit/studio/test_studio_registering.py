@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -172,6 +173,28 @@ def test_corrections_are_kept_beside_each_other_and_forgotten_one_by_one(project
     assert set(drive.corrections) == names - {drive.place(1).image}
     save_correction(project, drive, 2, None)
     assert project.site("drive").resolved.site.poles.corrections is None
+
+
+def test_an_image_is_solved_about_the_principal_point_of_its_drive(drive, rng):
+    """Poses, errors and overlays of an image share one principal point."""
+    place = drive.place(1)
+    start = replace(place.start, cx_px=place.start.cx_px + 15.0)
+    drive.places[place.image] = replace(place, start=start)
+    pose = drive.expected(place)
+    camera = cameras.Intrinsics(
+        start.width_px, start.height_px, pose["focal_px"], start.cx_px, start.cy_px
+    )
+    rotation = cameras.cam_from_world(pose["heading_deg"], pose["pitch_deg"], pose["roll_deg"])
+    depth = rng.uniform(8, 60, 10)
+    ahead = np.column_stack([rng.uniform(-0.4, 0.4, 10), rng.uniform(-0.2, 0.1, 10), np.ones(10)])
+    eye = np.array([pose["x"], pose["y"], pose["z"]])
+    xyz = eye + depth[:, None] * ahead @ rotation
+    uv, _ = cameras.project(camera, rotation, eye, xyz)
+    pairs = [Pair(u=u, v=v, x=x, y=y, z=z) for (u, v), (x, y, z) in zip(uv, xyz, strict=True)]
+    found = solve_pairs(drive, 1, pairs)
+    assert found["rms_px"] < 0.1
+    assert abs(cameras.wrap_deg(found["pose"]["heading_deg"] - pose["heading_deg"])) < 0.02
+    assert image_content(drive, 1)["centre"] == [start.cx_px, start.cy_px]
 
 
 def test_too_few_pairs_are_told(drive):

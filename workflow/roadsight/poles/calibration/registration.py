@@ -53,7 +53,11 @@ class Registration:
 
 
 def register_camera(
-    uv_px: ArrayLike, xyz_m: ArrayLike, width_px: int, height_px: int
+    uv_px: ArrayLike,
+    xyz_m: ArrayLike,
+    width_px: int,
+    height_px: int,
+    centre_px: ArrayLike | None = None,
 ) -> Registration:
     """Pose and focal length that project places onto the clicked pixels.
 
@@ -63,6 +67,7 @@ def register_camera(
     Parameters
     ----------
     uv_px : (n, 2). xyz_m : (n, 3) local metres, n >= 4 and better 6 or more, at several depths.
+    centre_px : (2,) principal point, or None: the image's middle.
 
     Raises
     ------
@@ -71,17 +76,18 @@ def register_camera(
     uv = np.asarray(uv_px, np.float64).reshape(-1, 2)
     xyz = np.asarray(xyz_m, np.float64).reshape(-1, 3)
     _check(uv, xyz)
-    middle = np.array([(width_px - 1) / 2, (height_px - 1) / 2])
+    middle = (width_px - 1) / 2, (height_px - 1) / 2
+    centre = np.asarray(middle if centre_px is None else centre_px, np.float64)
     origin = xyz.mean(axis=0)
     best, usual = None, np.log(0.5 * width_px / np.tan(np.radians(30.0)))
     starts = [
         (log_focal, start)
         for log_focal in _log_focals(width_px)
-        for start in _poses(uv - middle, xyz - origin, np.exp(log_focal))
+        for start in _poses(uv - centre, xyz - origin, np.exp(log_focal))
     ]
-    starts.sort(key=lambda one: _misfit(uv - middle, xyz - origin, *one))
+    starts.sort(key=lambda one: _misfit(uv - centre, xyz - origin, *one))
     for log_focal, start in starts[:_STARTS]:
-        fit = _refined(uv - middle, xyz - origin, start, log_focal, usual)
+        fit = _refined(uv - centre, xyz - origin, start, log_focal, usual)
         # Better by more than rounding, so that of equal fits the first one stays.
         if fit is not None and (best is None or fit.cost < best.cost * (1 - 1e-9)):
             best = fit

@@ -62,7 +62,7 @@ def cluster_fpfh(
         columns["smooth"] = np.concatenate(
             [_classify(model, part, np.load(file)) for part, file in parts]
         )
-    if use and not model.by_tone:
+    if np.isfinite(model.tone_range).any():
         log.info("intensity forms no two groups: it takes only its outliers from smooth ground")
     about = {"voxel_size_m": size_m, "intensity_used": use}
     log.info("%.1f %% of %d columns are smooth", 100 * columns["smooth"].mean(), len(columns))

@@ -96,6 +96,7 @@ def image_content(drive: SiteDrive, number: int) -> dict[str, Any]:
     return {
         "image": place.image,
         "size": [place.start.width_px, place.start.height_px],
+        "centre": [place.start.cx_px, place.start.cy_px],
         "expected": expected,
         "solved": drive.solved(place.image),
         "corrected": place.image in drive.corrections,
@@ -193,7 +194,8 @@ def solve_pairs(drive: SiteDrive, number: int, pairs: list[Pair]) -> dict[str, A
     ------
     InputError : the pairs do not determine the camera.
     """
-    found = registration(drive.place(number), pairs)
+    place = drive.place(number)
+    found = registration(place, pairs, (place.start.cx_px, place.start.cy_px))
     names = ("x_m", "y_m", "z_m", "pitch_rad", "yaw_rad", "roll_rad", "log_focal")
     return {
         "pose": registered_pose(found),
@@ -204,11 +206,16 @@ def solve_pairs(drive: SiteDrive, number: int, pairs: list[Pair]) -> dict[str, A
     }
 
 
-def registration(place: Place, pairs: list[Pair]) -> Registration:
-    """Camera of an image from its pairs, as `register_camera`."""
+def registration(
+    place: Place, pairs: list[Pair], centre_px: tuple[float, float] | None = None
+) -> Registration:
+    """Camera of an image from its pairs, as `register_camera`.
+
+    A baseline is registered about the middle: the drive's principal point is found after it.
+    """
     uv = [[p.u, p.v] for p in pairs]
     xyz = [[p.x, p.y, p.z] for p in pairs]
-    return register_camera(uv, xyz, place.start.width_px, place.start.height_px)
+    return register_camera(uv, xyz, place.start.width_px, place.start.height_px, centre_px)
 
 
 def registered_pose(found: Registration) -> dict[str, float]:

@@ -15,10 +15,9 @@ function axes({ heading_deg, pitch_deg, roll_deg }) {
   return [mix(level, down, Math.cos(r), -Math.sin(r)), mix(level, down, Math.sin(r), Math.cos(r)), forward];
 }
 
-// Function of a place: its pixel and depth, null behind the camera.
-export function projector(pose, [width, height]) {
+// Function of a place: its pixel and depth, null behind the camera, of a principal point.
+export function projector(pose, [cx, cy]) {
   const [right, down, forward] = axes(pose);
-  const [cx, cy] = [(width - 1) / 2, (height - 1) / 2];
   return (x, y, z) => {
     const [a, b, c] = [x - pose.x, y - pose.y, z - pose.z];
     const depth = forward[0] * a + forward[1] * b + forward[2] * c;

@@ -69,7 +69,7 @@ export class Picture {
     context.imageSmoothingEnabled = fit.scale < 3;
     if (this.bitmap) context.drawImage(this.bitmap, fit.left, fit.top, fit.scale * this.content.size[0], fit.scale * this.content.size[1]);
     const at = ([u, v]) => [fit.left + (u + 0.5) * fit.scale, fit.top + (v + 0.5) * fit.scale];
-    const project = projector(this.page.pose, this.content.size);
+    const project = projector(this.page.pose, this.content.centre);
     if (this.shown.points) this.paintPoints(context, project, at, [width, height]);
     if (this.shown.pixels) this.paintPixels(context, at);
     if (this.shown.edges) for (const side of Object.keys(SIDES)) this.paintEdges(context, project, at, side);
