@@ -113,6 +113,20 @@ def test_a_pose_set_by_eye_makes_a_baseline(project, drive, folder):
     assert again["changed"] == []
 
 
+def test_a_baseline_is_about_the_middle(project, drive, folder, monkeypatch):
+    """The principal point of a drive is found after its baseline."""
+    pose = PoseBody.model_validate(drive.expected(drive.place(1)))
+    one = [Registered(number=1, pose=pose)]
+    yaw_deg = []
+    for shift_px in (0.0, 15.0):
+        monkeypatch.setattr(drive, "shift_px", lambda place, shift=shift_px: shift)
+        save_baseline(project, drive, one)
+        found = read_baselines(folder / "config/sites/drive/baseline.json")["800x400"]
+        yaw_deg.append(found["yaw_deg"])
+    turn_deg = np.degrees(np.arctan(15.0 / pose.focal_px))
+    assert yaw_deg[0] - yaw_deg[1] == pytest.approx(turn_deg)
+
+
 def test_baselines_of_other_sizes_stay(project, drive, folder):
     own = folder / "config/sites/drive"
     pose = PoseBody.model_validate(drive.expected(drive.place(1)))

@@ -85,6 +85,17 @@ def test_a_covariance_is_that_for_a_known_point_and_what_the_point_moves(seed):
     np.testing.assert_allclose(known[np.ix_(rest, rest)], np.linalg.inv(information), atol=1e-6)
 
 
+def test_holding_a_point_keeps_what_the_middle_shows():
+    mount = weak_mount(60.0, 1000)
+    mount.mean[[YAW, CX]] = 2.0, 40.0
+    held = with_centre_held(mount)
+    focal_px = np.exp(mount.mean[FOCAL])
+    # The middle of the image lies left of a point that is off to the right.
+    seen_deg = 2.0 + np.degrees(np.arctan((0.0 - 40.0) / focal_px))
+    assert held.mean[CX] == 0.0
+    assert held.mean[YAW] == pytest.approx(seen_deg)
+
+
 @given(st.integers(0, 10_000), st.floats(0.0, 100.0))
 def test_opening_never_makes_surer_and_keeps_what_the_middle_shows(seed, sigma_px):
     mount = Mount(weak_mount(60.0, 1000).mean, random_covariance(seed))
@@ -186,6 +197,15 @@ def test_the_points_sigma_is_what_columns_that_all_images_share_make_it():
     images = drive(rng)
     assert centre_sigma_px(images, solve(images, prior), prior, solve) == pytest.approx(
         np.hypot(0.3, BENT_PX)
+    )
+
+
+def test_few_columns_tell_nothing_of_the_point():
+    rng = np.random.default_rng(5)
+    one, _ = image(rng, PLACES[:4], 0)
+    free = with_centre_open(with_centre_held(weak_mount(60.0, 1000)), PRIOR_PX)
+    assert centre_sigma_px([one], free, free, solver(np.zeros(len(PLACES)), 0.3)) == pytest.approx(
+        PRIOR_PX
     )
 
 

@@ -93,8 +93,12 @@ def weak_mount(
 
 
 def with_centre_held(mount: Mount) -> Mount:
-    """The same mount with a principal point that is where it is expected."""
+    """The same mount with a principal point that is where it is expected.
+
+    A yaw that was stated with another point turns by what keeps the middle of the image in place.
+    """
     mean, covariance = mount.mean.copy(), mount.covariance.copy()
+    mean[YAW] -= np.degrees(np.arctan(mean[CX] * np.exp(-mean[FOCAL])))
     mean[CX] = 0.0
     covariance[CX], covariance[:, CX] = 0.0, 0.0
     covariance[CX, CX] = _SURE_PX**2

@@ -76,15 +76,17 @@ def centre_sigma_px(images: Sequence[Tied], mount: Mount, prior: Mount, solve: S
     """One standard deviation of the point: of its misfit, or by what parts of the drive move it.
 
     Columns, and with them all that is said about them, are left out in turn (grouped jackknife).
-    What a lens may still bend is added.
+    What a lens may still bend is added. Fewer columns than parts tell nothing beyond what is known.
     """
     columns = {place for one in images for place in _columns(one)}
+    if len(columns) < _PARTS:
+        return float(np.sqrt(prior.covariance[CX, CX]))
     part = {place: number % _PARTS for number, place in enumerate(sorted(columns))}
     found = [
         solve([_without(one, {c for c in part if part[c] == k}) for one in images], prior).mean[CX]
-        for k in range(min(_PARTS, len(columns)))
+        for k in range(_PARTS)
     ]
-    moved = float(np.sqrt((len(found) - 1) * np.var(found))) if len(found) > 1 else 0.0
+    moved = float(np.sqrt((_PARTS - 1) * np.var(found)))
     width_px = images[0].member.place.start.width_px
     bent = _BENT_PX / (0.5 * width_px / float(np.exp(mount.mean[FOCAL]))) ** 2
     return float(np.hypot(max(moved, float(np.sqrt(mount.covariance[CX, CX]))), bent))

@@ -101,12 +101,13 @@ def triangulate_poles(
     others = trees_of(objects, told), blocks_of(objects, told, RouteTracks(track))
     poles = pd.concat([part for part in (poles, *others) if len(part)] or [poles])
     poles = poles.reset_index(drop=True)
-    poles = with_shapes(poles, read_table(columns) if columns else None)
     if voxels:
         least_m = {name: kind.clearance_m for name, kind in KINDS.items()}
         clearance_m = poles["kind"].map(least_m).fillna(settings.clearance_m).to_numpy(np.float64)
         poles = drop_near_structures(poles, _structures(voxels), clearance_m)
     poles = _decided(poles, frame, decisions)
+    # A person may have moved a pole onto the right stem.
+    poles = with_shapes(poles, read_table(columns) if columns else None)
     poles = _with_place(poles.assign(probability=real_probability(poles)), frame, dem)
     if len(sightings) < 2:
         log.warning("fewer than two sightings: no pole can be triangulated")

@@ -63,11 +63,15 @@ class SiteDrive:
     def _drive(self, start: Start, route: str) -> DriveCalibration | None:
         return self._expected.get((route, start.width_px, start.height_px))
 
+    def shift_px(self, place: Place) -> float:
+        """By how much a drive's principal point was found right of where it is expected."""
+        drive = self._drive(place.start, place.route)
+        return 0.0 if drive is None else float(drive.mount.mean[CX])
+
     def _centred(self, place: Place) -> Place:
         """The place with the principal point that its drive was found to have."""
-        start, drive = place.start, self._drive(place.start, place.route)
-        shift_px = 0.0 if drive is None else float(drive.mount.mean[CX])
-        return replace(place, start=replace(start, cx_px=start.cx_px + shift_px))
+        start = place.start
+        return replace(place, start=replace(start, cx_px=start.cx_px + self.shift_px(place)))
 
     def row(self, number: int) -> pd.Series:
         """Row of an image by its place in the table of frames.

@@ -194,8 +194,7 @@ def solve_pairs(drive: SiteDrive, number: int, pairs: list[Pair]) -> dict[str, A
     ------
     InputError : the pairs do not determine the camera.
     """
-    place = drive.place(number)
-    found = registration(place, pairs, (place.start.cx_px, place.start.cy_px))
+    found = registration(drive.place(number), pairs)
     names = ("x_m", "y_m", "z_m", "pitch_rad", "yaw_rad", "roll_rad", "log_focal")
     return {
         "pose": registered_pose(found),
@@ -206,16 +205,12 @@ def solve_pairs(drive: SiteDrive, number: int, pairs: list[Pair]) -> dict[str, A
     }
 
 
-def registration(
-    place: Place, pairs: list[Pair], centre_px: tuple[float, float] | None = None
-) -> Registration:
-    """Camera of an image from its pairs, as `register_camera`.
-
-    A baseline is registered about the middle: the drive's principal point is found after it.
-    """
+def registration(place: Place, pairs: list[Pair]) -> Registration:
+    """Camera of an image from its pairs, about the principal point of its drive."""
     uv = [[p.u, p.v] for p in pairs]
     xyz = [[p.x, p.y, p.z] for p in pairs]
-    return register_camera(uv, xyz, place.start.width_px, place.start.height_px, centre_px)
+    start = place.start
+    return register_camera(uv, xyz, start.width_px, start.height_px, (start.cx_px, start.cy_px))
 
 
 def registered_pose(found: Registration) -> dict[str, float]:

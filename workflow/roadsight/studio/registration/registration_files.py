@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,8 @@ def save_baseline(project: Project, drive: SiteDrive, images: list[Registered]) 
     for one in images:
         place = drive.place(one.number)
         size = f"{place.start.width_px}x{place.start.height_px}"
-        found.setdefault(size, []).append((_by_hand(drive, place, one), place.start))
+        by_hand = _expected_centre(drive, place, _by_hand(drive, place, one))
+        found.setdefault(size, []).append((by_hand, place.start))
     content = {size: baseline(registered) for size, registered in sorted(found.items())}
     with saving(project, drive.site.stem, "registration") as site:
         path = site.resolved.beside(site.resolved.site.poles.baseline)
@@ -86,6 +88,12 @@ def _other_pairs(drive: SiteDrive, path: Path | None, sizes: set[str]) -> list[l
     frames = drive.frames[["image", "width_px", "height_px"]].itertuples(index=False)
     size_of = {str(image): f"{int(width)}x{int(height)}" for image, width, height in frames}
     return [row for row in rows if size_of.get(row[0]) not in sizes]
+
+
+def _expected_centre(drive: SiteDrive, place: Place, found: Registration) -> Registration:
+    """The same view about the expected principal point: a drive's is found after its baseline."""
+    turn = np.arctan(drive.shift_px(place) / found.focal_px)
+    return replace(found, heading_deg=found.heading_deg - float(np.degrees(turn)))
 
 
 def _by_hand(drive: SiteDrive, place: Place, one: Registered) -> Registration:
