@@ -199,7 +199,8 @@ class Columns(Section):
 
     excluded_classes: list[LasClass] = Field(
         default=[2, 7, 9, 11, 17, 18],
-        description="LAS classes that no pole has: ground, noise, water, road, bridge deck",
+        description="LAS classes that no pole has, nor its arms: ground, noise, water, road, bridge"
+        " deck; trees and guardrails always leave these out",
     )
     min_top_m: Metres = Field(default=3.0, description="lower columns are none, m")
     radius_m: Metres = Field(default=0.6, description="returns this near are the column's, m")

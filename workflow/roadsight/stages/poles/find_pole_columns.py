@@ -49,10 +49,10 @@ def find_columns(
         above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
         cls = points["classification"]
         tall = find_pole_columns(xyz, above, cls, settings)
-        found = with_stems(tall, find_stems(xyz, above, cls))
+        found = with_stems(tall, find_stems(xyz, above, cls, settings.excluded_classes))
         x, y = found.xy_m.T
         inside = (x >= west) & (x < east) & (y >= south) & (y < north)
-        shapes = asdict(stem_shapes(found, xyz, above, cls))
+        shapes = asdict(stem_shapes(found, xyz, above, cls, settings.excluded_classes))
         tables.append(_table(found).assign(**shapes)[inside])
     table = pd.concat([part for part in tables if len(part)] or tables[:1], ignore_index=True)
     table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
