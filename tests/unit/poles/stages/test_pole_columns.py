@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from pyproj import CRS
 
 from roadsight.base.sections.poles import Columns
@@ -33,6 +34,21 @@ def columns_of(folder, xyz, cls, tile_m=100.0, **asked):
     inputs = [folder / name for name in ("cloud.parquet", "frame.json", "dem.tif")]
     find_columns(*inputs, Columns(**asked), out=folder / "columns.parquet")
     return read_table(folder / "columns.parquet")
+
+
+@pytest.mark.parametrize(("around_m", "count"), [(2.0, 1), (10.0, 0)])
+def test_tiles_do_not_show_however_far_a_column_is_alone(rng, tmp_path, around_m, count):
+    hedge = rng.uniform([37, 15, 1.2], [38, 25, 4.0], (4000, 3))
+    xyz = np.concatenate([stem(rng, 29.0, 20.0, count=60), hedge])
+    for tile_m in (30.0, 100.0):
+        found = columns_of(tmp_path, xyz, 5, tile_m, around_m=around_m)
+        assert (found["x"].round() == 29).sum() == count
+
+
+@pytest.mark.parametrize("asked", [{"radius_m": 2.0}, {"around_m": 21.0}, {"radius_m": 2.1}])
+def test_radii_that_mean_nothing_are_refused(asked):
+    with pytest.raises(ValueError, match=r"radius_m|around_m"):
+        Columns(**asked)
 
 
 def test_excluded_classes_are_so_for_stems_and_leans_too(rng, tmp_path):
