@@ -142,8 +142,7 @@ class _Near:
         return within_reach(places_m, self.cameras_m, self.reach_m)
 
     def road(self, places_m: Floats) -> Bools:
-        away_m = np.hypot(*(places_m - self.tracks.locate(places_m)[2]).T)
-        return np.asarray(away_m <= BESIDE_M)
+        return np.asarray(self.tracks.away_m(places_m) <= BESIDE_M)
 
     def edge(self, places_m: Floats) -> Bools:
         driven = self.edges_m[within_reach(self.edges_m, self.cameras_m, _DRIVEN_M)]
@@ -152,8 +151,7 @@ class _Near:
     def nearest(self, outlines: Sequence[shapely.Geometry]) -> Floats:
         """Of each outline the place (n, 2) that is nearest to a track."""
         places = [shapely.get_coordinates(shapely.segmentize(one, 0.2))[:, :2] for one in outlines]
-        away = [np.hypot(*(one - self.tracks.locate(one)[2]).T) for one in places]
-        nearest = [one[int(np.argmin(off))] for one, off in zip(places, away, strict=True)]
+        nearest = [one[int(np.argmin(self.tracks.away_m(one)))] for one in places]
         return np.array(nearest, np.float64).reshape(-1, 2)
 
     def parts(self, lines: Sequence[shapely.Geometry]) -> list[Floats]:
