@@ -502,6 +502,26 @@ def test_validation(site, poles):
     assert len(found["warnings"]) == 1
 
 
+@pytest.mark.parametrize(("cell_m", "known"), [(0.5, 1), (1.5, None)])
+def test_voxels_too_wide_to_tell_a_driveway_leave_it_unknown(
+    site, poles, tmp_path, caplog, cell_m, known
+):
+    """Not as if there were none: a driveway of 3 m beside the third pole."""
+    x, y = np.meshgrid(np.arange(0, 130, cell_m), np.arange(-4, 30, cell_m))
+    paved = (y < 4) | ((x >= 54) & (x < 57))
+    index = {"ix": (x[paved] / cell_m).astype(int), "iy": np.round(y[paved] / cell_m).astype(int)}
+    about = {"cell_size_m": cell_m, "anchor": [0.0, 0.0, 0.0]}
+    write_table(tmp_path / "voxels.parquet", pd.DataFrame(index).assign(cls=11), about)
+    arguments = [f"--{name}={site / name}.{end}" for name, end in
+                 (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    arguments += ["--poles", poles["poles"], "--voxels", str(tmp_path / "voxels.parquet")]
+    arguments += ["--truth", str(site / "truth.csv"), "--kinds", "pole"]
+    assert validate_poles.main([*arguments, "--out", str(tmp_path / "v.json")]) == 0
+    extraneous = read_json(tmp_path / "v.json")["scenarios"]["extraneous"]
+    assert (extraneous is None) == (known is None)
+    assert ("do not tell driveways" in caplog.text) == (known is None)
+
+
 def test_known_poles_in_native_coordinates(site, tmp_path):
     native = FEET.to_native(POLES)
     pd.DataFrame(native, columns=["X", " y"]).to_csv(tmp_path / "t.csv", index=False)

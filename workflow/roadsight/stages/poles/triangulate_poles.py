@@ -103,8 +103,8 @@ def triangulate_poles(
     if blocks and not track[["x", "y"]].notna().all(axis=1).any():
         log.warning("%d buildings and headwalls are left out: no image has a place", blocks)
     found = pd.concat([part for part in (poles, *others) if len(part)] or [poles])
-    names = poles.columns.union(found.columns, sort=False)
-    poles = found.reindex(columns=names).reset_index(drop=True)
+    every = poles.columns.union(found.columns, sort=False)
+    poles = found.reindex(columns=every).reset_index(drop=True)
     poles = with_shapes(poles, read_table(columns) if columns else None)
     if voxels:
         least_m = {name: kind.clearance_m for name, kind in KINDS.items()}
