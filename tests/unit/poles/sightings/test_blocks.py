@@ -51,6 +51,15 @@ def test_buildings_apart_are_two_and_what_is_too_small_or_flat_is_none(rng):
     assert building(roof(rng, (0.0, 0.0), (9.0, 8.0), walls=False)) == []
 
 
+def test_buildings_that_touch_at_a_corner_are_two_with_heights_of_their_own(rng):
+    first = roof(rng, (0.0, 0.0), (10.0, 10.0), height_m=9.0, per_m2=60.0)
+    found = building(first, roof(rng, (10.0, 10.0), (18.0, 18.0), height_m=5.0, per_m2=60.0))
+    assert [block.top_m for block in found] == pytest.approx([9.0, 5.0], abs=0.01)
+    assert [block.area_m2 for block in found] == pytest.approx([90.0, 56.0], rel=0.08)
+    flat = roof(rng, (10.0, 10.0), (18.0, 18.0), per_m2=60.0, walls=False)
+    assert len(building(first, flat)) == 1
+
+
 def test_a_headwall_has_limits_of_its_own(rng):
     wall = roof(rng, (0.0, 0.0), (4.0, 0.3), height_m=0.9, per_m2=40.0)
     (found,) = join_blocks([block_cells(wall)], KINDS["headwall"])

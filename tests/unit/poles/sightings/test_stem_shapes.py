@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -29,6 +31,27 @@ def stem(rng, count, lean_deg=0.0, azimuth_deg=0.0, radius_m=0.13):
 
 def shapes_of(points):
     return stem_shapes(column(), points, points[:, 2], np.ones(len(points), np.uint8))
+
+
+def test_excluded_classes_are_of_no_stem(rng):
+    points = stem(rng, 60)
+    for cls, excluded, told in ((9, [2], True), (5, [5], False)):
+        classes = np.full(len(points), cls, np.uint8)
+        found = stem_shapes(column(), points, points[:, 2], classes, excluded)
+        assert np.isfinite(found.lean_deg[0]) == told
+
+
+def test_columns_are_looked_at_one_by_one(rng):
+    """The returns around all of them at once would take 20 MB."""
+    points = rng.uniform([-2, -2, 1.2], [2, 2, _TOP_M], (6000, 3))
+    axes = rng.uniform(-1, 1, (80, 2))
+    many = PoleColumns(axes, np.full(80, _TOP_M), np.full(80, 0.02))
+    tracemalloc.start()
+    try:
+        stem_shapes(many, points, points[:, 2], np.ones(len(points), np.uint8))
+        assert tracemalloc.get_traced_memory()[1] < 12e6
+    finally:
+        tracemalloc.stop()
 
 
 def arm(rng, reaches_m, azimuth_deg, count=12):

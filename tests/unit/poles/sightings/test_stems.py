@@ -67,6 +67,13 @@ def test_sparse_clouds_have_no_stems(rng):
     assert len(find_stems(np.empty((0, 3)), np.empty(0), np.empty(0, np.uint8))) == 0
 
 
+def test_excluded_classes_are_of_no_stem(rng):
+    xyz = post(rng, 0.0, 0.0)
+    for cls, excluded, count in ((9, [2], 1), (5, [5], 0)):
+        classes = np.full(len(xyz), cls, np.uint8)
+        assert len(find_stems(xyz, xyz[:, 2], classes, excluded)) == count
+
+
 def test_the_order_of_returns_and_large_coordinates_do_not_matter(rng):
     xyz = np.concatenate([post(rng, 3.0, 4.0), hedge(rng, 1.0, 5.0)])
     ones = np.ones(len(xyz), np.uint8)

@@ -28,6 +28,7 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.vectors import read_layer, write_layers
+from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.stages.evidence import compare_components
 from roadsight.stages.poles import (
@@ -378,6 +379,34 @@ def test_a_guardrail_that_was_found_shields_and_its_ends_are_objects(
     assert (table.loc[table["y"] < 0, "shielded"] == "none").all()
 
 
+def test_buildings_are_left_out_with_a_warning_where_no_image_has_a_place(site, tmp_path, caplog):
+    """By the only image that has one they are placed."""
+    corners = [(30.0, 12.0), (38.0, 12.0), (38.0, 20.0), (30.0, 20.0)]
+    rows = [("building", 0, x, y, -1.0, 6.0, 8.0, 0.3) for x, y in corners]
+    names = ["kind", "object", "x", "y", "z_ground", "top_m", "width_m", "sigma_m"]
+    write_table(tmp_path / "objects.parquet", pd.DataFrame(rows, columns=names))
+    seen = {"kind": ["building"], "object": 0, "image": "i", "answer": 1, "route": "r"}
+    write_table(tmp_path / "seen.parquet", pd.DataFrame(seen))
+    also = [f"--objects={tmp_path / 'objects.parquet'}", f"--seen={tmp_path / 'seen.parquet'}"]
+    for y, left_out in ((0.0, False), (np.nan, True)):
+        frames = pd.DataFrame({"route": ["r"], "sequence": 0, "x": 30.0, "y": y})
+        write_table(tmp_path / "frames.parquet", frames)
+        more = [*also, f"--frames={tmp_path / 'frames.parquet'}"]
+        code, out = run_triangulation(site, "none.parquet", tag="_lone", also=more)
+        assert code == 0
+        assert (read_table(out["poles"])["kind"] == "building").sum() == (not left_out)
+        assert ("1 buildings and headwalls are left out" in caplog.text) == left_out
+
+
+def test_buildings_along_a_route_of_one_image_are_scored():
+    camera = np.zeros((1, 2))
+    frames = pd.DataFrame({"route": ["r"], "sequence": 0, "x": 0.0, "y": 0.0})
+    near = validate_poles._Near(camera, 25.0, np.empty((0, 2)), RouteTracks(frames))
+    place = near.nearest([shapely.box(10.0, -5.0, 20.0, 5.0), shapely.box(90.0, -5.0, 99.0, 5.0)])
+    assert place == pytest.approx(np.array([[10.0, 0.0], [90.0, 0.0]]), abs=0.2)
+    assert near.road(place).tolist() == [True, False]
+
+
 def test_signs_trees_and_guardrails_are_scored_apart_from_poles(site, with_objects, tmp_path):
     common = [f"--{name}={site / name}.{end}" for name, end in
               (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
@@ -471,6 +500,26 @@ def test_validation(site, poles):
     assert row["scenarios"] == ["straight road"]
     assert found["scenarios"]["extraneous"] is None
     assert len(found["warnings"]) == 1
+
+
+@pytest.mark.parametrize(("cell_m", "known"), [(0.5, 1), (1.5, None)])
+def test_voxels_too_wide_to_tell_a_driveway_leave_it_unknown(
+    site, poles, tmp_path, caplog, cell_m, known
+):
+    """Not as if there were none: a driveway of 3 m beside the third pole."""
+    x, y = np.meshgrid(np.arange(0, 130, cell_m), np.arange(-4, 30, cell_m))
+    paved = (y < 4) | ((x >= 54) & (x < 57))
+    index = {"ix": (x[paved] / cell_m).astype(int), "iy": np.round(y[paved] / cell_m).astype(int)}
+    about = {"cell_size_m": cell_m, "anchor": [0.0, 0.0, 0.0]}
+    write_table(tmp_path / "voxels.parquet", pd.DataFrame(index).assign(cls=11), about)
+    arguments = [f"--{name}={site / name}.{end}" for name, end in
+                 (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    arguments += ["--poles", poles["poles"], "--voxels", str(tmp_path / "voxels.parquet")]
+    arguments += ["--truth", str(site / "truth.csv"), "--kinds", "pole"]
+    assert validate_poles.main([*arguments, "--out", str(tmp_path / "v.json")]) == 0
+    extraneous = read_json(tmp_path / "v.json")["scenarios"]["extraneous"]
+    assert (extraneous is None) == (known is None)
+    assert ("do not tell driveways" in caplog.text) == (known is None)
 
 
 def test_known_poles_in_native_coordinates(site, tmp_path):

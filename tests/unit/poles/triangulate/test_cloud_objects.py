@@ -69,6 +69,14 @@ def test_without_blocks_or_track_there_are_none(objects):
     assert blocks_of(objects, told, nowhere).empty
 
 
+def test_the_only_image_of_a_route_is_a_place_to_be_near(objects):
+    told = confirmed(objects, said([("building", 0, 1)]))
+    rows = {"route": ["r", "s"], "sequence": 0, "x": [25.0, np.nan], "y": [0.0, np.nan]}
+    found = blocks_of(objects, told, RouteTracks(pd.DataFrame(rows)))
+    assert found["id"].tolist() == ["building-00000"]
+    assert found[["x", "y"]].iloc[0].tolist() == [25.0, 12.0]
+
+
 def test_trees_have_their_height_and_the_width_of_their_crowns():
     tree = {"kind": "tree", "object": 0, "x": 3.0, "y": 9.0, "top_m": 8.0, "width_m": 4.5}
     table = pd.DataFrame([tree | {"sigma_m": 0.8}])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from roadsight.base.section import Count, Degrees, LasClass, Metres, Positive, Section
 
@@ -199,17 +199,30 @@ class Columns(Section):
 
     excluded_classes: list[LasClass] = Field(
         default=[2, 7, 9, 11, 17, 18],
-        description="LAS classes that no pole has: ground, noise, water, road, bridge deck",
+        description="LAS classes that no pole has (of poles alone): ground, noise, water, road,"
+        " bridge deck",
     )
     min_top_m: Metres = Field(default=3.0, description="lower columns are none, m")
-    radius_m: Metres = Field(default=0.6, description="returns this near are the column's, m")
-    around_m: Metres = Field(default=2.0, description="returns this near are around it, m")
+    radius_m: float = Field(
+        default=0.6, gt=0, le=2, description="returns this near are the column's, m"
+    )
+    around_m: float = Field(
+        default=2.0, gt=0, le=20, description="returns this near are around it, m"
+    )
     around_trunk: float = Field(
         default=0.5, ge=0, description="most returns around it below wires, over its own"
     )
     around_all: float = Field(
         default=3.0, ge=0, description="the same at all heights: wires and arms, but no crown"
     )
+
+    @model_validator(mode="after")
+    def _nested(self) -> Columns:
+        if self.radius_m >= self.around_m:
+            raise ValueError(
+                f"radius_m ({self.radius_m:g}) must be below around_m ({self.around_m:g})"
+            )
+        return self
 
 
 class Triangulation(Section):

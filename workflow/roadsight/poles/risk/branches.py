@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.risk.scenarios import RouteTracks
 
-_CELL_M = 1.0
+CELL_M = 1.0
 """Cells in which pavement is joined."""
 _JOIN_M = 1.5
 """Cells this near to each other are of one branch: those that share a side or a corner."""
@@ -71,29 +71,29 @@ def find_branches(tracks: RouteTracks, pavement_m: Floats, edges_m: Floats) -> B
 
     Parameters
     ----------
-    pavement_m : places (n, 2) that are paved, at most `_CELL_M` apart. edges_m : points (m, 2) of
+    pavement_m : places (n, 2) that are paved, at most `CELL_M` apart. edges_m : points (m, 2) of
         the edges of roads.
     """
     none = Branches(np.empty((0, 2)), np.zeros(0, bool))
     if not len(tracks) or not len(pavement_m) or not len(edges_m):
         return none
-    cells = np.unique(np.floor(pavement_m / _CELL_M).astype(np.int64), axis=0)
-    xy = np.asarray((cells + 0.5) * _CELL_M, np.float64)
+    cells = np.unique(np.floor(pavement_m / CELL_M).astype(np.int64), axis=0)
+    xy = np.asarray((cells + 0.5) * CELL_M, np.float64)
     beyond = _beyond_m(tracks, xy, edges_m)
     out = np.flatnonzero((beyond > _BESIDE_M) & (beyond <= _REACH_M))
     if not len(out):
         return none
     xy, beyond = xy[out], beyond[out]
-    pairs = cKDTree(xy).query_pairs(_JOIN_M * _CELL_M, output_type="ndarray")
+    pairs = cKDTree(xy).query_pairs(_JOIN_M * CELL_M, output_type="ndarray")
     graph = coo_matrix((np.ones(len(pairs)), pairs.T), shape=(len(xy), len(xy)))
     _, part = connected_components(graph, directed=False)
-    area = np.bincount(part) * _CELL_M**2
+    area = np.bincount(part) * CELL_M**2
     nearest = np.full(len(area), np.inf)
     np.minimum.at(nearest, part, beyond)
     farthest = np.zeros(len(area))
     np.maximum.at(farthest, part, beyond)
     kept = (area >= _SMALLEST_M2) & (farthest >= _LEAST_REACH_M)
-    kept &= nearest <= _BESIDE_M + 2 * _CELL_M
+    kept &= nearest <= _BESIDE_M + 2 * CELL_M
     roads = np.array([_is_road(beyond[part == number]) for number in range(len(area))], bool)
     own = kept[part]
     return Branches(xy[own], roads[part[own]])
@@ -104,9 +104,9 @@ def _is_road(beyond_m: Floats) -> bool:
     reach = beyond_m.max()
     if reach < _ROAD_REACH_M:
         return False
-    width = np.count_nonzero(beyond_m > _MOUTH_M) * _CELL_M**2 / (reach - _MOUTH_M)
+    width = np.count_nonzero(beyond_m > _MOUTH_M) * CELL_M**2 / (reach - _MOUTH_M)
     # Cells that are paved in part stand out half a cell on either side.
-    return bool(_ROAD_WIDTH_M[0] <= width - _CELL_M <= _ROAD_WIDTH_M[1])
+    return bool(_ROAD_WIDTH_M[0] <= width - CELL_M <= _ROAD_WIDTH_M[1])
 
 
 def _beyond_m(tracks: RouteTracks, xy_m: Floats, edges_m: Floats) -> Floats:

@@ -60,6 +60,7 @@ class RouteTracks:
         self.names = [str(name) for name in names]
         known = np.isfinite(xy).all(axis=1)
         xy, route = xy[known], route[known]
+        self._places = cKDTree(xy)
         first = np.r_[True, np.diff(route) != 0][: len(xy)]
         moved = np.hypot(*np.diff(xy, axis=0, prepend=xy[:1]).T) > 1e-3
         xy, route = xy[moved | first], route[moved | first]
@@ -90,6 +91,11 @@ class RouteTracks:
         along = ((xy_m - self.start_m[piece]) * way).sum(axis=1)
         along = np.clip(along, 0.0, self.length_m[piece])
         return piece, self.station_m[piece] + along, self.start_m[piece] + along[:, None] * way
+
+    def away_m(self, xy_m: Floats) -> Floats:
+        """How far (n,) places are from a track, or from the only image of a route; inf: none."""
+        to_track = np.hypot(*(xy_m - self.locate(xy_m)[2]).T)
+        return np.fmin(to_track, self._places.query(xy_m)[0])
 
     def direction(self, piece: Ints) -> Floats:
         """Unit vectors of travel (n, 2)."""

@@ -79,23 +79,33 @@ def join_blocks(parts: Sequence[BlockCells], kind: ObjectKind) -> list[Block]:
     order = np.argsort(part, kind="stable")
     found = []
     for rows in np.split(order, np.flatnonzero(np.diff(part[order])) + 1):
-        shape = _outline(index[rows])
-        tall = kind.height_m[0] <= top[rows].max() - low[rows].min() <= kind.height_m[1]
-        if tall and kind.area_m2[0] <= shape.area <= kind.area_m2[1]:
-            places = np.arange(0.0, shape.exterior.length, _EVERY_M)
-            xy = shapely.get_coordinates(shapely.line_interpolate_point(shape.exterior, places))
-            found.append(Block(xy, float(top[rows].max()), float(shape.area)))
+        shapes = [shape for shape in _outlines(index[rows]) if _within(shape.area, kind.area_m2)]
+        if not shapes:
+            continue
+        middles = shapely.points((index[rows] + 0.5) * CELL_M)
+        nearest = np.argmin([shapely.distance(shape, middles) for shape in shapes], axis=0)
+        for number, shape in enumerate(shapes):
+            own = rows[nearest == number]
+            if len(own) and _within(top[own].max() - low[own].min(), kind.height_m):
+                places = np.arange(0.0, shape.exterior.length, _EVERY_M)
+                xy = shapely.get_coordinates(shapely.line_interpolate_point(shape.exterior, places))
+                found.append(Block(xy, float(top[own].max()), float(shape.area)))
     return sorted(found, key=lambda block: (block.outline_m[:, 0].min(), block.outline_m[0, 1]))
 
 
-def _outline(index: Ints) -> shapely.Polygon:
-    """Outline of cells, single empty ones filled, a quarter of a metre inside.
+def _within(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= value <= limits[1]
 
-    A cell at the border is half full on average. What that leaves nothing of keeps its hull.
+
+def _outlines(index: Ints) -> list[shapely.Polygon]:
+    """Outlines of joined cells, single empty ones filled, a quarter of a metre inside.
+
+    A cell at the border is half full on average. What that parts are several objects, such as
+    houses that touch at a corner; what it leaves nothing of keeps its hull.
     """
     low = index * CELL_M
     whole = shapely.union_all(shapely.box(*low.T, *(low + CELL_M).T))
     filled = shapely.buffer(whole, CELL_M, join_style="mitre")
     inner = shapely.buffer(filled, -1.5 * CELL_M, join_style="mitre")
     shape = inner if not inner.is_empty else whole.convex_hull
-    return max(shapely.get_parts(shape), key=lambda part: part.area)
+    return list(shapely.get_parts(shape))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,22 +81,26 @@ class StemShapes:
 
 
 def stem_shapes(
-    columns: PoleColumns, xyz_m: Floats, above_ground_m: Floats, cls: NDArray
+    columns: PoleColumns,
+    xyz_m: Floats,
+    above_ground_m: Floats,
+    cls: NDArray,
+    excluded_classes: Sequence[int] = NO_COLUMN,
 ) -> StemShapes:
     """Shapes of columns from the returns around them.
 
     Parameters
     ----------
     xyz_m : returns (n, 3), local metres. above_ground_m : (n,), NaN where unknown. cls : ASPRS
-    class (n,).
+    class (n,). excluded_classes : those that no return of a pole has.
     """
     found = np.full((len(columns), 5), np.nan)
-    points = _around(columns.xy_m, xyz_m, above_ground_m, cls)
+    used = ~np.isin(cls, excluded_classes)
+    points = _around(columns.xy_m, xyz_m[used], above_ground_m[used])
     if len(points):
-        near = cKDTree(points[:, :2]).query_ball_point(columns.xy_m, _WIRE_M[1])
-        for row, (own, axis, top_m) in enumerate(
-            zip(near, columns.xy_m, columns.top_m, strict=True)
-        ):
+        tree = cKDTree(points[:, :2])
+        for row, (axis, top_m) in enumerate(zip(columns.xy_m, columns.top_m, strict=True)):
+            own = tree.query_ball_point(axis, _WIRE_M[1])
             around = points[np.sort(np.array(own, np.int64))] - [*axis, 0.0]
             slope, sigma, middle = _line(around, top_m)
             lean = np.degrees(np.arctan(np.hypot(*slope)))
@@ -106,7 +111,7 @@ def stem_shapes(
     return StemShapes(*np.ascontiguousarray(found.T))
 
 
-def _around(axes_m: Floats, xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> Floats:
+def _around(axes_m: Floats, xyz_m: Floats, above_ground_m: Floats) -> Floats:
     """Returns (n, 3) that may be of stems, arms and wires, with heights above the ground.
 
     One for each small cell, their mean, so that a dense cloud takes no longer and counts no more.
@@ -114,7 +119,7 @@ def _around(axes_m: Floats, xyz_m: Floats, above_ground_m: Floats, cls: NDArray)
     if not len(axes_m):
         return np.empty((0, 3))
     with np.errstate(invalid="ignore"):
-        used = ~np.isin(cls, NO_COLUMN) & (above_ground_m > _LOWEST_M)
+        used = above_ground_m > _LOWEST_M
     points = np.column_stack([xyz_m[used, :2], above_ground_m[used]]).astype(np.float64)
     away, _ = cKDTree(axes_m).query(points[:, :2], distance_upper_bound=_WIRE_M[1])
     points = points[np.isfinite(away)]

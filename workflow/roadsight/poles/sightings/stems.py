@@ -9,6 +9,7 @@ disc; that of a wall, a hedge or a car does not. Slices above each other are a p
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
 import cv2
@@ -65,7 +66,12 @@ class _Discs:
     count: Floats
 
 
-def find_stems(xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> PoleColumns:
+def find_stems(
+    xyz_m: Floats,
+    above_ground_m: Floats,
+    cls: NDArray,
+    excluded_classes: Sequence[int] = NO_COLUMN,
+) -> PoleColumns:
     """Stems of at least four slices of 0.3 m, by place; their tops are as far as they were seen.
 
     In each slice a disc of 0.2 m has at least eight returns, and around it, at 0.6 m, at most two
@@ -76,10 +82,10 @@ def find_stems(xyz_m: Floats, above_ground_m: Floats, cls: NDArray) -> PoleColum
     Parameters
     ----------
     xyz_m : returns (n, 3), local metres. above_ground_m : (n,), NaN where unknown.
-    cls : ASPRS class (n,).
+    cls : ASPRS class (n,). excluded_classes : those that no return of a pole has.
     """
     with np.errstate(invalid="ignore"):
-        used = ~np.isin(cls, NO_COLUMN) & (above_ground_m > _HEIGHTS_M[0])
+        used = ~np.isin(cls, excluded_classes) & (above_ground_m > _HEIGHTS_M[0])
         used &= above_ground_m < _HEIGHTS_M[1]
     points, height = np.asarray(xyz_m, np.float64)[used], np.asarray(above_ground_m)[used]
     order = np.lexsort(points.T)

@@ -42,7 +42,7 @@ def blocks_of(objects: pd.DataFrame, told: pd.DataFrame, tracks: RouteTracks) ->
     """Buildings and headwalls as rows of poles, each at its place that is nearest to a track.
 
     The cloud's classes say what they are: those that no image looks at stay, those farther from the
-    road than any clear zone are left out.
+    road than any clear zone are left out, and so are all where no image has a place.
 
     Parameters
     ----------
@@ -53,8 +53,7 @@ def blocks_of(objects: pd.DataFrame, told: pd.DataFrame, tracks: RouteTracks) ->
     if own.empty:
         return pd.DataFrame()
     xy = own[["x", "y"]].to_numpy(np.float64)
-    away = np.hypot(*(xy - tracks.locate(xy)[2]).T)
-    nearest = own.assign(away=away).sort_values("away", kind="stable")
+    nearest = own.assign(away=tracks.away_m(xy)).sort_values("away", kind="stable")
     nearest = nearest.drop_duplicates(["kind", "object"])
     table = nearest[nearest["away"] <= BESIDE_M].merge(told, on=["kind", "object"])
     table = table.sort_values(["kind", "object"], ignore_index=True)

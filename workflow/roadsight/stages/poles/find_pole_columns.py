@@ -27,8 +27,10 @@ COLUMNS = ("x", "y", "z_ground", "top_m", "sigma_m", "points", "open_top")
 SHAPES = tuple(part.name for part in fields(StemShapes))
 """Columns of their lean and arms."""
 _HALO_M = 6.0
-"""Margin of a tile: more than what decides about a column, which lies within 2 m, and about its
-nearest neighbours, so that tiles do not show in the result."""
+"""Least margin of a tile: so far from a column wires tell its arms."""
+_BEYOND_M = 4.0
+"""Margin beyond what is around a column, so that its nearest neighbours are the same in each tile
+and tiles do not show in the result."""
 
 
 def find_columns(
@@ -42,17 +44,18 @@ def find_columns(
     """Write the columns of each tile, those of its margin left to its neighbours."""
     ground = read_raster(dem, Frame.from_dict(read_json(frame)))
     cloud = CloudTiles(cloud_path)
-    tiles = cloud.iter_tiles(_HALO_M, ["x", "y", "z", "classification"])
+    halo_m = max(_HALO_M, settings.around_m + _BEYOND_M)
+    tiles = cloud.iter_tiles(halo_m, ["x", "y", "z", "classification"])
     tables = [pd.DataFrame(columns=[*COLUMNS, *SHAPES], dtype=np.float64)]
     for (west, south, east, north), points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
         above = xyz[:, 2] - ground.sample(xyz[:, 0], xyz[:, 1])
         cls = points["classification"]
         tall = find_pole_columns(xyz, above, cls, settings)
-        found = with_stems(tall, find_stems(xyz, above, cls))
+        found = with_stems(tall, find_stems(xyz, above, cls, settings.excluded_classes))
         x, y = found.xy_m.T
         inside = (x >= west) & (x < east) & (y >= south) & (y < north)
-        shapes = asdict(stem_shapes(found, xyz, above, cls))
+        shapes = asdict(stem_shapes(found, xyz, above, cls, settings.excluded_classes))
         tables.append(_table(found).assign(**shapes)[inside])
     table = pd.concat([part for part in tables if len(part)] or tables[:1], ignore_index=True)
     table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)

@@ -99,8 +99,12 @@ def triangulate_poles(
     objects, told = _confirmed(objects_path, seen)
     track = read_table(frames, ["route", "sequence", "x", "y"]) if frames else _NO_TRACK
     others = trees_of(objects, told), blocks_of(objects, told, RouteTracks(track))
-    poles = pd.concat([part for part in (poles, *others) if len(part)] or [poles])
-    poles = poles.reset_index(drop=True)
+    blocks = sum(KINDS[kind].shape == "block" for kind in told["kind"])
+    if blocks and not track[["x", "y"]].notna().all(axis=1).any():
+        log.warning("%d buildings and headwalls are left out: no image has a place", blocks)
+    found = pd.concat([part for part in (poles, *others) if len(part)] or [poles])
+    every = poles.columns.union(found.columns, sort=False)
+    poles = found.reindex(columns=every).reset_index(drop=True)
     if voxels:
         least_m = {name: kind.clearance_m for name, kind in KINDS.items()}
         clearance_m = poles["kind"].map(least_m).fillna(settings.clearance_m).to_numpy(np.float64)
@@ -133,7 +137,8 @@ def _confirmed(
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Objects of the cloud, a row a place, and what images say of each; none unless asked for."""
     if objects_path is None or not seen:
-        return pd.DataFrame({"kind": pd.Series(dtype=str)}), pd.DataFrame()
+        none = pd.DataFrame({"kind": pd.Series(dtype=str)})
+        return none, none
     objects = read_table(objects_path)
     told = confirmed(objects, pd.concat([read_table(path) for path in seen], ignore_index=True))
     for reason, count in (told["kind"] + " " + told["reason"]).value_counts().items():

@@ -24,7 +24,7 @@ from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.risk.branches import find_branches
+from roadsight.poles.risk.branches import CELL_M, find_branches
 from roadsight.poles.risk.scenarios import RouteTracks, ScenarioSettings, classify_places
 from roadsight.poles.risk.validation import (
     NEAR_EDGE_M,
@@ -142,8 +142,7 @@ class _Near:
         return within_reach(places_m, self.cameras_m, self.reach_m)
 
     def road(self, places_m: Floats) -> Bools:
-        away_m = np.hypot(*(places_m - self.tracks.locate(places_m)[2]).T)
-        return np.asarray(away_m <= BESIDE_M)
+        return np.asarray(self.tracks.away_m(places_m) <= BESIDE_M)
 
     def edge(self, places_m: Floats) -> Bools:
         driven = self.edges_m[within_reach(self.edges_m, self.cameras_m, _DRIVEN_M)]
@@ -152,8 +151,7 @@ class _Near:
     def nearest(self, outlines: Sequence[shapely.Geometry]) -> Floats:
         """Of each outline the place (n, 2) that is nearest to a track."""
         places = [shapely.get_coordinates(shapely.segmentize(one, 0.2))[:, :2] for one in outlines]
-        away = [np.hypot(*(one - self.tracks.locate(one)[2]).T) for one in places]
-        nearest = [one[int(np.argmin(off))] for one, off in zip(places, away, strict=True)]
+        nearest = [one[int(np.argmin(self.tracks.away_m(one)))] for one in places]
         return np.array(nearest, np.float64).reshape(-1, 2)
 
     def parts(self, lines: Sequence[shapely.Geometry]) -> list[Floats]:
@@ -226,18 +224,26 @@ def _errors(
         table["offset_m"] = edges.offset_m(found_m)[0]
         table["known_offset_m"] = edges.offset_m(known_m)[0]
     tracks = RouteTracks(frames)
-    branches = find_branches(tracks, _paved(voxels), edges_m) if voxels else None
+    paved = _paved(voxels) if voxels else None
+    branches = None if paved is None else find_branches(tracks, paved, edges_m)
     scenarios = classify_places(known_m, tracks, branches, ScenarioSettings())
     return pd.concat([table, scenarios], axis=1)
 
 
-def _paved(path: Path) -> Floats:
-    """Middles (n, 2) of the columns of voxels that hold road or a bridge deck."""
+def _paved(path: Path) -> Floats | None:
+    """Middles (n, 2) of the columns of voxels that hold road or a bridge deck.
+
+    None where voxels are too wide to tell a driveway.
+    """
     about = read_about(path)
+    cell_m = float(about["cell_size_m"])
+    if cell_m > CELL_M:
+        log.warning("voxels of %g m do not tell driveways, those up to %g m do", cell_m, CELL_M)
+        return None
     table = read_table(path, ["ix", "iy", "cls"])
     index = table.loc[table["cls"].isin(_PAVED), ["ix", "iy"]].drop_duplicates()
     anchor = np.asarray(about["anchor"], np.float64)[:2]
-    return np.asarray(anchor + (index.to_numpy(np.float64) + 0.5) * float(about["cell_size_m"]))
+    return np.asarray(anchor + (index.to_numpy(np.float64) + 0.5) * cell_m)
 
 
 def _geodesic(frame: Frame, found_m: Floats, known_m: Floats) -> Floats:
