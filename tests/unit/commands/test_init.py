@@ -54,7 +54,11 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "vertical_units": "auto",
         "jobs": ["placement"],
         "placement": {"plans": list(starter.FIRST_PLANS), "edges": None, "tma": None},
-        "settings": {"coverage": {"felled": 0, "uncoverable": "exclude"}},
+        "settings": {
+            "candidates": {"spacing_m": 8, "height_step_m": 2},
+            "cover": {"time_limit_s": 20},
+            "coverage": {"felled": 0, "uncoverable": "exclude"},
+        },
     }
     for part in (
         "499 points, 1 withheld, noise or synthetic left out",

@@ -11,7 +11,7 @@ from roadsight.poles.alignment.landmarks import LandmarkNoise
 from roadsight.poles.alignment.pose import FOCAL, LATERAL, ROLL, YAW, Spread
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges
 from roadsight.poles.alignment.solve import Noise
-from roadsight.poles.calibration.calibration import weak_mount
+from roadsight.poles.calibration.calibration import weak_mount, with_centre_held
 from roadsight.poles.calibration.calibration_upright import aimed
 from roadsight.poles.sightings.lidar_poles import PoleColumns
 from tests.helpers.road_bed import Mount as BedMount
@@ -91,7 +91,7 @@ def loaders(bed):
 
 
 def test_lens_and_direction_are_found_without_any_road_edge(bed, loaders):
-    prior = weak_mount(HFOV_DEG * 1.05, bed.width_px)
+    prior = with_centre_held(weak_mount(HFOV_DEG * 1.05, bed.width_px))
     found = aimed(prior, loaders, NOISE, Spread())
     focal = np.exp(found.mean[FOCAL])
     assert focal == pytest.approx(bed.intrinsics.focal_px, rel=0.03)
