@@ -56,7 +56,7 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "placement": {"plans": list(starter.FIRST_PLANS), "edges": None, "tma": None},
         "settings": {
             "candidates": {"spacing_m": 8, "height_step_m": 2},
-            "cover": {"time_limit_s": 20},
+            "cover": {"time_limit_s": 5},
             "coverage": {"felled": 0, "uncoverable": "exclude"},
         },
     }

@@ -49,7 +49,7 @@ FIRST_PLANS = ("os-64", "os-128")
 """Plans of a first run: two sensors that most roads can be covered with."""
 FIRST_SPACING_M = (8.0, 2.0)
 """Metres between its candidates, along edges and in height: a seventh of the usual number."""
-FIRST_LIMIT_S = 20.0
+FIRST_LIMIT_S = 5.0
 """Limit of its covers: what is not proven by then has a bound."""
 
 
