@@ -62,7 +62,8 @@ def centre_doubts(route: str, mount: Mount) -> list[Doubt]:
     """What a drive leaves open of its principal point, as far as it matters to headings."""
     sigma_px = float(np.sqrt(mount.covariance[CX, CX]))
     turns_deg = float(np.degrees(sigma_px / np.exp(mount.mean[FOCAL])))
-    if mount.mean[CX] != 0.0 or turns_deg < _MATTERS_DEG:
+    # A point that is told lies off the middle; one that is not stays there but for rounding.
+    if abs(mount.mean[CX]) > sigma_px or turns_deg < _MATTERS_DEG:
         return []
     text = (
         f"{route}: the drive does not tell the principal point, which is taken in the middle of the"
