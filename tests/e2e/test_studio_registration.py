@@ -73,7 +73,7 @@ def test_the_page_projects_as_the_workflow_does(page):
         [now["x"] + away * np.sin(ahead), now["y"] + away * np.cos(ahead), rng.uniform(0, 6, 30)]
     )
     shown = page.run(f"""import('/assets/js/registration/camera.js').then(({{ projector }}) => {{
-        const project = projector(studio.page.pose, studio.page.content.size);
+        const project = projector(studio.page.pose, studio.page.content.centre);
         return {places.tolist()}.map((place) => project(...place).slice(0, 2));
     }})""")
     np.testing.assert_allclose(shown, projected(page, places), atol=1e-6)
