@@ -48,9 +48,11 @@ _WRITTEN_OUT = str.maketrans(
 FIRST_PLANS = ("os-64", "os-128")
 """Plans of a first run: two sensors that most roads can be covered with."""
 FIRST_SPACING_M = (8.0, 2.0)
-"""Metres between its candidates, along edges and in height: a seventh of the usual number."""
+"""Metres between its candidates, along edges and in height: on an airborne arterial of 1 million
+points 1,490 candidates instead of 11,488."""
 FIRST_LIMIT_S = 5.0
-"""Limit of its covers: what is not proven by then has a bound."""
+"""Limit of its covers; what is not proven by then has a bound. The arterial's plans
+have 26 and 51 sensors (at least 24 and 47), as with 20 s."""
 
 
 @dataclass(frozen=True)
