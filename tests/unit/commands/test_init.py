@@ -55,9 +55,10 @@ def test_starter_file_of_a_good_cloud(tmp_path, capsys):
         "jobs": ["placement"],
         "placement": {"plans": list(starter.FIRST_PLANS), "edges": None, "tma": None},
         "settings": {
+            "shards": 1,
             "candidates": {"spacing_m": 8, "height_step_m": 2},
             "cover": {"time_limit_s": 5},
-            "coverage": {"felled": 0, "uncoverable": "exclude"},
+            "coverage": {"shards": 1, "felled": 0, "uncoverable": "exclude"},
         },
     }
     for part in (

@@ -28,6 +28,9 @@ def soup(rng):
     return corners.astype(np.float32), np.arange(900, dtype=np.int32).reshape(-1, 3)
 
 
+SQUARE = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+
+
 def _ways(rng, n):
     ways = rng.normal(size=(n, 3))
     return (ways / np.linalg.norm(ways, axis=1, keepdims=True)).astype(np.float32)
@@ -98,4 +101,21 @@ def test_what_are_no_rays_are_refused(soup, origins, ways):
 
 def test_a_flat_triangle_is_one():
     corners = np.array([[-1, -1, 5], [1, -1, 5], [0, 1, 5]])
-    assert RayScene(corners, [0, 1, 2]).first_hits(np.zeros(3), [[0, 0, 1]]).range_m == 5.0
+    assert RayScene(corners, [[0, 1, 2]]).first_hits(np.zeros(3), [[0, 0, 1]]).range_m == 5.0
+
+
+def test_a_flat_face_of_four_corners_is_its_two_triangles(rng):
+    middle = rng.uniform(-10, 10, (200, 3))
+    across = rng.normal(size=(200, 2, 3))
+    corners = [middle + a * across[:, 0] + b * across[:, 1] for a, b in SQUARE]
+    corners_m = np.stack(corners, axis=1).reshape(-1, 3).astype(np.float32)
+    faces = np.arange(800).reshape(-1, 4)
+    halves = faces[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    ways = _ways(rng, 4000)
+    scenes = RayScene(corners_m, faces), RayScene(corners_m, halves)
+    face, half = (scene.first_hits(np.zeros(3), ways) for scene in scenes)
+    assert 0.3 < np.mean(half.triangle >= 0) < 1.0
+    same = face.triangle == np.where(half.triangle < 0, -1, half.triangle // 2)
+    assert np.mean(same) > 0.999  # a ray along an edge may pass on either side
+    met = same & (face.triangle >= 0)
+    assert face.range_m[met] == pytest.approx(half.range_m[met], abs=1e-4)

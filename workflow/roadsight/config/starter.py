@@ -278,11 +278,16 @@ placement:
 # orthophoto: orthophoto.tif
 # Settings of config/config.yaml that are others here.
 settings:
+  # Parts of the candidates that are computed beside each other: with one, each of two cores has
+  # a sensor. Usual are {usual.shards}; on more cores take more, each part loads the scene anew.
+  shards: 1
   # Few candidates, for a quick first answer; usual are {spacing}.
   candidates: {{spacing_m: {along:g}, height_step_m: {up:g}}}
   # Usual are {usual.cover.time_limit_s:g} s. A plan that is not proven by then has a bound.
   cover: {{time_limit_s: {FIRST_LIMIT_S:g}}}
   coverage:
+    # The same for candidates added where too little is seen; usual are {usual.coverage.shards}.
+    shards: 1
     # Objects in the way (trees, signs) to solve each plan without; 1 tells what the worst costs.
     felled: 0
     # Targets that no candidate sees are left out and reported with what hides them; `error` stops

@@ -7,6 +7,7 @@ CRS a site is in, `roadsight.geometry.location` whether its coordinates can be i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 from pyproj import CRS, Transformer
@@ -100,10 +101,18 @@ def with_heights(crs: CRS, unit_m: float) -> CRS:
     return flat if up is None else CompoundCRS(f"{flat.name} + {up.name}", [flat, up])
 
 
+@cache
+def code(crs: CRS) -> str:
+    """Code of ``crs``, such as ``EPSG:32632``, empty where it has none.
+
+    Told once for each: a CRS without a code is compared with all that there are, for 0.1 CPU s.
+    """
+    return ":".join(crs.to_authority() or ())
+
+
 def label(crs: CRS) -> str:
     """Name of ``crs`` with its code, where it has one: ``WGS 84 / UTM zone 32N (EPSG:32632)``."""
-    authority = crs.to_authority()
-    return crs.name if authority is None else f"{crs.name} ({':'.join(authority)})"
+    return f"{crs.name} ({code(crs)})" if code(crs) else crs.name
 
 
 def linear_units(crs: CRS, where: str) -> tuple[float, float | None]:

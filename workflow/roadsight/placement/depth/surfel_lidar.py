@@ -25,8 +25,6 @@ from roadsight.scene.surfels.voxel_moments import coarsen, sum_moments
 
 _CORNERS = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 """Corners of a square about its middle, in half edges, in turn."""
-_TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-"""The two triangles that it is made of, by its corners."""
 SURFEL_M = Lidar().surfel_size_m
 """Edge of the finest voxels: finer ones gain nothing on a cloud of 3.7 million points a 250 m
 (docs/decisions/011-surfels.md)."""
@@ -65,9 +63,8 @@ class SurfelLidar:
             # Embree works in single precision, which is good for millimetres near its origin only.
             self._origin_m = np.round(surfels.centre_m.mean(axis=0, dtype=np.float64))
             corners_m = _corners(surfels, self._origin_m)
-            rows = 4 * np.arange(len(surfels), dtype=np.int32)
-            triangles = (rows[:, None, None] + _TRIANGLES).reshape(-1, 3)
-            self._scene = rays_at(corners_m.reshape(-1, 3), triangles, engine)
+            faces = np.arange(4 * len(surfels), dtype=np.int32).reshape(-1, 4)
+            self._scene = rays_at(corners_m.reshape(-1, 3), faces, engine)
 
     def cast(
         self, origins_m: ArrayLike, directions: ArrayLike, max_range_m: float = np.inf

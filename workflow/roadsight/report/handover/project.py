@@ -8,6 +8,7 @@ from xml.etree import ElementTree as ET
 from pyproj import CRS
 
 from roadsight.base.arrays import Floats
+from roadsight.geometry.crs import code
 from roadsight.report.handover.layers import Layer, Linked
 from roadsight.report.handover.styles import symbology
 
@@ -123,9 +124,8 @@ def _reference(crs: CRS | None) -> ET.Element:
     reference = ET.Element("spatialrefsys", nativeFormat="Wkt")
     if crs is not None:
         ET.SubElement(reference, "wkt").text = crs.to_wkt("WKT2_2019")
-        authority = crs.to_authority()
-        if authority is not None:
-            ET.SubElement(reference, "authid").text = ":".join(authority)
+        if code(crs):
+            ET.SubElement(reference, "authid").text = code(crs)
         ET.SubElement(reference, "description").text = crs.name
     return reference
 
