@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -16,12 +17,16 @@ import shapely
 from pyproj import Transformer
 from scipy.spatial import cKDTree
 
+from roadsight.base.sections.sensing import Lidar
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.clouds import read_laz
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.records.detections import read_detections
 from roadsight.io.vector.vectors import read_layer
+from roadsight.placement.sensors.aimed import AimedSensor, Camera
+from roadsight.placement.sensors.poses import split_pose
 from roadsight.placement.sensors.sensors import load_sensors
+from roadsight.placement.sensors.spinning import Sensor
 
 SAME = {"abs": 1e-6}
 """Values that are copied, or computed twice in double precision."""
@@ -41,11 +46,19 @@ class Results:
         self.candidates = pd.concat(map(pd.read_parquet, rounds)).set_index("candidate")
         self.targets = pd.read_parquet(folder / "placement/targets.parquet").set_index("target")
         self.points = pd.read_parquet(folder / "scene/pavement.parquet", columns=["x", "y", "z"])
-        shards = (folder / "placement").glob("round-*/detection/*/*.parquet")
-        self.detections = read_detections([str(path) for path in shards])
+        shards = [
+            path
+            for kind in ("detection", "poses")
+            for path in (folder / "placement").glob(f"round-*/{kind}/*/*.parquet")
+        ]
+        self.detections = read_detections(sorted(map(str, shards)))
 
     def local(self, file: str, layer: str) -> gpd.GeoDataFrame:
         return read_layer(self.folder / file, layer, self.frame)
+
+    def stands(self, names: Iterable[str]) -> pd.DataFrame:
+        """Candidates by their names, with or without a pose."""
+        return self.candidates.loc[[split_pose(name)[0] for name in names]]
 
     def ground_m(self, xy: np.ndarray) -> np.ndarray:
         return self.dem.sample(xy[:, 0], xy[:, 1])
@@ -80,7 +93,7 @@ def check_sensors(plan: Plan, local: gpd.GeoDataFrame, native: gpd.GeoDataFrame)
     site, xyz, high = plan.site, places_of(local), places_of(native)
     assert list(zip(local["sensor"], local["candidate"], strict=True)) == plan.places
     assert local["number"].tolist() == list(range(1, len(local) + 1))
-    known = site.candidates.loc[local["candidate"]]
+    known = site.stands(local["candidate"])
     assert xyz == pytest.approx(known[["x", "y", "z"]].to_numpy(), **SAME)
     kinds = site.local("placement/edges.gpkg", "edges").set_index("edge")["kind"]
     assert local["mount"].tolist() == kinds[local["edge"]].tolist()
@@ -93,7 +106,12 @@ def check_sensors(plan: Plan, local: gpd.GeoDataFrame, native: gpd.GeoDataFrame)
     yaw = np.radians(local["yaw_deg"].to_numpy())
     faces = np.column_stack([np.cos(yaw), np.sin(yaw)])
     tangent = np.array([(b - a) / np.hypot(*(b - a)) for a, b in way])
-    assert np.abs((faces * tangent).sum(axis=1)).max() < 0.2  # tangents are taken over some metres
+    turns = [split_pose(name)[1] for name in local["candidate"]]
+    turned = np.radians([turn.yaw_deg for turn in turns])
+    mounted = np.column_stack([np.cos(yaw - turned), np.sin(yaw - turned)])
+    # Tangents are taken over some metres.
+    assert np.abs((mounted * tangent).sum(axis=1)).max() < 0.2
+    check_seen_in_front(plan, local)
     azimuth = np.radians(local["azimuth_deg"].to_numpy())
     assert np.column_stack([np.sin(azimuth), np.cos(azimuth)]) == pytest.approx(faces, abs=1e-9)
     assert xyz[:, 2] - local["height_m"].to_numpy() == pytest.approx(site.ground_m(xyz), **SAME)
@@ -110,7 +128,8 @@ def check_sensors(plan: Plan, local: gpd.GeoDataFrame, native: gpd.GeoDataFrame)
         assert native["ground_m"].to_numpy() == pytest.approx(
             high[:, 2] - native["height_m"].to_numpy()
         )
-        assert (local[["pitch_deg", "roll_deg"]] == 0).all(axis=None)
+        assert local["pitch_deg"].tolist() == [turn.pitch_deg for turn in turns]
+        assert local["roll_deg"].tolist() == [turn.roll_deg for turn in turns]
         return found | {"sensor_m", "ground_m", "pitch_deg", "roll_deg"}
     assert local["edge_m"].to_numpy() == pytest.approx(along, **SAME)
     assert native["ground_z_m"].to_numpy() == pytest.approx(
@@ -122,7 +141,24 @@ def check_sensors(plan: Plan, local: gpd.GeoDataFrame, native: gpd.GeoDataFrame)
     assert local["key"].tolist() == [name.rpartition("-h")[0] for name in known.index]
     costs = load_sensors("config/sensors.yaml")
     assert local["cost"].tolist() == [costs[name].cost for name in local["sensor"]]
+    if "position" in local:  # a plan with poses
+        assert local["position"].tolist() == known.index.tolist()
+        assert local["pitch_deg"].tolist() == [turn.pitch_deg for turn in turns]
+        assert local["roll_deg"].tolist() == [turn.roll_deg for turn in turns]
+        found |= {"position", "pitch_deg", "roll_deg"}
     return found | {"edge_m", "ground_z_m", "off_pavement_m", "wall_m", "key", "cost"}
+
+
+def check_seen_in_front(plan: Plan, local: gpd.GeoDataFrame) -> None:
+    """Cameras face what they see: within half their field of view, and in the middle on average."""
+    kinds, xyz = load_sensors("config/sensors.yaml"), places_of(local)
+    targets_m = plan.site.targets[["x", "y"]].to_numpy()
+    for row, (name, yaw_deg) in enumerate(zip(local["sensor"], local["yaw_deg"], strict=True)):
+        if not isinstance(kinds[name], Camera):
+            continue
+        ways = targets_m[plan.seen.loc[row].to_numpy()] - xyz[row, :2]
+        aside = np.degrees(np.arctan2(ways[:, 1], ways[:, 0])) - yaw_deg
+        assert np.abs((aside + 180) % 360 - 180).max() < kinds[name].hfov_deg / 2 + 5
 
 
 def on_feet(site: Results, local: gpd.GeoDataFrame) -> pd.DataFrame:
@@ -155,6 +191,13 @@ def check_targets(plan: Plan, local: gpd.GeoDataFrame, _: gpd.GeoDataFrame) -> s
     return {"target", "points", "spacing_m", "area_m2", "sensors"}
 
 
+def per_second(kind: Sensor | AimedSensor) -> tuple[float, float]:
+    """Points and pixels that a sensor takes."""
+    if isinstance(kind, Camera):
+        return 0.0, kind.columns_px * kind.rows_px * Lidar().frames_hz
+    return len(kind.elevation_deg) * len(kind.azimuth_deg) * kind.rotation_hz, 0.0
+
+
 def check_data_sensors(plan: Plan, local: gpd.GeoDataFrame, _: gpd.GeoDataFrame) -> set[str]:
     """Rates of the chosen sensors, and where they stand along the road."""
     site = plan.site
@@ -165,24 +208,22 @@ def check_data_sensors(plan: Plan, local: gpd.GeoDataFrame, _: gpd.GeoDataFrame)
     assert within.any()
     assert local["along_road_m"][within].to_numpy() == pytest.approx(inside[within])
     kinds = load_sensors("config/sensors.yaml")
-    rates = [
-        len(kinds[name].elevation_deg) * len(kinds[name].azimuth_deg) * kinds[name].rotation_hz
-        for name in local["sensor"]
-    ]
-    assert local["points_per_s"].tolist() == pytest.approx(rates)
-    assert (local["pixels_per_s"].fillna(0) == 0).all()
-    scan = read_laz(plan.folder / "scans.laz")
-    shapely.prepare(site.pavement)
-    on = shapely.contains_xy(site.pavement, *site.frame.to_local(scan.xyz)[:, :2].T)
-    frames = np.bincount(scan.dims["point_source_id"][on], minlength=len(local) + 1)[1:]
-    hz = [kinds[name].rotation_hz for name in local["sensor"]]
-    assert local["road_points_per_s"].to_numpy() == pytest.approx(frames * hz, rel=1e-3)
+    rates = [per_second(kinds[name]) for name in local["sensor"]]
+    assert local[["points_per_s", "pixels_per_s"]].fillna(0).to_numpy() == pytest.approx(rates)
     order = np.argsort(local["along_road_m"].to_numpy(), kind="stable")
     shared = local["overlap_with_next_m"].to_numpy()
     assert np.isnan(shared[order[-1]])
     for one, two in pairwise(order):
         both = plan.seen.loc[one] & plan.seen.loc[two]
         assert (shared[one] > 0) == both.any() and shared[one] <= both.sum()
+    if not local["points_per_s"].any():  # cameras leave no scans
+        return set(local.columns) - {"geometry"}
+    scan = read_laz(plan.folder / "scans.laz")
+    shapely.prepare(site.pavement)
+    on = shapely.contains_xy(site.pavement, *site.frame.to_local(scan.xyz)[:, :2].T)
+    frames = np.bincount(scan.dims["point_source_id"][on], minlength=len(local) + 1)[1:]
+    hz = [kinds[name].rotation_hz for name in local["sensor"]]
+    assert local["road_points_per_s"].to_numpy() == pytest.approx(frames * hz, rel=1e-3)
     return set(local.columns) - {"geometry"}
 
 
@@ -218,7 +259,7 @@ def check_obstacles(plan: Plan, local: gpd.GeoDataFrame, _: gpd.GeoDataFrame) ->
         assert not plan.seen.loc[names.index(row.candidate), row.target]
     assert (local["sight_lines"] >= local[["targets", "sensors"]].max(axis=1)).all()
     assert (local["sight_lines"] <= local["targets"] * local["sensors"]).all()
-    start = site.candidates.loc[local["candidate"], ["x", "y", "z"]].to_numpy()
+    start = site.stands(local["candidate"])[["x", "y", "z"]].to_numpy()
     end = site.targets.loc[local["target"], ["x", "y", "z"]].to_numpy()
     lines = shapely.linestrings(np.stack([start[:, :2], end[:, :2]], axis=1))
     apart = shapely.distance(lines, shapely.points(xyz[:, :2]))
@@ -243,7 +284,7 @@ def check_uncovered(plan: Plan, local: gpd.GeoDataFrame, native: gpd.GeoDataFram
     site = plan.site
     feet = on_feet(site, local)[["x", "y", "z"]].to_numpy()
     assert set(local["target"]) == set(plan.solution["excluded"])
-    stands = site.candidates.loc[local["candidate"], ["x", "y", "z"]].to_numpy()
+    stands = site.stands(local["candidate"])[["x", "y", "z"]].to_numpy()
     told = [f"sensor_{axis}" for axis in "xyz"]
     assert local[told].to_numpy() == pytest.approx(stands, **SAME)
     assert native[told].to_numpy() == pytest.approx(site.frame.to_native(stands), **SAME)
@@ -329,6 +370,16 @@ def check_hidden(results: Path, plan_name: str) -> None:
     for (name, layer), test in OF_PLANS.items():
         if name == "obstacles.gpkg":
             check(plan, test, plan.folder / name, layer)
+
+
+def check_posed(results: Path, plan_name: str) -> None:
+    """Layers of a plan whose sensors stand in poses."""
+    plan = Plan(Results(results), plan_name)
+    for (name, layer), test in OF_PLANS.items():
+        if layer != "uncovered":
+            check(plan, test, plan.folder / name, layer)
+    handed = results / f"gis/{results.name}.gpkg"
+    check(plan, check_sensors, handed, f"sensors_{plan_name}")
 
 
 def test_every_field_of_every_layer_reads_back(finished, monkeypatch):

@@ -5,11 +5,11 @@ import pytest
 from roadsight.placement.sight.objects import (
     connected,
     kind_of_name,
-    kind_of_object,
+    kinds_of_objects,
     objects_of,
     place_of_name,
 )
-from roadsight.placement.sight.obstacles import by_object
+from roadsight.placement.sight.obstacles import by_object, object_finder
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -57,8 +57,53 @@ def scene(rng):
 
 
 def test_kinds_by_their_shape(scene):
-    found = {name: kind_of_object(xyz, n, xyz[:, 2]) for name, (xyz, n) in scene.items()}
+    found = {name: kind_of(xyz, n, xyz[:, 2]) for name, (xyz, n) in scene.items()}
     assert found == {name: name for name in scene}
+
+
+def kind_of(xyz_m, normal, height_m):
+    """One object by itself, step by step."""
+    top = np.percentile(height_m, 98)
+    away = np.hypot(*(xyz_m[:, :2] - np.median(xyz_m[:, :2], axis=0)).T)
+    across, along = np.sqrt(np.maximum(np.linalg.eigvalsh(np.cov(xyz_m[:, :2].T)), 0.0))
+    if top >= 2.5 and np.percentile(away, 90) <= 0.5:
+        return "pole"
+    if top <= 1.6 and 3.5 * along >= 4.0 and along >= 4 * across:
+        return "barrier"
+    cells, cube, count = np.unique(
+        np.floor(xyz_m / 0.8), axis=0, return_inverse=True, return_counts=True
+    )
+    agreements = [
+        np.linalg.eigvalsh(normal[cube.ravel() == k].T @ normal[cube.ravel() == k] / count[k])[-1]
+        for k in range(len(cells))
+    ]
+    many = count >= 3
+    if many.any() and np.average(np.array(agreements)[many], weights=count[many]) < 0.8:
+        return "tree" if top >= 1.5 else "bush"
+    if top >= 1.5 and across <= 0.15 and 3.5 * along <= 5.0:
+        return "sign"
+    footprint = len(np.unique(np.floor(xyz_m[:, :2]), axis=0))
+    return "building" if top >= 2.5 and footprint >= 4.0 else "object"
+
+
+def test_kinds_of_all_at_once_are_those_of_each_alone(scene, rng):
+    parts = [*scene.values()]
+    for _ in range(60):
+        middle, spread = rng.uniform(-500, 500, 3), rng.uniform(0.05, 4.0, 3)
+        xyz = middle + rng.normal(size=(rng.integers(4, 80), 3)) * spread
+        normal = UP + rng.normal(size=xyz.shape) * rng.uniform(0, 2)
+        parts.append((xyz, normal / np.linalg.norm(normal, axis=1, keepdims=True)))
+    group = np.repeat(np.arange(len(parts)), [len(xyz) for xyz, _ in parts])
+    xyz, normal = (np.concatenate(both) for both in zip(*parts, strict=True))
+    height_m = np.abs(xyz[:, 2]) % 7.0
+    mixed = rng.permutation(len(xyz))
+    found = kinds_of_objects(xyz[mixed], normal[mixed], height_m[mixed], group[mixed])
+    alone = [
+        kind_of(xyz[group == k], normal[group == k], height_m[group == k])
+        for k in range(len(parts))
+    ]
+    assert found == alone
+    assert len(set(found)) >= 4
 
 
 def test_objects_of_a_scene_have_stable_names(scene):
@@ -114,7 +159,8 @@ def test_obstacles_belong_to_the_nearest_object():
     members = pd.DataFrame(
         {"x": [1.0, 9.0], "y": 0.0, "z": 1.0, "object": ["tree+1+0", "pole+9+0"]}
     )
-    table = by_object(lines, members)
+    table = by_object(lines, object_finder(members))
     assert table["object"].tolist() == ["tree+1+0"]
     assert table[["sight_lines", "targets", "sensors"]].iloc[0].tolist() == [3, 2, 2]
-    assert by_object(lines.iloc[3:], members).empty
+    assert by_object(lines.iloc[3:], object_finder(members)).empty
+    assert by_object(lines, object_finder(members.iloc[:0])).empty

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from itertools import product
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 import pandas as pd
@@ -40,6 +40,8 @@ _TREE_M = 1.5
 """A tree is so high at least; what is leafy and lower is a bush. Signs are as high."""
 _BUILDING_M2 = 4.0
 """Footprint of a building or another structure, at least."""
+_OBJECT = ["name", "kind", "x", "y", "z", "height_m", "length_m", "surfels"]
+"""What is told of an object."""
 
 
 def connected(centre_m: Floats, part: Ints | Bools | None = None) -> Ints:
@@ -88,44 +90,87 @@ def stands_low(centre_m: Floats, height_m: Floats) -> Bools:
     return low
 
 
-def kind_of_object(xyz_m: Floats, normal: Floats, height_m: Floats) -> str:
-    """What an object is like: pole, sign, barrier, tree, bush, building, or object.
+def kinds_of_objects(xyz_m: Floats, normal: Floats, height_m: Floats, group: Ints) -> list[str]:
+    """What each object is like: pole, sign, barrier, tree, bush, building, or object.
 
     Parameters
     ----------
-    xyz_m, normal : (n, 3) of its surfels. height_m : (n,) above the ground.
+    xyz_m, normal : (n, 3) of surfels. height_m : (n,) above the ground. group : (n,) their objects,
+        from 0, none without a surfel.
     """
-    top = float(np.percentile(height_m, 98))
-    xy = xyz_m[:, :2] - np.median(xyz_m[:, :2], axis=0)
-    away = np.hypot(*xy.T)
-    across, along = np.sqrt(np.maximum(np.linalg.eigvalsh(np.atleast_2d(np.cov(xy.T))), 0.0))
-    length = 3.5 * along  # of an even line
-    if top >= _POLE_M and np.percentile(away, 90) <= _POLE_WIDE_M:
-        return "pole"
-    if top <= _BARRIER_M and length >= _BARRIER_LONG_M and along >= 4 * across:
-        return "barrier"
-    leafy = _agreement(xyz_m, normal) < _LEAFY
-    if leafy:
-        return "tree" if top >= _TREE_M else "bush"
-    if top >= _TREE_M and across <= _SIGN_THICK_M and length <= _SIGN_LONG_M:
-        return "sign"
-    footprint = len(np.unique(np.floor(xyz_m[:, :2]).astype(np.int64), axis=0))
-    if top >= _POLE_M and footprint >= _BUILDING_M2:
-        return "building"
-    return "object"
+    shapes = _shapes(xyz_m, height_m, group)
+    top, length = shapes["top_m"], 3.5 * shapes["along_m"]  # of an even line
+    slender = (top >= _POLE_M) & (shapes["away_m"] <= _POLE_WIDE_M)
+    low = (top <= _BARRIER_M) & (length >= _BARRIER_LONG_M)
+    leafy = _agreement(xyz_m, normal, group) < _LEAFY
+    flat = (shapes["across_m"] <= _SIGN_THICK_M) & (length <= _SIGN_LONG_M)
+    large = (top >= _POLE_M) & (shapes["footprint_m2"] >= _BUILDING_M2)
+    rules: dict[str, Bools] = {
+        "pole": slender,
+        "barrier": low & (shapes["along_m"] >= 4 * shapes["across_m"]),
+        "tree": leafy & (top >= _TREE_M),
+        "bush": leafy,
+        "sign": flat & (top >= _TREE_M),
+        "building": large,
+    }
+    first = np.select(list(rules.values()), list(range(len(rules))), len(rules))
+    return [[*rules, "object"][number] for number in first]
 
 
-def _agreement(xyz_m: Floats, normal: Floats) -> float:
-    """How far normals agree within cubes of 0.8 m, 1/3 (any) to 1 (all the same), their mean."""
-    cells = np.floor(xyz_m / (2 * _CELL_M)).astype(np.int64)
-    _, cube, count = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    tensor = np.zeros((len(count), 3, 3))
-    np.add.at(tensor, cube.ravel(), normal[:, :, None] * normal[:, None, :])
-    many = count >= _TOGETHER
-    if not many.any():
-        return 1.0
-    largest = np.linalg.eigvalsh(tensor[many] / count[many, None, None])[:, -1]
-    return float(np.average(largest, weights=count[many]))
+def _shapes(xyz_m: Floats, height_m: Floats, group: Ints) -> dict[str, Floats]:
+    """Measures of each object.
+
+    Returns
+    -------
+    top_m; away_m, nine tenths are so near its axis; along_m and across_m, standard deviations along
+    the axes of its footprint; footprint_m2, square metres that it meets
+    """
+    count = np.bincount(group)
+    table = pd.DataFrame({"x": xyz_m[:, 0], "y": xyz_m[:, 1], "height_m": height_m})
+    axis = table[["x", "y"]].groupby(group).median().to_numpy()
+    table["away_m"] = np.hypot(*(xyz_m[:, :2] - axis[group]).T)
+    x, y = (xyz_m[:, k] - (np.bincount(group, xyz_m[:, k]) / count)[group] for k in range(2))
+    xx, yy, xy = (
+        np.bincount(group, part) / np.maximum(count - 1, 1) for part in (x * x, y * y, x * y)
+    )
+    middle, apart = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    square = _numbered(group, *np.floor(xyz_m[:, :2]).T)
+    return {
+        "top_m": table["height_m"].groupby(group).quantile(0.98).to_numpy(),
+        "away_m": table["away_m"].groupby(group).quantile(0.9).to_numpy(),
+        "along_m": np.sqrt(middle + apart),
+        "across_m": np.sqrt(np.maximum(middle - apart, 0.0)),
+        "footprint_m2": np.bincount(_first_of(square, group)).astype(np.float64),
+    }
+
+
+def _agreement(xyz_m: Floats, normal: Floats, group: Ints) -> Floats:
+    """How far normals of each object agree within cubes of 0.8 m, 1/3 (any) to 1 (all the same).
+
+    The mean over its cubes; 1 where none has enough surfels.
+    """
+    cube = _numbered(group, *np.floor(xyz_m / (2 * _CELL_M)).T)
+    owner, count = _first_of(cube, group), np.bincount(cube)
+    tensor = np.empty((len(count), 3, 3))
+    for one, two in combinations_with_replacement(range(3), 2):
+        tensor[:, one, two] = np.bincount(cube, normal[:, one] * normal[:, two]) / count
+        tensor[:, two, one] = tensor[:, one, two]
+    weight = np.where(count >= _TOGETHER, count, 0)
+    total = np.bincount(owner, weight)
+    agreed = np.bincount(owner, weight * np.linalg.eigvalsh(tensor)[:, -1])
+    return np.divide(agreed, total, out=np.ones(len(total)), where=total > 0)
+
+
+def _numbered(*columns: Ints | Floats) -> Ints:
+    """Number of each row's combination of values (n,), from 0 in the order of the rows."""
+    table = pd.DataFrame(dict(enumerate(columns)))
+    numbers = table.groupby(list(table.columns), sort=False).ngroup()
+    return np.asarray(numbers, np.int64)
+
+
+def _first_of(number: Ints, value: Ints) -> Ints:
+    """Value of the first row of each number (from 0, in the order of the rows)."""
+    return value[np.unique(number, return_index=True)[1]]
 
 
 def kind_of_name(name: str) -> str:
@@ -155,37 +200,34 @@ def objects_of(
     and place in metres, so that others coming or going do not rename it), kind, x, y, z, height_m
     (of its top), length_m and surfels.
     """
-    high = np.flatnonzero(height_m >= LOWEST_M)
     row_of = np.full(len(centre_m), -1, np.int64)
+    high = np.flatnonzero(height_m >= LOWEST_M)
     places = centre_m[high].astype(np.float64)
     groups = connected(places, stands_low(places, height_m[high]))
-    order = np.argsort(groups, kind="stable")
-    members = np.split(high[order], np.cumsum(np.bincount(groups))[:-1]) if len(high) else []
-    rows: list[dict[str, object]] = []
-    used: dict[str, int] = {}
-    for member in members:
-        xyz = centre_m[member].astype(np.float64)
-        if len(np.unique(xyz, axis=0)) < _FEWEST:
-            continue
-        kind = kind_of_object(xyz, normal[member].astype(np.float64), height_m[member])
-        x, y, z = np.median(xyz, axis=0)
-        name = f"{kind}{round(x):+d}{round(y):+d}"
-        used[name] = used.get(name, 0) + 1
-        if used[name] > 1:
-            name = f"{name}-{used[name]}"
-        row_of[member] = len(rows)
-        span = np.ptp(xyz[:, :2], axis=0)
-        rows.append(
-            {
-                "name": name,
-                "kind": kind,
-                "x": float(x),
-                "y": float(y),
-                "z": float(z),
-                "height_m": float(np.percentile(height_m[member], 98)),
-                "length_m": float(np.hypot(*span)),
-                "surfels": len(member),
-            }
-        )
-    names = ["name", "kind", "x", "y", "z", "height_m", "length_m", "surfels"]
-    return row_of, pd.DataFrame(rows, columns=names)
+    distinct = _first_of(_numbered(groups, *places.T), groups)
+    large = np.bincount(distinct) >= _FEWEST
+    if not large.any():
+        return row_of, pd.DataFrame({name: [] for name in _OBJECT})
+    kept = large[groups]
+    group = (np.cumsum(large) - 1)[groups[kept]]
+    high, places = high[kept], places[kept]
+    row_of[high] = group
+    by_object = pd.DataFrame(places, columns=[*"xyz"]).groupby(group)
+    table = by_object.median()
+    table["kind"] = kinds_of_objects(places, normal[high].astype(np.float64), height_m[high], group)
+    table["height_m"] = pd.Series(height_m[high]).groupby(group).quantile(0.98)
+    extent = by_object[["x", "y"]].max() - by_object[["x", "y"]].min()
+    table["length_m"] = np.hypot(extent["x"], extent["y"])
+    table["surfels"] = np.bincount(group)
+    table["name"] = _names(table)
+    return row_of, table[_OBJECT]
+
+
+def _names(table: pd.DataFrame) -> list[str]:
+    """Names of objects by kind and place; a number tells those apart that share both."""
+    names = [
+        f"{kind}{round(x):+d}{round(y):+d}"
+        for kind, x, y in zip(table["kind"], table["x"], table["y"], strict=True)
+    ]
+    times = pd.Series(names).groupby(names).cumcount() + 1
+    return [f"{name}-{n}" if n > 1 else name for name, n in zip(names, times, strict=True)]

@@ -11,11 +11,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Floats
 from roadsight.base.errors import InputError
 
+ObjectsAt = Callable[[Floats], NDArray[np.object_]]
+"""Names of the objects at places (n, 3), empty where there is none."""
 Cast = Callable[[Floats, Floats], Floats]
 """Ranges (n,) of rays from one origin (3,) along unit directions (n, 3); 0 or infinity for none."""
 
@@ -107,12 +110,34 @@ OBJECT_NEAR_M = 0.6
 """A hit is of the object whose nearest surfel is no farther: half a cube and a surfel's size."""
 
 
-def by_object(lines: pd.DataFrame, members: pd.DataFrame) -> pd.DataFrame:
+def object_finder(members: pd.DataFrame) -> ObjectsAt:
+    """Function that tells the object at each place, empty where none is near.
+
+    Parameters
+    ----------
+    members : surfels of objects, columns x, y, z (local metres) and object.
+    """
+    if members.empty:
+        return lambda places_m: np.full(len(places_m), "", object)
+    centres_m = members[["x", "y", "z"]].to_numpy(np.float64)
+    tree = cKDTree(centres_m, balanced_tree=False, compact_nodes=False)
+
+    def objects_at(places_m: Floats) -> NDArray[np.object_]:
+        distance_m, near = tree.query(places_m, distance_upper_bound=OBJECT_NEAR_M)
+        known = np.isfinite(distance_m)
+        names = np.full(len(places_m), "", object)
+        names[known] = members["object"].iloc[near[known]].astype(str)
+        return names
+
+    return objects_at
+
+
+def by_object(lines: pd.DataFrame, objects_at: ObjectsAt) -> pd.DataFrame:
     """Obstacles gathered to objects: what each object hides.
 
     Parameters
     ----------
-    lines : as `group_obstacles` takes them. members : surfels of objects, columns x, y, z, object.
+    lines : as `group_obstacles` takes them. objects_at : as `object_finder` gives it.
 
     Returns
     -------
@@ -121,15 +146,11 @@ def by_object(lines: pd.DataFrame, members: pd.DataFrame) -> pd.DataFrame:
     """
     hits = lines[lines["blocked_share"] > 0]
     place = [f"obstacle_{axis}" for axis in "xyz"]
-    names = ["object", "x", "y", "z", "sight_lines", "targets", "sensors"]
-    if hits.empty or members.empty:
+    hits = hits.assign(object=objects_at(hits[place].to_numpy(np.float64)))
+    hits = hits[hits["object"] != ""]
+    if hits.empty:
+        names = ["object", "x", "y", "z", "sight_lines", "targets", "sensors"]
         return pd.DataFrame(columns=names)
-    tree = cKDTree(members[["x", "y", "z"]].to_numpy(np.float64))
-    distance_m, near = tree.query(
-        hits[place].to_numpy(np.float64), distance_upper_bound=OBJECT_NEAR_M
-    )
-    found = np.isfinite(distance_m)
-    hits = hits[found].assign(object=members["object"].astype(str).to_numpy()[near[found]])
     groups = hits.groupby("object", sort=True)
     table = pd.DataFrame(
         {

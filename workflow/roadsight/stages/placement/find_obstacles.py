@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 
 from roadsight.base.engines import Engine
 from roadsight.base.sections.sensing import Lidar
@@ -31,12 +30,13 @@ from roadsight.placement.sensors.sensors import AimedSensor, AnySensor, Camera, 
 from roadsight.placement.sight.gap_reasons import hidden_too_often, refine_reasons
 from roadsight.placement.sight.objects import kind_of_name
 from roadsight.placement.sight.obstacles import (
-    OBJECT_NEAR_M,
     Cast,
+    ObjectsAt,
     blocked_sight_lines,
     by_object,
     explain_gaps,
     group_obstacles,
+    object_finder,
     pairs_in_range,
 )
 from roadsight.stages.command import Command
@@ -93,8 +93,10 @@ def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
     obstacles["kind"] = np.where(obstacles["height_m"] < _GROUND_M, "ground", "object")
     gaps = _gaps(given, targets, sensors, cast, frame)
     log.info("%d obstacles, %d uncovered targets", len(obstacles), len(gaps))
-    objects = _objects(given, lines)
-    _name_obstacles(given, obstacles)
+    objects_at = object_finder(read_table(given.objects) if given.objects else pd.DataFrame())
+    objects = _objects(lines, objects_at)
+    if given.objects:
+        _name_obstacles(obstacles, objects_at)
     layers = {
         "obstacles": _points(obstacles),
         "uncovered": _points(gaps),
@@ -103,30 +105,19 @@ def find_obstacles(given: ObstacleFiles, *, out: Path) -> None:
     write_layers(out, layers, frame, dict.fromkeys(layers, "Point Z"))
 
 
-def _objects(given: ObstacleFiles, lines: pd.DataFrame) -> pd.DataFrame:
+def _objects(lines: pd.DataFrame, objects_at: ObjectsAt) -> pd.DataFrame:
     """Objects with what they hide from the chosen sensors, the greatest first."""
-    members = read_table(given.objects) if given.objects else pd.DataFrame()
-    table = by_object(lines, members).rename(columns={"object": "name"})
+    table = by_object(lines, objects_at).rename(columns={"object": "name"})
     table["kind"] = [kind_of_name(name) for name in table["name"]]
     table = table.astype(dict.fromkeys("xyz", np.float64))
     return table.astype(dict.fromkeys(["sight_lines", "targets", "sensors"], np.int64))
 
 
-def _name_obstacles(given: ObstacleFiles, obstacles: pd.DataFrame) -> None:
+def _name_obstacles(obstacles: pd.DataFrame, objects_at: ObjectsAt) -> None:
     """Say of obstacles above the ground what kind of object they belong to."""
-    if not given.objects or obstacles.empty:
-        return
-    members = read_table(given.objects)
     above = (obstacles["kind"] != "ground").to_numpy()
-    if members.empty:
-        obstacles.loc[above, "kind"] = STRAY
-        return
-    tree = cKDTree(members[["x", "y", "z"]].to_numpy(np.float64))
-    distance_m, near = tree.query(obstacles[["x", "y", "z"]].to_numpy(np.float64))
-    names = members["object"].astype(str).to_numpy()[near]
-    known = above & (distance_m <= OBJECT_NEAR_M)
-    obstacles.loc[above & ~known, "kind"] = STRAY
-    obstacles.loc[known, "kind"] = [kind_of_name(name) for name in names[known]]
+    names = objects_at(obstacles.loc[above, ["x", "y", "z"]].to_numpy(np.float64))
+    obstacles.loc[above, "kind"] = [kind_of_name(name) if name else STRAY for name in names]
 
 
 def _blocked(

@@ -68,15 +68,15 @@ def try_removals(given: RemovalFiles, *, out: Path) -> None:
     """Write a row for each of the objects that hide most targets from the plan's sensors."""
     solution = read_json(given.solution)
     frame = Frame.from_dict(read_json(given.frame))
-    members = read_table(given.objects)
-    members["object"] = members["object"].astype(str)
     objects = read_layer(given.obstacles, "objects", frame)
     greatest = objects[[*_TOLD]].iloc[:_MOST_TOLD].astype(_TOLD).to_dict("records")
-    possible = objects["kind"].isin(REMOVABLE) & (_lengths_m(objects, members) <= _LONGEST_M)
-    objects = objects[possible].iloc[: given.felled]
+    objects = objects[objects["kind"].isin(REMOVABLE)]
     rows: list[dict[str, Any]] = []
-    if len(objects) and not any(key in solution for key in _OTHERWISE):
-        rows = _rows(given, solution, objects, members, frame)
+    if given.felled and len(objects) and not any(key in solution for key in _OTHERWISE):
+        members = read_table(given.objects)
+        members["object"] = members["object"].astype(str)
+        short = objects[_lengths_m(objects, members) <= _LONGEST_M].iloc[: given.felled]
+        rows = _rows(given, solution, short, members, frame) if len(short) else []
     content = {"plan": solution["plan"], "objects": greatest, "rows": rows}
     write_json(out, content)
     for row in rows:
