@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
+
+from tests.workflow.test_layer_fields import check_posed
+
 SCENE = {"ingest_cloud", "build_dem", "extract_pavement", "build_surfels", "place_candidates"}
 
 
@@ -23,3 +27,14 @@ def test_turning_spinning_lidars_judges_them_from_panoramas(finished):
     stale = finished.stale_rules("--config", "sites=[tiny]", turned)
     assert {"render_depth_maps", "detect_poses", "solve_cover"} <= stale
     assert not stale & (SCENE | {"build_detection_shard"})
+
+
+@pytest.mark.full
+def test_every_field_of_a_plan_of_cameras_reads_back(copy_of_finished, monkeypatch):
+    folder = copy_of_finished.folder
+    monkeypatch.chdir(folder)
+    result = copy_of_finished.snakemake(
+        "--cores", "2", "--config", "sites=[tiny]", "plans=[camera]"
+    )
+    assert result.returncode == 0, result.stderr[-4000:]
+    check_posed(folder / "results/tiny", "camera")

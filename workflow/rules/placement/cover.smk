@@ -206,6 +206,7 @@ rule measure_tolerance:
     input:
         solution=rules.solve_cover.output.solution,
         targets=rules.place_targets.output.targets,
+        detections=plan_detections,
         surfels=seen_surfels,
         frame=rules.ingest_cloud.output.frame,
         tilts=only_if("mount_tilt", tilts_of_all_rounds),
@@ -237,7 +238,7 @@ rule measure_tolerance:
         " --targets {input.targets} --surfels {input.surfels} --frame {input.frame}"
         " --sensors-file {params.sensors_file:q} {params.settings}"
         " --tilts {input.tilts} --air {input.rain} {input.fog}"
-        " --reflectivity {input.reflectivity}"
+        " --reflectivity {input.reflectivity} --detections {input.detections}"
         " --partial-hits {params.partial_hits} --curvature {params.curvature}"
         " --out {output.tolerance} --layers {output.layers} > {log} 2>&1"
 

@@ -241,6 +241,8 @@ def _lost(layers: Path | None, targets: pd.Series, frame: Frame) -> Floats | Non
     if layers is None:
         return None
     shares = read_layer(layers, "targets", frame).set_index("target")["lost_share"]
+    if shares.isna().all():
+        return None
     return np.asarray(shares.reindex(targets).fillna(0.0), np.float64)
 
 
