@@ -97,3 +97,6 @@ rule hardcases:
         "results/hardcases/hardcases.csv",
         "results/hardcases/index.html",
     localrule: True
+
+
+state_parameters()

@@ -113,7 +113,7 @@ def frames_of_lists(wildcards):
     lists = given_lists(wildcards)
     if all(one["kind"] in ("places", "picture") for one in lists):
         return []
-    after_profile("side_views")(wildcards)
+    await_profile("side_views", wildcards)
     return [pole_frames(wildcards)]
 
 

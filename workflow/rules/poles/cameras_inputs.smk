@@ -6,7 +6,7 @@ from roadsight.io.images.videolog_files import check_corrections
 
 def aligns(wildcards):
     """Whether cameras are found by aligning them with the road."""
-    after_profile("road_alignment")(wildcards)
+    await_profile("road_alignment", wildcards)
     aligned = decided("road_alignment", wildcards) == "simulate"
     resolved = SITES[wildcards.site]
     if not aligned and not resolved.site.poles.cameras:
@@ -43,7 +43,7 @@ def calibration_if_aligned(wildcards):
 
 def side_turns_if_used(wildcards):
     """Yaw of the side views from what images share, where cameras are aligned and views are used."""
-    after_profile("side_views")(wildcards)
+    await_profile("side_views", wildcards)
     used = used_views(wildcards) != "front" and aligns(wildcards)
     return [f"results/{wildcards.site}/poles/side_turns.json"] if used else []
 

@@ -158,7 +158,7 @@ def without_distortion(kind):
     """Masks or depth of a shard: straightened ones where the lenses distort."""
 
     def path(wildcards):
-        after_profile("lens_distortion")(wildcards)
+        await_profile("lens_distortion", wildcards)
         distorted = decided("lens_distortion", wildcards) == "simulate"
         folder = f"straight/{kind}" if distorted else kind
         return f"results/{wildcards.site}/poles/{folder}/{wildcards.shard}.zip"
@@ -168,7 +168,7 @@ def without_distortion(kind):
 
 def distorting_drive(wildcards):
     """Profile with the lenses, where they distort."""
-    after_profile("lens_distortion")(wildcards)
+    await_profile("lens_distortion", wildcards)
     distorted = decided("lens_distortion", wildcards) == "simulate"
     return drive_profile(wildcards) if distorted else []
 
@@ -177,7 +177,7 @@ def all_without_distortion(kind):
     """The same of all shards."""
 
     def paths(wildcards):
-        after_profile("lens_distortion")(wildcards)
+        await_profile("lens_distortion", wildcards)
         distorted = decided("lens_distortion", wildcards) == "simulate"
         folder = f"straight/{kind}" if distorted else kind
         return pole_shards(folder, "zip")(wildcards)

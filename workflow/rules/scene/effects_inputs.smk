@@ -7,6 +7,7 @@ from roadsight.io.records.atomic import read_json
 from roadsight.io.images.baselines import read_baselines
 from roadsight.io.images.videolog_files import posed_share
 from roadsight.placement.sensors.sensors import define_sensor
+from snakemake.exceptions import IncompleteCheckpointException
 
 EFFECTS = clearly(load_catalogue, CONFIG.effects_file)
 
@@ -112,7 +113,7 @@ def only_if(effect, inputs):
     """
 
     def needed(wildcards):
-        after_profile(effect)(wildcards)
+        await_profile(effect, wildcards)
         if decided(effect, wildcards) == "skip":
             return []
         return inputs(wildcards) if callable(inputs) else inputs.format(**wildcards)
@@ -120,17 +121,26 @@ def only_if(effect, inputs):
     return needed
 
 
+def await_profile(effect, wildcards):
+    """Go on only once there is the profile that decides on an effect, if one does."""
+    if mode_of(effect, wildcards) == "auto":
+        poles = EFFECTS[effect].job == "poles"
+        measured = checkpoints.profile_drive if poles else checkpoints.profile_scene
+        measured.get(site=wildcards.site)
+
+
 def after_profile(*effects):
-    """No input, but what makes a rule wait for the profile where that decides on an effect."""
+    """The profile that a rule waits for while it decides on an effect; nothing once it is there.
+
+    Snakemake makes a job anew whose last input function raises: here that is half of all jobs.
+    """
 
     def waited(wildcards):
-        for effect in effects:
-            if mode_of(effect, wildcards) == "auto":
-                poles = EFFECTS[effect].job == "poles"
-                measured = (
-                    checkpoints.profile_drive if poles else checkpoints.profile_scene
-                )
-                measured.get(site=wildcards.site)
+        try:
+            for effect in effects:
+                await_profile(effect, wildcards)
+        except IncompleteCheckpointException as waiting:
+            return [waiting.targetfile]
         return []
 
     return waited
