@@ -4,15 +4,31 @@ Numba makes two wrappers around each function, one that Python calls and one tha
 tuples of arrays among the arguments, the wrappers are larger than the function: without them the
 kernels of a cover compile in two thirds of the time. And it compiles a function that other kernels
 call anew for each constant that they hand to it, which is no faster to run.
+
+Steps that run beside each other use the same kernels: the first of them compiles one, the others
+wait and take it from the disk.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import partial
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, BinaryIO, TypeVar
 
 from numba import njit, types
+from numba.core.compiler_lock import global_compiler_lock
+
+try:
+    import fcntl
+except ImportError:  # on Windows each process compiles for itself
+    fcntl = None  # type: ignore[assignment]
+
+_LONGEST_WAIT_S = 120.0
+"""A process that waits longer, for one that was halted say, compiles for itself. All the kernels of
+a step compile in less."""
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -25,6 +41,7 @@ def compiled(**options: Any) -> Callable[[_Function], _Function]:
     def decorate(function: _Function) -> _Function:
         kernel = compiler(function)
         kernel.get_call_template = partial(_template_of_numbers, kernel)
+        kernel.compile = partial(_compile_once, kernel)
         return kernel
 
     return decorate
@@ -39,3 +56,43 @@ def _template_of_numbers(kernel: Any, args: Any, kws: Any) -> Any:
     """What a call from another kernel compiles: for any number where that hands on a constant."""
     named = {name: types.unliteral(kind) for name, kind in dict(kws).items()}
     return type(kernel).get_call_template(kernel, tuple(map(types.unliteral, args)), named)
+
+
+def _compile_once(kernel: Any, signature: Any) -> Any:
+    """Compile for types of arguments, or take what another process compiled meanwhile.
+
+    Kernels lock in the order of their calls, which has no circle. Numba's own lock comes first, or
+    two threads could wait for each other.
+    """
+    with global_compiler_lock, _alone(kernel):
+        return type(kernel).compile(kernel, signature)
+
+
+@contextmanager
+def _alone(kernel: Any) -> Iterator[None]:
+    """Keep other processes from compiling the same kernel; where no file can be locked, do not."""
+    try:
+        folder = Path(kernel._cache.cache_path)
+        folder.mkdir(parents=True, exist_ok=True)
+        stream = (folder / f"{kernel.__module__}.{kernel.__qualname__}.lock").open("ab")
+    except OSError:
+        yield
+        return
+    with stream:
+        end_s = time.monotonic() + _LONGEST_WAIT_S
+        while not _locks(stream) and time.monotonic() < end_s:
+            time.sleep(0.05)
+        yield
+
+
+def _locks(stream: BinaryIO) -> bool:
+    """Whether a file is locked now, or never will be."""
+    if fcntl is None:
+        return True
+    try:
+        fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    except OSError:  # some network folders know no locks
+        return True
+    return True
