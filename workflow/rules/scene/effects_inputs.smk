@@ -121,12 +121,35 @@ def only_if(effect, inputs):
     return needed
 
 
+@lru_cache(maxsize=None)
+def unfinished(job, site, finished):
+    """What Snakemake says while the profile of a job is not there; None once it is.
+
+    Parameters
+    ----------
+    finished : number of files that checkpoints have made; the answer holds until there are more.
+    """
+    measured = checkpoints.profile_drive if job == "poles" else checkpoints.profile_scene
+    try:
+        measured.get(site=site)
+    except IncompleteCheckpointException as waiting:
+        return waiting
+    return None
+
+
+def awaited(effect, wildcards):
+    """The same of the profile that decides on an effect, if one does."""
+    if mode_of(effect, wildcards) != "auto":
+        return None
+    finished = len(checkpoints.created_output)
+    return unfinished(EFFECTS[effect].job, wildcards.site, finished)
+
+
 def await_profile(effect, wildcards):
     """Go on only once there is the profile that decides on an effect, if one does."""
-    if mode_of(effect, wildcards) == "auto":
-        poles = EFFECTS[effect].job == "poles"
-        measured = checkpoints.profile_drive if poles else checkpoints.profile_scene
-        measured.get(site=wildcards.site)
+    waiting = awaited(effect, wildcards)
+    if waiting is not None:
+        raise waiting.with_traceback(None)
 
 
 def after_profile(*effects):
@@ -136,11 +159,10 @@ def after_profile(*effects):
     """
 
     def waited(wildcards):
-        try:
-            for effect in effects:
-                await_profile(effect, wildcards)
-        except IncompleteCheckpointException as waiting:
-            return [waiting.targetfile]
+        for effect in effects:
+            waiting = awaited(effect, wildcards)
+            if waiting is not None:
+                return [waiting.targetfile]
         return []
 
     return waited
