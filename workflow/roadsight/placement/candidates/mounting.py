@@ -11,7 +11,6 @@ from typing import Annotated, Literal
 import numpy as np
 import pandas as pd
 from pydantic import Field
-from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
 from roadsight.base.errors import InputError
@@ -78,6 +77,8 @@ def cable_lengths_m(
                 hint="name a file of points as placement.cabinets, or leave both out",
             )
         return None
+    from scipy.spatial import cKDTree  # noqa: PLC0415  # slow to load, and each run reads the rules
+
     places = candidates[["x", "y"]].to_numpy(np.float64)
     boxes = cabinets[["x", "y"]].to_numpy(np.float64)
     if not len(places):

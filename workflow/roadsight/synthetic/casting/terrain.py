@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import ndimage
 
 from roadsight.base.arrays import Floats
 from roadsight.base.kernels import compiled
@@ -212,6 +211,8 @@ def _spline_bounds(
         math.ceil(across / terrain.offset_step_m) + 2,
     )
     nodes = np.pad(terrain.coefficient_m, [(r, r) for r in reach], mode="edge")
+    from scipy import ndimage  # noqa: PLC0415  # slow to load
+
     row = np.rint((station - terrain.first_station_m) / terrain.station_step_m).astype(int)
     column = np.rint((offset - terrain.first_offset_m) / terrain.offset_step_m).astype(int)
     row = np.clip(row + reach[0], 0, nodes.shape[0] - 1)
