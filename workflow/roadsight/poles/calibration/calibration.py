@@ -111,12 +111,23 @@ def with_centre_open(mount: Mount, sigma_px: float) -> Mount:
     The yaw was found for the point where it is: another one turns the camera by as much as leaves
     what the image's middle shows where it is.
     """
-    by_centre = apart_from_centre(mount.covariance)[1]
-    if by_centre[CX] <= _SURE_PX:
-        by_centre = np.zeros(SIZE)
-        by_centre[[YAW, CX]] = np.degrees(np.exp(-mount.mean[FOCAL])), 1.0
-    more = max((sigma_px / by_centre[CX]) ** 2 - mount.covariance[CX, CX] / by_centre[CX] ** 2, 0.0)
+    if mount.covariance[CX, CX] > _SURE_PX**2:
+        return no_surer(mount, CX, sigma_px)
+    by_centre = np.zeros(SIZE)
+    by_centre[[YAW, CX]] = np.degrees(np.exp(-mount.mean[FOCAL])), 1.0
+    more = max(sigma_px**2 - mount.covariance[CX, CX], 0.0)
     return replace(mount, covariance=mount.covariance + more * np.outer(by_centre, by_centre))
+
+
+def no_surer(mount: Mount, number: int, sigma: float) -> Mount:
+    """The same mount with one of its unknowns known no better than this.
+
+    The others follow it as they do in what the drive measured.
+    """
+    variance = mount.covariance[number, number]
+    by_one = mount.covariance[number] / variance
+    more = max(sigma**2 - variance, 0.0)
+    return replace(mount, covariance=mount.covariance + more * np.outer(by_one, by_one))
 
 
 def apart_from_centre(covariance: Floats) -> tuple[Floats, Floats]:

@@ -17,7 +17,7 @@ from roadsight.base.doubts import Doubt
 from roadsight.poles.alignment.landmarks import landmark_misfit
 from roadsight.poles.alignment.pose import CX, FOCAL
 from roadsight.poles.alignment.solve import FINEST, Fit
-from roadsight.poles.calibration.calibration import Mount, with_centre_open
+from roadsight.poles.calibration.calibration import Mount, no_surer, with_centre_open
 from roadsight.poles.calibration.calibration_together import Tied
 
 _PARTS = 6
@@ -51,11 +51,12 @@ def told_centre(
     """
     free = with_centre_open(prior, centre_px)
     mount = solve(images, free)
-    sigma_px = centre_sigma_px(images, mount, free, solve)
+    sigma_px, sigma_focal = lens_sigmas(images, mount, free, solve)
     off_px = abs(float(mount.mean[CX]))
     if off_px < _TOLD * sigma_px:
+        held = no_surer(held, FOCAL, sigma_focal)
         return with_centre_open(held, min(float(np.hypot(off_px, sigma_px)), centre_px)), False
-    return with_centre_open(mount, sigma_px), True
+    return with_centre_open(no_surer(mount, FOCAL, sigma_focal), sigma_px), True
 
 
 def centre_doubts(route: str, mount: Mount) -> list[Doubt]:
@@ -73,24 +74,34 @@ def centre_doubts(route: str, mount: Mount) -> list[Doubt]:
     return [Doubt("principal_point_open", "note", text, round(sigma_px, 1))]
 
 
-def centre_sigma_px(images: Sequence[Tied], mount: Mount, prior: Mount, solve: Solver) -> float:
-    """One standard deviation of the point: of its misfit, or by what parts of the drive move it.
+def with_lens_sigmas(images: Sequence[Tied], mount: Mount, prior: Mount, solve: Solver) -> Mount:
+    """Mount of a free principal point, its lens known as well as parts of the drive agree on it."""
+    sigma_px, sigma_focal = lens_sigmas(images, mount, prior, solve)
+    return with_centre_open(no_surer(mount, FOCAL, sigma_focal), sigma_px)
 
-    Columns, and with them all that is said about them, are left out in turn (grouped jackknife).
-    What a lens may still bend is added. Fewer columns than parts tell nothing beyond what is known.
+
+def lens_sigmas(
+    images: Sequence[Tied], mount: Mount, prior: Mount, solve: Solver
+) -> tuple[float, float]:
+    """One standard deviation of the point (px) and of the logarithm of the focal length.
+
+    Of their misfit, or by what parts of the drive move them: columns, and with them all that is
+    said about them, are left out in turn (grouped jackknife). What a lens may still bend is added
+    to the point's. Fewer columns than parts tell nothing of the point beyond what is known.
     """
+    own_px, own_focal = np.sqrt(np.diag(mount.covariance)[[CX, FOCAL]])
     columns = {place for one in images for place in _columns(one)}
     if len(columns) < _PARTS:
-        return float(np.sqrt(prior.covariance[CX, CX]))
+        return float(np.sqrt(prior.covariance[CX, CX])), float(own_focal)
     part = {place: number % _PARTS for number, place in enumerate(sorted(columns))}
     found = [
-        solve([_without(one, {c for c in part if part[c] == k}) for one in images], prior).mean[CX]
+        solve([_without(one, {c for c in part if part[c] == k}) for one in images], prior).mean
         for k in range(_PARTS)
     ]
-    moved = float(np.sqrt((_PARTS - 1) * np.var(found)))
+    moved_px, moved_focal = np.sqrt((_PARTS - 1) * np.var(found, axis=0)[[CX, FOCAL]])
     width_px = images[0].member.place.start.width_px
-    bent = _BENT_PX / (0.5 * width_px / float(np.exp(mount.mean[FOCAL]))) ** 2
-    return float(np.hypot(max(moved, float(np.sqrt(mount.covariance[CX, CX]))), bent))
+    bent_px = _BENT_PX / (0.5 * width_px / float(np.exp(mount.mean[FOCAL]))) ** 2
+    return float(np.hypot(max(moved_px, own_px), bent_px)), float(max(moved_focal, own_focal))
 
 
 _Column = tuple[float, float]

@@ -23,7 +23,7 @@ from roadsight.poles.calibration.calibration import (
     usable,
     with_centre_open,
 )
-from roadsight.poles.calibration.calibration_centre import centre_sigma_px, told_centre
+from roadsight.poles.calibration.calibration_centre import told_centre, with_lens_sigmas
 from roadsight.poles.calibration.calibration_sides import side_turns
 from roadsight.poles.calibration.calibration_spread import estimated_spread
 from roadsight.poles.calibration.calibration_table import DriveCalibration, drift_of
@@ -116,8 +116,8 @@ def with_landmarks(
         prior = with_centre_open(prior, centre_px)
         calibration, prior, starts, good = settled(calibration, prior, starts, opened=True)
         images = _chained(calibration, good, chain)
-        sigma_px = centre_sigma_px(images, calibration.mount, prior, solve)
-        calibration = replace(calibration, mount=with_centre_open(calibration.mount, sigma_px))
+        mount = with_lens_sigmas(images, calibration.mount, prior, solve)
+        calibration = replace(calibration, mount=mount)
     point = calibration.mount.mean[CX], np.sqrt(calibration.mount.covariance[CX, CX])
     log.info("principal point %s: %.1f +- %.1f px", "found" if told else "not told", *point)
     return calibration, starts

@@ -24,7 +24,7 @@ FAR_M = 60.0
 rural road 28 of 30 poles are found with this and 24 with 40 m, and without side views, as a camera
 of 20 degrees sees a pole from no nearer than 30 m, 22 and 4. Where it has, far rays add groups of
 other things: 6 beside 31."""
-FAR_SIGMA_M = 0.75
+FAR_SIGMA_M = 1.0
 """Longest error ellipse of a pole that may rest on far rays: on that road at 8 pulses/m2, 30 of 30
 poles and 2 other things stay with this, 30 and 7 with the usual 5 m; at 2, 24 and 2, 28 and 6."""
 UNTURNED = "yaw of the side view not found"

@@ -14,7 +14,7 @@ import pandas as pd
 import shapely
 from scipy.spatial import cKDTree
 
-from roadsight.base.arrays import Ints
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.matches import tell_matches
 from roadsight.base.sections.poles import Triangulation
 from roadsight.geometry.frames import Frame
@@ -33,7 +33,12 @@ from roadsight.poles.sightings.network_scale import network_scales, with_scales
 from roadsight.poles.triangulate.cloud_objects import blocks_of, guardrails_of, trees_of
 from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
-from roadsight.poles.triangulate.locate import drop_near_structures, withhold_thin
+from roadsight.poles.triangulate.locate import (
+    drop_near_structures,
+    shares_above,
+    withhold_thin,
+    withhold_under_crowns,
+)
 from roadsight.poles.triangulate.pole_doubts import far_reaching, pole_doubts
 from roadsight.poles.triangulate.probability import real_probability
 from roadsight.poles.triangulate.rays import TriangulationSettings
@@ -96,6 +101,11 @@ def triangulate_poles(
         tell(doubts, doubts_path, "poles", log)
     poles, pole_of, scales = site_poles(sightings, settings)
     poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)
+    voxels_m, voxel_class = _voxels(voxels) if voxels else (np.empty((0, 3)), np.empty(0, int))
+    if dem and len(voxels_m):
+        xy_m = poles[["x", "y"]].to_numpy(np.float64)
+        above = shares_above(xy_m, read_raster(dem, frame).sample(*xy_m.T), voxels_m)
+        poles = withhold_under_crowns(poles, pole_of, in_cloud, settings.min_views, above)
     objects, told = _confirmed(objects_path, seen)
     track = read_table(frames, ["route", "sequence", "x", "y"]) if frames else _NO_TRACK
     others = trees_of(objects, told), blocks_of(objects, told, RouteTracks(track))
@@ -105,10 +115,10 @@ def triangulate_poles(
     found = pd.concat([part for part in (poles, *others) if len(part)] or [poles])
     every = poles.columns.union(found.columns, sort=False)
     poles = found.reindex(columns=every).reset_index(drop=True)
-    if voxels:
+    if len(voxels_m):
         least_m = {name: kind.clearance_m for name, kind in KINDS.items()}
         clearance_m = poles["kind"].map(least_m).fillna(settings.clearance_m).to_numpy(np.float64)
-        poles = drop_near_structures(poles, _structures(voxels), clearance_m)
+        poles = drop_near_structures(poles, _structures(voxels_m, voxel_class), clearance_m)
     poles = _decided(poles, frame, decisions)
     # A person may have moved a pole onto the right stem.
     poles = with_shapes(poles, read_table(columns) if columns else None)
@@ -163,13 +173,18 @@ def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFram
     return decided
 
 
-def _structures(path: Path) -> cKDTree:
-    """Tree of the road, bridge and building voxels in plan."""
+def _voxels(path: Path) -> tuple[Floats, Ints]:
+    """Middles (m, 3) of the occupied voxels, local metres, and their classes (m,)."""
     about = read_about(path)
-    voxels = read_table(path, ["ix", "iy", "cls"])
-    index = voxels.loc[voxels["cls"].isin(_STRUCTURES), ["ix", "iy"]].drop_duplicates()
-    cell_m, anchor = float(about["cell_size_m"]), np.asarray(about["anchor"], np.float64)[:2]
-    return cKDTree(anchor + (index.to_numpy(np.float64) + 0.5) * cell_m)
+    voxels = read_table(path, ["ix", "iy", "iz", "cls"])
+    index = voxels[["ix", "iy", "iz"]].to_numpy(np.float64)
+    anchor = np.asarray(about["anchor"], np.float64)
+    return anchor + (index + 0.5) * float(about["cell_size_m"]), voxels["cls"].to_numpy(np.int64)
+
+
+def _structures(voxels_m: Floats, voxel_class: Ints) -> cKDTree:
+    """Tree of the road, bridge and building voxels in plan."""
+    return cKDTree(np.unique(voxels_m[np.isin(voxel_class, _STRUCTURES), :2], axis=0))
 
 
 def _with_place(poles: pd.DataFrame, frame: Frame, dem: Path | None) -> pd.DataFrame:
