@@ -18,13 +18,14 @@ from roadsight.poles.alignment.verdict import moved_by_centre
 from roadsight.poles.calibration.calibration import (
     Mount,
     apart_from_centre,
+    no_surer,
     weak_mount,
     with_centre_held,
     with_centre_open,
 )
 from roadsight.poles.calibration.calibration_centre import (
     centre_doubts,
-    centre_sigma_px,
+    lens_sigmas,
     told_centre,
 )
 from roadsight.poles.calibration.calibration_together import Tied
@@ -166,10 +167,11 @@ def solver(effects, formal_px):
         seen = {
             tuple(np.round(np.add(row[:2], [START.x_m, START.y_m]), 2))
             for one in images
+            if one.fit is not None
             for row in one.fit.matched.mapped
         }
         mean, covariance = prior.mean.copy(), prior.covariance.copy()
-        mean[CX] = np.mean([tables[place] for place in sorted(seen)])
+        mean[CX] = np.mean([tables[place] for place in sorted(seen)] or [0.0])
         covariance[CX], covariance[:, CX] = 0.0, 0.0
         covariance[CX, CX] = formal_px**2
         return Mount(mean, covariance)
@@ -189,13 +191,13 @@ def test_the_points_sigma_is_what_columns_that_all_images_share_make_it():
     for _ in range(200):
         solve = solver(rng.normal(0, 6.0, len(PLACES)), 0.3)
         images = drive(rng)
-        found.append(centre_sigma_px(images, solve(images, prior), prior, solve))
+        found.append(lens_sigmas(images, solve(images, prior), prior, solve)[0])
     assert np.sqrt(np.mean(np.square(found))) == pytest.approx(
         np.hypot(6.0 / np.sqrt(12), BENT_PX), rel=0.1
     )
     solve = solver(np.zeros(len(PLACES)), 0.3)
     images = drive(rng)
-    assert centre_sigma_px(images, solve(images, prior), prior, solve) == pytest.approx(
+    assert lens_sigmas(images, solve(images, prior), prior, solve)[0] == pytest.approx(
         np.hypot(0.3, BENT_PX)
     )
 
@@ -204,9 +206,56 @@ def test_few_columns_tell_nothing_of_the_point():
     rng = np.random.default_rng(5)
     one, _ = image(rng, PLACES[:4], 0)
     free = with_centre_open(with_centre_held(weak_mount(60.0, 1000)), PRIOR_PX)
-    assert centre_sigma_px([one], free, free, solver(np.zeros(len(PLACES)), 0.3)) == pytest.approx(
-        PRIOR_PX
-    )
+    point_px, _ = lens_sigmas([one], free, free, solver(np.zeros(len(PLACES)), 0.3))
+    assert point_px == pytest.approx(PRIOR_PX)
+
+
+@pytest.mark.parametrize("count", [4, 12])
+def test_a_focal_length_is_no_surer_than_stretches_and_columns_agree_on_it(count):
+    """Stretches of a drive, and columns, that each draw it by 1 % leave what their mean leaves."""
+    rng = np.random.default_rng(6)
+    prior = with_centre_held(weak_mount(60.0, 1000))
+    prior.covariance[FOCAL, FOCAL] = 0.001**2
+    places = PLACES[:count]
+    found = []
+    for _ in range(200):
+        by_column = dict(zip(map(tuple, places), rng.normal(0, 0.01, count), strict=True))
+        by_image = rng.normal(0, 0.01, 12)
+
+        def solve(images, prior, by_column=by_column, by_image=by_image):
+            seen = {
+                tuple(np.round(np.add(row[:2], [START.x_m, START.y_m]), 2))
+                for one in images
+                if one.fit is not None
+                for row in one.fit.matched.mapped
+            }
+            told = [e for place, e in by_column.items() if tuple(np.round(place, 2)) in seen]
+            said = [by_image[n] for n, one in enumerate(images) if one.fit is not None]
+            mean = prior.mean.copy()
+            mean[FOCAL] = np.mean(told) + np.mean(said)
+            return replace(prior, mean=mean)
+
+        images = [image(rng, places, number)[0] for number in range(12)]
+        found.append(lens_sigmas(images, solve(images, prior), prior, solve)[1])
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(0.01 / np.sqrt(12), rel=0.3)
+    told, _ = told_centre(images, prior, prior, PRIOR_PX, solve)
+    assert np.sqrt(told.covariance[FOCAL, FOCAL]) == pytest.approx(found[-1])
+
+
+def test_what_is_no_surer_takes_along_what_goes_with_it():
+    """Its sigma is as said, what goes with it follows, and less is never made of it."""
+    covariance = random_covariance(8)
+    mount = Mount(np.zeros(SIZE), covariance, 5)
+    sigma = np.sqrt(covariance[FOCAL, FOCAL])
+    wider = no_surer(mount, FOCAL, 3.0 * sigma)
+    np.testing.assert_allclose(wider.covariance[FOCAL], 9.0 * covariance[FOCAL])
+    rest = np.delete(np.arange(SIZE), FOCAL)
+
+    def known(c):
+        return (c - np.outer(c[FOCAL], c[FOCAL]) / c[FOCAL, FOCAL])[np.ix_(rest, rest)]
+
+    np.testing.assert_allclose(known(wider.covariance), known(covariance), atol=1e-9)
+    np.testing.assert_allclose(no_surer(mount, FOCAL, 0.5 * sigma).covariance, covariance)
 
 
 @pytest.mark.parametrize("off_px", [-12.0, 0.0, 1.0, 12.0])
@@ -241,13 +290,15 @@ def test_an_image_without_a_column_is_as_if_it_had_never_been_paired():
     seen = []
 
     def solve(images, prior):
-        seen.append(images[0].fit)
+        if images[0].fit is not None:
+            seen.append(images[0].fit)
         return prior
 
     prior = with_centre_open(with_centre_held(weak_mount(60.0, 1000)), PRIOR_PX)
-    centre_sigma_px([one], prior, prior, solve)
-    assert len(seen) == 6
-    for fit in seen:
+    lens_sigmas([one], prior, prior, solve)
+    paired = [fit for fit in seen if len(fit.matched.pairs) < len(PLACES)]
+    assert len(paired) == 6
+    for fit in paired:
         assert len(fit.matched.pairs) == 10
         normal, gradient = misfit_of(fit.unknowns, fit.matched)
         np.testing.assert_allclose(fit.normal, normal + edges[0], rtol=1e-6, atol=1e-6)

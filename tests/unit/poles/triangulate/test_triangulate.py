@@ -13,8 +13,10 @@ from roadsight.poles.triangulate.locate import (
     calibrate_depths,
     drop_near_structures,
     error_ellipse,
+    shares_above,
     triangulate,
     withhold_thin,
+    withhold_under_crowns,
 )
 from roadsight.poles.triangulate.merging import follows_sequence, merge_groups
 from roadsight.poles.triangulate.packing import choose_groups
@@ -275,6 +277,37 @@ def test_poles_of_few_views_need_the_cloud():
     assert "fewer than 3 images" in found["reason"][0]
     assert found["reason"][3] == "long"
     assert withhold_thin(poles, pole_of, in_cloud, 2)["kept"].tolist() == [True, True, True, False]
+
+
+def test_what_stands_under_a_crown_is_a_trunk_unless_cloud_and_images_show_a_pole():
+    poles = pd.DataFrame(
+        {
+            "kind": ["pole", "pole", "pole", "pole", "sign", "pole"],
+            "score": [5, 5, 2, 5, 5, 5],
+            "kept": [True, True, True, True, True, False],
+            "reason": ["", "", "", "", "", "long"],
+        }
+    )
+    pole_of = np.array([0, 0, 1, 2, 3, 4, 5, -1])
+    in_cloud = np.array([False, False, True, True, False, False, False, True])
+    above = np.array([0.9, 0.9, 0.9, 0.2, 0.9, 0.9])
+    found = withhold_under_crowns(poles, pole_of, in_cloud, 3, above)
+    assert found["kept"].tolist() == [False, True, False, True, True, False]
+    assert found["reason"].tolist()[::5] == ["under a crown, and not clearly in the cloud", "long"]
+    assert found["reason"][1] == ""
+
+
+@pytest.mark.parametrize("base_m", [0.0, 2145.0])
+def test_share_of_a_crown_counts_what_is_near_and_high_above_its_own_ground(base_m):
+    ground = [[x, y, base_m] for x in (-0.5, 0.0, 0.5) for y in (-0.5, 0.5)]
+    crown = [[10.0 + x, 0.0, base_m + z] for x in (-1.0, 0.0, 1.0) for z in (3.0, 6.0)]
+    below = [[10.0, 0.0, base_m], [10.0, 0.5, base_m + 1.9]]
+    far = [[10.0, 1.6, base_m + 9.0]]
+    voxels = np.array(ground + crown + below + far)
+    places = np.array([[0.0, 0.0], [10.0, 0.0], [50.0, 0.0], [10.0, 0.0]])
+    heights = np.array([base_m, base_m, base_m, np.nan])
+    assert shares_above(places, heights, voxels).tolist() == [0.0, 6 / 8, 0.0, 0.0]
+    assert shares_above(places[:0], heights[:0], voxels).tolist() == []
 
 
 def test_an_error_along_the_way_that_near_cameras_share_does_not_average_out():

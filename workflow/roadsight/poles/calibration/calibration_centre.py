@@ -13,6 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from roadsight.base.arrays import Floats, Ints
 from roadsight.base.doubts import Doubt
 from roadsight.poles.alignment.landmarks import landmark_misfit
 from roadsight.poles.alignment.pose import CX, FOCAL
@@ -85,23 +86,39 @@ def lens_sigmas(
 ) -> tuple[float, float]:
     """One standard deviation of the point (px) and of the logarithm of the focal length.
 
-    Of their misfit, or by what parts of the drive move them: columns, and with them all that is
-    said about them, are left out in turn (grouped jackknife). What a lens may still bend is added
-    to the point's. Fewer columns than parts tell nothing of the point beyond what is known.
+    Of their misfit, or by what parts of the drive move them, if that is more (grouped jackknife):
+    columns are left out in turn, and with them all that is said about them; for the focal length,
+    so are stretches with all that their images say. What a lens may still bend is added to the
+    point's. Fewer columns than parts tell nothing of it beyond what is known.
     """
     own_px, own_focal = np.sqrt(np.diag(mount.covariance)[[CX, FOCAL]])
-    columns = {place for one in images for place in _columns(one)}
+    stretches = np.array_split(np.arange(len(images)), _PARTS)
+    by_stretch = _moved([_silent_in(images, part) for part in stretches], prior, solve)
+    columns = sorted({place for one in images for place in _columns(one)})
     if len(columns) < _PARTS:
-        return float(np.sqrt(prior.covariance[CX, CX])), float(own_focal)
-    part = {place: number % _PARTS for number, place in enumerate(sorted(columns))}
-    found = [
-        solve([_without(one, {c for c in part if part[c] == k}) for one in images], prior).mean
-        for k in range(_PARTS)
-    ]
-    moved_px, moved_focal = np.sqrt((_PARTS - 1) * np.var(found, axis=0)[[CX, FOCAL]])
+        focal = max(own_focal, by_stretch[FOCAL])
+        return float(np.sqrt(prior.covariance[CX, CX])), float(focal)
+    parts = [set(columns[k::_PARTS]) for k in range(_PARTS)]
+    by_column = _moved([[_without(one, part) for one in images] for part in parts], prior, solve)
     width_px = images[0].member.place.start.width_px
     bent_px = _BENT_PX / (0.5 * width_px / float(np.exp(mount.mean[FOCAL]))) ** 2
-    return float(np.hypot(max(moved_px, own_px), bent_px)), float(max(moved_focal, own_focal))
+    focal = max(own_focal, by_stretch[FOCAL], by_column[FOCAL])
+    return float(np.hypot(max(by_column[CX], own_px), bent_px)), float(focal)
+
+
+def _moved(drives: Sequence[Sequence[Tied]], prior: Mount, solve: Solver) -> Floats:
+    """Standard deviations (k,) of the mean unknowns, from drives of which a part is left out."""
+    found = [solve(images, prior).mean for images in drives]
+    return np.asarray(np.sqrt((len(found) - 1) * np.var(found, axis=0)), np.float64)
+
+
+def _silent_in(images: Sequence[Tied], part: Ints) -> list[Tied]:
+    """A drive that says nothing on a stretch."""
+    found = list(images)
+    for number in part.tolist():
+        member = images[number].member
+        found[number] = Tied(replace(member, shared=member.shared[:0]), None)
+    return found
 
 
 _Column = tuple[float, float]
