@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadsight.base.errors import InputError
-from roadsight.base.sections.poles import Reach
+from roadsight.base.sections.poles import Calibration, Reach
 from roadsight.geometry.cameras import wrap_deg
 from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_table, write_table
@@ -90,6 +90,16 @@ def test_lens_and_mount_are_found(site, bed):
     assert drive["problem"] == "" and len(drive["drift"]) >= 20
     again = to_content(from_content(json.loads(json.dumps(drive))))
     assert again == drive
+
+
+def test_a_pitch_is_no_surer_than_the_principal_points_row(site, bed):
+    """The row is where the settings expect it, and a camera that looks up shows the same."""
+    table = _align(site)
+    (drive,) = read_json(site / "calibration.json")["drives"]
+    assert drive["sigma_cy_px"] == Calibration().principal_point_px
+    by_cy = np.degrees(drive["sigma_cy_px"] / table["focal_px"])
+    np.testing.assert_allclose(table["pitch_by_cy_deg"], by_cy)
+    assert (table["sigma_pitch_deg"] > by_cy).all()
 
 
 def test_cameras_are_right(site, bed):

@@ -58,7 +58,7 @@ def write_site(folder):
         "x": 5.0, "y": -3.0, "z": 2.5, **angles, "focal_px": own.focal_px, "cx_px": own.cx_px,
         "cy_px": own.cy_px, "width_px": 1000, "height_px": 600, "sigma_heading_deg": 0.1,
         "sigma_pitch_deg": 0.1, "sigma_lateral_m": 0.1, "sigma_along_m": 0.1,
-        "sigma_cx_px": 0.0, "heading_by_cx_deg": 0.0,
+        "sigma_cx_px": 0.0, "heading_by_cx_deg": 0.0, "pitch_by_cy_deg": 0.0,
     }  # fmt: skip
     rows = [{"image": f"a{i}.jpg", **pose, "accepted": i == 0} for i in range(2)]
     write_table(folder / "cameras.parquet", pd.DataFrame(rows))
@@ -104,6 +104,20 @@ def test_sightings_of_accepted_cameras_are_written(frames):
     first = (frames / "sightings.parquet").read_bytes()
     assert measure(frames) == 0
     assert (frames / "sightings.parquet").read_bytes() == first
+
+
+def test_a_row_of_the_principal_point_widens_pitches_but_moves_no_foot(frames):
+    write_site(frames)
+    cameras = read_table(frames / "cameras.parquet")
+    found = []
+    for by_cy_deg in (0.0, 0.8, 0.0):
+        sigma_deg = np.hypot(0.1, 0.8 if found else 0.0)
+        wide = cameras.assign(sigma_pitch_deg=sigma_deg, pitch_by_cy_deg=by_cy_deg)
+        write_table(frames / "cameras.parquet", wide)
+        assert measure(frames) == 0
+        found.append(read_table(frames / "sightings.parquet")["sigma_depth_ground_m"].to_numpy())
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6)
+    assert (found[2] > 2.0 * found[0]).all()
 
 
 def test_a_shard_without_images_has_an_empty_table_of_the_same_columns(frames):

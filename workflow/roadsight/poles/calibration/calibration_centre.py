@@ -55,9 +55,9 @@ def told_centre(
     sigma_px, sigma_focal = lens_sigmas(images, mount, free, solve)
     off_px = abs(float(mount.mean[CX]))
     if off_px < _TOLD * sigma_px:
-        held = no_surer(held, FOCAL, sigma_focal)
-        return with_centre_open(held, min(float(np.hypot(off_px, sigma_px)), centre_px)), False
-    return with_centre_open(no_surer(mount, FOCAL, sigma_focal), sigma_px), True
+        held = with_centre_open(held, min(float(np.hypot(off_px, sigma_px)), centre_px))
+        return no_surer(held, FOCAL, sigma_focal), False
+    return no_surer(with_centre_open(mount, sigma_px), FOCAL, sigma_focal), True
 
 
 def centre_doubts(route: str, mount: Mount) -> list[Doubt]:
@@ -78,7 +78,7 @@ def centre_doubts(route: str, mount: Mount) -> list[Doubt]:
 def with_lens_sigmas(images: Sequence[Tied], mount: Mount, prior: Mount, solve: Solver) -> Mount:
     """Mount of a free principal point, its lens known as well as parts of the drive agree on it."""
     sigma_px, sigma_focal = lens_sigmas(images, mount, prior, solve)
-    return with_centre_open(no_surer(mount, FOCAL, sigma_focal), sigma_px)
+    return no_surer(with_centre_open(mount, sigma_px), FOCAL, sigma_focal)
 
 
 def lens_sigmas(

@@ -33,6 +33,7 @@ class DriveCalibration:
     mount than the one given beforehand, or "".
     told : pose (6,) of each image as the others tell it, and its covariance (6, k) with all
         unknowns, see `ties`.
+    sigma_cy_px : 1 sigma of the principal point's row, which no drive tells.
     """
 
     key: Key
@@ -42,6 +43,7 @@ class DriveCalibration:
     measured: Mapping[str, int]
     problem: str = ""
     told: Mapping[str, tuple[Floats, Floats]] = field(default_factory=dict)
+    sigma_cy_px: float = 0.0
 
     @property
     def turns(self) -> Turns:
@@ -147,6 +149,7 @@ def to_content(calibration: DriveCalibration) -> dict[str, Any]:
         "problem": calibration.problem,
         **{name: float(v) for name, v in zip(UNKNOWNS, mount.mean, strict=True)},
         "sigma": {name: float(v) for name, v in zip(UNKNOWNS, sigma, strict=True)},
+        "sigma_cy_px": calibration.sigma_cy_px,
         "covariance": mount.covariance.tolist(),
         "spread": vars(calibration.spread),
         "side_views": _turns_content(calibration.turns),
@@ -200,7 +203,8 @@ def from_content(content: Mapping[str, Any]) -> DriveCalibration:
             row["image"]: (np.array(row["pose"], float), np.array(row["covariance"], float))
             for row in content["told"]
         }
-        return DriveCalibration(key, mount, spread, drift, measured, content["problem"], told)
+        rest = content["problem"], told, float(content["sigma_cy_px"])
+        return DriveCalibration(key, mount, spread, drift, measured, *rest)
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(
             f"is no calibration of a drive ({error!r})",

@@ -80,6 +80,7 @@ CAMERA_COLUMNS = (
     "sigma_along_m",
     "sigma_cx_px",
     "heading_by_cx_deg",
+    "pitch_by_cy_deg",
     "condition",
     "residual_px",
     "edge_points",
@@ -120,7 +121,8 @@ def align_cameras(
         drive = _drive(drives, place)
         task = scene.load(place)(*drive.expected(place))
         if dense is None:
-            row = aligned(task, method, limits, scene.landmarks, bounds, drive.by_centre(place))
+            centre = drive.by_centre(place), drive.sigma_cy_px
+            row = aligned(task, method, limits, scene.landmarks, bounds, centre)
             if place.image in scene.lenses:
                 row["focal_px"] = scene.lenses[place.image].focal_px
         else:
@@ -178,7 +180,7 @@ def aligned(
     limits: Limits,
     noise: LandmarkNoise | None = None,
     bounds: tuple[float, float] = PUBLISHED_BOUNDS,
-    by_centre: Floats | None = None,
+    centre: tuple[Floats, float] | None = None,
 ) -> dict[str, Any]:
     """Pose, uncertainty and verdict of one image by the method road, published or none.
 
@@ -186,8 +188,8 @@ def aligned(
 
     Parameters
     ----------
-    bounds : of the published method, m and degrees. by_centre : what one standard deviation of the
-    principal point moves (k,) in the expectation, nothing if None.
+    bounds : of the published method, m and degrees. centre : what one standard deviation of the
+    principal point's column moves (k,) in the expectation, and that of its row, px; None if known.
     """
     expected = np.asarray(np.linalg.inv(task.prior_information), np.float64)
     nothing = np.full((len(task.image_edges.uv_px), 2), np.nan)
@@ -208,7 +210,7 @@ def aligned(
             bound_deg=bounds[1],
         )
         fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
-    return _row(task, fit, reason, np.zeros(len(expected)) if by_centre is None else by_centre)
+    return _row(task, fit, reason, *(centre or (np.zeros(len(expected)), 0.0)))
 
 
 def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -> dict[str, Any]:
@@ -250,13 +252,16 @@ def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -
     }
 
 
-def _row(task: Task, fit: Fit, reason: str, by_centre: Floats) -> dict[str, Any]:
+def _row(
+    task: Task, fit: Fit, reason: str, by_centre: Floats, sigma_cy_px: float
+) -> dict[str, Any]:
     start, pose = task.start, pose_of(task.start, fit.unknowns)
     # All images of a drive have its principal point; what it may be off is in their sigmas, and
     # does not speak against any of them.
     moved = moved_by_centre(fit, task, by_centre)
     whole = replace(fit, covariance=fit.covariance + np.outer(moved, moved))
-    names = "sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m"
+    heading, own_pitch, lateral, along = sigmas(whole, task)
+    pitch_by_cy = float(np.degrees(sigma_cy_px / pose.focal_px))
     return {
         "x": pose.x_m,
         "y": pose.y_m,
@@ -269,9 +274,13 @@ def _row(task: Task, fit: Fit, reason: str, by_centre: Floats) -> dict[str, Any]
         "cy_px": start.cy_px,
         "width_px": start.width_px,
         "height_px": start.height_px,
-        **dict(zip(names, sigmas(whole, task), strict=True)),
+        "sigma_heading_deg": heading,
+        "sigma_pitch_deg": float(np.hypot(own_pitch, pitch_by_cy)),
+        "sigma_lateral_m": lateral,
+        "sigma_along_m": along,
         "sigma_cx_px": float(moved[CX]),
         "heading_by_cx_deg": float(moved[YAW] + np.degrees(start.bend) * moved[ALONG]),
+        "pitch_by_cy_deg": pitch_by_cy,
         "condition": condition(fit, task),
         "residual_px": residual_px(fit),
         "edge_points": len(task.image_edges.uv_px),

@@ -97,7 +97,8 @@ def calibrate_drives(
                 key, images, settings, prior, focal, scene.landmarks, shared, sides
             )
             mount = _lens_held(calibration.mount, lenses)
-            calibration = replace(calibration, mount=mount)
+            row_px = max((lens.sigma_cy_px for lens in lenses), default=settings.principal_point_px)
+            calibration = replace(calibration, mount=mount, sigma_cy_px=row_px)
         log.info("%s %d x %d: %s", *key, _summary(calibration))
         doubts += centre_doubts(key[0], calibration.mount)
         content.append(to_content(calibration))

@@ -79,9 +79,9 @@ _TEXTS = ("image", "route", "view", "kind", "reason", "method", "depth_from")
 """Columns that hold texts, also where there is no row to tell."""
 _SIGMAS = (
     *("sigma_heading_deg", "sigma_pitch_deg", "sigma_lateral_m", "sigma_along_m"),
-    *("sigma_cx_px", "heading_by_cx_deg"),
+    *("sigma_cx_px", "heading_by_cx_deg", "pitch_by_cy_deg"),
 )
-"""Columns of the cameras that hold uncertainties, in the order of `ViewCamera`."""
+"""Columns of the cameras that hold uncertainties, all but the last in the order of `ViewCamera`."""
 _SEEN = {"kind": str, "object": np.int64, "image": str, "answer": np.int64}
 """Columns of what views say about objects of the cloud, beside the route."""
 
@@ -249,10 +249,13 @@ def _camera(
     )
     own = front if view.view == "front" else side_intrinsics(front, shape[1], shape[0])
     angles = [float(pose[f"{name}_deg"]) for name in ("heading", "pitch", "roll")]
-    sigmas = [float(np.nan_to_num(pose[name])) for name in _SIGMAS]
+    *sigmas, by_cy_deg = (float(np.nan_to_num(pose[name])) for name in _SIGMAS)
     position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
     heading, pitch, roll = angles
     camera = ViewCamera(own, position, heading, pitch, roll, offsets.of(view.view), *sigmas)
+    # What another row of the principal point tilts, it shifts back: a foot stays where it is seen.
+    own_deg = np.sqrt(max(camera.sigma_pitch_deg**2 - by_cy_deg**2, 0.0))
+    camera = replace(camera, sigma_pitch_deg=float(own_deg))
     if view.view == "front":
         return camera
     # A side view looks past a fixed thing of the front view: its yaw takes up the point's error.
