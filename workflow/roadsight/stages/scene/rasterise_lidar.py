@@ -160,7 +160,8 @@ def _paved_area(
             "the cloud has no road points" if share == 0 else "the cloud has too few road points",
             where=str(cloud_path),
             found=f"{share:.3%} of classes {settings.road_classes}",
-            hint="name its road class (poles.road_classes), or have the pavement found",
+            hint="name its road class (poles.road_classes), or have the pavement found"
+            " (poles.road: pavement)",
         )
     from roadsight.io.vector.vectors import read_layer  # noqa: PLC0415  # slow to load, rarely needed
 
