@@ -176,3 +176,22 @@ def test_a_round_post_keeps_its_volume():
     assert area == pytest.approx(np.pi * 0.15**2, rel=1e-9)
     assert mesh.vertices_m[:, 2].min() == pytest.approx(2.6)
     assert mesh.vertices_m[:, 2].max() == pytest.approx(13.0)
+
+
+def test_panels_of_any_kind_stand_beside_an_unchanged_road(site):
+    more = build_rural(3, 300.0, detail=0.02, panels_per_km=60.0)
+    assert more.poles[: len(site.poles)] == site.poles and more.trees == site.trees
+    own = more.poles[len(site.poles) :]
+    assert 15 < len(own) < 34 and {pole.kind for pole in own} == {"sign"}
+    away = np.abs([pole.offset_m for pole in own])
+    assert away.min() > 4.7 and away.max() < 9.6
+    assert np.ptp([pole.height_m for pole in own]) > 1.0
+    shown = more.mesh.triangles[more.mesh.material == Material.SIGN_PAINT]
+    painted = more.mesh.tint[more.mesh.material == Material.SIGN_PAINT]
+    assert len(np.unique(np.floor(10 * painted))) > 7
+    feet = np.array([pole.xyz_m for pole in own])
+    apart = np.hypot(
+        *(more.mesh.vertices_m[shown[:, 0], None, :2] - feet[:, :2]).transpose(2, 0, 1)
+    )
+    assert apart.min(axis=1).max() < 1.0
+    assert not (site.mesh.material == Material.SIGN_PAINT).any()

@@ -62,8 +62,18 @@ def test_crops_keep_colour_classes_and_depth_together():
         assert batch.images.shape == (2, 3, 64, 80)
         depth = batch.inverse_depth * DEPTH_SCALE / 1000.0
         np.testing.assert_allclose(depth, batch.classes + 1, rtol=1e-5)
-        grey = batch.images.mean(axis=1)
-        assert np.corrcoef(grey.ravel(), batch.classes.ravel())[0, 1] > 0.9
+        for grey, classes in zip(batch.images.mean(axis=1), batch.classes, strict=True):
+            assert np.corrcoef(grey.ravel(), classes.ravel())[0, 1] > 0.9
+
+
+def test_wanted_crops_hold_the_classes_that_are_wanted():
+    sample = painted_sample(np.random.default_rng(3), (192, 256))
+    sample.classes[sample.classes == PixelClass.SIGN] = PixelClass.ROAD
+    sample.classes[40:44, 60:64] = PixelClass.SIGN
+    crops = Crops(32, 32, (1.0, 1.0001), 1.0, (PixelClass.SIGN,))
+    for seed in range(8):
+        batch = random_batch([sample], 2, crops, np.random.default_rng(seed))
+        assert (batch.classes == PixelClass.SIGN).any(axis=(1, 2)).all()
 
 
 def test_crops_depend_on_the_generator_only():

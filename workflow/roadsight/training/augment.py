@@ -12,8 +12,6 @@ from roadsight.base.arrays import Bytes, Floats32, Ints
 from roadsight.poles.images.classes import PixelClass
 from roadsight.training.samples import DEPTH_SCALE, Sample
 
-_WANTED = (PixelClass.POLE, PixelClass.SIGN, PixelClass.MARKING)
-"""Classes at which many crops are placed, because they have few pixels."""
 _GREY_BGR = np.array([0.114, 0.587, 0.299], np.float32)
 """Weights of blue, green and red in grey (ITU-R BT.601)."""
 
@@ -25,13 +23,15 @@ class Crops:
     Parameters
     ----------
     height_px, width_px : of the crop. scale : smallest and largest enlargement of the image.
-    wanted_share : share of the crops that hold a chosen pixel of a pole, a sign or a marking.
+    wanted_share : share of the crops that hold a chosen pixel of one of the ``wanted`` classes,
+        which have few pixels; a class that is there twice is chosen twice as often.
     """
 
     height_px: int = 256
     width_px: int = 352
     scale: tuple[float, float] = (0.7, 1.6)
     wanted_share: float = 0.6
+    wanted: tuple[PixelClass, ...] = (PixelClass.POLE, PixelClass.SIGN, PixelClass.MARKING)
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def _random_crop(sample: Sample, crops: Crops, rng: np.random.Generator) -> Samp
         min(round(crops.height_px / scale), rows),
         min(round(crops.width_px / scale), columns),
     )
-    top, left = _random_corner(sample.classes, (height, width), crops.wanted_share, rng)
+    top, left = _random_corner(sample.classes, (height, width), crops, rng)
     part = np.s_[top : top + height, left : left + width]
     mirrored = rng.random() < 0.5
     smooth = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
@@ -92,13 +92,13 @@ def _random_crop(sample: Sample, crops: Crops, rng: np.random.Generator) -> Samp
 
 
 def _random_corner(
-    classes: Bytes, size: tuple[int, int], wanted_share: float, rng: np.random.Generator
+    classes: Bytes, size: tuple[int, int], crops: Crops, rng: np.random.Generator
 ) -> tuple[int, int]:
     """Top row and left column of a part of ``size`` rows and columns."""
     last = np.array(classes.shape, np.int64) - np.array(size, np.int64)
     corner = rng.integers(0, last + 1)
-    kind = _WANTED[rng.integers(len(_WANTED))]
-    if rng.random() < wanted_share:
+    kind = crops.wanted[rng.integers(len(crops.wanted))]
+    if rng.random() < crops.wanted_share:
         pixels = np.flatnonzero(classes == kind)
         if len(pixels):
             chosen = np.unravel_index(pixels[rng.integers(len(pixels))], classes.shape)
@@ -108,22 +108,38 @@ def _random_corner(
 
 
 def with_camera_faults(colour: Bytes, rng: np.random.Generator) -> Bytes:
-    """Another exposure, cast, contrast, saturation, sharpness, noise and JPEG quality."""
+    """Another exposure, cast, contrast, saturation, haze, sharpness, noise and JPEG quality."""
     gain = np.exp(rng.normal(0.0, 0.2) + rng.normal(0.0, 0.06, 3)).astype(np.float32)
     pixels: NDArray = colour.astype(np.float32) * gain
     grey = (pixels @ _GREY_BGR)[..., None]
     pixels = grey + (pixels - grey) * np.float32(np.exp(rng.normal(0.0, 0.3)))
     middle = np.float32(pixels.mean())
     pixels = middle + (pixels - middle) * np.float32(np.exp(rng.normal(0.0, 0.15)))
+    if rng.random() < 0.2:  # mist, or a wet windscreen in the sun
+        pixels = pixels + (np.float32(rng.uniform(150.0, 235.0)) - pixels) * np.float32(
+            rng.uniform(0.05, 0.4)
+        )
+    if rng.random() < 0.3:
+        pixels = _seen_coarsely(pixels, rng.uniform(1.2, 2.2))
     if rng.random() < 0.5:
         blurred = cv2.GaussianBlur(pixels, (0, 0), rng.uniform(0.3, 1.3))
-        pixels = blurred.astype(np.float32)
+        # half of the cameras sharpen instead, which rings at edges
+        over = 0.0 if rng.random() < 0.5 else rng.uniform(1.2, 2.0)
+        pixels = (blurred + (pixels - blurred) * np.float32(over)).astype(np.float32)
     if rng.random() < 0.5:
         noise = rng.standard_normal(pixels.shape, np.float32)
         pixels = pixels + noise * np.float32(rng.uniform(1.0, 8.0))
     finished = np.clip(pixels, 0.0, 255.0).astype(np.uint8)
     if rng.random() < 0.5:
-        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(40, 96))]
+        quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(25, 96))]
         decoded = cv2.imdecode(cv2.imencode(".jpg", finished, quality)[1], cv2.IMREAD_COLOR)
         finished = np.asarray(decoded, np.uint8)
     return finished
+
+
+def _seen_coarsely(pixels: NDArray, factor: float) -> NDArray:
+    """What a sensor of ``factor`` times fewer pixels each way saw, enlarged."""
+    rows, columns = pixels.shape[:2]
+    coarse = (max(round(columns / factor), 1), max(round(rows / factor), 1))
+    few = cv2.resize(pixels, coarse, interpolation=cv2.INTER_AREA)
+    return cv2.resize(few, (columns, rows), interpolation=cv2.INTER_LINEAR)

@@ -13,6 +13,8 @@ CLASS_WEIGHTS = {
     PixelClass.MARKING: 2.0,
     PixelClass.POLE: 3.0,
     PixelClass.SIGN: 3.0,
+    PixelClass.GUARDRAIL: 1.5,
+    PixelClass.BUILDING: 1.5,
     PixelClass.SKY: 0.7,
     PixelClass.TREE: 0.8,
     PixelClass.VEGETATION: 0.8,
@@ -24,6 +26,7 @@ OVERLAP_CLASSES = (
     PixelClass.POLE,
     PixelClass.SIGN,
     PixelClass.WIRE,
+    PixelClass.GUARDRAIL,
 )
 """Classes whose overlap counts beside each pixel (Dice): thin ones, and the road."""
 _LEAST_SPREAD = 1e-3

@@ -25,6 +25,7 @@ def render_dataset(
     first_seed: int = 1000,
     sites: int = 44,
     views: Annotated[int, "views of a site"] = 12,
+    panels_per_km: Annotated[float, "signs of any form and colour beside the usual ones"] = 0.0,
 ) -> None:
     """Write ``views`` views of each of ``sites`` sites."""
     if sites < 1 or views < 1:
@@ -34,7 +35,9 @@ def render_dataset(
         )
     for seed in range(first_seed, first_seed + sites):
         width_px, height_px = _SIZES_PX[seed % 2]
-        shown = random_training_views(seed, views, width_px, height_px, _SITE_LENGTH_M)
+        shown = random_training_views(
+            seed, views, width_px, height_px, _SITE_LENGTH_M, panels_per_km
+        )
         for number, view in enumerate(shown):
             sample = Sample(view.colour, view.classes, view.inverse_depth())
             write_sample(out, seed, number, sample)

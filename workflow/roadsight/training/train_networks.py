@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from roadsight.base.errors import InputError
 from roadsight.base.seeds import SEED
+from roadsight.poles.images.classes import PixelClass
 from roadsight.stages.command import Command
 from roadsight.training.augment import Batch, Crops, random_batch
 from roadsight.training.export import export_network
@@ -62,8 +63,20 @@ def _loss_of_depth(output: Tensor, batch: Batch) -> Tensor:
     return depth_loss(output[:, 0], truth, classes)
 
 
+_RARE = (
+    PixelClass.POLE,
+    PixelClass.MARKING,
+    PixelClass.SIGN,
+    PixelClass.SIGN,
+    PixelClass.GUARDRAIL,
+    PixelClass.BUILDING,
+)
+"""Where crops for the classes are placed."""
+
 TASKS = {
-    "classes": Task(RoadClasses, _loss_of_classes, Crops(), 8, "road_classes.onnx", "logits"),
+    "classes": Task(
+        RoadClasses, _loss_of_classes, Crops(wanted=_RARE), 8, "road_classes.onnx", "logits"
+    ),
     "depth": Task(
         RoadDepth,
         _loss_of_depth,

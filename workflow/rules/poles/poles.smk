@@ -98,9 +98,10 @@ rule triangulate_poles:
         ENVIRONMENT
     params:
         options=flags("triangulation"),
+        networks=own_networks,
     shell:
         "python -m roadsight.stages.poles.triangulate_poles --sightings {input.sightings}"
-        " --frame {input.frame} --dem {input.dem} --voxels {input.voxels} {params.options}"
+        " --frame {input.frame} --dem {input.dem} --voxels {input.voxels} {params.options} {params.networks}"
         " --objects {input.objects} --seen {input.seen} --frames {input.frames} --columns {input.columns} --decisions {input.decisions:q} --poles {output.poles} --layers {output.layers} --csv {output.csv}"
         " --geojson {output.geojson} --doubts {output.doubts} > {log} 2>&1"
 

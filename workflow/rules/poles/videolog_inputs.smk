@@ -116,6 +116,17 @@ def depth_kind(wildcards):
     return "inverse_depth" if depth is None else depth.kind
 
 
+def own_networks(wildcards):
+    """Option that names the project's own networks where they read images that are not its own."""
+    if is_rendered(wildcards):
+        return ""
+    files = [file for source in mask_sources(wildcards) for file in source]
+    used = {os.path.realpath(file) for file in [*files, depth_source(wildcards)]}
+    named = {"classes": OWN_CLASSES, "depth": OWN_DEPTH}
+    own = [kind for kind, file in named.items() if os.path.realpath(file) in used]
+    return f"--own-networks {' '.join(own)}" if own else ""
+
+
 def model_files(manifests):
     """Manifests and label maps with the networks that lie beside them."""
     files = [file for file in manifests if file.endswith((".yaml", ".yml"))]

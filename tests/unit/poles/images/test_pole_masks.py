@@ -160,7 +160,9 @@ def on_grass(cls, post=PixelClass.POLE, beside=False):
     return mask
 
 
-@pytest.mark.parametrize("cls", [PixelClass.OTHER, PixelClass.VEHICLE, PixelClass.SIGN])
+@pytest.mark.parametrize(
+    "cls", [PixelClass.OTHER, PixelClass.VEHICLE, PixelClass.GUARDRAIL, PixelClass.SIGN]
+)
 def test_what_stands_on_a_post_is_a_panel_though_the_network_does_not_know_it(cls):
     (sign,) = find_instances(on_grass(cls), "sign")
     assert (sign.reason, sign.u_foot, sign.v_foot) == ("", 329.5, 529.5)

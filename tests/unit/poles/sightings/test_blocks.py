@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import laspy
 import numpy as np
 import pytest
 import shapely
+from scipy.spatial import cKDTree
 
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.sightings.blocks import block_cells, join_blocks
+from roadsight.poles.sightings.roofs import ROOF_AREA_M2, roof_cells, steady_roofs
 
 
 def roof(rng, low, high, height_m=6.0, per_m2=12.0, walls=True):
@@ -72,3 +77,59 @@ def test_a_headwall_has_limits_of_its_own(rng):
 def test_no_returns_are_no_building():
     assert building() == []
     assert building(np.empty((0, 3))) == []
+
+
+def roofs_of(xyz, cls):
+    """Buildings of a cloud on level ground at 0 in two tiles, as the stage joins them."""
+    west = xyz[:, 0] < 8.0
+    parts = [roof_cells(xyz, xyz[:, 2], cls, own) for own in (west, ~west)]
+    limits = replace(KINDS["building"], area_m2=ROOF_AREA_M2)
+    return join_blocks(steady_roofs(parts), limits)
+
+
+def gable(rng, per_m2=12.0, noise_m=0.02):
+    """Roof of 14 m by 9 m with a ridge at 7 m and eaves at 4 m."""
+    xy = rng.uniform((1.0, 2.0), (15.0, 11.0), (rng.poisson(per_m2 * 14 * 9), 2))
+    z = 7.0 - np.abs(xy[:, 1] - 6.5) * 3.0 / 4.5
+    return np.column_stack([xy, z + rng.normal(0.0, noise_m, len(xy))])
+
+
+@pytest.mark.parametrize(("per_m2", "alike"), [(4.0, 0.6), (12.0, 0.8), (40.0, 0.8)])
+def test_a_roof_is_found_where_no_class_tells_it_and_a_crown_is_none(rng, per_m2, alike):
+    ground = np.column_stack([rng.uniform(0, 40, (4000, 2)), np.zeros(4000)])
+    crown = rng.uniform((22, 3, 3), (30, 11, 8), (int(4 * per_m2 * 64), 3))
+    car = np.column_stack([rng.uniform((33, 3), (35, 7), (160, 2)), np.full(160, 2.4)])
+    xyz = np.concatenate([ground, gable(rng, per_m2), crown, car])
+    (found,) = roofs_of(xyz, np.zeros(len(xyz), np.uint8))
+    truth, ours = shapely.box(1, 2, 15, 11), shapely.Polygon(found.outline_m)
+    assert ours.intersection(truth).area / ours.union(truth).area > alike
+    assert found.top_m == pytest.approx(7.0, abs=0.15)
+    assert roofs_of(xyz, np.full(len(xyz), 5, np.uint8)) == []
+
+
+def test_walls_and_noise_are_no_roofs(rng):
+    wall = np.column_stack([rng.uniform(0, 20, 3000), np.full(3000, 5.0), rng.uniform(0, 9, 3000)])
+    wall[:, 1] += rng.normal(0.0, 0.02, 3000)
+    assert roofs_of(wall, np.ones(3000, np.uint8)) == []
+    rough = gable(rng, noise_m=0.3)
+    assert roofs_of(rough, np.ones(len(rough), np.uint8)) == []
+    assert roofs_of(np.empty((0, 3)), np.empty(0, np.uint8)) == []
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(
+    ("file", "found", "right"),
+    [("delft/cloud.laz", 0.55, 0.97), ("montpellier_street.laz", 0.85, 0.85)],
+)
+def test_real_buildings_are_found_where_their_class_is_hidden(data, file, found, right):
+    cloud = laspy.read(data / "clouds" / file)
+    xyz = np.asarray(cloud.xyz) - np.min(cloud.xyz, axis=0)
+    cls = np.asarray(cloud.classification)
+    ground = cKDTree(xyz[cls == 2, :2])
+    above = xyz[:, 2] - xyz[cls == 2, 2][ground.query(xyz[:, :2])[1]]
+    hidden = np.where(cls == 2, 2, 1).astype(np.uint8)
+    (cells,) = steady_roofs([roof_cells(xyz, above, hidden, np.ones(len(xyz), bool))])
+    truth = block_cells(xyz[(cls == 6) & (above > 2.0)]).index
+    near = cKDTree(truth).query(cells.index)[0] < 1.5
+    seen = cKDTree(cells.index).query(truth)[0] < 0.5
+    assert np.mean(near) > right and np.mean(seen) > found

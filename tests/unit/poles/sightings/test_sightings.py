@@ -298,7 +298,17 @@ def test_a_panel_tells_its_bearing_and_by_its_size_roughly_its_distance():
     assert abs(float(wrap_deg(sign["bearing_grid_deg"] - 350.0))) < 0.1
     assert sign["depth_m"] == pytest.approx(20.0, rel=0.15)
     assert sign["sigma_depth_m"] == pytest.approx(0.5 * sign["depth_m"])
-    assert np.isnan([sign["depth_network_m"], sign["depth_ground_m"]]).all()
+    assert np.isnan([sign["depth_network_m"], sign["sigma_depth_ground_m"]]).all()
+    # camera 2.5 m up, lower edge 2 m up: the ray falls 0.5 m in 20 m
+    assert sign["depth_ground_m"] == pytest.approx(100.0, rel=0.2)
+
+
+def test_a_panel_that_is_higher_than_the_camera_has_a_ray_that_never_lands():
+    evidence = Evidence(level, NONE, np.empty((0, 3)))
+    (sign,) = measure_view(CAMERA, signed(350.0, 20.0, low_m=3.0), None, evidence, SIGNS).to_dict(
+        "records"
+    )
+    assert sign["kept"] and np.isinf(sign["depth_ground_m"])
 
 
 @pytest.mark.parametrize(("top_m", "source"), [(2.7, "lidar"), (9.0, "size")])

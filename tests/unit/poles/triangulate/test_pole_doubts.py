@@ -12,6 +12,7 @@ from roadsight.poles.triangulate.pole_doubts import (
     FAR_SIGMA_M,
     UNTURNED,
     far_reaching,
+    network_doubts,
     pole_doubts,
 )
 from roadsight.poles.triangulate.rays import UNAIDED
@@ -81,3 +82,11 @@ def test_what_was_scaled_and_left_out_is_told():
 def test_side_views_that_are_left_out_are_told_of_every_kind():
     signs = sightings(0, lost=4).assign(kind="sign")
     assert [doubt.code for doubt in pole_doubts(signs, [], UNAIDED)] == ["side_views_left_out"]
+
+
+def test_own_networks_on_photographs_are_a_doubt():
+    assert network_doubts([]) == []
+    (found,) = network_doubts(["classes", "depth"])
+    assert (found.code, found.severity) == ("networks_saw_no_photograph", "doubt")
+    assert found.measured == "classes and depth"
+    assert "poles.masks" in found.message

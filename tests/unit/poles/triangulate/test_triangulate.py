@@ -10,11 +10,13 @@ from hypothesis import strategies as st
 
 from roadsight.poles.triangulate.groups import Points, fit_groups, locate_points
 from roadsight.poles.triangulate.locate import (
+    STANDING,
     calibrate_depths,
     drop_near_structures,
     error_ellipse,
     shares_above,
     triangulate,
+    withhold_standing,
     withhold_thin,
     withhold_under_crowns,
 )
@@ -308,6 +310,19 @@ def test_share_of_a_crown_counts_what_is_near_and_high_above_its_own_ground(base
     heights = np.array([base_m, base_m, base_m, np.nan])
     assert shares_above(places, heights, voxels).tolist() == [0.0, 6 / 8, 0.0, 0.0]
     assert shares_above(places[:0], heights[:0], voxels).tolist() == []
+
+
+def test_panels_whose_lower_edges_are_on_the_ground_are_withheld():
+    """A sign 30 m ahead whose ray lands at 90 m, a car whose lands where it is, a pole alike."""
+    kinds = {"kind": ["sign", "sign", "pole", "sign"], "x": 0.0, "y": 30.0, "reason": ""}
+    poles = pd.DataFrame(kinds).assign(kept=[True, True, True, False])
+    lands = [90.0, np.inf, 30.0, 31.0, 75.0, 30.0, 30.0, 30.0]
+    sightings = pd.DataFrame({"x": 0.0, "y": 0.0, "depth_ground_m": lands})
+    pole_of = np.array([0, 0, 1, 1, 1, 2, 3, -1])
+    found = withhold_standing(poles, pole_of, sightings)
+    assert found["kept"].tolist() == [True, False, True, False]
+    assert found["reason"].tolist() == ["", STANDING, "", ""]
+    assert withhold_standing(poles, np.full(8, -1), sightings)["kept"].equals(poles["kept"])
 
 
 def test_an_error_along_the_way_that_near_cameras_share_does_not_average_out():

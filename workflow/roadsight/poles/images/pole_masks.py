@@ -37,7 +37,13 @@ _JOIN_SHARE = 0.5
 """Pieces of one axis are joined over gaps up to this share of the longer one's height."""
 _FOOT_PX = 12.0
 """Height of the strip below a foot that tells what hides it; px of an image 1200 px high."""
-_BOARDS = (PixelClass.OTHER, PixelClass.VEHICLE, PixelClass.MARKING, PixelClass.SIGN)
+_BOARDS = (
+    PixelClass.OTHER,
+    PixelClass.VEHICLE,
+    PixelClass.MARKING,
+    PixelClass.GUARDRAIL,
+    PixelClass.SIGN,
+)
 """Classes for which the shipped network takes white panels. It takes green ones for road, which
 also ends behind posts: with it, strays outweigh what is gained."""
 _COMPACT = 0.45

@@ -16,7 +16,7 @@ from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.images.pole_masks import PUBLISHED_HEIGHT_PX, Instance, find_instances
 from roadsight.poles.sightings.lidar_poles import PoleColumns
-from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths
+from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths, ground_distance_m
 from roadsight.poles.sightings.sighting_bearing import (
     SNAP_DEPTHS,
     ViewCamera,
@@ -132,7 +132,8 @@ def measure_view(
     table["bearing_grid_deg"], table["sigma_bearing_deg"], table["method"] = bearing, sigma, method
     table["sigma_place_m"] = place
     table["width_deg"] = np.degrees(np.arctan(width / camera.intrinsics.focal_px))
-    return _once_a_column(_judged(table, found, camera, settings), match)
+    table = _once_a_column(_judged(table, found, camera, settings), match)
+    return _with_lower_edges(table, panel, camera, evidence.height_at, settings)
 
 
 def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
@@ -239,6 +240,22 @@ def _with_sizes(table: pd.DataFrame, found: Sequence[Instance], camera: ViewCame
     table.loc[told, "depth_m"] = away_m[told]
     table.loc[told, "sigma_depth_m"] = (sigma * away_m)[told]
     table.loc[told, "depth_from"] = "size"
+    return table
+
+
+def _with_lower_edges(
+    table: pd.DataFrame, panel: Bools, camera: ViewCamera, height_at: HeightAt, settings: Sightings
+) -> pd.DataFrame:
+    """Where rays of panels' lower edges meet the ground: far behind, unless they stand on it.
+
+    Infinite where they do not within twice the reach. It is no distance of the panel, so that it
+    has no sigma; `withhold_standing` compares it with the place that rays from several views give.
+    """
+    middle = 0.5 * (table["u_min"] + table["u_max"])
+    rays = camera.rays(np.column_stack([middle, table["v_max"]])[panel])
+    reach_m = 2.0 * settings.farthest_m
+    found = ground_distance_m(camera.position_m, rays, height_at, farthest_m=reach_m)
+    table.loc[panel, "depth_ground_m"] = np.where(np.isfinite(found), found, np.inf)
     return table
 
 

@@ -60,6 +60,18 @@ def far_reaching(
     return settings.model_copy(update={"max_distance_m": FAR_M, "max_sigma_m": sharp_m})
 
 
+def network_doubts(own: Sequence[str]) -> list[Doubt]:
+    """Doubts where the project's ``own`` networks, of classes or depth, read photographs."""
+    if not own:
+        return []
+    text = (
+        "images are read by the project's own networks, which were trained on rendered roads and"
+        " never saw a photograph (of pole pixels on photographs they overlap the true ones by"
+        " 0.06): name networks that did in poles.masks and poles.depth (docs/poles/models.md)"
+    )
+    return [Doubt("networks_saw_no_photograph", "doubt", text, " and ".join(own), None)]
+
+
 def pole_doubts(
     sightings: pd.DataFrame,
     network: Sequence[NetworkScale],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -30,6 +31,7 @@ from roadsight.poles.sightings.crowns import (
     reach_m,
 )
 from roadsight.poles.sightings.rails import RailReturns, find_rail_returns, join_rails
+from roadsight.poles.sightings.roofs import ROOF_AREA_M2, roof_cells, steady_roofs
 from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
@@ -58,6 +60,7 @@ def find_roadside_objects(
         halo_m = max(_HALO_M, reach_m(cell_m))
     tiles = cloud.iter_tiles(halo_m, ["x", "y", "z", "classification"])
     cells: dict[str, list[BlockCells]] = {kind: [] for kind in BLOCKS if kind in kinds}
+    roofs: list[BlockCells] = []
     crowns, rails = [], [RailReturns(np.empty((0, 3)), np.empty((0, 2)))]
     for bounds, points in logged(tiles, len(cloud.tiles), log, "tiles"):
         xyz = np.column_stack([points[name] for name in "xyz"]).astype(np.float64)
@@ -73,6 +76,8 @@ def find_roadside_objects(
         for kind, parts_of_kind in cells.items():
             block = np.isin(cls, getattr(classes, f"{kind}_classes")) & _inside(xyz, bounds)
             parts_of_kind.append(block_cells(xyz[block]))
+        if "building" in kinds and not _any_cells(cells["building"]):
+            roofs.append(roof_cells(xyz, above, cls, _inside(xyz, bounds)))
     lines = join_rails(
         RailReturns(
             np.concatenate([part.xyz_m for part in rails]),
@@ -86,14 +91,24 @@ def find_roadside_objects(
     parts = [trees.assign(kind="tree", object=np.arange(len(trees)))]
     parts += [_rail(line, number) for number, line in enumerate(lines)]
     for kind, found_cells in cells.items():
-        blocks = join_blocks(found_cells, KINDS[kind])
-        tell = log.info if any(len(part.index) for part in found_cells) else log.warning
-        tell("%d of kind %s; classes %s", len(blocks), kind, getattr(classes, f"{kind}_classes"))
+        told = _any_cells(found_cells)
+        if kind == "building" and not told:
+            blocks = join_blocks(steady_roofs(roofs), replace(KINDS[kind], area_m2=ROOF_AREA_M2))
+        else:
+            blocks = join_blocks(found_cells, KINDS[kind])
+        source = f"classes {getattr(classes, f'{kind}_classes')}"
+        if not told:
+            source += ", which no return has" + ", but by roofs" * (kind == "building")
+        (log.info if told else log.warning)("%d of kind %s by %s", len(blocks), kind, source)
         parts += [_block(block, kind, number, ground) for number, block in enumerate(blocks)]
     table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
     table = table.astype({"object": np.int64, "kind": str})
     log.info("%d trees, %d guardrails", len(trees), len(lines))
     write_table(out, table, {"kinds": list(kinds)})
+
+
+def _any_cells(parts: Sequence[BlockCells]) -> bool:
+    return any(len(part.index) for part in parts)
 
 
 def _canopy_cell_m(cloud: CloudTiles) -> float:

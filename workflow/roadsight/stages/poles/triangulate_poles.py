@@ -36,10 +36,11 @@ from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
 from roadsight.poles.triangulate.locate import (
     drop_near_structures,
     shares_above,
+    withhold_standing,
     withhold_thin,
     withhold_under_crowns,
 )
-from roadsight.poles.triangulate.pole_doubts import far_reaching, pole_doubts
+from roadsight.poles.triangulate.pole_doubts import far_reaching, network_doubts, pole_doubts
 from roadsight.poles.triangulate.probability import real_probability
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import (
@@ -78,6 +79,7 @@ def triangulate_poles(
     seen: Annotated[Sequence[Path], "what images show of them"] = (),
     frames: Annotated[Path | None, "track, to which the nearest place of a building is"] = None,
     columns: Annotated[Path | None, "pole-like columns of the cloud: heights, leans, arms"] = None,
+    own_networks: Annotated[Sequence[str], "the project's own that read photographs"] = (),
     *,
     poles_path: Path,
     layers_path: Path,
@@ -97,8 +99,8 @@ def triangulate_poles(
     sightings = sightings.assign(anchored=in_cloud)
     if doubts_path:
         own = sightings[sightings["kind"] == "pole"]
-        doubts = pole_doubts(sightings, network, far_reaching(own, settings))
-        tell(doubts, doubts_path, "poles", log)
+        limits = pole_doubts(sightings, network, far_reaching(own, settings))
+        tell([*network_doubts(own_networks), *limits], doubts_path, "poles", log)
     poles, pole_of, scales = site_poles(sightings, settings)
     poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)
     voxels_m, voxel_class = _voxels(voxels) if voxels else (np.empty((0, 3)), np.empty(0, int))
@@ -106,6 +108,7 @@ def triangulate_poles(
         xy_m = poles[["x", "y"]].to_numpy(np.float64)
         above = shares_above(xy_m, read_raster(dem, frame).sample(*xy_m.T), voxels_m)
         poles = withhold_under_crowns(poles, pole_of, in_cloud, settings.min_views, above)
+    poles = withhold_standing(poles, pole_of, sightings)
     objects, told = _confirmed(objects_path, seen)
     track = read_table(frames, ["route", "sequence", "x", "y"]) if frames else _NO_TRACK
     others = trees_of(objects, told), blocks_of(objects, told, RouteTracks(track))

@@ -45,6 +45,7 @@ _BARK = int(Material.BARK)
 _WALL = int(Material.WALL)
 _ROOF = int(Material.ROOF)
 _PAINT = int(Material.PAINT)
+_SIGN = int(Material.SIGN_PAINT)
 _DELINEATOR = int(Material.DELINEATOR)
 _SKY = 9
 """`PixelClass.SKY`."""
@@ -75,6 +76,21 @@ _PAINTS = np.array(
 """Colours of vehicles: blue, green, red."""
 _WALLS = np.array([[0.62, 0.66, 0.68], [0.35, 0.5, 0.6], [0.5, 0.42, 0.35], [0.12, 0.16, 0.38]])
 """Colours of walls: blue, green, red."""
+_SIGNS = np.array(
+    [
+        [0.02, 0.5, 0.8],
+        [0.8, 0.8, 0.8],
+        [0.05, 0.04, 0.55],
+        [0.13, 0.3, 0.02],
+        [0.45, 0.16, 0.02],
+        [0.02, 0.25, 0.75],
+        [0.04, 0.1, 0.2],
+        [0.05, 0.75, 0.6],
+        [0.4, 0.4, 0.39],
+        [0.02, 0.02, 0.02],
+    ]
+)
+"""Colours of signs: yellow, white, red, green, blue, orange, brown, lime, grey, black."""
 
 
 class Look(NamedTuple):
@@ -223,11 +239,12 @@ def _thing_colour(look: Look, hits: Hits, i: int, fine: float) -> Colour:
         grain = 0.35 * fine2(around, z / 0.6, 0.12, 9.0 * fine, k) + 0.12 * noise2(x + y, z, k)
         base = mix((0.1, 0.14, 0.19), (0.2, 0.24, 0.27), tint)
         return scaled(base, max(1.0 + grain, 0.3) * (1.0 if material == _WOOD else 0.75))
-    row = min(int(tint * 5.0), 4)
-    if material == _PAINT:
-        return _PAINTS[row, 0], _PAINTS[row, 1], _PAINTS[row, 2]
+    if material in (_PAINT, _SIGN):
+        colours = _PAINTS if material == _PAINT else _SIGNS
+        row = min(int(tint * len(colours)), len(colours) - 1)
+        return colours[row, 0], colours[row, 1], colours[row, 2]
     if material == _WALL:
-        row = min(row, 3)
+        row = min(int(tint * 5.0), 3)
         board = 0.9 if (z / 0.18) % 1.0 < 0.12 else 1.0
         return _WALLS[row, 0] * board, _WALLS[row, 1] * board, _WALLS[row, 2] * board
     if material == _ROOF:

@@ -14,7 +14,12 @@ from roadsight.synthetic.rural.rural_road import RuralSite, build_rural
 
 
 def random_training_views(
-    seed: int, count: int, width_px: int = 640, height_px: int = 416, length_m: float = 500.0
+    seed: int,
+    count: int,
+    width_px: int = 640,
+    height_px: int = 416,
+    length_m: float = 500.0,
+    panels_per_km: float = 0.0,
 ) -> Iterator[RenderedView]:
     """Views of one site of its own: random places, cameras, weather, exposure.
 
@@ -24,8 +29,9 @@ def random_training_views(
     Parameters
     ----------
     seed : of the site and of everything else; the same arguments give the same views.
+    panels_per_km : signs of any form and colour beside the usual ones.
     """
-    site = build_rural(seed, length_m)
+    site = build_rural(seed, length_m, panels_per_km=panels_per_km)
     renderer = RuralRenderer(site)
     rng = np.random.default_rng([seed, 11])
     for _ in range(count):

@@ -38,6 +38,7 @@ class Material(IntEnum):
     BUSH = 22
     SIGN_GREEN = 23
     FITTING = 24
+    SIGN_PAINT = 25
 
 
 class Ground(IntEnum):

@@ -38,6 +38,7 @@ from roadsight.synthetic.rural.rural_ground import (
 from roadsight.synthetic.rural.rural_line import RuralLine, random_line
 from roadsight.synthetic.rural.rural_materials import Material
 from roadsight.synthetic.rural.rural_mesh import Mesh, MeshBuilder
+from roadsight.synthetic.rural.rural_panels import add_panels
 from roadsight.synthetic.rural.rural_plants import add_plants
 from roadsight.synthetic.rural.rural_surface import Surface, make_surface
 
@@ -103,7 +104,11 @@ class RuralSite:
 
 
 def build_rural(
-    seed: int, length_m: float, detail: float = 1.0, relief: float = _USUAL.relief
+    seed: int,
+    length_m: float,
+    detail: float = 1.0,
+    relief: float = _USUAL.relief,
+    panels_per_km: float = 0.0,
 ) -> RuralSite:
     """Build the site; the same arguments give the same site.
 
@@ -112,6 +117,7 @@ def build_rural(
     length_m : length of the drive; the road goes on for 130 m at both ends.
     detail : number of leaves against the usual (their area stays).
     relief : heights of road and hills against the usual; 0 is level.
+    panels_per_km : signs of any form and colour beside the usual ones, for training.
 
     Raises
     ------
@@ -122,8 +128,10 @@ def build_rural(
     if not _SHORTEST_M <= length_m <= _LONGEST_M:
         allowed = f"{_SHORTEST_M:g} to {_LONGEST_M:g}"
         raise InputError("is out of range", where="length_m", found=length_m, allowed=allowed)
-    streams = np.random.SeedSequence([seed, 7]).spawn(4)
-    line_rng, hill_rng, thing_rng, plant_rng = (np.random.default_rng(s) for s in streams)
+    streams = np.random.SeedSequence([seed, 7]).spawn(5)
+    line_rng, hill_rng, thing_rng, plant_rng, panel_rng = (
+        np.random.default_rng(s) for s in streams
+    )
     line = random_line(-_LEAD_M, length_m + _LEAD_M, line_rng)
     hills = make_hills(line, hill_rng)
     line = replace(line, wave_m=relief * line.wave_m)
@@ -135,6 +143,8 @@ def build_rural(
     houses = _furnish(add, length_m)
     add.rng = plant_rng
     add_plants(add, houses, detail)
+    add.rng = panel_rng
+    add_panels(add, panels_per_km)
     passing = [[0.42 * length_m, 0.62 * length_m]]
     surface = make_surface(ground, passing)
     return RuralSite(
