@@ -7,10 +7,12 @@ import pandas as pd
 import pytest
 
 from roadsight.poles.sightings.network_scale import NetworkScale
+from roadsight.poles.triangulate.locate import STANDING, UNDER_CROWN
 from roadsight.poles.triangulate.pole_doubts import (
     FAR_M,
     FAR_SIGMA_M,
     UNTURNED,
+    crown_doubts,
     far_reaching,
     network_doubts,
     pole_doubts,
@@ -90,3 +92,10 @@ def test_own_networks_on_photographs_are_a_doubt():
     assert (found.code, found.severity) == ("networks_saw_no_photograph", "doubt")
     assert found.measured == "classes and depth"
     assert "poles.masks" in found.message
+
+
+def test_poles_withheld_under_crowns_are_a_note():
+    poles = pd.DataFrame({"reason": ["", UNDER_CROWN, STANDING, UNDER_CROWN]})
+    (found,) = crown_doubts(poles)
+    assert (found.code, found.severity, found.measured) == ("under_crowns", "note", 2)
+    assert crown_doubts(poles.iloc[[0, 2]]) == []

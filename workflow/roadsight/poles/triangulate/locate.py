@@ -12,6 +12,8 @@ from roadsight.poles.triangulate.explain import explain_rays
 from roadsight.poles.triangulate.listed import choose_listed
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
+UNDER_CROWN = "under a crown, and not clearly in the cloud"
+"""Reason of what is withheld so."""
 STANDING = "stands on the ground as no panel does"
 """Reason of what is withheld so."""
 _STANDS_WITHIN = 1.5
@@ -171,10 +173,8 @@ def withhold_under_crowns(
     confirmed = _in_cloud(poles, pole_of, in_cloud) & (poles["score"].to_numpy() >= min_views)
     stem = np.array([KINDS[kind].shape == "stem" for kind in poles["kind"]], bool)
     under = (share_above >= _CROWN_SHARE) & stem & ~confirmed & poles["kept"].to_numpy(bool)
-    reason = "under a crown, and not clearly in the cloud"
-    return poles.assign(
-        kept=poles["kept"] & ~under, reason=np.where(under, reason, poles["reason"]).astype(object)
-    )
+    reason = np.where(under, UNDER_CROWN, poles["reason"]).astype(object)
+    return poles.assign(kept=poles["kept"] & ~under, reason=reason)
 
 
 def _in_cloud(poles: pd.DataFrame, pole_of: Ints, in_cloud: Bools) -> Bools:

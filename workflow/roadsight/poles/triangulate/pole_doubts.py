@@ -9,6 +9,7 @@ import pandas as pd
 
 from roadsight.base.doubts import Doubt, Severity
 from roadsight.poles.sightings.network_scale import NetworkScale
+from roadsight.poles.triangulate.locate import UNDER_CROWN
 from roadsight.poles.triangulate.rays import TriangulationSettings
 
 LEAST_ANCHORED = 0.1
@@ -70,6 +71,18 @@ def network_doubts(own: Sequence[str]) -> list[Doubt]:
         " 0.06): name networks that did in poles.masks and poles.depth (docs/poles/models.md)"
     )
     return [Doubt("networks_saw_no_photograph", "doubt", text, " and ".join(own), None)]
+
+
+def crown_doubts(poles: pd.DataFrame) -> list[Doubt]:
+    """Note on poles that were withheld as trunks, see `withhold_under_crowns`."""
+    withheld = int((poles["reason"] == UNDER_CROWN).sum())
+    if not withheld:
+        return []
+    text = (
+        "stand under a crown and not clearly in the cloud, and are withheld as trunks; a lamp among"
+        " branches would be one of them (poles.decisions accepts it): poles withheld so"
+    )
+    return [Doubt("under_crowns", "note", text, withheld)]
 
 
 def pole_doubts(

@@ -19,7 +19,7 @@ from roadsight.base.matches import tell_matches
 from roadsight.base.sections.poles import Triangulation
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
-from roadsight.io.raster.rasters import read_raster
+from roadsight.io.raster.rasters import Raster, read_raster
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.pole_decisions import read_decisions
 from roadsight.io.records.sighting_tables import in_native, write_csv
@@ -40,7 +40,12 @@ from roadsight.poles.triangulate.locate import (
     withhold_thin,
     withhold_under_crowns,
 )
-from roadsight.poles.triangulate.pole_doubts import far_reaching, network_doubts, pole_doubts
+from roadsight.poles.triangulate.pole_doubts import (
+    crown_doubts,
+    far_reaching,
+    network_doubts,
+    pole_doubts,
+)
 from roadsight.poles.triangulate.probability import real_probability
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import (
@@ -95,20 +100,16 @@ def triangulate_poles(
     settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)
     network = network_scales(sightings)
     sightings = with_scales(sightings, network)
-    in_cloud = sightings["depth_lidar_m"].notna().to_numpy()
-    sightings = sightings.assign(anchored=in_cloud)
+    sightings = sightings.assign(anchored=sightings["depth_lidar_m"].notna())
+    poles, pole_of, scales = site_poles(sightings, settings)
+    voxels_m, voxel_class = _voxels(voxels) if voxels else (np.empty((0, 3)), np.empty(0, int))
+    ground = read_raster(dem, frame) if dem else None
+    poles = _doubtful_withheld(poles, pole_of, sightings, settings.min_views, voxels_m, ground)
     if doubts_path:
         own = sightings[sightings["kind"] == "pole"]
         limits = pole_doubts(sightings, network, far_reaching(own, settings))
-        tell([*network_doubts(own_networks), *limits], doubts_path, "poles", log)
-    poles, pole_of, scales = site_poles(sightings, settings)
-    poles = withhold_thin(poles, pole_of, in_cloud, settings.min_views)
-    voxels_m, voxel_class = _voxels(voxels) if voxels else (np.empty((0, 3)), np.empty(0, int))
-    if dem and len(voxels_m):
-        xy_m = poles[["x", "y"]].to_numpy(np.float64)
-        above = shares_above(xy_m, read_raster(dem, frame).sample(*xy_m.T), voxels_m)
-        poles = withhold_under_crowns(poles, pole_of, in_cloud, settings.min_views, above)
-    poles = withhold_standing(poles, pole_of, sightings)
+        doubts = [*network_doubts(own_networks), *limits, *crown_doubts(poles)]
+        tell(doubts, doubts_path, "poles", log)
     objects, told = _confirmed(objects_path, seen)
     track = read_table(frames, ["route", "sequence", "x", "y"]) if frames else _NO_TRACK
     others = trees_of(objects, told), blocks_of(objects, told, RouteTracks(track))
@@ -174,6 +175,24 @@ def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFram
     for name in decisions.loc[rows < 0, "pole"]:
         log.warning("no pole is left that the decision on %s is about", name or "one of them")
     return decided
+
+
+def _doubtful_withheld(
+    poles: pd.DataFrame,
+    pole_of: Ints,
+    sightings: pd.DataFrame,
+    min_views: int,
+    voxels_m: Floats,
+    ground: Raster | None,
+) -> pd.DataFrame:
+    """Poles with those withheld that few images, or the cloud around them, speak against."""
+    in_cloud = sightings["anchored"].to_numpy(bool)
+    poles = withhold_thin(poles, pole_of, in_cloud, min_views)
+    if ground is not None and len(voxels_m):
+        xy_m = poles[["x", "y"]].to_numpy(np.float64)
+        above = shares_above(xy_m, ground.sample(*xy_m.T), voxels_m)
+        poles = withhold_under_crowns(poles, pole_of, in_cloud, min_views, above)
+    return withhold_standing(poles, pole_of, sightings)
 
 
 def _voxels(path: Path) -> tuple[Floats, Ints]:
