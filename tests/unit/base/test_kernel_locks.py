@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
+
+fcntl = pytest.importorskip("fcntl")
 
 MODULE = """\
 from roadsight.base.kernels import compiled

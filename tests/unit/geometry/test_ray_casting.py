@@ -99,6 +99,12 @@ def test_what_are_no_rays_are_refused(soup, origins, ways):
         RayScene(*soup).first_hits(np.zeros(origins), np.ones(ways))
 
 
+@pytest.mark.parametrize("faces", [[0, 1, 2], [], [[0, 1]], [[0, 1, 2, 3, 4]]])
+def test_what_are_no_faces_are_refused(soup, faces):
+    with pytest.raises(ValueError, match="are no rows"):
+        RayScene(soup[0], faces)
+
+
 def test_a_flat_triangle_is_one():
     corners = np.array([[-1, -1, 5], [1, -1, 5], [0, 1, 5]])
     assert RayScene(corners, [[0, 1, 2]]).first_hits(np.zeros(3), [[0, 0, 1]]).range_m == 5.0

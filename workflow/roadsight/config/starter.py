@@ -278,8 +278,9 @@ placement:
 # orthophoto: orthophoto.tif
 # Settings of config/config.yaml that are others here.
 settings:
-  # Parts of the candidates that are computed beside each other: with one, each of two cores has
-  # a sensor. Usual are {usual.shards}; on more cores take more, each part loads the scene anew.
+  # Parts of the candidates, and of a videolog's images, that are computed beside each other: with
+  # one, each of two cores has a sensor. Usual are {usual.shards}: take more for more cores, usual
+  # candidates or images; each part loads the scene anew.
   shards: 1
   # Few candidates, for a quick first answer; usual are {spacing}.
   candidates: {{spacing_m: {along:g}, height_step_m: {up:g}}}

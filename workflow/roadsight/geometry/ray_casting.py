@@ -76,8 +76,8 @@ class FirstHits(NamedTuple):
     Parameters
     ----------
     range_m : (n,) in lengths of the direction; the limit where nothing is met before it.
-    triangle : (n,) its row, or that of a face, -1 for none. u, v : (n,) share of its second and
-        third corner.
+    triangle : (n,) its row, or that of a face, -1 for none. u, v : (n,) share of a triangle's
+        second and third corner; of a face of four, where it is met along its first and last edge.
     """
 
     range_m: Floats32
@@ -99,6 +99,7 @@ class RayScene:
     Raises
     ------
     MemoryError : Embree has not enough.
+    ValueError : faces are no rows of three or four corners.
     """
 
     def __init__(self, corners_m: ArrayLike, faces: ArrayLike, robust: bool = False) -> None:
@@ -107,7 +108,9 @@ class RayScene:
         # Embree reads 16 bytes at each corner.
         self._corners = np.concatenate([corners, np.zeros((1, 3), np.float32)])
         self._faces = np.array(faces, np.uint32, order="C")
-        sides = self._faces.shape[-1]
+        if self._faces.ndim != 2 or self._faces.shape[1] not in _FACES:
+            raise ValueError(f"faces {self._faces.shape} are no rows of three or four corners")
+        sides = self._faces.shape[1]
         kind, layout = _FACES[sides]
         embree.rtcGetDeviceError(device)  # of an earlier call: it is kept until it is asked for
         self._scene = Address(embree.rtcNewScene(device))

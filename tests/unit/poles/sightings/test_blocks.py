@@ -94,7 +94,7 @@ def gable(rng, per_m2=12.0, noise_m=0.02):
     return np.column_stack([xy, z + rng.normal(0.0, noise_m, len(xy))])
 
 
-@pytest.mark.parametrize(("per_m2", "alike"), [(4.0, 0.6), (12.0, 0.8), (40.0, 0.8)])
+@pytest.mark.parametrize(("per_m2", "alike"), [(6.0, 0.6), (12.0, 0.8), (40.0, 0.8)])
 def test_a_roof_is_found_where_no_class_tells_it_and_a_crown_is_none(rng, per_m2, alike):
     ground = np.column_stack([rng.uniform(0, 40, (4000, 2)), np.zeros(4000)])
     crown = rng.uniform((22, 3, 3), (30, 11, 8), (int(4 * per_m2 * 64), 3))
@@ -105,6 +105,16 @@ def test_a_roof_is_found_where_no_class_tells_it_and_a_crown_is_none(rng, per_m2
     assert ours.intersection(truth).area / ours.union(truth).area > alike
     assert found.top_m == pytest.approx(7.0, abs=0.15)
     assert roofs_of(xyz, np.full(len(xyz), 5, np.uint8)) == []
+
+
+@pytest.mark.parametrize("per_m3", [30, 300, 1000])
+@pytest.mark.parametrize("semi_axes_m", [(4.0, 4.0, 4.0), (6.0, 6.0, 3.0)])
+def test_crowns_of_dense_clouds_are_no_roofs(rng, per_m3, semi_axes_m):
+    axes_m = np.array(semi_axes_m)
+    way = rng.normal(size=(int(4.19 * axes_m.prod() * per_m3), 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    crown = way * rng.random((len(way), 1)) ** (1 / 3) * axes_m + [7.0, 8.0, 2.5 + axes_m[2]]
+    assert roofs_of(crown, np.ones(len(crown), np.uint8)) == []
 
 
 def test_walls_and_noise_are_no_roofs(rng):

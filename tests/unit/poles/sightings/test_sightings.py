@@ -288,7 +288,7 @@ SIGNS = Sightings(kinds=["sign"], min_width_px=2.0)
 
 
 def test_a_panel_tells_its_bearing_and_by_its_size_roughly_its_distance():
-    """The ray through its lower edge meets the ground 100 m away, which says nothing."""
+    """Where the ray through its lower edge meets the ground says nothing of its distance."""
     depth = np.full((600, 1000), 2000, np.uint16)
     found = measure_view(
         CAMERA, signed(350.0, 20.0), depth, Evidence(level, NONE, np.empty((0, 3))), SIGNS
@@ -298,17 +298,17 @@ def test_a_panel_tells_its_bearing_and_by_its_size_roughly_its_distance():
     assert abs(float(wrap_deg(sign["bearing_grid_deg"] - 350.0))) < 0.1
     assert sign["depth_m"] == pytest.approx(20.0, rel=0.15)
     assert sign["sigma_depth_m"] == pytest.approx(0.5 * sign["depth_m"])
-    assert np.isnan([sign["depth_network_m"], sign["sigma_depth_ground_m"]]).all()
+    assert np.isnan([sign["depth_network_m"], sign["depth_ground_m"]]).all()
     # camera 2.5 m up, lower edge 2 m up: the ray falls 0.5 m in 20 m
-    assert sign["depth_ground_m"] == pytest.approx(100.0, rel=0.2)
+    assert sign["lower_edge_rise"] == pytest.approx(-0.5 / 20.0, rel=0.2)
 
 
-def test_a_panel_that_is_higher_than_the_camera_has_a_ray_that_never_lands():
+def test_the_ray_of_a_lower_edge_above_the_camera_rises():
     evidence = Evidence(level, NONE, np.empty((0, 3)))
     (sign,) = measure_view(CAMERA, signed(350.0, 20.0, low_m=3.0), None, evidence, SIGNS).to_dict(
         "records"
     )
-    assert sign["kept"] and np.isinf(sign["depth_ground_m"])
+    assert sign["kept"] and sign["lower_edge_rise"] == pytest.approx(0.5 / 20.0, rel=0.2)
 
 
 @pytest.mark.parametrize(("top_m", "source"), [(2.7, "lidar"), (9.0, "size")])

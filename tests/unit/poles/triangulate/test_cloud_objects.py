@@ -8,7 +8,7 @@ import pytest
 
 from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.sightings.confirm import UNSEEN, confirmed
-from roadsight.poles.triangulate.cloud_objects import blocks_of, trees_of
+from roadsight.poles.triangulate.cloud_objects import OVER_ROAD, blocks_of, trees_of
 
 
 def outline(kind, number, corner, size=(10.0, 8.0)):
@@ -60,6 +60,15 @@ def test_a_building_that_images_contradict_is_withheld(objects):
     found = blocks_of(objects, told, TRACK).set_index("id")
     assert not found.loc["building-00000", "kept"]
     assert "something else" in found.loc["building-00000", "reason"]
+
+
+def test_what_a_track_runs_under_is_a_bridge(objects):
+    deck = outline("building", 3, (40.0, -6.0), (10.0, 12.0))
+    every = pd.concat([objects, deck], ignore_index=True)
+    told = confirmed(every, said([("building", 3, 1)]))
+    found = blocks_of(every, told, TRACK).set_index("id")
+    bridges = found[~found["kept"]]
+    assert bridges["reason"].tolist() == [OVER_ROAD] and abs(bridges["y"].iloc[0]) <= 1.0
 
 
 def test_without_blocks_or_track_there_are_none(objects):

@@ -308,21 +308,37 @@ def test_share_of_a_crown_counts_what_is_near_and_high_above_its_own_ground(base
     voxels = np.array(ground + crown + below + far)
     places = np.array([[0.0, 0.0], [10.0, 0.0], [50.0, 0.0], [10.0, 0.0]])
     heights = np.array([base_m, base_m, base_m, np.nan])
-    assert shares_above(places, heights, voxels).tolist() == [0.0, 6 / 8, 0.0, 0.0]
+    assert shares_above(places, heights, voxels).tolist() == [0.0, 4 / 5, 0.0, 0.0]
     assert shares_above(places[:0], heights[:0], voxels).tolist() == []
 
 
+def test_a_pole_s_own_returns_are_no_crown():
+    ground = [[x, y, 0.0] for x in np.arange(-1.4, 1.5, 0.4) for y in np.arange(-1.4, 1.5, 0.4)]
+    own = [[0.1, -0.1, z] for z in np.arange(0.2, 40.0, 0.2)]
+    (share,) = shares_above(np.zeros((1, 2)), np.zeros(1), np.array(ground + own))
+    assert share == 0.0
+
+
 def test_panels_whose_lower_edges_are_on_the_ground_are_withheld():
-    """A sign 30 m ahead whose ray lands at 90 m, a car whose lands where it is, a pole alike."""
+    """A sign 30 m ahead whose edge is at 1.5 m, a car, a pole alike, and what was withheld before.
+
+    The camera is at 2.2 m. What lies behind the sign, a bank or the plain, does not count.
+    """
     kinds = {"kind": ["sign", "sign", "pole", "sign"], "x": 0.0, "y": 30.0, "reason": ""}
     poles = pd.DataFrame(kinds).assign(kept=[True, True, True, False])
-    lands = [90.0, np.inf, 30.0, 31.0, 75.0, 30.0, 30.0, 30.0]
-    sightings = pd.DataFrame({"x": 0.0, "y": 0.0, "depth_ground_m": lands})
+    edge_m = np.array([1.5, 1.4, 0.2, 0.4, 1.9, 0.0, 0.0, 0.0])
+    rise = (edge_m - 2.2) / 30.0
+    sightings = pd.DataFrame({"x": 0.0, "y": 0.0, "z": 102.2, "lower_edge_rise": rise})
     pole_of = np.array([0, 0, 1, 1, 1, 2, 3, -1])
-    found = withhold_standing(poles, pole_of, sightings)
+    found = withhold_standing(poles, pole_of, sightings, np.full(4, 100.0))
     assert found["kept"].tolist() == [True, False, True, False]
     assert found["reason"].tolist() == ["", STANDING, "", ""]
-    assert withhold_standing(poles, np.full(8, -1), sightings)["kept"].equals(poles["kept"])
+    for of, ground_m in ((np.full(8, -1), 100.0), (pole_of, np.nan)):
+        same = withhold_standing(poles, of, sightings, np.full(4, ground_m))
+        assert same["kept"].equals(poles["kept"])
+    # a mound of 1 m below the car lifts it, and not the ground beside the road
+    higher = withhold_standing(poles, pole_of, sightings, np.full(4, 101.0))
+    assert not higher["kept"].to_numpy()[:2].any()
 
 
 def test_an_error_along_the_way_that_near_cameras_share_does_not_average_out():

@@ -12,4 +12,4 @@ class Run(Section):
     """What all steps share."""
 
     seed: int = Field(default=SEED, ge=0, description="seed of everything random")
-    shards: Count = Field(default=4, description="shards of depth maps and detections")
+    shards: Count = Field(default=4, description="shards of depth maps, detections and images")

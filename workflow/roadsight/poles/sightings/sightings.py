@@ -16,7 +16,7 @@ from roadsight.geometry.cameras import azimuth_deg, wrap_deg
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.images.pole_masks import PUBLISHED_HEIGHT_PX, Instance, find_instances
 from roadsight.poles.sightings.lidar_poles import PoleColumns
-from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths, ground_distance_m
+from roadsight.poles.sightings.metric_depth import HeightAt, fuse_depths
 from roadsight.poles.sightings.sighting_bearing import (
     SNAP_DEPTHS,
     ViewCamera,
@@ -82,7 +82,8 @@ def measure_view(
     Returns
     -------
     a row for each object: kind, pixels of foot and box, bearing_grid_deg, depth_m (horizontal) and
-    their sigmas, each distance by itself, height_m, kept and reason
+    their sigmas, each distance by itself, height_m, lower_edge_rise (of a panel's, m per m of
+    plan), kept and reason
     """
     settings = settings or Sightings()
     kinds = [kind for kind in settings.kinds if not KINDS[kind].from_cloud]
@@ -132,8 +133,10 @@ def measure_view(
     table["bearing_grid_deg"], table["sigma_bearing_deg"], table["method"] = bearing, sigma, method
     table["sigma_place_m"] = place
     table["width_deg"] = np.degrees(np.arctan(width / camera.intrinsics.focal_px))
-    table = _once_a_column(_judged(table, found, camera, settings), match)
-    return _with_lower_edges(table, panel, camera, evidence.height_at, settings)
+    middle = 0.5 * (table["u_min"] + table["u_max"])
+    lower = _rise(camera, np.column_stack([middle, table["v_max"]]))
+    table["lower_edge_rise"] = np.where(panel, lower, np.nan)
+    return _once_a_column(_judged(table, found, camera, settings), match)
 
 
 def _once_a_column(table: pd.DataFrame, match: Ints) -> pd.DataFrame:
@@ -240,22 +243,6 @@ def _with_sizes(table: pd.DataFrame, found: Sequence[Instance], camera: ViewCame
     table.loc[told, "depth_m"] = away_m[told]
     table.loc[told, "sigma_depth_m"] = (sigma * away_m)[told]
     table.loc[told, "depth_from"] = "size"
-    return table
-
-
-def _with_lower_edges(
-    table: pd.DataFrame, panel: Bools, camera: ViewCamera, height_at: HeightAt, settings: Sightings
-) -> pd.DataFrame:
-    """Where rays of panels' lower edges meet the ground: far behind, unless they stand on it.
-
-    Infinite where they do not within twice the reach. It is no distance of the panel, so that it
-    has no sigma; `withhold_standing` compares it with the place that rays from several views give.
-    """
-    middle = 0.5 * (table["u_min"] + table["u_max"])
-    rays = camera.rays(np.column_stack([middle, table["v_max"]])[panel])
-    reach_m = 2.0 * settings.farthest_m
-    found = ground_distance_m(camera.position_m, rays, height_at, farthest_m=reach_m)
-    table.loc[panel, "depth_ground_m"] = np.where(np.isfinite(found), found, np.inf)
     return table
 
 

@@ -15,6 +15,11 @@ the outside of bends, end 21 m from the travelled way."""
 _TOLD = ["score", "images", "routes", "kept", "reason"]
 """What images say of an object."""
 
+_OVER_M = 1.0
+"""An outline with a place each metre that a track crosses comes so near to it; no house does."""
+OVER_ROAD = "over the road: a bridge, no building"
+"""Reason of what is withheld so."""
+
 
 def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
     """Trees as rows of poles; those that no image looks at are left out.
@@ -41,8 +46,9 @@ def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
 def blocks_of(objects: pd.DataFrame, told: pd.DataFrame, tracks: RouteTracks) -> pd.DataFrame:
     """Buildings and headwalls as rows of poles, each at its place that is nearest to a track.
 
-    The cloud's classes say what they are: those that no image looks at stay, those farther from the
-    road than any clear zone are left out, and so are all where no image has a place.
+    The cloud says what they are: those that no image looks at stay, those farther from the road
+    than any clear zone are left out, and so are all where no image has a place. What a track runs
+    under is withheld.
 
     Parameters
     ----------
@@ -59,6 +65,8 @@ def blocks_of(objects: pd.DataFrame, told: pd.DataFrame, tracks: RouteTracks) ->
     table = table.sort_values(["kind", "object"], ignore_index=True)
     unseen = table["reason"] == UNSEEN
     table = table.assign(kept=table["kept"] | unseen, reason=table["reason"].mask(unseen, ""))
+    over = (table["kind"] == "building") & (table["away"] < _OVER_M)
+    table = table.assign(kept=table["kept"] & ~over, reason=table["reason"].mask(over, OVER_ROAD))
     sigma = {"sigma_major_m": table["sigma_m"], "sigma_minor_m": table["sigma_m"]}
     number = table.groupby("kind").cumcount()
     names = [f"{kind}-{n:05d}" for kind, n in zip(table["kind"], number, strict=True)]

@@ -16,10 +16,9 @@ UNDER_CROWN = "under a crown, and not clearly in the cloud"
 """Reason of what is withheld so."""
 STANDING = "stands on the ground as no panel does"
 """Reason of what is withheld so."""
-_STANDS_WITHIN = 1.5
-"""Part of the distance to its place at which the ray of its lower edge meets the ground. A panel
-whose edge is 1.5 m high is seen from 2.2 m at 3.1, one of 0.73 m at 1.5; on a generated road signs
-have 1.7 or more, and parked cars that a network takes for signs 1.0 to 1.44."""
+_STANDS_BELOW_M = 0.7
+"""Height of a lower edge over the ground below which a thing stands on it. On a generated road
+signs have 0.9 m or more, and parked cars that a network takes for signs 0 to 0.67."""
 POLE_COLUMNS = [
     "x",
     "y",
@@ -34,6 +33,8 @@ POLE_COLUMNS = [
 
 _CROWN_M = 1.5
 """Around a place, what the cloud shows this near to it tells whether a crown is over it."""
+_OWN_M = 0.4
+"""What is this near to a place is the pole's own."""
 _CROWN_FROM_M = 2.0
 """What is this high above the ground belongs to a crown, a roof or a wire, not to grass or cars."""
 _CROWN_SHARE = 0.5
@@ -143,7 +144,7 @@ def withhold_thin(
 
 
 def shares_above(places_m: Floats, ground_m: Floats, voxels_m: Floats) -> Floats:
-    """Share (n,) of the occupied voxels around places that are higher than grass and cars.
+    """Share (n,) of the occupied voxels beside places that are higher than grass and cars.
 
     0 where the cloud shows nothing or the ground is unknown.
 
@@ -153,8 +154,13 @@ def shares_above(places_m: Floats, ground_m: Floats, voxels_m: Floats) -> Floats
     middles of voxels.
     """
     around = cKDTree(voxels_m[:, :2]).query_ball_point(places_m, _CROWN_M)
-    high = [voxels_m[own, 2] - z > _CROWN_FROM_M for own, z in zip(around, ground_m, strict=True)]
-    return np.array([one.mean() if len(one) else 0.0 for one in high], np.float64)
+    shares = np.zeros(len(places_m))
+    for number, (place_m, rows) in enumerate(zip(places_m, around, strict=True)):
+        beside = voxels_m[rows]
+        beside = beside[np.hypot(*(beside[:, :2] - place_m).T) > _OWN_M]
+        if len(beside):
+            shares[number] = np.mean(beside[:, 2] - ground_m[number] > _CROWN_FROM_M)
+    return shares
 
 
 def withhold_under_crowns(
@@ -182,24 +188,26 @@ def _in_cloud(poles: pd.DataFrame, pole_of: Ints, in_cloud: Bools) -> Bools:
     return np.bincount(pole_of[(pole_of >= 0) & in_cloud], minlength=len(poles)) > 0
 
 
-def withhold_standing(poles: pd.DataFrame, pole_of: Ints, sightings: pd.DataFrame) -> pd.DataFrame:
+def withhold_standing(
+    poles: pd.DataFrame, pole_of: Ints, sightings: pd.DataFrame, ground_m: Floats
+) -> pd.DataFrame:
     """Panels withheld whose lower edges are on the ground: vehicles, boxes, walls.
-
-    A panel's lower edge is as high as a person, so that its ray meets the ground far behind it.
 
     Parameters
     ----------
-    pole_of : (n,) row in ``poles`` of each sighting, -1 for none. sightings : x and y of the camera
-    and ``depth_ground_m``, where the ray of the lower edge meets the ground, m.
+    pole_of : (n,) row in ``poles`` of each sighting, -1 for none. sightings : x, y and z of the
+    camera and ``lower_edge_rise`` of what it saw, m per m of plan. ground_m : (p,) at the poles,
+    NaN where it is unknown.
     """
     panel = poles["kind"].map(lambda kind: KINDS[kind].shape == "panel").to_numpy(bool)
     own = np.flatnonzero(pole_of >= 0)
     row = pole_of[own]
-    to = poles[["x", "y"]].to_numpy(np.float64)[row] - sightings[["x", "y"]].to_numpy()[own]
-    share = sightings["depth_ground_m"].to_numpy(np.float64)[own] / np.hypot(to[:, 0], to[:, 1])
-    usual = pd.Series(share).groupby(row).median().reindex(range(len(poles))).to_numpy()
+    x, y, z, rise = sightings[["x", "y", "z", "lower_edge_rise"]].to_numpy(np.float64)[own].T
+    at_m = poles[["x", "y"]].to_numpy(np.float64)[row]
+    edge_m = z + rise * np.hypot(at_m[:, 0] - x, at_m[:, 1] - y) - ground_m[row]
+    usual = pd.Series(edge_m).groupby(row).median().reindex(range(len(poles))).to_numpy()
     with np.errstate(invalid="ignore"):
-        standing = panel & (usual < _STANDS_WITHIN) & poles["kept"].to_numpy(bool)
+        standing = panel & (usual < _STANDS_BELOW_M) & poles["kept"].to_numpy(bool)
     return poles.assign(
         kept=poles["kept"] & ~standing,
         reason=np.where(standing, STANDING, poles["reason"]).astype(object),

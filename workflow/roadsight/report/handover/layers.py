@@ -41,6 +41,7 @@ _LOST = (
     Category("2", "lost by more than 5 % of the changes", "#dc2626"),
     Category("1", "lost by fewer", "#f59e0b"),
     Category("0", "lost by none", "#16a34a"),
+    Category("3", "not looked at", "#9ca3af"),
 )
 _BY_POINTS = (
     Category("2", "10 or more", "#1e3a8a"),
@@ -272,9 +273,12 @@ def measured_layers(plan: str, folder: str) -> list[Linked]:
             f"{folder}/tolerance.gpkg|layername=targets",
             Style(
                 "marker",
-                _LOST[-1].colour,
+                _LOST[2].colour,
                 size_mm=1.2,
-                by='CASE WHEN "lost_share" > 0.05 THEN 2 WHEN "lost_share" > 0 THEN 1 ELSE 0 END',
+                by=(
+                    'CASE WHEN "lost_share" > 0.05 THEN 2 WHEN "lost_share" > 0 THEN 1'
+                    ' WHEN "lost_share" = 0 THEN 0 ELSE 3 END'
+                ),
                 categories=_LOST,
             ),
         ),

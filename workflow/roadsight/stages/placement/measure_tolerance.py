@@ -56,7 +56,12 @@ def measure_tolerance(
         changed[number] = [(change, sight.sees(place, change)) for change in sight.changes]
         log.info("%s: %d ways", place["candidate"], len(sight.changes))
     if posed:
-        seen[posed] = _detected([places[k] for k in posed], detections, table["target"])
+        # Detections know of traffic, which what is rendered does not.
+        detected = _detected(places, detections, table["target"])
+        seen[posed] = detected[posed]
+        for number, ways in changed.items():
+            seen[number] &= detected[number]
+            changed[number] = [(change, sees & detected[number]) for change, sees in ways]
     found = tolerance_of(seen, changed)
     rows = [row | {"sensor": places[row["sensor"]]["candidate"]} for row in found.rows]
     content = {
@@ -88,8 +93,9 @@ def measure_tolerance(
 def _detected(
     places: Sequence[dict[str, Any]], detections: Sequence[Path], targets: pd.Series
 ) -> Bools:
-    """What sensors in poses see (sensors, targets), as their detections say."""
+    """What sensors see (sensors, targets), as their detections say."""
     table = read_detections(detections)
+    table = table[table["candidate"].isin([place["candidate"] for place in places])]
     of_sensor = {key: part["target"] for key, part in table.groupby(_PLACE, observed=True)}
     none = table["target"].iloc[:0]
     keys = [tuple(place[name] for name in _PLACE) for place in places]

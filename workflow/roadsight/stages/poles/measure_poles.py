@@ -72,6 +72,7 @@ _COLUMNS = (
     "depth_lidar_m",
     "sigma_depth_lidar_m",
     "height_m",
+    "lower_edge_rise",
     "width_px",
     "foot_visible",
 )
@@ -253,9 +254,11 @@ def _camera(
     position = (float(pose["x"]), float(pose["y"]), float(pose["z"]))
     heading, pitch, roll = angles
     camera = ViewCamera(own, position, heading, pitch, roll, offsets.of(view.view), *sigmas)
-    # What another row of the principal point tilts, it shifts back: a foot stays where it is seen.
-    own_deg = np.sqrt(max(camera.sigma_pitch_deg**2 - by_cy_deg**2, 0.0))
-    camera = replace(camera, sigma_pitch_deg=float(own_deg))
+    if own == front:
+        # What another row of the principal point tilts, it shifts back: a foot stays where it is
+        # seen. A side view with a lens of its own tilts with the front view alone.
+        own_deg = np.sqrt(max(camera.sigma_pitch_deg**2 - by_cy_deg**2, 0.0))
+        camera = replace(camera, sigma_pitch_deg=float(own_deg))
     if view.view == "front":
         return camera
     # A side view looks past a fixed thing of the front view: its yaw takes up the point's error.

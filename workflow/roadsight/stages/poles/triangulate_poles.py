@@ -61,6 +61,8 @@ log = logging.getLogger("triangulate_poles")
 
 _STRUCTURES = (6, 11, 17)
 """ASPRS classes of buildings, road surface and bridge decks."""
+_NO_CROWN = (7, 13, 14, 15, 16, 17, 18)
+"""ASPRS classes of noise, wires, towers and bridge decks: what they show is no crown."""
 _CORNERS = 32
 """Corners of the polygon of an error ellipse."""
 _NO_TRACK = pd.DataFrame({"route": [], "sequence": [], "x": [], "y": []})
@@ -94,7 +96,7 @@ def triangulate_poles(
 ) -> None:
     """Write poles, their ellipses and the rays that show them."""
     frame = Frame.from_dict(read_json(frame_path))
-    names = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from"]
+    names = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from", "z"]
     parts = [read_table(path, [*names, *NETWORK_COLUMNS]) for path in sightings_paths]
     sightings = pd.concat(parts, ignore_index=True)
     settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)
@@ -104,7 +106,8 @@ def triangulate_poles(
     poles, pole_of, scales = site_poles(sightings, settings)
     voxels_m, voxel_class = _voxels(voxels) if voxels else (np.empty((0, 3)), np.empty(0, int))
     ground = read_raster(dem, frame) if dem else None
-    poles = _doubtful_withheld(poles, pole_of, sightings, settings.min_views, voxels_m, ground)
+    crowns_m = voxels_m[~np.isin(voxel_class, _NO_CROWN)]
+    poles = _doubtful_withheld(poles, pole_of, sightings, settings.min_views, crowns_m, ground)
     if doubts_path:
         own = sightings[sightings["kind"] == "pole"]
         limits = pole_doubts(sightings, network, far_reaching(own, settings))
@@ -182,17 +185,20 @@ def _doubtful_withheld(
     pole_of: Ints,
     sightings: pd.DataFrame,
     min_views: int,
-    voxels_m: Floats,
+    crown_voxels_m: Floats,
     ground: Raster | None,
 ) -> pd.DataFrame:
     """Poles with those withheld that few images, or the cloud around them, speak against."""
     in_cloud = sightings["anchored"].to_numpy(bool)
     poles = withhold_thin(poles, pole_of, in_cloud, min_views)
-    if ground is not None and len(voxels_m):
-        xy_m = poles[["x", "y"]].to_numpy(np.float64)
-        above = shares_above(xy_m, ground.sample(*xy_m.T), voxels_m)
+    if ground is None:
+        return poles
+    xy_m = poles[["x", "y"]].to_numpy(np.float64)
+    ground_m = np.asarray(ground.sample(*xy_m.T), np.float64)
+    if len(crown_voxels_m):
+        above = shares_above(xy_m, ground_m, crown_voxels_m)
         poles = withhold_under_crowns(poles, pole_of, in_cloud, min_views, above)
-    return withhold_standing(poles, pole_of, sightings)
+    return withhold_standing(poles, pole_of, sightings, ground_m)
 
 
 def _voxels(path: Path) -> tuple[Floats, Ints]:

@@ -25,6 +25,8 @@ class Site {
   choosePlan(name) {
     this.plan = this.content.plans.find((plan) => plan.name === name);
     this.sensor = null;
+    const known = { sight: this.plan.inSight, lost: this.plan.lost };
+    if (this.targetsBy !== "sensors" && !known[this.targetsBy]) this.colourTargets("sensors");
     this.show(null);
     for (const input of this.all(".planbar input")) input.checked = input.value === name;
     this.showPlan();
@@ -108,7 +110,7 @@ class Site {
     this.showRamp();
   }
 
-  // Plans that know of traffic can colour targets by it; the choice holds for all of them.
+  // Plans that know of traffic can colour targets by it; the choice holds for all that know it.
   colourTargets(by) {
     this.targetsBy = by;
     for (const choice of this.all("[data-targets-by]")) choice.value = by;
