@@ -63,6 +63,8 @@ _STRUCTURES = (6, 11, 17)
 """ASPRS classes of buildings, road surface and bridge decks."""
 _NO_CROWN = (7, 13, 14, 15, 16, 17, 18)
 """ASPRS classes of noise, wires, towers and bridge decks: what they show is no crown."""
+_EDGE_COLUMNS = ("z", "lower_edge_rise")
+"""What tells how high the lower edge of a panel is."""
 _CORNERS = 32
 """Corners of the polygon of an error ellipse."""
 _NO_TRACK = pd.DataFrame({"route": [], "sequence": [], "x": [], "y": []})
@@ -96,7 +98,7 @@ def triangulate_poles(
 ) -> None:
     """Write poles, their ellipses and the rays that show them."""
     frame = Frame.from_dict(read_json(frame_path))
-    names = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from", "z"]
+    names = [*SIGHTING_COLUMNS, *DRIFT_COLUMNS, "view", "reason", "depth_from", *_EDGE_COLUMNS]
     parts = [read_table(path, [*names, *NETWORK_COLUMNS]) for path in sightings_paths]
     sightings = pd.concat(parts, ignore_index=True)
     settings = TriangulationSettings(**asked.model_dump(), calibrate_depth=False)
