@@ -68,7 +68,7 @@ def centre_doubts(route: str, mount: Mount) -> list[Doubt]:
     if abs(mount.mean[CX]) > sigma_px or turns_deg < _MATTERS_DEG:
         return []
     text = (
-        f"{route}: the drive does not tell the principal point, which is taken in the middle of the"
+        f"route {route}: it does not tell the principal point, which is taken in the middle of the"
         f" images: headings may be off by {turns_deg:.1f} degrees (1 sigma), bearings near the"
         " middle are not (give poles.intrinsics where the lens is known): 1 sigma, px"
     )

@@ -101,7 +101,7 @@ def pole_doubts(
     found = []
     for one in network:
         text = (
-            f"{one.route}, {one.view} view: distances of the depth network over those of"
+            f"route {one.route}, {one.view} view: distances of the depth network over those of"
             f" {one.pairs} feet on the ground, by which they are divided"
         )
         severity: Severity = "doubt" if abs(np.log(one.ratio)) > _LARGE else "note"
