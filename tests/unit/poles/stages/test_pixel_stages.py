@@ -20,7 +20,7 @@ from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.poles.alignment.landmarks import Turns
 from roadsight.poles.images.classes import PixelClass
 from roadsight.stages.poles import measure_poles, trace_image_edges
-from tests.helpers.onnx_bytes import pointwise
+from tests.helpers.onnx_bytes import network, node, pointwise, tensor, value
 from tests.unit.poles.images.test_image_edges import straight_road
 from tests.unit.poles.sightings.test_sightings import CAMERA, place, rendered
 
@@ -304,6 +304,25 @@ def test_depth_the_wrong_way_round_names_the_key_to_change(frames, capsys):
     assert near[39, 0] > near[0, 0] > 0
     assert estimate_depth.main([*base, manifest(frames, [[0, 0, 0]], **spec)]) == 0
     assert not ImageShard(frames / "depth.zip").read("a0").any()
+
+
+def test_depth_of_other_proportions_than_its_image_is_refused(frames, capsys):
+    """As of an export that fixed the shape of its example: here twice as wide as the image."""
+    from roadsight.stages.poles import estimate_depth
+
+    write_images(frames)
+    path = manifest(
+        frames, [[1, 0, 0]], task="relative_depth", output={"kind": "inverse_depth"}
+    )  # fmt: skip
+    nodes = [node("Conv", ["image", "w"], "once"), node("Concat", ["once"] * 2, "logits", axis=3)]
+    kernel = tensor("w", np.ones((1, 3, 1, 1), np.float32))
+    ends = [value("image", [1, 3, "h", "w"])], [value("logits", [1, 1, "h", "v"])]
+    (frames / "tiny.onnx").write_bytes(network(nodes, [kernel], *ends))
+    arguments = ["--frames", str(frames / "frames.parquet"), "--images", str(frames / "images"),
+                 "--out", str(frames / "depth.zip"), "--source", path]  # fmt: skip
+    assert estimate_depth.main(arguments) == 2
+    assert "other proportions than its input" in capsys.readouterr().err
+    assert not (frames / "depth.zip").exists()
 
 
 def test_bearings_in_a_side_view_carry_the_error_of_its_yaw(frames, monkeypatch):

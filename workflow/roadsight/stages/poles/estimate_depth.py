@@ -122,6 +122,15 @@ def _open(
         tensor = tensor_of(image, spec.input, image_height_px)
         outputs = model.session.run(list(model.output_names), {model.input_name: tensor})
         inverse = inverse_depth(outputs, spec)
+        if is_stretched(inverse.shape, tensor.shape[2:], source):
+            raise InputError(
+                "the network's output has other proportions than its input, as if its export had"
+                " fixed one shape",
+                where=source,
+                found=f"{inverse.shape[1]} x {inverse.shape[0]} of {tensor.shape[3]} x"
+                f" {tensor.shape[2]}",
+                hint="export it again as docs/poles/models.md says",
+            )
         if inverse.shape[0] > image.shape[0]:
             resized = cv2.resize(inverse, image.shape[1::-1], interpolation=cv2.INTER_NEAREST)
             inverse = np.asarray(resized, np.float32)
