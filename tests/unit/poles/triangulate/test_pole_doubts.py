@@ -7,10 +7,11 @@ import pandas as pd
 import pytest
 
 from roadsight.poles.sightings.network_scale import NetworkScale
-from roadsight.poles.triangulate.locate import STANDING, UNDER_CROWN
+from roadsight.poles.triangulate.locate import STANDING
 from roadsight.poles.triangulate.pole_doubts import (
     FAR_M,
     FAR_SIGMA_M,
+    UNDER_CROWN,
     UNTURNED,
     crown_doubts,
     far_reaching,

@@ -10,10 +10,9 @@ from roadsight.base.arrays import Bools, Floats, Ints
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.triangulate.explain import explain_rays
 from roadsight.poles.triangulate.listed import choose_listed
+from roadsight.poles.triangulate.pole_doubts import UNDER_CROWN
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
-UNDER_CROWN = "under a crown, and not clearly in the cloud"
-"""Reason of what is withheld so."""
 STANDING = "stands on the ground as no panel does"
 """Reason of what is withheld so."""
 _STANDS_BELOW_M = 0.7

@@ -9,7 +9,6 @@ import pandas as pd
 
 from roadsight.base.doubts import Doubt, Severity
 from roadsight.poles.sightings.network_scale import NetworkScale
-from roadsight.poles.triangulate.locate import UNDER_CROWN
 from roadsight.poles.triangulate.rays import TriangulationSettings
 
 LEAST_ANCHORED = 0.1
@@ -32,6 +31,8 @@ and 2 other things with the usual 5 m."""
 UNTURNED = "yaw of the side view not found"
 """Reason why a sighting is left out: a side view at a guessed yaw gives bearings that are off by as
 much as the guess is."""
+UNDER_CROWN = "under a crown, and not clearly in the cloud"
+"""Reason why a pole is withheld, see `locate.withhold_under_crowns`."""
 _LARGE = 0.2
 """Logarithm of a network's scale from which it is a doubt: a fifth of the distance."""
 
