@@ -14,7 +14,7 @@ from pyproj import Transformer
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.tables import read_table
 from roadsight.poles.risk.roads import roads_of
-from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.risk.tracks import RouteTracks
 from tests.workflow.conftest import Checkout
 
 ROADS = """\

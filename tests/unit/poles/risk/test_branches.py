@@ -8,7 +8,8 @@ import pytest
 import shapely
 
 from roadsight.poles.risk.branches import find_branches
-from roadsight.poles.risk.scenarios import RouteTracks, ScenarioSettings, classify_places
+from roadsight.poles.risk.scenarios import ScenarioSettings, classify_places
+from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.rural_truth import rural_layers
 

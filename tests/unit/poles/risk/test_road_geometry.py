@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 
 from roadsight.poles.risk.road_geometry import COLUMNS, road_geometry
 from roadsight.poles.risk.roads import Road, road_along, roads_of
-from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.videolog import random_drives, shots
 

@@ -6,7 +6,7 @@ import pytest
 import shapely
 
 from roadsight.poles.risk.roads import Roads, road_along, roads_of
-from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.rural_truth import rural_layers
 from roadsight.synthetic.rural.videolog import random_drives, shots

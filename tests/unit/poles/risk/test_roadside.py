@@ -15,8 +15,8 @@ from roadsight.poles.risk.roadside import (
     station_sections,
 )
 from roadsight.poles.risk.roadside_rating import SOURCES
-from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.risk.shielding import barriers_along
+from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.videolog import random_drives, shots
 from tests.helpers.rural_sections import exact_height, ground_points, open_stations, true_hinges

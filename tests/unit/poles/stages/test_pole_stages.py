@@ -28,7 +28,7 @@ from roadsight.io.records.atomic import read_json, write_json
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.point_tables import read_points
 from roadsight.io.vector.vectors import read_layer, write_layers
-from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.stages.evidence import compare_components
 from roadsight.stages.poles import (

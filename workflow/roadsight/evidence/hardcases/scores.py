@@ -9,7 +9,8 @@ from roadsight.base.arrays import Numbers
 from roadsight.evidence.hardcases.case import Errors, hard_case
 from roadsight.evidence.pavement_scores import binary_scores
 from roadsight.poles.risk.hazard import side_slopes
-from roadsight.poles.risk.scenarios import RouteTracks, track_radius_m
+from roadsight.poles.risk.scenarios import track_radius_m
+from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.poles.risk.validation import describe, match_points
 
 _FAR = np.array([632_000.0, 4_123_000.0])

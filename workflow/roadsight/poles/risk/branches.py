@@ -15,7 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.risk.tracks import RouteTracks
 
 CELL_M = 1.0
 """Cells in which pavement is joined."""

@@ -56,8 +56,8 @@ from roadsight.poles.risk.roadside_rating import (
     rank_of,
     rating_factor,
 )
-from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.risk.shielding import Demand, shielding
+from roadsight.poles.risk.tracks import RouteTracks
 
 Height = Callable[[Floats, Floats], Floats]
 

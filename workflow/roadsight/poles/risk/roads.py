@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
-from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.risk.tracks import RouteTracks
 
 STEP_M = 1.0
 """Spacing of centrelines: a tenth of what a line 0.2 m off would turn in a bend of 190 m."""

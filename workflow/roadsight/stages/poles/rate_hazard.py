@@ -27,8 +27,8 @@ from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, geometry_table, section_table
 from roadsight.poles.risk.roadside_rating import SOURCES
 from roadsight.poles.risk.routes import UNITS_M
-from roadsight.poles.risk.scenarios import RouteTracks
 from roadsight.poles.risk.shielding import Barrier, barrier_ends
+from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.stages.command import Command
 from roadsight.stages.doubts import tell
 from roadsight.stages.poles.shared.hazard_layers import (

@@ -26,7 +26,7 @@ from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.records.tables import read_about, read_table, write_table
 from roadsight.io.vector.vectors import write_geojson, write_layers
 from roadsight.poles.images.kinds import KINDS
-from roadsight.poles.risk.scenarios import RouteTracks
+from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.poles.sightings.confirm import confirmed
 from roadsight.poles.sightings.network_scale import COLUMNS as NETWORK_COLUMNS
 from roadsight.poles.sightings.network_scale import network_scales, with_scales

@@ -25,7 +25,8 @@ from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_layer
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.risk.branches import CELL_M, find_branches
-from roadsight.poles.risk.scenarios import RouteTracks, ScenarioSettings, classify_places
+from roadsight.poles.risk.scenarios import ScenarioSettings, classify_places
+from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.poles.risk.validation import (
     NEAR_EDGE_M,
     THRESHOLDS_M,
