@@ -129,7 +129,9 @@ def unfinished(job, site, finished):
     ----------
     finished : number of files that checkpoints have made; the answer holds until there are more.
     """
-    measured = checkpoints.profile_drive if job == "poles" else checkpoints.profile_scene
+    measured = (
+        checkpoints.profile_drive if job == "poles" else checkpoints.profile_scene
+    )
     try:
         measured.get(site=site)
     except IncompleteCheckpointException as waiting:
