@@ -462,11 +462,11 @@ def state_parameters():
 
     Snakemake asks for that three times whenever it calls one: a sixth of the time to list 20,000 jobs.
     """
-    for rule in workflow.rules:
+    for each in workflow.rules:
         asked = [
-            getattr(value, "_evaluator", None) for value in rule.resources.values()
+            getattr(value, "_evaluator", None) for value in each.resources.values()
         ]
-        for given in [*rule.input, *rule.params, *asked]:
+        for given in [*each.input, *each.params, *asked]:
             file = getattr(given, "_file", given)
             function = getattr(file, "callable", None) or file
             if inspect.isfunction(function):
