@@ -336,7 +336,7 @@ def test_panels_whose_lower_edges_are_on_the_ground_are_withheld():
     for of, ground_m in ((np.full(8, -1), 100.0), (pole_of, np.nan)):
         same = withhold_standing(poles, of, sightings, np.full(4, ground_m))
         assert same["kept"].equals(poles["kept"])
-    # a mound of 1 m below the car lifts it, and not the ground beside the road
+    # where the ground is a metre higher, the sign stands on it too
     higher = withhold_standing(poles, pole_of, sightings, np.full(4, 101.0))
     assert not higher["kept"].to_numpy()[:2].any()
 
