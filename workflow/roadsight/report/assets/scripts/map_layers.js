@@ -136,13 +136,18 @@ function drawCandidates(map) {
   }
 }
 
+// The class of each target by what colours it; undefined where the plan does not know it.
+function targetClasses(plan, by) {
+  return { sight: plan?.inSight, lost: plan?.lost }[by];
+}
+
 function drawTargets(map, plan) {
   const { context, site, state } = map;
   const { xyz } = site.targets;
   const size = Math.min(Math.max(map.scale * site.cell_size_m * 0.8, 1.6), 12);
   const lit = state.sensor === null ? null : new Set(plan.seen[state.sensor]);
   const spots = Array.from({ length: MOST_SEEN + 1 }, () => []);
-  const classes = { sight: plan.inSight, lost: plan.lost }[state.targetsBy];
+  const classes = targetClasses(plan, state.targetsBy);
   plan.times.forEach((times, i) => spots[classes ? classes[i] : bucketOf(times)].push(i));
   spots.reverse().forEach((members, order) => {
     const bucket = MOST_SEEN - order;

@@ -25,8 +25,6 @@ class Site {
   choosePlan(name) {
     this.plan = this.content.plans.find((plan) => plan.name === name);
     this.sensor = null;
-    const known = { sight: this.plan.inSight, lost: this.plan.lost };
-    if (this.targetsBy !== "sensors" && !known[this.targetsBy]) this.colourTargets("sensors");
     this.show(null);
     for (const input of this.all(".planbar input")) input.checked = input.value === name;
     this.showPlan();
@@ -65,6 +63,7 @@ class Site {
     const name = this.plan?.name;
     for (const part of this.all("[data-for-plan]")) part.hidden = part.dataset.forPlan !== name;
     for (const row of this.all("[data-plan-row]")) mark(row, row.dataset.planRow === name);
+    this.labelTargets();
     this.showSensor();
   }
 
@@ -110,12 +109,18 @@ class Site {
     this.showRamp();
   }
 
-  // Plans that know of traffic can colour targets by it; the choice holds for all that know it.
+  // Plans that know of traffic or of failures can colour targets by them; the choice holds for all that know it.
   colourTargets(by) {
     this.targetsBy = by;
-    for (const choice of this.all("[data-targets-by]")) choice.value = by;
-    for (const legend of this.all("[data-targets-legend]")) legend.hidden = legend.dataset.targetsLegend !== by;
+    this.labelTargets();
     this.map.draw();
+  }
+
+  // A plan that does not know the choice is drawn by its sensors, and says so.
+  labelTargets() {
+    const shown = targetClasses(this.plan, this.targetsBy) ? this.targetsBy : "sensors";
+    for (const choice of this.all("[data-targets-by]")) choice.value = shown;
+    for (const legend of this.all("[data-targets-legend]")) legend.hidden = legend.dataset.targetsLegend !== shown;
   }
 
   // What the map lies on: relief, a picture, or nothing.
