@@ -16,6 +16,7 @@ COMMANDS = (
     "ground",
     "pavement",
     "edges",
+    "geometry",
     "depthmap",
     "cover",
     "accept",

@@ -8,6 +8,7 @@ import sys
 import geopandas as gpd
 import laspy
 import numpy as np
+import pandas as pd
 import pytest
 import shapely
 import yaml
@@ -18,23 +19,26 @@ from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.sensors import load_sensor
 from roadsight.stages.scene import generate_sample
 from roadsight.stages.scene.generate_sample import TRUTH_DIMENSION
+from roadsight.synthetic.casting.alignment import to_plan
 from roadsight.synthetic.casting.materials import TruthClass
 from roadsight.synthetic.highway.highway import EPSG, ORIGIN_M, build_highway
 from roadsight.synthetic.highway.truth import truth_layers
 from tests.helpers.las_files import random_points, wkt_of, write_las
 
 LENGTH_M, SEED = 60.0, 1
+DOWN = [[0.0, 0.0, -1.0]] * 2
 SENSORS = """
 sensors:
   small: {azimuth_step_deg: 1, elevation_min_deg: -40, elevation_max_deg: -2, channels: 20,
           range_m: 60}
   short: {azimuth_step_deg: 1, elevations_deg: [-10, 0], range_m: 30}
 """
-SUFFIXES = {"edges": ".gpkg", "depthmap": ".npz", "init": ".yaml"}
+SUFFIXES = {"edges": ".gpkg", "geometry": ".gpkg", "depthmap": ".npz", "init": ".yaml"}
 CLOUD_VERBS = {
     "ground": [],
     "pavement": [],
     "edges": [],
+    "geometry": ["--along", "line.gpkg"],
     "depthmap": ["--sensor", "VLP-16", "--at", "0", "0", "0"],
 }
 
@@ -157,6 +161,48 @@ def test_edges_lie_on_the_true_ones(sample, highway, tmp_path):
     assert edges["length_m"].sum() > 1.5 * LENGTH_M
     area_m2 = inner.area.sum()
     assert pavement["area_m2"].sum() == pytest.approx(area_m2, rel=0.15)
+
+
+def line_beside(highway, path, offset_m):
+    """A line along the highway, native coordinates."""
+    stations = np.arange(2.0, LENGTH_M - 2.0, 8.0)
+    plan = to_plan(highway.alignment, np.column_stack([stations, offset_m + 0 * stations]))
+    line = shapely.LineString(plan + ORIGIN_M[:2])
+    gpd.GeoDataFrame({"name": ["west"]}, geometry=[line], crs=f"EPSG:{EPSG}").to_file(path)
+    return path
+
+
+def test_the_geometry_of_a_road_without_a_drive(sample, highway, tmp_path, capsys):
+    inner, outer = highway.section.pavement_m
+    along = line_beside(highway, tmp_path / "along.gpkg", (inner + outer) / 2 + 1.0)
+    known = gpd.GeoDataFrame(geometry=truth_layers(highway)["pavement"].translate(*ORIGIN_M[:2]))
+    known.set_crs(EPSG).to_file(tmp_path / "known.gpkg")
+    for name, options, within_m in (
+        ("known", ["--edges", str(tmp_path / "known.gpkg")], 0.02),
+        ("traced", [], 0.8),
+    ):
+        out = tmp_path / f"{name}_geometry.gpkg"
+        argv = ["geometry", str(sample / "cloud.laz"), "--along", str(along), "-o", str(out)]
+        assert main([*argv, *options]) == 0
+        table = pd.read_csv(out.with_suffix(".csv"))
+        assert set(table["road"]) == {"west"}
+        assert table["paved_width_m"].median() == pytest.approx(outer - inner, abs=within_m)
+        layer = gpd.read_file(out, layer="road_geometry")
+        assert layer.crs.to_epsg() == EPSG
+        assert layer["station_m"].tolist() == pytest.approx(table["station_m"].tolist())
+        middle = to_plan(highway.alignment, [[s, (inner + outer) / 2] for s in (20.0, 40.0)])
+        rise = -np.diff(highway.scene.cast([[*p, 50.0] for p in middle], DOWN, 100.0)[0])[0]
+        grade = table["grade_percent"].median()
+        assert grade == pytest.approx(100 * rise / np.hypot(*np.diff(middle, axis=0)[0]), abs=0.3)
+    assert f"west: {len(table)} stations, paved width known at" in capsys.readouterr().out
+
+
+def test_a_line_off_the_road_has_no_geometry(sample, highway, tmp_path, capsys):
+    along = line_beside(highway, tmp_path / "along.gpkg", 80.0)
+    out = tmp_path / "out.gpkg"
+    argv = ["geometry", sample / "cloud.laz", "--along", along, "-o", out]
+    told = refused(argv, tmp_path, capsys)
+    assert "along.gpkg, west: has no road edge on both sides" in told
 
 
 @pytest.mark.parametrize(
@@ -363,6 +409,7 @@ def test_outputs_of_another_kind_are_refused(sample, place, tmp_path, capsys):
         ("ground", "out.txt", []),
         ("pavement", "out.gpkg", []),
         ("edges", "out.laz", []),
+        ("geometry", "out.csv", ["--along", "line.gpkg"]),
         ("depthmap", "out.csv", at),
     ]:
         argv = [verb, sample / "cloud.laz", *options, "-o", tmp_path / name]

@@ -145,6 +145,20 @@ def test_lines_without_measures_and_tables_without_columns(tmp_path):
         read_inventory(tmp_path / "i.csv", FEET)
 
 
+@pytest.mark.parametrize(
+    ("columns", "told"),
+    [
+        ("route,from_m,to_m,Speed", "column speed names no unit.*speed_kmh, speed_mph"),
+        ("route,from_m,to_m,lane_width", "column lane_width names no unit.*lane_width_ft"),
+        ("route,from,to_m,aadt", "column from names no unit.*from_m, from_km"),
+    ],
+)
+def test_columns_that_name_no_unit_are_not_taken_for_unknown(tmp_path, columns, told):
+    (tmp_path / "i.csv").write_text(f"{columns}\n7,0,5,60\n")
+    with pytest.raises(InputError, match=told):
+        read_inventory(tmp_path / "i.csv", FEET)
+
+
 def test_a_local_site_refuses_routes_of_a_crs(tmp_path):
     path = written(tmp_path / "r.gpkg", [LINE], route=["7"], from_m=[0.0], to_m=[1.0])
     with pytest.raises(InputError, match="the site is local"):

@@ -5,7 +5,7 @@ For verbs, notebooks and checks on real data, which take one cloud and keep its 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from shapely import MultiPolygon
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.engines import OWN, Engine
 from roadsight.base.errors import InputError
-from roadsight.base.sections.scene import GroundClasses, GroundFilter, PavementOutline
+from roadsight.base.sections.scene import Ground, GroundClasses, GroundFilter, PavementOutline
 from roadsight.base.seeds import SEED
 from roadsight.scene.grids import Grid, sample_bilinear
 from roadsight.scene.pavement.choice import MOST_SHARPENED, fits_surface
@@ -37,7 +37,7 @@ from roadsight.scene.pavement.smoothness import fit_smoothness, is_smooth
 from roadsight.scene.profile import count_cells, density
 from roadsight.scene.spacing import plan_spacing_m, uses_intensity
 from roadsight.scene.terrain.ground_settings import ground_settings_for
-from roadsight.scene.terrain.terrain import Bounds, coarse_of_tiles, label_ground
+from roadsight.scene.terrain.terrain import Bounds, TerrainModel, coarse_of_tiles, label_ground
 
 _LARGEST_TILE_M = 500.0
 """A cloud longer or wider than this is labelled in tiles of half of it: fine pillars of more fill
@@ -72,6 +72,26 @@ def ground_of(xyz_m: Floats, settings: GroundFilter | None = None) -> Bools:
     for (_, own), (_, found) in zip(parts, label_ground(tiles, bounds, settings), strict=True):
         mask[own] = found
     return mask
+
+
+def heights_of(xyz_m: Floats, ground: Bools) -> Callable[[Floats, Floats], Floats]:
+    """Ground height (m) at places x, y, NaN where unknown: that of the workflow's terrain model.
+
+    Parameters
+    ----------
+    xyz_m : (n, 3) local metres. ground : (n,) ground labels.
+    """
+    asked = Ground()
+    model = TerrainModel(_bounds(xyz_m), max(asked.dem_cell_m, spacing_of(xyz_m)))
+    model.add(xyz_m[ground])
+    heights = model.heights_m(asked.dem_fill_m).astype(np.float64)
+    west, south, east, north = _bounds(xyz_m)
+
+    def height(x: Floats, y: Floats) -> Floats:
+        within = (x >= west) & (x <= east) & (y >= south) & (y <= north)
+        return np.where(within, sample_bilinear(model.grid, heights, x, y), np.nan)
+
+    return height
 
 
 def _bounds(xyz_m: Floats) -> Bounds:

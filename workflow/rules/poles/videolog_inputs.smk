@@ -117,14 +117,23 @@ def depth_kind(wildcards):
 
 
 def own_networks(wildcards):
-    """Option that names the project's own networks where they read images that are not its own."""
+    """Option that names the project's own networks where they read images that are not its own.
+
+    What a network holds tells whose it is, wherever the site keeps it.
+    """
     if is_rendered(wildcards):
         return ""
     files = [file for source in mask_sources(wildcards) for file in source]
-    used = {os.path.realpath(file) for file in [*files, depth_source(wildcards)]}
+    used = network_checksums([*files, depth_source(wildcards)])
     named = {"classes": OWN_CLASSES, "depth": OWN_DEPTH}
-    own = [kind for kind, file in named.items() if os.path.realpath(file) in used]
+    own = [kind for kind, file in named.items() if used & network_checksums([file])]
     return f"--own-networks {' '.join(own)}" if own else ""
+
+
+def network_checksums(manifests):
+    """Checksums of the networks that manifests name."""
+    networks = set(model_files(manifests)) - set(manifests)
+    return {CHECKSUMS.of(file) for file in networks}
 
 
 def model_files(manifests):

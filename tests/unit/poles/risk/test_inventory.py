@@ -55,6 +55,11 @@ def test_contradictions_are_refused(rows, message):
     assert "inventory.csv, row" in str(caught.value)
 
 
+def test_a_table_without_segments_is_refused():
+    with pytest.raises(InputError, match=r"inventory.csv: holds no segment"):
+        inventory()
+
+
 def test_what_lacks_is_unknown():
     lacking = inventory(("a", 0, 100, NAN, 500, 2), ("a", 300, 400, 80, NAN, NAN))
     found = lacking.at("a", np.array([50.0, 250]))

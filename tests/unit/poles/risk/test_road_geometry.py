@@ -132,6 +132,17 @@ def test_a_straight_level_road_without_edges_or_heights():
     assert geometry[unknown].isna().all().all()
 
 
+def test_noise_of_a_straight_road_is_no_bend():
+    x, rng = np.arange(0, 600, STEP_M), np.random.default_rng(1)
+    sides = [side * 3.5 + across_errors(len(x), "scan", rng) for side in (1, -1)]
+    edges = np.concatenate([np.column_stack([x, side]) for side in sides])
+    geometry = road_geometry(road_along(np.column_stack([x, 0 * x])[::4], edges, "a"), None)
+    assert (geometry["curvature_per_km"].abs() > 0.2).any()  # which alone is a radius of 5 km
+    straight = geometry["bend"] == "straight"
+    assert straight.mean() > 0.9
+    assert (np.isinf(geometry["radius_m"]) == straight).all()
+
+
 def test_exact_circles_and_measures_that_are_longer_than_the_plan():
     turn = np.arange(0, 301) / 150
     line = 150 * np.column_stack([np.sin(turn), 1 - np.cos(turn)])

@@ -84,11 +84,25 @@ def test_falling_measures_and_turned_segments_are_refused():
     one = route()
     with pytest.raises(InputError, match=r"do not rise along its line.*turn the line"):
         check_routes([Route("r", one.xy_m, one.measure_m[::-1], "r.gpkg, feature 1")])
+    dented = one.measure_m.copy()
+    dented[7] = dented[5]
+    with pytest.raises(InputError, match=r"found 1350 m, then 1325 m at vertex 8 of 25"):
+        check_routes([Route("r", one.xy_m, dented, "r.gpkg, feature 1")])
     first, second = route(high=200.0), route(start=1500.0, low=200.0)
     turned = Route(second.name, second.xy_m[::-1], second.measure_m, "feature 2")
     with pytest.raises(InputError, match="digitised against its measures"):
         check_routes([first, turned])
     check_routes([first, second])
+
+
+def test_routes_of_another_place_are_refused():
+    far = route(y=3e6, where="lrs.gpkg, feature 1")
+    with pytest.raises(InputError, match=r"lrs.gpkg.*near road drive-e.*3000 km.*CRS"):
+        with_routes(Roads([road()]), [far])
+    # A state's routes are mostly elsewhere; one behind the end of the road is told with its way.
+    behind = route(low=900.0, high=1200.0)
+    (doubt,) = with_routes(Roads([road()]), [far, behind])[1]
+    assert (doubt.code, doubt.measured) == ("road_without_route", pytest.approx(700, abs=6))
 
 
 @pytest.mark.parametrize(

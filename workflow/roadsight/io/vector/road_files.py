@@ -179,13 +179,27 @@ def _column(
     path: Any,
     places: list[str] | None = None,
 ) -> Floats | None:
-    """Column ``stem_unit`` of a table in the first unit, None if it has none."""
+    """Column ``stem_unit`` of a table in the first unit, None if it has none.
+
+    Raises
+    ------
+    InputError : a cell is no number, or, of a table by measures (``places``), the column is named
+        ``stem`` alone: in a layer of routes `from` may be a town.
+    """
     lower = {str(c).strip().lower(): c for c in table.columns}
     for unit, factor in units.items():
         if f"{stem}_{unit}" in lower:
             values = table[lower[f"{stem}_{unit}"]]
             where = places or [f"feature {n + 1}" for n in range(len(table))]
             return _numbers(values, factor, path, where, f"{stem}_{unit}")
+    if stem in lower and places:
+        raise InputError(
+            f"column {lower[stem]} names no unit",
+            where=str(path),
+            found=lower[stem],
+            allowed=", ".join(f"{stem}_{unit}" for unit in units),
+            hint="rename it to what its numbers are",
+        )
     return None
 
 

@@ -105,8 +105,11 @@ def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ())
 
     Raises
     ------
-    InputError : a measure is no number, measures fall, values are impossible, or segments overlap.
+    InputError : there is no segment, a measure is no number, measures fall, values are impossible,
+        or segments overlap.
     """
+    if not len(table):
+        raise InputError("holds no segment", where=where, allowed="a row for each segment")
     places = list(places) or [f"row {n + 1}" for n in range(len(table))]
     table = table.reset_index(drop=True).assign(place=places)
     table = table.assign(**{name: np.nan for name in LIMITS if name not in table})

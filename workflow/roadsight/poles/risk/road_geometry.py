@@ -12,6 +12,8 @@ from roadsight.poles.risk.roads import Road
 
 Height = Callable[[Floats, Floats], Floats]
 
+STATION_M = 5.0
+"""Spacing of the rows: a radius or grade changes little over it."""
 CURVE_HALVES_M = (45.0, 35.0, 25.0, 18.0)
 """Radii are fitted by quartics over so much road either way: the longest that the noise explains.
 On 12 generated roads whose edges err as those of the generated scan (3.4 cm, alike over 6 m), 45 m
@@ -54,7 +56,7 @@ COLUMNS = (
 )
 
 
-def road_geometry(road: Road, height: Height | None, every_m: float = 5.0) -> pd.DataFrame:
+def road_geometry(road: Road, height: Height | None, every_m: float = STATION_M) -> pd.DataFrame:
     """Geometry of a road.
 
     Parameters
@@ -64,7 +66,8 @@ def road_geometry(road: Road, height: Height | None, every_m: float = 5.0) -> pd
 
     Returns
     -------
-    columns `COLUMNS`. ``radius_m`` is infinite where straight, ``bend`` left, right or straight in
+    columns `COLUMNS`. ``radius_m`` is infinite where straight: where the curvature is below two
+    sigmas, or below 1 / `STRAIGHT_M`; ``bend`` is left, right or straight in
     the direction of rising measure; grades are positive uphill in that direction; cross-slopes are
     negative where the pavement falls away from the centreline. NaN where unknown.
     """
@@ -75,9 +78,9 @@ def road_geometry(road: Road, height: Height | None, every_m: float = 5.0) -> pd
     width = np.array([_width(road, s) for s in stations]).reshape(-1, 2)
     slopes = np.array([_cross_slopes(road, s, height) for s in stations]).reshape(-1, 3)
     place, way = road.place(stations), road.direction(stations)
-    with np.errstate(divide="ignore"):
-        radius = 1.0 / np.abs(curvature[:, 0])
-    straight = ~(radius <= STRAIGHT_M)
+    size = np.abs(curvature[:, 0])
+    straight = ~(size > np.maximum(2 * curvature[:, 1], 1 / STRAIGHT_M))
+    radius = 1.0 / np.where(straight, 1.0, size)
     bend = np.where(straight, "straight", np.where(curvature[:, 0] > 0, "left", "right"))
     columns = [
         np.full(len(stations), road.name, object),

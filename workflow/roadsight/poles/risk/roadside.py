@@ -20,7 +20,7 @@ from roadsight.poles.risk.cross_sections import (
 )
 from roadsight.poles.risk.inventory import Inventory
 from roadsight.poles.risk.road_geometry import COLUMNS as GEOMETRY_COLUMNS
-from roadsight.poles.risk.road_geometry import STRAIGHT_M, road_geometry
+from roadsight.poles.risk.road_geometry import road_geometry
 from roadsight.poles.risk.roads import Located, Roads
 from roadsight.poles.risk.shielding import Barrier
 
@@ -351,13 +351,9 @@ def bends_at(surroundings: Surroundings, located: Located) -> pd.DataFrame:
         row = np.abs(at[None, :] - located.station_m[own, None]).argmin(axis=1)
         near = geometry.iloc[row]
         curvature = near["curvature_per_km"].to_numpy() / 1000
-        sigma = near["sigma_curvature_per_km"].to_numpy() / 1000
-        # Bends that the noise of the centreline explains are none.
-        bent = np.abs(curvature) > np.maximum(2 * sigma, 1 / STRAIGHT_M)
-        with np.errstate(divide="ignore"):
-            radius[own] = np.where(bent, 1 / np.abs(curvature), np.inf)
+        radius[own] = near["radius_m"].to_numpy()
         left_bend = curvature > 0
-        outside[own] = bent & (left_bend == (located.offset_m[own] > 0))
+        outside[own] = np.isfinite(radius[own]) & (left_bend == (located.offset_m[own] > 0))
         grade[own] = near["grade_percent"].to_numpy() / 100
         width[own] = near["paved_width_m"].to_numpy()
     columns = {"radius_m": radius, "outside": outside, "grade": grade, "paved_width_m": width}

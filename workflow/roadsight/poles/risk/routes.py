@@ -43,6 +43,8 @@ _ROUNDED_M = 16.1
 """And by this: measures in hundredths of a mile."""
 _SHARED = 0.3
 """Routes that share more than this of the shorter one's way along a road contradict each other."""
+_ELSEWHERE_M = 100_000.0
+"""Routes of which none is nearer than this are of another place, as cloud and track would be."""
 _LEAST_BESIDE = 0.01
 """A route that runs beside less of a road than this share is a crossing or a neighbour."""
 
@@ -72,10 +74,13 @@ def check_routes(routes: Sequence[Route]) -> None:
     """
     for route in routes:
         if (np.diff(route.measure_m) <= 0).any() or not np.isfinite(route.measure_m).all():
+            step = np.diff(route.measure_m)
+            first = int(np.argmax(~(step > 0)))
+            low, high = route.measure_m[first : first + 2]
             raise InputError(
                 f"measures of route {route.name} do not rise along its line",
                 where=route.where,
-                found=f"{route.measure_m[0]:g} to {route.measure_m[-1]:g} m",
+                found=f"{low:g} m, then {high:g} m at vertex {first + 2} of {len(step) + 1}",
                 allowed="measures that rise from vertex to vertex",
                 hint="turn the line's vertices round, or exchange its from and to",
             )
@@ -108,7 +113,16 @@ def with_routes(roads: Roads, routes: Sequence[Route]) -> tuple[Roads, list[Doub
         shares = _shares(road, routes)
         names = sorted(shares, key=lambda name: (-shares[name].sum(), name))
         if not names:
-            _, apart = _project(resampled(road.xy_m, _KNOTS_M), routes)
+            lines = np.concatenate([resampled(route.xy_m, _KNOTS_M) for route in routes])
+            apart, _ = cKDTree(lines).query(resampled(road.xy_m, _KNOTS_M))
+            if apart.min() > _ELSEWHERE_M:
+                raise InputError(
+                    f"no route is anywhere near road {road.name}",
+                    where=routes[0].where,
+                    found=f"{apart.min() / 1000:.0f} km to the nearest",
+                    allowed=f"a line within {_ELSEWHERE_M / 1000:.0f} km",
+                    hint="its CRS may be another than the file names, or than roads.routes_crs",
+                )
             text = (
                 f"no route runs along road {road.name}: its measure stays its own; median distance"
                 " to the nearest, m"

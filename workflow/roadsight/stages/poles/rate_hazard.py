@@ -23,6 +23,7 @@ from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.clear_zone import SOURCE
 from roadsight.poles.risk.hazard import RULE, Height, Rated, rate_roadside
 from roadsight.poles.risk.inventory import Carriageway
+from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, geometry_table, section_table
 from roadsight.poles.risk.roadside_rating import SOURCES
@@ -35,6 +36,7 @@ from roadsight.stages.poles.shared.hazard_layers import (
     GEOMETRY,
     geometry_lines,
     hazard_points,
+    rounded,
     section_lines,
 )
 from roadsight.stages.poles.shared.roadside_inputs import RoadFiles, given_roads, ground_near_roads
@@ -42,8 +44,6 @@ from roadsight.stages.poles.shared.roadside_inputs import RoadFiles, given_roads
 log = logging.getLogger("rate_hazard")
 
 PLAN = ("x", "y")
-GEOMETRY_EVERY_M = 5.0
-"""Spacing of the rows of road geometry: a radius or grade changes little over it."""
 KINDS = {
     "poles": "Point",
     "ellipses": "Polygon",
@@ -129,7 +129,7 @@ def rate_hazard(
     geometry = geometry_table(surroundings)
     geometry[list(PLAN)] *= scale
     if geometry_csv:
-        write_csv(geometry_csv, _rounded(in_native(geometry, frame)))
+        write_csv(geometry_csv, rounded(in_native(geometry, frame)))
     if sections_path:
         write_table(sections_path, sections, {"profiles": _profiles(objects, rated)})
     if layers_path:
@@ -137,7 +137,7 @@ def rate_hazard(
         layers |= {
             "hazard": hazard_points(table, height),
             "cross_sections": section_lines(sections, height),
-            "road_geometry": geometry_lines(geometry, surroundings, GEOMETRY_EVERY_M, scale),
+            "road_geometry": geometry_lines(geometry, surroundings, STATION_M, scale),
         }
         write_layers(layers_path, layers, frame, KINDS | GEOMETRY)
 
@@ -187,11 +187,6 @@ def _measure(table: pd.DataFrame, unit: str) -> pd.DataFrame:
     if unit == "m":
         return pd.DataFrame(index=table.index)
     return pd.DataFrame({f"measure_{unit}": (table["station_m"] / UNITS_M[unit]).round(5)})
-
-
-def _rounded(table: pd.DataFrame) -> pd.DataFrame:
-    """Numbers with as many decimals as anyone reads: a tenth of a millimetre, of a per mille."""
-    return table.round({name: 4 for name in table if name not in ("x", "y", "z")})
 
 
 def grid_scale(poles: pd.DataFrame, frame: Frame) -> float:
