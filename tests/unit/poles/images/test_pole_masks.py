@@ -186,6 +186,14 @@ def test_what_hangs_on_a_pole_that_goes_on_above_it_is_none():
         assert len(find_instances(mask, "sign")) == signs
 
 
+def test_a_pole_behind_that_begins_above_a_board_is_not_its_post():
+    mask = np.full((HEIGHT, WIDTH), PixelClass.VEGETATION, np.uint8)
+    draw(mask, 400, 260, 380)
+    draw(mask, 400, 470, 900)
+    mask[400:470, 380:420] = PixelClass.OTHER
+    assert len(find_instances(mask, "sign")) == 1
+
+
 def test_boards_above_one_another_on_a_post_are_two():
     mask = np.full((HEIGHT, WIDTH), PixelClass.VEGETATION, np.uint8)
     draw(mask, 400, 400, 900)

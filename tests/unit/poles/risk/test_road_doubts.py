@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.poles.risk.inventory import SAME_M, check_inventory
-from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts
+from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts, traffic_notes
 from roadsight.poles.risk.roads import Road
 
 NAN = float("nan")
@@ -33,6 +33,13 @@ def told(known, *roads, lines=True):
 def test_an_inventory_that_says_everything_is_not_doubted():
     known = inventory(("a", 0, 500, 80, 3000, 2), ("a", 500, 1000, 90, 3500, 2))
     assert told(known, road()) == {}
+
+
+def test_one_speed_for_all_roads_is_noted_where_no_inventory_is_given():
+    assert traffic_notes(inventory(("a", 0, 500, 80, 3000, 2)), 80.0, 3000.0) == []
+    (note,) = traffic_notes(None, 70.0, 3000.0)
+    assert (note.code, note.severity) == ("traffic_by_settings", "note")
+    assert note.measured == "70 km/h, 3000 vehicles a day"
 
 
 def test_what_lacks_along_the_road_is_one_doubt_each_and_elsewhere_none():

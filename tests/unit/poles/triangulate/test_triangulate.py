@@ -10,12 +10,15 @@ from hypothesis import strategies as st
 
 from roadsight.poles.triangulate.groups import Points, fit_groups, locate_points
 from roadsight.poles.triangulate.locate import (
+    FILLED,
     STANDING,
+    are_filled,
     calibrate_depths,
     drop_near_structures,
     error_ellipse,
     shares_above,
     triangulate,
+    withhold_filled,
     withhold_standing,
     withhold_thin,
     withhold_under_crowns,
@@ -339,6 +342,67 @@ def test_panels_whose_lower_edges_are_on_the_ground_are_withheld():
     # where the ground is a metre higher, the sign stands on it too
     higher = withhold_standing(poles, pole_of, sightings, np.full(4, 101.0))
     assert not higher["kept"].to_numpy()[:2].any()
+
+
+@pytest.mark.parametrize("thinned", [1, 3])
+def test_panels_in_whose_place_the_cloud_shows_a_vehicle_are_withheld(thinned):
+    """A vehicle seen from above (no ground below it), a post with its panel, one beside a vehicle,
+    a few returns alone, and a pole in a vehicle's place."""
+    step = np.arange(-3.0, 3.1, 0.3)
+    plan = np.array([[x, y] for x in step for y in step])
+    car = np.abs(plan) @ [1 / 0.95, 0] < 1
+
+    def scanned(at, top, height):
+        return np.column_stack([plan + at, np.where(top, height, 0.0)])[::thinned]
+
+    alone = [[60.0, 0.0, 0.6], [60.0, 0.3, 0.9], [60.3, 0.0, 1.2]]
+    post = [[20.0, 0.0, z] for z in (0.6, 0.9, 1.2, 1.5)]
+    panel = [[20.0, y, z] for y in (-0.3, 0.3) for z in (1.5, 1.8)]
+    beside = scanned([40.0, 0.0], plan[:, 0] > 0.5, 1.4)
+    bare = scanned([20.0, 0.0], np.zeros(len(plan), bool), 0.0)
+    voxels = np.concatenate([scanned([0.0, 0.0], car, 1.4), bare, post, panel, beside, alone])
+    places = np.array([[0.0, 0.0], [20.0, 0.0], [40.0, 0.0], [60.0, 0.0], [0.0, 0.0]])
+    filled = are_filled(places, np.zeros(5), voxels)
+    assert filled.tolist() == [True, False, False, False, True]
+    assert not are_filled(places, np.full(5, np.nan), voxels).any()
+    poles = pd.DataFrame({"kind": ["sign"] * 4 + ["pole"], "kept": True, "reason": ""})
+    found = withhold_filled(poles, filled)
+    assert found["kept"].tolist() == [False, True, True, True, True]
+    assert found["reason"].tolist() == [FILLED, "", "", "", ""]
+
+
+def test_a_panel_needs_more_evidence_than_a_pole():
+    """Few views of one thing, whose distances are rough: enough for a pole, not for a sign."""
+    rng = np.random.default_rng(1)
+
+    def table(kind, views):
+        camera = np.column_stack([np.zeros(views), 12.0 * np.arange(views)])
+        gap = np.array([6.0, 12.0 * views + 8.0]) - camera
+        away = np.hypot(*gap.T)
+        other = rng.uniform(0, 360, 40)
+        return pd.DataFrame(
+            {
+                "image": [*(f"{n:02d}" for n in range(views)), *(f"s{n:02d}" for n in range(40))],
+                "route": "a",
+                "sequence": np.arange(views + 40),
+                "kind": kind,
+                "x": [*camera[:, 0], *np.zeros(40)],
+                "y": [*camera[:, 1], *(1000.0 + 8.0 * np.arange(40))],
+                "bearing_grid_deg": [*np.degrees(np.arctan2(*gap.T)) % 360, *other],
+                "depth_m": [*away, *np.full(40, 25.0)],
+                "sigma_bearing_deg": 0.3,
+                "sigma_depth_m": [*0.5 * away, *np.full(40, 12.0)],
+                "kept": True,
+                "anchored": False,
+            }
+        )
+
+    def found(kind, views):
+        poles, *_ = site_poles(table(kind, views), TriangulationSettings(calibrate_depth=False))
+        return int((poles["y"] < 500).sum())
+
+    assert [found("pole", views) for views in (2, 3, 4)] == [0, 1, 1]
+    assert [found("sign", views) for views in (2, 3, 4)] == [0, 0, 1]
 
 
 def test_an_error_along_the_way_that_near_cameras_share_does_not_average_out():

@@ -54,7 +54,8 @@ _POST_SHARE = 0.35
 """Share of what is below a board that its post takes at most."""
 _POST_ABOVE = 1.0
 """Heights of a board by which its post may go on above it: utility poles go on above what hangs on
-them, such as transformers."""
+them, such as transformers. One that is not seen in most of the rows just above the board, half as
+many as it has, begins higher up: a pole behind it."""
 _POST_PX = 40.0
 """Posts that part a panel are narrower than this, px of such an image: one of 7 cm is, from 9 m on,
 in a view of 20 degrees."""
@@ -142,8 +143,9 @@ def _boards(mask: Bytes, posts: Bytes, settings: PoleMasks, scale: float) -> Byt
         middle = slice(int(0.3 * width), int(np.ceil(0.7 * width)))
         if len(below) < height or below[:, middle].any(axis=1).mean() < _ON_A_POST:
             continue
-        above = posts[max(top - 2 * height, 0) : top, left : left + width]
-        if above[:, middle].any(axis=1).sum() > _POST_ABOVE * height:
+        above = posts[max(top - 2 * height, 0) : top, left : left + width][:, middle].any(axis=1)
+        joined = above[-(height // 2) :].mean() >= _ON_A_POST if len(above) else False
+        if joined and above.sum() > _POST_ABOVE * height:
             continue
         if below.mean() < _POST_SHARE:
             found[labels == number] = 1

@@ -66,6 +66,18 @@ def inventory_doubts(inventory: Inventory, roads: Sequence[Road], lines: bool) -
     return found
 
 
+def traffic_notes(inventory: Inventory | None, speed_kmh: float, aadt: float) -> list[Doubt]:
+    """A note that one speed and one traffic hold for all roads, where no inventory is given."""
+    if inventory is not None:
+        return []
+    text = (
+        "no inventory is given (roads.inventory): one design speed and one traffic hold for all"
+        " roads (hazard.design_speed_kmh, hazard.aadt), which nothing measured"
+    )
+    told = f"{speed_kmh:g} km/h, {aadt:g} vehicles a day"
+    return [Doubt("traffic_by_settings", "note", text, told)]
+
+
 def edge_doubts(roads: Sequence[Road]) -> list[Doubt]:
     """A doubt where roads have no edge, not even one carried over a gap."""
     lacking = [road for road in roads if _bare_m(road) > 0]

@@ -18,6 +18,17 @@ STANDING = "stands on the ground as no panel does"
 _STANDS_BELOW_M = 0.7
 """Height of a lower edge over the ground below which a thing stands on it. On a generated road
 signs have 0.9 m or more, and parked cars that a network takes for signs 0 to 0.67."""
+FILLED = "the cloud shows something that fills its place"
+"""Reason of panels that are withheld so."""
+_PLACE_M = 1.0
+"""What is this near to a panel's place tells whether something fills it: half a car's width."""
+_FILLED_M = (0.4, 2.0)
+"""Heights over the ground between which there is air below and beside a panel: above grass."""
+_FILLED_SHARE = 0.6
+"""Share of the columns of voxels around a place that hold something at these heights. At cars it is
+0.9 and more (24 pulses/m2); a hedge beside a sign takes half of the disc at most."""
+_FILLED_COLUMNS = 8
+"""So many columns do so: a post and its panel are five where nothing else was scanned."""
 POLE_COLUMNS = [
     "x",
     "y",
@@ -210,6 +221,35 @@ def withhold_standing(
     return poles.assign(
         kept=poles["kept"] & ~standing,
         reason=np.where(standing, STANDING, poles["reason"]).astype(object),
+    )
+
+
+def are_filled(places_m: Floats, ground_m: Floats, voxels_m: Floats) -> Bools:
+    """Whether something that is no panel on a post fills places (n,): a vehicle, a box.
+
+    Parameters
+    ----------
+    places_m : (n, 2), local metres. ground_m : (n,) height of the ground there. voxels_m : (m, 3)
+    middles of voxels of the ground and of what is firm; plants may stand around a sign.
+    """
+    around = cKDTree(voxels_m[:, :2]).query_ball_point(places_m, _PLACE_M)
+    filled = np.zeros(len(places_m), bool)
+    for number, rows in enumerate(around):
+        height = voxels_m[rows, 2] - ground_m[number]
+        low = voxels_m[rows][height < _FILLED_M[1]]
+        within = low[:, 2] - ground_m[number] > _FILLED_M[0]
+        shown, full = (len(np.unique(part[:, :2], axis=0)) for part in (low, low[within]))
+        filled[number] = full >= max(_FILLED_COLUMNS, _FILLED_SHARE * shown)
+    return filled
+
+
+def withhold_filled(poles: pd.DataFrame, filled: Bools) -> pd.DataFrame:
+    """Panels withheld whose places something else fills, see `are_filled`."""
+    panel = poles["kind"].map(lambda kind: KINDS[kind].shape == "panel").to_numpy(bool)
+    other = panel & filled & poles["kept"].to_numpy(bool)
+    return poles.assign(
+        kept=poles["kept"] & ~other,
+        reason=np.where(other, FILLED, poles["reason"]).astype(object),
     )
 
 

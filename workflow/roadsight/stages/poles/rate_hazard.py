@@ -23,6 +23,7 @@ from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.clear_zone import SOURCE
 from roadsight.poles.risk.hazard import RULE, Height, Rated, rate_roadside
 from roadsight.poles.risk.inventory import Carriageway
+from roadsight.poles.risk.road_doubts import traffic_notes
 from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, geometry_table, section_table
@@ -90,6 +91,7 @@ def rate_hazard(
     roads, inventory, barriers, told = given_roads(
         given, frame, roads_of(tracks, edges_m / scale), scale, rails
     )
+    told += traffic_notes(inventory, settings.design_speed_kmh, settings.aadt)
     if doubts:
         tell(told, doubts, f"poles {poles_path}", log)
     points = None

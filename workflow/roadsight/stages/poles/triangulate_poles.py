@@ -34,8 +34,10 @@ from roadsight.poles.triangulate.cloud_objects import blocks_of, guardrails_of, 
 from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
 from roadsight.poles.triangulate.locate import (
+    are_filled,
     drop_near_structures,
     shares_above,
+    withhold_filled,
     withhold_standing,
     withhold_thin,
     withhold_under_crowns,
@@ -63,6 +65,8 @@ _STRUCTURES = (6, 11, 17)
 """ASPRS classes of buildings, road surface and bridge decks."""
 _NO_CROWN = (7, 13, 14, 15, 16, 17, 18)
 """ASPRS classes of noise, wires, towers and bridge decks: what they show is no crown."""
+_NOT_FIRM = (3, 4, 5, *_NO_CROWN)
+"""Plants besides: they may stand around a sign."""
 _EDGE_COLUMNS = ("z", "lower_edge_rise")
 """What tells how high the lower edge of a panel is."""
 _CORNERS = 32
@@ -108,8 +112,11 @@ def triangulate_poles(
     poles, pole_of, scales = site_poles(sightings, settings)
     voxels_m, voxel_class = _voxels(voxels) if voxels else (np.empty((0, 3)), np.empty(0, int))
     ground = read_raster(dem, frame) if dem else None
-    crowns_m = voxels_m[~np.isin(voxel_class, _NO_CROWN)]
-    poles = _doubtful_withheld(poles, pole_of, sightings, settings.min_views, crowns_m, ground)
+    shown = {
+        name: voxels_m[~np.isin(voxel_class, classes)]
+        for name, classes in (("crowns", _NO_CROWN), ("firm", _NOT_FIRM))
+    }
+    poles = _doubtful_withheld(poles, pole_of, sightings, settings.min_views, shown, ground)
     if doubts_path:
         own = sightings[sightings["kind"] == "pole"]
         limits = pole_doubts(sightings, network, far_reaching(own, settings))
@@ -187,7 +194,7 @@ def _doubtful_withheld(
     pole_of: Ints,
     sightings: pd.DataFrame,
     min_views: int,
-    crown_voxels_m: Floats,
+    voxels_m: dict[str, Floats],
     ground: Raster | None,
 ) -> pd.DataFrame:
     """Poles with those withheld that few images, or the cloud around them, speak against."""
@@ -197,9 +204,11 @@ def _doubtful_withheld(
         return poles
     xy_m = poles[["x", "y"]].to_numpy(np.float64)
     ground_m = np.asarray(ground.sample(*xy_m.T), np.float64)
-    if len(crown_voxels_m):
-        above = shares_above(xy_m, ground_m, crown_voxels_m)
+    if len(voxels_m["crowns"]):
+        above = shares_above(xy_m, ground_m, voxels_m["crowns"])
         poles = withhold_under_crowns(poles, pole_of, in_cloud, min_views, above)
+    if len(voxels_m["firm"]):
+        poles = withhold_filled(poles, are_filled(xy_m, ground_m, voxels_m["firm"]))
     return withhold_standing(poles, pole_of, sightings, ground_m)
 
 
