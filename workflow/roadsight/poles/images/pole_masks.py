@@ -143,8 +143,8 @@ def _boards(mask: Bytes, posts: Bytes, settings: PoleMasks, scale: float) -> Byt
         middle = slice(int(0.3 * width), int(np.ceil(0.7 * width)))
         if len(below) < height or below[:, middle].any(axis=1).mean() < _ON_A_POST:
             continue
-        above = posts[max(top - 2 * height, 0) : top, left : left + width][:, middle].any(axis=1)
-        joined = above[-(height // 2) :].mean() >= _ON_A_POST if len(above) else False
+        above = posts[max(top - 2 * height, 0) : top, left : left + width][:, middle].max(axis=1)
+        joined = len(above) and above[-(height // 2) :].mean() >= _ON_A_POST
         if joined and above.sum() > _POST_ABOVE * height:
             continue
         if below.mean() < _POST_SHARE:
