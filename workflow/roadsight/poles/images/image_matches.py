@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pandas as pd
 
-from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints
+from roadsight.base.arrays import Bytes, Floats, Floats32, Ints
 
 _FEATURES = 1500
 """Points of an image at most, the strongest; time grows with the square."""
@@ -24,18 +24,6 @@ _FARTHEST_M = 40.0
 """Images further apart show the same things too differently."""
 _STANDING_M = 0.3
 """Images nearer than this have no baseline that a direction could be told from."""
-
-
-_EPIPOLAR_PX = 1.0
-"""Distance from its epipolar line, one standard deviation at most, of a point that is matched
-right: on generated roads they are within 0.3 to 0.4 px."""
-_TRIALS = 5000
-"""Trials of seven points: of a wide lens and images 13 m apart half of the matches are wrong, so
-that one trial in 130 holds right ones alone."""
-_SURE = 0.999
-"""Probability with which the best of them is found."""
-_FEWEST = 12
-"""Matches from which a common geometry is looked for."""
 
 
 @dataclass(frozen=True)
@@ -81,25 +69,6 @@ def matched(one: Features, other: Features) -> Ints:
     apart, next_apart = (np.sqrt(np.maximum(2.0 - 2.0 * part, 0.0)) for part in (top, second))
     good = np.flatnonzero(mutual & (apart < _CLEARER * next_apart))
     return np.column_stack([good, best[good]])
-
-
-def agreeing(here_px: Floats, there_px: Floats) -> Bools:
-    """Whether matches (n,) fit the one fundamental matrix that most of them fit.
-
-    The lens need not be known, only that it does not bend. MAGSAC++ (D. Barath and others, CVPR
-    2020) with its fixed seed. Of two generated drives 47 % of a wide lens's matches were right before
-    and 87 % after, of a narrow lens's 86 and 99 %; 85 and 96 % of the right ones stay.
-
-    Parameters
-    ----------
-    here_px, there_px : (n, 2), finite; of fewer than twelve, none agree.
-    """
-    nothing = np.zeros(len(here_px), bool)
-    if len(here_px) < _FEWEST:
-        return nothing
-    pair = np.ascontiguousarray(here_px), np.ascontiguousarray(there_px)
-    _, fits = cv2.findFundamentalMat(*pair, cv2.USAC_MAGSAC, _EPIPOLAR_PX, _SURE, _TRIALS)
-    return nothing if fits is None else np.asarray(fits.ravel() > 0)
 
 
 def consecutive(

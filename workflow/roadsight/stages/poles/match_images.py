@@ -19,13 +19,7 @@ from roadsight.io.images.videologs import ImageSource
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table, write_table
 from roadsight.poles.drive.drive_lenses import lens_of, with_given
-from roadsight.poles.images.image_matches import (
-    Features,
-    agreeing,
-    consecutive,
-    features,
-    matched,
-)
+from roadsight.poles.images.image_matches import Features, consecutive, features, matched
 from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
@@ -89,9 +83,7 @@ def _straight(uv_px: Floats, row: Mapping[Hashable, Any], lenses: list[dict[str,
 
 def _rows(image: str, other: str, here: Floats, there: Floats) -> pd.DataFrame:
     known = np.isfinite(here).all(axis=1) & np.isfinite(there).all(axis=1)
-    here, there = here[known], there[known]
-    both = np.column_stack([here, there])[agreeing(here, there)]
-    table = pd.DataFrame(both, columns=list(COLUMNS[2:]))
+    table = pd.DataFrame(np.column_stack([here, there])[known], columns=list(COLUMNS[2:]))
     table.insert(0, "image", image)
     table.insert(1, "other", other)
     return table
