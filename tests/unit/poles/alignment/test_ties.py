@@ -115,6 +115,30 @@ def test_points_far_off_do_not_count():
     np.testing.assert_allclose(one, other, atol=0.02 * np.abs(one).max())
 
 
+def test_noise_of_points_makes_no_lens_shorter():
+    """Of a wide lens, where pixels are smaller angles at the image's sides than in its middle."""
+    rng = np.random.default_rng(6)
+    own = mean_unknowns()
+    own[FOCAL] = np.log(FOCAL_PX / 3)
+    place = np.r_[POSED : 2 * POSED, 2 * POSED]
+    length_held = np.diag([1e4, *[1e-9] * POSED])
+    slope = information = 0.0
+    for _ in range(30):
+        starts = start(0, spacing_m=13.0), start(1, spacing_m=13.0)
+        points = np.column_stack([rng.uniform(-60, 60, 900), rng.uniform(15, 90, 900), 900 * [0.0]])
+        points[:, 2] = rng.uniform(-2, 15, 900)
+        both = np.column_stack([pixels(one, own, points)[0] for one in starts])
+        inside = (both > 0).all(axis=1) & (both < [WIDTH, HEIGHT] * 2).all(axis=1)
+        seen = both[inside] + rng.normal(0, 0.4, (inside.sum(), 4))
+        vectors = starts[0].vector(ORIGIN), starts[1].vector(ORIGIN)
+        normal, gradient, _ = shared_misfit((own, own), vectors, seen, 0.4, 3.0)
+        one = normal[np.ix_(place, place)] + length_held
+        gain = np.linalg.solve(one[:POSED, :POSED], one[:POSED, POSED])
+        information += one[POSED, POSED] - gain @ one[:POSED, POSED]
+        slope += gradient[place][POSED] - gain @ gradient[place][:POSED]
+    assert abs(slope) < 3.0 * np.sqrt(information)
+
+
 def random_normal(rng, size, rank):
     rows = rng.normal(size=(rank, size))
     return Normal(rows.T @ rows, rng.normal(size=size))

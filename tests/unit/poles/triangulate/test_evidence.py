@@ -331,7 +331,32 @@ def test_views_of_one_column_do_not_average_its_error_out():
         rays = make_rays(camera, bearing, away, turn, np.full(count, 0.1), **columns)
         spread = explain_rays(rays, CHOICE).covariance[0]
         sigmas.append(float(np.sqrt(np.linalg.eigvalsh(spread)[1])))
-    assert 0.1 <= sigmas[1] <= sigmas[0] <= 0.2
+    np.testing.assert_allclose(sigmas, 0.1, rtol=0.02)
+
+
+@pytest.mark.parametrize("column_m", [0.03, 0.15])
+def test_ellipses_of_poles_at_columns_are_as_wide_as_their_errors(column_m, rng):
+    """A column that is off for all images that end at it, each with a bearing of its own."""
+    squared = []
+    for _ in range(600):
+        count = int(rng.integers(2, 9))
+        pole = np.array([rng.uniform(10.0, 20.0), rng.uniform(4.0, 9.0)])
+        camera = np.column_stack([np.linspace(0.0, 8.0, count), np.zeros(count)])
+        gap = pole + rng.normal(0.0, column_m, 2) - camera
+        away = np.hypot(*gap.T)
+        image, ends = np.full(count, np.radians(0.2)), column_m / away
+        turn = np.arctan2(*(pole - camera).T) + image * rng.normal(size=count)
+        share = image**2 / (image**2 + ends**2)
+        turn += share * (np.arctan2(*gap.T) - turn)
+        sigma = np.degrees(image * np.sqrt(1.0 - share))
+        columns = {"image": np.arange(count), "anchored": np.ones(count, bool)}
+        rays = make_rays(camera, np.degrees(turn), away, sigma, np.full(count, column_m), **columns)
+        found = place_groups(rays, [np.arange(count)], pole[None], stated_noise(CHOICE), CHOICE)
+        off = found[0][0] - pole
+        squared.append(off @ np.linalg.solve(found[1][0], off))
+    within = [np.mean(np.array(squared) < limit) for limit in (1.0, 5.99)]
+    assert 0.35 < within[0] < 0.45
+    assert 0.92 < within[1] < 0.98
 
 
 def test_hidden_feet_are_found_although_depths_are_stated_precise():

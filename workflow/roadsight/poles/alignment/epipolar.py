@@ -24,7 +24,7 @@ POSED = 6
 def _rays(
     pixels: Floats, start: Floats, unknowns: Floats, turn: Floats, turns: Floats
 ) -> tuple[Floats, Floats]:
-    """Unit rays (n, 3) in the world and their derivatives (n, 5, 3).
+    """Rays (n, 3) in the world, as long as they reach the plane at 1, and derivatives (n, 5, 3).
 
     They are by yaw, pitch, roll (degrees), the logarithm of the focal length and the principal
     point's column.
@@ -34,15 +34,13 @@ def _rays(
     for i in range(len(pixels)):
         x = (pixels[i, 0] - start[6] - unknowns[7]) / focal
         y = (pixels[i, 1] - start[7]) / focal
-        length = np.sqrt(x * x + y * y + 1.0)
         for k in range(3):
-            rays[i, k] = (x * turn[0, k] + y * turn[1, k] + turn[2, k]) / length
+            rays[i, k] = x * turn[0, k] + y * turn[1, k] + turn[2, k]
             for a in range(3):
-                part = x * turns[a, 0, k] + y * turns[a, 1, k] + turns[a, 2, k]
-                moved[i, a, k] = part / length
+                moved[i, a, k] = x * turns[a, 0, k] + y * turns[a, 1, k] + turns[a, 2, k]
             # A longer lens draws a ray towards the axis.
-            moved[i, 3, k] = (turn[2, k] - rays[i, k] / length) / length
-            moved[i, 4, k] = (x * rays[i, k] / length - turn[0, k]) / (length * focal)
+            moved[i, 3, k] = turn[2, k] - rays[i, k]
+            moved[i, 4, k] = -turn[0, k] / focal
     return rays, moved
 
 
@@ -71,8 +69,9 @@ def shared_misfit(
 ) -> tuple[Floats, Floats, Floats]:
     """Linearised robust misfit (Geman and McClure) of points that two images share.
 
-    The residual is Sampson's: t . (d1 x d2) / (sigma sqrt(|t x d1|^2 + |t x d2|^2)), with unit rays
-    d1, d2 and the baseline t.
+    The residual is Sampson's, in pixels: t . (d1 x d2) over its slope by the four coordinates, with
+    rays d1, d2 and the baseline t. As angles, errors are less where rays are oblique, so that a
+    shorter lens fits better: on four generated drives by 16 to 25 sigmas of what their points tell.
 
     Parameters
     ----------
@@ -97,26 +96,28 @@ def shared_misfit(
     for i in range(len(pixels)):
         side1, side2 = _cross(base, rays1[i]), _cross(rays2[i], base)
         plane = _cross(rays1[i], rays2[i])
+        # What moves a pixel lies in its image: the part along the optical axis does not count.
+        ahead1, ahead2 = turn1[2] @ side2, turn2[2] @ side1
+        flat1, flat2 = side2 - ahead1 * turn1[2], side1 - ahead2 * turn2[2]
         # Two cameras at one place have a residual of 0, not of 0 / 0.
-        size = np.sqrt(side1 @ side1 + side2 @ side2) + 1e-300
+        size = np.sqrt(flat1 @ flat1 + flat2 @ flat2) + 1e-300
         gap = (base @ plane) / size
         residual = gap / sigma
         residuals[i] = residual
         # The size moves, too: without its part, the shortest baseline would fit best.
-        near1, near2 = (base @ rays1[i]) / size, (base @ rays2[i]) / size
-        for a in range(3):
-            row[3 + a] = (moved1[i, a] @ side2 + gap * near1 * (base @ moved1[i, a])) / size
-            row[9 + a] = (moved2[i, a] @ side1 + gap * near2 * (base @ moved2[i, a])) / size
-        for a in range(2):
-            row[12 + a] = (
-                moved1[i, 3 + a] @ side2 + gap * near1 * (base @ moved1[i, 3 + a])
-            ) / size
-            row[12 + a] += (
-                moved2[i, 3 + a] @ side1 + gap * near2 * (base @ moved2[i, 3 + a])
-            ) / size
+        near1, near2 = _cross(flat2, base), _cross(base, flat1)
+        for a in range(5):
+            here = moved1[i, a] @ (side2 - gap / size * near1)
+            there = moved2[i, a] @ (side1 - gap / size * near2)
+            if a < 3:
+                here += gap / size * ahead1 * (turns1[a, 2] @ side2)
+                there += gap / size * ahead2 * (turns2[a, 2] @ side1)
+                row[3 + a], row[9 + a] = here / size, there / size
+            else:
+                row[9 + a] = (here + there) / size
         row[12] += gap  # A pixel is a smaller angle.
-        longer = (2.0 * base) / size - near1 * rays1[i] - near2 * rays2[i]
-        by_base = (plane - gap * longer) / size
+        longer = _cross(rays1[i], flat2) + _cross(flat1, rays2[i])
+        by_base = (plane - gap / size * longer) / size
         _along(row[:6], starts[0], moves1, -by_base)
         _along(row[6:12], starts[1], moves2, by_base)
         weight = (scale * scale / (scale * scale + residual * residual)) ** 2

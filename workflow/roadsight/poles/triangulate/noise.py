@@ -225,10 +225,16 @@ def misfits(
     fixed += _spread(alone * _pairs(free * stated_depth), along)
     drift = rays.drift_m[members]
     fixed += _spread(_one_way(rays, members) * np.exp(-apart / _DRIFT_M) * _pairs(free), drift)
-    fixed += _spread(alone * _pairs(bound * turn_sigma), across)
-    fixed += _spread(alone * _pairs(bound * stated_depth), along)
-    column_m = bound * np.minimum(turn_sigma, stated_depth) * r
-    fixed += _spread(_pairs(column_m), axes) + _FLOOR_M2 * np.eye(2 * size)
+    # Of a bearing that image and column tell together, what the image tells is the ray's own.
+    column = np.divide(turn_sigma, stated_depth, out=np.ones_like(r), where=stated_depth > 0)
+    column = np.minimum(column, 1.0) ** 2
+    own_turn = turn_sigma * np.sqrt(1.0 - column)
+    fixed += _spread(alone * _pairs(bound * own_turn), across)
+    towards = ahead[..., :, None] * ahead[..., None, :]
+    sideways = column[..., None, None] * side[..., :, None] * side[..., None, :]
+    column_m = (bound * stated_depth * r)[..., None, None] * (towards + sideways)
+    fixed += np.einsum("giac,gjbc->giajb", column_m, column_m).reshape(fixed.shape)
+    fixed += _FLOOR_M2 * np.eye(2 * size)
     return Misfits(rest_m.reshape(groups, -1), np.stack(parts), fixed)
 
 
