@@ -153,12 +153,12 @@ def _found(
     try:
         if choice.method == "surface":
             return _surface(way, cloud, frame, about, choice)
-        found = _Found(_published(way), "published", [choice.told()])
+        outline, column_m = _published(way)
+        found = _Found(outline, "published", [choice.told()])
         if way.method == "auto":
             found = _sharpened(way, cloud, found)
-            return (
-                found if found.method == "sharpened" else _to_what_stands(way, cloud, ground, found)
-            )
+            if found.method == "published":
+                return _to_what_stands(cloud, ground, found, column_m)
         return found
     except InputError as error:
         raise InputError(str(error), where=f"site {site}") from error
@@ -233,16 +233,14 @@ def _sharpened(way: Way, cloud: CloudTiles, found: _Found) -> _Found:
     return _Found(sharp.road.outline, "sharpened", [*found.doubts, note], sharp.road.points, *met)
 
 
-def _to_what_stands(way: Way, cloud: CloudTiles, ground: Bools, found: _Found) -> _Found:
+def _to_what_stands(cloud: CloudTiles, ground: Bools, found: _Found, column_m: float) -> _Found:
     """Smooth ground up to what hides its edge."""
-    starts = _starts(cloud)
-    size = cloud.tile_size_m
-    tiles = [(t.ix * size, t.iy * size, (t.ix + 1) * size, (t.iy + 1) * size) for t in cloud.tiles]
+    starts, size = _starts(cloud), cloud.tile_size_m
     outline, share = to_what_stands(
         found.outline,
-        tiles,
+        [(t.ix * size, t.iy * size, (t.ix + 1) * size, (t.iy + 1) * size) for t in cloud.tiles],
         lambda bounds: _points_within(cloud, ground, starts, bounds),
-        _column_m(way),
+        column_m,
     )
     text = "its edge is hidden and taken to be at what stands there (a wall, a car, a crown): share"
     note = Doubt("pavement_edge_hidden", "note", text, round(share, 3))
@@ -264,19 +262,16 @@ def _users_area(path: str, frame: Frame) -> MultiPolygon:
     return MultiPolygon(sorted(parts, key=lambda part: -part.area))
 
 
-def _published(way: Way) -> MultiPolygon:
-    """Outline of the smooth ground that `cluster_fpfh` found."""
+def _published(way: Way) -> tuple[MultiPolygon, float]:
+    """Outline of the smooth ground that `cluster_fpfh` found, and the size of its columns."""
     if not way.clusters:
         raise InputError("lacks the classes of the ground", where="--clusters")
     columns = read_table(way.clusters)
-    settings = pavement_settings_for(_column_m(way), way.outline)
+    column_m = float(read_about(way.clusters)["voxel_size_m"])
+    settings = pavement_settings_for(column_m, way.outline)
     xyz = columns[["x", "y", "z"]].to_numpy(np.float64)
-    return outline_pavement(xyz, columns["smooth"].to_numpy(), settings, way.cluster_engine)
-
-
-def _column_m(way: Way) -> float:
-    """Columns to which the ground was thinned: its spacing where that is wider."""
-    return float(read_about(str(way.clusters))["voxel_size_m"])
+    smooth = columns["smooth"].to_numpy()
+    return outline_pavement(xyz, smooth, settings, way.cluster_engine), column_m
 
 
 def _pavement_points(
