@@ -33,8 +33,8 @@ settings:
   shards: 2
 """,
 }
-MOMENTS = int(os.environ.get("ROADSIGHT_MOMENTS", "20"))
-"""Moments at which runs are struck, the same in every run; more with ROADSIGHT_MOMENTS=50."""
+MOMENTS = int(os.environ.get("ROADSIGHT_MOMENTS", "12"))
+"""Moments at which runs are struck, two of each fault, the same in every run; more with ROADSIGHT_MOMENTS=50."""
 RESTARTS = [
     ["fault/placement/targets.parquet", "fault_road/poles/frames.parquet"],
     ["fault/scene/surfels.parquet", "fault_road/poles/masks/0.zip"],

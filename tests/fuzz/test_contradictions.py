@@ -17,7 +17,7 @@ from tests.fuzz.image_contradictions import check_image
 from tests.fuzz.vector_contradictions import check_vector
 from tests.fuzz.videolog_contradictions import check_videolog
 
-FEW, SOME, MANY = 8, 200, int(os.environ.get("ROADSIGHT_FUZZ", "1500"))
+FEW, SOME, MANY = 8, 200, int(os.environ.get("ROADSIGHT_FUZZ", "500"))
 """Files of each kind, the same in every run; more with ROADSIGHT_FUZZ=10000."""
 CHECKS = {"image": check_image, "videolog": check_videolog, "vector": check_vector}
 """What compares one generated file, by its number, with the clean answer."""

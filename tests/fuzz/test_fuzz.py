@@ -21,7 +21,7 @@ from tests.fuzz.readers import READERS
 LONGEST_S = 30.0
 """What reading one small file may take on a busy machine."""
 
-FEW, MANY = 200, int(os.environ.get("ROADSIGHT_FUZZ", "1500"))
+FEW, MANY = 200, int(os.environ.get("ROADSIGHT_FUZZ", "500"))
 """Files of each reader, the same in every run; more with ROADSIGHT_FUZZ=10000."""
 
 

@@ -19,7 +19,7 @@ from roadsight.scene.edges.splines import outline_edges, spline_line
 from roadsight.scene.pavement.choice import choose_method
 from roadsight.scene.pavement.road_surface import KnownRoad
 from roadsight.scene.pavement.scan_levels import count_scans
-from roadsight.scene.whole import FoundRoad, ground_of, published_road, road_of, sharpen
+from roadsight.scene.whole import FoundRoad, ground_of, published_road, road_of, settled_road
 
 _USUAL = Pavement()
 
@@ -161,8 +161,7 @@ def _pavement(
         road = published_road(cloud.xyz_m, labels, values, use, seed, engine)
         if method != "auto":
             return road
-        sharp = sharpen(road.outline, cloud.xyz_m, tones, classes=cloud.classes)
-        return sharp.road if sharp is not None and sharp.agrees else road
+        return settled_road(road, cloud.xyz_m, labels, tones, cloud.classes)
     except InputError as error:
         raise InputError(str(error), where=cloud.where) from error
 

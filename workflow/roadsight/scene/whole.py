@@ -20,6 +20,7 @@ from roadsight.base.seeds import SEED
 from roadsight.scene.grids import Grid, sample_bilinear
 from roadsight.scene.pavement.choice import MOST_SHARPENED, fits_surface
 from roadsight.scene.pavement.describe import describe_ground
+from roadsight.scene.pavement.hidden_ground import to_what_stands
 from roadsight.scene.pavement.outline import (
     inside,
     outline_pavement,
@@ -367,3 +368,43 @@ def published_road(
     outline = outline_pavement(description.xyz_m, smooth, traced, engine)
     x, y, _ = xyz_m.T
     return FoundRoad(outline, ground & inside(outline, x, y), description.xyz_m)
+
+
+def settled_road(
+    road: FoundRoad,
+    xyz_m: Floats,
+    ground: Bools,
+    intensity: Floats | None,
+    classes: Bytes | None = None,
+) -> FoundRoad:
+    """Smooth ground with its edges: those of the surface from its middle, where both ways agree.
+
+    Else it ends where it is no longer smooth, or at what hides its edge.
+
+    Parameters
+    ----------
+    road : by `published_road`. The others as it and `road_of` take them.
+    """
+    sharp = sharpen(road.outline, xyz_m, intensity, classes)
+    if sharp is not None and sharp.agrees:
+        return sharp.road
+    column_m = max(GroundClasses().voxel_size_m, spacing_of(xyz_m))
+
+    def around(bounds: Bounds) -> tuple[Floats, Bools]:
+        near = _near(xyz_m, bounds, 0.0)
+        return xyz_m[near], ground[near]
+
+    outline, _ = to_what_stands(road.outline, _squares(road.outline), around, column_m)
+    x, y, _ = xyz_m.T
+    return replace(road, outline=outline, points=ground & inside(outline, x, y))
+
+
+_SQUARE_M = 100.0
+
+
+def _squares(area: MultiPolygon) -> Iterator[Bounds]:
+    """Squares that cover an area and a halo around it."""
+    west, south, east, north = shapely.buffer(area, _SQUARE_M / 2).bounds
+    for x in np.arange(west, east, _SQUARE_M):
+        for y in np.arange(south, north, _SQUARE_M):
+            yield float(x), float(y), float(x + _SQUARE_M), float(y + _SQUARE_M)

@@ -88,7 +88,7 @@ def test_smooth_ground_gets_the_edges_of_the_surface(scene, monkeypatch, on_lawn
     smooth = box(ORIGIN[0], middle + south, ORIGIN[0] + 50, middle + north)
     shift = np.array(json.loads(Path(scene.path("frame.json")).read_text())["origin"][:2])
     local = shapely.transform(smooth, lambda xy: xy - shift)
-    monkeypatch.setattr(extract_pavement, "_published", lambda _: MultiPolygon([local]))
+    monkeypatch.setattr(extract_pavement, "_published", lambda _: (MultiPolygon([local]), 0.2))
     profile = json.loads(Path(scene.path("profile.json")).read_text())
     profile["scans"]["blind_share"] = 0.0
     Path(scene.path("profile.json")).write_text(json.dumps(profile))

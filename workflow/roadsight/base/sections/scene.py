@@ -131,5 +131,5 @@ class Edges(Section):
         le=20,
         description="automatic edges are moved this far off the pavement, m",
     )
-    knot_spacing_m: Metres = Field(default=6.0, description="spline knots on an automatic edge, m")
+    knot_spacing_m: Metres = Field(default=3.0, description="spline knots on an automatic edge, m")
     shortest_m: Metres = Field(default=12.0, description="shorter automatic edges are dropped, m")

@@ -11,10 +11,10 @@ import shapely
 
 from roadsight.base.arrays import Floats
 from roadsight.base.sections.scene import Edges
-from roadsight.evidence.truth.survey import Survey, read_survey
+from roadsight.evidence.truth.survey import REACH_M, Survey, read_survey
 from roadsight.evidence.truth.table import Figure
 from roadsight.scene.edges.splines import outline_edges, spline_line
-from roadsight.scene.whole import ground_of, published_road
+from roadsight.scene.whole import ground_of, published_road, settled_road
 
 WITHIN_M = (0.5, 1.0, 2.0)
 """A surveyed edge is found where one of ours lies this near."""
@@ -27,7 +27,8 @@ def measure_edges(dataset: str, files: Sequence[Path]) -> list[Figure]:
     survey = read_survey(files)
     started = time.process_time()
     ground = ground_of(survey.xyz_m)
-    road = published_road(survey.xyz_m, ground, survey.intensity)
+    smooth = published_road(survey.xyz_m, ground, survey.intensity)
+    road = settled_road(smooth, survey.xyz_m, ground, survey.intensity)
     traced = outline_edges(road.outline, road.surface_m, Edges())
     lines = [spline_line(line) for _, line in traced]
     used_s = time.process_time() - started
@@ -37,7 +38,9 @@ def measure_edges(dataset: str, files: Sequence[Path]) -> list[Figure]:
 
 
 def _figures(lines: list[shapely.Geometry], survey: Survey) -> dict[str, float]:
-    found = shapely.union_all(lines).intersection(survey.judged)
+    # Edges of streets that were not surveyed are neither right nor wrong.
+    near = shapely.intersection(survey.judged, survey.paved.buffer(REACH_M))
+    found = shapely.union_all(lines).intersection(near)
     truth = survey.paved.boundary.intersection(survey.judged)
     off = shapely.distance(_along(found), truth)
     missed = shapely.distance(_along(truth), found)

@@ -12,7 +12,7 @@ from roadsight.evidence.truth.ground import f1
 from roadsight.evidence.truth.streets import ROAD, UNLABELLED, ground_points, read_street
 from roadsight.evidence.truth.survey import Survey, read_survey
 from roadsight.evidence.truth.table import Figure
-from roadsight.scene.whole import ground_of, published_road, road_of
+from roadsight.scene.whole import ground_of, published_road, road_of, settled_road
 
 
 def measure_pavement(dataset: str, files: Sequence[Path]) -> list[Figure]:
@@ -40,7 +40,8 @@ def _by_area(survey: Survey) -> list[Figure]:
     """Recall and precision of paved area; the peer takes all ground for paved."""
     started = time.process_time()
     ground = ground_of(survey.xyz_m)
-    road = published_road(survey.xyz_m, ground, survey.intensity)
+    smooth = published_road(survey.xyz_m, ground, survey.intensity)
+    road = settled_road(smooth, survey.xyz_m, ground, survey.intensity)
     used_s = time.process_time() - started
     truth = survey.cells_of(survey.paved) & survey.known
     shares = []

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
 import shapely
 from scipy.interpolate import CubicSpline
+from scipy.signal import savgol_filter
 from shapely import LinearRing, LineString, MultiPolygon
 
 from roadsight.base.arrays import Bools, Floats, Ints
@@ -15,7 +16,19 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Edges
 
 _CORNER_DEG = 60.0
-"""An outline is split where it turns by more than this between knots."""
+"""An outline is split where it turns by more than this."""
+_LEG_KNOTS = 3
+"""Knots before and after a corner whose direction counts: between neighbours the steps of a sparse
+outline turn as far. In an old town 54 % of the surveyed edges are met within 1 m with legs of 9 m,
+and 51 % with 6 m."""
+_SMOOTHED_KNOTS = 5
+"""Knots about each of which a parabola is fitted, so that bends keep their radius: 51 to 54 % of
+the same edges are met within 1 m, and 45 to 49 % without it."""
+_INSIDE_M = 1.0
+"""So far inside its outline a pavement is as wide as it looks, whatever the outline's steps."""
+_LONGER = 2.5
+"""Where a road is cut, the way on along it is so many times as long as the cut, and as the way
+across elsewhere."""
 _OPEN_STRIP_M = 3.0
 """Width of the strips beside the outline in which ground points are compared."""
 _STEP_M = 0.08
@@ -115,15 +128,23 @@ class _Ground(NamedTuple):
 def _open_ends(knots: Floats, outline: MultiPolygon, ground: _Ground, settings: Edges) -> Bools:
     """Knots where the road runs on but the found pavement stops, so that there is no real edge.
 
-    There, the way across the pavement is far longer than elsewhere (it runs along the road), and
-    outside the data thin out to less than a quarter, or the ground goes on without a step.
+    There, the way ahead into the pavement is far longer than elsewhere (it runs along the road),
+    and than the way along the outline, which is the road's width; and outside the data thin out to
+    less than a quarter, or the ground goes on without a step.
     """
     tangent = np.roll(knots, -1, axis=0) - np.roll(knots, 1, axis=0)
     tangent /= np.maximum(np.linalg.norm(tangent, axis=1, keepdims=True), 1e-9)
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     inward = shapely.contains_xy(outline, *(knots + 0.5 * normal).T)
     normal = np.where(inward[:, None], normal, -normal)
-    across = np.array([_chord_m(outline, p, n) for p, n in zip(knots, normal, strict=True)])
+    ahead, before, behind = (
+        np.array([_chord_m(outline, p, d) for p, d in zip(places, directions, strict=True)])
+        for places, directions in (
+            (knots, normal),
+            (knots + _INSIDE_M * normal, tangent),
+            (knots + _INSIDE_M * normal, -tangent),
+        )
+    )
     width = _OPEN_STRIP_M
     (outside, z_out), (inside, z_in), (_, z_far) = (
         _strip(ground, knots + start * width * normal, normal, tangent, settings)
@@ -131,7 +152,7 @@ def _open_ends(knots: Floats, outline: MultiPolygon, ground: _Ground, settings: 
     )
     # Against the height to which the two strips inside lead on: the road's own slope is no step.
     step = np.abs(z_out - (2 * z_in - z_far))
-    long = across > max(2.5 * float(np.median(across)), 10.0)
+    long = ahead > np.maximum(_LONGER * np.maximum(np.median(ahead), before + behind), 10.0)
     return long & ((outside < 0.25 * inside) | (step < _STEP_M))
 
 
@@ -156,13 +177,11 @@ def _strip(
 
 
 def _pieces(knots: Floats, keep: Bools, settings: Edges) -> list[LineString]:
-    """Runs of kept knots, split at sharp corners, as lines; a ring without a split stays closed."""
-    step = np.roll(knots, -1, axis=0) - knots
-    heading = np.arctan2(step[:, 1], step[:, 0])
-    turn = np.abs((heading - np.roll(heading, 1) + np.pi) % (2 * np.pi) - np.pi)
-    split = ~keep | (turn > np.radians(_CORNER_DEG))
+    """Runs of kept knots as smooth lines, split at corners; a ring without a split stays closed."""
+    split = ~keep | _corners(knots)
     if not split.any():
-        return [LineString(np.vstack([knots, knots[:1]]))]
+        ring = _smoothed(knots, "wrap")
+        return [LineString(np.vstack([ring, ring[:1]]))]
     first = -int(np.flatnonzero(split)[0])
     knots, keep, split = np.roll(knots, first, axis=0), np.roll(keep, first), np.roll(split, first)
     runs, run = [], []
@@ -172,5 +191,23 @@ def _pieces(knots: Floats, keep: Bools, settings: Edges) -> list[LineString]:
         if cut:
             runs.append(run)
             run = [knot] if kept else []
-    lines = [LineString(run) for run in runs if len(run) >= 2]
+    lines = [LineString(_smoothed(np.array(run), "interp")) for run in runs if len(run) >= 2]
     return [line for line in lines if line.length >= settings.shortest_m]
+
+
+def _corners(knots: Floats) -> Bools:
+    """Knots of a ring at which it turns sharply, and more than at those beside them."""
+    back = knots - np.roll(knots, _LEG_KNOTS, axis=0)
+    on = np.roll(back, -_LEG_KNOTS, axis=0)
+    cross = back[:, 0] * on[:, 1] - back[:, 1] * on[:, 0]
+    turn = np.abs(np.arctan2(cross, (back * on).sum(axis=1)))
+    near = range(1, _LEG_KNOTS + 1)
+    before, after = (np.max([np.roll(turn, sign * k) for k in near], axis=0) for sign in (1, -1))
+    return (turn > np.radians(_CORNER_DEG)) & (turn > before) & (turn >= after)
+
+
+def _smoothed(knots: Floats, ends: Literal["wrap", "interp"]) -> Floats:
+    """Knots (n, 2) at equal steps, each on the parabola through those around it."""
+    if len(knots) < _SMOOTHED_KNOTS:
+        return knots
+    return np.asarray(savgol_filter(knots, _SMOOTHED_KNOTS, 2, axis=0, mode=ends))

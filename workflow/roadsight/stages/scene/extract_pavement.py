@@ -30,9 +30,11 @@ from roadsight.io.vector.known_road import read_seeds, read_track
 from roadsight.io.vector.site_bounds import tell_near
 from roadsight.io.vector.vectors import read_lines, read_polygons, write_layers
 from roadsight.scene.pavement.choice import Choice, choose_method
+from roadsight.scene.pavement.hidden_ground import to_what_stands
 from roadsight.scene.pavement.outline import outline_pavement, pavement_settings_for
 from roadsight.scene.pavement.pavement_doubts import PavementFacts, pavement_doubts
 from roadsight.scene.pavement.road_surface import KnownRoad
+from roadsight.scene.terrain.terrain import Bounds
 from roadsight.scene.whole import road_of, sharpen
 from roadsight.stages.command import Command
 from roadsight.stages.doubts import tell
@@ -97,8 +99,8 @@ def extract_pavement(
     about = read_json(frame_path)
     frame = Frame.from_dict(about)
     cloud = CloudTiles(cloud_path)
-    found = _found(site, way, cloud, frame, about)
     ground = read_table(ground_path)["ground"].to_numpy()
+    found = _found(site, way, cloud, ground, frame, about)
     points, facts = _pavement_points(cloud, ground, found, bool(doubts_path))
     outline = found.outline
     if len(points) == 0:
@@ -131,7 +133,9 @@ _SOURCE = {"user": "user", "surface": "surface", "published": "fpfh", "sharpened
 """What the layer says of where its polygons come from."""
 
 
-def _found(site: str, way: Way, cloud: CloudTiles, frame: Frame, about: dict[str, Any]) -> _Found:
+def _found(
+    site: str, way: Way, cloud: CloudTiles, ground: Bools, frame: Frame, about: dict[str, Any]
+) -> _Found:
     """The pavement by the user's polygon, as one surface, or by FPFH and k-means.
 
     Raises
@@ -149,9 +153,12 @@ def _found(site: str, way: Way, cloud: CloudTiles, frame: Frame, about: dict[str
     try:
         if choice.method == "surface":
             return _surface(way, cloud, frame, about, choice)
-        found = _Found(_published(way), "published", [choice.told()])
+        outline, column_m = _published(way)
+        found = _Found(outline, "published", [choice.told()])
         if way.method == "auto":
-            return _sharpened(way, cloud, found)
+            found = _sharpened(way, cloud, found)
+            if found.method == "published":
+                return _to_what_stands(cloud, ground, found, column_m)
         return found
     except InputError as error:
         raise InputError(str(error), where=f"site {site}") from error
@@ -226,6 +233,20 @@ def _sharpened(way: Way, cloud: CloudTiles, found: _Found) -> _Found:
     return _Found(sharp.road.outline, "sharpened", [*found.doubts, note], sharp.road.points, *met)
 
 
+def _to_what_stands(cloud: CloudTiles, ground: Bools, found: _Found, column_m: float) -> _Found:
+    """Smooth ground up to what hides its edge."""
+    starts, size = _starts(cloud), cloud.tile_size_m
+    outline, share = to_what_stands(
+        found.outline,
+        [(t.ix * size, t.iy * size, (t.ix + 1) * size, (t.iy + 1) * size) for t in cloud.tiles],
+        lambda bounds: _points_within(cloud, ground, starts, bounds),
+        column_m,
+    )
+    text = "its edge is hidden and taken to be at what stands there (a wall, a car, a crown): share"
+    note = Doubt("pavement_edge_hidden", "note", text, round(share, 3))
+    return replace(found, outline=outline, doubts=[*found.doubts, note])
+
+
 def _edges(way: Way, frame: Frame, about: dict[str, Any]) -> list[shapely.Geometry]:
     """Digitised edges, which the road ends at."""
     if not way.edges:
@@ -241,22 +262,23 @@ def _users_area(path: str, frame: Frame) -> MultiPolygon:
     return MultiPolygon(sorted(parts, key=lambda part: -part.area))
 
 
-def _published(way: Way) -> MultiPolygon:
-    """Outline of the smooth ground that `cluster_fpfh` found."""
+def _published(way: Way) -> tuple[MultiPolygon, float]:
+    """Outline of the smooth ground that `cluster_fpfh` found, and the size of its columns."""
     if not way.clusters:
         raise InputError("lacks the classes of the ground", where="--clusters")
     columns = read_table(way.clusters)
-    size_m = read_about(way.clusters)["voxel_size_m"]
-    settings = pavement_settings_for(size_m, way.outline)
+    column_m = float(read_about(way.clusters)["voxel_size_m"])
+    settings = pavement_settings_for(column_m, way.outline)
     xyz = columns[["x", "y", "z"]].to_numpy(np.float64)
-    return outline_pavement(xyz, columns["smooth"].to_numpy(), settings, way.cluster_engine)
+    smooth = columns["smooth"].to_numpy()
+    return outline_pavement(xyz, smooth, settings, way.cluster_engine), column_m
 
 
 def _pavement_points(
     cloud: CloudTiles, ground: Bools, found: _Found, with_rim: bool
 ) -> tuple[pd.DataFrame, PavementFacts]:
     """Points on the pavement, float32 local metres, in the cloud's order; and what they tell."""
-    starts = np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
+    starts = _starts(cloud)
     parts, facts = [], PavementFacts()
     size = cloud.tile_size_m
     told = [name for name in ("classification", "scan") if name in cloud.columns]
@@ -273,29 +295,33 @@ def _pavement_points(
         if with_rim and found.method == "published":
             west, south = tile.ix * size, tile.iy * size
             core = (west, south, west + size, south + size)
-            around = _ground_around(cloud, ground, starts, core)
-            facts.add_rim(around, found.outline, core)
+            halo = (west - _HALO_M, south - _HALO_M, core[2] + _HALO_M, core[3] + _HALO_M)
+            around, is_ground = _points_within(cloud, ground, starts, halo)
+            facts.add_rim(around[is_ground], found.outline, core)
     return pd.DataFrame(np.concatenate(parts), columns=["x", "y", "z"]), facts
 
 
-def _ground_around(
-    cloud: CloudTiles, ground: Bools, starts: Ints, core: tuple[float, float, float, float]
-) -> Floats:
-    """Ground points (n, 3) of a tile and of the strip around it."""
-    west, south, east, north = core
-    parts = []
+def _starts(cloud: CloudTiles) -> Ints:
+    """Row of the cloud at which each tile begins."""
+    return np.cumsum([0, *(tile.rows for tile in cloud.tiles)])
+
+
+def _points_within(
+    cloud: CloudTiles, ground: Bools, starts: Ints, bounds: Bounds
+) -> tuple[Floats, Bools]:
+    """Points (n, 3) of the cloud within bounds, and which are ground."""
+    west, south, east, north = bounds
+    parts, labels = [], []
     for number, tile in enumerate(cloud.tiles):
         low_x, low_y, _, high_x, high_y, _ = tile.bounds_m
-        if low_x > east + _HALO_M or high_x < west - _HALO_M:
+        if low_x > east or high_x < west or low_y > north or high_y < south:
             continue
-        if low_y > north + _HALO_M or high_y < south - _HALO_M:
-            continue
-        xyz = stack_xyz(cloud.read(("x", "y", "z"), [number]))
-        xyz = xyz[ground[starts[number] : starts[number + 1]]].astype(np.float64)
-        near = (xyz[:, 0] >= west - _HALO_M) & (xyz[:, 0] < east + _HALO_M)
-        near &= (xyz[:, 1] >= south - _HALO_M) & (xyz[:, 1] < north + _HALO_M)
+        xyz = stack_xyz(cloud.read(("x", "y", "z"), [number])).astype(np.float64)
+        near = (xyz[:, 0] >= west) & (xyz[:, 0] < east)
+        near &= (xyz[:, 1] >= south) & (xyz[:, 1] < north)
         parts.append(xyz[near])
-    return np.concatenate(parts)
+        labels.append(ground[starts[number] : starts[number + 1]][near])
+    return np.concatenate(parts), np.concatenate(labels)
 
 
 main = Command(extract_pavement)
