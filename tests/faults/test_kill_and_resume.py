@@ -34,7 +34,8 @@ settings:
 """,
 }
 MOMENTS = int(os.environ.get("ROADSIGHT_MOMENTS", "12"))
-"""Moments at which runs are struck, two of each fault, the same in every run; more with ROADSIGHT_MOMENTS=50."""
+"""Moments at which runs are struck, two of each fault, the same in every run; more with
+ROADSIGHT_MOMENTS=50."""
 RESTARTS = [
     ["fault/placement/targets.parquet", "fault_road/poles/frames.parquet"],
     ["fault/scene/surfels.parquet", "fault_road/poles/masks/0.zip"],
