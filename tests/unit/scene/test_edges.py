@@ -262,7 +262,7 @@ class TestOutlineEdges:
         assert abs(np.mean(smooth)) < 0.1
 
     def test_short_outlines_are_dropped(self):
-        islet = box(0, 0, 2.5, 2.5)
+        islet = box(0, 0, 2, 2)
         assert outline_edges(MultiPolygon([islet]), ground_on(islet), SETTINGS) == []
 
     def test_no_pavement_and_no_ground_are_decided(self):

@@ -132,4 +132,4 @@ class Edges(Section):
         description="automatic edges are moved this far off the pavement, m",
     )
     knot_spacing_m: Metres = Field(default=3.0, description="spline knots on an automatic edge, m")
-    shortest_m: Metres = Field(default=12.0, description="shorter automatic edges are dropped, m")
+    shortest_m: Metres = Field(default=10.0, description="shorter automatic edges are dropped, m")
