@@ -20,6 +20,11 @@ _ABOUT = "about.json"
 """Name of the description in the ZIP."""
 _DATE = (1980, 1, 1, 0, 0, 0)
 """The earliest date that a ZIP can hold, so that the same images give the same bytes."""
+_PNG = [
+    *(cv2.IMWRITE_PNG_COMPRESSION, 1),
+    *(cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE),
+]
+"""Depth maps are 1 % larger than at level 3 and masks smaller, in half the time."""
 
 
 class ImageShardWriter(WholeFile):
@@ -43,7 +48,7 @@ class ImageShardWriter(WholeFile):
 
     def write(self, name: str, image: Bytes | NDArray[np.uint16]) -> None:
         """Add an image (rows, columns) or (rows, columns, 3 BGR) under ``name`` (no extension)."""
-        done, encoded = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 3])
+        done, encoded = cv2.imencode(".png", image, _PNG)
         if not done:
             raise InputError("cannot be written as PNG", where=name, found=image.dtype)
         self._add(f"{name}.png", encoded.tobytes())

@@ -12,6 +12,7 @@ from shapely import MultiPolygon
 
 from roadsight.base.arrays import Bools, Bytes, Floats, Ints
 from roadsight.base.doubts import Doubt
+from roadsight.scene.grids import Grid
 from roadsight.scene.pavement.epochs import ScanHeights, epoch_doubts
 from roadsight.scene.pavement.ground_raster import cell_means, local_planes
 from roadsight.scene.pavement.road_surface import (
@@ -105,12 +106,13 @@ class PavementFacts:
         """
         if scan is not None:
             self.scans.add(xyz_m[on & ground], scan[on & ground])
-        places = np.floor(xyz_m[ground, :2] / _REACH_BLOCK_M).astype(np.int64)
-        for (column, row), count in zip(
-            *np.unique(places, axis=0, return_counts=True), strict=True
-        ):
-            key = int(column), int(row)
-            self.blocks[key] = self.blocks.get(key, 0) + int(count)
+        x, y = xyz_m[ground, 0], xyz_m[ground, 1]
+        grid = Grid.around(x, y, _REACH_BLOCK_M)
+        numbers = grid.flat(x, y)
+        counts = np.bincount(numbers, minlength=grid.rows * grid.columns).reshape(grid.shape).T
+        for column, row in np.argwhere(counts):
+            key = grid.west + int(column), grid.south + int(row)
+            self.blocks[key] = self.blocks.get(key, 0) + int(counts[column, row])
         self.on += int((on & ground).sum())
         if classes is None:
             return

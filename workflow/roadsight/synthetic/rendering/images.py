@@ -7,13 +7,14 @@ their share of the pixel, thin things (poles, wires, signs) by four more rays.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from roadsight.base.arrays import Bytes, Floats, Floats32, Ints32, Numbers
+from roadsight.base.arrays import Bools, Bytes, Floats, Floats32, Ints, Ints32, Numbers
 from roadsight.base.kernels import compiled
 from roadsight.geometry.cameras import Intrinsics
 from roadsight.geometry.lens import RadialLens
@@ -117,17 +118,8 @@ class RuralRenderer:
 
     def sunlit(self, cast: Cast, sun: Floats) -> Floats32:
         """Share of the sun that reaches each hit; far hits and the sky count as lit."""
-        lit = np.ones(len(cast.range_m), np.float32)
-        near = np.flatnonzero(cast.range_m < _SHADOW_REACH_M)
-        triangle = cast.triangle[near]
-        facing = self.site.mesh.normal[triangle] @ sun.astype(np.float32)
-        leafy = _LEAFY[self.site.mesh.material[triangle]]
-        far_leaf = leafy & (cast.range_m[near] > _LEAF_SHADOW_REACH_M)
-        lit[near[far_leaf]] = _FAR_LEAF_LIT
-        asked = (np.abs(facing) > 0.01) & (~leafy | (facing > 0.0)) & ~far_leaf
-        rows = near[asked]
-        lift = np.where(leafy[asked], 0.35, _SHADOW_LIFT_M)
-        start = cast.place_m[rows] + lift[:, None] * sun
+        mesh = self.site.mesh
+        lit, rows, start = _sun_rays(cast, mesh.normal, mesh.material, _LEAFY, sun)
         lit[rows] = ~self._scene.occluded(start, np.broadcast_to(sun, start.shape))
         return lit
 
@@ -168,7 +160,7 @@ class RuralRenderer:
         lens : of the camera, if not that of a pinhole.
         """
         size = camera.intrinsics.height_px, camera.intrinsics.width_px
-        uv = np.indices(size, float)[::-1].reshape(2, -1).T
+        uv = _pixels(*size)
         directions = _pixel_rays(camera, uv, lens)
         cast = self.cast(camera.position_m, directions)
         lit = self.sunlit(cast, look.sun)
@@ -199,6 +191,12 @@ class RuralRenderer:
         return np.flatnonzero(outline | (cv2.dilate(wire, np.ones((5, 19), np.uint8)) > 0))
 
 
+@cache
+def _pixels(height: int, width: int) -> Floats:
+    """Column and row (n, 2) of each pixel, row by row."""
+    return np.indices((height, width), float)[::-1].reshape(2, -1).T
+
+
 def _pixel_rays(camera: Camera, uv_px: Floats, lens: RadialLens | None) -> Floats:
     """`roadsight.geometry.cameras.pixel_directions`, without its temporary arrays."""
     own = camera.intrinsics
@@ -215,6 +213,40 @@ def _rays(uv: Floats, cx: float, cy: float, focal: float, rotation: Floats) -> F
         for k in range(3):
             rays[i, k] = (x * rotation[0, k] + y * rotation[1, k] + rotation[2, k]) / length
     return rays
+
+
+@compiled()
+def _sun_rays(
+    cast: Cast, normal: Floats32, material: Bytes, leafy: Bools, sun: Floats
+) -> tuple[Floats32, Ints, Floats]:
+    """Share of the sun (n,) as far as it is known, hits that ask for it, and from where (k, 3).
+
+    Parameters
+    ----------
+    normal, material : of triangles. leafy : of materials, whether they let some of the sun through.
+    """
+    count, asked = len(cast.range_m), 0
+    lit = np.ones(count, np.float32)
+    rows, start = np.empty(count, np.int64), np.empty((count, 3))
+    for i in range(count):
+        if cast.range_m[i] >= _SHADOW_REACH_M:
+            continue
+        number = cast.triangle[i]
+        facing = np.float32(0.0)
+        for k in range(3):
+            facing += normal[number, k] * np.float32(sun[k])
+        leaf = leafy[material[number]]
+        if leaf and cast.range_m[i] > _LEAF_SHADOW_REACH_M:
+            lit[i] = _FAR_LEAF_LIT
+            continue
+        if abs(facing) <= 0.01 or (leaf and facing <= 0.0):
+            continue
+        lift = 0.35 if leaf else _SHADOW_LIFT_M
+        for k in range(3):
+            start[asked, k] = cast.place_m[i, k] + lift * sun[k]
+        rows[asked] = i
+        asked += 1
+    return lit, rows[:asked], start[:asked]
 
 
 @compiled()
