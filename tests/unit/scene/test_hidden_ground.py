@@ -7,22 +7,27 @@ import pytest
 import shapely
 from shapely import MultiPolygon, box
 
-from roadsight.scene.pavement.hidden_ground import HALO_M, REACH_M, to_what_stands
+from roadsight.scene.pavement.hidden_ground import REACH_M, to_what_stands
 
 SPACING_M = 0.25
 STREET = MultiPolygon([box(0, -4, 60, 4)])
 """The pavement that was found; its true edge lies at y = 5."""
 
 
-def layer(rng, area, z_m):
+def layer(rng, area, z_m, spacing_m=SPACING_M):
     """Points (n, 3) evenly over an area."""
     west, south, east, north = area.bounds
-    count = round((east - west) * (north - south) / SPACING_M**2)
+    count = round((east - west) * (north - south) / spacing_m**2)
     x, y = rng.uniform([west, south], [east, north], (count, 2)).T
     return np.column_stack([x, y, np.full(count, z_m)])
 
 
-def grown(parts, outline=STREET, tiles=((-10.0, -20.0, 70.0, 20.0),)):
+def stray(area):
+    """One return far above."""
+    return np.array([[area.centroid.x, area.centroid.y, 60.0]])
+
+
+def grown(parts, outline=STREET, spacing_m=SPACING_M):
     """What the pavement becomes, by parts: points and whether they are ground."""
     xyz = np.concatenate([points for points, _ in parts])
     ground = np.concatenate([np.full(len(points), label) for points, label in parts])
@@ -32,7 +37,7 @@ def grown(parts, outline=STREET, tiles=((-10.0, -20.0, 70.0, 20.0),)):
         near = (xyz[:, 0] >= west) & (xyz[:, 0] < east) & (xyz[:, 1] >= south) & (xyz[:, 1] < north)
         return xyz[near], ground[near]
 
-    return to_what_stands(outline, tiles, around, SPACING_M)
+    return to_what_stands(outline, around, spacing_m, 20.0)
 
 
 def street(rng, wall_y=4.7, height_m=6.0):
@@ -59,15 +64,48 @@ class TestToWhatStands:
         assert share == pytest.approx(60 / 138, abs=0.06)
 
     def test_what_lies_low_or_far_away_hides_nothing(self, rng):
-        for parts in (street(rng, height_m=0.5), street(rng, wall_y=4 + 2 * REACH_M + 0.5)):
+        for parts in (street(rng, height_m=0.4), street(rng, wall_y=4 + 2 * REACH_M + 0.5)):
             outline, share = grown(parts)
             assert outline.symmetric_difference(STREET).area < 0.02 * STREET.area
             assert share < 0.05
 
-    def test_water_gives_no_returns_and_is_no_pavement(self, rng):
-        parts = street(rng)[:1]
-        outline, _ = grown(parts)
-        assert outline.symmetric_difference(STREET).area < 0.02 * STREET.area
+    @pytest.mark.parametrize(
+        "standing",
+        [
+            [box(0, 1, 60, 3.9)],
+            [box(20, 2, 24.5, 3.8)],
+            [box(0, 3.4, 60, 3.5)],
+            [box(x, 4.1, x + 0.05, 4.15) for x in range(2, 60, 3)],
+            [],
+        ],
+        ids=["crowns over the quay", "a car on it", "a wire over it", "stray returns", "nothing"],
+    )
+    def test_water_gives_no_returns_and_is_no_pavement(self, rng, standing):
+        """A canal begins at y = 4, whatever stands on the quay or hangs over it."""
+        high = [
+            (layer(rng, area, 5.0) if area.area > 1 else stray(area), False) for area in standing
+        ]
+        outline, _ = grown([street(rng)[0], *high])
+        assert outline.difference(STREET.buffer(0.15)).area < 1.0
+
+    def test_what_was_measured_low_is_seen_whether_ground_or_not(self, rng):
+        """Planting of 0.4 m before a wall."""
+        plants = (layer(rng, box(0, 4, 60, 5), 0.4), False)
+        wall = (layer(rng, box(0, 5, 60, 12), 6.0), False)
+        outline, _ = grown([street(rng)[0], plants, wall])
+        assert outline.difference(STREET.buffer(0.4)).area < 1.0
+
+    @pytest.mark.parametrize("spacing_m", [0.03, 0.1, 0.5])
+    def test_no_spacing_undoes_it(self, rng, spacing_m):
+        paved = (layer(rng, box(0, 0, 12, 4), 0.0, spacing_m), True)
+        roof = (layer(rng, box(0, 4.7, 12, 8), 6.0, spacing_m), False)
+        outline, _ = grown([paved, roof], MultiPolygon([box(0, 0, 12, 4)]), spacing_m)
+        assert edge_at(outline, 6.0)[1] == pytest.approx(5.0, abs=max(0.2, spacing_m))
+
+    def test_lone_returns_below_the_eaves_leave_no_holes(self, rng):
+        lone = np.array([[x, 4.5, 0.0] for x in range(5, 60, 5)])
+        outline, _ = grown([*street(rng, wall_y=5.2), (lone, True)])
+        assert all(len(part.interiors) == 0 for part in outline.geoms)
 
     def test_it_goes_no_farther_than_its_reach(self, rng):
         parts = [street(rng)[0], (layer(rng, box(0, 4, 60, 14), 6.0), False)]
@@ -76,13 +114,15 @@ class TestToWhatStands:
         gone = outline.difference(STREET.buffer(REACH_M + 0.15))
         assert gone.area < 1e-6
 
-    def test_tiles_do_not_show(self, rng):
+    @pytest.mark.parametrize("shift", [0.0, 44.0, 48.0, 70.0])
+    def test_where_squares_end_does_not_show(self, rng, shift):
+        """Squares lie on multiples of 100 m, so that a moved street meets other borders."""
         parts = street(rng)
         whole, _ = grown(parts)
-        tiles = [(x, y, x + 20.0, y + 20.0) for x in (-10.0, 10, 30, 50) for y in (-20.0, 0)]
-        pieces, _ = grown(parts, tiles=tiles)
-        assert whole.symmetric_difference(pieces).area < 0.005 * whole.area
-        assert HALO_M > 2 * REACH_M
+        moved = [(points + np.array([shift, shift, 0.0]), label) for points, label in parts]
+        there, _ = grown(moved, MultiPolygon(shapely.transform(STREET, lambda xy: xy + shift)))
+        back = shapely.transform(there, lambda xy: xy - shift)
+        assert whole.symmetric_difference(back).area < 0.02 * whole.difference(STREET).area
 
     def test_without_ground_or_pavement_nothing_changes(self, rng):
         outline, _ = grown([(layer(rng, box(0, -10, 60, 10), 3.0), False)])

@@ -87,7 +87,7 @@ def pavement(
     method : "surface" (a surface that runs on until a kerb, grass or a wall ends it), "published"
         (FPFH and k-means, paper 1, section 2.2), or "auto": surface where the cloud tells the scans
         of a vehicle apart or a place on the road is given, else published, with the edges of the
-        surface where both agree.
+        surface where both agree, and up to what hides its edge (eaves, cars) where not.
     intensity : whether it is a cue; auto: where points are more than 0.15 m apart.
     ground : (n,) ground labels, found if absent; the published method alone needs them.
     seeds_xy, track_xy : (k, 2) places on the road, and where a vehicle drove in order, local

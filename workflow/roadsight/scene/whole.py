@@ -394,17 +394,7 @@ def settled_road(
         near = _near(xyz_m, bounds, 0.0)
         return xyz_m[near], ground[near]
 
-    outline, _ = to_what_stands(road.outline, _squares(road.outline), around, column_m)
+    hole_m2 = PavementOutline().smallest_hole_m2
+    outline, _ = to_what_stands(road.outline, around, column_m, hole_m2)
     x, y, _ = xyz_m.T
     return replace(road, outline=outline, points=ground & inside(outline, x, y))
-
-
-_SQUARE_M = 100.0
-
-
-def _squares(area: MultiPolygon) -> Iterator[Bounds]:
-    """Squares that cover an area and a halo around it."""
-    west, south, east, north = shapely.buffer(area, _SQUARE_M / 2).bounds
-    for x in np.arange(west, east, _SQUARE_M):
-        for y in np.arange(south, north, _SQUARE_M):
-            yield float(x), float(y), float(x + _SQUARE_M), float(y + _SQUARE_M)

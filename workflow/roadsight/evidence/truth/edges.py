@@ -28,7 +28,7 @@ def measure_edges(dataset: str, files: Sequence[Path]) -> list[Figure]:
     started = time.process_time()
     ground = ground_of(survey.xyz_m)
     smooth = published_road(survey.xyz_m, ground, survey.intensity)
-    road = settled_road(smooth, survey.xyz_m, ground, survey.intensity)
+    road = settled_road(smooth, survey.xyz_m, ground, survey.intensity, survey.classification)
     traced = outline_edges(road.outline, road.surface_m, Edges())
     lines = [spline_line(line) for _, line in traced]
     used_s = time.process_time() - started

@@ -41,7 +41,7 @@ def _by_area(survey: Survey) -> list[Figure]:
     started = time.process_time()
     ground = ground_of(survey.xyz_m)
     smooth = published_road(survey.xyz_m, ground, survey.intensity)
-    road = settled_road(smooth, survey.xyz_m, ground, survey.intensity)
+    road = settled_road(smooth, survey.xyz_m, ground, survey.intensity, survey.classification)
     used_s = time.process_time() - started
     truth = survey.cells_of(survey.paved) & survey.known
     shares = []

@@ -153,7 +153,9 @@ def _open_ends(knots: Floats, outline: MultiPolygon, ground: _Ground, settings: 
     # Against the height to which the two strips inside lead on: the road's own slope is no step.
     step = np.abs(z_out - (2 * z_in - z_far))
     long = ahead > np.maximum(_LONGER * np.maximum(np.median(ahead), before + behind), 10.0)
-    return long & ((outside < 0.25 * inside) | (step < _STEP_M))
+    cut = long & ((outside < 0.25 * inside) | (step < _STEP_M))
+    # The last knot on either side may lie round the corner.
+    return cut | np.roll(cut, 1) | np.roll(cut, -1)
 
 
 def _chord_m(outline: MultiPolygon, start: Floats, direction: Floats) -> float:

@@ -159,13 +159,14 @@ def _polygons(grid: Grid, cells: Bools, settings: PavementOutline) -> Polygon | 
         filled.astype(np.uint8), mask=filled, transform=Affine(cell, 0, x0, 0, cell, y0)
     )
     parts = shapely.union_all([shape(geometry) for geometry, _ in shapes])
-    parts = _without_small_holes(parts, settings.smallest_hole_m2)
+    parts = without_small_holes(parts, settings.smallest_hole_m2)
     # Opening by half a road marking's gap drops whiskers; simplifying removes the raster's steps.
     opened = parts.buffer(-settings.closing_m / 2).buffer(settings.closing_m / 2)
     return opened.simplify(0.6 * cell)
 
 
-def _without_small_holes(parts: shapely.Geometry, smallest_m2: float) -> MultiPolygon:
+def without_small_holes(parts: shapely.Geometry, smallest_m2: float) -> MultiPolygon:
+    """Polygons of a geometry without holes smaller than that, largest first."""
     filled = [
         Polygon(part.exterior, [h for h in part.interiors if Polygon(h).area >= smallest_m2])
         for part in _multi(parts).geoms

@@ -158,7 +158,7 @@ def _found(
         if way.method == "auto":
             found = _sharpened(way, cloud, found)
             if found.method == "published":
-                return _to_what_stands(cloud, ground, found, column_m)
+                return _to_what_stands(cloud, ground, found, column_m, way)
         return found
     except InputError as error:
         raise InputError(str(error), where=f"site {site}") from error
@@ -233,18 +233,26 @@ def _sharpened(way: Way, cloud: CloudTiles, found: _Found) -> _Found:
     return _Found(sharp.road.outline, "sharpened", [*found.doubts, note], sharp.road.points, *met)
 
 
-def _to_what_stands(cloud: CloudTiles, ground: Bools, found: _Found, column_m: float) -> _Found:
+def _to_what_stands(
+    cloud: CloudTiles, ground: Bools, found: _Found, column_m: float, way: Way
+) -> _Found:
     """Smooth ground up to what hides its edge."""
-    starts, size = _starts(cloud), cloud.tile_size_m
+    starts = _starts(cloud)
     outline, share = to_what_stands(
         found.outline,
-        [(t.ix * size, t.iy * size, (t.ix + 1) * size, (t.iy + 1) * size) for t in cloud.tiles],
         lambda bounds: _points_within(cloud, ground, starts, bounds),
         column_m,
+        way.outline.smallest_hole_m2,
     )
+    if share < _LEAST_TOLD:
+        return found
     text = "its edge is hidden and taken to be at what stands there (a wall, a car, a crown): share"
     note = Doubt("pavement_edge_hidden", "note", text, round(share, 3))
     return replace(found, outline=outline, doubts=[*found.doubts, note])
+
+
+_LEAST_TOLD = 0.005
+"""Less of an outline comes of its cells."""
 
 
 def _edges(way: Way, frame: Frame, about: dict[str, Any]) -> list[shapely.Geometry]:
@@ -321,7 +329,7 @@ def _points_within(
         near &= (xyz[:, 1] >= south) & (xyz[:, 1] < north)
         parts.append(xyz[near])
         labels.append(ground[starts[number] : starts[number + 1]][near])
-    return np.concatenate(parts), np.concatenate(labels)
+    return np.concatenate([np.empty((0, 3)), *parts]), np.concatenate([np.zeros(0, bool), *labels])
 
 
 main = Command(extract_pavement)
