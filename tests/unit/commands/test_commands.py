@@ -202,7 +202,101 @@ def test_a_line_off_the_road_has_no_geometry(sample, highway, tmp_path, capsys):
     out = tmp_path / "out.gpkg"
     argv = ["geometry", sample / "cloud.laz", "--along", along, "-o", out]
     told = refused(argv, tmp_path, capsys)
-    assert "along.gpkg, west: has no road edge on both sides" in told
+    assert "along.gpkg, west: has no pavement with an edge on both sides" in told
+
+
+FIELD_M = (100.0, 40.0)
+UPPER, LOWER = shapely.box(0, 25, 100, 34), shapely.box(0, 6, 100, 15)
+
+
+@pytest.fixture(scope="module")
+def field(tmp_path_factory):
+    """Two carriageways of 9 m, 10 m apart, on level ground, and lines along them and between."""
+    folder = tmp_path_factory.mktemp("field")
+    x, y = np.random.default_rng(0).uniform(0, FIELD_M, (30_000, 2)).T
+    paved, noise = np.abs(np.abs(y - 20) - 9.5) < 4.5, np.random.default_rng(1).normal(size=len(x))
+    z = np.where(paved, 0.15 + 0.01 * noise, 0.12 * np.abs(noise))
+    cloud = write_las(
+        folder / "field.laz",
+        np.column_stack([x, y, z]) + ORIGIN_M,
+        wkt_of(f"EPSG:{EPSG}"),
+        intensity=np.where(paved, 8000, 30000),
+    )
+    for name, y in (("lane", 30.5), ("median", 20.0), ("verge", 24.0)):
+        drawn(folder / f"{name}.gpkg", shapely.LineString([(5, y), (95, y)]), name=name)
+    return cloud
+
+
+def drawn(path, *shapes, name="a"):
+    """A file of shapes, of local coordinates."""
+    placed = [shapely.transform(shape, lambda xy: xy + ORIGIN_M[:2]) for shape in shapes]
+    gpd.GeoDataFrame({"name": name}, geometry=placed, crs=f"EPSG:{EPSG}").to_file(path)
+    return str(path)
+
+
+def along(field, line, out, *options):
+    line = field.parent / f"{line}.gpkg"
+    return ["geometry", str(field), "--along", str(line), "-o", str(out), *options]
+
+
+@pytest.mark.parametrize("given", ["areas", "lines", "traced"])
+def test_what_lies_between_two_carriageways_is_no_road(field, tmp_path, capsys, given):
+    shapes = [UPPER, LOWER]
+    if given == "lines":
+        shapes = [shapely.LineString([(0, y), (100, y)]) for y in (6, 15, 25, 34)]
+    known = drawn(tmp_path / "known.gpkg", *shapes)
+    options = [] if given == "traced" else ["--edges", known]
+    out = tmp_path / "out.gpkg"
+    told = refused(along(field, "median", out, *options), tmp_path, capsys)
+    assert "median: has no pavement with an edge on both sides" in told
+    assert "not between two carriageways" in told
+    # A metre off the pavement a line moves to its middle, not to that of the strip it lies on.
+    assert main(along(field, "verge", out, *options)) == 0
+    table = pd.read_csv(out.with_suffix(".csv"))
+    within_m = 0.5 if given == "traced" else 0.01
+    assert table["paved_width_m"].to_numpy() == pytest.approx(9, abs=within_m)
+    assert table["y"].to_numpy() == pytest.approx(ORIGIN_M[1] + 29.5, abs=within_m)
+
+
+def test_slivers_between_areas_are_no_edges(field, tmp_path):
+    known = [shapely.box(0, 25, 50, 29.45), shapely.box(0, 29.55, 50, 34)]
+    known.append(shapely.box(50.1, 25, 100, 34))
+    edges = drawn(tmp_path / "known.gpkg", *known)
+    out = tmp_path / "out.gpkg"
+    assert main(along(field, "lane", out, "--edges", edges)) == 0
+    assert pd.read_csv(out.with_suffix(".csv"))["paved_width_m"].to_numpy() == pytest.approx(9)
+    assert gpd.read_file(out, layer="edges")["length_m"].tolist() == pytest.approx([218])
+
+
+def test_edges_that_are_no_lines_or_areas_are_refused(field, tmp_path, capsys):
+    bow = shapely.Polygon([(0, 25), (100, 34), (100, 25), (0, 34)])
+    point = shapely.Point(5, 25)
+    for shape, message in ((point, "Point"), (bow, "is no valid polygon")):
+        edges = drawn(tmp_path / f"{shape.geom_type}.gpkg", UPPER, shape)
+        argv = along(field, "lane", tmp_path / "out.gpkg", "--edges", edges)
+        told = refused(argv, tmp_path, capsys)
+        assert f"{edges}, feature 2" in told
+        assert message in told
+
+
+def test_options_that_areas_have_no_use_for_are_refused(field, tmp_path, capsys):
+    edges = drawn(tmp_path / "known.gpkg", UPPER)
+    options = ["--edges", edges, "--method", "surface", "--track", edges]
+    told = refused(along(field, "lane", tmp_path / "out.gpkg", *options), tmp_path, capsys)
+    assert "--method and --track: have no use with areas" in told
+
+
+def test_what_a_verb_reads_is_never_overwritten(tmp_path, capsys):
+    geometry = ["geometry", "no.laz", "--along"]
+    for argv, out, told in [
+        ([*geometry, tmp_path / "a.csv"], "a.gpkg", "a.csv"),
+        ([*geometry, tmp_path / "a.gpkg"], "a.gpkg", "a.gpkg"),
+        ([*geometry, "b.gpkg", "--edges", f"{tmp_path}/a.gpkg|layername=e"], "a.gpkg", "a.gpkg"),
+        ([*geometry, "b.gpkg", "--track", tmp_path / "a.gpkg"], "a.gpkg", "a.gpkg"),
+        (["edges", "no.laz", "--track", tmp_path / "a.gpkg"], "a.gpkg", "a.gpkg"),
+    ]:
+        message = refused([*argv, "-o", tmp_path / out], tmp_path, capsys)
+        assert f"--out {tmp_path / told}: would replace a file" in message
 
 
 @pytest.mark.parametrize(

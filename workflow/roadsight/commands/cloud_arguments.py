@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -11,6 +12,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Scene
 from roadsight.geometry.reference import UnitChoice
 from roadsight.io.cloud.point_filter import Overlap
+from roadsight.io.vector.layer_names import split_layer
 
 CloudPath = Annotated[Path, "LAS or LAZ file"]
 """The cloud of a verb."""
@@ -24,12 +26,18 @@ class Reading:
     overlap: Annotated[Overlap, Scene]
 
 
-def check_output(out: Path, cloud: Path, *suffixes: str) -> None:
+def check_output(
+    out: Path, cloud: Path, *suffixes: str, read: Sequence[Path | str | None] = ()
+) -> None:
     """Check the output's name before any work is done.
+
+    Parameters
+    ----------
+    read : other files that the verb reads, None for those that are not given.
 
     Raises
     ------
-    InputError : it is of another kind, or is the cloud itself.
+    InputError : it is of another kind, or is one of the files that the verb reads.
     """
     if out.suffix.lower() not in suffixes:
         raise InputError(
@@ -37,8 +45,13 @@ def check_output(out: Path, cloud: Path, *suffixes: str) -> None:
             where=f"--out {out}",
             allowed=", ".join(suffixes),
         )
-    if out.resolve() == cloud.resolve():
-        raise InputError("is the cloud itself", where=f"--out {out}", hint="choose another name")
+    for path in [cloud, *(path for path in read if path)]:
+        if out.resolve() == Path(split_layer(path)[0]).resolve():
+            raise InputError(
+                "would replace a file that the verb itself reads",
+                where=f"--out {out}",
+                hint="choose another name",
+            )
 
 
 def load_cloud(path: Path, reading: Reading) -> Cloud:

@@ -24,7 +24,7 @@ def run(
     out: Annotated[Path, "GeoPackage to write"],
 ) -> None:
     """Write layers ``edges`` and ``pavement`` in the cloud's CRS."""
-    check_output(out, cloud_path, ".gpkg")
+    check_output(out, cloud_path, ".gpkg", read=[search.track])
     search.check()
     cloud = load_cloud(cloud_path, reading)
     road = search.road(cloud)

@@ -9,26 +9,28 @@ import geopandas as gpd
 import numpy as np
 import shapely
 
-from roadsight.api.clouds import Cloud
 from roadsight.api.scene import ground
-from roadsight.base.arrays import Bools
 from roadsight.base.errors import InputError
 from roadsight.base.sections.scene import Edges
 from roadsight.commands.cloud_arguments import CloudPath, Reading, check_output, load_cloud
 from roadsight.commands.pavement import Search
 from roadsight.commands.verb import Verb
+from roadsight.geometry.frames import Frame
 from roadsight.io.records.sighting_tables import in_native, write_csv
 from roadsight.io.vector.vector_sources import load_local
-from roadsight.io.vector.vectors import read_lines, write_layers
+from roadsight.io.vector.vectors import AREAS, LINES, check_shape, read_lines, write_layers
 from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import Roads, road_along
 from roadsight.poles.risk.roadside import Surroundings, geometry_table
 from roadsight.scene.edges.splines import outline_edges, spline_line
-from roadsight.scene.whole import heights_of
+from roadsight.scene.whole import FoundRoad, heights_of
 from roadsight.stages.poles.shared.hazard_layers import GEOMETRY, geometry_lines, rounded
 
 _EDGE_STEP_M = 0.25
 """Spacing of edge points, as of the edges of a drive (`road_edges.spacing_m`)."""
+_SLIVER_M = 0.3
+"""Areas nearer to each other than this are one pavement: neighbours that were digitised each by
+itself lie centimetres apart, a gutter is 0.3 m wide, and no median is so narrow."""
 
 
 def run(
@@ -42,15 +44,35 @@ def run(
     out: Annotated[Path, "GeoPackage to write, and a CSV table beside it"],
 ) -> None:
     """Write layers ``road_geometry`` and ``edges`` in the cloud's CRS, and the table as CSV."""
-    check_output(out, cloud_path, ".gpkg")
+    for file in (out, out.with_suffix(".csv")):
+        read = [along, edges, search.track]
+        check_output(file, cloud_path, ".gpkg" if file == out else ".csv", read=read)
     search.check()
     cloud = load_cloud(cloud_path, reading)
     lines = read_lines(along, cloud.frame)
+    known, paved = _known(edges, cloud.frame) if edges else ([], shapely.MultiPolygon())
+    unused = [] if paved.is_empty else search.given()
+    if unused:
+        raise InputError(
+            "have no use with areas, which are the pavement",
+            where=" and ".join(unused),
+            found=f"--edges {edges}",
+            hint="leave them out, or give the edges as lines",
+        )
     labelled = ground(cloud)
-    traced = _known(edges, cloud) if edges else _traced(search, cloud, labelled)
-    points = shapely.get_coordinates(shapely.segmentize(traced, _EDGE_STEP_M))
+    if paved.is_empty:
+        road = search.road(cloud, labelled)
+        known, paved = known or _traced(road), road.outline
+    points = shapely.get_coordinates(shapely.segmentize(known, _EDGE_STEP_M))
+    shapely.prepare(paved)
     roads = [
-        road_along(shapely.get_coordinates(line)[:, :2], points, name, measured=f"along {name}")
+        road_along(
+            shapely.get_coordinates(line)[:, :2],
+            points,
+            name,
+            measured=f"along {name}",
+            paved=paved,
+        )
         for name, line in zip(lines["edge"], lines.geometry, strict=True)
     ]
     surroundings = Surroundings(Roads(roads), heights_of(cloud.xyz_m, labelled))
@@ -58,36 +80,44 @@ def run(
     bare = [road.name for road in roads if not np.isfinite(road.left_m).any()]
     if bare:
         raise InputError(
-            "has no road edge on both sides",
+            "has no pavement with an edge on both sides",
             where=f"{along}, {bare[0]}",
-            allowed="lines on the pavement, 2.5 m or less beside a place midway between lanes",
-            hint="draw it along the middle of the road, or give --edges",
+            allowed="lines on the pavement, or 2.5 m or less beside it, which move to its middle",
+            hint="draw it on the road, not between two carriageways, or give other --edges",
         )
     layers = {
         "road_geometry": geometry_lines(table, surroundings, STATION_M, 1.0),
-        "edges": gpd.GeoDataFrame({"length_m": shapely.length(traced)}, geometry=traced),
+        "edges": gpd.GeoDataFrame({"length_m": shapely.length(known)}, geometry=known),
     }
     write_layers(out, layers, cloud.frame, GEOMETRY)
     write_csv(out.with_suffix(".csv"), rounded(in_native(table, cloud.frame)))
     for name, own in table.groupby("road", sort=False):
-        known = own["paved_width_m"].notna()
-        print(f"{name}: {len(own)} stations, paved width known at {known.mean():.0%}: {out}")
+        share = own["paved_width_m"].notna().mean()
+        print(f"{name}: {len(own)} stations, paved width known at {share:.0%}: {out}")
 
 
-def _traced(search: Search, cloud: Cloud, labelled: Bools) -> list[shapely.LineString]:
+def _traced(road: FoundRoad) -> list[shapely.Geometry]:
     """Edges of the pavement that the cloud shows."""
-    road = search.road(cloud, labelled)
     found = outline_edges(road.outline, road.surface_m, Edges(offset_m=0.0))
     return [spline_line(line) for _, line in found]
 
 
-def _known(path: Path, cloud: Cloud) -> list[shapely.Geometry]:
-    """Edges of a user: lines, or outlines of all areas together."""
-    shapes = load_local(path, cloud.frame).geometry.to_numpy()
-    flat = shapely.force_2d(shapes)
-    areas = shapely.union_all(flat[shapely.get_dimensions(flat) == 2]).boundary
-    rest = flat[shapely.get_dimensions(flat) == 1]
-    return [line for line in shapely.get_parts([areas, *rest]) if not line.is_empty]
+def _known(path: Path, frame: Frame) -> tuple[list[shapely.Geometry], shapely.Geometry]:
+    """Edges of a user, lines or outlines of areas, and these areas as one, empty without any.
+
+    Raises
+    ------
+    InputError : as `load_local`, or a feature is neither line nor area, or crosses itself.
+    """
+    shapes = shapely.force_2d(load_local(path, frame).geometry.to_numpy())
+    for number, shape in enumerate(shapes, start=1):
+        check_shape(shape, (*LINES, *AREAS), f"{path}, feature {number}")
+    flat = shapely.get_dimensions(shapes) == 2
+    half = _SLIVER_M / 2
+    grown = shapely.buffer(shapely.union_all(shapes[flat]), half, join_style="mitre")
+    paved = shapely.buffer(grown, -half, join_style="mitre")
+    parts = shapely.get_parts([paved.boundary, *shapes[~flat]])
+    return [*parts[~shapely.is_empty(parts)]], paved
 
 
 VERB = Verb("geometry", "radius, grade, cross-slope and width of roads by station", run)

@@ -47,6 +47,12 @@ class Search:
                 hint="leave them out, or let the surface grow from them",
             )
 
+    def given(self) -> list[str]:
+        """Options that differ from their defaults."""
+        usual = Search(Pavement().method, Pavement().intensity)
+        changed = (name for name, value in vars(self).items() if value != getattr(usual, name))
+        return [f"--{name}" for name in changed]
+
     def road(self, cloud: Cloud, labelled: Bools | None = None) -> FoundRoad:
         """The pavement of a cloud, whose ground may be known.
 

@@ -6,7 +6,8 @@ import pytest
 from scipy.signal import lfilter
 
 from roadsight.poles.risk.road_geometry import COLUMNS, road_geometry
-from roadsight.poles.risk.roads import Road, road_along, roads_of
+from roadsight.poles.risk.roads import Road, Roads, road_along, roads_of
+from roadsight.poles.risk.roadside import Surroundings, bends_at
 from roadsight.poles.risk.tracks import RouteTracks
 from roadsight.synthetic.rural.rural_road import build_rural
 from roadsight.synthetic.rural.videolog import random_drives, shots
@@ -130,6 +131,17 @@ def test_a_straight_level_road_without_edges_or_heights():
     assert (geometry["heading_deg"] == 90).all()
     unknown = ["grade_percent", "paved_width_m", "cross_slope_left_percent"]
     assert geometry[unknown].isna().all().all()
+
+
+def test_a_road_too_short_for_a_fit_is_unknown_not_straight():
+    x = np.arange(0, 7.0)
+    nan = np.full(7, np.nan)
+    geometry = road_geometry(Road("a", ("a",), "", np.column_stack([x, 0 * x]), x, nan, nan), None)
+    assert geometry[["radius_m", "curvature_per_km"]].isna().all().all()
+    assert geometry["bend"].tolist() == ["", ""]
+    roads = Roads([Road("a", ("a",), "", np.column_stack([x, 0 * x]), x, nan, nan)])
+    bends = bends_at(Surroundings(roads), roads.locate(np.array([[3.0, 5.0]])))
+    assert (bends["radius_m"].tolist(), bends["outside"].tolist()) == ([np.inf], [False])
 
 
 def test_noise_of_a_straight_road_is_no_bend():

@@ -76,6 +76,9 @@ def test_roads_off_all_routes_keep_their_own_measure():
     assert doubt.code == "road_without_route"
     assert "road drive-e: its measure stays its own" in doubt.message
     assert (doubt.measured, doubt.limit) == (pytest.approx(80), 12)
+    # Vertices of the line are elsewhere: its own distance counts.
+    (doubt,) = with_routes(Roads([road()]), [route(low=-305.0, high=505.0, step=810.0, y=13.0)])[1]
+    assert doubt.measured == 13
     crossing = Route("c", np.array([[200.0, -200.0], [200.0, 200.0]]), np.array([0.0, 400.0]))
     assert [doubt.code for doubt in with_routes(Roads([road()]), [crossing])[1]] == [doubt.code]
 
@@ -88,6 +91,12 @@ def test_falling_measures_and_turned_segments_are_refused():
     dented[7] = dented[5]
     with pytest.raises(InputError, match=r"found 1350 m, then 1325 m at vertex 8 of 25"):
         check_routes([Route("r", one.xy_m, dented, "r.gpkg, feature 1")])
+    for row in (0, 7, 24):
+        endless = one.measure_m.copy()
+        endless[row] = np.inf if row else -np.inf
+        pair = " m, then ".join(f"{value:g}" for value in endless[max(row - 1, 0) :][:2])
+        with pytest.raises(InputError, match=f"found {pair} m at vertex {max(row, 1) + 1} of 25"):
+            check_routes([Route("r", one.xy_m, endless, "r.gpkg, feature 1")])
     first, second = route(high=200.0), route(start=1500.0, low=200.0)
     turned = Route(second.name, second.xy_m[::-1], second.measure_m, "feature 2")
     with pytest.raises(InputError, match="digitised against its measures"):
@@ -97,7 +106,9 @@ def test_falling_measures_and_turned_segments_are_refused():
 
 def test_routes_of_another_place_are_refused():
     far = route(y=3e6, where="lrs.gpkg, feature 1")
-    with pytest.raises(InputError, match=r"lrs.gpkg.*near road drive-e.*3000 km.*CRS"):
+    with pytest.raises(
+        InputError, match=r"lrs.gpkg.*near road drive-e.*3000 km.*routes_crs.*roads\.inventory_crs"
+    ):
         with_routes(Roads([road()]), [far])
     # A state's routes are mostly elsewhere; one behind the end of the road is told with its way.
     behind = route(low=900.0, high=1200.0)

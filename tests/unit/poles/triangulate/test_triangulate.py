@@ -371,6 +371,21 @@ def test_panels_in_whose_place_the_cloud_shows_a_vehicle_are_withheld(thinned):
     assert found["reason"].tolist() == [FILLED, "", "", "", ""]
 
 
+@pytest.mark.parametrize("voxel_m", [0.05, 0.1, 0.1524, 0.3048, 0.6, 1.0])
+def test_what_fills_a_place_does_not_hang_on_the_size_of_voxels(voxel_m):
+    """A panel of a dense cloud alone, and a car as wide as the disc; coarse voxels tell nothing."""
+    rng = np.random.default_rng(1)
+
+    def voxels(low, high):
+        points = rng.uniform(low, high, (8000, 3))
+        return (np.unique(np.floor(points / voxel_m), axis=0) + 0.5) * voxel_m
+
+    panel, car = (voxels((-0.45, 0.02, 1.2), (0.45, 0.06, 1.9)), voxels((9, -2, 1.4), (11, 2, 1.5)))
+    places = np.array([[0.0, 0.0], [10.0, 0.0]])
+    found = are_filled(places, np.zeros(2), np.concatenate([panel, car]))
+    assert found.tolist() == [False, voxel_m < 1]
+
+
 def test_a_panel_needs_more_evidence_than_a_pole():
     """Few views of one thing, whose distances are rough: enough for a pole, not for a sign."""
     rng = np.random.default_rng(1)

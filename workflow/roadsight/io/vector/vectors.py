@@ -27,6 +27,10 @@ from roadsight.io.vector.vector_sources import load_local, map_coordinates, read
 KINDS = ("edge", "median", "line")
 """Kinds of lines along which sensors may stand."""
 
+LINES = ("LineString", "MultiLineString")
+AREAS = ("Polygon", "MultiPolygon")
+"""Types of geometry that are lines, and areas."""
+
 _NAME_COLUMNS = ("edge", "name", "id")
 """Columns that may hold a feature's name, the first that is there."""
 FIXED_DATE = "2000-01-01T00:00:00.000Z"
@@ -148,11 +152,7 @@ def read_polygons(
     features = load_local(Path(path), frame, default_crs)
     features = features.set_geometry(shapely.force_2d(features.geometry.to_numpy()))
     for number, geometry in enumerate(features.geometry, start=1):
-        where = f"{path}, feature {number}"
-        _check_type(geometry, ("Polygon", "MultiPolygon"), where)
-        if not geometry.is_valid:
-            reason = shapely.is_valid_reason(geometry)
-            raise InputError("is no valid polygon", where=where, found=reason)
+        check_shape(geometry, AREAS, f"{path}, feature {number}")
     return features.explode(ignore_index=True)
 
 
@@ -217,7 +217,7 @@ def _parts(
     name: str, geometry: shapely.Geometry, where: str
 ) -> Iterator[tuple[str, shapely.LineString]]:
     """Joined parts of a line feature, named and checked."""
-    _check_type(geometry, ("LineString", "MultiLineString"), where)
+    check_shape(geometry, LINES, where)
     joined = shapely.line_merge(geometry) if geometry.geom_type == "MultiLineString" else geometry
     parts = shapely.get_parts(joined)
     for number, part in enumerate(parts, start=1):
@@ -229,7 +229,13 @@ def _parts(
         yield (name if len(parts) == 1 else f"{name}.{number}"), line
 
 
-def _check_type(geometry: shapely.Geometry, allowed: tuple[str, ...], where: str) -> None:
+def check_shape(geometry: shapely.Geometry, allowed: tuple[str, ...], where: str) -> None:
+    """Refuse geometry of another type, and areas that cross themselves.
+
+    Raises
+    ------
+    InputError : it is one of these.
+    """
     if geometry.geom_type not in allowed:
         raise InputError(
             "is of another kind",
@@ -237,3 +243,6 @@ def _check_type(geometry: shapely.Geometry, allowed: tuple[str, ...], where: str
             found=geometry.geom_type,
             allowed=" or ".join(allowed),
         )
+    if geometry.geom_type in AREAS and not geometry.is_valid:
+        reason = shapely.is_valid_reason(geometry)
+        raise InputError("is no valid polygon", where=where, found=reason)

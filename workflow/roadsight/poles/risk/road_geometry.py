@@ -69,7 +69,8 @@ def road_geometry(road: Road, height: Height | None, every_m: float = STATION_M)
     columns `COLUMNS`. ``radius_m`` is infinite where straight: where the curvature is below two
     sigmas, or below 1 / `STRAIGHT_M`; ``bend`` is left, right or straight in
     the direction of rising measure; grades are positive uphill in that direction; cross-slopes are
-    negative where the pavement falls away from the centreline. NaN where unknown.
+    negative where the pavement falls away from the centreline. NaN where unknown, ``bend`` empty: a
+    road of less than seven metres has no radius.
     """
     first = np.ceil(road.start_m / every_m) * every_m
     stations = np.arange(first, road.end_m + 1e-6, every_m)
@@ -79,9 +80,10 @@ def road_geometry(road: Road, height: Height | None, every_m: float = STATION_M)
     slopes = np.array([_cross_slopes(road, s, height) for s in stations]).reshape(-1, 3)
     place, way = road.place(stations), road.direction(stations)
     size = np.abs(curvature[:, 0])
-    straight = ~(size > np.maximum(2 * curvature[:, 1], 1 / STRAIGHT_M))
+    straight = np.isfinite(size) & ~(size > np.maximum(2 * curvature[:, 1], 1 / STRAIGHT_M))
     radius = 1.0 / np.where(straight, 1.0, size)
-    bend = np.where(straight, "straight", np.where(curvature[:, 0] > 0, "left", "right"))
+    turns = [straight, curvature[:, 0] > 0, curvature[:, 0] < 0]
+    bend = np.select(turns, ["straight", "left", "right"], "")
     columns = [
         np.full(len(stations), road.name, object),
         stations,

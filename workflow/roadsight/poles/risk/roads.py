@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
@@ -232,13 +233,15 @@ def road_along(
     drives: tuple[str, ...] = (),
     measured: str = "",
     measures_m: tuple[float, float] | None = None,
+    paved: shapely.Geometry | None = None,
 ) -> Road:
     """Road along a line: midway between the edges either side of it, where they are found.
 
     Parameters
     ----------
     line_m : (n, 2) a drive or a line of an inventory. measures_m : of its first and last vertex;
-        0 and its length along the centreline if None.
+        0 and its length along the centreline if None. paved : only what has its middle in it is
+        road, where the line may lie between carriageways; as a drive does not, if None.
     """
     line = resampled(line_m, STEP_M)
     left = right = np.full(len(line), np.nan)
@@ -247,12 +250,12 @@ def road_along(
         tree = cKDTree(edges_m[:, :2])
         for _ in range(2):
             line = _smooth(line)
-            middle, half = _between(line, edges_m[:, :2], tree)
+            middle, half = _between(line, edges_m[:, :2], tree, paved)
             if np.isnan(middle).all():
                 break
             line = resampled(line + middle[:, None] * _rights(line), STEP_M)
         line = _smooth(line)
-        middle, half = _between(line, edges_m[:, :2], tree)
+        middle, half = _between(line, edges_m[:, :2], tree, paved)
         left, right = half - middle, half + middle
         known = middle[np.isfinite(half)]
         if len(known):
@@ -343,7 +346,9 @@ def _smooth(line: Floats) -> Floats:
     return np.column_stack([savgol_filter(c, window, 3, mode="interp") for c in line.T])
 
 
-def _between(line: Floats, edges: Floats, tree: cKDTree) -> tuple[Floats, Floats]:
+def _between(
+    line: Floats, edges: Floats, tree: cKDTree, paved: shapely.Geometry | None
+) -> tuple[Floats, Floats]:
     """Place between the edges (n,), positive right, and half the width (n,), at each vertex.
 
     Both are NaN where no pair of edges was found; the place is interpolated between such.
@@ -353,7 +358,11 @@ def _between(line: Floats, edges: Floats, tree: cKDTree) -> tuple[Floats, Floats
     for number, near in enumerate(tree.query_ball_point(line, _REACH_M)):
         gap = edges[near] - line[number] if near else np.empty((0, 2))
         own = np.abs(gap @ ways[number]) <= 1.0
-        pairs.append(_pairs(np.sort((gap @ rights[number])[own])))
+        found = _pairs(np.sort((gap @ rights[number])[own]))
+        if paved is not None:
+            middles = line[number] + found.mean(axis=1)[:, None] * rights[number]
+            found = found[shapely.contains_xy(paved, middles)]
+        pairs.append(found)
     widths = [p[np.argmin(np.abs(p.mean(axis=1)))] for p in pairs if len(p)]
     middle, half = np.full(n, np.nan), np.full(n, np.nan)
     if not widths:

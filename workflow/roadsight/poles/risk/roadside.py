@@ -351,7 +351,7 @@ def bends_at(surroundings: Surroundings, located: Located) -> pd.DataFrame:
         row = np.abs(at[None, :] - located.station_m[own, None]).argmin(axis=1)
         near = geometry.iloc[row]
         curvature = near["curvature_per_km"].to_numpy() / 1000
-        radius[own] = near["radius_m"].to_numpy()
+        radius[own] = np.nan_to_num(near["radius_m"], nan=np.inf, posinf=np.inf)
         left_bend = curvature > 0
         outside[own] = np.isfinite(radius[own]) & (left_bend == (located.offset_m[own] > 0))
         grade[own] = near["grade_percent"].to_numpy() / 100

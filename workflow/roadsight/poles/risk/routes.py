@@ -12,6 +12,7 @@ from itertools import pairwise
 from typing import Literal
 
 import numpy as np
+import shapely
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats
@@ -73,14 +74,15 @@ def check_routes(routes: Sequence[Route]) -> None:
     InputError : either of these, told with file and feature.
     """
     for route in routes:
-        if (np.diff(route.measure_m) <= 0).any() or not np.isfinite(route.measure_m).all():
-            step = np.diff(route.measure_m)
-            first = int(np.argmax(~(step > 0)))
+        finite = np.isfinite(route.measure_m)
+        rises = (route.measure_m[1:] > route.measure_m[:-1]) & finite[1:] & finite[:-1]
+        if not rises.all():
+            first = int(np.argmin(rises))
             low, high = route.measure_m[first : first + 2]
             raise InputError(
                 f"measures of route {route.name} do not rise along its line",
                 where=route.where,
-                found=f"{low:g} m, then {high:g} m at vertex {first + 2} of {len(step) + 1}",
+                found=f"{low:g} m, then {high:g} m at vertex {first + 2} of {len(rises) + 1}",
                 allowed="measures that rise from vertex to vertex",
                 hint="turn the line's vertices round, or exchange its from and to",
             )
@@ -113,15 +115,17 @@ def with_routes(roads: Roads, routes: Sequence[Route]) -> tuple[Roads, list[Doub
         shares = _shares(road, routes)
         names = sorted(shares, key=lambda name: (-shares[name].sum(), name))
         if not names:
-            lines = np.concatenate([resampled(route.xy_m, _KNOTS_M) for route in routes])
-            apart, _ = cKDTree(lines).query(resampled(road.xy_m, _KNOTS_M))
+            lines = shapely.STRtree([shapely.LineString(route.xy_m) for route in routes])
+            places = shapely.points(resampled(road.xy_m, _KNOTS_M))
+            _, apart = lines.query_nearest(places, return_distance=True, all_matches=False)
             if apart.min() > _ELSEWHERE_M:
                 raise InputError(
                     f"no route is anywhere near road {road.name}",
                     where=routes[0].where,
                     found=f"{apart.min() / 1000:.0f} km to the nearest",
                     allowed=f"a line within {_ELSEWHERE_M / 1000:.0f} km",
-                    hint="its CRS may be another than the file names, or than roads.routes_crs",
+                    hint="its CRS may be another than the file names, or than roads.routes_crs"
+                    " says, for lines of an inventory roads.inventory_crs",
                 )
             text = (
                 f"no route runs along road {road.name}: its measure stays its own; median distance"

@@ -28,7 +28,10 @@ _FILLED_SHARE = 0.6
 """Share of the columns of voxels around a place that hold something at these heights. At cars it is
 0.9 and more (24 pulses/m2); a hedge beside a sign takes half of the disc at most."""
 _FILLED_COLUMNS = 8
-"""So many columns do so: a post and its panel are five where nothing else was scanned."""
+"""So many columns do so: a post and its panel are five where nothing else was scanned. Of voxels
+above 0.6 m the disc has fewer: they are too coarse to tell, and withhold nothing."""
+_COLUMN_M = 0.3048
+"""Width of a column, of which finer voxels are parts: of voxels of 0.05 m a panel alone fills 8."""
 POLE_COLUMNS = [
     "x",
     "y",
@@ -233,12 +236,16 @@ def are_filled(places_m: Floats, ground_m: Floats, voxels_m: Floats) -> Bools:
     middles of voxels of the ground and of what is firm; plants may stand around a sign.
     """
     around = cKDTree(voxels_m[:, :2]).query_ball_point(places_m, _PLACE_M)
+    # A quarter keeps middles of whole, half and third columns off the borders, where they would
+    # go by rounding.
+    from_first = (voxels_m[:, :2] - voxels_m[:, :2].min(axis=0)) / _COLUMN_M
+    column = np.floor(from_first + 0.25)
     filled = np.zeros(len(places_m), bool)
     for number, rows in enumerate(around):
         height = voxels_m[rows, 2] - ground_m[number]
-        low = voxels_m[rows][height < _FILLED_M[1]]
-        within = low[:, 2] - ground_m[number] > _FILLED_M[0]
-        shown, full = (len(np.unique(part[:, :2], axis=0)) for part in (low, low[within]))
+        low = height < _FILLED_M[1]
+        within = low & (height > _FILLED_M[0])
+        shown, full = (len(np.unique(column[rows][part], axis=0)) for part in (low, within))
         filled[number] = full >= max(_FILLED_COLUMNS, _FILLED_SHARE * shown)
     return filled
 
