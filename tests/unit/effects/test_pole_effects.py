@@ -10,6 +10,7 @@ import pytest
 from pyproj import CRS, Geod
 
 from roadsight.base.sections.poles import Reach
+from roadsight.base.sections.sample import RuralScene
 from roadsight.geometry.cameras import Intrinsics, cam_from_world, project
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.lens import RadialLens
@@ -111,7 +112,7 @@ def test_far_edges_are_lowered_by_the_drop_of_the_horizon():
 
 @pytest.fixture(scope="module")
 def level():
-    return build_rural(2, 60.0, detail=0.01, relief=0.0)
+    return build_rural(2, 60.0, detail=0.01, scene=RuralScene(relief=0.0))
 
 
 class TestScenes:

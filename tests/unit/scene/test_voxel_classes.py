@@ -245,6 +245,8 @@ def test_no_points():
 def test_class_table():
     table = class_table([11, 40], [26])
     assert table[[11, 40, 26, 2]].tolist() == [11, 11, 17, 2]
+    assert table[[0, 1]].tolist() == [1, 1]
+    assert class_table([0], [])[[0, 1]].tolist() == [11, 1]
     assert is_road(np.arange(256, dtype=np.uint8)).nonzero()[0].tolist() == [11, 17]
 
 
@@ -346,6 +348,12 @@ def test_stage_takes_the_road_from_the_pavement(site):
     assert run(site, path, "paved", *extra) == 0
     top = read_top(site / "paved.tif", frame)
     assert (top.cls == 11).sum() * FOOT**2 == pytest.approx(96, rel=0.1)
+    # Points that nobody classified are points all the same: the road ends where they begin.
+    never = write_site(site, xyz, 0 * cls, 10.0, name="cloud_never")
+    assert run(site, never, "never", *extra) == 0
+    found = read_top(site / "never.tif", frame)
+    np.testing.assert_array_equal(found.cls == 11, top.cls == 11)
+    np.testing.assert_array_equal(found.cls > 0, top.cls > 0)
     assert run(site, path, "strict", *extra, "--road-source", "class") == 2
     write_raster(site / "dem.tif", np.full((20, 20), 9.0), frame, 0.0, 20.0, 1.0)
     assert run(site, path, "wrong", *extra) == 2

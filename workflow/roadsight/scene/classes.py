@@ -8,6 +8,10 @@ import numpy as np
 
 from roadsight.base.arrays import Bools, Bytes
 
+NEVER_CLASSIFIED = 0
+"""Created, never classified."""
+UNCLASSIFIED = 1
+"""Unclassified."""
 GROUND = 2
 """Ground."""
 ROAD = 11
@@ -35,8 +39,13 @@ CLASS_NAMES = {
 
 
 def class_table(road_classes: Sequence[int], bridge_classes: Sequence[int]) -> Bytes:
-    """Class (256,) that each class of a cloud stands for, road and bridge being 11 and 17."""
+    """Class (256,) that each class of a cloud stands for, road and bridge being 11 and 17.
+
+    Points that were never classified (0) are unclassified (1): a cell of the top view whose class
+    is 0 has no points.
+    """
     table = np.arange(256, dtype=np.uint8)
+    table[NEVER_CLASSIFIED] = UNCLASSIFIED
     table[list(bridge_classes)] = BRIDGE
     table[list(road_classes)] = ROAD
     return table

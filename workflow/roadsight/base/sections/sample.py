@@ -29,6 +29,18 @@ class RuralScene(Section):
     relief: float = Field(
         default=1.0, ge=0, le=2, description="rural: heights against the usual; 0 is level"
     )
+    lanes: int = Field(
+        default=1,
+        ge=1,
+        le=3,
+        description="rural: lanes each way; several have dashed lines, arrows and hatching",
+    )
+    worn_markings: float = Field(
+        default=0.0, ge=0, le=1, description="rural: share of the road's paint that is worn off"
+    )
+    flush_verges: bool = Field(
+        default=False, description="rural: verges without ditches, level with the shoulders"
+    )
     side_views: bool = Field(default=True, description="rural: first drive has side images")
     hfov_deg: float = Field(
         default=0.0, ge=0, le=110, description="rural: first camera, degrees; 0: about 20"

@@ -54,7 +54,7 @@ def generate_rural(
     cameras: Annotated[Path, "CSV of the true cameras to write"],
 ) -> None:
     """Build the site, scan it, drive along it, and write cloud, truth and tables."""
-    site = build_rural(seed, length_m, relief=scene.relief)
+    site = build_rural(seed, length_m, scene=scene)
     scanner = AirborneScanner(
         pulses_per_m2=survey.pulses_per_m2,
         hits_poles=survey.pole_returns,

@@ -41,7 +41,7 @@ def render_videolog(
     images_path: Annotated[Path, "ZIP of JPEGs to write"],
 ) -> None:
     """Write the images of the shard's places, and what is true about their pixels."""
-    site = build_rural(seed, length_m, relief=scene.relief)
+    site = build_rural(seed, length_m, scene=scene)
     renderer = RuralRenderer(site)
     drives = random_drives(
         seed,

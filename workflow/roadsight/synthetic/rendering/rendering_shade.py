@@ -19,13 +19,14 @@ from roadsight.synthetic.rendering.rendering_noise import (
     noise2,
     scaled,
 )
+from roadsight.synthetic.rural.rural_markings import line_cover
 from roadsight.synthetic.rural.rural_materials import (
     PIXEL_OF_GROUND,
     PIXEL_OF_MATERIAL,
     Ground,
     Material,
 )
-from roadsight.synthetic.rural.rural_surface import Surface, ground_kind, line_cover
+from roadsight.synthetic.rural.rural_surface import Surface, ground_kind
 
 # Plain numbers, as compiled code takes them.
 _GRASS = int(Ground.GRASS)
@@ -203,7 +204,7 @@ def _ground_colour(
             colour = scaled((0.42, 0.44, 0.45), 1.0 + 0.1 * fine2(x, y, 0.3, fine, 3))
         if kind == _BRIDGE:
             colour = mix(colour, (0.4, 0.42, 0.43), 0.35)
-        white, yellow = line_cover(surface, s, o, blur)
+        white, yellow = line_cover(surface.paint, s, o, blur)
         worn = look.wear * (0.45 + 0.8 * noise2(s / 3.0, o / 0.5, look.seed + 60))
         worn += 0.5 * look.wear * fine2(s, o, 0.05, fine, look.seed + 61)
         keep = min(max(1.0 - worn, 0.15), 1.0)
@@ -327,7 +328,7 @@ def shade(
             fine, across = _footprint(hits, i, road_cos[i], road_sin[i])
             base = _ground_colour(look, surface, hits, i, fine, kind, across)
             if kind in (_ROAD, _BRIDGE):
-                white, yellow = line_cover(surface, s, o, 0.0)
+                white, yellow = line_cover(surface.paint, s, o, 0.0)
                 kind = _WHITE if white > 0.0 else _YELLOW if yellow > 0.0 else kind
             classes[i] = PIXEL_OF_GROUND[kind]
         else:

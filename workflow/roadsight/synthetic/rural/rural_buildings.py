@@ -73,7 +73,7 @@ def _windows(add: Furnisher, place: Floats, half: Floats, heading: float) -> Non
 def add_mailbox(add: Furnisher, branch: Branch) -> None:
     """Mailbox on a short post beside a driveway's mouth."""
     station = branch.station_m + branch.half_m + branch.radius_m + 0.8
-    offset = branch.side * 4.6
+    offset = add.ground.section.beside(branch.side * 4.6)
     foot = add.listed("mailbox", station, offset, 1.05, 0.05)
     add.mesh.start("mailbox")
     heading = add.heading(station)

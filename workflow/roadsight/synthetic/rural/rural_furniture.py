@@ -86,7 +86,7 @@ def add_utility_line(add: Furnisher, side: int) -> None:
     tops: list[Floats] = []
     bridge = add.ground.gully_m
     while station < line.station_m[-1] - 10.0:
-        offset = side * rng.uniform(6.4, 10.5)
+        offset = add.ground.section.beside(side * rng.uniform(6.4, 10.5))
         while not add.free(station, offset, 1.0) or abs(station - bridge) < 9.0:
             station += 2.0
         tops.append(_utility_pole(add, station, offset, add.heading(station)))
@@ -139,14 +139,15 @@ def add_signs(add: Furnisher) -> None:
     rng, line = add.rng, add.ground.line
     for number, start in enumerate(np.arange(60.0, line.station_m[-1] - 70.0, 105.0)):
         side = int(rng.choice([-1, 1]))
-        station, offset = float(start + rng.uniform(0.0, 60.0)), side * rng.uniform(5.4, 6.4)
+        station = float(start + rng.uniform(0.0, 60.0))
+        offset = add.ground.section.beside(side * rng.uniform(5.4, 6.4))
         if abs(station - add.ground.gully_m) < 10.0 or not add.free(station, offset, 1.5):
             continue
         _sign(add, station, offset, number % 3, side)
     for branch in add.ground.branches:
         if branch.kind == SIDE_ROAD:
             station = branch.station_m + branch.half_m + branch.radius_m + 2.5
-            _sign(add, station, branch.side * 8.2, 3, branch.side)
+            _sign(add, station, add.ground.section.beside(branch.side * 8.2), 3, branch.side)
 
 
 def _sign(add: Furnisher, station: float, offset: float, design: int, side: int) -> None:
@@ -214,7 +215,7 @@ def add_delineators(add: Furnisher) -> None:
         bend = float(line.heading(station + 10.0) - line.heading(station - 10.0)) / 20.0
         if abs(bend) < 1.0 / 420.0 or abs(station - bridge) < 12.0:
             continue
-        offset = -math.copysign(5.2, bend)
+        offset = add.ground.section.beside(-math.copysign(5.2, bend))
         if add.free(station, offset, 1.0):
             foot = add.listed("delineator", float(station), offset, 1.1, 0.05)
             add.mesh.start("delineator")

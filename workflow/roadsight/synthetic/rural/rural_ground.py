@@ -28,15 +28,34 @@ _FAR_REACH_M = 800.0
 _CORRIDOR_M = 110.0
 """Half width of the corridor that has an exact surface; trees stand within it."""
 SIDE_ROAD, GRAVEL_DRIVE, PAVED_DRIVE = 0, 1, 2
+LANE_M = 3.2
+"""Width of a lane."""
 
 
 class Section(NamedTuple):
-    """Half cross-section, metres from the middle of the road."""
+    """Half cross-section, metres from the middle of the road.
 
-    lane_m: float = 3.2
+    Parameters
+    ----------
+    lane_m : outer side of the edge line. ditch_m : depth of the ditch beside the shoulder.
+    lanes : each way.
+    """
+
+    lane_m: float = LANE_M
     pavement_m: float = 3.6
     shoulder_m: float = 4.8
     line_half_m: float = 0.06
+    ditch_m: float = 0.65
+    lanes: int = 1
+
+    def beside(self, offset_m: float) -> float:
+        """Offset that is as far beyond this road's edge as the given one is on a two-lane road."""
+        return offset_m + math.copysign(LANE_M * (self.lanes - 1), offset_m)
+
+    @property
+    def drive_m(self) -> float:
+        """Middle of the outer lane."""
+        return self.lane_m - 0.5 * LANE_M
 
 
 @dataclass(frozen=True)
@@ -130,7 +149,8 @@ def section_profile(section: Section) -> tuple[list[float], list[float]]:
     fall = -0.02 * edge
     offsets = [0.0, edge, shoulder, shoulder + 1.5, shoulder + 2.2, shoulder + 3.8]
     shelf = fall - 0.05 * (shoulder - edge)
-    return offsets, [0.0, fall, shelf, shelf - 0.65, shelf - 0.65, shelf - 0.05]
+    bed = shelf - section.ditch_m
+    return offsets, [0.0, fall, shelf, bed, bed, shelf - 0.05]
 
 
 def make_hills(line: RuralLine, rng: np.random.Generator) -> Hills:

@@ -31,7 +31,7 @@ def add_panels(add: Furnisher, per_km: float) -> None:
     first, last = float(line.station_m[0]) + 5.0, float(line.station_m[-1]) - 5.0
     for station in np.sort(rng.uniform(first, last, round(per_km * (last - first) / 1000.0))):
         side = int(rng.choice([-1, 1]))
-        offset = side * rng.uniform(*_OFFSET_M)
+        offset = add.ground.section.beside(side * rng.uniform(*_OFFSET_M))
         if abs(station - add.ground.gully_m) > 10.0 and add.free(float(station), offset, 1.0):
             _sign(add, float(station), offset, side)
 

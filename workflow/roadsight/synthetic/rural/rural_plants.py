@@ -31,7 +31,7 @@ def add_plants(add: Furnisher, houses: list[Floats], detail: float = 1.0) -> Non
     for number in range(len(poles), len(taken)):
         side = rng.choice([-1.0, 1.0])
         station = rng.uniform(first, last)
-        offset = side * (10.0 + 92.0 * rng.uniform() ** 1.6)
+        offset = add.ground.section.beside(side * (10.0 + 92.0 * rng.uniform() ** 1.6))
         if not grove(station, offset, side) or not add.free(station, offset, 3.0):
             continue
         xy = line.plan(station, offset)
@@ -41,10 +41,9 @@ def add_plants(add: Furnisher, houses: list[Floats], detail: float = 1.0) -> Non
         taken[number] = xy
         _tree(add, station, offset, detail)
     for _ in range(round(_BUSHES_PER_M * (last - first))):
-        station, offset = (
-            rng.uniform(first, last),
-            rng.choice([-1.0, 1.0]) * (8.8 + 30.0 * rng.uniform() ** 1.5),
-        )
+        station = rng.uniform(first, last)
+        side = rng.choice([-1.0, 1.0])
+        offset = add.ground.section.beside(side * (8.8 + 30.0 * rng.uniform() ** 1.5))
         if add.free(station, offset, 1.5):
             _bush(add, station, offset, detail)
 

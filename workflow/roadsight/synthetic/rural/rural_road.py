@@ -1,4 +1,4 @@
-"""A winding two-lane rural road with its surroundings, described exactly, from one seed."""
+"""A winding rural road with its surroundings, described exactly, from one seed."""
 
 from __future__ import annotations
 
@@ -24,6 +24,7 @@ from roadsight.synthetic.rural.rural_furniture import (
 )
 from roadsight.synthetic.rural.rural_ground import (
     GRAVEL_DRIVE,
+    LANE_M,
     PAVED_DRIVE,
     SIDE_ROAD,
     Branch,
@@ -56,6 +57,10 @@ _LEAD_M = 130.0
 """The road goes on so far beyond both ends of the site."""
 _SHORTEST_M = 60.0
 """Shorter roads leave no room for what stands beside them."""
+_HATCHED = ((0.1, 0.2), (0.5, 0.62), (0.78, 0.86))
+"""Stretches of a road of several lanes that have hatching, as shares of its length."""
+_FLUSH_M = 0.05
+"""Depth of the ditch beside flush verges: the shelf's own fall, so that there is none."""
 _LONGEST_M = 3000.0
 """Longer ones are refused, because the mesh grows with the length."""
 
@@ -107,8 +112,8 @@ def build_rural(
     seed: int,
     length_m: float,
     detail: float = 1.0,
-    relief: float = _USUAL.relief,
     panels_per_km: float = 0.0,
+    scene: RuralScene = _USUAL,
 ) -> RuralSite:
     """Build the site; the same arguments give the same site.
 
@@ -116,8 +121,8 @@ def build_rural(
     ----------
     length_m : length of the drive; the road goes on for 130 m at both ends.
     detail : number of leaves against the usual (their area stays).
-    relief : heights of road and hills against the usual; 0 is level.
     panels_per_km : signs of any form and colour beside the usual ones, for training.
+    scene : relief, lanes, verges, and what is left of the paint.
 
     Raises
     ------
@@ -134,9 +139,9 @@ def build_rural(
     )
     line = random_line(-_LEAD_M, length_m + _LEAD_M, line_rng)
     hills = make_hills(line, hill_rng)
-    line = replace(line, wave_m=relief * line.wave_m)
-    hills = replace(hills, height_m=relief * hills.height_m)
-    ground = _ground(line, hills, length_m, thing_rng)
+    line = replace(line, wave_m=scene.relief * line.wave_m)
+    hills = replace(hills, height_m=scene.relief * hills.height_m)
+    ground = _ground(line, hills, length_m, scene, thing_rng)
     builder = MeshBuilder()
     triangles, road = _add_land(builder, ground, hills, hill_rng)
     add = Furnisher(ground, builder, thing_rng, [])
@@ -145,8 +150,10 @@ def build_rural(
     add_plants(add, houses, detail)
     add.rng = panel_rng
     add_panels(add, panels_per_km)
-    passing = [[0.42 * length_m, 0.62 * length_m]]
-    surface = make_surface(ground, passing)
+    several = scene.lanes > 1
+    passing = [] if several else [[0.42 * length_m, 0.62 * length_m]]
+    hatched = [np.multiply(length_m, share) for share in _HATCHED] if several else []
+    surface = make_surface(ground, passing, hatched, scene.worn_markings)
     return RuralSite(
         seed,
         length_m,
@@ -164,10 +171,19 @@ def build_rural(
 
 
 def _ground(
-    line: RuralLine, hills: Hills, length_m: float, rng: np.random.Generator
+    line: RuralLine,
+    hills: Hills,
+    length_m: float,
+    scene: RuralScene,
+    rng: np.random.Generator,
 ) -> RuralGround:
     """Ground with one side road, four driveways and a stream."""
-    section = Section(lane_m=3.2, pavement_m=3.2 + rng.uniform(0.25, 0.5))
+    section = Section(lanes=scene.lanes, lane_m=LANE_M * scene.lanes)
+    section = section._replace(
+        pavement_m=section.lane_m + rng.uniform(0.25, 0.5),
+        shoulder_m=section.beside(section.shoulder_m),
+        ditch_m=_FLUSH_M if scene.flush_verges else section.ditch_m,
+    )
     side = int(rng.choice([-1, 1]))
     wanted = (
         (SIDE_ROAD, 0.37, side, rng.uniform(-0.25, 0.25)),
@@ -207,9 +223,10 @@ def _furnish(add: Furnisher, length_m: float) -> list[Floats]:
     houses = [add_house(add, branch) for branch in drives[:3]]
     for branch in drives:
         add_mailbox(add, branch)
-    add_fence(add, 0.6 * length_m, 0.6 * length_m + 64.0, -side * 11.5)
+    beside = ground.section.beside
+    add_fence(add, 0.6 * length_m, 0.6 * length_m + 64.0, beside(-side * 11.5))
     for sign in (-1.0, 1.0):
-        add_guardrail(add, ground.gully_m - 20.0, ground.gully_m + 20.0, sign * 4.55)
+        add_guardrail(add, ground.gully_m - 20.0, ground.gully_m + 20.0, beside(sign * 4.55))
     _park(add, drives[1], length_m)
     return houses
 
@@ -222,6 +239,6 @@ def _park(add: Furnisher, drive: Branch, length_m: float) -> None:
     add_vehicle(add, station, offset, float(turn))
     for share in (0.2, 0.93):
         side = float(add.rng.choice([-1.0, 1.0]))
-        place = share * length_m, side * 5.0
+        place = share * length_m, add.ground.section.beside(side * 5.0)
         if add.free(*place, 2.0):
             add_vehicle(add, *place, 0.0 if side < 0 else np.pi)

@@ -12,6 +12,7 @@ from roadsight.base.arrays import Bytes, Floats
 from roadsight.base.kernels import compiled
 from roadsight.synthetic.casting.kernel import kernel
 from roadsight.synthetic.rural.rural_ground import GRAVEL_DRIVE, SIDE_ROAD, RuralGround
+from roadsight.synthetic.rural.rural_markings import Markings, line_cover
 from roadsight.synthetic.rural.rural_materials import Ground
 
 # Plain numbers, as compiled code takes them.
@@ -26,12 +27,6 @@ _YELLOW = int(Ground.YELLOW_LINE)
 _BRIDGE = int(Ground.BRIDGE)
 _SIDE_ROAD_KIND = SIDE_ROAD
 _GRAVEL_KIND = GRAVEL_DRIVE
-_DASH_M = 3.0
-"""Painted part of a dashed middle line: about 10 ft of 40."""
-_PERIOD_M = 12.0
-"""From dash to dash."""
-_DOUBLE_OFFSET_M = 0.11
-"""Of either line of a double middle line from the middle."""
 
 
 class Surface(NamedTuple):
@@ -39,28 +34,26 @@ class Surface(NamedTuple):
 
     Parameters
     ----------
-    lane_m, pavement_m, shoulder_m, line_half_m : of the cross-section.
+    pavement_m, shoulder_m : of the cross-section.
     gully_m, bridge_half_m : station and half length of the bridge.
     branch : (k, 9) kind, side, station, start x, y, direction x, y, half width, radius; then
     branch_length_m : (k,).
-    passing : (p, 2) stations between which the middle line is dashed; double elsewhere.
-    gap : (g, 3) side, first and last station without an edge line.
+    paint : what is painted on it.
     """
 
-    lane_m: float
     pavement_m: float
     shoulder_m: float
-    line_half_m: float
     gully_m: float
     bridge_half_m: float
     branch: Floats
     branch_length_m: Floats
-    passing: Floats
-    gap: Floats
+    paint: Markings
 
 
-def make_surface(ground: RuralGround, passing_m: ArrayLike) -> Surface:
-    """Surface of a site; ``passing_m`` (p, 2) as in `Surface`."""
+def make_surface(
+    ground: RuralGround, passing_m: ArrayLike, hatched_m: ArrayLike, missing: float
+) -> Surface:
+    """Surface of a site; ``passing_m`` (p, 2) and the others as in `Markings`."""
     rows = [
         (b.kind, b.side, b.station_m, *b.start_m, *b.ahead, b.half_m, b.radius_m)
         for b in ground.branches
@@ -71,46 +64,24 @@ def make_surface(ground: RuralGround, passing_m: ArrayLike) -> Surface:
         if b.kind == SIDE_ROAD
     ]
     section = ground.section
-    return Surface(
+    paint = Markings(
+        section.lanes,
         section.lane_m,
+        section.line_half_m,
+        missing,
+        np.array(passing_m, float).reshape(-1, 2),
+        np.array(gaps, float).reshape(-1, 3),
+        np.array(hatched_m, float).reshape(-1, 2),
+    )
+    return Surface(
         section.pavement_m,
         section.shoulder_m,
-        section.line_half_m,
         ground.gully_m,
         ground.bridge_half_m,
         np.array(rows, float).reshape(-1, 9),
         np.array([b.length_m for b in ground.branches], float),
-        np.array(passing_m, float).reshape(-1, 2),
-        np.array(gaps, float).reshape(-1, 3),
+        paint,
     )
-
-
-@kernel
-def line_cover(surface: Surface, s: float, o: float, across: float) -> tuple[float, float]:
-    """Share of a strip ``across`` metres wide that is white line, and that is yellow line."""
-    white = _strip(abs(o) - (surface.lane_m - surface.line_half_m), surface.line_half_m, across)
-    for k in range(len(surface.gap)):
-        if o * surface.gap[k, 0] > 0.0 and surface.gap[k, 1] <= s <= surface.gap[k, 2]:
-            white = 0.0
-    dashed = False
-    for k in range(len(surface.passing)):
-        dashed = dashed or surface.passing[k, 0] <= s <= surface.passing[k, 1]
-    if dashed:
-        lit = s - _PERIOD_M * math.floor(s / _PERIOD_M) <= _DASH_M
-        yellow = _strip(o, surface.line_half_m, across) if lit else 0.0
-    else:
-        yellow = _strip(o - _DOUBLE_OFFSET_M, surface.line_half_m, across)
-        yellow += _strip(o + _DOUBLE_OFFSET_M, surface.line_half_m, across)
-    return white, yellow
-
-
-@kernel
-def _strip(o: float, half: float, across: float) -> float:
-    """Share of [o - across/2, o + across/2] within [-half, half]; a point for across = 0."""
-    if across <= 0.0:
-        return 1.0 if abs(o) <= half else 0.0
-    low, high = max(o - 0.5 * across, -half), min(o + 0.5 * across, half)
-    return max(high - low, 0.0) / across
 
 
 @kernel
@@ -157,7 +128,7 @@ def _kinds(surface: Surface, xy: Floats, road: Floats, lines: bool) -> Bytes:
     for i in range(len(xy)):
         kind = ground_kind(surface, xy[i, 0], xy[i, 1], road[i, 0], road[i, 1])
         if lines and kind in (_ROAD, _BRIDGE):
-            white, yellow = line_cover(surface, road[i, 0], road[i, 1], 0.0)
+            white, yellow = line_cover(surface.paint, road[i, 0], road[i, 1], 0.0)
             kind = _WHITE if white > 0.0 else _YELLOW if yellow > 0.0 else kind
         kinds[i] = kind
     return kinds

@@ -20,8 +20,6 @@ from roadsight.synthetic.rural.rural_road import RuralSite
 
 _USUAL = RuralScene()
 """What a rural road is, unless asked for another."""
-_LANE_M = 1.6
-"""Offset of the vehicle's way from the middle of the road."""
 _STITCH_OVERLAP_DEG = 1.5
 """Side views overlap the front view by so much."""
 _UP_FROM_CAMERA = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
@@ -187,7 +185,8 @@ def shots(site: RuralSite, drive: Drive, seed: int) -> list[Shot]:
     count = int(site.length_m / drive.step_m + 1e-9) + 1
     travelled = drive.step_m * np.arange(count, dtype=np.float64)
     station = travelled if drive.forward else site.length_m - travelled
-    offset, drift = _lane_place(station, drive.forward, rng)
+    way_m = site.ground.section.drive_m * (-1.0 if drive.forward else 1.0)
+    offset, drift = _lane_place(station, way_m, rng)
     noise = drive.gps.draw(travelled, rng)
     shakes = rng.normal(size=(count, 4))
     return [
@@ -196,13 +195,12 @@ def shots(site: RuralSite, drive: Drive, seed: int) -> list[Shot]:
     ]
 
 
-def _lane_place(station: Floats, forward: bool, rng: np.random.Generator) -> tuple[Floats, Floats]:
+def _lane_place(station: Floats, way_m: float, rng: np.random.Generator) -> tuple[Floats, Floats]:
     """Offset of the vehicle and its change per metre of station: two slow waves in the lane."""
     lengths, phases = rng.uniform(90.0, 260.0, 2), rng.uniform(0.0, 2.0 * np.pi, 2)
     angle = 2.0 * np.pi * station[:, None] / lengths + phases
-    middle = -_LANE_M if forward else _LANE_M
     rate = 2.0 * np.pi / lengths
-    return middle + 0.11 * np.sin(angle).sum(axis=1), 0.11 * (np.cos(angle) * rate).sum(axis=1)
+    return way_m + 0.11 * np.sin(angle).sum(axis=1), 0.11 * (np.cos(angle) * rate).sum(axis=1)
 
 
 def _shot(
