@@ -62,6 +62,42 @@ def test_border_is_kept_outside_the_markings_only():
     assert not in_hole.any()
 
 
+def four_lanes(worn: bool = False) -> np.ndarray:
+    """The same road with lane lines, arrows, and hatching inside its right edge line."""
+    mask = straight_road()
+    v, u = np.mgrid[:ROWS, :COLUMNS].astype(float)
+    below = np.maximum(v - HORIZON, 1e-9)
+    across = (u - (COLUMNS - 1) / 2) / below
+    depth = 2000.0 / below
+    painted = (np.abs(np.abs(across) - 0.4) <= 0.02) & (depth % 12.0 < 4.0)
+    for lane in (-0.6, -0.2, 0.2, 0.6):
+        painted |= (np.abs(across - lane) <= 0.06) & (np.abs(depth - 20.0) < 2.0)
+    painted |= (across > 0.65) & (across < 0.8) & ((depth + 3 * across) % 3.0 < 0.8) & (depth < 30)
+    mask[painted & (below > 30)] = PixelClass.MARKING
+    if worn:
+        mask[(np.abs(across) > 0.7) & (depth % 20.0 < 5.0) & (below > 30)] = PixelClass.ROAD
+        mask[np.abs(across) > 1.0] = PixelClass.OTHER
+    return mask
+
+
+@pytest.mark.parametrize("worn", [False, True])
+def test_lane_lines_arrows_and_hatching_are_no_edge_lines(worn):
+    edges = trace_edges(four_lanes(worn))
+    lane = edges.uv_px[edges.is_lane]
+    across = np.abs(lane[:, 0] - 249.5) / (lane[:, 1] - HORIZON)
+    assert (np.abs(across - 0.8) < 0.03).mean() > 0.75
+    assert across.min() > 0.65
+    assert min((edges.side[edges.is_lane] == side).sum() for side in (-1, 1)) > 60
+
+
+def test_a_line_whose_border_is_out_of_the_image_is_not_known_to_be_at_the_edge():
+    mask = four_lanes()[:, :300]
+    edges = trace_edges(mask)
+    right = edges.is_lane & (edges.side > 0)
+    rows = edges.uv_px[right, 1]
+    assert len(rows) == 0 or rows.max() < HORIZON + 51
+
+
 def test_without_side_lines_the_middle_of_the_road_is_still_no_edge():
     edges = trace_edges(straight_road(side=False))
     assert not edges.is_lane.any()

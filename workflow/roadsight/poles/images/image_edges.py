@@ -33,6 +33,10 @@ _MARGIN = 0.15
 """Share of the road's width by which the dividing line stays away from its borders."""
 _ROWS_OF_A_LINE = 12
 """Rows with two markings that a line half-way between them needs."""
+_EDGE_SPREAD = 1.5
+"""How much farther from the border than usual a point of an edge line lies at most."""
+_EDGE_SLACK_PX = 2.0
+"""The same in pixels, beside that: of the mask's border and of the line's centre."""
 
 
 def _table(*classes: PixelClass) -> Bytes:
@@ -89,11 +93,12 @@ def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
     lanes = markings
     for axis in axes:
         lanes = lanes[axis.distance_px(lanes) > tolerance]
+    dividing = _dividing_line(axes, lanes, road, tolerance)
+    lanes = lanes[_along_border(lanes, span, dividing, mask.shape[1])]
     border = np.concatenate(
         [_borders(mask, road, settings), centre_lines(mask == PixelClass.KERB, settings)]
     )
     border = border[~_between(border, lanes, mask.shape[0])]
-    dividing = _dividing_line(axes, lanes, road, tolerance)
     if settings.borders == "nearest":
         reach = max(settings.gap_px * scale_of(mask.shape[0]), 2.0)
         border = border[on_nearest_border(border, mask, road, dividing, reach)]
@@ -218,6 +223,33 @@ def _between(points: Floats, lanes: Floats, height_px: int) -> Bools:
     inside_rows = (v >= rows[0] - 0.5) & (v <= min(rows[-1] + 0.5, height_px))
     low, high = np.interp(v, rows, left), np.interp(v, rows, right)
     return inside_rows & (points[:, 0] >= low) & (points[:, 0] <= high)
+
+
+def _along_border(points: Floats, span: Floats, dividing: Floats, columns: int) -> Bools:
+    """Whether markings (n, 2) are edge lines and not lane lines, arrows or hatching.
+
+    An edge line keeps its place between the road's borders, as a share of the road's width along a
+    row; it is that of the outermost marking of most rows. What lies further inside is none, nor is
+    what has its border out of the image.
+    """
+    row = np.clip(np.round(points[:, 1]), 0, len(span) - 1).astype(np.int64)
+    right = (points[:, 0] >= dividing[row]).astype(np.int64)
+    left_px, right_px = span[row].T
+    border = np.where(right > 0, right_px, left_px)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.abs(points[:, 0] - border) / (right_px - left_px)
+        slack = _EDGE_SLACK_PX / (right_px - left_px)
+    share[~np.isfinite(share) | (border < 1.0) | (border > columns - 2.0)] = np.inf
+    kept = np.zeros(len(points), bool)
+    for side in (0, 1):
+        own = np.flatnonzero((right == side) & np.isfinite(share))
+        own = own[np.lexsort((share[own], row[own]))]
+        rows, first = np.unique(row[own], return_index=True)
+        if len(rows) < _ROWS_OF_A_LINE:
+            continue
+        usual = float(np.median(share[own[first]]))
+        kept[own] = share[own] < _EDGE_SPREAD * usual + slack[own]
+    return kept
 
 
 def _dividing_line(axes: list[Curve], lanes: Floats, road: Bytes, tolerance_px: float) -> Floats:
