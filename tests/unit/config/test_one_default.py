@@ -47,6 +47,7 @@ OTHER = {
     "commands/cover_options.py": ("at_least", "the same"),
     "stages/placement/shared/allowed.py": ("mounting", "rules of mounting as JSON"),
     "synthetic/casting": ("slope width_m height_m radius_m length_m", "scenes of a single body"),
+    "synthetic/highway/highway_ground.py": ("lanes", "of a highway"),
     "synthetic/rendering": ("length_m", "of a road to train on"),
     "synthetic/rural/videolog.py": ("height_m", "how a camera shakes"),
 }
