@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+from numba import njit
+from numba.core.lowering import BaseLower
 
 from roadsight.base.kernels import compiled, compiled_part
 from tests.conftest import PROJECT
@@ -34,6 +36,20 @@ def test_a_part_works_within_a_kernel_and_behind_the_helper():
     _twice_all(values)
     assert values.tolist() == [0.0, 2.0, 4.0]
     assert from_python(_twice)(4.0) == 8.0
+
+
+def test_functions_of_numpy_have_no_wrapper_within_kernels(monkeypatch):
+    names = []
+    monkeypatch.setattr(
+        BaseLower, "create_cfunc_wrapper", lambda lower: names.append(lower.fndesc.qualname)
+    )
+
+    @njit()
+    def zeros_taken(values):
+        return np.take(np.zeros(len(values)), values)
+
+    assert zeros_taken(np.arange(3)).tolist() == [0.0, 0.0, 0.0]
+    assert [name.rpartition(".")[2] for name in names] == ["zeros_taken"]
 
 
 def is_part(function: ast.AST) -> bool | None:
