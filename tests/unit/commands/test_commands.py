@@ -281,6 +281,12 @@ def test_edges_that_are_no_lines_or_areas_are_refused(field, tmp_path, capsys):
         assert message in told
 
 
+def test_lines_among_areas_are_refused(field, tmp_path, capsys):
+    edges = drawn(tmp_path / "known.gpkg", UPPER, shapely.LineString([(0, 6), (100, 6)]))
+    told = refused(along(field, "lane", tmp_path / "o.gpkg", "--edges", edges), tmp_path, capsys)
+    assert "holds both lines and areas" in told
+
+
 def test_options_that_areas_have_no_use_for_are_refused(field, tmp_path, capsys):
     edges = drawn(tmp_path / "known.gpkg", UPPER)
     options = ["--edges", edges, "--method", "surface", "--track", edges]

@@ -36,8 +36,9 @@ _POLL_S = 0.05
 _waited_s = [0.0]
 """How long this process has waited."""
 
-# Before Numba declares them, which it does when it first compiles; its stubs do not list this.
-extending._overload_default_jit_options["no_cfunc_wrapper"] = True  # type: ignore[attr-defined]
+# Before Numba declares its stand-ins, which it does when it first compiles. The name is its own, so
+# that another version may lack it and compiles a little longer.
+getattr(extending, "_overload_default_jit_options", {})["no_cfunc_wrapper"] = True
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 

@@ -107,12 +107,17 @@ def _known(path: Path, frame: Frame) -> tuple[list[shapely.Geometry], shapely.Ge
 
     Raises
     ------
-    InputError : as `load_local`, or a feature is neither line nor area, or crosses itself.
+    InputError : as `load_local`, or a feature is neither line nor area, or crosses itself, or some
+        are lines and others areas.
     """
     shapes = shapely.force_2d(load_local(path, frame).geometry.to_numpy())
     for number, shape in enumerate(shapes, start=1):
         check_shape(shape, (*LINES, *AREAS), f"{path}, feature {number}")
     flat = shapely.get_dimensions(shapes) == 2
+    if flat.any() and not flat.all():
+        raise InputError(
+            "holds both lines and areas", where=str(path), allowed="edges as lines, or paved areas"
+        )
     half = _SLIVER_M / 2
     grown = shapely.buffer(shapely.union_all(shapes[flat]), half, join_style="mitre")
     paved = shapely.buffer(grown, -half, join_style="mitre")

@@ -62,6 +62,17 @@ def test_border_is_kept_outside_the_markings_only():
     assert not in_hole.any()
 
 
+def test_a_hole_between_lines_whose_borders_are_out_of_the_image_is_no_border():
+    """Markings that are not known to be edge lines still enclose the road."""
+    mask = straight_road()[:, 100:400]
+    rows = np.arange(330, 370)
+    mask[rows[0] : rows[-1], 120:150] = PixelClass.OTHER
+    edges = trace_edges(mask)
+    border = edges.uv_px[~edges.is_lane]
+    near = (np.abs(border[:, 0] - 135) < 20) & (border[:, 1] > 325) & (border[:, 1] < 375)
+    assert not near.any()
+
+
 def four_lanes(worn: bool = False) -> np.ndarray:
     """The same road with lane lines, arrows, and hatching inside its right edge line."""
     mask = straight_road()

@@ -116,3 +116,21 @@ def test_no_drives_are_no_roads():
     assert located.road.tolist() == [-1, -1]
     assert located.side.tolist() == [0, 0]
     assert np.isnan(located.station_m).all()
+
+
+@pytest.mark.parametrize("median_m", [1.0, 3.0, 4.8, 5.2])
+@pytest.mark.parametrize("wave_m", [0.0, 0.3])
+def test_a_line_between_two_carriageways_means_neither(median_m, wave_m):
+    """It would jump from one to the other, or move onto one of them without a word."""
+    low = shapely.box(0, -median_m / 2 - 8, 400, -median_m / 2)
+    high = shapely.box(0, median_m / 2, 400, median_m / 2 + 8)
+    edges = shapely.get_coordinates(
+        [shapely.segmentize(part.boundary, 0.25) for part in (low, high)]
+    )
+    paved = shapely.union_all([low, high])
+    x = np.arange(5.0, 396.0, 20.0)
+    line = np.column_stack([x, wave_m * np.sin(x / 15)])
+    assert np.isnan(road_along(line, edges, "a", paved=paved).left_m).all()
+    beside = line + np.array([0, median_m / 2 + 9])  # a metre off the other side of one
+    road = road_along(beside, edges, "a", paved=paved)
+    assert np.nanmedian(road.left_m + road.right_m) == pytest.approx(8, abs=0.1)

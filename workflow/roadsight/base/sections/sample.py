@@ -93,3 +93,10 @@ class Sample(RuralLenses, RuralSurvey, RuralScene, HighwayScene):
             allowed = ", ".join(own[self.scene])
             raise ValueError(f"class_scheme of a {self.scene} scene is one of {allowed}")
         return self
+
+    @model_validator(mode="after")
+    def _of_its_scene(self) -> Sample:
+        rural = {*RuralScene.model_fields, *RuralSurvey.model_fields, *RuralLenses.model_fields}
+        if self.scene == "highway" and (given := sorted(rural & self.model_fields_set)):
+            raise ValueError(f"a highway scene has no {', '.join(given)}: it is of the rural one")
+        return self

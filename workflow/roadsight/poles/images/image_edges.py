@@ -94,11 +94,11 @@ def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
     for axis in axes:
         lanes = lanes[axis.distance_px(lanes) > tolerance]
     dividing = _dividing_line(axes, lanes, road, tolerance)
-    lanes = lanes[_along_border(lanes, span, dividing, mask.shape[1])]
     border = np.concatenate(
         [_borders(mask, road, settings), centre_lines(mask == PixelClass.KERB, settings)]
     )
     border = border[~_between(border, lanes, mask.shape[0])]
+    lanes = lanes[_along_border(lanes, span, dividing, mask.shape[1])]
     if settings.borders == "nearest":
         reach = max(settings.gap_px * scale_of(mask.shape[0]), 2.0)
         border = border[on_nearest_border(border, mask, road, dividing, reach)]

@@ -358,10 +358,14 @@ def _between(
     for number, near in enumerate(tree.query_ball_point(line, _REACH_M)):
         gap = edges[near] - line[number] if near else np.empty((0, 2))
         own = np.abs(gap @ ways[number]) <= 1.0
-        found = _pairs(np.sort((gap @ rights[number])[own]))
+        offset = np.sort((gap @ rights[number])[own])
+        found = _pairs(offset, _OFF_TRACK_M)
         if paved is not None:
-            middles = line[number] + found.mean(axis=1)[:, None] * rights[number]
-            found = found[shapely.contains_xy(paved, middles)]
+            found = _on(paved, line[number], rights[number], found)
+            beside = _on(paved, line[number], rights[number], _pairs(offset, 2 * _OFF_TRACK_M))
+            # Between two carriageways it may mean either, and would jump from one to the other.
+            if len(beside) > 1 and not shapely.contains_xy(paved, *line[number]):
+                found = found[:0]
         pairs.append(found)
     widths = [p[np.argmin(np.abs(p.mean(axis=1)))] for p in pairs if len(p)]
     middle, half = np.full(n, np.nan), np.full(n, np.nan)
@@ -380,13 +384,23 @@ def _between(
     return middle, half
 
 
-def _pairs(offset: Floats) -> Floats:
-    """Neighbouring edges (k, 2) between which the track may lie, of sorted offsets."""
+def _on(paved: shapely.Geometry, place: Floats, right: Floats, pairs: Floats) -> Floats:
+    """Pairs of edges (k, 2) whose middle is paved."""
+    return pairs[shapely.contains_xy(paved, place + pairs.mean(axis=1)[:, None] * right)]
+
+
+def _pairs(offset: Floats, reach_m: float) -> Floats:
+    """Neighbouring edges (k, 2) between which the track may lie, of sorted offsets.
+
+    Parameters
+    ----------
+    reach_m : how far beside them it may lie.
+    """
     gaps = np.flatnonzero(np.diff(offset) >= _NARROWEST_M)
     found = []
     for g in gaps:
         low, high = offset[g], offset[g + 1]
-        if low <= _OFF_TRACK_M and high >= -_OFF_TRACK_M:
+        if low <= reach_m and high >= -reach_m:
             # The nearest points alone would make the road narrower by their noise.
             left = offset[(offset <= low) & (offset > low - _EDGE_M)]
             right = offset[(offset >= high) & (offset < high + _EDGE_M)]
