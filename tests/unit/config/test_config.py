@@ -266,6 +266,16 @@ class TestSite:
         sample = "site: a\nsample: {point: 5}\n"
         assert "'sample.point'; did you mean 'points'?" in message(files.load, sample)
 
+    @pytest.mark.parametrize(
+        ("given", "told"),
+        [
+            ("scene: highway, lanes: 2, k1: 0.1", "a highway scene has no k1, lanes"),
+            ("scene: rural, tunnel: true", "a rural scene has no tunnel"),
+        ],
+    )
+    def test_settings_of_the_other_generated_scene_are_refused(self, files, given, told):
+        assert told in message(files.load, f"site: a\nsample: {{{given}}}\n")
+
     def test_unknown_and_empty_plans_are_refused(self, files):
         found = message(files.load, SITE + "placement: {plans: [smal]}\n")
         assert "unknown plan 'smal'" in found

@@ -197,9 +197,7 @@ class TestOutlineEdges:
         assert medians
         for line in medians:
             assert line.hausdorff_distance(hole.boundary) < 65
-            off = shapely.distance(shapely.points(line.coords), hole.boundary)
-            assert off.max() < 1  # ends 3 m wide are rounded
-            assert np.median(off) < 1e-6
+            assert shapely.distance(shapely.points(line.coords), hole.boundary).max() < 1e-6
         assert sum(line.length for line in medians) > 100
 
     def test_outer_edges_run_with_the_pavement_on_their_left(self):
@@ -250,16 +248,6 @@ class TestOutlineEdges:
             along = shapely.points(np.arange(210, 311), np.full(101, side))
             assert shapely.distance(along, drawn).max() < 0.1
         assert drawn.distance(shapely.Point(0, 0)) > 2.9  # the street's cut is no edge
-
-    def test_steps_of_a_sparse_outline_are_smoothed_and_bends_keep_their_radius(self, rng):
-        angle = np.linspace(0, 2 * np.pi, 800, endpoint=False)
-        radius = 25 + np.round(rng.uniform(-0.4, 0.4, len(angle)), 1)
-        ragged = shapely.Polygon(radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
-        data = ground_on(shapely.Point(0, 0).buffer(40))
-        ((_, line),) = outline_edges(MultiPolygon([ragged]), data, SETTINGS)
-        smooth = np.hypot(*shapely.get_coordinates(spline_line(line)).T) - 25
-        assert np.std(smooth) < 0.8 * np.std(radius)
-        assert abs(np.mean(smooth)) < 0.1
 
     def test_short_outlines_are_dropped(self):
         islet = box(0, 0, 2, 2)

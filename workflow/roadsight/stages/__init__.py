@@ -8,7 +8,7 @@ loading the largest of them.
 import atexit
 import gc
 
-_NEW_OBJECTS = 100_000
+_NEW_OBJECTS = 10_000
 """New objects after which garbage is looked for, many times what Python does by itself."""
 
 gc.set_threshold(_NEW_OBJECTS)

@@ -97,6 +97,7 @@ class Sample(RuralLenses, RuralSurvey, RuralScene, HighwayScene):
     @model_validator(mode="after")
     def _of_its_scene(self) -> Sample:
         rural = {*RuralScene.model_fields, *RuralSurvey.model_fields, *RuralLenses.model_fields}
-        if self.scene == "highway" and (given := sorted(rural & self.model_fields_set)):
-            raise ValueError(f"a highway scene has no {', '.join(given)}: it is of the rural one")
+        others = {"highway": rural, "rural": {*HighwayScene.model_fields}}[self.scene]
+        if given := sorted(others & self.model_fields_set):
+            raise ValueError(f"a {self.scene} scene has no {', '.join(given)}")
         return self

@@ -21,6 +21,8 @@ POSED = 6
 
 
 _Vector = tuple[float, float, float]
+_Camera = tuple[Floats, Floats, Floats, Floats]
+"""Turn, its derivatives, centre and its derivatives, as `camera` gives them."""
 
 
 @compiled_part(error_model="numpy")
@@ -92,18 +94,29 @@ def _planes(
     return side1, side2, flat1, flat2, size
 
 
+@compiled_part(error_model="numpy")
+def _seen(
+    cameras: tuple[_Camera, _Camera],
+    unknowns: tuple[Floats, Floats],
+    starts: tuple[Floats, Floats],
+    pixels: Floats,
+) -> tuple[_Vector, _Vector, _Vector, Floats, Floats]:
+    """Baseline, both optical axes, and the rays of both images as `_rays` gives them."""
+    (turn1, turns1, centre1, _), (turn2, turns2, centre2, _) = cameras
+    apart = centre2 - centre1
+    rays1 = _rays(pixels[:, :2], starts[0], unknowns[0], turn1, turns1)
+    rays2 = _rays(pixels[:, 2:], starts[1], unknowns[1], turn2, turns2)
+    base = (apart[0], apart[1], apart[2])
+    return base, _vector(turn1, 2), _vector(turn2, 2), rays1, rays2
+
+
 @compiled(error_model="numpy")
 def shared_residuals(
     unknowns: tuple[Floats, Floats], starts: tuple[Floats, Floats], pixels: Floats, sigma_px: float
 ) -> Floats:
     """Residuals (n,) of points that two images share, as of `shared_misfit`."""
-    turn1, turns1, centre1, _ = camera(starts[0], unknowns[0])
-    turn2, turns2, centre2, _ = camera(starts[1], unknowns[1])
-    rays1 = _rays(pixels[:, :2], starts[0], unknowns[0], turn1, turns1)
-    rays2 = _rays(pixels[:, 2:], starts[1], unknowns[1], turn2, turns2)
-    apart = centre2 - centre1
-    base = (apart[0], apart[1], apart[2])
-    axis1, axis2 = _vector(turn1, 2), _vector(turn2, 2)
+    cameras = camera(starts[0], unknowns[0]), camera(starts[1], unknowns[1])
+    base, axis1, axis2, rays1, rays2 = _seen(cameras, unknowns, starts, pixels)
     sigma = sigma_px / np.exp(0.5 * (unknowns[0][6] + unknowns[1][6]))
     residuals = np.empty(len(pixels))
     for i in range(len(pixels)):
@@ -138,13 +151,9 @@ def shared_misfit(
     normal matrix (14, 14) and gradient (14,) by the six numbers of either pose, the logarithm of
     the focal length and the principal point's column that both share, and residuals (n,)
     """
-    turn1, turns1, centre1, moves1 = camera(starts[0], unknowns[0])
-    turn2, turns2, centre2, moves2 = camera(starts[1], unknowns[1])
-    rays1 = _rays(pixels[:, :2], starts[0], unknowns[0], turn1, turns1)
-    rays2 = _rays(pixels[:, 2:], starts[1], unknowns[1], turn2, turns2)
-    apart = centre2 - centre1
-    base = (apart[0], apart[1], apart[2])
-    axis1, axis2 = _vector(turn1, 2), _vector(turn2, 2)
+    cameras = camera(starts[0], unknowns[0]), camera(starts[1], unknowns[1])
+    base, axis1, axis2, rays1, rays2 = _seen(cameras, unknowns, starts, pixels)
+    (_, turns1, _, moves1), (_, turns2, _, moves2) = cameras
     sigma = sigma_px / np.exp(0.5 * (unknowns[0][6] + unknowns[1][6]))
     normal, gradient = np.zeros((14, 14)), np.zeros(14)
     residuals = np.empty(len(pixels))

@@ -244,15 +244,11 @@ def _to_what_stands(
         column_m,
         way.outline.smallest_hole_m2,
     )
-    if share < _LEAST_TOLD:
+    if share == 0:
         return found
     text = "its edge is hidden and taken to be at what stands there (a wall, a car, a crown): share"
     note = Doubt("pavement_edge_hidden", "note", text, round(share, 3))
     return replace(found, outline=outline, doubts=[*found.doubts, note])
-
-
-_LEAST_TOLD = 0.005
-"""Less of an outline comes of its cells."""
 
 
 def _edges(way: Way, frame: Frame, about: dict[str, Any]) -> list[shapely.Geometry]:
