@@ -42,7 +42,8 @@ FINE = UNAIDED.model_copy(
 )
 
 
-RULES = Hazard(dense_per_km=35.0)  # off the whole tens that a window of 100 m gives
+RULES = Hazard(design_speed_kmh=80, aadt=3000, dense_per_km=35.0)
+"""Density off the whole tens that a window of 100 m gives."""
 
 
 def moves(angle_deg, mirror):

@@ -139,7 +139,7 @@ def option(name, value):
     """A setting as an option; a number may begin with a minus, which argparse must not take apart."""
     if isinstance(value, list):
         return " ".join([name, *map(str, value)])
-    return f"{name}={value}"
+    return f"{name}={'' if value is None else value}"
 
 
 def site_field(path):

@@ -64,6 +64,19 @@ def test_a_drawing_is_to_scale_and_its_texts_are_safe():
     assert np.isclose(ends[0] / 1.8, ends[1] / 0.8, rtol=0.02)
 
 
+def test_a_clear_zone_that_is_a_range_has_two_ends_and_keeps_its_objects():
+    hazard, sections, profiles = table(rating="medium")
+    assert hazard_profiles(hazard, sections, profiles) == []
+    hazard = hazard.assign(clear_zone_least_m=3.0, clear_zone_greatest_m=8.0)
+    found = hazard_profiles(hazard, sections, profiles)
+    assert len(found) == 3
+    svg = profile_chart(found[0])
+    assert "clear zone 3.0 to 8.0 m" in svg
+    assert svg.count('class="line reference"') == 2
+    beyond = hazard.assign(offset_m=9.0)
+    assert hazard_profiles(beyond, sections, profiles) == []
+
+
 def test_labels_of_narrow_elements_take_rows_of_their_own():
     profile = hazard_profiles(*table())[0]
     notes = re.findall(
@@ -79,7 +92,7 @@ def test_labels_of_narrow_elements_take_rows_of_their_own():
 
 
 def test_an_object_of_unknown_offset_is_drawn_without_a_bar():
-    profile = hazard_profiles(*table())[0] | {"offset_m": None, "clear_zone_m": None}
+    profile = hazard_profiles(*table())[0] | {"offset_m": None, "clear_zone_m": [None, None]}
     svg = profile_chart(profile)
     assert "object" not in svg
     assert "clear zone" not in svg

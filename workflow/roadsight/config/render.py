@@ -50,6 +50,8 @@ def _entry(name: str, field: FieldInfo, indent: str = "") -> str:
 def _value(value: object) -> str:
     if isinstance(value, list):
         return f"[{', '.join(map(_value, value))}]"
+    if value is None:
+        return "null"
     return f"{value:g}" if isinstance(value, float) and value < 1e5 else str(value)
 
 

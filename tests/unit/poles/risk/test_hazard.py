@@ -20,6 +20,8 @@ TRACK = RouteTracks(
     pd.DataFrame({"route": "a", "sequence": range(51), "x": np.arange(0, 408, 8.0), "y": -1.5})
 )
 
+STATED = Hazard(design_speed_kmh=80, aadt=3000)
+
 
 def poles_at(*places):
     xy = np.array(places, float)
@@ -112,7 +114,7 @@ def test_density_agrees_with_counting(rng):
     stations = rng.uniform(0, 400, 60)
     counted = rng.random(60) < 0.7
     poles = poles_at(*zip(stations, np.where(counted, 6.0, 20.0), strict=True))
-    density = rate_poles(poles, EDGES, TRACK, None, Hazard())["objects_per_km"]
+    density = rate_poles(poles, EDGES, TRACK, None, STATED)["objects_per_km"]
     for own, value in zip(stations, density, strict=True):
         count = (np.abs(stations[counted] - own) <= 50).sum()
         length = min(own + 50, 400) - max(own - 50, 0)
@@ -128,8 +130,8 @@ def test_bends_widen_clear_zones_on_unknown_ground_too():
     frames = pd.DataFrame(drive, columns=["x", "y"]).assign(route="a", sequence=range(len(drive)))
     track = RouteTracks(frames)
     places = middle + np.array([[207.0], [193.0]]) * (arc[len(arc) // 2] - [0, 1])
-    unknown = rate_poles(poles_at(*places), edges, track, None, Hazard())
-    level = rate_poles(poles_at(*places), edges, track, lambda x, y: 0 * x, Hazard())
+    unknown = rate_poles(poles_at(*places), edges, track, None, STATED)
+    level = rate_poles(poles_at(*places), edges, track, lambda x, y: 0 * x, STATED)
     assert unknown["curve_factor"].tolist() == [1.5, 1.0]
     for name in ("clear_zone_m", "clear_zone_least_m", "clear_zone_greatest_m", "rating"):
         assert unknown[name].tolist() == level[name].tolist()
@@ -152,7 +154,8 @@ class TestTraffic:
             roads, ground, barriers=barriers, left_hand_traffic=left, carriageway=carriageway
         )
         poles = poles_at((200, -8), (200, 8))
-        table = rate_roadside(poles, EDGES, known, Hazard(clear_zone_m=9.0)).table
+        own = STATED.model_copy(update={"clear_zone_m": 9.0})
+        table = rate_roadside(poles, EDGES, known, own).table
         return table.assign(y=poles["y"])
 
     def test_one_way_traffic_is_all_of_its_aadt(self):
@@ -190,7 +193,7 @@ class TestTraffic:
 
 
 def test_ratings():
-    choice = Hazard()  # 80 km/h, 3000 a day: 5.5 m where flat
+    choice = STATED  # 5.5 m where flat
     rated = rate_poles(
         poles_at((50, 5), (150, 9), (250, 9.9), (350, 20), (200, 99)), EDGES, TRACK, None, choice
     )
@@ -200,13 +203,35 @@ def test_ratings():
     assert rated["clear_zone_m"].iloc[0] == 5.5
 
 
+def test_what_nobody_states_is_a_range_and_no_guess():
+    poles = poles_at((50, 5), (150, 9), (250, 9.9), (350, 20), (200, 99))
+    rated = rate_poles(poles, EDGES, TRACK, None, Hazard())
+    assert rated["clear_zone_least_m"].tolist() == [3.0] * 5
+    assert rated["clear_zone_greatest_m"].tolist() == [10.5] * 5
+    # Outside is what no speed and no traffic would put inside; 1 m is within half of the least.
+    assert rated["rating"].tolist() == ["high", "medium", "medium", "low", "unknown"]
+    assert "perhaps inside the clear zone of 3.0 to 10.5 m" in rated["reasons"].iloc[1]
+    assert (rated["design_speed_least_kmh"] == 60).all()
+    assert (rated["design_speed_greatest_kmh"] == 110).all()
+    near = rated.iloc[:4]
+    assert (near["exposure_least_vehicles_per_day"] == 0).all()
+    assert (near["exposure_greatest_vehicles_per_day"] > 1000).all()
+    slow = rate_poles(poles, EDGES, TRACK, None, Hazard(design_speed_kmh=60))
+    assert slow["clear_zone_greatest_m"].tolist() == [5.0] * 5
+    quiet = rate_poles(poles, EDGES, TRACK, None, Hazard(aadt=500))
+    assert quiet["clear_zone_greatest_m"].tolist() == [6.0] * 5
+    known = rate_poles(poles, EDGES, TRACK, None, STATED)
+    assert (known["clear_zone_m"] >= rated["clear_zone_least_m"]).all()
+    assert (known["clear_zone_m"] <= rated["clear_zone_greatest_m"]).all()
+
+
 def steep(x, y):
     """A foreslope of 1V:2.5H either side of a level road."""
     return -0.4 * np.maximum(np.abs(y) - 4, 0) + 0.0 * x
 
 
 def test_steep_slopes_and_crowds_raise_the_rating():
-    choice = Hazard()
+    choice = STATED
     assert rate_poles(poles_at((150, 9)), EDGES, TRACK, steep, choice)["rating"].tolist() == [
         "high"
     ]
@@ -218,8 +243,8 @@ def test_steep_slopes_and_crowds_raise_the_rating():
 
 def test_no_poles_and_no_track():
     none = poles_at((0, 0)).iloc[:0]
-    assert len(rate_poles(none, EDGES, TRACK, None, Hazard())) == 0
+    assert len(rate_poles(none, EDGES, TRACK, None, STATED)) == 0
     nowhere = RouteTracks(pd.DataFrame({"route": [], "sequence": [], "x": [], "y": []}))
-    rated = rate_poles(poles_at((100, 7)), EDGES, nowhere, None, Hazard())
+    rated = rate_poles(poles_at((100, 7)), EDGES, nowhere, None, STATED)
     assert rated["offset_m"].iloc[0] == pytest.approx(3, abs=0.01)
     assert rated["side"].tolist() == [0]

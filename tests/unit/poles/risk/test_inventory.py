@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.clear_zone import clear_zone_m, clear_zone_range, curve_factor
 from roadsight.poles.risk.inventory import check_inventory
 from roadsight.poles.risk.roads import Road
@@ -62,6 +63,8 @@ def test_a_table_without_segments_is_refused():
 
 def test_what_lacks_is_unknown():
     lacking = inventory(("a", 0, 100, NAN, 500, 2), ("a", 300, 400, 80, NAN, NAN))
+    filled = lacking.at("a", np.array([50.0, 250]), Hazard(aadt=700))
+    assert filled["aadt_low"].tolist() == filled["aadt_high"].tolist() == [500, 700]
     found = lacking.at("a", np.array([50.0, 250]))
     assert found["speed_low_kmh"].tolist() == [60, 60]
     assert found["aadt_low"].tolist() == [500, 0]

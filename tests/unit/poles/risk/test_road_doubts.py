@@ -6,11 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.inventory import SAME_M, check_inventory
-from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts, traffic_notes
+from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts, traffic_doubts
 from roadsight.poles.risk.roads import Road
 
 NAN = float("nan")
+NOTHING = Hazard()
+STATED = Hazard(design_speed_kmh=70, aadt=3000)
 COLUMNS = ["route", "from_m", "to_m", "speed_kmh", "aadt", "lanes"]
 
 
@@ -24,8 +27,8 @@ def road(name="a", start_m=0.0, end_m=1000.0, half_m=3.0):
     return Road(name, (name,), "", np.column_stack([x, 0 * x]), x, half, half)
 
 
-def told(known, *roads, lines=True):
-    found = {doubt.code: doubt for doubt in inventory_doubts(known, roads, lines)}
+def told(known, *roads, lines=True, site=NOTHING):
+    found = {doubt.code: doubt for doubt in inventory_doubts(known, roads, lines, site)}
     assert all(doubt.measured > doubt.limit for doubt in found.values() if lines)
     return found
 
@@ -35,11 +38,31 @@ def test_an_inventory_that_says_everything_is_not_doubted():
     assert told(known, road()) == {}
 
 
-def test_one_speed_for_all_roads_is_noted_where_no_inventory_is_given():
-    assert traffic_notes(inventory(("a", 0, 500, 80, 3000, 2)), 80.0, 3000.0) == []
-    (note,) = traffic_notes(None, 70.0, 3000.0)
+def test_one_speed_for_all_roads_is_noted_and_none_doubted_where_no_inventory_is_given():
+    (note,) = traffic_doubts(STATED)
     assert (note.code, note.severity) == ("traffic_by_settings", "note")
-    assert note.measured == "70 km/h, 3000 vehicles a day"
+    assert note.measured == "70 km/h, 3,000 vehicles a day"
+    (doubt,) = traffic_doubts(NOTHING)
+    assert (doubt.code, doubt.severity) == ("traffic_not_stated", "doubt")
+    assert "no design speed (hazard.design_speed_kmh) and no traffic" in doubt.message
+    assert "60 to 110 km/h" in doubt.message
+    note, doubt = traffic_doubts(Hazard(aadt=0))
+    assert (note.measured, doubt.measured) == ("0 vehicles a day", "0 vehicles a day")
+    assert "no traffic" not in doubt.message
+
+
+def test_what_the_site_states_fills_the_gaps_of_an_inventory():
+    known = inventory(("a", 0, 100, NAN, 500, 2), ("a", 300, 1000, 80, NAN, 2))
+    codes = {"inventory_gaps", "inventory_without_speed", "inventory_without_aadt"}
+    found = told(known, road(), site=STATED)
+    assert set(found) == codes
+    assert {doubt.severity for doubt in found.values()} == {"note"}
+    gap = found["inventory_gaps"].message
+    assert "the site's 70 km/h and 3,000 vehicles a day hold there" in gap
+    half = told(known, road(), site=Hazard(design_speed_kmh=70))
+    assert {code for code, doubt in half.items() if doubt.severity == "doubt"} == {
+        "inventory_gaps", "inventory_without_aadt",
+    }  # fmt: skip
 
 
 def test_what_lacks_along_the_road_is_one_doubt_each_and_elsewhere_none():

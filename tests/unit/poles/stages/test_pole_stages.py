@@ -215,6 +215,29 @@ def test_hazard(site, poles):
     native = FEET.to_native(table[["x", "y"]].to_numpy())
     assert written[["x", "y"]].to_numpy() == pytest.approx(native, abs=1e-4)
     assert rate_hazard.main([*common, *dem, "--aadt", "-1"]) == 2
+    assert (written["clear_zone_greatest_m"] - written["clear_zone_least_m"] > 3).all()
+
+
+def test_speed_and_traffic_of_the_site_hold_where_it_states_them(site, poles, tmp_path, caplog):
+    common = [f"--{name}={site / name}.{end}" for name, end in
+              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    out = {name: tmp_path / f"{name}.{end}" for name, end in OUTPUTS.items()}
+    arguments = [*common, "--poles", poles["poles"], *(f"--{k}={v}" for k, v in out.items())]
+    # As rules write what is not stated.
+    assert rate_hazard.main([*arguments, "--design-speed-kmh=", "--aadt="]) == 0
+    (told,) = read_json(out["doubts"])
+    assert (told["code"], told["severity"]) == ("traffic_not_stated", "doubt")
+    assert told["message"] in caplog.text
+    geometry = pd.read_csv(out["geometry-csv"])
+    assert (geometry[["speed_least_kmh", "speed_greatest_kmh"]] == [60, 110]).all(axis=None)
+    assert rate_hazard.main([*arguments, "--design-speed-kmh=90", "--aadt=2000"]) == 0
+    (told,) = read_json(out["doubts"])
+    assert (told["code"], told["severity"]) == ("traffic_by_settings", "note")
+    table = pd.read_csv(out["csv"])
+    assert table["clear_zone_least_m"].tolist() == table["clear_zone_greatest_m"].tolist()
+    assert (table[["aadt_least", "aadt_greatest"]] == 2000).all(axis=None)
+    geometry = pd.read_csv(out["geometry-csv"])
+    assert (geometry[["speed_least_kmh", "speed_greatest_kmh"]] == 90).all(axis=None)
 
 
 def test_layers_of_the_roadside_say_the_same_as_their_fields(site, poles, tmp_path):

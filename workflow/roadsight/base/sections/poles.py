@@ -270,8 +270,18 @@ class Triangulation(Section):
 class Hazard(Section):
     """Poles: how dangerous they are."""
 
-    design_speed_kmh: Positive = Field(default=80.0, description="design speed of the road, km/h")
-    aadt: Positive = Field(default=3000.0, description="vehicles a day")
+    design_speed_kmh: float | None = Field(
+        default=None,
+        ge=20,
+        le=140,
+        description="design speed where no inventory states one, km/h; null: not stated, a range",
+    )
+    aadt: float | None = Field(
+        default=None,
+        ge=0,
+        le=500_000,
+        description="vehicles a day where no inventory states them; null: not stated, a range",
+    )
     window_m: Metres = Field(default=100.0, description="length over which objects are counted, m")
     dense_per_km: Positive = Field(
         default=40.0, description="more objects a kilometre make those in the clear zone high"

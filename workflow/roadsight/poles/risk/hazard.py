@@ -34,6 +34,7 @@ from roadsight.poles.risk.clear_zone import (
     slope_class,
 )
 from roadsight.poles.risk.cross_sections import CrossSection, slope_text
+from roadsight.poles.risk.inventory import NO_INVENTORY
 from roadsight.poles.risk.roads import Located, Roads, roads_of
 from roadsight.poles.risk.roadside import (
     Edges,
@@ -283,27 +284,13 @@ def travelled_offset_m(offset_m: Floats, known: pd.DataFrame) -> Floats:
 
 
 def _known_traffic(surroundings: Surroundings, located: Located, settings: Hazard) -> pd.DataFrame:
-    """Speed and traffic at each object: of the inventory, else the site's one pair."""
-    n = len(located.road)
-    if surroundings.inventory is None:
-        pair = {"speed": settings.design_speed_kmh, "aadt": settings.aadt}
-        return pd.DataFrame(
-            {
-                "segment": np.full(n, -1),
-                "speed_low_kmh": np.full(n, pair["speed"]),
-                "speed_high_kmh": np.full(n, pair["speed"]),
-                "aadt_low": np.full(n, pair["aadt"]),
-                "aadt_high": np.full(n, pair["aadt"]),
-                "lanes": np.full(n, np.nan),
-                "lane_width_m": np.full(n, np.nan),
-                "carriageway": np.full(n, surroundings.carriageway, object),
-            }
-        )
-    known = surroundings.inventory.at(None, np.full(n, np.nan))
+    """Speed and traffic at each object: of the inventory, else of the site, else a range."""
+    inventory = surroundings.inventory or NO_INVENTORY
+    known = inventory.at(None, np.full(len(located.road), np.nan), settings)
     for number in np.unique(located.road[located.road >= 0]):
         own = np.flatnonzero(located.road == number)
-        route = surroundings.inventory.route_of(surroundings.roads.roads[number])
-        found = surroundings.inventory.at(route, located.station_m[own])
+        route = inventory.route_of(surroundings.roads.roads[number])
+        found = inventory.at(route, located.station_m[own], settings)
         for name in known.columns:
             values = known[name].to_numpy().copy()
             values[own] = found[name].to_numpy()

@@ -1,7 +1,7 @@
 """Speed, traffic and lanes along roads, as a road inventory states them by measures.
 
-What an inventory does not say stays unknown: it gives ranges (`SPEED_RANGE_KMH`, `AADT_RANGE`), not
-guesses. What contradicts itself is refused.
+What neither an inventory nor the site states stays unknown: it gives ranges (`SPEED_RANGE_KMH`,
+`AADT_RANGE`), not guesses. What contradicts itself is refused.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import pandas as pd
 
 from roadsight.base.arrays import Floats, Ints, Numbers
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.clear_zone import AADT_RANGE, SPEED_RANGE_KMH
 from roadsight.poles.risk.roads import Road
 
@@ -35,6 +36,7 @@ LIMITS = {
     "lane_width_m": (2.0, 6.0),
 }
 """Other values are slips of unit or column."""
+_NOT_STATED = Hazard()
 _DIRECTION = re.compile(r"(?:(?<=\d)|[-_ ])(?:[nsew]b?|[+-])$")
 """What route names of drives end in, after a digit or a mark: SR1427E, I40-EB, 12_n."""
 
@@ -63,8 +65,12 @@ class Inventory:
                     return names[key]
         return None
 
-    def at(self, route: str | None, station_m: Floats) -> pd.DataFrame:
+    def at(self, route: str | None, station_m: Floats, site: Hazard = _NOT_STATED) -> pd.DataFrame:
         """What is known at stations (n,) of a route.
+
+        Parameters
+        ----------
+        site : states speed and traffic where no segment does, or nothing.
 
         Returns
         -------
@@ -78,9 +84,13 @@ class Inventory:
         for row, low, high in zip(own.index, own["from_m"], own["to_m"], strict=True):
             number[(number < 0) & (station >= low) & (station <= high)] = row
         found: dict[str, Numbers] = {"segment": number}
-        for name, limits in (("speed", SPEED_RANGE_KMH), ("aadt", AADT_RANGE)):
-            column, unit = ("speed_kmh", "_kmh") if name == "speed" else ("aadt", "")
-            values = self._values(column, number)
+        for name, unit, stated, limits in (
+            ("speed", "_kmh", site.design_speed_kmh, SPEED_RANGE_KMH),
+            ("aadt", "", site.aadt, AADT_RANGE),
+        ):
+            values = self._values(f"{name}{unit}", number)
+            if stated is not None:
+                values = np.where(np.isnan(values), stated, values)
             for end, limit in zip(("low", "high"), limits, strict=True):
                 found[f"{name}_{end}{unit}"] = np.where(np.isnan(values), limit, values)
         for column in ("lanes", "lane_width_m"):
@@ -93,6 +103,14 @@ class Inventory:
         values = np.full(len(number), np.nan)
         values[number >= 0] = known[number[number >= 0]]
         return values
+
+
+NO_INVENTORY = Inventory(
+    pd.DataFrame({name: pd.Series(dtype=np.float64) for name in COLUMNS}).astype(
+        {"route": object, "carriageway": object}
+    )
+)
+"""States nothing of any road."""
 
 
 def check_inventory(table: pd.DataFrame, where: str, places: Sequence[str] = ()) -> Inventory:

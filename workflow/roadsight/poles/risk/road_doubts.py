@@ -8,27 +8,34 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.doubts import Doubt, Severity, listed
+from roadsight.base.sections.poles import Hazard
+from roadsight.poles.risk.clear_zone import SPEED_RANGE_KMH
 from roadsight.poles.risk.inventory import SAME_M, Inventory
 from roadsight.poles.risk.roads import Road
 
 _Stretch = tuple[str, float, float]
 """Route, and the measures of its ends in metres."""
 
-_QUANTITIES: tuple[tuple[str, str, Severity, str], ...] = (
-    ("speed_kmh", "speed", "doubt", "clear zones there are ranges"),
-    ("aadt", "AADT", "doubt", "clear zones there are ranges"),
-    ("lanes", "number of lanes", "note", "two lanes are not assumed"),
-)
-"""Column, its name in words, how grave it is that it lacks, and what follows."""
+_QUANTITIES = (("speed_kmh", "speed"), ("aadt", "AADT"), ("lanes", "number of lanes"))
+"""Column, and its name in words."""
 
 
-def inventory_doubts(inventory: Inventory, roads: Sequence[Road], lines: bool) -> list[Doubt]:
+def inventory_doubts(
+    inventory: Inventory, roads: Sequence[Road], lines: bool, site: Hazard
+) -> list[Doubt]:
     """Doubts about what an inventory says of roads; what it lacks elsewhere is no matter.
 
     Parameters
     ----------
     lines : whether it or the user's routes say where its measures lie.
+    site : states speed and traffic where the inventory does not; then it is a note.
     """
+    said = {
+        "speed_kmh": _follows(_speed(site)),
+        "aadt": _follows(_traffic(site)),
+        "lanes": ("note", "two lanes are not assumed"),
+    }
+    severity, follows = _follows(_speed(site), _traffic(site))
     found: list[Doubt] = []
     if not lines:
         text = (
@@ -41,21 +48,22 @@ def inventory_doubts(inventory: Inventory, roads: Sequence[Road], lines: bool) -
     if unnamed:
         text = (
             f"the inventory does not name road {listed([road.name for road in unnamed])} (it names"
-            f" {listed(inventory.routes())}): clear zones there are ranges; name the drives after"
+            f" {listed(inventory.routes())}): {follows}; name the drives after"
             " the route, or give roads.routes; m of road"
         )
         length = sum(road.end_m - road.start_m for road in unnamed)
-        found.append(Doubt("road_unnamed", "doubt", text, round(length, 1), SAME_M))
+        found.append(Doubt("road_unnamed", severity, text, round(length, 1), SAME_M))
     own = inventory.segments
     covered = [(road, own[own["route"] == route]) for road, route in named if route is not None]
     gaps = [gap for road, segments in covered for gap in _unstated(segments, road)]
     if gaps:
         text = (
             f"the inventory states nothing for {_told(gaps)}:"
-            f" clear zones there are ranges; it states {_told(_stated(covered))}; m of road"
+            f" {follows}; it states {_told(_stated(covered))}; m of road"
         )
-        found.append(Doubt("inventory_gaps", "doubt", text, _length_m(gaps), SAME_M))
-    for column, title, severity, follows in _QUANTITIES:
+        found.append(Doubt("inventory_gaps", severity, text, _length_m(gaps), SAME_M))
+    for column, title in _QUANTITIES:
+        severity, follows = said[column]
         lacking = [
             part for road, rows in covered for part in _clipped(rows[rows[column].isna()], road)
         ]
@@ -66,16 +74,45 @@ def inventory_doubts(inventory: Inventory, roads: Sequence[Road], lines: bool) -
     return found
 
 
-def traffic_notes(inventory: Inventory | None, speed_kmh: float, aadt: float) -> list[Doubt]:
-    """A note that one speed and one traffic hold for all roads, where no inventory is given."""
-    if inventory is not None:
-        return []
-    text = (
-        "no inventory is given (roads.inventory): one design speed and one traffic hold for all"
-        " roads (hazard.design_speed_kmh, hazard.aadt), which nothing measured"
-    )
-    told = f"{speed_kmh:g} km/h, {aadt:g} vehicles a day"
-    return [Doubt("traffic_by_settings", "note", text, told)]
+def traffic_doubts(site: Hazard) -> list[Doubt]:
+    """What no inventory states: a note where the site does for all roads, a doubt where none."""
+    by_name = {
+        "design speed (hazard.design_speed_kmh)": _speed(site),
+        "traffic (hazard.aadt)": _traffic(site),
+    }
+    lacking = [name for name, stated in by_name.items() if not stated]
+    stated = ", ".join(filter(None, by_name.values()))
+    found = []
+    if stated:
+        text = (
+            "no inventory is given (roads.inventory): what the site states holds for all roads,"
+            " which nothing measured"
+        )
+        found.append(Doubt("traffic_by_settings", "note", text, stated))
+    if lacking:
+        text = (
+            f"no inventory is given (roads.inventory), and the site states no"
+            f" {' and no '.join(lacking)}: clear zones, ratings and exposure are ranges over the"
+            f" guide's table ({SPEED_RANGE_KMH[0]:g} to {SPEED_RANGE_KMH[1]:g} km/h, any traffic);"
+            " stated"
+        )
+        found.append(Doubt("traffic_not_stated", "doubt", text, stated or "nothing"))
+    return found
+
+
+def _speed(site: Hazard) -> str:
+    return "" if site.design_speed_kmh is None else f"{site.design_speed_kmh:g} km/h"
+
+
+def _traffic(site: Hazard) -> str:
+    return "" if site.aadt is None else f"{site.aadt:,.0f} vehicles a day"
+
+
+def _follows(*stated: str) -> tuple[Severity, str]:
+    """How grave it is that an inventory lacks what a site may state, and what follows."""
+    if all(stated):
+        return "note", f"the site's {' and '.join(stated)} hold there"
+    return "doubt", "clear zones there are ranges"
 
 
 def edge_doubts(roads: Sequence[Road]) -> list[Doubt]:

@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.spatial import cKDTree
 
 from roadsight.base.arrays import Bools, Floats, Ints
+from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.clear_zone import RECOVERABLE_SLOPE, TRAVERSABLE_SLOPE
 from roadsight.poles.risk.cross_sections import (
     CrossSection,
@@ -18,7 +19,7 @@ from roadsight.poles.risk.cross_sections import (
     profile_from_heights,
     profile_from_points,
 )
-from roadsight.poles.risk.inventory import Inventory
+from roadsight.poles.risk.inventory import NO_INVENTORY, Inventory
 from roadsight.poles.risk.road_geometry import COLUMNS as GEOMETRY_COLUMNS
 from roadsight.poles.risk.road_geometry import road_geometry
 from roadsight.poles.risk.roads import Located, Roads
@@ -297,23 +298,28 @@ def section_table(
     return pd.DataFrame(rows, columns=list(SECTION_COLUMNS))
 
 
-def geometry_table(surroundings: Surroundings) -> pd.DataFrame:
-    """Geometry of all roads by station, with what the inventory states there.
+def geometry_table(surroundings: Surroundings, site: Hazard | None = None) -> pd.DataFrame:
+    """Geometry of all roads by station, with what the inventory or the site states there.
+
+    Parameters
+    ----------
+    site : states speed and traffic where the inventory does not; None: of no use here.
 
     Returns
     -------
     columns of `road_geometry`, and lanes, lane_width_m (as stated, else paved width over lanes: no
     lane is wider), paved_shoulder_m (each side's, where lane widths are stated), speed_least_kmh,
-    speed_greatest_kmh, aadt_least, aadt_greatest; NaN where unknown
+    speed_greatest_kmh, aadt_least, aadt_greatest (ranges where nobody states them); NaN where
+    unknown, and all of them without ``site``
     """
     parts = []
     for number, road in enumerate(surroundings.roads.roads):
         table = surroundings.geometry(number)
         told = dict.fromkeys(INVENTORY_COLUMNS, np.full(len(table), np.nan))
-        if surroundings.inventory is not None:
-            known = surroundings.inventory.at(
-                surroundings.inventory.route_of(road), table["station_m"].to_numpy()
-            )
+        if site is not None:
+            inventory = surroundings.inventory or NO_INVENTORY
+            stations = table["station_m"].to_numpy()
+            known = inventory.at(inventory.route_of(road), stations, site)
             lanes, wide = known["lanes"].to_numpy(), known["lane_width_m"].to_numpy()
             paved = table["paved_width_m"].to_numpy()
             told = {

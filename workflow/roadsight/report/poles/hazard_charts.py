@@ -24,12 +24,17 @@ _POST_M = 1.2
 """How much of an object is drawn above its ground."""
 _PLACES = ("start_m", "end_m", "rise_m")
 _STEPS = ("kerb", "drop-off", "wall")
+_ENDS = ("least", "greatest")
+SAME_M = 0.05
+"""Ends of a range this near to each other are told as one number: tenths of a metre are shown."""
 
 
 def hazard_profiles(
     hazard: pd.DataFrame, sections: pd.DataFrame, profiles: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """Cross-sections of the worst objects that are rated high, by rank.
+    """Cross-sections of the worst objects that are rated high, or perhaps would be, by rank.
+
+    Those are in a clear zone that is known as a range only, where the greatest decides.
 
     Parameters
     ----------
@@ -38,7 +43,11 @@ def hazard_profiles(
     """
     if not {"rank", "rating", "reasons"} <= set(hazard) or sections.empty:
         return []
-    severe = hazard[(hazard["rating"] == "high") & hazard["id"].astype(str).isin(list(profiles))]
+    low, high = (hazard.get(f"clear_zone_{end}_m", hazard["clear_zone_m"]) for end in _ENDS)
+    perhaps = (hazard["rating"] == "medium") & (hazard["offset_m"] <= high) & (high - low >= SAME_M)
+    drawn = (hazard["rating"] == "high") | perhaps
+    hazard = hazard.assign(clear_zone_least_m=low, clear_zone_greatest_m=high)
+    severe = hazard[drawn & hazard["id"].astype(str).isin(list(profiles))]
     found = []
     for row in severe.sort_values("rank", kind="stable").head(MOST).to_dict("records"):
         name = str(row["id"])
@@ -54,7 +63,7 @@ def hazard_profiles(
                 "station_m": _finite(row["station_m"]),
                 "side": int(row["side"]),
                 "offset_m": _finite(row["offset_m"]),
-                "clear_zone_m": _finite(row["clear_zone_m"]),
+                "clear_zone_m": [_finite(row[f"clear_zone_{end}_m"]) for end in _ENDS],
                 "reasons": str(row["reasons"]),
                 "elements": [
                     {
@@ -81,7 +90,7 @@ def profile_chart(profile: dict[str, Any]) -> str:
         xs += [element["start_m"], element["end_m"]]
         ys += [start, level]
         named.append((element, (element["start_m"] + element["end_m"]) / 2))
-    offset, zone = profile["offset_m"], profile["clear_zone_m"]
+    offset, (least, zone) = profile["offset_m"], profile["clear_zone_m"]
     foot = float(np.interp(offset, xs, ys)) if offset is not None else 0.0
     tops = [] if offset is None else [foot + _POST_M]
     span = (min([*xs, offset or 0.0]) - 0.5, max([*xs, offset or 0.0]) + 0.5)
@@ -100,12 +109,15 @@ def profile_chart(profile: dict[str, Any]) -> str:
     title = f"Cross-section at {profile['id']}: {profile['reasons']}"
     labels = ("From the road edge outwards, m", "Height, m")
     chart = Chart(title, *labels, span, (low, high), _WIDE, tall + _AXES[1])
-    if zone is not None and zone <= span[1]:
-        chart.level(zone, "reference", upright=True)
-        before = zone > span[0] + 0.6 * (span[1] - span[0])
+    shown = [end for end in dict.fromkeys((least, zone)) if end is not None and end <= span[1]]
+    for end in shown:
+        chart.level(end, "reference", upright=True)
+    if shown and least is not None and zone is not None:
+        before = shown[-1] > span[0] + 0.6 * (span[1] - span[0])
         aside = -0.15 if before else 0.15
-        words = f"clear zone {number(zone, 1)} m"
-        chart.note(zone + aside, high - 11 / per_m, words, "end" if before else "start")
+        words = f"clear zone {zone_text(least, zone)}"
+        place = shown[-1] + aside, high - 11 / per_m
+        chart.note(*place, words, "end" if before else "start")
     chart.line(xs, ys, "fit")
     chart.dots(run, height, "good faint")
     if offset is not None:
@@ -114,6 +126,12 @@ def profile_chart(profile: dict[str, Any]) -> str:
     for text, middle, row in zip(texts, middles, rows, strict=True):
         chart.note(middle, ground - ((row + 1) * _ROW_PX + 4) / per_m, text)
     return chart.svg()
+
+
+def zone_text(least: float, greatest: float) -> str:
+    """Width of a clear zone, a range where its ends differ."""
+    width = f"{number(greatest, 1)} m"
+    return width if greatest - least < SAME_M else f"{number(least, 1)} to {width}"
 
 
 def _rows(texts: list[str], middles: list[float], per_m: float) -> list[int]:

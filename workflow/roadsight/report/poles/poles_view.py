@@ -11,7 +11,7 @@ import numpy as np
 from roadsight.poles.risk.hazard import ROADSIDE_COLUMNS
 from roadsight.report import wording
 from roadsight.report.poles import published
-from roadsight.report.poles.hazard_charts import profile_chart
+from roadsight.report.poles.hazard_charts import SAME_M, profile_chart, zone_text
 from roadsight.report.poles.poles_charts import (
     SOURCES,
     depth_check_chart,
@@ -274,7 +274,10 @@ def _hazard(table: dict[str, Any], poles: list[dict[str, Any]]) -> dict[str, Any
         "rows": [
             {
                 "pole": numbers.get(str(record.get("id", record.get("pole")))),
-                "cells": [_cell(key, record[key]) | {"long": key == "reasons"} for key in keys],
+                "cells": [
+                    _cell(key, record[key]) | _ranged(key, record) | {"long": key == "reasons"}
+                    for key in keys
+                ],
             }
             for record in records
         ],
@@ -320,6 +323,19 @@ def _cell(key: str, value: Any) -> dict[str, Any]:
     text = wording.quantity("" if key == "objects_per_km" else key, _rounded(value))
     sort = "" if value is None else value
     return {"text": text, "sort": sort, "number": numeric}
+
+
+def _ranged(key: str, record: dict[str, Any]) -> dict[str, str]:
+    """Text of a cell whose value is known as a range; empty for others."""
+    least, most = (record.get(f"clear_zone_{end}_m") for end in ("least", "greatest"))
+    if least is None or most is None or most - least < SAME_M:
+        return {}
+    if key == "clear_zone_m":
+        return {"text": zone_text(least, most)}
+    offset = record.get("offset_m")
+    if key == "inside_clear_zone" and offset is not None and least < offset <= most:
+        return {"text": "perhaps"}
+    return {}
 
 
 def _rounded(value: Any) -> Any:

@@ -23,7 +23,6 @@ from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.clear_zone import SOURCE
 from roadsight.poles.risk.hazard import RULE, Height, Rated, rate_roadside
 from roadsight.poles.risk.inventory import Carriageway
-from roadsight.poles.risk.road_doubts import traffic_notes
 from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, geometry_table, section_table
@@ -89,9 +88,8 @@ def rate_hazard(
     tracks = RouteTracks(frames.assign(**{name: frames[name] / scale for name in PLAN}))
     rails = _guardrails(placed, frame, scale)
     roads, inventory, barriers, told = given_roads(
-        given, frame, roads_of(tracks, edges_m / scale), scale, rails
+        given, frame, roads_of(tracks, edges_m / scale), scale, rails, settings
     )
-    told += traffic_notes(inventory, settings.design_speed_kmh, settings.aadt)
     if doubts:
         tell(told, doubts, f"poles {poles_path}", log)
     points = None
@@ -128,7 +126,7 @@ def rate_hazard(
     )
     places = ["start_x", "start_y", "end_x", "end_y"]
     sections[places] *= scale
-    geometry = geometry_table(surroundings)
+    geometry = geometry_table(surroundings, settings)
     geometry[list(PLAN)] *= scale
     if geometry_csv:
         write_csv(geometry_csv, rounded(in_native(geometry, frame)))

@@ -13,12 +13,13 @@ from scipy.spatial import cKDTree
 from roadsight.base.arrays import Floats
 from roadsight.base.doubts import Doubt
 from roadsight.base.errors import InputError
+from roadsight.base.sections.poles import Hazard
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.tiles import CloudTiles, stack_xyz
 from roadsight.io.records.tables import read_table
 from roadsight.io.vector.road_files import read_barriers, read_inventory, read_routes
 from roadsight.poles.risk.inventory import Inventory, check_inventory
-from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts
+from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts, traffic_doubts
 from roadsight.poles.risk.roads import Roads, resampled
 from roadsight.poles.risk.roadside import REACH_M
 from roadsight.poles.risk.routes import MeasureUnit, Route, with_routes
@@ -88,7 +89,12 @@ class RoadFiles:
 
 
 def given_roads(
-    given: RoadFiles, frame: Frame, roads: Roads, scale: float, rails: Mapping[str, Floats]
+    given: RoadFiles,
+    frame: Frame,
+    roads: Roads,
+    scale: float,
+    rails: Mapping[str, Floats],
+    site: Hazard,
 ) -> tuple[Roads, Inventory | None, list[Barrier], list[Doubt]]:
     """Roads measured along their routes, the inventory, the barriers, and doubts about them.
 
@@ -96,6 +102,7 @@ def given_roads(
     ----------
     rails : guardrails that were found, lines (n, 2) on the ground by name; those that the user
         gives too count once, as given, and those of no road not at all.
+    site : states speed and traffic where the inventory does not.
     """
     told: list[Doubt] = []
     inventory: Inventory | None = None
@@ -110,7 +117,9 @@ def given_roads(
         roads, more = with_routes(roads, on_ground)
         told += more
     if inventory is not None:
-        told += inventory_doubts(inventory, roads.roads, bool(routes))
+        told += inventory_doubts(inventory, roads.roads, bool(routes), site)
+    else:
+        told += traffic_doubts(site)
     barriers: list[Barrier] = []
     lines: list[Floats] = []
     names: list[str] = []
