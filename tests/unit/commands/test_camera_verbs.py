@@ -177,6 +177,7 @@ def test_align_finds_the_cameras(drive, aligned):
     good = cameras["accepted"].to_numpy(bool)
     assert good.mean() > 0.4
     assert (cameras.loc[~good, "reason"].str.len() > 0).all()
+    assert (cameras[["unit", "vertical_unit"]] == "us-survey-foot").all(axis=None)
     assert f"{good.sum()} of {len(cameras)} cameras" in printed
 
 

@@ -10,12 +10,14 @@ from roadsight.base.errors import InputError
 from roadsight.geometry.crs import (
     StatedCrs,
     agree,
+    counted_in,
     horizontal,
     linear_units,
     parse_crs,
     unit_name,
     with_linear_unit,
 )
+from roadsight.geometry.frames import Frame
 from roadsight.geometry.location import (
     area_of_use,
     check_extent,
@@ -411,3 +413,20 @@ def test_reprojection_needs_a_source_that_can_be_right():
     found = reference("EPSG:4326", vertical="metre", centre=RALEIGH_M)
     with pytest.raises(InputError, match=r"cannot be.*degrees"):
         reprojection(found, "EPSG:32632", RALEIGH_M, False)
+
+
+def test_what_coordinates_are_counted_in_is_said_in_words():
+    foot = 1200 / 3937
+    compound = Frame((0, 0, 0), foot, foot, CRS("EPSG:6543+6360").to_wkt())
+    assert counted_in(compound) == {
+        "crs": "NAD83(2011) / North Carolina (ftUS) (EPSG:6543)",
+        "vertical": "NAVD88 height (ftUS) (EPSG:6360)",
+        "unit": "us-survey-foot",
+        "vertical_unit": "us-survey-foot",
+    }
+    assert counted_in(Frame((0, 0, 0), 1.0, 0.3048)) == {
+        "crs": "local",
+        "vertical": "as in the cloud",
+        "unit": "metre",
+        "vertical_unit": "foot",
+    }

@@ -16,7 +16,7 @@ from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Alignment, AlignmentLimits, Calibration
 from roadsight.base.sections.scene import Overlap
 from roadsight.base.validation import validated
-from roadsight.geometry.crs import Unit
+from roadsight.geometry.crs import Unit, counted_in
 from roadsight.geometry.frames import Frame
 from roadsight.io.cloud.cloud_scan import OVERLAP
 from roadsight.io.records.atomic import read_json
@@ -33,7 +33,7 @@ _RETURNED = (
     *("fx_px", "cx_px", "cy_px", "sigma_heading_deg", "sigma_lateral_m", "residual_px"),
     *("accepted", "reason"),
 )
-"""Columns of the table of cameras."""
+"""Columns of the table of cameras, before what its places are counted in."""
 
 
 @dataclass(frozen=True)
@@ -229,4 +229,4 @@ def cameras_of(videolog: str, drive: Drive) -> pd.DataFrame:
         cameras = read_table(chain.cameras(drive)).rename(columns=_COLUMNS)
         frame = Frame.from_dict(read_json(chain.frame))
     cameras[["x", "y", "z"]] = frame.to_native(cameras[["x", "y", "z"]].to_numpy(float))
-    return pd.DataFrame(cameras[list(_RETURNED)])
+    return cameras[list(_RETURNED)].assign(**counted_in(frame))

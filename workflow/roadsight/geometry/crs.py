@@ -15,11 +15,17 @@ from pyproj.crs import CompoundCRS
 from pyproj.exceptions import CRSError, ProjError
 
 from roadsight.base.errors import InputError
+from roadsight.geometry.frames import Frame
 
 Unit = Literal["auto", "metre", "foot", "us-survey-foot"]
 """What may be said of units; auto: the axes of the CRS decide."""
 METRES_PER_UNIT = {"metre": 1.0, "foot": 0.3048, "us-survey-foot": 1200 / 3937}
 """Metres in one unit of each name that a site file may state."""
+
+_LOCAL = "local"
+"""CRS of a site without one."""
+_OF_THE_CLOUD = "as in the cloud"
+"""Vertical datum of a site whose CRS names none."""
 
 _AGREEMENT_M = 0.01
 """CRSs that put a place no farther apart mean the same: clouds are less accurate than that."""
@@ -113,6 +119,24 @@ def code(crs: CRS) -> str:
 def label(crs: CRS) -> str:
     """Name of ``crs`` with its code, where it has one: ``WGS 84 / UTM zone 32N (EPSG:32632)``."""
     return f"{crs.name} ({code(crs)})" if code(crs) else crs.name
+
+
+def counted_in(frame: Frame) -> dict[str, str]:
+    """What native coordinates are counted in, as columns of tables say it.
+
+    Returns
+    -------
+    crs, vertical (reference systems; ``local`` and ``as in the cloud`` where none is named), unit,
+    vertical_unit
+    """
+    crs = None if frame.crs_wkt is None else CRS.from_wkt(frame.crs_wkt)
+    up = None if crs is None else vertical(crs, frame.vertical_unit_m)
+    return {
+        "crs": _LOCAL if crs is None else label(horizontal(crs)),
+        "vertical": _OF_THE_CLOUD if up is None else label(up),
+        "unit": unit_name(frame.unit_m),
+        "vertical_unit": unit_name(frame.vertical_unit_m),
+    }
 
 
 def linear_units(crs: CRS, where: str) -> tuple[float, float | None]:

@@ -39,6 +39,7 @@ from roadsight.stages.poles import (
 )
 
 FEET = Frame((900_000.0, 700_000.0, 2000.0), 1200 / 3937, 1200 / 3937, CRS("EPSG:6543").to_wkt())
+FEET_CRS = "NAD83(2011) / North Carolina (ftUS) (EPSG:6543)"
 OUTPUTS = {
     "out": "parquet",
     "csv": "csv",
@@ -214,6 +215,8 @@ def test_hazard(site, poles):
     assert {"latitude", "longitude"} <= set(written)
     native = FEET.to_native(table[["x", "y"]].to_numpy())
     assert written[["x", "y"]].to_numpy() == pytest.approx(native, abs=1e-4)
+    assert (written[["crs", "unit"]] == [FEET_CRS, "us-survey-foot"]).all(axis=None)
+    assert not {"vertical", "vertical_unit"} & set(written)
     assert rate_hazard.main([*common, *dem, "--aadt", "-1"]) == 2
     assert (written["clear_zone_greatest_m"] - written["clear_zone_least_m"] > 3).all()
 
@@ -277,6 +280,9 @@ def test_layers_of_the_roadside_say_the_same_as_their_fields(site, poles, tmp_pa
     inner = slice(1, -1)
     assert geometry[["x", "y"]].to_numpy()[inner] == pytest.approx(middles[inner], abs=0.5)
     assert geometry["paved_width_m"].to_numpy() == pytest.approx(8.0, abs=0.1)
+    counted = {"crs": FEET_CRS, "vertical": "as in the cloud"}
+    counted |= {"unit": "us-survey-foot", "vertical_unit": "us-survey-foot"}
+    assert geometry[list(counted)].drop_duplicates().to_dict("records") == [counted]
     assert lines["station_m"].tolist() == geometry["station_m"].tolist()
     table = pd.read_csv(out["csv"])
     objects = pyogrio.read_dataframe(out["layers"], layer="hazard")

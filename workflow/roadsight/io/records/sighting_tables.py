@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.errors import InputError
+from roadsight.geometry.crs import counted_in
 from roadsight.geometry.frames import Frame
 from roadsight.io.records.atomic import atomic_path
 from roadsight.io.records.text_tables import read_cells
@@ -78,10 +79,18 @@ def write_csv(path: str | os.PathLike[str], table: pd.DataFrame) -> None:
 
 
 def in_native(table: pd.DataFrame, frame: Frame) -> pd.DataFrame:
-    """Table with columns x, y and, if there, z in native coordinates instead of local metres."""
+    """Table with columns x, y and, if there, z in native coordinates instead of local metres.
+
+    What these are counted in stands in columns of its own, as in every table for people: headers
+    with units would name the column anew in each CRS.
+    """
     names = [name for name in ("x", "y", "z") if name in table]
     native = frame.to_native(table[names].to_numpy(np.float64))
-    return table.assign(**dict(zip(names, native.T.round(_DECIMALS), strict=True)))
+    told = counted_in(frame)
+    if "z" not in names:
+        told = {name: told[name] for name in ("crs", "unit")}
+    places = dict(zip(names, native.T.round(_DECIMALS), strict=True))
+    return table.assign(**places, **told)
 
 
 def _numbers(

@@ -8,10 +8,9 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from pyproj import CRS
 
 from roadsight.base.arrays import Floats
-from roadsight.geometry.crs import horizontal, label, unit_name, vertical
+from roadsight.geometry.crs import counted_in
 from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.placement.plans.handover import offsets_m, stations_m
@@ -19,10 +18,6 @@ from roadsight.report.handover.layers import sensor_table
 
 _DECIMALS = {"latitude": 8, "longitude": 8}
 """Degrees to a millimetre; everything else to a millimetre or a thousandth of a degree."""
-_LOCAL = "local"
-"""CRS of a site without one."""
-_OF_THE_CLOUD = "as in the cloud"
-"""Vertical datum of a site whose CRS names none."""
 
 
 def stakeout(
@@ -62,29 +57,19 @@ def stakeout(
             "edge_offset_m": beside,
             "latitude": table["latitude"],
             "longitude": table["longitude"],
-            **_reference(frame, xyz[:, :2]),
+            "convergence_deg": _convergence_deg(frame, xyz[:, :2]),
+            **counted_in(frame),
         }
     )
     decimals = {str(name): 3 for name in found.select_dtypes("number")} | _DECIMALS
     return found.round(decimals).replace(-0.0, 0.0)
 
 
-def _reference(frame: Frame, xy_m: Floats) -> dict[str, Any]:
-    """Grid convergence of places, and what easting, northing and native heights are counted in."""
-    found = {
-        "convergence_deg": np.full(len(xy_m), np.nan),
-        "crs": _LOCAL,
-        "vertical": _OF_THE_CLOUD,
-        "unit": unit_name(frame.unit_m),
-        "vertical_unit": unit_name(frame.vertical_unit_m),
-    }
-    if frame.crs_wkt is not None:
-        crs = CRS.from_wkt(frame.crs_wkt)
-        up = vertical(crs, frame.vertical_unit_m)
-        found["convergence_deg"] = SiteNorth(frame).convergence_deg(xy_m)
-        found["crs"] = label(horizontal(crs))
-        found["vertical"] = _OF_THE_CLOUD if up is None else label(up)
-    return found
+def _convergence_deg(frame: Frame, xy_m: Floats) -> Floats:
+    """Grid convergence of places, NaN without a CRS."""
+    if frame.crs_wkt is None:
+        return np.full(len(xy_m), np.nan)
+    return SiteNorth(frame).convergence_deg(xy_m)
 
 
 def _along(edges: gpd.GeoDataFrame, names: list[str], xy_m: Floats) -> tuple[Floats, Floats]:
