@@ -11,8 +11,11 @@ import sys
 
 import pytest
 
+from roadsight.base.errors import InputError
 from roadsight.io.records.atomic import atomic_path, write_json
-from roadsight.stages.command import run_stage
+from roadsight.stages.command import Command, run_stage
+from roadsight.stages.placement import place_targets
+from roadsight.stages.poles import rate_hazard
 
 
 @pytest.fixture
@@ -102,3 +105,41 @@ import roadsight.stages.command
 """
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.split() == ["True", "True"]
+
+
+def message_of(stage: Command, paths, capsys):
+    """Message of a stage all of whose required options name a file that is not there."""
+    needed = [action for action in stage.parser()._actions if action.required]
+    given = [
+        f"{one.option_strings[-1]}={1 if one.type in (int, float) else paths(one.dest)}"
+        for one in needed
+    ]
+    assert stage([*given]) == 2
+    (message,) = capsys.readouterr().err.splitlines()[-1:]
+    return message
+
+
+@pytest.mark.parametrize(
+    ("stage", "chapter"), [(place_targets, "placement"), (rate_hazard, "poles")]
+)
+def test_messages_of_stages_begin_with_the_site(stage, chapter, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    own = message_of(stage.main, lambda name: f"results/here/{chapter}/{name}", capsys)
+    assert own.startswith(f"roadsight: site here: results/here/{chapter}/")
+    # Files of a user, of several sites, and of evidence tell no site.
+    users = message_of(stage.main, lambda name: f"/home/results/here/{chapter}/{name}", capsys)
+    assert "site here" not in users
+    two = message_of(stage.main, lambda name: f"results/{name}/{chapter}/x", capsys)
+    assert not two.startswith("roadsight: site")
+    page = message_of(stage.main, lambda name: f"results/tradeoffs/{name}", capsys)
+    assert not page.startswith("roadsight: site")
+
+
+def test_a_site_is_named_once(capsys):
+    def stage(_):
+        raise InputError("too few", where="site here, plan p")
+
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--out")
+    assert run_stage(parser, stage, ["--out", "results/here/scene/dem.tif"]) == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "roadsight: site here, plan p: too few."

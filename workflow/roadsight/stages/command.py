@@ -26,6 +26,8 @@ log = logging.getLogger("roadsight")
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What writing fails with where there is no room: on the disk, in a quota, for so large a file."""
+_CHAPTERS = ("sample", "scene", "placement", "poles")
+"""Folders of the results of a site, ``results/<site>/<chapter>``, which rules give relatively."""
 _TERMINATED = 128 + signal.SIGTERM
 """Exit code of what a signal ended, as shells have it."""
 
@@ -78,7 +80,7 @@ def run_stage(
             stage(arguments)
             _check_unchanged(before)
     except InputError as error:
-        print(f"roadsight: {error}", file=sys.stderr)
+        print(f"roadsight: {_of_site(str(error), arguments)}", file=sys.stderr)
         return 2
     log.info("%s", own_usage())
     return 0
@@ -140,6 +142,24 @@ def _clean_termination() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
+
+
+def _of_site(message: str, arguments: argparse.Namespace) -> str:
+    """Message that begins with the site, where the arguments name the results of one."""
+    found = set(_sites(vars(arguments).values()))
+    if len(found) != 1 or message.startswith("site "):
+        return message
+    return f"site {found.pop()}: {message}"
+
+
+def _sites(values: Iterable[Any]) -> Iterator[str]:
+    for value in values:
+        if isinstance(value, list | tuple):
+            yield from _sites(value)
+        elif isinstance(value, str | Path):
+            parts = Path(value).parts
+            if parts[:1] == ("results",) and len(parts) > 3 and parts[2] in _CHAPTERS:
+                yield parts[1]
 
 
 def _states(values: Iterable[Any]) -> dict[Path, tuple[int, int]]:
