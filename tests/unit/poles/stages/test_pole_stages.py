@@ -378,7 +378,11 @@ def test_objects_of_the_cloud_go_with_the_poles(with_objects):
     assert trees.loc["tree-00000", "images"] == "i001.jpg;i002.jpg"
     assert trees["z"].to_numpy() == pytest.approx([-1.2, -0.9], abs=0.1)
     assert "something else" in trees["reason"].iloc[1]
+    assert trees["probability"].notna().tolist() == [True, False]
+    assert trees.loc["tree-00001", "probability_from"].startswith("none: no image shows it")
     rails = read_layer(with_objects["layers"], "guardrails", FEET)
+    assert rails["probability"].isna().all()
+    assert rails["probability_from"].str.startswith("none: ").all()
     assert rails["id"].tolist() == ["guardrail-00000"]  # no image looks at the other one
     assert rails.geometry.length.to_numpy() == pytest.approx(140.0, rel=1e-4)
     written = pd.read_csv(with_objects["csv"])

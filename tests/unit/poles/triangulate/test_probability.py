@@ -9,7 +9,12 @@ import pandas as pd
 import pytest
 
 from roadsight.poles.triangulate.explain import explain_rays
-from roadsight.poles.triangulate.probability import real_probability
+from roadsight.poles.triangulate.probability import (
+    CALIBRATED,
+    one_thing_probability,
+    probability_source,
+    real_probability,
+)
 from roadsight.poles.triangulate.rays import UNAIDED
 from tests.helpers.drives import Drive, rays_and_poles, simulate
 
@@ -74,7 +79,16 @@ ROAD = (
 the one of the fit, in two clouds, by the shipped network's masks."""
 
 
-def table(evidence, sigma_m, kind="sign", decided=""):
+PANELS = (
+    *((9.1, True, 1), (17.8, False, 0), (18.0, False, 0), (18.1, True, 1), (21.1, True, 1)),
+    *((22.2, True, 1), (25.2, True, 1), (28.5, True, 1), (30.8, True, 1), (36.9, True, 1)),
+    *((7.7, True, 1), (17.5, False, 0), (17.9, False, 0), (34.6, True, 1), (47.2, True, 1)),
+)
+"""Evidence, whether it is kept, and whether it is a sign, of panels on two generated roads of other
+seeds than those of the fit, by the shipped network's masks."""
+
+
+def table(evidence, sigma_m, kind, decided=""):
     columns = {"kind": kind, "evidence": evidence, "sigma_major_m": sigma_m, "decided": decided}
     columns |= {"score": 3, "kept": True}
     return pd.DataFrame(columns)
@@ -90,7 +104,7 @@ def groups():
             rays, own = rays_and_poles(rows)
             found = explain_rays(rays, UNAIDED)
             evidence = found.gain + UNAIDED.pole_evidence
-            said += real_probability(table(evidence, np.ones(len(evidence)))).tolist()
+            said += one_thing_probability(evidence).tolist()
             real += [_shows_one(own[members]) for members in found.groups]
     return np.array(said), np.array(real)
 
@@ -134,6 +148,32 @@ def test_what_a_person_decided_is_certain_and_what_nothing_tells_unknown():
     found = real_probability(rows)
     assert found[:3].tolist() == [1.0, 1.0, 0.0] and np.isnan(found[3])
     assert len(real_probability(rows[:0])) == 0
+
+
+def test_panels_of_other_roads_are_as_often_signs_as_is_said():
+    evidence, kept, real = np.array(PANELS).T
+    kept = kept.astype(bool)
+    rows = table(evidence, np.full(len(kept), 0.4), "sign").assign(kept=kept)
+    said = real_probability(rows)
+    # Two standard deviations of so few.
+    spread = 2 * np.sqrt((said * (1 - said))[kept].sum())
+    assert said[kept].sum() == pytest.approx(real[kept].sum(), abs=spread)
+    assert np.isnan(said[~kept]).all()
+
+
+def test_each_probability_says_what_tells_it_and_each_gap_why():
+    kinds = ["pole", "pole", "sign", "sign", "tree", "tree", "building", "headwall"]
+    rows = table([20.0, np.nan, 20.0, 20.0, *[np.nan] * 4], np.full(8, 0.3), kinds)
+    rows = rows.assign(kept=[True] * 3 + [False] + [True] * 4, score=[3] * 5 + [0, 3, 3])
+    found = real_probability(rows)
+    told = probability_source(rows, found)
+    assert (np.isnan(found) == [False, True, False, True, False, True, True, True]).all()
+    assert [text == CALIBRATED for text in told] == (~np.isnan(found)).tolist()
+    assert all(text.startswith("none: ") for text in told[np.isnan(found)])
+    decided = rows.assign(decided=["accepted", *[""] * 6, "rejected"])
+    told = probability_source(decided, real_probability(decided))
+    assert told[0] == told[-1] == "a person's decision"
+    assert len(probability_source(rows[:0], found[:0])) == 0
 
 
 def test_trees_have_one_where_an_image_shows_them_and_buildings_none():

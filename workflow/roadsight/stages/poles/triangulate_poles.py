@@ -48,7 +48,7 @@ from roadsight.poles.triangulate.pole_doubts import (
     network_doubts,
     pole_doubts,
 )
-from roadsight.poles.triangulate.probability import real_probability
+from roadsight.poles.triangulate.probability import UNKNOWN, probability_source, real_probability
 from roadsight.poles.triangulate.rays import TriangulationSettings
 from roadsight.poles.triangulate.site import (
     DRIFT_COLUMNS,
@@ -138,7 +138,7 @@ def triangulate_poles(
     poles = _decided(poles, frame, decisions)
     # A person may have moved a pole onto the right stem.
     poles = with_shapes(poles, read_table(columns) if columns else None)
-    poles = _with_place(poles.assign(probability=real_probability(poles)), frame, dem)
+    poles = _with_place(_with_probability(poles), frame, dem)
     if len(sightings) < 2:
         log.warning("fewer than two sightings: no pole can be triangulated")
     kept = poles["kept"].to_numpy(bool)
@@ -174,7 +174,9 @@ def _confirmed(
 
 def _lines(guardrails: pd.DataFrame) -> gpd.GeoDataFrame:
     lines = [shapely.LineString(places) for places in guardrails["places_m"]]
-    return gpd.GeoDataFrame(guardrails.drop(columns="places_m"), geometry=lines)
+    table = guardrails.drop(columns="places_m")
+    table = table.assign(probability=np.nan, probability_from=UNKNOWN["line"])
+    return gpd.GeoDataFrame(table, geometry=lines)
 
 
 def _decided(poles: pd.DataFrame, frame: Frame, path: str | None) -> pd.DataFrame:
@@ -226,6 +228,12 @@ def _structures(voxels_m: Floats, voxel_class: Ints) -> cKDTree:
     return cKDTree(np.unique(voxels_m[np.isin(voxel_class, _STRUCTURES), :2], axis=0))
 
 
+def _with_probability(poles: pd.DataFrame) -> pd.DataFrame:
+    probability = real_probability(poles)
+    source = probability_source(poles, probability)
+    return poles.assign(probability=probability, probability_from=source)
+
+
 def _with_place(poles: pd.DataFrame, frame: Frame, dem: Path | None) -> pd.DataFrame:
     """Poles with ground height, latitude and longitude; NaN where not known."""
     x, y = poles["x"].to_numpy(np.float64), poles["y"].to_numpy(np.float64)
@@ -234,7 +242,7 @@ def _with_place(poles: pd.DataFrame, frame: Frame, dem: Path | None) -> pd.DataF
     if frame.crs_wkt is not None and len(poles):
         latitude, longitude = SiteNorth(frame).to_geographic(np.column_stack([x, y]))
     placed = poles.assign(z=z, latitude=latitude, longitude=longitude)
-    return placed[[*POLE_COLUMNS, "decided", "probability", *SHAPE_COLUMNS]]
+    return placed[[*POLE_COLUMNS, "decided", "probability", "probability_from", *SHAPE_COLUMNS]]
 
 
 def _points(poles: pd.DataFrame) -> gpd.GeoDataFrame:
