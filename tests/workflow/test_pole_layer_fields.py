@@ -18,6 +18,7 @@ from roadsight.geometry.frames import Frame
 from roadsight.geometry.north import SiteNorth
 from roadsight.io.raster.rasters import read_raster
 from roadsight.io.vector.vectors import read_layer
+from roadsight.synthetic.rural.rural_ground import LANE_M
 
 US_FOOT = 1200 / 3937
 SAME = {"abs": 1e-6, "nan_ok": True}
@@ -190,10 +191,19 @@ def check_geometry(site: Poles, local: gpd.GeoDataFrame, native: gpd.GeoDataFram
     assert curved.any() and np.isinf(local["radius_m"][~curved]).all()
     radius = 1000 / local["curvature_per_km"][curved].abs()
     assert local["radius_m"][curved].to_numpy() == pytest.approx(radius.to_numpy(), rel=1e-3)
-    for name in set(local.columns) - {"geometry", "road", "bend"}:
+    texts = {"road", "bend", "lanes_from", "travelled_from"}
+    for name in set(local.columns) - {"geometry", *texts}:
         assert local[name].to_numpy() == pytest.approx(csv[name].to_numpy(), abs=1e-3, nan_ok=True)
-    assert local["road"].astype(str).tolist() == csv["road"].astype(str).tolist()
-    assert local["bend"].fillna("").tolist() == csv["bend"].fillna("").tolist()
+    for name in texts:
+        found, known = (table[name].fillna("").astype(str) for table in (local, csv))
+        assert found.tolist() == known.tolist()
+    assert set(local["travelled_from"]) == {"markings"}
+    # To the middles of the edge lines, 6 cm inside their outer sides.
+    for side in ("left", "right"):
+        edge = local[f"travelled_{side}_m"].to_numpy()
+        assert np.nanmax(np.abs(edge - (LANE_M - 0.06))) < 0.2
+    assert local["lanes"].dropna().isin([2]).all() and local["lanes"].notna().mean() > 0.5
+    assert np.nanmax(np.abs(local["lane_width_m"] - (LANE_M - 0.06))) < 0.2
     return set(local.columns) - {"geometry"}
 
 

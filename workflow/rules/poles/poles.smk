@@ -52,6 +52,7 @@ rule measure_poles:
             "results/{site}/poles/sightings/{shard}.parquet", non_empty=True
         ),
         seen="results/{site}/poles/seen/{shard}.parquet",
+        markings="results/{site}/poles/markings/{shard}.parquet",
     log:
         log_of("measure_poles", "{shard}"),
     benchmark:
@@ -69,7 +70,7 @@ rule measure_poles:
         " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --objects {input.objects} --frame {input.frame} {params.options}"
         " --views {params.views} --grid-convergence {params.grid_convergence}"
         " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings}"
-        " --seen {output.seen} > {log} 2>&1"
+        " --seen {output.seen} --markings {output.markings} > {log} 2>&1"
 
 
 rule triangulate_poles:
@@ -116,6 +117,7 @@ rule rate_hazard:
         cloud=rules.ingest_cloud.output.cloud,
         ground=rules.build_dem.output.ground,
         placed=rules.triangulate_poles.output.layers,
+        markings=all_markings,
         inventory=beside_site("roads.inventory"),
         routes=beside_site("roads.routes"),
         barriers=beside_site("roads.barriers"),
@@ -150,7 +152,7 @@ rule rate_hazard:
         "python -m roadsight.stages.poles.rate_hazard --poles {input.poles} --frame {input.frame}"
         " --frames {input.frames} --edges {input.edges} --dem {input.dem}"
         " --cloud {input.cloud} --ground {input.ground} --placed {input.placed}"
-        " --inventory {params.inventory:q} --inventory-crs={params.inventory_crs:q}"
+        " --markings {input.markings} --inventory {params.inventory:q} --inventory-crs={params.inventory_crs:q}"
         " --routes {params.routes:q} --routes-crs={params.routes_crs:q}"
         " --barriers {params.barriers:q} --barriers-crs={params.barriers_crs:q}"
         " --measure-unit {params.measure_unit} --traffic {params.traffic}"

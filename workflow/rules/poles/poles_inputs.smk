@@ -18,6 +18,7 @@ all_matches = pole_shards("matches", "parquet")
 all_pole_axes = pole_shards("pole_axes", "parquet")
 all_sightings = pole_shards("sightings", "parquet")
 all_seen = pole_shards("seen", "parquet")
+all_markings = pole_shards("markings", "parquet")
 
 
 def pavement_for_roads(wildcards):

@@ -294,6 +294,44 @@ def test_layers_of_the_roadside_say_the_same_as_their_fields(site, poles, tmp_pa
     assert set(profiles) == set(table["id"])
 
 
+def markings(folder, *lines):
+    """Points of solid lines at offsets (m), as two shards; the last is empty."""
+    x = np.arange(-5, 140, 0.5)
+    rows = [pd.DataFrame({"x": x, "y": y, "image": (x // 5).astype(str)}) for y in lines]
+    table = pd.concat(rows, ignore_index=True)
+    for number, part in enumerate((table, table[:0])):
+        write_table(folder / f"m{number}.parquet", part)
+    return ["--markings", *(str(folder / f"m{n}.parquet") for n in (0, 1))]
+
+
+def test_markings_come_before_the_inventory_s_lanes(site, poles, tmp_path):
+    common = [f"--{name}={site / name}.{end}" for name, end in
+              (("frame", "json"), ("frames", "parquet"), ("edges", "parquet"))]  # fmt: skip
+    out = {name: tmp_path / f"{name}.{end}" for name, end in OUTPUTS.items()}
+    arguments = [*common, "--poles", poles["poles"], *(f"--{k}={v}" for k, v in out.items())]
+    inventory = tmp_path / "i.csv"
+    inventory.write_text("route,from_m,to_m,speed_kmh,aadt,lanes,lane_width_m\nr,0,200,90,9,2,3\n")
+    arguments += ["--inventory", str(inventory)]
+    # The travelled way is 0.3 m nearer to the left edge of the pavement.
+    painted = markings(tmp_path, -3.2, -0.1, 0.1, 3.5)
+    for more, half_m, source in (([], (3.0, 3.0), "inventory"), (painted, (3.5, 3.2), "markings")):
+        assert rate_hazard.main([*arguments, *more]) == 0
+        geometry = pd.read_csv(out["geometry-csv"]).iloc[3:-3]
+        assert (geometry[["lanes_from", "travelled_from"]] == source).all(axis=None)
+        assert (geometry["lanes"] == 2).all()
+        assert geometry["lane_width_m"].to_numpy() == pytest.approx(sum(half_m) / 2, abs=0.05)
+        for side, edge in zip(("left", "right"), half_m, strict=True):
+            assert geometry[f"travelled_{side}_m"].to_numpy() == pytest.approx(edge, abs=0.05)
+        shoulder = 4 - sum(half_m) / 2
+        assert geometry["paved_shoulder_m"].to_numpy() == pytest.approx(shoulder, abs=0.1)
+        table = pd.read_csv(out["csv"])
+        assert (table["travelled_way_from"] == source).all()
+        edge = np.where(table["side"] < 0, *half_m)
+        known = table["offset_m"] + 4 - edge
+        assert table["offset_travelled_way_m"].to_numpy() == pytest.approx(known, abs=0.15)
+        assert table["sigma_travelled_way_m"].notna().all() == (source == "markings")
+
+
 def given_roads(folder):
     """An inventory that lacks traffic beyond 60 m, a route in other coordinates, a rail."""
     (folder / "inventory.csv").write_text(

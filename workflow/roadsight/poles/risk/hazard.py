@@ -43,6 +43,7 @@ from roadsight.poles.risk.roadside import (
     edges_at,
     first_trouble_m,
     governing_slope,
+    lanes_at,
     nearest_ahead_m,
     object_sections,
     runout_width_m,
@@ -111,6 +112,8 @@ ROADSIDE_COLUMNS = [
     "lanes",
     "carriageway",
     "offset_travelled_way_m",
+    "sigma_travelled_way_m",
+    "travelled_way_from",
     "radius_m",
     "grade_percent",
     "paved_width_m",
@@ -221,6 +224,8 @@ def rate_roadside(
     )
     exposed = np.where(least == most, most, np.nan)
     hsm = _hsm(located, surroundings.roads, offset_m, ~shielded)
+    lanes = lanes_at(surroundings, located, known)
+    travelled_m, sigma_travelled_m = travelled_offset_m(located.offset_m, lanes)
     told = [_described(section) for section in sections]
     table = pd.DataFrame(
         {
@@ -251,9 +256,11 @@ def rate_roadside(
             "design_speed_greatest_kmh": known["speed_high_kmh"].to_numpy(),
             "aadt_least": known["aadt_low"].to_numpy(),
             "aadt_greatest": known["aadt_high"].to_numpy(),
-            "lanes": known["lanes"].to_numpy(),
+            "lanes": lanes["lanes"].to_numpy(),
             "carriageway": known["carriageway"].to_numpy(),
-            "offset_travelled_way_m": travelled_offset_m(located.offset_m, known),
+            "offset_travelled_way_m": travelled_m,
+            "sigma_travelled_way_m": sigma_travelled_m,
+            "travelled_way_from": lanes["travelled_from"].to_numpy(),
             "radius_m": bends["radius_m"].to_numpy(),
             "grade_percent": 100 * bends["grade"].to_numpy(),
             "paved_width_m": bends["paved_width_m"].to_numpy(),
@@ -272,15 +279,19 @@ def rate_roadside(
     return Rated(table[columns], sections, edges.place_m, edges.outward, located)
 
 
-def travelled_offset_m(offset_m: Floats, known: pd.DataFrame) -> Floats:
-    """Distance (n,) from the edge of the travelled way: lanes side by side about the centreline.
+def travelled_offset_m(offset_m: Floats, lanes: pd.DataFrame) -> tuple[Floats, Floats]:
+    """Distance (n,) from the edge of the travelled way, and that edge's own standard deviation.
 
     Parameters
     ----------
-    offset_m : from the centreline. known : lanes, lane_width_m; NaN where unknown, as the result.
+    offset_m : from the centreline, positive right. lanes : see `with_inventory`; NaN where unknown,
+        as the results: nobody states how well an inventory knows.
     """
-    wide = known["lanes"].to_numpy(np.float64) * known["lane_width_m"].to_numpy(np.float64)
-    return np.asarray(np.abs(offset_m) - wide / 2, np.float64)
+    edge, sigma = (
+        np.where(offset_m < 0, lanes[f"{before}left_m"], lanes[f"{before}right_m"])
+        for before in ("", "sigma_")
+    )
+    return np.asarray(np.abs(offset_m) - edge, np.float64), np.asarray(sigma, np.float64)
 
 
 def _known_traffic(surroundings: Surroundings, located: Located, settings: Hazard) -> pd.DataFrame:

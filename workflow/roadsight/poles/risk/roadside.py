@@ -20,6 +20,7 @@ from roadsight.poles.risk.cross_sections import (
     profile_from_points,
 )
 from roadsight.poles.risk.inventory import NO_INVENTORY, Inventory
+from roadsight.poles.risk.marked_lanes import LANE_COLUMNS, marked_lanes, with_inventory
 from roadsight.poles.risk.road_geometry import COLUMNS as GEOMETRY_COLUMNS
 from roadsight.poles.risk.road_geometry import road_geometry
 from roadsight.poles.risk.roads import Located, Roads
@@ -32,6 +33,8 @@ _LONGEST_M = 25.0
 """They never reach further."""
 _BEYOND_M = 3.0
 """A profile goes on behind its object, so that what a vehicle meets beyond it is told."""
+_BESIDE_EDGE_M = 0.5
+"""Markings further beyond the pavement's edge are of another road, or no markings."""
 _DEM_STEP_M = 0.25
 """Spacing of heights from a terrain model: half its usual cell."""
 SECTION_COLUMNS = (
@@ -56,16 +59,25 @@ SECTION_COLUMNS = (
     "end_y",
 )
 """Of the table of cross-sections, one element a row."""
-INVENTORY_COLUMNS = (
-    "lanes",
-    "lane_width_m",
-    "paved_shoulder_m",
+LANE_TITLES = {
+    "lanes": "lanes",
+    "lane_width_m": "lane_width_m",
+    "sigma_lane_width_m": "sigma_lane_width_m",
+    "lanes_from": "lanes_from",
+    "left_m": "travelled_left_m",
+    "right_m": "travelled_right_m",
+    "sigma_left_m": "sigma_travelled_left_m",
+    "sigma_right_m": "sigma_travelled_right_m",
+    "travelled_from": "travelled_from",
+}
+"""Columns of `with_inventory`, and their names in the table of road geometry."""
+TRAFFIC_COLUMNS = (
     "speed_least_kmh",
     "speed_greatest_kmh",
     "aadt_least",
     "aadt_greatest",
 )
-"""Of the table of road geometry, what the inventory states."""
+"""Of the table of road geometry, what inventory or site state."""
 
 
 @dataclass
@@ -78,6 +90,7 @@ class Surroundings:
     points_m : (n, 3) ground points near the roads, or None; cross-sections prefer them.
     inventory : speed and traffic by measures, or None. barriers : along the roads.
     left_hand_traffic : on which side vehicles drive.
+    markings : x, y and image of points on lane markings, or None.
     carriageway : one of `roadsight.poles.risk.inventory.CARRIAGEWAYS`, where the inventory states
         none.
     """
@@ -89,8 +102,10 @@ class Surroundings:
     barriers: Sequence[Barrier] = ()
     left_hand_traffic: bool = False
     carriageway: str = "two-way"
+    markings: pd.DataFrame | None = None
     _tree: cKDTree | None = field(default=None, repr=False)
     _geometry: dict[int, pd.DataFrame] = field(default_factory=dict, repr=False)
+    _marked: dict[int, pd.DataFrame] = field(default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         if self.points_m is not None and len(self.points_m):
@@ -101,6 +116,25 @@ class Surroundings:
         if road not in self._geometry:
             self._geometry[road] = road_geometry(self.roads.roads[road], self.height)
         return self._geometry[road]
+
+    def marked(self, road: int) -> pd.DataFrame:
+        """Lanes that markings show, at the stations of `geometry`; made once."""
+        if not self._marked and self.markings is not None:
+            located = self.roads.locate(self.markings[["x", "y"]].to_numpy(np.float64))
+            for number, own in enumerate(self.roads.roads):
+                beside = located.station_m, located.side
+                near = np.abs(located.offset_m) <= own.bridged_edge_m(*beside) + _BESIDE_EDGE_M
+                on = near & (located.road == number)
+                self._marked[number] = marked_lanes(
+                    located.station_m[on],
+                    located.offset_m[on],
+                    self.markings["image"].to_numpy()[on],
+                    self.geometry(number)["station_m"].to_numpy(),
+                )
+        if road not in self._marked:
+            nothing = np.full((len(self.geometry(road)), len(LANE_COLUMNS)), np.nan)
+            return pd.DataFrame(nothing, columns=list(LANE_COLUMNS))
+        return self._marked[road]
 
     def section(self, edge_m: Floats, outward: Floats, reach_m: float) -> CrossSection | None:
         """Cross-section from an edge outwards; from ground points, else from heights."""
@@ -299,42 +333,62 @@ def section_table(
 
 
 def geometry_table(surroundings: Surroundings, site: Hazard | None = None) -> pd.DataFrame:
-    """Geometry of all roads by station, with what the inventory or the site states there.
+    """Geometry of all roads by station, with lanes, speed and traffic.
 
     Parameters
     ----------
-    site : states speed and traffic where the inventory does not; None: of no use here.
+    site : states speed and traffic where the inventory does not; None: they are of no use here.
 
     Returns
     -------
-    columns of `road_geometry`, and lanes, lane_width_m (as stated, else paved width over lanes: no
-    lane is wider), paved_shoulder_m (each side's, where lane widths are stated), speed_least_kmh,
-    speed_greatest_kmh, aadt_least, aadt_greatest (ranges where nobody states them); NaN where
-    unknown, and all of them without ``site``
+    columns of `road_geometry`; values of `LANE_TITLES`: lanes as markings show them, else as the
+    inventory states them (`with_inventory`), and the edges of the travelled way as distances from
+    the centreline; paved_shoulder_m, the mean of both sides; `TRAFFIC_COLUMNS`, ranges where nobody
+    states them. NaN where unknown
     """
     parts = []
     for number, road in enumerate(surroundings.roads.roads):
         table = surroundings.geometry(number)
-        told = dict.fromkeys(INVENTORY_COLUMNS, np.full(len(table), np.nan))
-        if site is not None:
-            inventory = surroundings.inventory or NO_INVENTORY
-            stations = table["station_m"].to_numpy()
-            known = inventory.at(inventory.route_of(road), stations, site)
-            lanes, wide = known["lanes"].to_numpy(), known["lane_width_m"].to_numpy()
-            paved = table["paved_width_m"].to_numpy()
-            told = {
-                "lanes": lanes,
-                "lane_width_m": np.where(np.isnan(wide), paved / lanes, wide),
-                "paved_shoulder_m": (paved - lanes * wide) / 2,
-                "speed_least_kmh": known["speed_low_kmh"].to_numpy(),
-                "speed_greatest_kmh": known["speed_high_kmh"].to_numpy(),
-                "aadt_least": known["aadt_low"].to_numpy(),
-                "aadt_greatest": known["aadt_high"].to_numpy(),
-            }
-        parts.append(table.assign(**told))
+        inventory = surroundings.inventory or NO_INVENTORY
+        stations, paved = table["station_m"].to_numpy(), table["paved_width_m"].to_numpy()
+        known = inventory.at(inventory.route_of(road), stations, site or Hazard())
+        lanes = with_inventory(surroundings.marked(number), known, paved)
+        ends = ("speed_low_kmh", "speed_high_kmh", "aadt_low", "aadt_high")
+        traffic = known[list(ends)].set_axis(list(TRAFFIC_COLUMNS), axis=1)
+        told = {name: lanes[own].to_numpy() for own, name in LANE_TITLES.items()}
+        travelled = (lanes["left_m"] + lanes["right_m"]).to_numpy()
+        table = table.assign(**told, paved_shoulder_m=(paved - travelled) / 2)
+        parts.append(table.assign(**(traffic if site else traffic * np.nan)))
     if parts:
         return pd.concat(parts, ignore_index=True)
-    return pd.DataFrame(columns=[*GEOMETRY_COLUMNS, *INVENTORY_COLUMNS], dtype=np.float64)
+    columns = [*GEOMETRY_COLUMNS, *LANE_TITLES.values(), "paved_shoulder_m", *TRAFFIC_COLUMNS]
+    return pd.DataFrame(columns=columns, dtype=np.float64)
+
+
+def lanes_at(surroundings: Surroundings, located: Located, known: pd.DataFrame) -> pd.DataFrame:
+    """Lanes at located objects, as `with_inventory`, by the nearest station.
+
+    Parameters
+    ----------
+    known : lanes and lane_width_m of the inventory at each.
+    """
+    n = len(located.road)
+    marked = pd.DataFrame(np.full((n, len(LANE_COLUMNS)), np.nan), columns=list(LANE_COLUMNS))
+    paved = np.full(n, np.nan)
+    for number in np.unique(located.road[located.road >= 0]):
+        geometry = surroundings.geometry(int(number))
+        own = np.flatnonzero(located.road == number)
+        if len(geometry):
+            row = _nearest_rows(geometry, located.station_m[own])
+            marked.iloc[own] = surroundings.marked(int(number)).iloc[row].to_numpy()
+            paved[own] = geometry["paved_width_m"].to_numpy()[row]
+    return with_inventory(marked, known, paved)
+
+
+def _nearest_rows(geometry: pd.DataFrame, station_m: Floats) -> Ints:
+    """Row of the nearest station of a road's geometry (n,)."""
+    at = geometry["station_m"].to_numpy()
+    return np.asarray(np.abs(at[None, :] - station_m[:, None]).argmin(axis=1), np.int64)
 
 
 def bends_at(surroundings: Surroundings, located: Located) -> pd.DataFrame:
@@ -353,9 +407,7 @@ def bends_at(surroundings: Surroundings, located: Located) -> pd.DataFrame:
         own = np.flatnonzero(located.road == number)
         if not len(geometry):
             continue
-        at = geometry["station_m"].to_numpy()
-        row = np.abs(at[None, :] - located.station_m[own, None]).argmin(axis=1)
-        near = geometry.iloc[row]
+        near = geometry.iloc[_nearest_rows(geometry, located.station_m[own])]
         curvature = near["curvature_per_km"].to_numpy() / 1000
         radius[own] = np.nan_to_num(near["radius_m"], nan=np.inf, posinf=np.inf)
         left_bend = curvature > 0

@@ -28,6 +28,7 @@ from roadsight.poles.calibration.calibration_table import Key, from_content
 from roadsight.poles.images.stitching import ViewOffsets, merge_views, side_intrinsics
 from roadsight.poles.images.views import VIEWS, View, ViewName, usable, views_of
 from roadsight.poles.sightings.confirm import OUT_OF_VIEW, Objects, objects_of, show
+from roadsight.poles.sightings.markings import markings_on_ground
 from roadsight.poles.sightings.sighting_bearing import ViewCamera
 from roadsight.poles.sightings.sightings import Evidence, measure_view
 from roadsight.poles.triangulate.pole_doubts import UNTURNED
@@ -85,6 +86,8 @@ _SIGMAS = (
 """Columns of the cameras that hold uncertainties, all but the last in the order of `ViewCamera`."""
 _SEEN = {"kind": str, "object": np.int64, "image": str, "answer": np.int64}
 """Columns of what views say about objects of the cloud, beside the route."""
+_MARKED = {"x": np.float64, "y": np.float64, "image": str}
+"""Columns of points on lane markings."""
 
 
 def measure_poles(
@@ -106,6 +109,7 @@ def measure_poles(
     *,
     out: Path,
     seen: Annotated[Path | None, "what images show of the objects"] = None,
+    markings: Annotated[Path | None, "lane markings on the ground"] = None,
 ) -> None:
     """Write the sightings of every image of the shard whose camera was accepted."""
     given = ViewOffsets(settings.left_yaw_deg, settings.right_yaw_deg)
@@ -124,14 +128,14 @@ def measure_poles(
     lacking = {view.path for view in shown if view.name not in masks or view.name not in depths}
     if lacking:
         log.warning("%d images have no mask or depth: %s", len(lacking), ", ".join(sorted(lacking)))
-        shown = [view for view in shown if view.path not in lacking]
+    shown = [view for view in shown if view.path not in lacking]
     routes = dict(zip(known["image"], known["route"].astype(str), strict=True))
     tables = []
+    marked = [pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _MARKED.items()})]
     asked = objects_of(read_table(objects)) if objects else []
     answers = [pd.DataFrame({name: pd.Series(dtype=kind) for name, kind in _SEEN.items()})]
     for view in logged(shown, len(shown), log, "images"):
-        mask = masks.read(view.name)
-        pose = poses[view.image]
+        mask, pose = masks.read(view.name), poses[view.image]
         key = routes[view.image], int(pose["width_px"]), int(pose["height_px"])
         turns = found.get(key, Turns())
         turn_sigma_deg = turns.sigma_deg[VIEWS.index(view.view)]
@@ -147,15 +151,24 @@ def measure_poles(
             answers += [_answers(camera, mask, one, view, settings) for one in asked]
         if len(table):
             tables.append(table.assign(image=view.image, view=view.view))
+        if markings and view.view == "front":
+            marked.append(_markings(camera, mask, ground, view))
     sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
-    turned = grid_convergence == "simulate"
-    table = _finished(sightings, known, accepted, frame, turned)
+    table = _finished(sightings, known, accepted, frame, grid_convergence == "simulate")
     for reason, count in table["reason"].value_counts().sort_index().items():
         log.info("%5d %s", count, reason or "kept")
     write_table(out, table, {"settings": settings.model_dump(), "offsets": asdict(given)})
+    if markings:
+        write_table(markings, pd.concat(marked, ignore_index=True).astype(_MARKED))
     if seen:
         told = pd.concat(answers, ignore_index=True).astype(_SEEN)
         write_table(seen, told.assign(route=told["image"].map(routes).astype(str)))
+
+
+def _markings(camera: ViewCamera, mask: Bytes, ground: Raster, view: View) -> pd.DataFrame:
+    """Middles of lane markings on the ground."""
+    places = markings_on_ground(camera, mask, ground.sample)
+    return pd.DataFrame(places, columns=["x", "y"]).assign(image=view.image)
 
 
 def _answers(

@@ -66,6 +66,7 @@ def rate_hazard(
     cloud: Annotated[Path | None, "the cloud, for cross-sections of its points"] = None,
     ground: Annotated[Path | None, "which of its points are ground"] = None,
     placed: Annotated[Path | None, "layers of the poles, to go with the others"] = None,
+    markings: Annotated[Sequence[Path], "lane markings that images show, on the ground"] = (),
     traffic: Annotated[Literal["right", "left"], "drives so"] = "right",
     carriageway: Carriageway = "two-way",
     scale_factor: Literal["simulate", "skip"] = "skip",
@@ -104,6 +105,7 @@ def rate_hazard(
         barriers,
         traffic == "left",
         carriageway,
+        _markings(markings, scale),
     )
     objects = _with_barrier_ends(poles, barriers, frame, scale)
     rated = rate_roadside(_divided(objects, scale), edges_m / scale, surroundings, settings)
@@ -140,6 +142,14 @@ def rate_hazard(
             "road_geometry": geometry_lines(geometry, surroundings, STATION_M, scale),
         }
         write_layers(layers_path, layers, frame, KINDS | GEOMETRY)
+
+
+def _markings(paths: Sequence[Path], scale: float) -> pd.DataFrame | None:
+    """Points on markings, in metres on the ground; None where nobody looked for them."""
+    if not paths:
+        return None
+    table = pd.concat([read_table(path) for path in paths], ignore_index=True)
+    return table.assign(**{name: table[name] / scale for name in PLAN})
 
 
 def _guardrails(placed: Path | None, frame: Frame, scale: float) -> dict[str, Floats]:
