@@ -56,6 +56,18 @@ def test_dashed_lines_part_lanes_and_arrows_and_hatching_do_not():
         assert found["left_m"].to_numpy() == pytest.approx(6.6, abs=0.1)
 
 
+def test_what_begins_and_ends_beside_an_edge_line_is_none():
+    """Hatching inside of it, the foot of a bridge's parapet outside."""
+    station, offset, image = seen(TWO)
+    for beside in (2.4, 3.9):
+        extra = (station > 80) & (station < 120) & (np.abs(offset - 3.2) < 0.5)
+        own = [np.r_[all_, all_[extra]] for all_ in (station, offset, image)]
+        own[1][len(station) :] += beside - 3.2
+        found = marked_lanes(*own, AT)
+        assert found["right_m"].to_numpy() == pytest.approx(3.2, abs=0.1)
+        assert (found["lanes"] == 2).all()
+
+
 def test_only_a_solid_line_is_the_edge_of_the_travelled_way():
     alone = lanes(TWO[1:3])
     assert alone.isna().all(axis=None)

@@ -30,9 +30,12 @@ _SOLID = 0.6
 _FEWEST_PIECES = 10
 """Pieces that images must look at."""
 _FEWEST_IMAGES = 3
-_ALIKE = 0.8
-"""Of two lines too near to each other the better seen one stays, but a solid outer one also if it
-is seen in so much of what the other is: hatching ends in a line of its own inside the edge line."""
+_AROUND_M = 60.0
+"""Of two lines too near to each other the one stays that is seen in more of so much road either
+way: hatching begins and ends, and so does the foot of a bridge's parapet, which a network takes for
+paint."""
+_ALIKE = 0.9
+"""The outer one also if it is seen in so much of what the other is."""
 _SHARED = 4.0
 """Images whose camera is off by the same: they follow each other every 8 m, and what ties them is
 smooth over some."""
@@ -42,6 +45,8 @@ it errors on three generated roads of two lanes are 0.8 sigma (root mean square)
 1.4 of one edge; on one of four lanes 1.6."""
 MARKINGS, INVENTORY, PAVED = "markings", "inventory", "paved width"
 """Where lanes are from, as tables say it."""
+Line = tuple[float, float, float]
+"""Offset of a line, its sigma, and the share of the pieces in which it is seen."""
 LANE_COLUMNS = (
     "left_m",
     "right_m",
@@ -71,10 +76,14 @@ def marked_lanes(
     order = np.argsort(station_m, kind="stable")
     station, offset = station_m[order], offset_m[order]
     number = np.unique(np.asarray(image), return_inverse=True)[1].ravel()[order]
-    low, high = (np.searchsorted(station, at_m + end) for end in (-WINDOW_M, WINDOW_M))
-    rows = [
-        _lanes_of(station[a:b], offset[a:b], number[a:b]) for a, b in zip(low, high, strict=True)
-    ]
+    rows = []
+    for at in at_m:
+        near, around = (
+            slice(*np.searchsorted(station, [at - reach, at + reach]))
+            for reach in (WINDOW_M, _AROUND_M)
+        )
+        lines = _lines(station[near], offset[near], number[near])
+        rows.append(_lanes_of(_apart(lines, station[around], offset[around])))
     return pd.DataFrame(rows, columns=list(LANE_COLUMNS), dtype=np.float64)
 
 
@@ -114,10 +123,9 @@ def with_inventory(
     return found
 
 
-def _lanes_of(station: Floats, offset: Floats, image: Ints) -> tuple[float, ...]:
-    """Values of `LANE_COLUMNS` of the points of one window."""
+def _lanes_of(lines: list[Line]) -> tuple[float, ...]:
+    """Values of `LANE_COLUMNS` of the lines at one station."""
     nan = float("nan")
-    lines = _lines(station, offset, image)
     ends = []
     for side, end in ((-1.0, 0), (1.0, -1)):
         outer = lines[end] if lines else None
@@ -133,13 +141,13 @@ def _lanes_of(station: Floats, offset: Floats, image: Ints) -> tuple[float, ...]
     return left, right, sigma_left, sigma_right, count, width, sigma
 
 
-def _lines(station: Floats, offset: Floats, image: Ints) -> list[tuple[float, float, float]]:
-    """Lines from left to right: offset, its sigma, share of the pieces in which it is seen."""
+def _lines(station: Floats, offset: Floats, image: Ints) -> list[Line]:
+    """Lines of one window from left to right."""
     piece = np.floor(station / _PIECE_M).astype(np.int64)
     looked_at = len(np.unique(piece))
     if looked_at < _FEWEST_PIECES:
         return []
-    found: list[tuple[float, float, float]] = []
+    found: list[Line] = []
     free = np.ones(len(offset), bool)
     while free.any():
         middle = _densest(offset[free], piece[free])
@@ -150,7 +158,7 @@ def _lines(station: Floats, offset: Floats, image: Ints) -> list[tuple[float, fl
         free &= np.abs(offset - middle) > _HALF_M
         if len(np.unique(image[own])) >= _FEWEST_IMAGES:
             found.append((*_middle(offset[own], image[own]), share))
-    return _apart(sorted(found))
+    return sorted(found)
 
 
 def _densest(offset: Floats, piece: Ints) -> float:
@@ -175,16 +183,23 @@ def _middle(offset: Floats, image: Ints) -> tuple[float, float]:
     return middle, float(np.hypot(spread / np.sqrt(max(len(means) / _SHARED, 1.0)), _FLOOR_M))
 
 
-def _apart(lines: list[tuple[float, float, float]]) -> list[tuple[float, float, float]]:
-    """Lines without those that are too near to a better seen one, or to one further out."""
+def _apart(lines: list[Line], station: Floats, offset: Floats) -> list[Line]:
+    """Lines without those that are too near to one that goes on further.
+
+    Parameters
+    ----------
+    station, offset : of the points around, see `_AROUND_M`.
+    """
     kept = list(lines)
     while len(kept) > 1:
         gaps = np.diff([line[0] for line in kept])
         near = int(np.argmin(gaps))
         if gaps[near] >= _NARROWEST_M:
             break
-        one, other = kept[near], kept[near + 1]
-        inner, outer = sorted((one, other), key=lambda line: abs(line[0]))
-        edge = outer[2] >= max(_SOLID, _ALIKE * inner[2])
-        kept.remove(inner if edge or inner[2] < outer[2] else outer)
+        inner, outer = sorted(kept[near : near + 2], key=lambda line: abs(line[0]))
+        goes_on = [
+            len(np.unique(np.floor(station[np.abs(offset - line[0]) <= _HALF_M] / _PIECE_M)))
+            for line in (inner, outer)
+        ]
+        kept.remove(inner if goes_on[1] >= _ALIKE * goes_on[0] else outer)
     return kept
