@@ -19,6 +19,7 @@ from roadsight.poles.alignment.verdict import (
     doubt,
     edge_sigma_px,
     is_one_sided,
+    reached,
     sigmas,
     too_little,
 )
@@ -76,6 +77,41 @@ def test_poses_are_right_and_sigmas_honest(bed, tasks, fits):
     assert np.median(errors[:, 1]) < 0.05 and np.median(errors[:, 2]) < 0.06
     assert (errors[:, 3:] < 3.0).all()
     assert all(doubt(t, f, Limits()) == "" for t, f in zip(tasks, fits, strict=True))
+
+
+def ending(task, fit, reach_m):
+    """The same image at the end of a cloud, expected where its neighbours have it."""
+    away = np.hypot(*(task.map_edges.xyz_m[:, :2] - task.origin_m[:2]).T)
+    kept = away <= reach_m
+    left = int(kept[: task.map_edges.left].sum())
+    edges = task.map_edges
+    parts = edges.xyz_m[kept], edges.along[kept], edges.inward[kept], edges.half_m[kept]
+    expected = fit.unknowns, 400.0 * INFORMATION
+    return Task(task.start, task.image_edges, NearEdges(*parts, left), task.noise, *expected)
+
+
+@pytest.mark.parametrize("reach_m", [15.0, 25.0, 60.0])
+def test_road_beyond_the_end_of_the_cloud_contradicts_nothing(tasks, fits, reach_m):
+    """Half of an image's edges and more may lie where the cloud has none."""
+    beyond = []
+    for task, fit in zip(tasks, fits, strict=True):
+        short = ending(task, fit[0], reach_m)
+        found = search(short)
+        beyond.append(1.0 - reached(short, found[0]).mean())
+        assert doubt(short, found, Limits()) == ""
+        assert reached(task, fit[0]).mean() > 0.85
+    assert max(beyond) > {15.0: 0.5, 25.0: 0.3, 60.0: 0.0}[reach_m]
+
+
+def test_edges_that_contradict_the_end_of_a_cloud_are_refused(tasks, fits):
+    """As far as the cloud reaches, edges must agree, and enough of them."""
+    short = ending(tasks[3], fits[3][0], 25.0)
+    moved = replace(short.image_edges, uv_px=short.image_edges.uv_px + np.array([90.0, 0.0]))
+    wrong = replace(short, image_edges=moved)
+    assert doubt(wrong, [descend(wrong, wrong.prior_mean, 3.0)], Limits()) != ""
+    found = search(short)
+    more = replace(Limits(), fewest_pixels=int(reached(short, found[0]).sum()) + 1)
+    assert "in the cloud" in doubt(short, found, more)
 
 
 def test_limits_are_wider_by_what_a_sparse_cloud_adds_alone(tasks, fits):

@@ -45,6 +45,29 @@ def test_what_moved_is_found_where_it_moved_to():
     assert len(set(pairs[:, 0])) == len(set(pairs[:, 1])) == len(pairs)
 
 
+def test_what_is_turned_is_another_thing():
+    one = views()[0]
+    assert len(matched(features(one), features(np.rot90(one).copy()))) < 5
+
+
+@pytest.mark.parametrize(("times", "found"), [(0.5, False), (1.5, True), (2.0, True)])
+def test_things_come_nearer(times, found):
+    one = views()[0]
+    size = int(times * SIZE[0]), int(times * SIZE[1])
+    here, there = features(one), features(cv2.resize(one, size, interpolation=cv2.INTER_CUBIC))
+    pairs = matched(here, there)
+    assert (len(pairs) > 50) == found
+    if found:
+        off = there.uv_px[pairs[:, 1]] - times * (here.uv_px[pairs[:, 0]] + 0.5) + 0.5
+        assert np.mean(np.abs(off).max(axis=1) < 0.5 * times) > 0.9
+
+
+def test_a_point_is_described_once():
+    found = features(views()[0])
+    rows = np.column_stack([found.uv_px, found.size_px])
+    assert len(np.unique(rows, axis=0)) == len(rows) == len(found.descriptors)
+
+
 @pytest.mark.parametrize("shape", [(200, 320), (200, 320, 3), (3, 3)])
 def test_an_image_without_anything_shares_nothing(shape):
     blank = features(np.full(shape, 90, np.uint8))

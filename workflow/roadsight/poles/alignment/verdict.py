@@ -7,13 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roadsight.base.arrays import Floats
+from roadsight.base.arrays import Bools, Floats
 from roadsight.base.sections.poles import AlignmentLimits
+from roadsight.poles.alignment.kernel import camera
 from roadsight.poles.alignment.pose import ALONG, CX, FOCAL, LATERAL, PITCH, UNKNOWNS, YAW
 from roadsight.poles.alignment.solve import FINEST, Fit, Noise, Task
 
 _PIXELS_OF_A_SIDE = 10
 """Edge pixels that a side of the road needs to count as seen."""
+_BEYOND_PX = 2.0
+"""Slack in pixels at the end of the cloud's edges, as the kernel leaves at the ends of a piece."""
+_BEHIND_M = 1.0
+"""Points less far in front of the camera have no row, as in the kernel."""
 
 
 @dataclass(frozen=True)
@@ -64,17 +69,19 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
     share = limits.inliers
     if agreeing_landmarks(task, best) >= limits.landmarks:
         share = limits.inliers_with_landmarks
+    known = reached(task, best)
     with np.errstate(invalid="ignore"):
-        inliers = (best.residuals[:, 1] < FINEST).mean()
+        inliers = (best.residuals[known, 1] < FINEST).mean() if known.any() else 0.0
     worst = UNKNOWNS[int(np.argmax(apart))]
     doubts = (
         (
             not np.isfinite(best.residuals[:, 0]).all(),
             "the road edges are behind the camera",
         ),
+        (known.sum() < limits.fewest_pixels, "too few of the image's edges are in the cloud"),
         (inliers < share, "the edges of image and road disagree"),
         (
-            residual_px(best, share)
+            residual_px(best, share, known)
             > np.hypot(limits.residual_px * task.start.width_px / 1000, edge_sigma_px(best, task)),
             "the edges fit badly",
         ),
@@ -86,10 +93,31 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
     return next((reason for doubtful, reason in doubts if doubtful), "")
 
 
-def residual_px(fit: Fit, share: float = 0.5) -> float:
-    """Distance in pixels within which a share of the edge pixels is from their road edges."""
-    known = np.abs(fit.residuals[:, 0])
-    return float(np.quantile(known, share)) if len(known) else float("nan")
+def reached(task: Task, fit: Fit) -> Bools:
+    """Which edge pixels (m,) lie no higher in the image than the cloud's edges of their side.
+
+    Where the cloud ends ahead of the camera, the image shows road that nothing can agree with.
+    """
+    start, edges, sides = task.scene
+    turn, _, centre, _ = camera(start, fit.unknowns)
+    ahead = (edges[0] - centre) @ turn.T
+    seen = ahead[:, 2] > _BEHIND_M
+    row = np.full(len(ahead), np.inf)
+    row[seen] = start[7] + np.exp(fit.unknowns[FOCAL]) * ahead[seen, 1] / ahead[seen, 2]
+    ends = np.array([row[sides[k] : sides[k + 1]].min(initial=np.inf) for k in (0, 1, 0, 1)])
+    end = np.repeat(ends, np.diff(task.image_edges.groups))
+    return task.image_edges.uv_px[:, 1] >= end - _BEYOND_PX
+
+
+def residual_px(fit: Fit, share: float = 0.5, known: Bools | None = None) -> float:
+    """Distance in pixels within which a share of the edge pixels is from their road edges.
+
+    Parameters
+    ----------
+    known : (m,) pixels that count; all if None.
+    """
+    off = np.abs(fit.residuals[:, 0] if known is None else fit.residuals[known, 0])
+    return float(np.quantile(off, share)) if len(off) else float("nan")
 
 
 def edge_sigma_px(fit: Fit, task: Task) -> float:

@@ -13,13 +13,17 @@ import pandas as pd
 
 from roadsight.base.arrays import Bytes, Floats, Floats32, Ints
 
-_FEATURES = 1500
-"""Points of an image at most, the strongest; time grows with the square."""
+_FEATURES = 3000
+"""Points of an image at most, the strongest; time grows with the square. A wide lens every 16 m has
+a sixth more right matches than with 1500."""
 _CONTRAST = 0.02
 """Half of OpenCV's threshold: fields and asphalt have little contrast."""
-_CLEARER = 0.85
-"""A match must be nearer than this share of the second nearest one's distance. Lowe takes 0.8; the
-wrong matches that this lets in hardly count in the robust misfit."""
+_CLEARER = 0.7
+"""A match must be nearer than this share of the second nearest one's distance. Lowe takes 0.8, with
+which a third of a wide lens's matches are wrong, most of them by a few pixels: the next branch."""
+_LARGER = (0.7, 4.0)
+"""How many times larger the next image may show a thing. Things come nearer along a road; a size is
+measured to some tenths."""
 _FARTHEST_M = 40.0
 """Images further apart show the same things too differently."""
 _STANDING_M = 0.3
@@ -32,34 +36,49 @@ class Features:
 
     Attributes
     ----------
-    uv_px : (n, 2). descriptors : (n, 128) of unit length.
+    uv_px : (n, 2). descriptors : (n, 128) of unit length. size_px : (n,) of what they show.
     """
 
     uv_px: Floats
     descriptors: Floats32
+    size_px: Floats
 
 
 def features(image: Bytes) -> Features:
     """Points of an image (rows, columns[, 3]) that another image can show again.
 
     SIFT (D. Lowe, Distinctive image features from scale-invariant keypoints, IJCV 60, 2004), whose
-    histograms are compared by their roots (R. Arandjelovic and A. Zisserman, CVPR 2012).
+    histograms are compared by their roots (R. Arandjelovic and A. Zisserman, CVPR 2012). Cameras on
+    vehicles stay upright, so that points are described as they are, not turned to their steepest
+    direction: what looks alike only when turned is no match.
     """
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
     detector = cv2.SIFT.create(nfeatures=_FEATURES, contrastThreshold=_CONTRAST)
-    points, histograms = detector.detectAndCompute(grey, None)
+    # A point of several directions is found once for each of them.
+    found = {(point.pt, point.size): point for point in detector.detect(grey, None)}
+    for point in found.values():
+        point.angle = 0.0
+    points, histograms = detector.compute(grey, list(found.values()))
     if histograms is None or not len(points):
-        return Features(np.empty((0, 2)), np.empty((0, 128), np.float32))
+        return Features(np.empty((0, 2)), np.empty((0, 128), np.float32), np.empty(0))
     total = np.maximum(histograms.sum(axis=1, keepdims=True), 1e-9)
     uv = np.array([point.pt for point in points], np.float64)
-    return Features(uv, np.sqrt(histograms / total, dtype=np.float32))
+    size_px = np.array([point.size for point in points], np.float64)
+    return Features(uv, np.sqrt(histograms / total, dtype=np.float32), size_px)
 
 
 def matched(one: Features, other: Features) -> Ints:
-    """Numbers (k, 2) of points that are each other's nearest, by far nearer than the second."""
+    """Numbers (k, 2) of points that are each other's nearest, by far nearer than the second.
+
+    Parameters
+    ----------
+    other : of an image further along the road.
+    """
     if min(len(one.uv_px), len(other.uv_px)) < 2:
         return np.empty((0, 2), np.int64)
     like = one.descriptors @ other.descriptors.T
+    larger = other.size_px / one.size_px[:, None]
+    like[(larger < _LARGER[0]) | (larger > _LARGER[1])] = -1.0
     rows = np.arange(len(like))
     best = like.argmax(axis=1)
     mutual = like.argmax(axis=0)[best] == rows
@@ -67,7 +86,7 @@ def matched(one: Features, other: Features) -> Ints:
     like[rows, best] = -1.0
     second = like.max(axis=1)
     apart, next_apart = (np.sqrt(np.maximum(2.0 - 2.0 * part, 0.0)) for part in (top, second))
-    good = np.flatnonzero(mutual & (apart < _CLEARER * next_apart))
+    good = np.flatnonzero(mutual & (top > 0.0) & (apart < _CLEARER * next_apart))
     return np.column_stack([good, best[good]])
 
 
