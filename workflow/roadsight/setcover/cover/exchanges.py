@@ -47,6 +47,13 @@ def _new_state(start, group, weight):  # type: ignore[no-untyped-def]  # noqa: A
 
 
 @compiled_part()
+def _copy(source, target):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """One by one: an array set at once compiles for a second and a half, most of it a message."""
+    for i in range(len(source)):
+        target[i] = source[i]
+
+
+@compiled_part()
 def _add(choice, start, index, tstart, tindex, need, group, state):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     state.inside[choice] = True
     state.member[state.sizes[0]] = choice
@@ -165,8 +172,7 @@ def fill(
         if state.score[choice] > 0:
             break
         _remove(choice, start, index, tstart, tindex, need, group, state)
-    for choice in range(len(cost)):
-        inside[choice] = state.inside[choice]
+    _copy(state.inside, inside)
     return True
 
 
@@ -234,8 +240,7 @@ def exchange(
             if mate >= 0:
                 break  # two choices of one group could replace each other for ever
         _weigh_open(tstart, tindex, state)
-    for t in range(len(weight)):
-        weight[t] = state.weight[t]
+    _copy(state.weight, weight)
     done = state.sizes[1] == 0 and total <= goal
     return state.inside.copy(), done, steps, state.sizes[2]
 
