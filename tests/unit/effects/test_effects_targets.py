@@ -15,7 +15,7 @@ from roadsight.effects.quantities import QUANTITIES
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.refusals import refuse_other_targets
 from roadsight.placement.sensors.sensors import Sensor
-from roadsight.placement.sight.shapes import KINDS, Box, Cylinder, shape_of
+from roadsight.placement.sight.kinds import KINDS, Box, Cylinder, shape_of
 from roadsight.stages.evidence import measure_tradeoff
 
 SENSOR = Sensor(

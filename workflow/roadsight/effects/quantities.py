@@ -18,8 +18,8 @@ from roadsight.placement.sensors.light import (
     wavelength_nm,
 )
 from roadsight.placement.sensors.sensors import AnySensor, Camera, Radar, Rosette, Sensor
+from roadsight.placement.sight.kinds import shape_of
 from roadsight.placement.sight.passing import CAR, TRUCK, expected_in_the_way, vehicles_per_m
-from roadsight.placement.sight.shapes import shape_of
 
 _NEAREST_LANES = 2.0
 """Lanes between the sensor and the target of `moving_vehicles`, one direction of a road of four."""

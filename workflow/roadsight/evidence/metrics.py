@@ -1,35 +1,22 @@
-"""Accuracies that a user cares about, read from a site's finished results."""
+"""Accuracies that a user cares about, read from a site's finished results.
+
+Each list of jobs looks up what there is to measure, and needs none of the modules that measure it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
 
-from roadsight.evidence.placement_metrics import (
-    beams_wrong,
-    dem_rmse_m,
-    detections_wrong,
-    lost_if_dark,
-    lost_if_shorter,
-    lost_to_a_failure,
-    mean_distance_m,
-    pavement_f1,
-    plan_cost,
-    range_rmse_m,
-    sensor_positions_m,
-    sensors,
-    targets_lost,
-    uncovered,
-    unseen,
-)
-from roadsight.evidence.results import Results
 from roadsight.io.records.atomic import read_json
 from roadsight.io.records.tables import read_table
-from roadsight.io.vector.vectors import read_layer
+
+if TYPE_CHECKING:  # slow to load
+    from roadsight.evidence.results import Results
 
 _MATCH_M = 3
 """Threshold of the validation (a row of its table) at which poles count as found."""
@@ -72,6 +59,8 @@ class Metric:
 
 def _edge_error_m(results: Results) -> float:
     """Median distance from the road's true edges to the nearest found edge point."""
+    from roadsight.io.vector.vectors import read_layer  # noqa: PLC0415  # slow to load
+
     edges = read_layer(results.folder / "sample/truth.gpkg", "edges", results.frame)
     places = [line.interpolate(np.arange(0.0, line.length, _STEP_M)) for line in edges.geometry]
     found = read_table(results.folder / "poles/road_edges.parquet")
@@ -118,7 +107,7 @@ def _images_wrong(results: Results) -> float:
 
 def _images_with_fewer_poles(results: Results) -> float:
     """Share of the images that show fewer poles than at the base settings."""
-    base = Results(results.base, results.base, results.seed, results.length_m, "", {})
+    base = type(results)(results.base, results.base, results.seed, results.length_m, "", {})
     counts = [
         part.tables("poles/sightings/*.parquet").query("kept").groupby("image").size()
         for part in (base, results)
@@ -130,6 +119,17 @@ def _images_with_fewer_poles(results: Results) -> float:
 
 def _pole_sightings(results: Results) -> float:
     return float(results.tables("poles/sightings/*.parquet")["kept"].sum())
+
+
+def _of_placement(name: str) -> Callable[..., Any]:
+    """A function of `placement_metrics`, by its name."""
+
+    def value(*results: Any) -> Any:
+        from roadsight.evidence import placement_metrics  # noqa: PLC0415  # slow to load
+
+        return getattr(placement_metrics, name)(*results)
+
+    return value
 
 
 _EXACT = "exact truth of the generated scene"
@@ -146,7 +146,13 @@ _CAMERAS = ("poles/camera_scores.json",)
 
 METRICS: dict[str, Metric] = {
     "dem_rmse_m": Metric(
-        "Height error of the road", "m", "placement", 0.0, _EXACT, dem_rmse_m, ("scene/dem.tif",)
+        "Height error of the road",
+        "m",
+        "placement",
+        0.0,
+        _EXACT,
+        _of_placement("dem_rmse_m"),
+        ("scene/dem.tif",),
     ),
     "pavement_f1": Metric(
         "F1 score of the pavement",
@@ -154,7 +160,7 @@ METRICS: dict[str, Metric] = {
         "placement",
         1.0,
         _EXACT,
-        pavement_f1,
+        _of_placement("pavement_f1"),
         ("scene/pavement_scores.json",),
     ),
     "beams_wrong": Metric(
@@ -163,7 +169,7 @@ METRICS: dict[str, Metric] = {
         "placement",
         0.0,
         _EXACT,
-        beams_wrong,
+        _of_placement("beams_wrong"),
         _PLAN,
         depth_maps=True,
     ),
@@ -173,7 +179,7 @@ METRICS: dict[str, Metric] = {
         "placement",
         0.0,
         _EXACT,
-        detections_wrong,
+        _of_placement("detections_wrong"),
         _PLAN,
         default_targets=True,
         depth_maps=True,
@@ -184,18 +190,20 @@ METRICS: dict[str, Metric] = {
         "placement",
         0.0,
         _EXACT,
-        targets_lost,
+        _of_placement("targets_lost"),
         _PLAN,
         default_targets=True,
     ),
-    "sensors": Metric("Sensors needed", "count", "placement", None, _FINEST, sensors, _PLAN),
+    "sensors": Metric(
+        "Sensors needed", "count", "placement", None, _FINEST, _of_placement("sensors"), _PLAN
+    ),
     "range_rmse_m": Metric(
         "Root mean square error of ranges",
         "m",
         "placement",
         0.0,
         _EXACT,
-        range_rmse_m,
+        _of_placement("range_rmse_m"),
         _PLAN,
         depth_maps=True,
     ),
@@ -205,15 +213,21 @@ METRICS: dict[str, Metric] = {
         "placement",
         0.0,
         _FINEST,
-        sensor_positions_m,
+        _of_placement("sensor_positions_m"),
         _PLAN,
-        mean_distance_m,
+        _of_placement("mean_distance_m"),
     ),
     "uncovered": Metric(
-        "Targets that no candidate sees", "share", "placement", None, _FINEST, uncovered, _PLAN
+        "Targets that no candidate sees",
+        "share",
+        "placement",
+        None,
+        _FINEST,
+        _of_placement("uncovered"),
+        _PLAN,
     ),
     "plan_cost": Metric(
-        "Cost of the sensors", "cost", "placement", None, _FINEST, plan_cost, _PLAN
+        "Cost of the sensors", "cost", "placement", None, _FINEST, _of_placement("plan_cost"), _PLAN
     ),
     "unseen": Metric(
         "Targets that the plan leaves unseen",
@@ -221,7 +235,7 @@ METRICS: dict[str, Metric] = {
         "placement",
         0.0,
         "all targets",
-        unseen,
+        _of_placement("unseen"),
         _PLAN,
     ),
     "lost_to_a_failure": Metric(
@@ -230,7 +244,7 @@ METRICS: dict[str, Metric] = {
         "placement",
         0.0,
         "all targets",
-        lost_to_a_failure,
+        _of_placement("lost_to_a_failure"),
         _PLAN,
     ),
     "lost_if_dark": Metric(
@@ -239,7 +253,7 @@ METRICS: dict[str, Metric] = {
         "placement",
         0.0,
         "the plan's own detections",
-        lost_if_dark,
+        _of_placement("lost_if_dark"),
         _DATA,
     ),
     "lost_if_shorter": Metric(
@@ -248,7 +262,7 @@ METRICS: dict[str, Metric] = {
         "placement",
         0.0,
         "the plan's own detections",
-        lost_if_shorter,
+        _of_placement("lost_if_shorter"),
         _DATA,
     ),
     "edge_error_m": Metric(

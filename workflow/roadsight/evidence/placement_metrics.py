@@ -19,8 +19,8 @@ from roadsight.io.records.detections import read_detections
 from roadsight.io.records.poses import read_poses
 from roadsight.io.records.tables import read_table
 from roadsight.placement.sensors.sensors import Sensor
-from roadsight.placement.sight.shapes import shape_of
-from roadsight.placement.sight.wanted import beams_wanted, room_for
+from roadsight.placement.sight.kinds import room_for, shape_of
+from roadsight.placement.sight.wanted import beams_wanted
 
 _MAPS = 6
 """Depth maps that are compared with exact ones; more would take longer to cast."""

@@ -13,8 +13,8 @@ from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.sensors import AnySensor, load_sensor, panorama_name
 from roadsight.placement.sight.detection import MIN_BEAMS
 from roadsight.placement.sight.detectors import Criteria, detector_of
+from roadsight.placement.sight.kinds import Cylinder
 from roadsight.placement.sight.posed import Panorama
-from roadsight.placement.sight.shapes import Cylinder
 from roadsight.placement.sight.sight import Sight
 
 _STEP_DEG = 0.2

@@ -1,8 +1,7 @@
 """Helpers of rules that look at targets: what they are, and what it takes to see them."""
 
 from roadsight.placement.sight.probability import Curve
-from roadsight.placement.sight.shapes import Box, shape_of
-from roadsight.placement.sight.wanted import room_for
+from roadsight.placement.sight.kinds import Box, room_for, shape_of
 
 
 def box_of(site):

@@ -9,8 +9,8 @@ from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.rays import beam_directions
 from roadsight.placement.sensors.sensors import load_sensors
 from roadsight.placement.sight.detectors import Criteria, detector_of
+from roadsight.placement.sight.kinds import Box, Cylinder
 from roadsight.placement.sight.posed import Panorama
-from roadsight.placement.sight.shapes import Box, Cylinder
 from roadsight.placement.sight.sight import Sight, beams_by_height, count_beams
 from tests.unit.placement.sight.test_boxes import CAR, POSITION, SENSOR, boxes
 

@@ -17,7 +17,7 @@ from roadsight.io.records.detections import write_detections
 from roadsight.io.records.tables import write_table
 from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.placement.sensors.sensors import load_sensors
-from roadsight.placement.sight.shapes import Cylinder
+from roadsight.placement.sight.kinds import Cylinder
 from roadsight.placement.sight.sight import Sight, beams_by_height, count_beams
 from roadsight.stages.placement import measure_data
 from tests.unit.placement.stages.test_solve_cover_stage import FRAME

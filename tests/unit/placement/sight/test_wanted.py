@@ -8,10 +8,10 @@ from roadsight.placement.sensors.poses import Turn, local_from_sensor
 from roadsight.placement.sensors.rasters import spinning_raster
 from roadsight.placement.sensors.rays import NOT_CAST_M
 from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sight.kinds import Box, Cylinder, room_for
 from roadsight.placement.sight.posed import Panorama, weigh_targets
-from roadsight.placement.sight.shapes import Box, Cylinder
 from roadsight.placement.sight.sight import Sight, count_beams
-from roadsight.placement.sight.wanted import beams_wanted, room_for
+from roadsight.placement.sight.wanted import beams_wanted
 
 SHAPES = [Cylinder(0.25, 0.6), Cylinder(0.5, 1.0), Cylinder(0.3, 1.7), Box(4.5, 1.8, 1.5)]
 WHOLE = Sensor(

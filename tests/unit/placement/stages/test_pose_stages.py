@@ -21,7 +21,7 @@ from roadsight.placement.plans.choices import choices_of, posed_candidates
 from roadsight.placement.sensors.poses import Turn, local_from_sensor, split_pose
 from roadsight.placement.sensors.sensors import load_sensors
 from roadsight.placement.sight.detectors import Criteria, detector_of
-from roadsight.placement.sight.shapes import Box, Cylinder
+from roadsight.placement.sight.kinds import Box, Cylinder
 from roadsight.placement.sight.sight import Sight
 from roadsight.scene.surfels.surfels import Surfels
 from roadsight.stages.placement import (

@@ -23,9 +23,9 @@ from roadsight.placement.sensors.rays import sensor_from_spherical, spherical_fr
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import count_hits
 from roadsight.placement.sight.detectors import Criteria, detector_of
+from roadsight.placement.sight.kinds import Cylinder
 from roadsight.placement.sight.obstacles import blocked_sight_lines
 from roadsight.placement.sight.posed import Panorama
-from roadsight.placement.sight.shapes import Cylinder
 from roadsight.placement.sight.sight import Sight
 from roadsight.scene.surfels.surfels import build_surfels
 from roadsight.scene.surfels.voxel_moments import sum_moments

@@ -6,8 +6,8 @@ from numpy.typing import ArrayLike
 
 from roadsight.base.arrays import Floats, Floats32
 from roadsight.placement.sensors.sensors import Sensor
+from roadsight.placement.sight.kinds import Box
 from roadsight.placement.sight.mounted import beams_on
-from roadsight.placement.sight.shapes import Box
 
 
 def count_box_hits(

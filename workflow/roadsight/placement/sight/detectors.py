@@ -26,8 +26,8 @@ from roadsight.placement.sensors.rasters import (
 )
 from roadsight.placement.sensors.sensors import AnySensor
 from roadsight.placement.sensors.spinning import Sensor
+from roadsight.placement.sight.kinds import Shape
 from roadsight.placement.sight.posed import Panorama, weigh_by_height, weigh_targets
-from roadsight.placement.sight.shapes import Shape
 from roadsight.placement.sight.sight import Sight
 
 

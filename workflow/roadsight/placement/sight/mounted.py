@@ -11,11 +11,8 @@ from roadsight.placement.sensors.rays import beam_directions, sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import column_windows
 from roadsight.placement.sight.footprints import CLEAN_SHARE
+from roadsight.placement.sight.kinds import Box, Cylinder, Packed, Shape
 from roadsight.placement.sight.shapes import (
-    Box,
-    Cylinder,
-    Packed,
-    Shape,
     ball_around,
     entered_at,
     footprint_share,

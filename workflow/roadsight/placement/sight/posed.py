@@ -16,8 +16,8 @@ from roadsight.base.kernels import compiled, compiled_part
 from roadsight.placement.sensors.rasters import PINHOLE, SPHERICAL, Raster
 from roadsight.placement.sensors.spinning import Sensor
 from roadsight.placement.sight.footprints import CLEAN_SHARE
+from roadsight.placement.sight.kinds import Packed
 from roadsight.placement.sight.shapes import (
-    Packed,
     ball_around,
     entered_at,
     footprint_share,

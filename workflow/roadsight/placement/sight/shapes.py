@@ -8,98 +8,13 @@ wide beam lies on it; a further shape is a further number there.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
-
 import numpy as np
 
 from roadsight.base.arrays import Floats
 from roadsight.base.kernels import compiled_part
 from roadsight.placement.sight.detection import chord
 from roadsight.placement.sight.footprints import overlap, slopes_into
-
-Packed = tuple[int, float, float, float]
-
-CYLINDER, BOX = 0, 1
-"""Numbers of the shapes, by which kernels know them."""
-
-
-@dataclass(frozen=True)
-class Cylinder:
-    """An upright, solid, capped cylinder.
-
-    Parameters
-    ----------
-    radius_m, height_m : its size.
-    """
-
-    radius_m: float
-    height_m: float
-
-    @property
-    def packed(self) -> Packed:
-        """Number of the shape and its size."""
-        return CYLINDER, float(self.radius_m), float(self.radius_m), float(self.height_m)
-
-    @property
-    def mean_width_m(self) -> float:
-        """Width that one sees from the side."""
-        return 2 * self.radius_m
-
-
-@dataclass(frozen=True)
-class Box:
-    """An upright, solid box.
-
-    Parameters
-    ----------
-    length_m, width_m, height_m : its size; the length lies along its heading.
-    """
-
-    length_m: float
-    width_m: float
-    height_m: float
-
-    @property
-    def packed(self) -> Packed:
-        """Number of the shape and its size."""
-        return BOX, float(self.length_m), float(self.width_m), float(self.height_m)
-
-    @property
-    def mean_width_m(self) -> float:
-        """Width that one sees from the side, the mean over all headings.
-
-        Of any convex outline it is the perimeter over pi (Cauchy), as of a circle.
-        """
-        return float(2 * (self.length_m + self.width_m) / np.pi)
-
-
-Shape = Cylinder | Box
-
-KINDS = {
-    "pedestrian": Box(0.5, 0.5, 1.7),
-    "car": Box(5.79, 2.13, 1.30),
-    "truck": Box(9.14, 2.44, 3.35),
-    "deer": Box(1.6, 0.45, 1.0),
-}
-"""Usual boxes. Car: AASHTO Green Book (2018), design vehicle P, with the height of cars in passing
-sight; truck: its design vehicle SU-30, 30 ft long, 8 ft wide, 11 ft high. Pedestrian and deer (a
-white-tailed doe to its back) are round figures of ours."""
-
-
-def shape_of(targets: Mapping[str, Any]) -> Shape:
-    """The shape that settings of targets ask for.
-
-    Parameters
-    ----------
-    targets : section ``targets`` of the settings: kind, radius_m, height_m, length_m, width_m.
-    """
-    if targets["kind"] == "cylinder":
-        return Cylinder(targets["radius_m"], targets["height_m"])
-    if targets["kind"] == "box":
-        return Box(targets["length_m"], targets["width_m"], targets["height_m"])
-    return KINDS[targets["kind"]]
+from roadsight.placement.sight.kinds import CYLINDER, Packed
 
 
 def relative_to(feet_m: Floats, position_m: Floats) -> Floats:

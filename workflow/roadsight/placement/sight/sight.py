@@ -13,8 +13,8 @@ from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.boxes import count_box_hits
 from roadsight.placement.sight.detection import count_hits
 from roadsight.placement.sight.footprints import count_shared_hits
+from roadsight.placement.sight.kinds import Box, Shape
 from roadsight.placement.sight.mounted import beams_on, count_tilted_hits
-from roadsight.placement.sight.shapes import Box, Shape
 
 
 @dataclass(frozen=True)

@@ -14,29 +14,13 @@ from roadsight.base.kernels import compiled
 from roadsight.placement.sensors.rays import sensor_from_local
 from roadsight.placement.sensors.sensors import Sensor
 from roadsight.placement.sight.detection import column_windows, rows_across
-from roadsight.placement.sight.shapes import Box, Shape
 from roadsight.placement.sight.sight import as_met
 
-_RADIUS_STEP_M = 0.5
-_HEIGHT_STEP_M = 1.0
-"""Rooms are whole steps, so that a target that grows a little needs no other beams. Targets stand a
-metre apart: half a metre about each is the road itself."""
 _BESIDE = 2
 """Rows and columns beside a window: who looks between beams needs the next ones (`scene_range_m`),
 of which the lowest two stand for all that is lower."""
 _REACH = 4.0
 """Times its range that a sensor may see bright targets: 80 % to 10 % of the light is 2.8."""
-
-
-def room_for(shape: Shape) -> tuple[float, float]:
-    """Radius and height of an upright cylinder that holds a target, m, in whole steps."""
-    around_m = shape.mean_width_m / 2
-    if isinstance(shape, Box):
-        around_m = float(np.hypot(shape.length_m, shape.width_m) / 2)
-    return (
-        float(np.ceil(around_m / _RADIUS_STEP_M) * _RADIUS_STEP_M),
-        float(np.ceil(shape.height_m / _HEIGHT_STEP_M) * _HEIGHT_STEP_M),
-    )
 
 
 def beams_wanted(

@@ -137,7 +137,7 @@ def _road_span(road: Bytes) -> Floats:
         right = columns - 1
         while not road[row, right]:
             right -= 1
-        span[row] = left, right
+        span[row, 0], span[row, 1] = left, right
     return span
 
 

@@ -149,12 +149,13 @@ def pits_of(height: Floats, deep: Floats, halves: Ints, enough: int, share: floa
                 if low + n < enough:
                     continue
                 few, depth, rough = low < share * (low + n), 0.0, deep[i, j]
+                order = np.sort(others[2, :n])
                 if n > 0:
-                    depth = np.median(others[2, :n]) - height[i, j]
+                    depth = 0.5 * (order[(n - 1) // 2] + order[n // 2]) - height[i, j]
                     rough = max(rough, _PIT_ROUGH * depth)
                 out[i, j] = few and (
-                    _middle_half(others[2, :n]) <= rough
-                    or _middle_half(_off_plane(others[:, :n])) <= rough
+                    _middle_half(order) <= rough
+                    or _middle_half(np.sort(_off_plane(others[:, :n]))) <= rough
                 )
                 if out[i, j] or depth < _PIT_ABYSS_M or half >= _PIT_WIDEST:
                     break
@@ -162,9 +163,8 @@ def pits_of(height: Floats, deep: Floats, halves: Ints, enough: int, share: floa
 
 
 @compiled_part()
-def _middle_half(values: Floats) -> float:
-    """Width of the middle half of values."""
-    order = np.sort(values)
+def _middle_half(order: Floats) -> float:
+    """Width of the middle half of sorted values."""
     n = len(order)
     return order[(3 * n) // 4] - order[n // 4]
 

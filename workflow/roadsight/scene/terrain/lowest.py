@@ -41,7 +41,8 @@ def _lowest(cell: Ints, z: Floats, cells: int) -> Floats:
     for i in range(len(z)):
         if np.isfinite(z[i]):
             start[cell[i] + 1] += 1
-    start = np.cumsum(start)
+    for c in range(cells):
+        start[c + 1] += start[c]
     fill = start[:-1].copy()
     heights = np.empty(start[-1])
     for i in range(len(z)):

@@ -158,7 +158,8 @@ def _descend(
             share[s] += least
             for p in range(first[best], first[best + 1]):
                 gain[index[p]] = -gain[index[p]]
-            for r in np.unique(pairs[best]):
+            for end in range(1 if pairs[best, 0] == pairs[best, 1] else 2):
+                r = pairs[best, end]
                 member[r] = not member[r]
                 size += 1 if member[r] else -1
     return sets, share, tried

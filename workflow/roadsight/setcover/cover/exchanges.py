@@ -17,22 +17,40 @@ _State = namedtuple(
 
 
 @compiled_part()
-def _new_state(start, index, need, group):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    choices, targets = len(start) - 1, len(need)
+def _new_state(start, group, weight):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    choices, targets, groups = len(start) - 1, len(weight), 0
+    ready, score = np.empty(choices, np.bool_), np.empty(choices, np.int64)
+    for choice in range(choices):
+        ready[choice], score[choice] = True, start[choice + 1] - start[choice]
+        groups = max(groups, group[choice] + 1)
+    order, occupant = np.empty(targets, np.int32), np.empty(groups, np.int32)
+    for t in range(targets):
+        order[t] = t
+    for g in range(groups):
+        occupant[g] = -1
+    sizes = np.zeros(3, np.int64)
+    sizes[1] = targets
     return _State(
         np.zeros(choices, np.bool_),
         np.empty(choices, np.int32),
         np.empty(choices, np.int32),
-        (start[1:] - start[:-1]).astype(np.int64),
-        np.ones(choices, np.bool_),
+        score,
+        ready,
         np.zeros(choices, np.int64),
         np.zeros(targets, np.int32),
-        np.ones(targets, np.int64),
-        np.arange(targets).astype(np.int32),
-        np.arange(targets).astype(np.int32),
-        np.full(group.max() + 1 if len(group) else 0, -1, np.int32),
-        np.array([0, targets, 0], np.int64),
+        weight,
+        order,
+        order.copy(),
+        occupant,
+        sizes,
     )
+
+
+@compiled_part()
+def _copy(source, target):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """One by one: an array set at once compiles for a second and a half, most of it a message."""
+    for i in range(len(source)):
+        target[i] = source[i]
 
 
 @compiled_part()
@@ -133,7 +151,10 @@ def fill(
 
     ``start, index`` is the matrix by choice, ``t...`` by target; ``inside`` (m,) takes the result.
     """
-    state = _new_state(start, index, need, group)
+    weight = np.empty(len(need), np.int64)
+    for t in range(len(need)):
+        weight[t] = 1
+    state = _new_state(start, group, weight)
     while state.sizes[1] > 0:
         best = -1
         for choice in range(len(cost)):
@@ -151,7 +172,7 @@ def fill(
         if state.score[choice] > 0:
             break
         _remove(choice, start, index, tstart, tindex, need, group, state)
-    inside[:] = state.inside
+    _copy(state.inside, inside)
     return True
 
 
@@ -180,8 +201,7 @@ def exchange(
     start, index : the matrix by choice. tstart, tindex : by target. first : (m,) to begin with.
     weight : (n,) of the targets, changed. steps : at most so many.
     """
-    state = _new_state(start, index, need, group)
-    state.weight[:] = weight
+    state = _new_state(start, group, weight.copy())
     for choice in range(len(cost)):
         state.score[choice] = 0
         for p in range(start[choice], start[choice + 1]):
@@ -220,7 +240,7 @@ def exchange(
             if mate >= 0:
                 break  # two choices of one group could replace each other for ever
         _weigh_open(tstart, tindex, state)
-    weight[:] = state.weight
+    _copy(state.weight, weight)
     done = state.sizes[1] == 0 and total <= goal
     return state.inside.copy(), done, steps, state.sizes[2]
 

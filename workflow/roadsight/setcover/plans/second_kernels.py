@@ -294,7 +294,8 @@ def complete_covers(
                 spare = k.left[depth] - (r.cost[j] if j >= 0 else 0.0)
                 if _is_better(first, second, spare, slack, j, best, r, s):
                     is_found = True
-                    cover[:] = inside
+                    for i in range(len(cover)):
+                        cover[i] = inside[i]
                     for d in range(depth):
                         cover[k.taken[d]] = True
                     if j >= 0:
@@ -310,13 +311,22 @@ def complete_covers(
 @compiled_part()
 def _begin(inside: Bools, r: Rules) -> _State:
     count = np.zeros(len(r.need), np.int64)
-    for j in np.flatnonzero(inside):
-        for p in range(r.start[j], r.start[j + 1]):
-            count[r.target[p]] += 1
+    for j in range(len(inside)):
+        if inside[j]:
+            for p in range(r.start[j], r.start[j + 1]):
+                count[r.target[p]] += 1
+    missing, order = 0, np.empty(len(r.order), r.order.dtype)
+    for t in r.order:
+        if count[t] < r.need[t]:
+            order[missing] = t
+            missing += 1
+    sets = 0
+    for number in r.sets:
+        sets = max(sets, number + 1)
     s = _State(
-        r.order[(count < r.need)[r.order]],
+        order[:missing],
         np.zeros(len(r.need), np.int64),
-        np.zeros(r.sets.max() + 1 if len(r.sets) else 0, np.bool_),
+        np.zeros(sets, np.bool_),
         np.zeros(len(r.cost), np.int64),
         np.zeros(4),
         np.zeros(1, np.int64),

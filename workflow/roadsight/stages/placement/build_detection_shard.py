@@ -20,8 +20,8 @@ from roadsight.io.records.kept import Kept, key_of, key_of_step
 from roadsight.io.records.lanes import read_traffic
 from roadsight.io.records.poses import read_poses, read_tilts
 from roadsight.placement.sensors.sensors import Sensor, load_sensor, what_it_sees
+from roadsight.placement.sight.kinds import Box
 from roadsight.placement.sight.lanes import free_shares
-from roadsight.placement.sight.shapes import Box
 from roadsight.placement.sight.sight import count_beams
 from roadsight.stages.command import Command
 from roadsight.stages.placement.shared.detection_inputs import (

@@ -22,9 +22,9 @@ from roadsight.io.records.poses import read_poses, read_tilts
 from roadsight.placement.sensors.poses import local_from_sensor, not_dominated, pose_name, turns_of
 from roadsight.placement.sensors.sensors import load_sensor, load_sensors
 from roadsight.placement.sight.detectors import Criteria, detector_of
+from roadsight.placement.sight.kinds import Shape
 from roadsight.placement.sight.lanes import free_shares
 from roadsight.placement.sight.posed import Panorama
-from roadsight.placement.sight.shapes import Shape
 from roadsight.stages.command import Command
 from roadsight.stages.placement.shared.detection_inputs import (
     DetectionFiles,

@@ -121,7 +121,8 @@ def _bodies_by_cell(start: Ints, end: Ints, rows: int, columns: int) -> tuple[In
         for row in range(start[i, 0], end[i, 0] + 1):
             for column in range(start[i, 1], end[i, 1] + 1):
                 first[row * columns + column + 1] += 1
-    first = np.cumsum(first)
+    for cell in range(rows * columns):
+        first[cell + 1] += first[cell]
     filled = first[:-1].copy()
     body = np.empty(first[-1], dtype=np.int32)
     for i in range(len(start)):

@@ -21,9 +21,9 @@ from roadsight.placement.depth.surfel_lidar import SurfelLidar
 from roadsight.placement.plans.tolerance import Change, changes
 from roadsight.placement.sensors.poses import AS_MOUNTED, Turn, local_from_sensor
 from roadsight.placement.sensors.sensors import Sensor, load_sensors
-from roadsight.placement.sight.shapes import Box
+from roadsight.placement.sight.kinds import Box, room_for
 from roadsight.placement.sight.sight import count_beams
-from roadsight.placement.sight.wanted import beams_wanted, room_for
+from roadsight.placement.sight.wanted import beams_wanted
 from roadsight.stages.placement.shared.detection_inputs import (
     SightFiles,
     read_shaped_targets,

@@ -20,8 +20,8 @@ from roadsight.placement.sensors.poses import Turn, local_from_sensor, split_pos
 from roadsight.placement.sensors.sensors import AnySensor, load_sensor, load_sensors
 from roadsight.placement.sight.detectors import BandedDetector, Criteria, detector_of
 from roadsight.placement.sight.heights import BANDS
+from roadsight.placement.sight.kinds import Shape
 from roadsight.placement.sight.posed import Panorama
-from roadsight.placement.sight.shapes import Shape
 from roadsight.placement.sight.sight import beams_by_height
 from roadsight.stages.placement.shared.detection_inputs import SightFiles, sight_of
 
