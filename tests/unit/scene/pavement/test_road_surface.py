@@ -65,6 +65,22 @@ def test_where_points_are_dense_the_road_ends_at_its_kerb(rng, kerb_m):
     assert y_m[middle].min() - half == pytest.approx(-HALF_ROAD_M, abs=0.25)
 
 
+@pytest.mark.parametrize("gap_m", [2.5, 3.0, 3.5])
+def test_a_kerb_that_a_gap_hides_is_a_kerb(gap_m):
+    """Beside the gap it is seen, so that the walk is not reached over it; a road behind is."""
+    rng = np.random.default_rng(1)
+    x, y = rng.uniform([0, -7], [60, 12], (120_000, 2)).T
+    z = np.where(y < HALF_ROAD_M, 0.0, 0.04) + rng.normal(0, 0.004, len(x))
+    seen = np.hypot(x - 20.0, y - HALF_ROAD_M) > gap_m  # what a vehicle at the kerb does not see
+    seen &= np.abs(x - 45.0) > 1.5  # a shadow across the street
+    known = KnownRoad(seeds_xy=np.array([[20.0, -2.0]]))
+    surface = find_road(np.column_stack([x, y, z])[seen], known=known)
+    row, column = np.nonzero(surface.road)
+    x_m, y_m = surface.grid.centres(column, row)
+    assert y_m.max() < HALF_ROAD_M + 0.5
+    assert x_m.max() > 57.0
+
+
 @pytest.mark.parametrize("layer_m", [0.0, 0.03])
 def test_a_vehicle_that_stood_is_no_reason_to_look_across_the_street(rng, layer_m):
     xyz, tone, scan, road = street(rng, layer_m, drive=(25, 25))

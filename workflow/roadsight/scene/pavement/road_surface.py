@@ -31,6 +31,7 @@ from roadsight.scene.pavement.ground_raster import (
 )
 from roadsight.scene.pavement.scan_levels import level_scans, scanner_positions
 from roadsight.scene.pavement.surface_growth import grow
+from roadsight.scene.pavement.turn_seams import close_turns
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,8 @@ class RoadSurface:
     bridged : cells without points that the surface was carried over.
     height_m : height of the surface. levelled_m : (n,) heights of the input's points with the
         scans' offsets removed. layer_m : spread of the points about the surface within a cell.
-    level_m : largest height error of a scan that was removed. seeded_by : what was known, of
+    level_m : largest height error of a scan that was removed. seam_m : step between the two ends of
+        the scanner's turns that was removed, 0 where they close. seeded_by : what was known, of
         "seeds", "classes", "track", "core"; else "scans" or "ground". open_share : share of the
         outline that no step was seen at.
     unsure_share : area that a third more or less tolerance adds or takes, over the road's area.
@@ -122,6 +124,7 @@ class RoadSurface:
     levelled_m: Floats
     layer_m: float
     level_m: float
+    seam_m: float
     seeded_by: str
     open_share: float
     unsure_share: float
@@ -186,10 +189,12 @@ def find_road(
             allowed=f"at least {_FEWEST_POINTS}",
         )
     scan = np.zeros(len(xyz_m), np.int64) if scan is None else scan
-    levelled, shifts = level_scans(xyz_m, scan)
+    places_m, sure = _scanners(xyz_m, scan)
+    closed_m, seam_m = close_turns(xyz_m, scan, places_m, sure)
+    levelled, shifts = level_scans(np.column_stack([xyz_m[:, :2], closed_m]), scan)
     points = np.column_stack([xyz_m[:, :2], levelled])
     tones = np.zeros(len(points)) if intensity is None else intensity.astype(np.float64)
-    driven = _driven(xyz_m, scan)
+    driven = places_m[sure] if sure.size and sure.mean() >= SURE_SCANS else np.empty((0, 2))
     cell_m = cell_for(_around(xyz_m, driven, known), settings)
     ground = _bounded(_describe(points, tones, cell_m, settings), known)
     seeds, seeded_by = _seeds(ground, xyz_m, driven, known, settings)
@@ -217,6 +222,7 @@ def find_road(
         levelled_m=levelled,
         layer_m=layer_m,
         level_m=float(np.abs(shifts[:, 0]).max()) if len(shifts) else 0.0,
+        seam_m=seam_m,
         seeded_by=seeded_by,
         open_share=_open_share(ground, road, settings),
         unsure_share=float((more ^ less)[ground.measured].sum() / max(int(road.sum()), 1)),
@@ -308,6 +314,54 @@ def step_heights_m(planes: LocalPlanes, cell_m: float) -> Floats:
 
 
 def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: float = 1.0) -> Bools:
+    """Surface of the seeds, without what only a gap joins to it though a step parts them elsewhere.
+
+    Where a kerb runs through a gap, such as the blind disc below a scanner, the surface is carried
+    over it. Beside the gap the step is seen.
+    """
+    for _ in range(_MOST_ROUNDS):
+        grown = _grow_once(ground, seed, settings, factor)
+        bare = replace(ground, blank=np.zeros_like(ground.blank))
+        parted = _parted(ground, grown, _grow_once(bare, seed, settings, factor))
+        if not parted.any():
+            break
+        ground = replace(ground, measured=ground.measured & ~parted)
+    return grown
+
+
+_MOST_ROUNDS = 5
+"""What was shut may have hidden another way round: a street needs two rounds."""
+_PARTED_M = 2.0
+"""Growth ends up to 1 m before a step from either side."""
+_LEAST_PARTED_M = 3.0
+"""Shorter stretches beside a surface are corners of a gap."""
+
+
+def _parted(ground: _Ground, grown: Bools, joined: Bools) -> Bools:
+    """Parts (rows, columns) of a surface that only gaps join to what is ``joined`` without any.
+
+    They are beside it across measured ground, none of which joined, for longer than across gaps.
+    """
+    part, parts = ndimage.label(grown & ground.measured & ~joined)
+    if not parts:
+        return np.zeros_like(grown)
+    cell_m = ground.cells.grid.cell_size_m
+    across, over_gaps = (
+        np.bincount((part * _rim(joined, way, round(_PARTED_M / cell_m))).ravel(), None, parts + 1)
+        for way in (ground.measured & ~grown, ground.blank)
+    )
+    parted = (across >= _LEAST_PARTED_M / cell_m) & (across > over_gaps)
+    parted[0] = False
+    return np.asarray(parted[part], bool)
+
+
+def _rim(core: Bools, way: Bools, cells: int) -> Bools:
+    """Cells beside those that are reached from a core over so many cells of a way."""
+    reached = ndimage.binary_dilation(core, iterations=cells, mask=way | core)
+    return np.asarray(ndimage.binary_dilation(reached), bool)
+
+
+def _grow_once(ground: _Ground, seed: Bools, settings: RoadSettings, factor: float) -> Bools:
     cell_m, planes = ground.cells.grid.cell_size_m, ground.planes
     step, sigma = factor * settings.step_m, max(settings.window_m / cell_m, 3.0)
     # A height that is itself unsure may be off by two of its errors, but never by half a kerb.
@@ -459,12 +513,11 @@ def _bounded(ground: _Ground, known: KnownRoad) -> _Ground:
     return replace(ground, measured=ground.measured & ~shut, blank=ground.blank & ~shut, shut=shut)
 
 
-def _driven(xyz_m: Floats, scan: Ints) -> Floats:
-    """Where scanners stood (k, 2), in order; none where scans do not tell."""
+def _scanners(xyz_m: Floats, scan: Ints) -> tuple[Floats, Bools]:
+    """Where scanners stood (k, 2), in order, and which of them are sure; none of a single scan."""
     if len(np.unique(scan)) < 2:
-        return np.empty((0, 2))
-    places, sure = scanner_positions(xyz_m, scan)
-    return places[sure] if sure.mean() >= SURE_SCANS else np.empty((0, 2))
+        return np.empty((0, 2)), np.empty(0, bool)
+    return scanner_positions(xyz_m, scan)
 
 
 def _around(xyz_m: Floats, driven: Floats, known: KnownRoad) -> Floats:

@@ -197,6 +197,12 @@ def _surface(
     if surface.seeded_by == "ground":
         text = "nothing says where the road is: give pavement.seeds or placement.track"
         doubts.append(Doubt("pavement_unseeded", "doubt", text))
+    if surface.seam_m:
+        text = (
+            "turns of the scanner do not close: heights differ where they begin and end (taken out"
+            " where the pavement is sought, not in ground and depth maps; register the scans again)"
+        )
+        doubts.append(Doubt("scans_open", "doubt", text, round(surface.seam_m, 3)))
     met = surface.layer_m, surface.open_share, surface.unsure_share
     return _Found(road.outline, "surface", doubts, road.points, *met)
 
