@@ -400,7 +400,7 @@ def _usual_spread(ground: _Ground, seed: Bools, sigma: float) -> Floats:
 _MOST_SPREAD = 2.0
 """Times the seeds' spread that counts at most. Windows make a ramp of an edge, whose spread would
 allow the next step up it: from 3 on, a dark street leaks over verges three times as bright. F1 of
-five streets is 92.2 (lowest 78) with 2 and 92.6 (80) without a limit; at 5 cm of noise 90.7 and
+five streets was 92.2 (lowest 78) with 2 and 92.6 (80) without a limit; at 5 cm of noise 90.7 and
 88.6."""
 
 
