@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from functools import partial
 
 import pytest
 import yaml
@@ -13,6 +14,7 @@ from hypothesis import strategies as st
 from roadsight.base.errors import InputError
 from roadsight.config.load import load_config, load_site
 from roadsight.config.schema import Config
+from roadsight.evidence import placement_metrics
 from roadsight.evidence.base_costs import base_costs, with_base_costs
 from roadsight.evidence.metrics import METRICS
 from roadsight.evidence.studies import (
@@ -366,6 +368,9 @@ def test_every_metric_says_what_it_reads():
         assert metric.targets, name
         assert metric.job in ("placement", "poles")
         assert metric.unit in ("m", "deg", "share", "count", "cost", "1")
+        for function in (metric.value, metric.against):
+            if isinstance(function, partial):
+                assert callable(getattr(placement_metrics, *function.args)), name
 
 
 def test_a_shared_step_costs_what_it_costs_once_its_kernels_are_compiled():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -121,15 +122,15 @@ def _pole_sightings(results: Results) -> float:
     return float(results.tables("poles/sightings/*.parquet")["kept"].sum())
 
 
+def _placement(name: str, *results: Any) -> Any:
+    from roadsight.evidence import placement_metrics  # noqa: PLC0415  # slow to load
+
+    return getattr(placement_metrics, name)(*results)
+
+
 def _of_placement(name: str) -> Callable[..., Any]:
     """A function of `placement_metrics`, by its name."""
-
-    def value(*results: Any) -> Any:
-        from roadsight.evidence import placement_metrics  # noqa: PLC0415  # slow to load
-
-        return getattr(placement_metrics, name)(*results)
-
-    return value
+    return partial(_placement, name)
 
 
 _EXACT = "exact truth of the generated scene"

@@ -3,7 +3,7 @@
 A shape stands on its foot, (3,) relative to the sensor, in the local frame; a box's foot is (4,),
 with the heading of its length from local x, counter-clockwise, rad. A kernel knows it by
 its `packed` numbers and asks `entered_at` where a ray enters it and `footprint_share` how much of a
-wide beam lies on it; a further shape is a further number there.
+wide beam lies on it; a further shape is a further number in `kinds`.
 """
 
 from __future__ import annotations

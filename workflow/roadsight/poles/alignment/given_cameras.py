@@ -70,8 +70,8 @@ def agreement(
     """How a given pose agrees with the road: median distance, share of edge pixels that agree.
 
     Pixels of the image's road edges against the projected edges of the cloud, each across its
-    edge, in pixels; a pixel agrees within three standard deviations of the alignment. NaN where
-    image or cloud show too little road.
+    edge, in pixels; a pixel agrees within three standard deviations of the alignment. Road that the
+    cloud does not reach does not agree. NaN where image or cloud show too little road.
     """
     if len(image_edges.uv_px) < FEWEST_PIXELS or len(map_edges.half_m) < FEWEST_POINTS:
         return float("nan"), float("nan")

@@ -19,6 +19,9 @@ _BEYOND_PX = 2.0
 """Slack in pixels at the end of the cloud's edges, as the kernel leaves at the ends of a piece."""
 _BEHIND_M = 1.0
 """Points less far in front of the camera have no row, as in the kernel."""
+_SHORTEST_M = 20.0
+"""A cloud that ends nearer leaves so little to judge by that a heading a degree beside its
+expectation passes: of generated images 12 of 12 at 15 m, as many as with a whole cloud at 25 m."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +30,8 @@ class Limits:
 
     Parameters
     ----------
-    fewest_pixels : edge pixels in the image. fewest_points : LiDAR edge points ahead.
+    fewest_pixels : edge pixels in the image that the cloud reaches; the rest is about these.
+    fewest_points : LiDAR edge points ahead.
     residual_px : median distance of the edge pixels across their road edges, at 1,000 pixels of
         image width, beside what the cloud's own edges leave open.
     inliers : least share of pixels within three standard deviations.
@@ -82,7 +86,9 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
         (inliers < share, "the edges of image and road disagree"),
         (
             residual_px(best, share, known)
-            > np.hypot(limits.residual_px * task.start.width_px / 1000, edge_sigma_px(best, task)),
+            > np.hypot(
+                limits.residual_px * task.start.width_px / 1000, edge_sigma_px(best, task, known)
+            ),
             "the edges fit badly",
         ),
         (apart.max() > limits.from_expected, f"{worst} is too far from what was expected"),
@@ -94,19 +100,19 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
 
 
 def reached(task: Task, fit: Fit) -> Bools:
-    """Which edge pixels (m,) lie no higher in the image than the cloud's edges of their side.
+    """Which edge pixels (m,) lie no higher in the image than the cloud's edges; all near its end.
 
-    Where the cloud ends ahead of the camera, the image shows road that nothing can agree with.
+    Where the cloud ends ahead of the camera, the image shows road that nothing can agree with. The
+    end is that of the side that goes on: where the other one stops before, its border is missing.
     """
-    start, edges, sides = task.scene
+    start, edges, _ = task.scene
     turn, _, centre, _ = camera(start, fit.unknowns)
     ahead = (edges[0] - centre) @ turn.T
-    seen = ahead[:, 2] > _BEHIND_M
-    row = np.full(len(ahead), np.inf)
-    row[seen] = start[7] + np.exp(fit.unknowns[FOCAL]) * ahead[seen, 1] / ahead[seen, 2]
-    ends = np.array([row[sides[k] : sides[k + 1]].min(initial=np.inf) for k in (0, 1, 0, 1)])
-    end = np.repeat(ends, np.diff(task.image_edges.groups))
-    return task.image_edges.uv_px[:, 1] >= end - _BEYOND_PX
+    ahead = ahead[ahead[:, 2] > _BEHIND_M]
+    if ahead[:, 2].max(initial=0.0) < _SHORTEST_M:
+        return np.ones(len(task.image_edges.uv_px), bool)
+    rows = start[7] + np.exp(fit.unknowns[FOCAL]) * ahead[:, 1] / ahead[:, 2]
+    return np.asarray(task.image_edges.uv_px[:, 1] >= rows.min() - _BEYOND_PX, bool)
 
 
 def residual_px(fit: Fit, share: float = 0.5, known: Bools | None = None) -> float:
@@ -120,11 +126,15 @@ def residual_px(fit: Fit, share: float = 0.5, known: Bools | None = None) -> flo
     return float(np.quantile(off, share)) if len(off) else float("nan")
 
 
-def edge_sigma_px(fit: Fit, task: Task) -> float:
+def edge_sigma_px(fit: Fit, task: Task, known: Bools | None = None) -> float:
     """What the cloud's spacing adds to its road edges in the image, pixels, median of the pixels.
 
     In a sparse cloud an edge is known to some decimetres, which is many pixels near the camera;
     one standard deviation. A dense cloud adds nothing.
+
+    Parameters
+    ----------
+    known : (m,) pixels that count; all if None.
     """
     usual = Noise()
     own = np.array([task.noise.pixel_px, task.noise.border_px])
@@ -134,6 +144,7 @@ def edge_sigma_px(fit: Fit, task: Task) -> float:
     pixel, share = np.repeat(own, counts), np.repeat(np.maximum(added, 0.0), counts)
     with np.errstate(invalid="ignore", divide="ignore"):
         variance = share * ((fit.residuals[:, 0] / fit.residuals[:, 1]) ** 2 - pixel**2)
+    variance = variance if known is None else variance[known]
     variance = variance[np.isfinite(variance)]
     return float(np.sqrt(max(np.median(variance), 0.0))) if len(variance) else 0.0
 

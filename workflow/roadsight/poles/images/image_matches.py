@@ -15,7 +15,7 @@ from roadsight.base.arrays import Bytes, Floats, Floats32, Ints
 
 _FEATURES = 3000
 """Points of an image at most, the strongest; time grows with the square. A wide lens every 16 m has
-a sixth more right matches than with 1500."""
+a fifth more right matches than with 1500 (at 0.8 of the second nearest one's distance)."""
 _CONTRAST = 0.02
 """Half of OpenCV's threshold: fields and asphalt have little contrast."""
 _CLEARER = 0.7
@@ -78,11 +78,12 @@ def matched(one: Features, other: Features) -> Ints:
         return np.empty((0, 2), np.int64)
     like = one.descriptors @ other.descriptors.T
     larger = other.size_px / one.size_px[:, None]
-    like[(larger < _LARGER[0]) | (larger > _LARGER[1])] = -1.0
+    sized = np.where((larger < _LARGER[0]) | (larger > _LARGER[1]), np.float32(-1.0), like)
     rows = np.arange(len(like))
-    best = like.argmax(axis=1)
-    mutual = like.argmax(axis=0)[best] == rows
-    top = like[rows, best]
+    best = sized.argmax(axis=1)
+    mutual = sized.argmax(axis=0)[best] == rows
+    top = sized[rows, best]
+    # The second best may be of any size: a point with one candidate of its own has a rival too.
     like[rows, best] = -1.0
     second = like.max(axis=1)
     apart, next_apart = (np.sqrt(np.maximum(2.0 - 2.0 * part, 0.0)) for part in (top, second))

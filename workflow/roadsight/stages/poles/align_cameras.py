@@ -40,6 +40,7 @@ from roadsight.poles.alignment.verdict import (
     doubt,
     is_one_sided,
     moved_by_centre,
+    reached,
     residual_px,
     sigmas,
     too_little,
@@ -262,6 +263,7 @@ def _row(
     whole = replace(fit, covariance=fit.covariance + np.outer(moved, moved))
     heading, own_pitch, lateral, along = sigmas(whole, task)
     pitch_by_cy = float(np.degrees(sigma_cy_px / pose.focal_px))
+    known = reached(task, fit)
     return {
         "x": pose.x_m,
         "y": pose.y_m,
@@ -282,8 +284,8 @@ def _row(
         "heading_by_cx_deg": float(moved[YAW] + np.degrees(start.bend) * moved[ALONG]),
         "pitch_by_cy_deg": pitch_by_cy,
         "condition": condition(fit, task),
-        "residual_px": residual_px(fit),
-        "edge_points": len(task.image_edges.uv_px),
+        "residual_px": residual_px(fit, known=known),
+        "edge_points": int(known.sum()),
         "landmarks": agreeing_landmarks(task, fit),
         "one_sided": is_one_sided(task),
         "accepted": not reason,
