@@ -124,8 +124,9 @@ def message_of(stage: Command, paths, capsys):
 )
 def test_messages_of_stages_begin_with_the_site(stage, chapter, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    # A file of the results names it already.
     own = message_of(stage.main, lambda name: f"results/here/{chapter}/{name}", capsys)
-    assert own.startswith(f"roadsight: site here: results/here/{chapter}/")
+    assert own.startswith(f"roadsight: results/here/{chapter}/")
     # Files of a user, of several sites, and of evidence tell no site.
     users = message_of(stage.main, lambda name: f"/home/results/here/{chapter}/{name}", capsys)
     assert "site here" not in users
@@ -135,11 +136,23 @@ def test_messages_of_stages_begin_with_the_site(stage, chapter, tmp_path, monkey
     assert not page.startswith("roadsight: site")
 
 
-def test_a_site_is_named_once(capsys):
+@pytest.mark.parametrize(
+    ("where", "before"),
+    [
+        ("site here, plan p", ""),
+        ("results/here/scene/cloud.parquet", ""),
+        ("config/sites/here.yaml", ""),
+        ("config/sites/hereabouts.yaml", "site here: "),
+        ("results/there/scene/cloud.parquet", "site here: "),
+        ("/data/cloud.laz", "site here: "),
+        ("placement.remove", "site here: "),
+    ],
+)
+def test_a_site_is_named_once(where, before, capsys):
     def stage(_):
-        raise InputError("too few", where="site here, plan p")
+        raise InputError("too few", where=where)
 
     parser = argparse.ArgumentParser()
     parser.add_argument("--out")
     assert run_stage(parser, stage, ["--out", "results/here/scene/dem.tif"]) == 2
-    assert capsys.readouterr().err.splitlines()[-1] == "roadsight: site here, plan p: too few."
+    assert capsys.readouterr().err.splitlines()[-1] == f"roadsight: {before}{where}: too few."

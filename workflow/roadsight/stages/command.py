@@ -145,11 +145,13 @@ def _clean_termination() -> Iterator[None]:
 
 
 def _of_site(message: str, arguments: argparse.Namespace) -> str:
-    """Message that begins with the site, where the arguments name the results of one."""
+    """Message that names the site first, where the arguments name the results of one."""
     found = set(_sites(vars(arguments).values()))
-    if len(found) != 1 or message.startswith("site "):
+    if len(found) != 1:
         return message
-    return f"site {found.pop()}: {message}"
+    site = found.pop()
+    named = message.startswith(("site ", f"results/{site}/", f"config/sites/{site}.yaml"))
+    return message if named else f"site {site}: {message}"
 
 
 def _sites(values: Iterable[Any]) -> Iterator[str]:

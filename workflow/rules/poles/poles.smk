@@ -62,12 +62,13 @@ rule measure_poles:
     params:
         shards=setting("shards"),
         options=flags("sightings"),
+        markings=some_flags("image_edges", "min_marking_px"),
         views=used_views,
         grid_convergence=decision_on("grid_convergence"),
     shell:
         "python -m roadsight.stages.poles.measure_poles --frames {input.frames}"
         " --calibration {input.calibration} --turns {input.turns} --cameras {input.cameras} --masks {input.masks} --depth {input.depth}"
-        " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --objects {input.objects} --frame {input.frame} {params.options}"
+        " --dem {input.dem} --columns {input.columns} --voxels {input.voxels} --objects {input.objects} --frame {input.frame} {params.options} {params.markings}"
         " --views {params.views} --grid-convergence {params.grid_convergence}"
         " --shard {wildcards.shard} --shards {params.shards} --out {output.sightings}"
         " --seen {output.seen} --markings {output.markings} > {log} 2>&1"

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roadsight.base.sections.poles import EdgeTracing
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.image_edges import trace_edges
 from roadsight.poles.images.lanes import Curve, centre_lines, fit_curve, without_specks
@@ -245,7 +244,7 @@ def test_centre_lines_agree_with_a_slow_search(rng):
         for step in range(20):
             place = row + rng.integers(0, 2) * step // 2, column + step
             marking[place[0] : place[0] + 3, place[1] : place[1] + 4] = True
-    found = centre_lines(marking, EdgeTracing(min_marking_px=1e-9))
+    found = centre_lines(marking, 1e-9)
     assert {tuple(p) for p in found.tolist()} == slow_centres(marking, 8.0)
 
 

@@ -8,7 +8,12 @@ from hypothesis import strategies as st
 
 from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.clear_zone import clear_zone_m, slope_class
-from roadsight.poles.risk.hazard import rate_poles, rate_roadside, side_slopes
+from roadsight.poles.risk.hazard import (
+    beside_travelled_way,
+    rate_poles,
+    rate_roadside,
+    side_slopes,
+)
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, edges_at
 from roadsight.poles.risk.shielding import barriers_along
@@ -119,6 +124,30 @@ def test_density_agrees_with_counting(rng):
         count = (np.abs(stations[counted] - own) <= 50).sum()
         length = min(own + 50, 400) - max(own - 50, 0)
         assert value == pytest.approx(count / length * 1000, rel=1e-3)
+
+
+def test_what_is_rated_high_for_some_speed_and_traffic():
+    """On level ground half the clear zone decides, also of the greatest that is possible."""
+    poles = poles_at((50, 6), (130, 8), (210, 11.5), (290, 30))
+    level = rate_poles(poles, EDGES, TRACK, lambda x, y: 0 * x, Hazard(dense_per_km=1e6))
+    assert (level["clear_zone_greatest_m"] == 10.5).all()
+    assert level["rating"].tolist() == ["medium", "medium", "medium", "low"]
+    assert level["rating_greatest"].tolist() == ["high", "high", "medium", "low"]
+    known = rate_poles(poles, EDGES, TRACK, lambda x, y: 0 * x, STATED)
+    assert known["rating"].tolist() == known["rating_greatest"].tolist()
+
+
+def test_the_travelled_way_is_told_by_who_knows_its_own_side():
+    lanes = pd.DataFrame(
+        {"left_m": 3.5, "right_m": 3.0, "sigma_left_m": np.nan, "sigma_right_m": 0.03,
+         "left_from": "inventory", "right_from": "markings"}, index=range(3),
+    )  # fmt: skip
+    found = beside_travelled_way(np.array([-5.0, 5.0, np.nan]), lanes)
+    assert found["travelled_way_from"].tolist() == ["inventory", "markings", ""]
+    assert found["offset_travelled_way_m"] == pytest.approx([1.5, 2.0, np.nan], nan_ok=True)
+    nobody = lanes.assign(left_m=np.nan, left_from="")
+    found = beside_travelled_way(np.array([-5.0, 5.0, np.nan]), nobody)
+    assert found["travelled_way_from"].tolist() == ["", "markings", ""]
 
 
 def test_bends_widen_clear_zones_on_unknown_ground_too():

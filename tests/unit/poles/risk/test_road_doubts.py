@@ -1,4 +1,5 @@
-"""What is told of roads that an inventory does not cover, and of roads without edges."""
+"""What is told of roads that an inventory does not cover, that markings contradict, or that have no
+edges."""
 
 import numpy as np
 import pandas as pd
@@ -8,8 +9,14 @@ from hypothesis import strategies as st
 
 from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.inventory import SAME_M, check_inventory
-from roadsight.poles.risk.road_doubts import edge_doubts, inventory_doubts, traffic_doubts
-from roadsight.poles.risk.roads import Road
+from roadsight.poles.risk.road_doubts import (
+    edge_doubts,
+    inventory_doubts,
+    lane_doubts,
+    traffic_doubts,
+)
+from roadsight.poles.risk.roads import Road, Roads
+from roadsight.poles.risk.roadside import Surroundings, geometry_table
 
 NAN = float("nan")
 NOTHING = Hazard()
@@ -45,10 +52,69 @@ def test_one_speed_for_all_roads_is_noted_and_none_doubted_where_no_inventory_is
     (doubt,) = traffic_doubts(NOTHING)
     assert (doubt.code, doubt.severity) == ("traffic_not_stated", "doubt")
     assert "no design speed (hazard.design_speed_kmh) and no traffic" in doubt.message
-    assert "60 to 110 km/h" in doubt.message
     note, doubt = traffic_doubts(Hazard(aadt=0))
-    assert (note.measured, doubt.measured) == ("0 vehicles a day", "0 vehicles a day")
+    assert note.measured == "0 vehicles a day"
     assert "no traffic" not in doubt.message
+
+
+@pytest.mark.parametrize(
+    ("stated", "follows"),
+    [
+        ({}, "clear zones, ratings and exposure are ranges, for 60 to 110 km/h and any traffic"),
+        ({"aadt": 3000}, "clear zones and ratings are ranges, for 60 to 110 km/h"),
+        ({"design_speed_kmh": 70}, "clear zones, ratings and exposure are ranges, for any traffic"),
+        ({"clear_zone_m": 6}, "exposure is a range, for 60 to 110 km/h and any traffic"),
+        (
+            {"clear_zone_m": 6, "aadt": 3000},
+            "barriers are judged by the longest runout lengths, for 60 to 110 km/h",
+        ),
+        ({"clear_zone_m": 6, "runout_length_m": 90, "aadt": 3000}, None),
+    ],
+)
+def test_only_what_lacks_is_told_with_what_follows(stated, follows):
+    found = {doubt.code: doubt.message for doubt in traffic_doubts(Hazard(**stated))}
+    if follows is None:
+        assert "traffic_not_stated" not in found
+    else:
+        assert found["traffic_not_stated"].endswith(f": {follows}")
+
+
+def test_an_inventory_s_lack_is_told_with_what_follows():
+    known = inventory(("a", 0, 500, NAN, 500, 2), ("a", 500, 1000, 80, NAN, NAN))
+    own = told(known, road(), site=Hazard(clear_zone_m=6, runout_length_m=90))
+    assert own["inventory_without_speed"].severity == "note"
+    assert "exposure is a range there" in own["inventory_without_aadt"].message
+    own = told(known, road())
+    assert "clear zones and ratings are ranges there" in own["inventory_without_speed"].message
+    assert "where markings do not show it" in own["inventory_without_lanes"].message
+
+
+def painted(*offsets_m):
+    x = np.tile(np.arange(0.0, 1000, 0.25), 4)
+    image = np.repeat(np.arange(4), len(x) // 4).astype(str)
+    return pd.concat([pd.DataFrame({"x": x, "y": y, "image": image}) for y in offsets_m])
+
+
+@pytest.mark.parametrize(("stated", "metres"), [(2, 0), (4, 500), (NAN, 0)])
+def test_markings_that_contradict_the_inventory_are_told(stated, metres):
+    known = inventory(("a", 0, 500, 80, 3000, 2), ("a", 500, 1000, 80, 3000, stated))
+    beside = Surroundings(Roads([road(half_m=3.5)]), inventory=known)
+    assert lane_doubts(beside) == []
+    beside = Surroundings(beside.roads, inventory=known, markings=painted(-3, 0, 3))
+    found = lane_doubts(beside)
+    assert [doubt.code for doubt in found] == ["lanes_contradicted"] * (metres > 0)
+    for doubt in found:
+        assert doubt.measured == pytest.approx(metres, abs=20)
+        assert "a from 505 to 1000 m (2, not 4)" in doubt.message
+    assert lane_doubts(Surroundings(beside.roads, markings=painted(-3, 0, 3))) == []
+
+
+def test_without_an_edge_markings_tell_no_lanes_which_is_said():
+    bare = road(half_m=NAN)
+    table = geometry_table(Surroundings(Roads([bare]), markings=painted(-3, 0, 3)))
+    assert table[["lanes", "travelled_left_m"]].isna().all(axis=None)
+    (doubt,) = edge_doubts([bare])
+    assert "markings there tell no lanes" in doubt.message
 
 
 def test_what_the_site_states_fills_the_gaps_of_an_inventory():

@@ -11,6 +11,7 @@ from roadsight.poles.sightings.sighting_bearing import ViewCamera
 
 LENS = Intrinsics.from_field_of_view(640, 416, 50.0)
 GRADE = 0.05
+SMALLEST_PX = 60.0
 
 
 def ground(x, y):
@@ -36,7 +37,7 @@ def drawn(camera, offsets_m):
 def test_lines_lie_where_they_are_painted(heading_deg):
     camera = ViewCamera(LENS, (0.3, 0.0, 2.4), heading_deg, -2.0, 0.4)
     lines = (-3.1, 0.0, 3.1)
-    found = markings_on_ground(camera, drawn(camera, lines), ground)
+    found = markings_on_ground(camera, drawn(camera, lines), ground, SMALLEST_PX)
     assert len(found) > 100
     assert np.hypot(found[:, 0] - 0.3, found[:, 1]).max() <= FARTHEST_M
     away = np.abs(found[:, :1] - np.array(lines))
@@ -49,7 +50,16 @@ def test_lines_lie_where_they_are_painted(heading_deg):
 
 def test_a_mask_without_markings_and_a_sky_give_none():
     camera = ViewCamera(LENS, (0.0, 0.0, 2.4), 0.0)
-    assert markings_on_ground(camera, np.zeros((416, 640), np.uint8), ground).shape == (0, 2)
-    above = np.zeros((416, 640), np.uint8)
+    none, above = np.zeros((2, 416, 640), np.uint8)
     above[20:30, 100:500] = int(PixelClass.MARKING)
-    assert markings_on_ground(camera, above, ground).shape == (0, 2)
+    for mask in (none, above):
+        assert markings_on_ground(camera, mask, ground, SMALLEST_PX).shape == (0, 2)
+
+
+def test_markings_smaller_than_asked_are_none():
+    camera = ViewCamera(LENS, (0.0, 0.0, 2.4), 0.0)
+    mask = np.zeros((416, 640), np.uint8)
+    mask[300:310, 318:322] = int(PixelClass.MARKING)
+    # 40 px of an image 416 px high are 333 of one 1200 px high.
+    assert len(markings_on_ground(camera, mask, ground, 300.0)) > 0
+    assert markings_on_ground(camera, mask, ground, 350.0).shape == (0, 2)

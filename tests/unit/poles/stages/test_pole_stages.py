@@ -312,6 +312,12 @@ def test_markings_come_before_the_inventory_s_lanes(site, poles, tmp_path):
     inventory = tmp_path / "i.csv"
     inventory.write_text("route,from_m,to_m,speed_kmh,aadt,lanes,lane_width_m\nr,0,200,90,9,2,3\n")
     arguments += ["--inventory", str(inventory)]
+    one_side = markings(tmp_path, -3.2)
+    assert rate_hazard.main([*arguments, *one_side]) == 0
+    table = pd.read_csv(out["csv"])
+    sides = np.where(table["side"] > 0, "markings", "inventory")
+    assert table["travelled_way_from"].tolist() == sides.tolist()
+    assert len(set(sides)) == 2
     # The travelled way is 0.3 m nearer to the left edge of the pavement.
     painted = markings(tmp_path, -3.2, -0.1, 0.1, 3.5)
     for more, half_m, source in (([], (3.0, 3.0), "inventory"), (painted, (3.5, 3.2), "markings")):
@@ -325,7 +331,7 @@ def test_markings_come_before_the_inventory_s_lanes(site, poles, tmp_path):
         shoulder = 4 - sum(half_m) / 2
         assert geometry["paved_shoulder_m"].to_numpy() == pytest.approx(shoulder, abs=0.1)
         table = pd.read_csv(out["csv"])
-        assert (table["travelled_way_from"] == source).all()
+        assert (table[["travelled_way_from", "lanes_from"]] == source).all(axis=None)
         edge = np.where(table["side"] < 0, *half_m)
         known = table["offset_m"] + 4 - edge
         assert table["offset_travelled_way_m"].to_numpy() == pytest.approx(known, abs=0.15)

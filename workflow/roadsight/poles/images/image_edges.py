@@ -87,7 +87,7 @@ def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
     settings = settings or EdgeTracing()
     road = _cleaned_road(cv2.LUT(mask, _ROAD), settings)
     span = _road_span(road)
-    markings = centre_lines(mask == PixelClass.MARKING, settings)
+    markings = centre_lines(mask == PixelClass.MARKING, settings.min_marking_px)
     axes = middle_lines(markings, span, mask.shape[0], settings)
     tolerance = max(settings.axis_px * scale_of(mask.shape[0]), 2.0)
     lanes = markings
@@ -95,7 +95,10 @@ def trace_edges(mask: Bytes, settings: EdgeTracing | None = None) -> ImageEdges:
         lanes = lanes[axis.distance_px(lanes) > tolerance]
     dividing = _dividing_line(axes, lanes, road, tolerance)
     border = np.concatenate(
-        [_borders(mask, road, settings), centre_lines(mask == PixelClass.KERB, settings)]
+        [
+            _borders(mask, road, settings),
+            centre_lines(mask == PixelClass.KERB, settings.min_marking_px),
+        ]
     )
     border = border[~_between(border, lanes, mask.shape[0])]
     lanes = lanes[_along_border(lanes, span, dividing, mask.shape[1])]

@@ -56,15 +56,16 @@ def without_specks(region: Bytes, smallest_px: float) -> Bytes:
     return kept
 
 
-def centre_lines(marking: Bools, settings: EdgeTracing) -> Floats:
+def centre_lines(marking: Bools, min_marking_px: float) -> Floats:
     """Centre-line points (n, 2) as u, v of all markings that are large enough.
 
     Parameters
     ----------
     marking : (rows, columns), whether a pixel is painted.
+    min_marking_px : smaller ones are dropped, px2 of an image 1200 px high.
     """
     scale = scale_of(marking.shape[0])
-    smallest = max(settings.min_marking_px * scale**2, 2.0)
+    smallest = max(min_marking_px * scale**2, 2.0)
     kept = cv2.findNonZero(without_specks(marking.view(np.uint8), smallest))
     if kept is None:
         return np.empty((0, 2))

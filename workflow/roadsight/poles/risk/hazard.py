@@ -12,7 +12,8 @@ Rating, first rule that applies:
 
 The foreslope is the steepest straight piece of the cross-section before the object, not the line
 from edge to object. Where speed or traffic is unknown the clear zone is a range: high asks for
-the least, medium for the greatest clear zone of the range.
+the least, medium for the greatest clear zone of the range; ``rating_greatest`` asks for the
+greatest throughout.
 """
 
 from __future__ import annotations
@@ -94,6 +95,7 @@ _UNKNOWN: dict[str, float | str] = {
 }
 """Columns that tell an object's cross-section, and what they hold where there is none."""
 ROADSIDE_COLUMNS = [
+    "rating_greatest",
     "rank",
     "route",
     "shielded",
@@ -110,6 +112,7 @@ ROADSIDE_COLUMNS = [
     "aadt_least",
     "aadt_greatest",
     "lanes",
+    "lanes_from",
     "carriageway",
     "offset_travelled_way_m",
     "sigma_travelled_way_m",
@@ -207,7 +210,10 @@ def rate_roadside(
     shielded = np.array([status == "full" for status, _, _ in shield], bool)
     inside = (offset_m <= zone["clear_zone_m"].to_numpy()) if n else np.zeros(0, bool)
     density = _density(surroundings.roads, located, inside & ~shielded, settings.window_m)
-    rating = _rating(offset_m, zone, slope, density, sigma_m, settings, shielded)
+    rating, greatest = (
+        _rating(offset_m, bounds, slope, density, sigma_m, settings, shielded)
+        for bounds in (zone, zone.assign(sure_m=zone["clear_zone_m"]))
+    )
     rhr = _hazard_ratings(
         located, offset_m, sigma_m, slope, sigma_slope, sections, shield, settings.window_m
     )
@@ -225,7 +231,7 @@ def rate_roadside(
     exposed = np.where(least == most, most, np.nan)
     hsm = _hsm(located, surroundings.roads, offset_m, ~shielded)
     lanes = lanes_at(surroundings, located, known)
-    travelled_m, sigma_travelled_m = travelled_offset_m(located.offset_m, lanes)
+    travelled = beside_travelled_way(located.offset_m, lanes)
     told = [_described(section) for section in sections]
     table = pd.DataFrame(
         {
@@ -238,6 +244,7 @@ def rate_roadside(
             "station_m": located.station_m,
             "objects_per_km": density,
             "rating": rating,
+            "rating_greatest": greatest,
             "rank": rank_of(rating, rhr[:, 0], exposed, weight),
             "route": _routes(surroundings.roads, located),
             "shielded": np.array([status for status, _, _ in shield], object),
@@ -257,10 +264,9 @@ def rate_roadside(
             "aadt_least": known["aadt_low"].to_numpy(),
             "aadt_greatest": known["aadt_high"].to_numpy(),
             "lanes": lanes["lanes"].to_numpy(),
+            "lanes_from": lanes["lanes_from"].to_numpy(),
             "carriageway": known["carriageway"].to_numpy(),
-            "offset_travelled_way_m": travelled_m,
-            "sigma_travelled_way_m": sigma_travelled_m,
-            "travelled_way_from": lanes["travelled_from"].to_numpy(),
+            **travelled,
             "radius_m": bends["radius_m"].to_numpy(),
             "grade_percent": 100 * bends["grade"].to_numpy(),
             "paved_width_m": bends["paved_width_m"].to_numpy(),
@@ -279,19 +285,27 @@ def rate_roadside(
     return Rated(table[columns], sections, edges.place_m, edges.outward, located)
 
 
-def travelled_offset_m(offset_m: Floats, lanes: pd.DataFrame) -> tuple[Floats, Floats]:
-    """Distance (n,) from the edge of the travelled way, and that edge's own standard deviation.
+def beside_travelled_way(offset_m: Floats, lanes: pd.DataFrame) -> dict[str, NDArray]:
+    """Distance (n,) from the travelled way's edge on an object's side, and how it is known.
 
     Parameters
     ----------
-    offset_m : from the centreline, positive right. lanes : see `with_inventory`; NaN where unknown,
-        as the results: nobody states how well an inventory knows.
+    offset_m : from the centreline, positive right. lanes : see `with_inventory`.
+
+    Returns
+    -------
+    offset_travelled_way_m; sigma_travelled_way_m, of the edge, NaN where an inventory states it;
+    travelled_way_from, empty where nobody does
     """
-    edge, sigma = (
-        np.where(offset_m < 0, lanes[f"{before}left_m"], lanes[f"{before}right_m"])
-        for before in ("", "sigma_")
+    edge, sigma, told_by = (
+        np.where(offset_m < 0, lanes[name.format("left")], lanes[name.format("right")])
+        for name in ("{}_m", "sigma_{}_m", "{}_from")
     )
-    return np.asarray(np.abs(offset_m) - edge, np.float64), np.asarray(sigma, np.float64)
+    return {
+        "offset_travelled_way_m": np.asarray(np.abs(offset_m) - edge, np.float64),
+        "sigma_travelled_way_m": np.asarray(sigma, np.float64),
+        "travelled_way_from": np.where(np.isnan(offset_m), "", told_by).astype(object),
+    }
 
 
 def _known_traffic(surroundings: Surroundings, located: Located, settings: Hazard) -> pd.DataFrame:

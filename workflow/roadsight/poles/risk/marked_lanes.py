@@ -2,10 +2,13 @@
 
 Along a road lines keep their offset from the centreline. Around each station the offset that most
 pieces of road have is a line, then the next one a lane away, and so on. The outermost line of a
-side is its edge line if it is solid; lanes are what lies between neighbouring lines.
+side is its edge line if it is solid and the pavement ends near it; lanes are what lies between
+neighbouring lines.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -27,15 +30,20 @@ _LEAST_SEEN = 0.15
 """A line is seen in so many of the pieces that images look at: a dashed one in a quarter."""
 _SOLID = 0.6
 """An edge line in so many; a dashed one in a third, as its ends are drawn longer by far images."""
+_WIDEST_SHOULDER_M = 3.2
+"""An edge line is no farther from the pavement's edge: shoulders of motorways are 3.0 m wide, and
+a lane whose edge line is not seen is as wide and has 0.3 m of pavement beyond that line."""
+_MEDIAN_M = 0.4
+"""Two solid lines so far apart have a median between them; double lines are 0.2 to 0.3 m apart."""
 _FEWEST_PIECES = 10
 """Pieces that images must look at."""
 _FEWEST_IMAGES = 3
 _AROUND_M = 60.0
-"""Of two lines too near to each other the one stays that is seen in more of so much road either
+"""Of two lines too near to each other that one stays which more pieces of road show, so far either
 way: hatching begins and ends, and so does the foot of a bridge's parapet, which a network takes for
 paint."""
 _ALIKE = 0.9
-"""The outer one also if it is seen in so much of what the other is."""
+"""The outer one stays as well if its pieces are at least this share of the other's."""
 _SHARED = 4.0
 """Images whose camera is off by the same: they follow each other every 8 m, and what ties them is
 smooth over some."""
@@ -45,8 +53,6 @@ it errors on three generated roads of two lanes are 0.8 sigma (root mean square)
 1.4 of one edge; on one of four lanes 1.6."""
 MARKINGS, INVENTORY, PAVED = "markings", "inventory", "paved width"
 """Where lanes are from, as tables say it."""
-Line = tuple[float, float, float]
-"""Offset of a line, its sigma, and the share of the pieces in which it is seen."""
 LANE_COLUMNS = (
     "left_m",
     "right_m",
@@ -58,8 +64,23 @@ LANE_COLUMNS = (
 )
 
 
+class _Line(NamedTuple):
+    """A line in a window.
+
+    Parameters
+    ----------
+    offset_m, sigma_m : of its middle. share : of the pieces that images look at, those that show
+        it. half_m : how far its points are from the middle of their image's.
+    """
+
+    offset_m: float
+    sigma_m: float
+    share: float
+    half_m: float
+
+
 def marked_lanes(
-    station_m: Floats, offset_m: Floats, image: ArrayLike, at_m: Floats
+    station_m: Floats, offset_m: Floats, image: ArrayLike, at_m: Floats, paved_m: Floats
 ) -> pd.DataFrame:
     """Lanes of a road at stations.
 
@@ -67,6 +88,7 @@ def marked_lanes(
     ----------
     station_m, offset_m : (n,) points on markings, offsets from the centreline, positive right.
     image : (n,) that shows them. at_m : (k,) stations.
+    paved_m : (k, 2) from the centreline to the pavement's left and right edge, NaN where unknown.
 
     Returns
     -------
@@ -76,14 +98,18 @@ def marked_lanes(
     order = np.argsort(station_m, kind="stable")
     station, offset = station_m[order], offset_m[order]
     number = np.unique(np.asarray(image), return_inverse=True)[1].ravel()[order]
+    looked_at = _looked_at(station, number)
     rows = []
-    for at in at_m:
+    for at, paved in zip(at_m, paved_m, strict=True):
         near, around = (
             slice(*np.searchsorted(station, [at - reach, at + reach]))
             for reach in (WINDOW_M, _AROUND_M)
         )
-        lines = _lines(station[near], offset[near], number[near])
-        rows.append(_lanes_of(_apart(lines, station[around], offset[around])))
+        ends = np.floor((at - WINDOW_M) / _PIECE_M), np.ceil((at + WINDOW_M) / _PIECE_M)
+        pieces = int(np.diff(np.searchsorted(looked_at, ends))[0])
+        lines = _lines(station[near], offset[near], number[near], pieces)
+        kept, median = _apart(lines, station[around], offset[around])
+        rows.append(_lanes_of(kept, paved, median))
     return pd.DataFrame(rows, columns=list(LANE_COLUMNS), dtype=np.float64)
 
 
@@ -99,8 +125,9 @@ def with_inventory(
 
     Returns
     -------
-    `LANE_COLUMNS`; lanes_from and travelled_from: ``markings``, ``inventory``, ``paved width``
-    (over the inventory's lanes), or empty where nothing tells
+    `LANE_COLUMNS`; lanes_from: ``markings``, ``inventory``, ``paved width`` (the inventory's lanes,
+    each as wide as its share), or empty where nobody tells a number of lanes; left_from,
+    right_from: ``markings``, ``inventory`` or empty; travelled_from: both of them
     """
     lanes, wide = (known[name].to_numpy(np.float64) for name in ("lanes", "lane_width_m"))
     seen = marked["lanes"].notna().to_numpy()
@@ -109,45 +136,73 @@ def with_inventory(
     stated = np.where(np.isnan(wide), share, wide)
     found["lanes"] = np.where(seen, found["lanes"], lanes)
     found["lane_width_m"] = np.where(seen, found["lane_width_m"], stated)
-    told = np.isfinite(stated)
-    by = [seen, told & np.isfinite(wide), told]
-    found["lanes_from"] = np.select(by, [MARKINGS, INVENTORY, PAVED], "").astype(object)
+    told = np.isfinite(lanes)
+    by = [seen, told & np.isnan(wide) & np.isfinite(share), told]
+    found["lanes_from"] = np.select(by, [MARKINGS, PAVED, INVENTORY], "").astype(object)
     half = lanes * wide / 2
-    sides = np.isfinite(found[["left_m", "right_m"]].to_numpy(np.float64))
-    for number, side in enumerate(("left_m", "right_m")):
-        found[side] = np.where(sides[:, number], found[side], half)
-    both = [sides.all(axis=1), sides.any(axis=1) & np.isfinite(half), np.isfinite(half)]
-    names = [MARKINGS, f"{MARKINGS} and {INVENTORY}", INVENTORY]
-    one = np.where(sides.any(axis=1), MARKINGS, "")
-    found["travelled_from"] = np.select(both, names, one).astype(object)
+    for side in ("left", "right"):
+        own = found[f"{side}_m"]
+        found[f"{side}_from"] = np.select(
+            [own.notna(), np.isfinite(half)], [MARKINGS, INVENTORY], ""
+        ).astype(object)
+        found[f"{side}_m"] = own.fillna(pd.Series(half))
+    found["travelled_from"] = [
+        " and ".join(sorted(set(sides) - {""}, reverse=True))
+        for sides in zip(found["left_from"], found["right_from"], strict=True)
+    ]
     return found
 
 
-def _lanes_of(lines: list[Line]) -> tuple[float, ...]:
-    """Values of `LANE_COLUMNS` of the lines at one station."""
+def _lanes_of(lines: list[_Line], paved_m: Floats, median: bool) -> tuple[float, ...]:
+    """Values of `LANE_COLUMNS` of the lines at one station; no lanes beside a median."""
     nan = float("nan")
     ends = []
-    for side, end in ((-1.0, 0), (1.0, -1)):
-        outer = lines[end] if lines else None
-        solid = outer is not None and outer[2] >= _SOLID and side * outer[0] > _NARROWEST_M / 2
-        ends.append((side * outer[0], outer[1]) if solid and outer is not None else (nan, nan))
+    for side, end, paved in ((-1, 0, paved_m[0]), (1, -1, paved_m[1])):
+        found = nan, nan
+        if lines and lines[end].share >= _SOLID:
+            away = side * lines[end].offset_m
+            if away > _NARROWEST_M / 2 and paved - away <= _WIDEST_SHOULDER_M:
+                found = away, lines[end].sigma_m
+        ends.append(found)
     (left, sigma_left), (right, sigma_right) = ends
-    widths = np.diff([line[0] for line in lines])
+    widths = np.diff([line.offset_m for line in lines])
     count, width = nan, nan
-    known = np.isfinite(left + right) and len(widths) > 0
+    known = np.isfinite(left + right) and len(widths) > 0 and not median
     if known and ((widths >= _NARROWEST_M) & (widths <= _WIDEST_M)).all():
         count, width = float(len(widths)), float(widths.mean())
     sigma = float(np.hypot(sigma_left, sigma_right)) / count
     return left, right, sigma_left, sigma_right, count, width, sigma
 
 
-def _lines(station: Floats, offset: Floats, image: Ints) -> list[Line]:
-    """Lines of one window from left to right."""
+def _looked_at(station: Floats, image: Ints) -> Ints:
+    """Pieces of road between the first and the last point of some image, ascending.
+
+    Parameters
+    ----------
+    station : ascending.
+    """
+    if not len(station):
+        return np.empty(0, np.int64)
     piece = np.floor(station / _PIECE_M).astype(np.int64)
-    looked_at = len(np.unique(piece))
+    first = np.unique(image, return_index=True)[1]
+    last = len(image) - 1 - np.unique(image[::-1], return_index=True)[1]
+    looking = np.zeros(piece[-1] - piece[0] + 2, np.int64)
+    np.add.at(looking, piece[first] - piece[0], 1)
+    np.add.at(looking, piece[last] - piece[0] + 1, -1)
+    return np.asarray(piece[0] + np.flatnonzero(looking.cumsum()), np.int64)
+
+
+def _lines(station: Floats, offset: Floats, image: Ints, looked_at: int) -> list[_Line]:
+    """Lines of one window from left to right.
+
+    Parameters
+    ----------
+    looked_at : pieces of the window, those without paint as well.
+    """
     if looked_at < _FEWEST_PIECES:
         return []
-    found: list[Line] = []
+    piece = np.floor(station / _PIECE_M).astype(np.int64)
+    found: list[_Line] = []
     free = np.ones(len(offset), bool)
     while free.any():
         middle = _densest(offset[free], piece[free])
@@ -157,12 +212,12 @@ def _lines(station: Floats, offset: Floats, image: Ints) -> list[Line]:
             break
         free &= np.abs(offset - middle) > _HALF_M
         if len(np.unique(image[own])) >= _FEWEST_IMAGES:
-            found.append((*_middle(offset[own], image[own]), share))
+            found.append(_line(offset[own], image[own], share))
     return sorted(found)
 
 
 def _densest(offset: Floats, piece: Ints) -> float:
-    """Middle of the strip that is seen in most pieces."""
+    """Middle of the strip with most paint: a piece counts for each of five cells that show it."""
     step = _HALF_M / 3
     cell = np.floor(offset / step).astype(np.int64)
     pairs = np.unique(np.column_stack([cell, piece]), axis=0)
@@ -174,32 +229,36 @@ def _densest(offset: Floats, piece: Ints) -> float:
     return float(np.median(offset[own]))
 
 
-def _middle(offset: Floats, image: Ints) -> tuple[float, float]:
-    """Offset of a line, and its sigma by how much images differ."""
+def _line(offset: Floats, image: Ints, share: float) -> _Line:
+    """A line of its points; sigma by how much images differ."""
     _, group = np.unique(image, return_inverse=True)
     means = np.bincount(group, offset) / np.bincount(group)
     middle = float(np.median(means))
     spread = 1.4826 * float(np.median(np.abs(means - middle)))
-    return middle, float(np.hypot(spread / np.sqrt(max(len(means) / _SHARED, 1.0)), _FLOOR_M))
+    sigma = float(np.hypot(spread / np.sqrt(max(len(means) / _SHARED, 1.0)), _FLOOR_M))
+    return _Line(middle, sigma, share, float(np.median(np.abs(offset - means[group]))))
 
 
-def _apart(lines: list[Line], station: Floats, offset: Floats) -> list[Line]:
-    """Lines without those that are too near to one that goes on further.
+def _apart(lines: list[_Line], station: Floats, offset: Floats) -> tuple[list[_Line], bool]:
+    """Lines without those too near to one that goes on further; whether inner ones hold a median.
 
     Parameters
     ----------
     station, offset : of the points around, see `_AROUND_M`.
     """
-    kept = list(lines)
+    kept, median = list(lines), False
     while len(kept) > 1:
-        gaps = np.diff([line[0] for line in kept])
+        gaps = np.diff([line.offset_m for line in kept])
         near = int(np.argmin(gaps))
         if gaps[near] >= _NARROWEST_M:
             break
-        inner, outer = sorted(kept[near : near + 2], key=lambda line: abs(line[0]))
+        pair = kept[near : near + 2]
+        if 0 < near < len(kept) - 2:
+            median |= min(line.share for line in pair) >= _SOLID
+        inner, outer = sorted(pair, key=lambda line: abs(line.offset_m))
         goes_on = [
-            len(np.unique(np.floor(station[np.abs(offset - line[0]) <= _HALF_M] / _PIECE_M)))
+            len(np.unique(np.floor(station[np.abs(offset - line.offset_m) <= _HALF_M] / _PIECE_M)))
             for line in (inner, outer)
         ]
         kept.remove(inner if goes_on[1] >= _ALIKE * goes_on[0] else outer)
-    return kept
+    return kept, median or any(2 * line.half_m > _MEDIAN_M for line in kept[1:-1])

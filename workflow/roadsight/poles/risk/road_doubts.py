@@ -1,4 +1,4 @@
-"""What limits a hazard file: roads that no inventory covers, and roads without edges."""
+"""What limits a hazard file: roads without inventory, edges, or lanes that all agree on."""
 
 from __future__ import annotations
 
@@ -11,13 +11,28 @@ from roadsight.base.doubts import Doubt, Severity, listed
 from roadsight.base.sections.poles import Hazard
 from roadsight.poles.risk.clear_zone import SPEED_RANGE_KMH
 from roadsight.poles.risk.inventory import SAME_M, Inventory
+from roadsight.poles.risk.marked_lanes import WINDOW_M
+from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import Road
+from roadsight.poles.risk.roadside import Surroundings
 
 _Stretch = tuple[str, float, float]
 """Route, and the measures of its ends in metres."""
 
 _QUANTITIES = (("speed_kmh", "speed"), ("aadt", "AADT"), ("lanes", "number of lanes"))
 """Column, and its name in words."""
+_SETTINGS = {
+    "speed": "design speed (hazard.design_speed_kmh)",
+    "traffic": "traffic (hazard.aadt)",
+}
+"""What a site may state of all roads."""
+_WHOLE = {
+    "speed": f"{SPEED_RANGE_KMH[0]:g} to {SPEED_RANGE_KMH[1]:g} km/h",
+    "traffic": "any traffic",
+}
+"""What holds where nobody states it."""
+_MIXED_M = 2 * WINDOW_M
+"""Where lanes begin or end, markings are judged by so much road, half of it on either side."""
 
 
 def inventory_doubts(
@@ -31,11 +46,11 @@ def inventory_doubts(
     site : states speed and traffic where the inventory does not; then it is a note.
     """
     said = {
-        "speed_kmh": _follows(_speed(site)),
-        "aadt": _follows(_traffic(site)),
-        "lanes": ("note", "two lanes are not assumed"),
+        "speed_kmh": _follows(site, "speed"),
+        "aadt": _follows(site, "traffic"),
+        "lanes": ("note", "where markings do not show it, it is unknown"),
     }
-    severity, follows = _follows(_speed(site), _traffic(site))
+    severity, follows = _follows(site, "speed", "traffic")
     found: list[Doubt] = []
     if not lines:
         text = (
@@ -76,43 +91,84 @@ def inventory_doubts(
 
 def traffic_doubts(site: Hazard) -> list[Doubt]:
     """What no inventory states: a note where the site does for all roads, a doubt where none."""
-    by_name = {
-        "design speed (hazard.design_speed_kmh)": _speed(site),
-        "traffic (hazard.aadt)": _traffic(site),
-    }
-    lacking = [name for name, stated in by_name.items() if not stated]
-    stated = ", ".join(filter(None, by_name.values()))
+    stated = _stated_by(site)
     found = []
     if stated:
         text = (
             "no inventory is given (roads.inventory): what the site states holds for all roads,"
             " which nothing measured"
         )
-        found.append(Doubt("traffic_by_settings", "note", text, stated))
-    if lacking:
+        found.append(Doubt("traffic_by_settings", "note", text, ", ".join(stated.values())))
+    lacking = [name for name in _SETTINGS if name not in stated]
+    follows = _unstated_means(site, lacking)
+    if follows:
+        named = " and no ".join(_SETTINGS[name] for name in lacking)
         text = (
-            f"no inventory is given (roads.inventory), and the site states no"
-            f" {' and no '.join(lacking)}: clear zones, ratings and exposure are ranges over the"
-            f" guide's table ({SPEED_RANGE_KMH[0]:g} to {SPEED_RANGE_KMH[1]:g} km/h, any traffic);"
-            " stated"
+            f"no inventory is given (roads.inventory), and the site states no {named}:"
+            f" {follows}, for {' and '.join(_WHOLE[name] for name in lacking)}"
         )
-        found.append(Doubt("traffic_not_stated", "doubt", text, stated or "nothing"))
+        found.append(Doubt("traffic_not_stated", "doubt", text))
     return found
 
 
-def _speed(site: Hazard) -> str:
-    return "" if site.design_speed_kmh is None else f"{site.design_speed_kmh:g} km/h"
+def _stated_by(site: Hazard) -> dict[str, str]:
+    """Speed and traffic as far as the site states them, in words."""
+    found = {}
+    if site.design_speed_kmh is not None:
+        found["speed"] = f"{site.design_speed_kmh:g} km/h"
+    if site.aadt is not None:
+        found["traffic"] = f"{site.aadt:,.0f} vehicles a day"
+    return found
 
 
-def _traffic(site: Hazard) -> str:
-    return "" if site.aadt is None else f"{site.aadt:,.0f} vehicles a day"
-
-
-def _follows(*stated: str) -> tuple[Severity, str]:
+def _follows(site: Hazard, *lacking: str) -> tuple[Severity, str]:
     """How grave it is that an inventory lacks what a site may state, and what follows."""
-    if all(stated):
-        return "note", f"the site's {' and '.join(stated)} hold there"
-    return "doubt", "clear zones there are ranges"
+    stated = _stated_by(site)
+    if set(lacking) <= set(stated):
+        return "note", f"the site's {' and '.join(stated[name] for name in lacking)} hold there"
+    follows = _unstated_means(site, [name for name in lacking if name not in stated])
+    if not follows:
+        return "note", "the site's clear zone and runout length hold there"
+    return "doubt", f"{follows} there"
+
+
+def _unstated_means(site: Hazard, lacking: Sequence[str]) -> str:
+    """What follows where speed or traffic are stated by nobody; empty for nothing."""
+    if lacking and not site.clear_zone_m:
+        also = ", ratings and exposure" if "traffic" in lacking else " and ratings"
+        return f"clear zones{also} are ranges"
+    if "traffic" in lacking:
+        return "exposure is a range"
+    if lacking and not site.runout_length_m:
+        return "barriers are judged by the longest runout lengths"
+    return ""
+
+
+def lane_doubts(surroundings: Surroundings) -> list[Doubt]:
+    """A doubt where markings show another number of lanes than the inventory states."""
+    if surroundings.inventory is None:
+        return []
+    found: list[str] = []
+    length_m = 0.0
+    for number, road in enumerate(surroundings.roads.roads):
+        station_m = surroundings.geometry(number)["station_m"].to_numpy()
+        known = surroundings.inventory.at(surroundings.inventory.route_of(road), station_m)
+        stated, shown = (
+            lanes.to_numpy() for lanes in (known["lanes"], surroundings.marked(number)["lanes"])
+        )
+        differ = np.isfinite(stated) & np.isfinite(shown) & (stated != shown)
+        ends = np.flatnonzero(np.diff(np.r_[False, differ, False].astype(np.int8)))
+        for start, end in ends.reshape(-1, 2):
+            stretch = (road.name, station_m[start], station_m[end - 1])
+            found.append(f"{_told([stretch])} ({shown[start]:.0f}, not {stated[start]:.0f})")
+        length_m += STATION_M * float(differ.sum())
+    if length_m <= _MIXED_M:
+        return []
+    text = (
+        f"markings show another number of lanes than the inventory states for {listed(found)}:"
+        " what they show is taken; m of road"
+    )
+    return [Doubt("lanes_contradicted", "doubt", text, length_m, _MIXED_M)]
 
 
 def edge_doubts(roads: Sequence[Road]) -> list[Doubt]:
@@ -122,7 +178,8 @@ def edge_doubts(roads: Sequence[Road]) -> list[Doubt]:
         return []
     text = (
         f"no edge of road {listed([road.name for road in lacking])} is known along parts of it:"
-        " offsets there are from the nearest edge of any pavement; m of roadside"
+        " offsets there are from the nearest edge of any pavement, and markings there tell no"
+        " lanes; m of roadside"
     )
     length = round(sum(_bare_m(road) for road in lacking), 1)
     return [Doubt("road_without_edge", "doubt", text, length, 0)]

@@ -125,11 +125,14 @@ class Surroundings:
                 beside = located.station_m, located.side
                 near = np.abs(located.offset_m) <= own.bridged_edge_m(*beside) + _BESIDE_EDGE_M
                 on = near & (located.road == number)
+                at = self.geometry(number)["station_m"].to_numpy()
+                sides = [own.bridged_edge_m(at, np.full(len(at), side)) for side in (-1, 1)]
                 self._marked[number] = marked_lanes(
                     located.station_m[on],
                     located.offset_m[on],
                     self.markings["image"].to_numpy()[on],
-                    self.geometry(number)["station_m"].to_numpy(),
+                    at,
+                    np.column_stack(sides),
                 )
         if road not in self._marked:
             nothing = np.full((len(self.geometry(road)), len(LANE_COLUMNS)), np.nan)

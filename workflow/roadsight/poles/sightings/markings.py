@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from roadsight.base.arrays import Bytes, Floats
-from roadsight.base.sections.poles import EdgeTracing
 from roadsight.poles.images.classes import PixelClass
 from roadsight.poles.images.lanes import centre_lines
 from roadsight.poles.sightings.metric_depth import HeightAt, ground_distance_m
@@ -16,17 +15,18 @@ FARTHEST_M = 40.0
 degrees) see no road nearer than 17 m."""
 _THINNED_M = 0.2
 """One point of an image a cell of this width: more tell the same."""
-_TRACING = EdgeTracing()
 
 
-def markings_on_ground(camera: ViewCamera, mask: Bytes, height_at: HeightAt) -> Floats:
+def markings_on_ground(
+    camera: ViewCamera, mask: Bytes, height_at: HeightAt, min_marking_px: float
+) -> Floats:
     """Middles of the markings that a view shows, (n, 2) local metres, thinned.
 
     Parameters
     ----------
-    mask : project classes (rows, columns).
+    mask : project classes (rows, columns). min_marking_px : see `centre_lines`.
     """
-    uv = centre_lines(mask == PixelClass.MARKING, _TRACING)
+    uv = centre_lines(mask == PixelClass.MARKING, min_marking_px)
     if not len(uv):
         return np.empty((0, 2))
     rays = camera.rays(uv)

@@ -32,20 +32,18 @@ SAME_M = 0.05
 def hazard_profiles(
     hazard: pd.DataFrame, sections: pd.DataFrame, profiles: dict[str, Any]
 ) -> list[dict[str, Any]]:
-    """Cross-sections of the worst objects that are rated high, or perhaps would be, by rank.
-
-    Those are in a clear zone that is known as a range only, where the greatest decides.
+    """Cross-sections of the worst objects that are rated high, or might be, by rank.
 
     Parameters
     ----------
-    hazard : table of rated objects. sections : see `roadsight.poles.risk.roadside.section_table`.
+    hazard : table of rated objects; ``rating_greatest`` tells which might be.
+    sections : see `roadsight.poles.risk.roadside.section_table`.
     profiles : ``run_m`` and ``height_m`` (above the edge) of each object.
     """
     if not {"rank", "rating", "reasons"} <= set(hazard) or sections.empty:
         return []
     low, high = (hazard.get(f"clear_zone_{end}_m", hazard["clear_zone_m"]) for end in _ENDS)
-    perhaps = (hazard["rating"] == "medium") & (hazard["offset_m"] <= high) & (high - low >= SAME_M)
-    drawn = (hazard["rating"] == "high") | perhaps
+    drawn = hazard.get("rating_greatest", hazard["rating"]) == "high"
     hazard = hazard.assign(clear_zone_least_m=low, clear_zone_greatest_m=high)
     severe = hazard[drawn & hazard["id"].astype(str).isin(list(profiles))]
     found = []

@@ -14,7 +14,7 @@ import pandas as pd
 
 from roadsight.base.arrays import Bools, Bytes, Floats
 from roadsight.base.errors import InputError
-from roadsight.base.sections.poles import Sightings
+from roadsight.base.sections.poles import EdgeTracing, Sightings
 from roadsight.base.shards import WHOLE, Shard
 from roadsight.geometry.cameras import Intrinsics, compass_deg
 from roadsight.geometry.frames import Frame
@@ -88,6 +88,7 @@ _SEEN = {"kind": str, "object": np.int64, "image": str, "answer": np.int64}
 """Columns of what views say about objects of the cloud, beside the route."""
 _MARKED = {"x": np.float64, "y": np.float64, "image": str}
 """Columns of points on lane markings."""
+_EDGES = EdgeTracing()
 
 
 def measure_poles(
@@ -106,6 +107,7 @@ def measure_poles(
     views: Sequence[ViewName] = VIEWS,
     shard: Shard = WHOLE,
     grid_convergence: Literal["simulate", "skip"] = "simulate",
+    min_marking_px: Annotated[float, EdgeTracing] = _EDGES.min_marking_px,
     *,
     out: Path,
     seen: Annotated[Path | None, "what images show of the objects"] = None,
@@ -152,7 +154,7 @@ def measure_poles(
         if len(table):
             tables.append(table.assign(image=view.image, view=view.view))
         if markings and view.view == "front":
-            marked.append(_markings(camera, mask, ground, view))
+            marked.append(_markings(camera, mask, ground, view, min_marking_px))
     sightings = merge_views(pd.concat(tables, ignore_index=True)) if tables else pd.DataFrame()
     table = _finished(sightings, known, accepted, frame, grid_convergence == "simulate")
     for reason, count in table["reason"].value_counts().sort_index().items():
@@ -165,9 +167,11 @@ def measure_poles(
         write_table(seen, told.assign(route=told["image"].map(routes).astype(str)))
 
 
-def _markings(camera: ViewCamera, mask: Bytes, ground: Raster, view: View) -> pd.DataFrame:
+def _markings(
+    camera: ViewCamera, mask: Bytes, ground: Raster, view: View, min_marking_px: float
+) -> pd.DataFrame:
     """Middles of lane markings on the ground."""
-    places = markings_on_ground(camera, mask, ground.sample)
+    places = markings_on_ground(camera, mask, ground.sample, min_marking_px)
     return pd.DataFrame(places, columns=["x", "y"]).assign(image=view.image)
 
 

@@ -23,6 +23,7 @@ from roadsight.io.vector.vectors import read_layer, write_layers
 from roadsight.poles.risk.clear_zone import SOURCE
 from roadsight.poles.risk.hazard import RULE, Height, Rated, rate_roadside
 from roadsight.poles.risk.inventory import Carriageway
+from roadsight.poles.risk.road_doubts import lane_doubts
 from roadsight.poles.risk.road_geometry import STATION_M
 from roadsight.poles.risk.roads import roads_of
 from roadsight.poles.risk.roadside import Surroundings, geometry_table, section_table
@@ -91,8 +92,6 @@ def rate_hazard(
     roads, inventory, barriers, told = given_roads(
         given, frame, roads_of(tracks, edges_m / scale), scale, rails, settings
     )
-    if doubts:
-        tell(told, doubts, f"poles {poles_path}", log)
     points = None
     if cloud and ground:
         points = ground_near_roads(cloud, ground, roads, scale)
@@ -107,6 +106,8 @@ def rate_hazard(
         carriageway,
         _markings(markings, scale),
     )
+    if doubts:
+        tell([*told, *lane_doubts(surroundings)], doubts, f"poles {poles_path}", log)
     objects = _with_barrier_ends(poles, barriers, frame, scale)
     rated = rate_roadside(_divided(objects, scale), edges_m / scale, surroundings, settings)
     measured = _measure(rated.table, given.measure_unit)
