@@ -60,13 +60,13 @@ def test_one_speed_for_all_roads_is_noted_and_none_doubted_where_no_inventory_is
 @pytest.mark.parametrize(
     ("stated", "follows"),
     [
-        ({}, "clear zones, ratings and exposure are ranges, for 60 to 110 km/h and any traffic"),
-        ({"aadt": 3000}, "clear zones and ratings are ranges, for 60 to 110 km/h"),
-        ({"design_speed_kmh": 70}, "clear zones, ratings and exposure are ranges, for any traffic"),
-        ({"clear_zone_m": 6}, "exposure is a range, for 60 to 110 km/h and any traffic"),
+        ({}, "clear zones, ratings and exposure are ranges for 60 to 110 km/h and any traffic"),
+        ({"aadt": 3000}, "clear zones and ratings are ranges for 60 to 110 km/h"),
+        ({"design_speed_kmh": 70}, "clear zones, ratings and exposure are ranges for any traffic"),
+        ({"clear_zone_m": 6}, "exposure is a range"),
         (
             {"clear_zone_m": 6, "aadt": 3000},
-            "barriers are judged by the longest runout lengths, for 60 to 110 km/h",
+            "barriers are judged by the longest runout lengths",
         ),
         ({"clear_zone_m": 6, "runout_length_m": 90, "aadt": 3000}, None),
     ],
@@ -85,7 +85,10 @@ def test_an_inventory_s_lack_is_told_with_what_follows():
     assert own["inventory_without_speed"].severity == "note"
     assert "exposure is a range there" in own["inventory_without_aadt"].message
     own = told(known, road())
-    assert "clear zones and ratings are ranges there" in own["inventory_without_speed"].message
+    assert (
+        "clear zones and ratings are ranges for 60 to 110 km/h there"
+        in own["inventory_without_speed"].message
+    )
     assert "where markings do not show it" in own["inventory_without_lanes"].message
 
 

@@ -103,10 +103,7 @@ def traffic_doubts(site: Hazard) -> list[Doubt]:
     follows = _unstated_means(site, lacking)
     if follows:
         named = " and no ".join(_SETTINGS[name] for name in lacking)
-        text = (
-            f"no inventory is given (roads.inventory), and the site states no {named}:"
-            f" {follows}, for {' and '.join(_WHOLE[name] for name in lacking)}"
-        )
+        text = f"no inventory is given (roads.inventory), and the site states no {named}: {follows}"
         found.append(Doubt("traffic_not_stated", "doubt", text))
     return found
 
@@ -136,7 +133,7 @@ def _unstated_means(site: Hazard, lacking: Sequence[str]) -> str:
     """What follows where speed or traffic are stated by nobody; empty for nothing."""
     if lacking and not site.clear_zone_m:
         also = ", ratings and exposure" if "traffic" in lacking else " and ratings"
-        return f"clear zones{also} are ranges"
+        return f"clear zones{also} are ranges for {' and '.join(_WHOLE[name] for name in lacking)}"
     if "traffic" in lacking:
         return "exposure is a range"
     if lacking and not site.runout_length_m:
