@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 from numpy.typing import NDArray
 
 from roadsight.config.environment import kernel_cache
@@ -19,8 +19,10 @@ PROJECT = Path(__file__).resolve().parents[1]
 
 # The same examples in every run, so that a change is judged by what it changes; a search for new
 # ones is a run of its own: HYPOTHESIS_PROFILE=search.
-settings.register_profile("same", derandomize=True)
-settings.register_profile("search", print_blob=True)
+_NO_CLOCK = {"deadline": None, "suppress_health_check": [HealthCheck.too_slow]}
+"""A machine with other work is slow, which no test is about."""
+settings.register_profile("same", derandomize=True, **_NO_CLOCK)
+settings.register_profile("search", print_blob=True, **_NO_CLOCK)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 
 

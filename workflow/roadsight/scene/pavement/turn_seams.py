@@ -145,7 +145,7 @@ class _Turn:
         return np.where(number >= _FEWEST_RINGS, median, np.nan)
 
 
-def _grouped(cells: Floats) -> Floats:
+def _grouped(cells: Floats | Ints) -> Floats:
     """Sums of neighbouring strips in each ring."""
     sums = np.pad(np.cumsum(cells.reshape(_RINGS, _ACROSS), axis=1), ((0, 0), (1, 0)))
     return np.asarray(sums[:, _STRIPS:] - sums[:, :-_STRIPS], np.float64)
