@@ -247,9 +247,10 @@ class PolesJob:
         self._stage("calibrate_drive", *traced, *tied, **there, out="calibration")
         for part in parts:
             shard = ("--shard", str(part), "--shards", str(self._shards))
+            marked = ("--min-marking-px", "60")
             self._stage("align_cameras", *traced, *shard, **there, calibration="calibration",
                         out=f"cameras{part}")  # fmt: skip
-            self._stage("measure_poles", *shard, frames="frames", calibration="calibration",
+            self._stage("measure_poles", *shard, *marked, frames="frames", calibration="calibration",
                         cameras=f"cameras{part}", masks=f"masks{part}", depth=f"depth{part}",
                         dem="dem.tif", columns="columns", frame="frame",
                         out=f"sightings{part}")  # fmt: skip

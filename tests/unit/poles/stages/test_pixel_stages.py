@@ -84,7 +84,7 @@ def measure(folder, *more: str) -> int:
     files = ("frames.parquet", "cameras.parquet", "masks.zip", "depth.zip", "dem.tif",
              "voxels.parquet", "columns.parquet", "frame.json", "sightings.parquet")  # fmt: skip
     pairs = [w for n, f in zip(names, files, strict=True) for w in (f"--{n}", str(folder / f))]
-    return measure_poles.main([*pairs, *more])
+    return measure_poles.main([*pairs, "--min-marking-px", "60", *more])
 
 
 def test_sightings_of_accepted_cameras_are_written(frames):

@@ -19,6 +19,7 @@ from roadsight.base.sections.poles import (
     Alignment,
     AlignmentLimits,
     Calibration,
+    EdgeTracing,
     Reach,
     Sightings,
     Triangulation,
@@ -194,6 +195,7 @@ class _Variant:
                 given.dem,
                 given.frame,
                 settings,
+                EdgeTracing().min_marking_px,  # no markings are asked for
                 columns=None if self._without == "lidar_bearing" else given.columns,
                 calibration=self._path("calibration", "json"),
                 voxels=given.voxels,

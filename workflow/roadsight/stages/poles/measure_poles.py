@@ -88,7 +88,6 @@ _SEEN = {"kind": str, "object": np.int64, "image": str, "answer": np.int64}
 """Columns of what views say about objects of the cloud, beside the route."""
 _MARKED = {"x": np.float64, "y": np.float64, "image": str}
 """Columns of points on lane markings."""
-_EDGES = EdgeTracing()
 
 
 def measure_poles(
@@ -99,6 +98,7 @@ def measure_poles(
     dem: Path,
     frame_path: Path,
     settings: Sightings,
+    min_marking_px: Annotated[float, EdgeTracing],
     turns_path: Annotated[Path | None, "yaw of side views, from what images share"] = None,
     columns: Annotated[Path | None, "pole-like columns of the cloud"] = None,
     calibration: Annotated[Path | None, "has the yaw of side views, if found"] = None,
@@ -107,7 +107,6 @@ def measure_poles(
     views: Sequence[ViewName] = VIEWS,
     shard: Shard = WHOLE,
     grid_convergence: Literal["simulate", "skip"] = "simulate",
-    min_marking_px: Annotated[float, EdgeTracing] = _EDGES.min_marking_px,
     *,
     out: Path,
     seen: Annotated[Path | None, "what images show of the objects"] = None,
