@@ -250,9 +250,9 @@ class PolesJob:
             marked = ("--min-marking-px", "60")
             self._stage("align_cameras", *traced, *shard, **there, calibration="calibration",
                         out=f"cameras{part}")  # fmt: skip
-            self._stage("measure_poles", *shard, *marked, frames="frames", calibration="calibration",
-                        cameras=f"cameras{part}", masks=f"masks{part}", depth=f"depth{part}",
-                        dem="dem.tif", columns="columns", frame="frame",
+            self._stage("measure_poles", *shard, *marked, frames="frames",
+                        calibration="calibration", cameras=f"cameras{part}",
+                        masks=f"masks{part}", depth=f"depth{part}", dem="dem.tif", columns="columns", frame="frame",
                         out=f"sightings{part}")  # fmt: skip
 
     @property
