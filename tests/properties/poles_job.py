@@ -252,8 +252,8 @@ class PolesJob:
                         out=f"cameras{part}")  # fmt: skip
             self._stage("measure_poles", *shard, *marked, frames="frames",
                         calibration="calibration", cameras=f"cameras{part}",
-                        masks=f"masks{part}", depth=f"depth{part}", dem="dem.tif", columns="columns", frame="frame",
-                        out=f"sightings{part}")  # fmt: skip
+                        masks=f"masks{part}", depth=f"depth{part}", dem="dem.tif",
+                        columns="columns", frame="frame", out=f"sightings{part}")  # fmt: skip
 
     @property
     def cameras(self) -> pd.DataFrame:
