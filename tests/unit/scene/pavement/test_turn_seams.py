@@ -3,8 +3,11 @@
 import numpy as np
 import pytest
 
+from roadsight.evidence.truth.streets import ground_points, read_street
 from roadsight.scene.pavement.road_surface import RoadSettings, find_road, road_points
+from roadsight.scene.pavement.scan_levels import scanner_positions
 from roadsight.scene.pavement.turn_seams import close_turns
+from roadsight.scene.whole import near_ground
 
 HALF_ROAD_M = 4.0
 SPEED_M = 0.8
@@ -97,3 +100,14 @@ def test_both_lanes_are_road_whether_turns_close_or_not(rng, step_m):
     for lane in (across > -1.4, across < -1.6):
         assert found[road & lane & behind].mean() > 0.85
     assert found[~road].mean() < 0.05
+
+
+@pytest.mark.real
+@pytest.mark.parametrize(("name", "step_m"), [("02", 0.0), ("05", 0.0), ("08", 0.16)])
+def test_of_real_streets_one_does_not_close(data, name, step_m):
+    street = ground_points(read_street(data / "street_scans" / name))
+    near = near_ground(street.xyz_m)
+    xyz_m, scan = street.xyz_m[near], street.scan[near]
+    heights, found_m = close_turns(xyz_m, scan, *scanner_positions(xyz_m, scan))
+    assert found_m == pytest.approx(step_m, abs=0.02)
+    assert np.abs(heights - xyz_m[:, 2]).max() < 0.2
