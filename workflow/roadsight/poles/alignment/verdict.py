@@ -20,8 +20,8 @@ _BEYOND_PX = 2.0
 _BEHIND_M = 1.0
 """Points less far in front of the camera have no row, as in the kernel."""
 _SHORTEST_M = 20.0
-"""A cloud that ends nearer leaves so little to judge by that a heading a degree beside its
-expectation passes: of generated images 12 of 12 at 15 m, as many as with a whole cloud at 25 m."""
+"""A cloud that ends nearer leaves so little to judge by that a heading passes which its expectation
+has a degree off: 12 of 12 generated images at 15 m. From 25 m on as few pass as by all pixels."""
 
 
 @dataclass(frozen=True)

@@ -321,6 +321,8 @@ def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
     """
     for _ in range(_MOST_ROUNDS):
         grown = _grow_once(ground, seed, settings, factor)
+        if not (grown & ground.blank).any():
+            break
         bare = replace(ground, blank=np.zeros_like(ground.blank))
         parted = _parted(ground, grown, _grow_once(bare, seed, settings, factor))
         if not parted.any():

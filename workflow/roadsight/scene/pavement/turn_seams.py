@@ -63,7 +63,7 @@ def close_turns(xyz_m: Floats, scan: Ints, places_m: Floats, sure: Bools) -> tup
 
     Returns
     -------
-    heights : (n,) metres. step_m : median of the steps taken out; 0 where turns close.
+    heights : (n,) metres. step_m : median of the asked turns' steps; 0 where turns close.
     """
     heights = np.array(xyz_m[:, 2], np.float64)
     if sure.sum() < 2:
@@ -71,19 +71,19 @@ def close_turns(xyz_m: Floats, scan: Ints, places_m: Floats, sure: Bools) -> tup
     places_m = places_m[sure]
     members = [np.flatnonzero(scan == one) for one in np.unique(scan)[sure]]
     headings = _headings(places_m)
-    turns = [
-        _Turn(xyz_m[own], place, heading)
-        for own, place, heading in zip(members, places_m, headings, strict=True)
-    ]
-    asked = turns[:: -(-len(turns) // _ASKED_TURNS)]
+
+    def turn(k: int) -> _Turn:
+        return _Turn(xyz_m[members[k]], places_m[k], float(headings[k]))
+
+    asked = [turn(k) for k in range(0, len(members), -(-len(members) // _ASKED_TURNS))]
     rays = np.radians(np.arange(0.0, 360.0, _COARSE_DEG))
-    common = _common(np.array([[_highest(turn.steps_m(ray)) for ray in rays] for turn in asked]))
+    common = _common(np.array([[_highest(one.steps_m(ray)) for ray in rays] for one in asked]))
     best = int(np.argmax(np.abs(common)))
     step_m, opposite_m = common[best], common[best - len(rays) // 2]
     if abs(step_m) < max(_LEAST_STEP_M, 2.0 * abs(opposite_m)):
         return heights, 0.0
-    for own, turn in zip(members, turns, strict=True):
-        heights[own] -= _ramp_m(xyz_m[own], turn, float(rays[best]), float(step_m))
+    for k, own in enumerate(members):
+        heights[own] -= _ramp_m(xyz_m[own], turn(k), float(rays[best]), float(step_m))
     return heights, abs(float(step_m))
 
 
