@@ -1,5 +1,6 @@
 """Training of the small networks: crops, measures, losses, and that training repeats itself."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -15,6 +16,7 @@ from roadsight.training.measures import (
     road_border_errors,
     scores_by_class,
 )
+from roadsight.training.pasted_panels import with_panels
 from roadsight.training.record import update_record
 from roadsight.training.samples import DEPTH_SCALE, Sample, digest, read_samples, write_sample
 
@@ -229,3 +231,31 @@ class TestTraining:
         right = self.torch.nn.functional.one_hot(classes, 13).permute(0, 3, 1, 2).float()
         assert float(classes_loss(9.0 * right, classes)) < float(classes_loss(right, classes))
         assert float(classes_loss(20.0 * right, classes)) < 0.01
+
+
+def test_drawn_signs_stand_on_grass_and_change_nothing_else():
+    classes = np.full((96, 128), PixelClass.TREE, np.uint8)
+    classes[60:] = PixelClass.VEGETATION
+    colour = np.full((96, 128, 3), 90, np.uint8)
+    found, kinds = with_panels(colour, classes, 6.0, np.random.default_rng(4))
+    again = with_panels(colour, classes, 6.0, np.random.default_rng(4))
+    np.testing.assert_array_equal(found, again[0])
+    drawn = kinds != classes
+    assert set(np.unique(kinds[drawn])) == {PixelClass.SIGN, PixelClass.POLE}
+    assert np.count_nonzero(kinds == PixelClass.SIGN) > 50
+    far = cv2.dilate(drawn.astype(np.uint8), np.ones((5, 5))) == 0
+    np.testing.assert_array_equal(found[far], colour[far])
+
+
+def test_no_sign_is_drawn_where_nothing_can_stand():
+    classes = np.full((96, 128), PixelClass.ROAD, np.uint8)
+    _, kinds = with_panels(np.zeros((96, 128, 3), np.uint8), classes, 6.0, np.random.default_rng(4))
+    np.testing.assert_array_equal(kinds, classes)
+
+
+def test_pixels_of_small_signs_count_more():
+    classes = np.zeros((1, 64, 64), np.int64)
+    classes[0, :5, :5] = classes[0, 20:60, 20:60] = PixelClass.SIGN
+    weights = sign_weights(classes)
+    assert weights[0, 2, 2] == pytest.approx(4.0)
+    assert weights[0, 40, 40] == weights[0, 10, 10] == 1.0

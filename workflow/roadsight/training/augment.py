@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bytes, Floats32, Ints
 from roadsight.poles.images.classes import PixelClass
+from roadsight.training.pasted_panels import with_panels
 from roadsight.training.samples import DEPTH_SCALE, Sample
 
 _GREY_BGR = np.array([0.114, 0.587, 0.299], np.float32)
@@ -25,6 +26,7 @@ class Crops:
     height_px, width_px : of the crop. scale : smallest and largest enlargement of the image.
     wanted_share : share of the crops that hold a chosen pixel of one of the ``wanted`` classes,
         which have few pixels; a class that is there twice is chosen twice as often.
+    panels : signs drawn into a crop, in the mean.
     """
 
     height_px: int = 256
@@ -32,6 +34,7 @@ class Crops:
     scale: tuple[float, float] = (0.7, 1.6)
     wanted_share: float = 0.6
     wanted: tuple[PixelClass, ...] = (PixelClass.POLE, PixelClass.SIGN, PixelClass.MARKING)
+    panels: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -53,6 +56,11 @@ def random_batch(
 ) -> Batch:
     """Crops of ``count`` images drawn at random; the same ``rng`` gives the same crops."""
     drawn = [_random_crop(samples[rng.integers(len(samples))], crops, rng) for _ in range(count)]
+    if crops.panels > 0.0:
+        drawn = [
+            Sample(*with_panels(one.colour, one.classes, crops.panels, rng), one.depth)
+            for one in drawn
+        ]
     faulty = [with_camera_faults(sample.colour, rng) for sample in drawn]
     rgb = np.stack(faulty)[..., ::-1].transpose(0, 3, 1, 2)
     depth = np.stack([sample.depth for sample in drawn]).astype(np.float32)

@@ -26,6 +26,8 @@ def render_dataset(
     sites: int = 44,
     views: Annotated[int, "views of a site"] = 12,
     panels_per_km: Annotated[float, "signs of any form and colour beside the usual ones"] = 0.0,
+    cars_per_km: Annotated[float, "cars parked beside the road beside the usual ones"] = 0.0,
+    lanes: Annotated[int, "of each direction"] = 1,
 ) -> None:
     """Write ``views`` views of each of ``sites`` sites."""
     if sites < 1 or views < 1:
@@ -36,7 +38,7 @@ def render_dataset(
     for seed in range(first_seed, first_seed + sites):
         width_px, height_px = _SIZES_PX[seed % 2]
         shown = random_training_views(
-            seed, views, width_px, height_px, _SITE_LENGTH_M, panels_per_km
+            seed, views, width_px, height_px, _SITE_LENGTH_M, panels_per_km, cars_per_km, lanes
         )
         for number, view in enumerate(shown):
             sample = Sample(view.colour, view.classes, view.inverse_depth())

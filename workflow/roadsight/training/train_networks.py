@@ -70,6 +70,7 @@ _RARE = (
     PixelClass.SIGN,
     PixelClass.GUARDRAIL,
     PixelClass.BUILDING,
+    PixelClass.VEHICLE,
 )
 """Where crops for the classes are placed."""
 
@@ -136,6 +137,7 @@ class Training:
     rate: Annotated[float, "highest learning rate"] = 3e-3
     crop_px: Annotated[tuple[int, int] | None, "height and width, not the task's"] = None
     batch: Annotated[int | None, "crops of a step, instead of the task's"] = None
+    panels: Annotated[float, "signs drawn into a crop, in the mean"] = 0.0
     start_from: Annotated[str | None, "ONNX file of this network to go on training from"] = None
     seed: int = SEED
     first_seed: Annotated[int, "first site of the data"] = 1000
@@ -189,7 +191,9 @@ def _task(given: Training) -> Task:
         raise InputError(
             f"--crop-px must be multiples of {MULTIPLE_PX}", found=f"{height_px} {width_px}"
         )
-    crops = replace(task.crops, height_px=height_px, width_px=width_px)
+    crops = replace(
+        task.crops, height_px=height_px, width_px=width_px, panels=given.panels
+    )
     return replace(task, crops=crops, batch=given.batch or task.batch)
 
 
@@ -219,6 +223,7 @@ def _entry(
         "batch": schedule.batch,
         "passes_over_data": round(schedule.steps * schedule.batch / len(samples), 1),
         "crop_px": [task.crops.height_px, task.crops.width_px],
+        "panels_per_crop": task.crops.panels,
         "highest_learning_rate": schedule.rate,
         "threads": given.threads,
         "versions": {

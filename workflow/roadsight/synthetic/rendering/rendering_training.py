@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from roadsight.base.sections.sample import RuralScene
 from roadsight.geometry.cameras import Intrinsics, cam_from_world
 from roadsight.synthetic.rendering.images import Camera, RenderedView, RuralRenderer
 from roadsight.synthetic.rendering.rendering_look import random_finish, random_look
@@ -20,6 +21,8 @@ def random_training_views(
     height_px: int = 416,
     length_m: float = 500.0,
     panels_per_km: float = 0.0,
+    cars_per_km: float = 0.0,
+    lanes: int = 1,
 ) -> Iterator[RenderedView]:
     """Views of one site of its own: random places, cameras, weather, exposure.
 
@@ -30,8 +33,15 @@ def random_training_views(
     ----------
     seed : of the site and of everything else; the same arguments give the same views.
     panels_per_km : signs of any form and colour beside the usual ones.
+    cars_per_km : cars parked beside the road beside the usual ones. lanes : of each direction.
     """
-    site = build_rural(seed, length_m, panels_per_km=panels_per_km)
+    site = build_rural(
+        seed,
+        length_m,
+        panels_per_km=panels_per_km,
+        cars_per_km=cars_per_km,
+        scene=RuralScene(lanes=lanes),
+    )
     renderer = RuralRenderer(site)
     rng = np.random.default_rng([seed, 11])
     for _ in range(count):

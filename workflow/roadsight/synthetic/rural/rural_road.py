@@ -113,6 +113,7 @@ def build_rural(
     length_m: float,
     detail: float = 1.0,
     panels_per_km: float = 0.0,
+    cars_per_km: float = 0.0,
     scene: RuralScene = _USUAL,
 ) -> RuralSite:
     """Build the site; the same arguments give the same site.
@@ -122,6 +123,7 @@ def build_rural(
     length_m : length of the drive; the road goes on for 130 m at both ends.
     detail : number of leaves against the usual (their area stays).
     panels_per_km : signs of any form and colour beside the usual ones, for training.
+    cars_per_km : cars parked beside the road beside the usual ones, for training.
     scene : relief, lanes, verges, and what is left of the paint.
 
     Raises
@@ -133,8 +135,8 @@ def build_rural(
     if not _SHORTEST_M <= length_m <= _LONGEST_M:
         allowed = f"{_SHORTEST_M:g} to {_LONGEST_M:g}"
         raise InputError("is out of range", where="length_m", found=length_m, allowed=allowed)
-    streams = np.random.SeedSequence([seed, 7]).spawn(5)
-    line_rng, hill_rng, thing_rng, plant_rng, panel_rng = (
+    streams = np.random.SeedSequence([seed, 7]).spawn(6)
+    line_rng, hill_rng, thing_rng, plant_rng, panel_rng, car_rng = (
         np.random.default_rng(s) for s in streams
     )
     line = random_line(-_LEAD_M, length_m + _LEAD_M, line_rng)
@@ -150,6 +152,8 @@ def build_rural(
     add_plants(add, houses, detail)
     add.rng = panel_rng
     add_panels(add, panels_per_km)
+    add.rng = car_rng
+    _park_beside(add, cars_per_km)
     several = scene.lanes > 1
     passing = [] if several else [[0.42 * length_m, 0.62 * length_m]]
     hatched = [np.multiply(length_m, share) for share in _HATCHED] if several else []
@@ -242,3 +246,13 @@ def _park(add: Furnisher, drive: Branch, length_m: float) -> None:
         place = share * length_m, add.ground.section.beside(side * 5.0)
         if add.free(*place, 2.0):
             add_vehicle(add, *place, 0.0 if side < 0 else np.pi)
+
+
+def _park_beside(add: Furnisher, per_km: float) -> None:
+    """Park cars on the shoulders, either way, where nothing stands."""
+    first, last = float(add.ground.line.station_m[0]), float(add.ground.line.station_m[-1])
+    for station in add.rng.uniform(first + 5.0, last - 5.0, round(per_km * (last - first) / 1e3)):
+        side = float(add.rng.choice([-1.0, 1.0]))
+        place = float(station), add.ground.section.beside(side * add.rng.uniform(4.8, 7.5))
+        if add.free(*place, 2.5):
+            add_vehicle(add, *place, add.rng.choice([0.0, np.pi]) + add.rng.normal(0.0, 0.1))
