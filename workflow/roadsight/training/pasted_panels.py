@@ -106,9 +106,7 @@ def _box(left: float, top: float, right: float, bottom: float) -> Floats:
     return np.array([[left, top], [right, top], [right, bottom], [left, bottom]])
 
 
-def _fill(
-    pixels: Floats32, kinds: Bytes, corners: Floats, value: Floats, kind: PixelClass
-) -> None:
+def _fill(pixels: Floats32, kinds: Bytes, corners: Floats, value: Floats, kind: PixelClass) -> None:
     """Mix ``value`` into what a convex polygon covers; what it covers half of is of ``kind``."""
     last = np.array(kinds.shape[::-1], np.int64)
     first = np.clip(np.floor(corners.min(axis=0)).astype(np.int64), 0, last)

@@ -191,9 +191,7 @@ def _task(given: Training) -> Task:
         raise InputError(
             f"--crop-px must be multiples of {MULTIPLE_PX}", found=f"{height_px} {width_px}"
         )
-    crops = replace(
-        task.crops, height_px=height_px, width_px=width_px, panels=given.panels
-    )
+    crops = replace(task.crops, height_px=height_px, width_px=width_px, panels=given.panels)
     return replace(task, crops=crops, batch=given.batch or task.batch)
 
 
