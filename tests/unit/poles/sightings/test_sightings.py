@@ -301,6 +301,18 @@ def test_a_panel_tells_its_bearing_and_by_its_size_roughly_its_distance():
     assert np.isnan([sign["depth_network_m"], sign["depth_ground_m"]]).all()
     # camera 2.5 m up, lower edge 2 m up: the ray falls 0.5 m in 20 m
     assert sign["lower_edge_rise"] == pytest.approx(-0.5 / 20.0, rel=0.2)
+    assert sign["upper_edge_rise"] > sign["lower_edge_rise"]
+
+
+def test_a_panel_is_too_far_only_by_more_than_its_size_leaves_open():
+    """By its size it is known to half: one that seems 64 m away may be within 60 m."""
+    evidence = Evidence(level, NONE, np.empty((0, 3)))
+    for farthest_m, kept in ((12.0, True), (8.0, False)):
+        asked = SIGNS.model_copy(update={"farthest_m": farthest_m})
+        (sign,) = measure_view(CAMERA, signed(350.0, 20.0), None, evidence, asked).to_dict(
+            "records"
+        )
+        assert sign["kept"] == kept
 
 
 def test_the_ray_of_a_lower_edge_above_the_camera_rises():

@@ -69,7 +69,7 @@ def site(tmp_path_factory):
         rows, columns=["image", "sequence", "x", "bearing_grid_deg", "depth_m"]
     ).assign(route="r", kind="pole", y=0.0, sigma_bearing_deg=0.3, sigma_depth_m=1.0, kept=True)
     nothing = dict.fromkeys(NETWORK_COLUMNS, np.nan)
-    nothing |= dict.fromkeys(("z", "lower_edge_rise"), np.nan)
+    nothing |= dict.fromkeys(("z", "lower_edge_rise", "upper_edge_rise"), np.nan)
     sightings = sightings.assign(view="front", reason="", depth_from="network", **nothing)
     sightings = sightings.assign(drift_east_m=0.0, drift_north_m=0.0)
     write_table(folder / "s0.parquet", sightings.iloc[::2])

@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from roadsight.poles.sightings.network_scale import NetworkScale
-from roadsight.poles.triangulate.locate import STANDING
+from roadsight.poles.triangulate.panels import STANDING
 from roadsight.poles.triangulate.pole_doubts import (
     FAR_M,
     FAR_SIGMA_M,

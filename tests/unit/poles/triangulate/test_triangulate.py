@@ -10,21 +10,26 @@ from hypothesis import strategies as st
 
 from roadsight.poles.triangulate.groups import Points, fit_groups, locate_points
 from roadsight.poles.triangulate.locate import (
-    FILLED,
-    STANDING,
-    are_filled,
     calibrate_depths,
     drop_near_structures,
     error_ellipse,
     shares_above,
     triangulate,
-    withhold_filled,
-    withhold_standing,
     withhold_thin,
     withhold_under_crowns,
 )
 from roadsight.poles.triangulate.merging import follows_sequence, merge_groups
 from roadsight.poles.triangulate.packing import choose_groups
+from roadsight.poles.triangulate.panels import (
+    FILLED,
+    LOW,
+    STANDING,
+    UNEVEN,
+    are_filled,
+    panel_edges,
+    withhold_by_height,
+    withhold_filled,
+)
 from roadsight.poles.triangulate.rays import (
     UNAIDED,
     TriangulationSettings,
@@ -322,26 +327,70 @@ def test_a_pole_s_own_returns_are_no_crown():
     assert share == 0.0
 
 
-def test_panels_whose_lower_edges_are_on_the_ground_are_withheld():
-    """A sign 30 m ahead whose edge is at 1.5 m, a car, a pole alike, and what was withheld before.
+def _by_height(lower_m, upper_m, pole_of, poles, ground_m=100.0):
+    """Panels 30 m ahead of a camera 2.2 m above the ground; three views must agree."""
+    rises = (np.stack([lower_m, upper_m]) - 2.2) / 30.0
+    sightings = pd.DataFrame({"x": 0.0, "y": 0.0, "z": 102.2, "lower_edge_rise": rises[0]})
+    sightings["upper_edge_rise"] = rises[1]
+    edges = panel_edges(poles, np.array(pole_of), sightings, np.full(len(poles), ground_m))
+    return withhold_by_height(poles, edges, 3)
 
-    The camera is at 2.2 m. What lies behind the sign, a bank or the plain, does not count.
+
+def test_panels_whose_lower_edges_are_on_the_ground_are_withheld():
+    """A sign whose edge is at 1.5 m, a car, a pole alike, and what was withheld before.
+
+    What lies behind the sign, a bank or the plain, does not count.
     """
     kinds = {"kind": ["sign", "sign", "pole", "sign"], "x": 0.0, "y": 30.0, "reason": ""}
     poles = pd.DataFrame(kinds).assign(kept=[True, True, True, False])
-    edge_m = np.array([1.5, 1.4, 0.2, 0.4, 1.9, 0.0, 0.0, 0.0])
-    rise = (edge_m - 2.2) / 30.0
-    sightings = pd.DataFrame({"x": 0.0, "y": 0.0, "z": 102.2, "lower_edge_rise": rise})
-    pole_of = np.array([0, 0, 1, 1, 1, 2, 3, -1])
-    found = withhold_standing(poles, pole_of, sightings, np.full(4, 100.0))
+    lower_m = np.array([1.5, 1.4, 1.5, 0.2, 0.4, 1.9, 0.0, 0.0, 0.0])
+    pole_of = [0, 0, 0, 1, 1, 1, 2, 3, -1]
+    found = _by_height(lower_m, lower_m + 1.2, pole_of, poles)
     assert found["kept"].tolist() == [True, False, True, False]
     assert found["reason"].tolist() == ["", STANDING, "", ""]
-    for of, ground_m in ((np.full(8, -1), 100.0), (pole_of, np.nan)):
-        same = withhold_standing(poles, of, sightings, np.full(4, ground_m))
+    for of, ground_m in (([-1] * 9, 100.0), (pole_of, np.nan)):
+        same = _by_height(lower_m, lower_m + 1.2, of, poles, ground_m)
         assert same["kept"].equals(poles["kept"])
     # where the ground is a metre higher, the sign stands on it too
-    higher = withhold_standing(poles, pole_of, sightings, np.full(4, 101.0))
+    higher = _by_height(lower_m, lower_m + 1.2, pole_of, poles, 101.0)
     assert not higher["kept"].to_numpy()[:2].any()
+
+
+def test_panels_without_one_height_and_letter_boxes_are_withheld():
+    """A sign, one of which a view shows half, rays to branches that meet, and a letter box."""
+    poles = pd.DataFrame({"kind": ["sign"] * 4, "x": 0.0, "y": 30.0, "reason": "", "kept": True})
+    lower_m = np.array([1.9, 2.0, 1.9, 1.9, 1.9, 1.9, 0.4, 2.6, 2.9, 3.1, 3.6, 0.9, 0.9, 0.9])
+    upper_m = np.array([2.7, 2.7, 2.6, 2.7, 2.7, 2.7, 0.9, 3.7, 3.4, 3.6, 4.4, 1.3, 1.3, 1.3])
+    pole_of = [0] * 3 + [1] * 4 + [2] * 4 + [3] * 3
+    found = _by_height(lower_m, upper_m, pole_of, poles)
+    assert found["reason"].tolist() == ["", "", UNEVEN, LOW]
+    assert found["kept"].tolist() == [True, True, False, False]
+
+
+def _panel_sightings(depth_m):
+    """A sign at (0, 40) seen from eight places, which takes it for ``depth_m`` away."""
+    x = np.linspace(-12.0, 12.0, 8)
+    bearing = np.degrees(np.arctan2(-x, 40.0))
+    table = pd.DataFrame({"x": x, "y": 0.0, "bearing_grid_deg": bearing, "depth_m": depth_m})
+    table["image"] = [f"i{n}" for n in range(8)]
+    return table.assign(
+        route="r",
+        sequence=range(8),
+        kind="sign",
+        sigma_bearing_deg=0.2,
+        sigma_depth_m=0.5 * table["depth_m"],
+        kept=True,
+        anchored=False,
+    )
+
+
+@pytest.mark.parametrize("far", [0, 6, 8])
+def test_panels_that_seem_too_far_are_found_once(far):
+    depth_m = np.where(np.arange(8) < far, 75.0, 42.0)
+    poles, pole_of, _ = site_poles(_panel_sightings(depth_m), TriangulationSettings())
+    kept = poles[poles["kept"]]
+    assert len(kept) == 1 and np.hypot(kept["x"], kept["y"] - 40.0).iloc[0] < 2.0
+    assert (pole_of[far:] == pole_of[far:].max(initial=0)).all()
 
 
 @pytest.mark.parametrize("thinned", [1, 3])

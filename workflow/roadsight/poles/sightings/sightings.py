@@ -82,8 +82,8 @@ def measure_view(
     Returns
     -------
     a row for each object: kind, pixels of foot and box, bearing_grid_deg, depth_m (horizontal) and
-    their sigmas, each distance by itself, height_m, lower_edge_rise (of a panel's, m per m of
-    plan), kept and reason
+    their sigmas, each distance by itself, height_m, lower_edge_rise and upper_edge_rise (of a
+    panel's, m per m of plan), kept and reason
     """
     settings = settings or Sightings()
     kinds = [kind for kind in settings.kinds if not KINDS[kind].from_cloud]
@@ -134,8 +134,9 @@ def measure_view(
     table["sigma_place_m"] = place
     table["width_deg"] = np.degrees(np.arctan(width / camera.intrinsics.focal_px))
     middle = 0.5 * (table["u_min"] + table["u_max"])
-    lower = _rise(camera, np.column_stack([middle, table["v_max"]]))
-    table["lower_edge_rise"] = np.where(panel, lower, np.nan)
+    for name, row in (("lower_edge_rise", "v_max"), ("upper_edge_rise", "v_min")):
+        edge = _rise(camera, np.column_stack([middle, table[row]]))
+        table[name] = np.where(panel, edge, np.nan)
     return _once_a_column(_judged(table, found, camera, settings), match)
 
 
@@ -299,7 +300,10 @@ def _why_not(
 ) -> str:
     if not np.isfinite(depth):
         return "distance unknown"
-    if not _NEAREST_M <= depth <= settings.farthest_m:
+    # A panel's size tells its distance to half of it: it is too far only if it is, by one sigma.
+    panel = KINDS[one.kind].shape == "panel"
+    nearest = depth * (1.0 - KINDS[one.kind].size_sigma) if panel else depth
+    if depth < _NEAREST_M or nearest > settings.farthest_m:
         return "too near" if depth < _NEAREST_M else "too far"
     if KINDS[one.kind].shape != "stem" or settings.height_rule == "none":
         return ""

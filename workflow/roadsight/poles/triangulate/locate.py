@@ -13,25 +13,6 @@ from roadsight.poles.triangulate.listed import choose_listed
 from roadsight.poles.triangulate.pole_doubts import UNDER_CROWN
 from roadsight.poles.triangulate.rays import Rays, TriangulationSettings
 
-STANDING = "stands on the ground as no panel does"
-"""Reason of what is withheld so."""
-_STANDS_BELOW_M = 0.7
-"""Height of a lower edge over the ground below which a thing stands on it. On a generated road
-signs have 0.9 m or more, and parked cars that a network takes for signs 0 to 0.67."""
-FILLED = "the cloud shows something that fills its place"
-"""Reason of panels that are withheld so."""
-_PLACE_M = 1.0
-"""What is this near to a panel's place tells whether something fills it: half a car's width."""
-_FILLED_M = (0.4, 2.0)
-"""Heights over the ground between which there is air below and beside a panel: above grass."""
-_FILLED_SHARE = 0.6
-"""Share of the columns of voxels around a place that hold something at these heights. At cars it is
-0.9 and more (24 pulses/m2); a hedge beside a sign takes half of the disc at most."""
-_FILLED_COLUMNS = 8
-"""So many columns do so: a post and its panel are five where nothing else was scanned. Of voxels
-above 0.6 m the disc has fewer: they are too coarse to tell, and withhold nothing."""
-_COLUMN_M = 0.3048
-"""Width of a column, of which finer voxels are parts: of voxels of 0.05 m a panel alone fills 8."""
 POLE_COLUMNS = [
     "x",
     "y",
@@ -199,65 +180,6 @@ def withhold_under_crowns(
 def _in_cloud(poles: pd.DataFrame, pole_of: Ints, in_cloud: Bools) -> Bools:
     """Whether a sighting of each pole ends at a column of the cloud."""
     return np.bincount(pole_of[(pole_of >= 0) & in_cloud], minlength=len(poles)) > 0
-
-
-def withhold_standing(
-    poles: pd.DataFrame, pole_of: Ints, sightings: pd.DataFrame, ground_m: Floats
-) -> pd.DataFrame:
-    """Panels withheld whose lower edges are on the ground: vehicles, boxes, walls.
-
-    Parameters
-    ----------
-    pole_of : (n,) row in ``poles`` of each sighting, -1 for none. sightings : x, y and z of the
-    camera and ``lower_edge_rise`` of what it saw, m per m of plan. ground_m : (p,) at the poles,
-    NaN where it is unknown.
-    """
-    panel = poles["kind"].map(lambda kind: KINDS[kind].shape == "panel").to_numpy(bool)
-    own = np.flatnonzero(pole_of >= 0)
-    row = pole_of[own]
-    x, y, z, rise = sightings[["x", "y", "z", "lower_edge_rise"]].to_numpy(np.float64)[own].T
-    at_m = poles[["x", "y"]].to_numpy(np.float64)[row]
-    edge_m = z + rise * np.hypot(at_m[:, 0] - x, at_m[:, 1] - y) - ground_m[row]
-    usual = pd.Series(edge_m).groupby(row).median().reindex(range(len(poles))).to_numpy()
-    with np.errstate(invalid="ignore"):
-        standing = panel & (usual < _STANDS_BELOW_M) & poles["kept"].to_numpy(bool)
-    return poles.assign(
-        kept=poles["kept"] & ~standing,
-        reason=np.where(standing, STANDING, poles["reason"]).astype(object),
-    )
-
-
-def are_filled(places_m: Floats, ground_m: Floats, voxels_m: Floats) -> Bools:
-    """Whether something that is no panel on a post fills places (n,): a vehicle, a box.
-
-    Parameters
-    ----------
-    places_m : (n, 2), local metres. ground_m : (n,) height of the ground there. voxels_m : (m, 3)
-    middles of voxels of the ground and of what is firm; plants may stand around a sign.
-    """
-    around = cKDTree(voxels_m[:, :2]).query_ball_point(places_m, _PLACE_M)
-    # A quarter keeps middles of whole, half and third columns off the borders, where they would
-    # go by rounding.
-    from_first = (voxels_m[:, :2] - voxels_m[:, :2].min(axis=0)) / _COLUMN_M
-    column = np.floor(from_first + 0.25)
-    filled = np.zeros(len(places_m), bool)
-    for number, rows in enumerate(around):
-        height = voxels_m[rows, 2] - ground_m[number]
-        low = height < _FILLED_M[1]
-        within = low & (height > _FILLED_M[0])
-        shown, full = (len(np.unique(column[rows][part], axis=0)) for part in (low, within))
-        filled[number] = full >= max(_FILLED_COLUMNS, _FILLED_SHARE * shown)
-    return filled
-
-
-def withhold_filled(poles: pd.DataFrame, filled: Bools) -> pd.DataFrame:
-    """Panels withheld whose places something else fills, see `are_filled`."""
-    panel = poles["kind"].map(lambda kind: KINDS[kind].shape == "panel").to_numpy(bool)
-    other = panel & filled & poles["kept"].to_numpy(bool)
-    return poles.assign(
-        kept=poles["kept"] & ~other,
-        reason=np.where(other, FILLED, poles["reason"]).astype(object),
-    )
 
 
 def drop_near_structures(

@@ -91,9 +91,9 @@ def site_poles(
         rows = np.flatnonzero(usable & (sightings["kind"] == kind).to_numpy())
         rays = _rays(sightings.iloc[rows])
         reaching = settings
+        panel = kind in KINDS and KINDS[kind].shape == "panel"
         if "anchored" in sightings:
             # Few other things look like panels: groups of their far rays are mostly signs.
-            panel = kind in KINDS and KINDS[kind].shape == "panel"
             most_m = settings.max_sigma_m if panel else FAR_SIGMA_M
             reaching = far_reaching(sightings.iloc[rows], settings, most_m)
             if panel:
@@ -102,6 +102,8 @@ def site_poles(
         if settings.method == "sweep":
             poles, own = _sweep(rays, reaching)
             scales[kind] = 1.0
+        elif panel:
+            poles, own, scales[kind] = near_and_far(rays, reaching)
         else:
             poles, own, scales[kind] = triangulate(rays, reaching)
         pole_of[rows[rays.row[own >= 0]]] = own[own >= 0] + before
@@ -109,6 +111,29 @@ def site_poles(
         tables.append(poles.assign(kind=kind, id=[f"{kind}-{n:05d}" for n in range(len(poles))]))
     poles = pd.concat([table for table in tables if len(table)] or tables, ignore_index=True)
     return _with_sources(poles, sightings, pole_of), pole_of, scales
+
+
+def near_and_far(rays: Rays, settings: TriangulationSettings) -> tuple[pd.DataFrame, Ints, float]:
+    """Panels, as `triangulate` gives them: of near rays, and of all where near ones show none.
+
+    A panel's size tells its distance to half of it, so that some that seem beyond the reach are
+    within it. But most such rays end at other things, and so many strays would cost near panels
+    their evidence. From west to east.
+    """
+    near = ~(rays.depth_m > settings.max_distance_m)
+    poles, own_near, scale = triangulate(rays.take(near), settings)
+    own = np.full(len(rays), -1, np.int64)
+    own[near] = own_near
+    if near.all():
+        return poles, own, scale
+    more, own_all, _ = triangulate(rays, settings)
+    known = np.isin(np.arange(len(more)), own_all[own >= 0])
+    added = (own_all >= 0) & ~known[own_all]
+    own[added] = (np.cumsum(~known) - 1 + len(poles))[own_all[added]]
+    found = pd.concat([table for table in (poles, more[~known]) if len(table)] or [poles])
+    order = np.lexsort([found["y"], found["x"]])
+    number = np.append(np.argsort(order), -1)
+    return found.iloc[order].reset_index(drop=True), number[own], scale
 
 
 def _rays(sightings: pd.DataFrame) -> Rays:

@@ -74,6 +74,7 @@ _COLUMNS = (
     "sigma_depth_lidar_m",
     "height_m",
     "lower_edge_rise",
+    "upper_edge_rise",
     "width_px",
     "foot_visible",
 )

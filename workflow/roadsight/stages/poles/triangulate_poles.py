@@ -34,13 +34,16 @@ from roadsight.poles.triangulate.cloud_objects import blocks_of, guardrails_of, 
 from roadsight.poles.triangulate.decided import apply_decisions
 from roadsight.poles.triangulate.describe import SHAPE_COLUMNS, with_shapes
 from roadsight.poles.triangulate.locate import (
-    are_filled,
     drop_near_structures,
     shares_above,
-    withhold_filled,
-    withhold_standing,
     withhold_thin,
     withhold_under_crowns,
+)
+from roadsight.poles.triangulate.panels import (
+    are_filled,
+    panel_edges,
+    withhold_by_height,
+    withhold_filled,
 )
 from roadsight.poles.triangulate.pole_doubts import (
     crown_doubts,
@@ -67,8 +70,8 @@ _NO_CROWN = (7, 13, 14, 15, 16, 17, 18)
 """ASPRS classes of noise, wires, towers and bridge decks: what they show is no crown."""
 _NOT_FIRM = (3, 4, 5, *_NO_CROWN)
 """Plants besides: they may stand around a sign."""
-_EDGE_COLUMNS = ("z", "lower_edge_rise")
-"""What tells how high the lower edge of a panel is."""
+_EDGE_COLUMNS = ("z", "lower_edge_rise", "upper_edge_rise")
+"""What tells how high the edges of a panel are."""
 _CORNERS = 32
 """Corners of the polygon of an error ellipse."""
 _NO_TRACK = pd.DataFrame({"route": [], "sequence": [], "x": [], "y": []})
@@ -211,7 +214,8 @@ def _doubtful_withheld(
         poles = withhold_under_crowns(poles, pole_of, in_cloud, min_views, above)
     if len(voxels_m["firm"]):
         poles = withhold_filled(poles, are_filled(xy_m, ground_m, voxels_m["firm"]))
-    return withhold_standing(poles, pole_of, sightings, ground_m)
+    edges = panel_edges(poles, pole_of, sightings, ground_m)
+    return withhold_by_height(poles, edges, min_views)
 
 
 def _voxels(path: Path) -> tuple[Floats, Ints]:
