@@ -17,7 +17,7 @@ CLASS_WEIGHTS = {
     PixelClass.MARKING: 2.0,
     PixelClass.POLE: 3.0,
     PixelClass.SIGN: 3.0,
-    PixelClass.GUARDRAIL: 1.5,
+    PixelClass.GUARDRAIL: 2.0,
     PixelClass.BUILDING: 1.5,
     PixelClass.SKY: 0.7,
     PixelClass.TREE: 0.8,

@@ -69,6 +69,7 @@ _RARE = (
     PixelClass.SIGN,
     PixelClass.SIGN,
     PixelClass.GUARDRAIL,
+    PixelClass.GUARDRAIL,
     PixelClass.BUILDING,
     PixelClass.VEHICLE,
 )
