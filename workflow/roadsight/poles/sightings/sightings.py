@@ -44,6 +44,10 @@ _SIGMA_GROUND_M = 0.1
 """Error of the camera's height above the terrain at a foot."""
 _TALLEST_PX = 1e6
 """More than any image is tall: what is preferred at any height."""
+_SHOWN_SHARE = 0.5
+"""Share of the least height that a mask shows of a pole whose column in the cloud is taller.
+Delineators and bushes before columns are lower. Of 60 sightings on four generated roads that are
+lower than a pole may be and match a column, 15 are of poles."""
 _NEAREST_M = 2.0
 """Nearer objects are dropped."""
 _SIGN_POST_M = 4.5
@@ -284,11 +288,13 @@ def _judged(
     table["height_m"] = lower * table["depth_m"] / camera.intrinsics.focal_px
     distances = table[["depth_m", "height_m"]].to_numpy(np.float64)
     in_cloud = table["depth_lidar_m"].notna().to_numpy() & (settings.height_rule == "metric")
+    in_cloud &= table["height_m"].to_numpy() >= _SHOWN_SHARE * settings.min_height_m
     reasons = [
         one.reason or _why_not(float(depth), float(height), one, camera, settings)
         for one, (depth, height) in zip(found, distances, strict=True)
     ]
-    # The cloud's column is tall enough: only the part that the mask shows is low.
+    # The cloud's column is tall enough: only the part that the mask shows is low, if it is a
+    # part that a pole would be known by.
     pairs = zip(reasons, in_cloud, strict=True)
     table["reason"] = ["" if known and why == "too low" else why for why, known in pairs]
     table["kept"] = table["reason"] == ""
