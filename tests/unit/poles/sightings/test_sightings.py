@@ -246,9 +246,9 @@ def test_what_is_dropped_says_why():
     column = PoleColumns(place(350.0, 20.0)[None], np.array([9.0]), np.array([0.1]))
     in_cloud = Evidence(level, column, np.empty((0, 3)))
     assert measure_view(CAMERA, low, low_depth, in_cloud)["reason"].tolist() == [""]
-    # a delineator before the column shows less of it than a pole is known by
-    post, post_depth = rendered([place(350.0, 20.0)], height_m=1.2)
-    assert measure_view(CAMERA, post, post_depth, in_cloud)["reason"].tolist() == ["too low"]
+    # less than half of the least height is a delineator before the column
+    taller = Sightings(min_height_m=4.5)
+    assert measure_view(CAMERA, low, low_depth, in_cloud, taller)["reason"].tolist() == ["too low"]
     rule = Sightings(height_rule="none")
     assert measure_view(CAMERA, low, low_depth, evidence, rule)["reason"].tolist() == [""]
     published = Sightings(height_rule="published")
