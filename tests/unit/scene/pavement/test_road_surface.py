@@ -108,16 +108,6 @@ def test_a_track_seeds_the_road_where_scans_are_not_told_apart(rng):
     assert f1(road_points(surface, xyz, RoadSettings()), road) > 0.93
 
 
-def test_a_walk_beside_the_driven_line_is_no_seed(rng):
-    """A lane is wider than its vehicle: half of one reaches over a kerb that is driven along."""
-    x, y = rng.uniform([0, -7], [40, 7], (100_000, 2)).T
-    z = np.where(np.abs(y) < HALF_ROAD_M, 0.0, KERB_M) + rng.normal(0, 0.004, len(x))
-    along_kerb = KnownRoad(track_xy=np.array([[10.0, 3.3], [30.0, 3.3]]))
-    surface = find_road(np.column_stack([x, y, z]), known=along_kerb)
-    y_m = surface.grid.centres(*np.nonzero(surface.road)[::-1])[1]
-    assert y_m.min() > -HALF_ROAD_M - 0.5 and y_m.max() < HALF_ROAD_M + 0.5
-
-
 @pytest.mark.parametrize("draw", range(20))
 def test_a_drive_goes_on_in_its_own_direction_though_its_positions_are_off(draw):
     rng = np.random.default_rng(draw)

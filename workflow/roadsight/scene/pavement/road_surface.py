@@ -473,8 +473,6 @@ def _widest(ground: _Ground, free: Bools, settings: RoadSettings) -> Bools:
 
 _HALF_LANE_M = 1.75
 """Half a lane beside the driven line is lane."""
-_UNDER_M = 0.5
-"""Of the lane only what hangs together with what lay under the vehicle: a kerb may be in reach."""
 _DIRECTION_M = 10.0
 """Positions of so much of a drive, each 0.1 to 0.5 m off, tell its direction to 0 to 3 degrees
 (four streets); by the last four of ten it was up to 15 degrees off, and the line crossed a kerb."""
@@ -633,11 +631,7 @@ def _along_track(ground: _Ground, flat: Bools, track_xy: Floats) -> Bools:
     near = shapely.dwithin(line, shapely.points(x, y), _HALF_LANE_M)
     seed = np.zeros_like(flat)
     seed[row[near], column[near]] = True
-    seed = opened(ndimage.binary_closing(seed), 2.0) & ground.measured
-    under = np.zeros_like(flat)
-    below = shapely.dwithin(line, shapely.points(x, y), _UNDER_M)
-    under[row[below], column[below]] = True
-    return np.asarray(ndimage.binary_propagation(under & seed, mask=seed), bool)
+    return opened(ndimage.binary_closing(seed), 2.0) & ground.measured
 
 
 def driven_line(xy_m: Floats) -> shapely.Geometry:
