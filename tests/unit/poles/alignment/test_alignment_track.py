@@ -134,7 +134,7 @@ def test_no_edges_and_bad_edges():
         RoadEdges.from_points([[0.0, np.nan, 0.0]])
 
 
-@pytest.mark.parametrize("aside_m", [-6.5, -4.5, -3.0, 0.0, 1.7, 4.3, 7.0])
+@pytest.mark.parametrize("aside_m", [-6.5, -4.6, -3.0, 0.0, 1.7, 4.7, 7.0])
 def test_a_track_beside_its_road_is_moved_into_it(aside_m):
     """Else both edges of the road lie on one side of the vehicle."""
     edges = RoadEdges.from_points(straight_edges())

@@ -43,6 +43,9 @@ _STRIP_M = 5.0
 """How far ahead and behind edges tell where the road lies across a place of the track."""
 _ASIDE_M = 15.0
 """How far aside they do: a receiver's error of some metres and the road's width."""
+_BESIDE_M = 0.5
+"""A place less far beside the nearest edge stays: three standard deviations of a road edge at 2
+pulses/m2. Few edges then get the wrong side."""
 _NARROWEST_M = 2.5
 """Least width between the edges of a road; edges nearer to each other are one."""
 _MEDIAN_OF_NORMAL = 0.6745
@@ -97,7 +100,7 @@ def roadway_at(
 
 
 def on_road(track_xy_m: ArrayLike, headings_deg: ArrayLike, edges: RoadEdges) -> Floats:
-    """Track (n, 2) whose places beside the road are moved into its middle; others stay.
+    """Track (n, 2) whose places clearly beside the road are moved into its middle; others stay.
 
     A receiver without corrections is off by metres that last for some hundred. Where it has the
     vehicle beside the road, both edges of the road lie on one side of the track.
@@ -113,7 +116,7 @@ def on_road(track_xy_m: ArrayLike, headings_deg: ArrayLike, edges: RoadEdges) ->
 
 
 def _onto_road(xy_m: Floats, heading_deg: float, edges: RoadEdges) -> Floats:
-    """Step (2,) into the middle of the road, none for a place that has edges on both sides."""
+    """Step (2,) into the middle of the road; none for a place with edges on, or to, both sides."""
     index = edges.near(xy_m, np.hypot(_ASIDE_M, _STRIP_M))
     offset = edges.xyz_m[index, :2] - xy_m
     along = edges.along[index]
@@ -125,7 +128,7 @@ def _onto_road(xy_m: Floats, heading_deg: float, edges: RoadEdges) -> Floats:
         return np.zeros(2)
     side, away = np.sign(aside[0]), np.sort(np.abs(aside))
     gaps = np.flatnonzero(np.diff(away) >= _NARROWEST_M)
-    if not len(gaps):
+    if away[0] < _BESIDE_M or not len(gaps):
         return np.zeros(2)
     middle = 0.5 * side * (away[gaps[0]] + away[gaps[0] + 1])
     heading = np.radians(heading_deg)
