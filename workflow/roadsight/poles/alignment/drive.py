@@ -13,7 +13,7 @@ from roadsight.base.sections.poles import Reach
 from roadsight.poles.alignment.landmarks import VIEWS, Columns, LandmarkNoise, Landmarks, PoleAxes
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges, edges_ahead
-from roadsight.poles.alignment.roadway import roadway_at
+from roadsight.poles.alignment.roadway import on_road, roadway_at
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.alignment.track import extended_track, track_headings_deg
 from roadsight.poles.sightings.lidar_poles import PoleColumns
@@ -75,9 +75,10 @@ def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None
         z = rows["z_road"].to_numpy(np.float64)
         heading = track_headings_deg(track, rows["heading_deg"].to_numpy(np.float64))
         path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track, axis=0).T))])
+        driven = on_road(track, heading, edges)
         for k, (number, row) in enumerate(zip(rows.index, rows.to_dict("records"), strict=True)):
             around = np.abs(path - path[k]) <= reach.farthest_m + _BEYOND_M
-            line = extended_track(track[around], _BEYOND_M)
+            line = extended_track(driven[around], _BEYOND_M)
             start = _start(row, edges, heading[k], _grade(path, z, k))
             found[int(number)] = Place(str(row["image"]), str(route), float(path[k]), start, line)
     return [found[number] for number in range(len(frames))]

@@ -39,6 +39,15 @@ _INDEPENDENT = 0.1
 """Share of edge points that tell something new: neighbours err alike."""
 _ROUNDS = 8
 """Rounds of reweighing."""
+_STRIP_M = 5.0
+"""How far ahead and behind edges tell where the road lies across a place of the track."""
+_ASIDE_M = 15.0
+"""How far aside they do: a receiver's error of some metres and the road's width."""
+_BESIDE_M = 0.5
+"""A place less far beside the nearest edge stays: three standard deviations of a road edge at 2
+pulses/m2. Few edges then get the wrong side."""
+_NARROWEST_M = 2.5
+"""Least width between the edges of a road; edges nearer to each other are one."""
 _MEDIAN_OF_NORMAL = 0.6745
 """Median of the absolute value of a standard normal variable."""
 
@@ -88,6 +97,42 @@ def roadway_at(
     right = _aside(offset, heading_deg) >= 0
     bank = tilt[2] if min(right.sum(), (~right).sum()) >= 3 else 0.0
     return Roadway(heading % 360.0, tilt[1], bank, bend, 2.0 * tilt[3], True)
+
+
+def on_road(track_xy_m: ArrayLike, headings_deg: ArrayLike, edges: RoadEdges) -> Floats:
+    """Track (n, 2) whose places clearly beside the road are moved into its middle; others stay.
+
+    A receiver without corrections is off by metres that last for some hundred. Where it has the
+    vehicle beside the road, both edges of the road lie on one side of the track.
+
+    Parameters
+    ----------
+    track_xy_m : (n, 2) in the order of travel. headings_deg : (n,) of the track.
+    """
+    track = np.array(track_xy_m, np.float64)
+    for k, heading in enumerate(np.asarray(headings_deg, np.float64)):
+        track[k] += _onto_road(track[k], float(heading), edges)
+    return track
+
+
+def _onto_road(xy_m: Floats, heading_deg: float, edges: RoadEdges) -> Floats:
+    """Step (2,) into the middle of the road; none for a place with edges on, or to, both sides."""
+    index = edges.near(xy_m, np.hypot(_ASIDE_M, _STRIP_M))
+    offset = edges.xyz_m[index, :2] - xy_m
+    along = edges.along[index]
+    turn = wrap_deg(np.degrees(np.arctan2(along[:, 0], along[:, 1])) - heading_deg)
+    like = np.abs((turn + 90.0) % 180.0 - 90.0) < _TURN_DEG
+    like &= np.abs(_ahead(offset, heading_deg)) <= _STRIP_M
+    aside = _aside(offset[like], heading_deg)
+    if not len(aside) or aside.min() * aside.max() <= 0.0:
+        return np.zeros(2)
+    side, away = np.sign(aside[0]), np.sort(np.abs(aside))
+    gaps = np.flatnonzero(np.diff(away) >= _NARROWEST_M)
+    if away[0] < _BESIDE_M or not len(gaps):
+        return np.zeros(2)
+    middle = 0.5 * side * (away[gaps[0]] + away[gaps[0] + 1])
+    heading = np.radians(heading_deg)
+    return np.asarray(middle * np.array([np.cos(heading), -np.sin(heading)]), np.float64)
 
 
 def _aside(offset: Floats, heading_deg: float) -> Floats:
