@@ -108,22 +108,49 @@ def test_a_track_seeds_the_road_where_scans_are_not_told_apart(rng):
     assert f1(road_points(surface, xyz, RoadSettings()), road) > 0.93
 
 
-@pytest.mark.parametrize("draw", range(20))
-def test_a_drive_goes_on_in_its_own_direction_though_its_positions_are_off(draw):
-    rng = np.random.default_rng(draw)
-    turn = rng.uniform(0, 2 * np.pi)
-    along, across = [np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]
-    off = rng.uniform(-0.3, 0.3, (2, 10))
-    positions = np.column_stack([np.linspace(0, 6, 10) + off[0], off[1]]) @ [along, across]
+def before(positions):
+    """Direction (2,) in which the driven line came to its first position; zero if from nowhere."""
     places = shapely.get_coordinates(driven_line(positions))
-    for end, gone_m in ((places[0], -5.0), (places[-1], 11.0)):
-        assert end @ along == pytest.approx(gone_m, abs=0.5)
-        assert end @ across == pytest.approx(0.0, abs=1.0)
+    return (places[1] - places[0]) / 5.0
 
 
-def test_a_vehicle_that_stood_goes_nowhere():
-    places = shapely.get_coordinates(driven_line(np.full((4, 2), 7.0)))
-    np.testing.assert_array_equal(places, np.full((6, 2), 7.0))
+def off_deg(direction, true):
+    return np.degrees(np.arccos(np.clip(direction @ true, -1, 1)))
+
+
+@pytest.mark.parametrize("every_m", [0.6, 1.0, 3.0, 8.0])
+def test_a_drive_goes_on_in_its_own_direction_though_its_positions_are_off(every_m):
+    off = []
+    for draw in range(40):
+        rng = np.random.default_rng(draw)
+        turn = rng.uniform(0, 2 * np.pi)
+        along, across = [np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]
+        error = rng.uniform(-0.3, 0.3, (2, 10))
+        positions = np.column_stack([every_m * np.arange(10) + error[0], error[1]])
+        off.append(off_deg(before(positions @ [along, across]), np.array(along)))
+    assert np.sqrt(np.mean(np.square(off))) < 3.0
+    assert max(off) < 9.0
+
+
+@pytest.mark.parametrize(("radius_m", "within_deg"), [(10.0, 8.0), (15.0, 5.0), (30.0, 3.0)])
+def test_an_exact_drive_goes_on_along_its_tangent(radius_m, within_deg):
+    angle = 0.8 * np.arange(20) / radius_m
+    bend = radius_m * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+    assert off_deg(before(bend), np.array([1.0, 0.0])) < within_deg
+
+
+def test_a_vehicle_that_waits_or_turns_round_came_from_where_it_came(rng):
+    east = np.column_stack([np.arange(1.0, 60.0), np.zeros(59)])
+    waits = np.vstack([rng.normal(0, 0.2, (30, 2)), east])
+    assert off_deg(before(waits), np.array([1.0, 0.0])) < 5.0
+    out = np.column_stack([np.arange(0, 4.1, 0.5), np.zeros(9)])
+    back = np.column_stack([np.arange(4, -20, -0.5), np.full(48, 3.0)])
+    np.testing.assert_allclose(before(np.vstack([out, back])), [1.0, 0.0], atol=0.05)
+
+
+def test_a_vehicle_that_stood_came_from_nowhere(rng):
+    np.testing.assert_array_equal(before(np.full((4, 2), 7.0)), [0.0, 0.0])
+    np.testing.assert_array_equal(before(rng.uniform(0, 0.03, (9, 2))), [0.0, 0.0])
 
 
 @pytest.mark.real
