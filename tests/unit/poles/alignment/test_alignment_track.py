@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from roadsight.base.errors import InputError
 from roadsight.poles.alignment.roadside import RoadEdges, edges_ahead
-from roadsight.poles.alignment.roadway import on_road, roadway_at
+from roadsight.poles.alignment.roadway import roadway_at
 from roadsight.poles.alignment.track import extended_track, sides_of_track, track_headings_deg
 
 TRACK = np.array([[0.0, 0.0], [0.0, 50.0], [30.0, 90.0], [80.0, 100.0]])
@@ -132,32 +132,3 @@ def test_no_edges_and_bad_edges():
     assert not roadway_at(empty, [0, 0, 0], 5.0, 0.0).from_edges
     with pytest.raises(InputError, match="not finite"):
         RoadEdges.from_points([[0.0, np.nan, 0.0]])
-
-
-@pytest.mark.parametrize("aside_m", [-6.5, -4.6, -3.0, 0.0, 1.7, 4.7, 7.0])
-def test_a_track_beside_its_road_is_moved_into_it(aside_m):
-    """Else both edges of the road lie on one side of the vehicle."""
-    edges = RoadEdges.from_points(straight_edges())
-    track = np.column_stack([np.full(20, aside_m), 8.0 * np.arange(20)])
-    moved = on_road(track, np.zeros(20), edges)
-    np.testing.assert_allclose(moved[:, 1], track[:, 1], atol=1e-9)
-    np.testing.assert_allclose(moved[:, 0], 0.0 if abs(aside_m) > 4.0 else aside_m, atol=0.02)
-    found = edges_ahead(edges, [*track[5], 0.0], 0.0, extended_track(moved, 200.0))
-    assert (found.xyz_m[: found.left, 0] < 0).all() and (found.xyz_m[found.left :, 0] > 0).all()
-    assert found.half_width_m == pytest.approx(4.0, abs=0.05)
-
-
-def test_a_track_beside_one_edge_stays():
-    """What has one edge alone, or none, is no road that the track could be beside."""
-    points = straight_edges()
-    track = np.column_stack([np.full(5, 7.0), 30.0 + 8.0 * np.arange(5)])
-    for kept in (points[points[:, 0] > 0], points[:0], points[points[:, 1] > 150.0]):
-        found = on_road(track, np.zeros(5), RoadEdges.from_points(kept))
-        np.testing.assert_array_equal(found, track)
-
-
-def test_a_road_across_moves_no_track():
-    points = straight_edges()[:, [1, 0, 2]] + [-50.0, 40.0, 0.0]
-    track = np.array([[0.0, 30.0], [0.0, 38.0]])
-    found = on_road(track, np.zeros(2), RoadEdges.from_points(points))
-    np.testing.assert_array_equal(found, track)

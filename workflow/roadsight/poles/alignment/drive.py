@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Reach
 from roadsight.poles.alignment.landmarks import VIEWS, Columns, LandmarkNoise, Landmarks, PoleAxes
 from roadsight.poles.alignment.pose import Start
@@ -49,7 +50,9 @@ class Place:
 
     Attributes
     ----------
-    station_m : path along the route. track_m : (n, 2) the track around it, continued at its ends.
+    station_m : path along the route.
+    start : at the position that was recorded.
+    track_m : (n, 2) the track around it, moved into its road (`on_road`) and continued at its ends.
     """
 
     image: str
@@ -66,8 +69,15 @@ def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None
     ----------
     frames : image, route, sequence, x, y, z_road (local metres), heading_deg, width_px,
         height_px; one row per image.
+
+    Raises
+    ------
+    InputError : a position is not finite.
     """
     reach = reach or Reach()
+    lost = frames.loc[~np.isfinite(frames[["x", "y"]].to_numpy(np.float64)).all(axis=1), "image"]
+    if len(lost):
+        raise InputError("a position is not finite", where=f"image {lost.iloc[0]}")
     found: dict[int, Place] = {}
     for route, table in frames.reset_index(drop=True).groupby("route", sort=True):
         rows = table.sort_values("sequence", kind="stable")
