@@ -65,7 +65,7 @@ def test_every_step_is_said_once_and_time_left_is_never_negative(jobs):
         clock.now_s += seconds
         steps.finished(number)
         lines += steps.progressed(number, len(jobs))
-        assert steps.left_s() >= 0
+        assert steps.left_s() is None or steps.left_s() >= 0
     heads = [line.split("]")[0] for line in lines if line.startswith("[")]
     assert heads == [f"[{number}/{len(jobs)}" for number in range(1, len(jobs) + 1)]
     assert steps.left_s() == 0
@@ -83,6 +83,23 @@ def test_steps_that_overlap_shorten_the_rest():
         steps.finished(number)
     steps.progressed(2, 4)
     assert steps.left_s() == pytest.approx(10)
+
+
+def test_time_left_is_not_told_by_the_long_step_that_comes_first():
+    clock = Clock()
+    steps = Steps(clock)
+    took_s = {"render": 60, "ingest": 2, "profile": 1, "raster": 3}
+    others = [f"other {number}" for number in range(50)]
+    steps.planned(dict.fromkeys([*took_s, *others], 1))
+    left = []
+    for number, (rule, seconds) in enumerate(took_s.items()):
+        steps.started([number])
+        steps.named(number, rule, {})
+        clock.now_s += seconds
+        steps.finished(number)
+        steps.progressed(number + 1, 54)
+        left.append(steps.left_s())
+    assert left == [None, None, None, pytest.approx(50 * 2.5)]
 
 
 def test_more_steps_than_planned_are_no_trouble():

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from roadsight.base.sections.poles import Columns
-from roadsight.poles.sightings.lidar_poles import NO_COLUMN, find_pole_columns, stem_axis
+from roadsight.poles.sightings.lidar_poles import (
+    _NOISE_M,
+    _RADII_M,
+    _SPREAD_OF_RADII_M,
+    _USUAL_RADIUS_M,
+    NO_COLUMN,
+    find_pole_columns,
+    stem_axis,
+)
 
 CELL = 0.3
 
@@ -101,6 +109,25 @@ def test_errors_of_axes_are_as_their_sigmas_say(noise_m):
     within = [np.mean(np.array(squared) < limit) for limit in (1.0, 5.99)]
     assert 0.3 < within[0] < 0.75
     assert within[1] > 0.9
+
+
+@pytest.mark.parametrize("count", [2, 3, 4])
+def test_one_ellipse_cannot_hold_what_few_returns_leave_open(count):
+    """Even of stems drawn from the very prior: two places fit, and one Gaussian is wide for both.
+
+    `docs/decisions/018-poles-are-landmarks.md`.
+    """
+    rng, squared = np.random.default_rng(count), []
+    likely = np.exp(-0.5 * ((_RADII_M - _USUAL_RADIUS_M) / _SPREAD_OF_RADII_M) ** 2)
+    for _ in range(150):
+        radius, noise = rng.choice(_RADII_M, p=likely / likely.sum()), rng.choice(_NOISE_M)
+        angle = rng.uniform(0, 2 * np.pi) + rng.uniform(-np.pi / 2, np.pi / 2, count)
+        away = radius + rng.normal(0, noise, count)
+        xy, sigma, _ = stem_axis(away[:, None] * np.column_stack([np.cos(angle), np.sin(angle)]))
+        squared.append(xy @ xy / sigma**2)
+    within = [np.mean(np.array(squared) < limit) for limit in (1.0, 5.99)]
+    assert 0.45 < within[0] < 0.75
+    assert within[1] > 0.95
 
 
 def test_many_returns_place_a_stem_as_some_do_and_are_all_counted(rng):

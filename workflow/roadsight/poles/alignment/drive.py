@@ -9,11 +9,12 @@ import numpy as np
 import pandas as pd
 
 from roadsight.base.arrays import Bools, Floats
+from roadsight.base.errors import InputError
 from roadsight.base.sections.poles import Reach
 from roadsight.poles.alignment.landmarks import VIEWS, Columns, LandmarkNoise, Landmarks, PoleAxes
 from roadsight.poles.alignment.pose import Start
 from roadsight.poles.alignment.roadside import NearEdges, RoadEdges, edges_ahead
-from roadsight.poles.alignment.roadway import roadway_at
+from roadsight.poles.alignment.roadway import on_road, roadway_at
 from roadsight.poles.alignment.solve import ImageEdges, Noise, Task
 from roadsight.poles.alignment.track import extended_track, track_headings_deg
 from roadsight.poles.sightings.lidar_poles import PoleColumns
@@ -49,7 +50,9 @@ class Place:
 
     Attributes
     ----------
-    station_m : path along the route. track_m : (n, 2) the track around it, continued at its ends.
+    station_m : path along the route.
+    start : at the position that was recorded.
+    track_m : (n, 2) the track around it, moved into its road (`on_road`) and continued at its ends.
     """
 
     image: str
@@ -66,8 +69,15 @@ def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None
     ----------
     frames : image, route, sequence, x, y, z_road (local metres), heading_deg, width_px,
         height_px; one row per image.
+
+    Raises
+    ------
+    InputError : a position is not finite.
     """
     reach = reach or Reach()
+    lost = frames.loc[~np.isfinite(frames[["x", "y"]].to_numpy(np.float64)).all(axis=1), "image"]
+    if len(lost):
+        raise InputError("a position is not finite", where=f"image {lost.iloc[0]}")
     found: dict[int, Place] = {}
     for route, table in frames.reset_index(drop=True).groupby("route", sort=True):
         rows = table.sort_values("sequence", kind="stable")
@@ -75,9 +85,10 @@ def places_of(frames: pd.DataFrame, edges: RoadEdges, reach: Reach | None = None
         z = rows["z_road"].to_numpy(np.float64)
         heading = track_headings_deg(track, rows["heading_deg"].to_numpy(np.float64))
         path = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(track, axis=0).T))])
+        driven = on_road(track, heading, edges)
         for k, (number, row) in enumerate(zip(rows.index, rows.to_dict("records"), strict=True)):
             around = np.abs(path - path[k]) <= reach.farthest_m + _BEYOND_M
-            line = extended_track(track[around], _BEYOND_M)
+            line = extended_track(driven[around], _BEYOND_M)
             start = _start(row, edges, heading[k], _grade(path, z, k))
             found[int(number)] = Place(str(row["image"]), str(route), float(path[k]), start, line)
     return [found[number] for number in range(len(frames))]
