@@ -91,8 +91,11 @@ def test_routes_inventory_and_barriers_go_through_the_whole_run(copy_of_road):
     assert (own.loc[stated, "aadt_least"] == 3000).all()
     assert (own.loc[~stated, "aadt_greatest"] > own.loc[~stated, "aadt_least"]).all()
     assert (own["carriageway"] == np.where(stated, "two-way", "divided")).all()
+    railed = table.loc[table["kind"] == "barrier end", "station_m"]
     behind = (own["offset_m"] > RAIL_M + 0.3) & (own["rating"] != "unknown")
-    assert behind.any()
+    assert (own.loc[behind & (own["station_m"] > railed.max()), "shielded"] == "none").all()
+    behind &= own["station_m"].between(railed.min(), railed.max())
+    assert behind.sum() >= 5
     assert set(own.loc[behind, "shielded"]) <= {"partial", "full"}
     offsets = own.loc[behind, "barrier_offset_m"].to_numpy()
     assert offsets == pytest.approx(np.full(len(offsets), RAIL_M), abs=0.2)
