@@ -16,8 +16,8 @@ _MOST_RUNNING = 3
 
 
 _FEWEST_KINDS = 4
-"""Of steps that are done before the time that is left is told: after one, a run of 6 minutes was
-told to last for 28; after four, for 8."""
+"""Of steps that are done before the time that is left is told: after one, a run of 7 minutes was
+told to last for 28; after four, one of 5 minutes for 8."""
 _TOLD = ("roadsight: ", "Traceback ")
 """Beginnings of the line from which a log tells why its step failed."""
 _LAST_LINES = 12

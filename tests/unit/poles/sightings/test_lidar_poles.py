@@ -113,7 +113,7 @@ def test_errors_of_axes_are_as_their_sigmas_say(noise_m):
 
 @pytest.mark.parametrize("count", [2, 3, 4])
 def test_one_ellipse_cannot_hold_what_few_returns_leave_open(count):
-    """Even of stems drawn from the very prior: two places fit, and one Gaussian is wide for both.
+    """Even of stems that the prior itself draws: two places fit, and one Gaussian is wide for both.
 
     `docs/decisions/018-poles-are-landmarks.md`.
     """

@@ -474,9 +474,9 @@ def _widest(ground: _Ground, free: Bools, settings: RoadSettings) -> Bools:
 _HALF_LANE_M = 1.75
 """Half a lane beside the driven line is lane."""
 _DIRECTION_DEG = 2.0
-"""To which the direction of a drive is asked: 0.2 m where its line ends. By the last
-four of ten positions, each 0.1 to 0.5 m off, it was 15 degrees off on one of five streets, and
-the line crossed a kerb."""
+"""To which the direction of a drive is asked: 0.2 m where its line ends. By four positions, each up
+to 0.65 m off, it was up to 13 degrees off (four streets in five directions), and the line crossed a
+kerb; now up to 4."""
 _DIRECTION_M = 10.0
 """More of a drive is a bend rather than a direction."""
 _FEWEST_POSITIONS = 3
@@ -642,7 +642,7 @@ def _along_track(ground: _Ground, flat: Bools, track_xy: Floats) -> Bools:
 
 
 def driven_line(xy_m: Floats) -> shapely.Geometry:
-    """Line through positions in order, straight on for some metres at both ends."""
+    """Line through positions (n, 2), in order, straight on for some metres at both ends."""
     return shapely.linestrings(np.vstack([_before(xy_m), xy_m, _before(xy_m[::-1])]))
 
 
