@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 from roadsight.base.errors import InputError
+from roadsight.base.sections.sample import RuralScene
 from roadsight.stages.command import Command
 from roadsight.synthetic.rendering.rendering_training import random_training_views
 from roadsight.training.samples import Sample, write_sample
@@ -27,7 +28,7 @@ def render_dataset(
     views: Annotated[int, "views of a site"] = 12,
     panels_per_km: Annotated[float, "signs of any form and colour beside the usual ones"] = 0.0,
     cars_per_km: Annotated[float, "cars parked beside the road beside the usual ones"] = 0.0,
-    lanes: Annotated[int, "of each direction"] = 1,
+    lanes: Annotated[int, "of each direction"] = RuralScene().lanes,
 ) -> None:
     """Write ``views`` views of each of ``sites`` sites."""
     if sites < 1 or views < 1:

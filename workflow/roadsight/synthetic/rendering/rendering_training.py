@@ -22,7 +22,7 @@ def random_training_views(
     length_m: float = 500.0,
     panels_per_km: float = 0.0,
     cars_per_km: float = 0.0,
-    lanes: int = 1,
+    lanes: int = RuralScene().lanes,
 ) -> Iterator[RenderedView]:
     """Views of one site of its own: random places, cameras, weather, exposure.
 
