@@ -1,5 +1,9 @@
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -65,3 +69,20 @@ def test_a_missing_column_is_an_input_error(tmp_path, frame):
     write_table(tmp_path / "t.parquet", frame)
     with pytest.raises(InputError, match="nope"):
         read_table(tmp_path / "t.parquet", ["target", "nope"])
+
+
+def test_reading_starts_no_thread(tmp_path, frame):
+    """Arrow waits for ever where it cannot start one, as in a process that may not grow."""
+    path = tmp_path / "t.parquet"
+    write_table(path, frame)
+    code = """if True:
+        import sys
+        from pathlib import Path
+        from roadsight.io.records.tables import read_table
+        read_table(sys.argv[1])
+        names = [path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")]
+        print(*[name for name in names[1:] if "jemalloc" not in name])  # which starts one by itself
+    """
+    command = [sys.executable, "-c", code, str(path)]
+    done = subprocess.run(command, env=os.environ, capture_output=True, text=True, check=True)
+    assert done.stdout.split() == []

@@ -107,7 +107,7 @@ def told_clearly(stage: str) -> Iterator[None]:
 
 def _mendable(error: Exception, stage: str) -> InputError | None:
     """What to tell of a failure; None for one that nobody foresaw."""
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or "std::bad_alloc" in str(error):  # so GEOS tells it
         hint = "give it more, use smaller tiles or more shards"
         return InputError("ran out of memory", where=stage, hint=hint)
     if isinstance(error, OSError) and error.errno in _FULL:

@@ -18,12 +18,11 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from roadsight.base.arrays import Bools, Floats32
 from roadsight.base.errors import InputError
-from roadsight.io.records.arrow import as_numpy
+from roadsight.io.records.arrow import as_numpy, open_parquet
 
 POSITION = ("x", "y", "z")
 COLOUR = ("red", "green", "blue")
@@ -77,7 +76,7 @@ class CloudTiles:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path)
         with _readable(self._path):
-            self._file = pq.ParquetFile(self._path, page_checksum_verification=True)
+            self._file = open_parquet(self._path)
             index = json.loads(self._file.metadata.metadata[METADATA_KEY])
             self.tile_size_m = float(index["tile_size_m"])
             self.classes = {int(cls): int(count) for cls, count in index["classes"].items()}

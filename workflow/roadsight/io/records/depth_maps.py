@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from roadsight.base.arrays import Floats32
 from roadsight.base.errors import InputError
 from roadsight.base.kernels import compiled
+from roadsight.io.records.arrow import open_parquet
 from roadsight.io.records.atomic import WholeFile
 from roadsight.placement.sensors.rays import NOT_CAST_M
 
@@ -121,7 +122,7 @@ class DepthMaps:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path)
         try:
-            self._file = pq.ParquetFile(self._path, page_checksum_verification=True)
+            self._file = open_parquet(self._path)
             about = json.loads(self._file.schema_arrow.metadata[_KEY])
             if about.pop("version") != _VERSION:
                 raise ValueError("written by another version")

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from roadsight.base.errors import InputError
+from roadsight.io.records.arrow import open_parquet
 from roadsight.io.records.atomic import atomic_path
 
 _KEY = b"roadsight"
@@ -22,7 +23,7 @@ def write_table(
     path: str | os.PathLike[str], frame: pd.DataFrame, about: dict[str, Any] | None = None
 ) -> None:
     """Write ``frame`` with the JSON description ``about`` in the file's metadata."""
-    table = pa.Table.from_pandas(frame, preserve_index=False)
+    table = pa.Table.from_pandas(frame, preserve_index=False, nthreads=1)
     metadata = {_KEY: json.dumps(about or {}, sort_keys=True).encode()}
     with atomic_path(path) as temporary:
         pq.write_table(
@@ -40,8 +41,10 @@ def read_table(path: str | os.PathLike[str], columns: list[str] | None = None) -
     ------
     InputError : the file is missing, unreadable or lacks a column.
     """
-    with _readable(path):
-        return pq.read_table(path, columns=columns, page_checksum_verification=True).to_pandas()
+    with _readable(path), open_parquet(path) as file:
+        if absent := sorted(set(columns or ()) - set(file.schema_arrow.names)):
+            raise KeyError(f"no column {', '.join(absent)}")
+        return file.read(columns, use_threads=False).to_pandas(use_threads=False)
 
 
 def read_about(path: str | os.PathLike[str]) -> dict[str, Any]:
