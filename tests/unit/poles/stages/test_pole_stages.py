@@ -125,7 +125,13 @@ def with_objects(site):
         way = np.arange(start, end + 0.5)
         rows += [("guardrail", number, x, y, -0.1 * abs(y), *[np.nan] * 3) for x in way]
     names = ["kind", "object", "x", "y", "z_ground", "top_m", "width_m", "sigma_m"]
-    write_table(site / "objects.parquet", pd.DataFrame(rows, columns=names))
+    objects = pd.DataFrame(rows, columns=names)
+    shown = {"trunk_x": 31.5, "trunk_y": 12.5, "trunk_sigma_m": 0.2, "cloud_shows": "trunk"}
+    objects = objects.assign(**dict.fromkeys(shown, np.nan))
+    objects["cloud_shows"] = ""
+    objects.loc[1:2, "cloud_shows"] = "crown"
+    objects.loc[0, list(shown)] = pd.Series(shown)
+    write_table(site / "objects.parquet", objects)
     said = [
         ("tree", 0, "i002.jpg", 1),
         ("tree", 0, "i001.jpg", 1),
@@ -416,9 +422,11 @@ def test_objects_of_the_cloud_go_with_the_poles(with_objects):
     trees = table[table["kind"] == "tree"].set_index("id")
     assert (table["kind"] == "pole").sum() == len(POLES)
     assert trees[["x", "y", "score", "kept"]].to_numpy().tolist() == [
-        [30.0, 12.0, 2, True],
+        [31.5, 12.5, 2, True],
         [70.0, 9.0, 0, False],
     ]
+    assert trees["cloud_shows"].tolist() == ["trunk", "crown"]
+    assert trees["sigma_major_m"].tolist() == [0.2, 0.8]
     assert trees.loc["tree-00000", "images"] == "i001.jpg;i002.jpg"
     assert trees["z"].to_numpy() == pytest.approx([-1.2, -0.9], abs=0.1)
     assert "something else" in trees["reason"].iloc[1]
@@ -429,7 +437,10 @@ def test_objects_of_the_cloud_go_with_the_poles(with_objects):
     assert rails["probability_from"].str.startswith("none: ").all()
     assert rails["id"].tolist() == ["guardrail-00000"]  # no image looks at the other one
     assert rails.geometry.length.to_numpy() == pytest.approx(140.0, rel=1e-4)
+    layer = read_layer(with_objects["layers"], "poles", FEET).set_index("id")
+    assert layer.loc["tree-00000", "cloud_shows"] == "trunk"
     written = pd.read_csv(with_objects["csv"])
+    assert written.loc[written["kind"] == "tree", "cloud_shows"].tolist() == ["trunk"]
     assert written["kind"].value_counts().to_dict() == {"pole": len(POLES), "tree": 1}
 
 

@@ -14,6 +14,7 @@ from roadsight.io.records.atomic import write_json
 from roadsight.io.records.tables import read_table
 from roadsight.poles.sightings.crowns import canopy_cell_m, find_crowns, measure_density
 from roadsight.poles.sightings.rails import find_rail_returns, join_rails
+from roadsight.poles.sightings.trunks import find_trunks
 from roadsight.stages.poles.find_roadside_objects import find_roadside_objects
 
 SIZE_M = 150.0
@@ -30,6 +31,12 @@ def crown(rng, x, y, top_m, per_m2):
     return np.column_stack([x + out * np.cos(turn), y + out * np.sin(turn), z])
 
 
+def trunk(rng, x, y):
+    """Six returns on a trunk half a metre beside the crown's middle."""
+    at = np.column_stack([np.full(6, x + 0.5), np.full(6, y)]) + rng.normal(0, 0.05, (6, 2))
+    return np.column_stack([at, np.linspace(0.8, 2.2, 6)])
+
+
 def surveyed(rng, west, east):
     """Trees (n, 2) along the seam, and returns, fewer per square metre west of it than east."""
     y = np.arange(6.0, SIZE_M - 6.0, 9.0)
@@ -40,6 +47,7 @@ def surveyed(rng, west, east):
         ground = rng.uniform([low, 0], [high, SIZE_M], (int((high - low) * SIZE_M * per_m2), 2))
         parts = [np.column_stack([ground, np.zeros(len(ground))])]
         parts += [crown(rng, *p, top, per_m2) for p, top in zip(trees, heights, strict=True)]
+        parts += [trunk(rng, *p) for p in trees]
         half = np.concatenate(parts)
         halves.append(half[(half[:, 0] >= low) & (half[:, 0] < high)])
     x = rng.uniform(10, 140, 400)
@@ -63,7 +71,7 @@ def objects(folder, xyz, cls):
     return [table[table["kind"] == kind] for kind in kinds]
 
 
-@pytest.mark.parametrize(("west", "east"), [(3, 6), (9, 14), (4, 24)])
+@pytest.mark.parametrize(("west", "east"), [(3, 6), (9, 14), (4, 24), (20, 30)])
 def test_tiles_give_what_the_whole_cloud_gives(rng, tmp_path, west, east):
     trees, xyz = surveyed(rng, west, east)
     xyz = xyz.astype(np.float32).astype(np.float64)
@@ -77,6 +85,13 @@ def test_tiles_give_what_the_whole_cloud_gives(rng, tmp_path, west, east):
     whole = np.column_stack([crowns.xy_m, crowns.top_m, crowns.width_m])
     columns = found[["x", "y", "top_m", "width_m"]].to_numpy()
     np.testing.assert_allclose(columns, whole[np.lexsort(whole[:, 1::-1].T)], atol=1e-6)
+    trunks = find_trunks(crowns, xyz, xyz[:, 2], cls, cell_m)
+    order = np.lexsort(whole[:, 1::-1].T)
+    assert found["cloud_shows"].tolist() == trunks.shows[order].tolist()
+    columns = found[["trunk_x", "trunk_y", "trunk_sigma_m"]].to_numpy()
+    below = np.column_stack([trunks.xy_m, trunks.sigma_m])
+    np.testing.assert_allclose(columns, below[order], atol=1e-6)
+    assert (found["cloud_shows"] == "trunk").sum() >= (10 if west == 20 else 0)
     (line,) = join_rails(find_rail_returns(xyz, xyz[:, 2], cls))
     np.testing.assert_allclose(rails[["x", "y", "z_ground"]], line, atol=1e-6)
     assert buildings.empty

@@ -42,6 +42,7 @@ def test_a_pole_has_the_shape_of_the_column_at_its_place():
     assert found.loc[0, ["height_m", "lean_deg", "arm_m", "arm_sides"]].tolist() == [9, 2, 1.2, 2]
     # Within twice its own error; how high it is the cloud does not show.
     assert np.isnan(found.loc[1, "height_m"]) and found.loc[1, "lean_deg"] == 3.0
+    assert found["cloud_shows"].tolist() == ["column", "column", "", "", ""]
 
 
 def test_signs_trees_and_poles_away_from_columns_keep_what_they_have():

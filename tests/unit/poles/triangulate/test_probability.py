@@ -26,63 +26,63 @@ DRIVES = (
 )
 """Rates of strays and shares of images other than those of the fit; seeds are too."""
 ROAD = (
-    (15.7, 0.73, 1),
-    (23.6, 0.54, 1),
-    (73.4, 0.08, 1),
-    (10.9, 1.79, 0),
-    (13.6, 1.15, 0),
-    (39.3, 0.36, 1),
-    (52.6, 0.24, 1),
-    (17.1, 0.93, 0),
-    (62.3, 0.26, 1),
-    (54.7, 0.39, 1),
-    (30.6, 0.26, 1),
-    (96.0, 0.04, 1),
-    (4.9, 2.67, 0),
-    (7.0, 0.78, 1),
-    (30.7, 0.45, 1),
-    (42.7, 0.52, 1),
-    (23.5, 0.42, 1),
-    (34.6, 0.09, 1),
-    (20.9, 0.09, 1),
-    (27.2, 0.24, 1),
-    (8.9, 0.20, 0),
-    (32.4, 0.06, 1),
-    (43.3, 0.07, 1),
-    (33.2, 0.06, 1),
-    (50.1, 0.04, 1),
-    (35.7, 0.03, 1),
-    (48.8, 0.04, 1),
-    (30.9, 0.10, 1),
-    (46.9, 0.05, 1),
-    (10.8, 0.21, 0),
-    (34.2, 0.05, 1),
-    (34.6, 0.04, 1),
-    (44.6, 0.07, 1),
-    (48.3, 0.05, 1),
-    (30.5, 0.11, 1),
-    (31.6, 0.08, 1),
-    (19.6, 0.10, 1),
-    (32.7, 0.09, 1),
-    (9.7, 0.17, 1),
-    (26.3, 0.05, 1),
-    (27.7, 0.23, 1),
-    (26.7, 0.20, 1),
-    (31.8, 0.08, 1),
-    (31.5, 0.09, 1),
-    (20.7, 0.05, 1),
-    (50.3, 0.04, 1),
-    (26.1, 0.03, 1),
-    (12.3, 0.09, 1),
+    (6.2, 0.04, 1),
+    (55.3, 0.01, 1),
+    (45.6, 0.04, 1),
+    (57.0, 0.02, 1),
+    (31.2, 0.23, 1),
+    (19.5, 0.11, 1),
+    (30.6, 0.03, 1),
+    (4.5, 1.49, 0),
+    (41.7, 0.01, 1),
+    (17.2, 0.39, 1),
+    (8.3, 0.43, 0),
+    (59.7, 0.03, 1),
+    (4.2, 0.11, 0),
+    (46.2, 0.04, 1),
+    (41.5, 0.04, 1),
+    (3.1, 1.45, 0),
+    (36.4, 0.05, 1),
+    (57.7, 0.01, 1),
+    (28.3, 0.01, 1),
+    (29.6, 0.34, 1),
+    (40.2, 0.01, 1),
+    (12.3, 0.08, 1),
+    (22.5, 0.57, 1),
+    (50.8, 0.07, 1),
+    (44.2, 0.67, 1),
+    (46.3, 0.86, 1),
+    (25.7, 0.85, 1),
+    (75.0, 0.08, 1),
+    (47.7, 0.48, 1),
+    (10.6, 0.80, 1),
+    (11.9, 0.49, 1),
+    (4.2, 0.62, 0),
+    (4.2, 2.81, 0),
+    (4.5, 0.62, 0),
+    (25.5, 0.44, 1),
+    (7.0, 8.08, 0),
+    (6.2, 0.52, 0),
+    (24.4, 0.66, 1),
+    (79.5, 0.07, 1),
+    (88.5, 0.05, 1),
+    (87.9, 0.09, 1),
+    (40.0, 0.63, 1),
+    (7.0, 1.27, 0),
+    (49.4, 0.58, 1),
+    (54.3, 0.11, 1),
+    (17.9, 1.90, 1),
 )
 """Evidence, error (m), and whether it is a pole, of groups on a generated road of another seed than
 the one of the fit, in two clouds, by the shipped network's masks."""
 
 
 PANELS = (
-    *((9.1, True, 1), (17.8, False, 0), (18.0, False, 0), (18.1, True, 1), (21.1, True, 1)),
-    *((22.2, True, 1), (25.2, True, 1), (28.5, True, 1), (30.8, True, 1), (36.9, True, 1)),
-    *((7.7, True, 1), (17.5, False, 0), (17.9, False, 0), (34.6, True, 1), (47.2, True, 1)),
+    *((42.2, True, 1), (22.3, False, 0), (17.1, False, 0), (7.5, False, 0), (34.7, True, 1)),
+    *((17.2, False, 0), (42.5, True, 1), (13.6, False, 0), (8.5, False, 0), (33.2, True, 1)),
+    *((46.7, True, 1), (14.6, False, 0), (38.1, True, 1), (8.1, False, 0), (49.1, True, 1)),
+    *((50.0, True, 1), (13.6, True, 1), (10.1, True, 0), (49.7, True, 1), (13.6, False, 0)),
+    *((20.3, True, 1), (35.4, True, 1), (22.0, False, 0), (40.5, True, 1), (30.9, True, 1)),
 )
 """Evidence, whether it is kept, and whether it is a sign, of panels on two generated roads of other
 seeds than those of the fit, by the shipped network's masks."""
@@ -90,7 +90,7 @@ seeds than those of the fit, by the shipped network's masks."""
 
 def table(evidence, sigma_m, kind, decided=""):
     columns = {"kind": kind, "evidence": evidence, "sigma_major_m": sigma_m, "decided": decided}
-    columns |= {"score": 3, "kept": True}
+    columns |= {"score": 3, "kept": True, "cloud_shows": ""}
     return pd.DataFrame(columns)
 
 
@@ -131,7 +131,7 @@ def test_poles_of_another_road_are_as_often_real_as_is_said():
     assert said.sum() == pytest.approx(real.sum(), abs=2.0)
     assert ((said - real) ** 2).mean() < 0.6 * real.mean() * (1 - real.mean())
     sure = said > 0.9
-    assert sure.sum() > 30 and real[sure].mean() > 0.95
+    assert sure.sum() > 25 and real[sure].mean() > 0.95
     assert real[said < 0.5].mean() < 0.5
 
 
@@ -179,4 +179,16 @@ def test_each_probability_says_what_tells_it_and_each_gap_why():
 def test_trees_have_one_where_an_image_shows_them_and_buildings_none():
     rows = table(np.full(4, np.nan), np.full(4, 0.8), ["tree", "tree", "tree", "building"])
     found = real_probability(rows.assign(score=[2, 0, 2, 4], kept=[True, True, False, True]))
-    assert found[0] == pytest.approx(0.96) and np.isnan(found[1:]).all()
+    assert found[0] == pytest.approx(0.98) and np.isnan(found[1:]).all()
+
+
+def test_what_the_cloud_shows_of_a_tree_changes_its_probability():
+    shows = ["trunk", "trunk", "crown", "no trunk"]
+    dense = real_probability(table(np.full(4, np.nan), 0.8, "tree").assign(cloud_shows=shows))
+    assert dense[0] > 0.99 and 0.4 < dense[3] < 0.8 < dense[2] < 0.98
+    # Where no trunk is seen at all, as from the air, a crown alone says nothing.
+    rows = table(np.full(4, np.nan), 0.8, "tree").assign(cloud_shows="crown")
+    assert real_probability(rows) == pytest.approx(0.98)
+    # What is withheld has none, and does not count.
+    rows = rows.assign(cloud_shows=shows, kept=[False, False, True, True])
+    assert real_probability(rows)[2] == pytest.approx(0.98)

@@ -17,7 +17,7 @@ from roadsight.base.arrays import Bools, Floats, Floats32
 from roadsight.poles.images.kinds import KINDS
 from roadsight.poles.sightings.lidar_poles import NO_COLUMN
 
-_BUILDING = 6
+BUILDING = 6
 """ASPRS class of buildings."""
 _LOWEST_M = 2.0
 """Returns below this may be of bushes, rails and vehicles."""
@@ -111,7 +111,7 @@ def find_crowns(xyz_m: Floats, above_ground_m: Floats, cls: NDArray, cell_m: flo
     least_m, most_m = KINDS["tree"].height_m
     with np.errstate(invalid="ignore"):
         used = (above_ground_m > _LOWEST_M) & (above_ground_m < most_m)
-    used &= ~np.isin(cls, (*NO_COLUMN, _BUILDING))
+    used &= ~np.isin(cls, (*NO_COLUMN, BUILDING))
     xy, height = np.asarray(xyz_m, np.float64)[used, :2], np.asarray(above_ground_m)[used]
     if not len(xy):
         return Crowns(np.empty((0, 2)), np.empty(0), np.empty(0))

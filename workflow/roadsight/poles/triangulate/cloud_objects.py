@@ -15,6 +15,8 @@ the outside of bends, end 21 m from the travelled way."""
 _TOLD = ["score", "images", "routes", "kept", "reason"]
 """What images say of an object."""
 
+TRUNK_COLUMNS = ("trunk_x", "trunk_y", "trunk_sigma_m", "cloud_shows")
+"""What the cloud shows under a crown, see `find_trunks`; empty for other objects."""
 _OVER_M = 1.0
 """An outline with a place each metre that a track crosses comes so near to it; no house does."""
 OVER_ROAD = "over the road: a bridge, no building"
@@ -22,12 +24,14 @@ OVER_ROAD = "over the road: a bridge, no building"
 
 
 def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
-    """Trees as rows of poles; those that no image looks at are left out.
+    """Trees as rows of poles, at their trunks where the cloud shows them.
+
+    Those that no image looks at are left out.
 
     Parameters
     ----------
-    objects : kind, object, x, y, top_m, width_m, sigma_m. told : of each object, see
-    `confirm.confirmed`.
+    objects : kind, object, x, y, top_m, width_m, sigma_m, `TRUNK_COLUMNS`. told : of each object,
+    see `confirm.confirmed`.
     """
     own = objects[objects["kind"] == "tree"]
     if own.empty:
@@ -35,10 +39,12 @@ def trees_of(objects: pd.DataFrame, told: pd.DataFrame) -> pd.DataFrame:
     table = own.merge(told, on=["kind", "object"])
     table = table[table["reason"] != UNSEEN]
     table = table.sort_values(["x", "y"], kind="stable", ignore_index=True)
+    for name in ("x", "y", "sigma_m"):
+        table[name] = table[f"trunk_{name}"].fillna(table[name])
     sigma = {"sigma_major_m": table["sigma_m"], "sigma_minor_m": table["sigma_m"]}
     shape = {"height_m": table["top_m"], "crown_width_m": table["width_m"]}
     names = [f"tree-{number:05d}" for number in range(len(table))]
-    columns = ["kind", "x", "y", *_TOLD]
+    columns = ["kind", "x", "y", "cloud_shows", *_TOLD]
     table = table[columns].assign(**shape)
     return table.assign(**sigma, sigma_azimuth_deg=0.0, condition=1.0, id=names)
 

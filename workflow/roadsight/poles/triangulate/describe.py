@@ -18,6 +18,8 @@ SHAPE_COLUMNS = (
 """Columns of poles; NaN where the cloud does not tell, and where the kind has no such thing.
 Heights by images are not among them: frames and wires cut poles, which were 2 to 5 m too low."""
 
+COLUMN = "column"
+"""What the cloud shows of a pole (`cloud_shows`), where it does; of trees see `find_trunks`."""
 _SAME_M = 1.0
 """A column of the cloud this near to a pole, and by twice the pole's own error, is the pole."""
 _FARTHEST_M = 3.0
@@ -25,16 +27,19 @@ _FARTHEST_M = 3.0
 
 
 def with_shapes(poles: pd.DataFrame, columns: pd.DataFrame | None) -> pd.DataFrame:
-    """Poles with `SHAPE_COLUMNS`, from the cloud's columns at their places.
+    """Poles with `SHAPE_COLUMNS` and `cloud_shows`, from the cloud's columns at their places.
 
     Parameters
     ----------
-    poles : kind, x, y, sigma_major_m, and what objects of the cloud have already.
+    poles : kind, x, y, sigma_major_m, and what objects of the cloud have already, such as
+        `cloud_shows` of trees.
     columns : x, y, top_m, open_top (1 where the cloud does not show how high it is) and shapes of
         the columns of the cloud, see `stem_shapes`; None where no one looked for them.
     """
     nothing = pd.Series(np.nan, index=poles.index)
     poles = poles.assign(**{name: poles.get(name, nothing) for name in SHAPE_COLUMNS})
+    shows = poles.get("cloud_shows", pd.Series("", index=poles.index))
+    poles["cloud_shows"] = shows.astype(object).fillna("").astype(str)
     rows = np.flatnonzero(poles["kind"] == "pole")
     if columns is None or columns.empty or not len(rows):
         return poles
@@ -48,4 +53,5 @@ def with_shapes(poles: pd.DataFrame, columns: pd.DataFrame | None) -> pd.DataFra
     found = found.assign(height_m=found["top_m"].where(found["open_top"] == 0))
     names = [name for name in SHAPE_COLUMNS if name != "crown_width_m"]
     poles.loc[found.index, names] = found[names]
+    poles.loc[found.index, "cloud_shows"] = COLUMN
     return poles

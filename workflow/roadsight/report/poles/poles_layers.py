@@ -185,6 +185,7 @@ def pole_records(poles: pd.DataFrame, images: list[str], frame: Frame) -> list[d
             "decided": row.get("decided", ""),
             "probability": finite(row.get("probability")),
             "height_m": finite(row.get("height_m")),
+            "cloud_shows": row.get("cloud_shows", ""),
         }
         for number, row in enumerate(poles.to_dict("records"))
     ]

@@ -104,6 +104,7 @@ def _thing(page: dict[str, Any]) -> dict[str, Any]:
         "a": f"{'an' if one == 'object' else 'a'} {one}",
         "likely": any(pole.get("probability") is not None for pole in poles),
         "high": any(pole.get("height_m") is not None for pole in poles),
+        "shown": any(pole.get("cloud_shows") for pole in poles),
     }
 
 

@@ -32,11 +32,13 @@ from roadsight.poles.sightings.crowns import (
 )
 from roadsight.poles.sightings.rails import RailReturns, find_rail_returns, join_rails
 from roadsight.poles.sightings.roofs import ROOF_AREA_M2, roof_cells, steady_roofs
+from roadsight.poles.sightings.trunks import Trunks, find_trunks
+from roadsight.poles.triangulate.cloud_objects import TRUNK_COLUMNS
 from roadsight.stages.command import Command
 from roadsight.stages.progress import logged
 
 log = logging.getLogger("find_roadside_objects")
-COLUMNS = ("kind", "object", "x", "y", "z_ground", "top_m", "width_m", "sigma_m")
+COLUMNS = ("kind", "object", "x", "y", "z_ground", "top_m", "width_m", "sigma_m", *TRUNK_COLUMNS)
 BLOCKS = tuple(name for name, kind in KINDS.items() if kind.shape == "block")
 _HALO_M = 6.0
 """Margin of a tile: more than what decides about a return of a rail. Crowns have their own."""
@@ -68,7 +70,8 @@ def find_roadside_objects(
         cls = points["classification"]
         if "tree" in kinds:
             found = find_crowns(xyz, above, cls, cell_m)
-            crowns.append(_trees(found, _inside(found.xy_m, bounds)))
+            trunks = find_trunks(found, xyz, above, cls, cell_m)
+            crowns.append(_trees(found, trunks, _inside(found.xy_m, bounds)))
         if "guardrail" in kinds:
             returns = find_rail_returns(xyz, above, cls)
             own = _inside(returns.xyz_m, bounds)
@@ -84,7 +87,7 @@ def find_roadside_objects(
             np.concatenate([part.direction for part in rails]),
         )
     )
-    empty = pd.DataFrame({name: pd.Series(dtype=np.float64) for name in COLUMNS[2:]})
+    empty = pd.DataFrame({name: pd.Series(dtype=np.float64) for name in COLUMNS[2:-1]})
     trees = pd.concat(crowns, ignore_index=True) if crowns else empty
     trees = trees.sort_values(["x", "y"], kind="stable", ignore_index=True)
     trees["z_ground"] = ground.sample(trees["x"].to_numpy(), trees["y"].to_numpy())
@@ -101,9 +104,11 @@ def find_roadside_objects(
             source += ", which no return has" + ", but by roofs" * (kind == "building")
         (log.info if told else log.warning)("%d of kind %s by %s", len(blocks), kind, source)
         parts += [_block(block, kind, number, ground) for number, block in enumerate(blocks)]
-    table = pd.concat(parts, ignore_index=True)[list(COLUMNS)]
-    table = table.astype({"object": np.int64, "kind": str})
-    log.info("%d trees, %d guardrails", len(trees), len(lines))
+    table = pd.concat(parts, ignore_index=True).reindex(columns=list(COLUMNS))
+    table["cloud_shows"] = table["cloud_shows"].fillna("")
+    table = table.astype({"object": np.int64, "kind": str, "cloud_shows": str})
+    shown = table.loc[table["kind"] == "tree", "cloud_shows"].value_counts().to_dict()
+    log.info("%d trees, of which the cloud shows %s; %d guardrails", len(trees), shown, len(lines))
     write_table(out, table, {"kinds": list(kinds)})
 
 
@@ -126,10 +131,11 @@ def _inside(xy_m: Floats, bounds: tuple[float, float, float, float]) -> np.ndarr
     return (x >= west) & (x < east) & (y >= south) & (y < north)
 
 
-def _trees(found: Crowns, own: np.ndarray) -> pd.DataFrame:
+def _trees(found: Crowns, trunks: Trunks, own: np.ndarray) -> pd.DataFrame:
     x, y = found.xy_m[own].T
-    size = {"top_m": found.top_m[own], "width_m": found.width_m[own]}
-    return pd.DataFrame({"x": x, "y": y, **size, "sigma_m": SIGMA_M})
+    size = {"top_m": found.top_m[own], "width_m": found.width_m[own], "sigma_m": SIGMA_M}
+    below = (*trunks.xy_m[own].T, trunks.sigma_m[own], trunks.shows[own])
+    return pd.DataFrame({"x": x, "y": y, **size, **dict(zip(TRUNK_COLUMNS, below, strict=True))})
 
 
 def _rail(line: Floats, number: int) -> pd.DataFrame:

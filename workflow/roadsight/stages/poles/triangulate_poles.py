@@ -246,7 +246,8 @@ def _with_place(poles: pd.DataFrame, frame: Frame, dem: Path | None) -> pd.DataF
     if frame.crs_wkt is not None and len(poles):
         latitude, longitude = SiteNorth(frame).to_geographic(np.column_stack([x, y]))
     placed = poles.assign(z=z, latitude=latitude, longitude=longitude)
-    return placed[[*POLE_COLUMNS, "decided", "probability", "probability_from", *SHAPE_COLUMNS]]
+    told = ("decided", "probability", "probability_from", "cloud_shows")
+    return placed[[*POLE_COLUMNS, *told, *SHAPE_COLUMNS]]
 
 
 def _points(poles: pd.DataFrame) -> gpd.GeoDataFrame:
