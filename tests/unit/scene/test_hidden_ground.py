@@ -114,6 +114,27 @@ class TestToWhatStands:
         gone = outline.difference(STREET.buffer(REACH_M + 0.15))
         assert gone.area < 1e-6
 
+    @pytest.mark.parametrize(
+        ("deep_m", "height_m", "edge_m"),
+        [(1.8, 1.4, 5.9), (0.6, 1.4, 4.4), (6.0, 1.4, 4.4), (1.8, 3.5, 4.4)],
+        ids=["cars", "a hedge", "a shed", "a low roof"],
+    )
+    def test_a_row_of_cars_stands_on_the_pavement(self, rng, deep_m, height_m, edge_m):
+        """Behind it lies a walk that was seen; what else stands there hides one overhang."""
+        row = (layer(rng, box(10, 4.1, 50, 4.1 + deep_m), height_m), False)
+        walk = (layer(rng, box(0, 4.1 + deep_m, 60, 12), 0.1), True)
+        outline, _ = grown([street(rng)[0], row, walk])
+        assert edge_at(outline)[1] == pytest.approx(edge_m, abs=0.4)
+
+    def test_a_low_thing_hides_less_than_a_high_one(self, rng):
+        """A wall of 1 m, 2 m beyond the pavement, casts no shadow that reaches it."""
+        low, high = (
+            edge_at(grown(street(rng, wall_y=6.0, height_m=height_m))[0])[1]
+            for height_m in (1.0, 6.0)
+        )
+        assert high == pytest.approx(6.3, abs=0.3)
+        assert low < 4.4
+
     @pytest.mark.parametrize("shift", [0.0, 44.0, 48.0, 70.0])
     def test_where_squares_end_does_not_show(self, rng, shift):
         """Squares lie on multiples of 100 m, so that a moved street meets other borders."""

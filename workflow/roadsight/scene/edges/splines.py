@@ -20,8 +20,10 @@ _LEG_KNOTS = 2
 """Knots before and after a corner whose direction counts: between neighbours the steps of a sparse
 outline turn as far. In an old town 57 % of the surveyed edges are met within 1 m with legs of 6 or
 9 m and 53 % with 3 m, in a street elsewhere 54, 55 and 47 %."""
-_INSIDE_M = 1.0
-"""So far inside its outline a pavement is as wide as it looks, whatever the outline's steps."""
+_INSIDE_M = 2.0
+"""So far inside its outline a pavement is as wide as it looks, whatever the outline's steps: beside
+a row of parked cars these are as deep as a car is wide. With 1 m, 59.4 instead of 60.5 % of the
+surveyed edges of an old town are met within 1 m, and 56 instead of 63 % in a street elsewhere."""
 _LONGER = 2.5
 """Where a road is cut, the way on along it is so many times as long as the cut, and as the way
 across elsewhere."""

@@ -252,7 +252,7 @@ def _to_what_stands(
     )
     if share == 0:
         return found
-    text = "its edge is hidden and taken to be at what stands there (a wall, a car, a crown): share"
+    text = "its edge is hidden and taken to be at a wall or crown, or behind a parked car: share"
     note = Doubt("pavement_edge_hidden", "note", text, round(share, 3))
     return replace(found, outline=outline, doubts=[*found.doubts, note])
 
