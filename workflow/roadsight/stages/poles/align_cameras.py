@@ -37,9 +37,10 @@ from roadsight.poles.alignment.verdict import (
     Limits,
     agreeing_landmarks,
     condition,
-    doubt,
+    edge_doubt,
     is_one_sided,
     moved_by_centre,
+    pose_doubt,
     reached,
     residual_px,
     sigmas,
@@ -198,8 +199,7 @@ def aligned(
     fit = Fit(task.prior_mean, expected, 0.0, nothing, *zero)
     reason = "" if method == "none" else too_little(task, limits)
     if method == "road" and not reason:
-        fits = locate(task, noise)
-        reason = doubt(task, fits, limits)
+        task, fits, reason = judged(task, noise, limits)
         fit = fits[0]
     elif method == "published" and not reason:
         unknowns, rms_px = nelder_mead(
@@ -212,6 +212,24 @@ def aligned(
         )
         fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
     return _row(task, fit, reason, *(centre or (np.zeros(len(expected)), 0.0)))
+
+
+def judged(
+    task: Task, noise: LandmarkNoise | None, limits: Limits
+) -> tuple[Task, list[Fit], str]:
+    """Minima of an image, the best first, why they are no good, and the task that they are of.
+
+    At a bridge, a driveway's mouth or a parked car the borders of image and cloud are different
+    things. Where they disagree, the pose is what the other images of the drive tell, with the
+    landmarks of this one, if that is sure enough.
+    """
+    fits = locate(task, noise)
+    reason = edge_doubt(task, fits[0], limits)
+    if not reason:
+        return task, fits, pose_doubt(task, fits, limits)
+    others = task.without_edges()
+    told = locate(others, noise, task.prior_mean)
+    return (task, fits, reason) if pose_doubt(others, told, limits) else (others, told, "")
 
 
 def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -> dict[str, Any]:
