@@ -35,8 +35,8 @@ _THIN_M = 0.3
 _HEAD_M = 1.2
 """Below the top by this much begin arms, lamps and wires, which lie beside the axis."""
 _CHANCE = 0.01
-"""Chance of no return below the wires at which a column hangs in the air. Of 145 poles on ten
-generated roads of 2 to 100 pulses/m2 the least but one has 0.016, of 355 other columns 292 less."""
+"""Chance of no return below the wires at which a column hangs in the air. Of 144 columns at true
+poles on twelve generated roads two have less, of 374 other columns 335."""
 _NOISE_M = (0.015, 0.02, 0.03, 0.045, 0.06)
 """Standard deviations of a return about the surface of a stem that are tried, a factor of about 1.4
 apart: surveys and scanners differ, and so do stems, which lean and have bark."""

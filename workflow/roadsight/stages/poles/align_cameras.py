@@ -63,6 +63,9 @@ TEXTS = ("image", "reason")
 """Columns of the table that hold texts."""
 BY_HAND = GivenSigma(heading_deg=0.1, pitch_deg=0.1, lateral_m=0.2, along_m=0.5)
 """One standard deviation of a pose that a person set by eye."""
+_AROUND = 3.0
+"""How many times as far as expected a pose is sought at which edges fit that disagree. On 300 m of
+four lanes whose heading the others told 0.4 degrees wrong, this is where all of four images fit."""
 CAMERA_COLUMNS = (
     "image",
     "x",
@@ -221,15 +224,25 @@ def judged(
 
     At a bridge, a driveway's mouth or a parked car the borders of image and cloud are different
     things. Where they disagree, the pose is what the other images of the drive tell, with the
-    landmarks of this one, if that is sure enough.
+    landmarks of this one. That is so if the others are sure enough by themselves, a landmark of
+    this one agrees with them, and its edges fit nowhere around either: where they do, the others
+    may be wrong.
     """
     fits = locate(task, noise)
     reason = edge_doubt(task, fits[0], limits)
     if not reason:
         return task, fits, pose_doubt(task, fits, limits)
     others = task.without_edges()
+    alone = replace(others, landmarks=None)
+    around = replace(task, prior_information=task.prior_information / _AROUND**2)
     told = locate(others, noise, task.prior_mean)
-    return (task, fits, reason) if pose_doubt(others, told, limits) else (others, told, "")
+    confirmed = (
+        agreeing_landmarks(others, told[0]) > 0
+        and not pose_doubt(others, told, limits)
+        and not pose_doubt(alone, locate(alone, noise, task.prior_mean), limits)
+        and bool(edge_doubt(around, locate(around, noise)[0], limits))
+    )
+    return (others, told, "") if confirmed else (task, fits, reason)
 
 
 def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -> dict[str, Any]:
