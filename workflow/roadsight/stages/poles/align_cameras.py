@@ -217,9 +217,7 @@ def aligned(
     return _row(task, fit, reason, *(centre or (np.zeros(len(expected)), 0.0)))
 
 
-def judged(
-    task: Task, noise: LandmarkNoise | None, limits: Limits
-) -> tuple[Task, list[Fit], str]:
+def judged(task: Task, noise: LandmarkNoise | None, limits: Limits) -> tuple[Task, list[Fit], str]:
     """Minima of an image, the best first, why they are no good, and the task that they are of.
 
     At a bridge, a driveway's mouth or a parked car the borders of image and cloud are different
