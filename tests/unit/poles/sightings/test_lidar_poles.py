@@ -10,6 +10,7 @@ from roadsight.poles.sightings.lidar_poles import (
     _SPREAD_OF_RADII_M,
     _USUAL_RADIUS_M,
     NO_COLUMN,
+    _hangs,
     find_pole_columns,
     stem_axis,
 )
@@ -166,3 +167,16 @@ def test_settings_say_what_a_column_is(rng):
     assert count(crowded) == 0
     assert count(crowded, around_trunk=2.0) >= 1
     assert count(crowded, around_m=0.8) >= 1
+
+
+def at_heights(*height_m: float) -> np.ndarray:
+    return np.column_stack([np.zeros(len(height_m)), np.zeros(len(height_m)), height_m])
+
+
+def test_what_hangs_in_the_air_is_no_column():
+    """Wires above each other have no returns below; few returns of a stem may have none."""
+    wires = at_heights(*np.arange(6.0, 9.1, 0.3))
+    assert len(columns(wires)) == 0
+    assert len(columns(wires, at_heights(2.0, 3.1))) == 1
+    assert not _hangs(np.array([8.0, 9.0]))
+    assert _hangs(np.array([8.0, 8.5, 9.0]))

@@ -149,6 +149,10 @@ class Task:
         map_edges = self.map_edges.thinned(step)
         return replace(self, image_edges=image_edges, map_edges=map_edges, noise=noise)
 
+    def without_edges(self) -> Task:
+        """The same image with its landmarks alone."""
+        return replace(self, image_edges=ImageEdges(np.empty((0, 2)), np.zeros(5, np.int64)))
+
     def __post_init__(self) -> None:
         few = self.map_edges.thinned(max(len(self.map_edges.half_m) // _SCANNED, 1))
         # A frozen class has no other way to keep what is computed once.

@@ -66,31 +66,43 @@ def too_little(task: Task, limits: Limits) -> str:
 
 def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
     """Why the best minimum cannot be trusted, or "" if it can."""
-    best = fits[0]
-    sigma = np.sqrt(np.diag(best.covariance))
-    expected = np.sqrt(np.diag(np.linalg.inv(task.prior_information)))
-    apart = np.abs(best.unknowns - task.prior_mean) / expected
+    return edge_doubt(task, fits[0], limits) or pose_doubt(task, fits, limits)
+
+
+def edge_doubt(task: Task, fit: Fit, limits: Limits) -> str:
+    """Why the edges of image and cloud do not belong together, or "" if they do."""
     share = limits.inliers
-    if agreeing_landmarks(task, best) >= limits.landmarks:
+    if agreeing_landmarks(task, fit) >= limits.landmarks:
         share = limits.inliers_with_landmarks
-    known = reached(task, best)
+    known = reached(task, fit)
     with np.errstate(invalid="ignore"):
-        inliers = (best.residuals[known, 1] < FINEST).mean() if known.any() else 0.0
-    worst = UNKNOWNS[int(np.argmax(apart))]
+        inliers = (fit.residuals[known, 1] < FINEST).mean() if known.any() else 0.0
     doubts = (
         (
-            not np.isfinite(best.residuals[:, 0]).all(),
+            not np.isfinite(fit.residuals[:, 0]).all(),
             "the road edges are behind the camera",
         ),
         (known.sum() < limits.fewest_pixels, "too few of the image's edges are in the cloud"),
         (inliers < share, "the edges of image and road disagree"),
         (
-            residual_px(best, share, known)
+            residual_px(fit, share, known)
             > np.hypot(
-                limits.residual_px * task.start.width_px / 1000, edge_sigma_px(best, task, known)
+                limits.residual_px * task.start.width_px / 1000, edge_sigma_px(fit, task, known)
             ),
             "the edges fit badly",
         ),
+    )
+    return next((reason for doubtful, reason in doubts if doubtful), "")
+
+
+def pose_doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
+    """Why the pose itself is no good, whatever it rests on, or "" if it is."""
+    best = fits[0]
+    sigma = np.sqrt(np.diag(best.covariance))
+    expected = np.sqrt(np.diag(np.linalg.inv(task.prior_information)))
+    apart = np.abs(best.unknowns - task.prior_mean) / expected
+    worst = UNKNOWNS[int(np.argmax(apart))]
+    doubts = (
         (apart.max() > limits.from_expected, f"{worst} is too far from what was expected"),
         (is_ambiguous(fits, limits), "ambiguous: two poses fit about as well"),
         (sigmas(best, task)[0] > limits.sigma_heading_deg, "the heading is too uncertain"),

@@ -34,6 +34,9 @@ _THIN_M = 0.3
 """Cells that count as one point each, however dense the cloud."""
 _HEAD_M = 1.2
 """Below the top by this much begin arms, lamps and wires, which lie beside the axis."""
+_CHANCE = 0.01
+"""Chance of no return below the wires at which a column hangs in the air. Of 144 columns at true
+poles on twelve generated roads two have less, of 374 other columns 335."""
 _NOISE_M = (0.015, 0.02, 0.03, 0.045, 0.06)
 """Standard deviations of a return about the surface of a stem that are tried, a factor of about 1.4
 apart: surveys and scanners differ, and so do stems, which lean and have bark."""
@@ -93,7 +96,8 @@ def find_pole_columns(
     around it: at trunk height (below 4.5 m, under the wires) at most half as many as its own, above
     at most three times as many (wires and arms, but no crown), all counted in cells of 0.3 m, and
     unless the settings say otherwise. Its own are within ``radius_m``, a trunk wherever in its cell
-    it stands; those up to ``around_m`` are of something around it, such as a crown or a wall.
+    it stands; those up to ``around_m`` are of something around it, such as a crown or a wall. It
+    does not hang in the air, as wires and branches do.
 
     Parameters
     ----------
@@ -179,16 +183,30 @@ def _placed(centres: Floats, points: Floats, height: Floats, radius_m: float) ->
     """Place each column on the axis of its own points below the arms and wires."""
     tree = cKDTree(points[:, :2])
     found = np.empty((len(centres), 6))
+    hanging = np.zeros(len(centres), bool)
     for number, centre in enumerate(centres):
         own = np.array(sorted(tree.query_ball_point(centre, radius_m)), np.int64)
         top = float(height[own].max())
+        hanging[number] = _hangs(height[own])
         stem = own[height[own] <= max(top - _HEAD_M, 0.7 * top, _TRUNK_M)]
         stem = stem if len(stem) >= 2 else own
         xy, sigma, used = stem_axis(points[stem, :2])
         ground = float(np.median(points[own, 2] - height[own]))
         found[number] = *xy, top, sigma, ground, used
+    found = found[~hanging]
     rest = np.ascontiguousarray(np.column_stack([found[:, 2:], np.zeros(len(found))]).T)
     return PoleColumns(found[:, :2].copy(), *rest)
+
+
+def _hangs(height_m: Floats) -> bool:
+    """Whether returns of these heights above ground (n,) are too high up for a stem.
+
+    A stem has them anywhere between its foot and its top; several wires above each other, and
+    tufts of crowns, have none below.
+    """
+    low, top = float(height_m.min()), float(height_m.max())
+    share = (top - low) / (top - _LOWEST_M)
+    return low > _TRUNK_M and share ** len(height_m) < _CHANCE
 
 
 def stem_axis(xy_m: Floats) -> tuple[Floats, float, int]:

@@ -37,9 +37,10 @@ from roadsight.poles.alignment.verdict import (
     Limits,
     agreeing_landmarks,
     condition,
-    doubt,
+    edge_doubt,
     is_one_sided,
     moved_by_centre,
+    pose_doubt,
     reached,
     residual_px,
     sigmas,
@@ -62,6 +63,9 @@ TEXTS = ("image", "reason")
 """Columns of the table that hold texts."""
 BY_HAND = GivenSigma(heading_deg=0.1, pitch_deg=0.1, lateral_m=0.2, along_m=0.5)
 """One standard deviation of a pose that a person set by eye."""
+_AROUND = 3.0
+"""How many times as far as expected a pose is sought at which edges fit that disagree. On 300 m of
+four lanes whose heading the others told 0.4 degrees wrong, this is where all of four images fit."""
 CAMERA_COLUMNS = (
     "image",
     "x",
@@ -198,8 +202,7 @@ def aligned(
     fit = Fit(task.prior_mean, expected, 0.0, nothing, *zero)
     reason = "" if method == "none" else too_little(task, limits)
     if method == "road" and not reason:
-        fits = locate(task, noise)
-        reason = doubt(task, fits, limits)
+        task, fits, reason = judged(task, noise, limits)
         fit = fits[0]
     elif method == "published" and not reason:
         unknowns, rms_px = nelder_mead(
@@ -212,6 +215,32 @@ def aligned(
         )
         fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
     return _row(task, fit, reason, *(centre or (np.zeros(len(expected)), 0.0)))
+
+
+def judged(task: Task, noise: LandmarkNoise | None, limits: Limits) -> tuple[Task, list[Fit], str]:
+    """Minima of an image, the best first, why they are no good, and the task that they are of.
+
+    At a bridge, a driveway's mouth or a parked car the borders of image and cloud are different
+    things. Where they disagree, the pose is what the other images of the drive tell, with the
+    landmarks of this one. That is so if the others are sure enough by themselves, a landmark of
+    this one agrees with them, and its edges fit nowhere around either: where they do, the others
+    may be wrong.
+    """
+    fits = locate(task, noise)
+    reason = edge_doubt(task, fits[0], limits)
+    if not reason:
+        return task, fits, pose_doubt(task, fits, limits)
+    others = task.without_edges()
+    alone = replace(others, landmarks=None)
+    around = replace(task, prior_information=task.prior_information / _AROUND**2)
+    told = locate(others, noise, task.prior_mean)
+    confirmed = (
+        agreeing_landmarks(others, told[0]) > 0
+        and not pose_doubt(others, told, limits)
+        and not pose_doubt(alone, locate(alone, noise, task.prior_mean), limits)
+        and bool(edge_doubt(around, locate(around, noise)[0], limits))
+    )
+    return (others, told, "") if confirmed else (task, fits, reason)
 
 
 def dense_aligned(scene: DenseScene, place: Place, task: Task, limits: Limits) -> dict[str, Any]:

@@ -1,0 +1,77 @@
+"""Images whose edges disagree with the road's: when the others of the drive place them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roadsight.poles.alignment.locate import locate
+from roadsight.poles.alignment.pose import FOCAL, SIZE, YAW
+from roadsight.poles.alignment.solve import ImageEdges
+from roadsight.poles.alignment.verdict import Limits, agreeing_landmarks, edge_doubt
+from roadsight.stages.poles.align_cameras import judged
+from tests.unit.poles.alignment.test_landmarks import bed, columns, tasks
+
+__all__ = ["bed", "columns", "tasks"]
+LIMITS = Limits()
+WRONG_BY_DEG = -2.0
+SURE = 0.1
+"""What the others leave open, as a share of what is expected of a place alone."""
+
+
+@pytest.fixture(scope="module")
+def told(tasks):
+    """Images as the others of the drive tell them: where they are, and sure of it."""
+    sure = []
+    for task in tasks:
+        fit = locate(task)[0]
+        sharper = task.prior_information.copy()
+        sharper[:SIZE, :SIZE] /= SURE**2
+        own = replace(task, prior_mean=fit.unknowns, prior_information=sharper)
+        if agreeing_landmarks(task, fit) >= 1 and not edge_doubt(own, locate(own)[0], LIMITS):
+            sure.append(own)
+    assert len(sure) >= 3
+    return sure
+
+
+def elsewhere(task):
+    """The same image with edges of something else, such as a wall."""
+    rng = np.random.default_rng(4)
+    uv = rng.uniform([0, 0.5 * task.start.height_px], task.start.width_px, (300, 2))
+    uv[:, 1] = np.minimum(uv[:, 1], task.start.height_px)
+    side = np.where(rng.random(300) < 0.5, -1, 1)
+    return replace(task, image_edges=ImageEdges.from_pixels(uv, side, np.zeros(300, bool)))
+
+
+def test_the_others_and_a_landmark_place_an_image_whose_edges_are_of_other_things(told):
+    for task in told:
+        used, fits, reason = judged(elsewhere(task), None, LIMITS)
+        assert reason == ""
+        assert len(used.image_edges.uv_px) == 0
+        assert abs(fits[0].unknowns[YAW] - task.prior_mean[YAW]) < 0.1
+
+
+def test_without_a_landmark_nothing_confirms_the_others(told):
+    for task in told:
+        _, _, reason = judged(replace(elsewhere(task), landmarks=None), None, LIMITS)
+        assert reason
+
+
+def test_others_that_are_not_sure_place_no_image(told):
+    for task in told:
+        loose = replace(task, prior_information=task.prior_information * SURE**2)
+        assert judged(elsewhere(loose), None, LIMITS)[2]
+
+
+def test_edges_that_fit_nearby_contradict_the_others(told):
+    """The others and landmarks tell a wrong heading: where it is right, the edges fit."""
+    refused = 0
+    for task in told:
+        mean = task.prior_mean.copy()
+        mean[YAW] += WRONG_BY_DEG
+        axes, focal_px = task.landmarks.axes, np.exp(mean[FOCAL])
+        shift_px = np.array([focal_px * np.tan(np.radians(WRONG_BY_DEG)), 0.0])
+        axes = replace(axes, middle_px=axes.middle_px - shift_px)
+        wrong = replace(task, prior_mean=mean, landmarks=replace(task.landmarks, axes=axes))
+        refused += bool(judged(wrong, None, LIMITS)[2])
+    assert refused > 0.7 * len(told)
