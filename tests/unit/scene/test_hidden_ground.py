@@ -126,6 +126,19 @@ class TestToWhatStands:
         outline, _ = grown([street(rng)[0], row, walk])
         assert edge_at(outline)[1] == pytest.approx(edge_m, abs=0.4)
 
+    @pytest.mark.parametrize(("verge_m", "one"), [(0.4, True), (1.5, False)])
+    def test_a_vehicle_far_away_decides_nothing(self, rng, verge_m, one):
+        """Kerbs between pavements are paved, wider verges are not, whatever is parked elsewhere."""
+        roads = MultiPolygon([box(0, -4, 60, 0), box(0, verge_m, 60, 4)])
+        ground = [(layer(rng, box(0, -10, 60, 10), 0.0), True)]
+        car = [(layer(rng, box(40, -5.8, 44.5, -4.1), 1.2, 0.1), False)]
+        low = ground[0][0]
+        below = (low[:, 0] > 39.8) & (low[:, 0] < 44.7) & (low[:, 1] > -6) & (low[:, 1] < -3.9)
+        hidden = [(low[~below], True), *car]
+        for parts in (ground, hidden):
+            outline, _ = grown([*parts, (stray(roads), False)], roads)
+            assert outline.covers(shapely.Point(10, verge_m / 2)) == one
+
     def test_a_low_thing_hides_less_than_a_high_one(self, rng):
         """A wall of 1 m, 2 m beyond the pavement, casts no shadow that reaches it."""
         low, high = (

@@ -175,7 +175,8 @@ class DepthMaps:
         InputError : the file is damaged.
         """
         try:
-            return [str(name) for name in self._file.read(["candidate"])["candidate"].to_pylist()]
+            names = self._file.read(["candidate"], use_threads=False)["candidate"]
+            return [str(name) for name in names.to_pylist()]
         except (OSError, pa.ArrowException, ValueError) as error:
             raise self._damaged(error) from error
 

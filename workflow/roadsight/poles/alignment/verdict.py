@@ -69,6 +69,10 @@ def doubt(task: Task, fits: Sequence[Fit], limits: Limits) -> str:
     return edge_doubt(task, fits[0], limits) or pose_doubt(task, fits, limits)
 
 
+OTHER_THINGS = ("the edges of image and road disagree", "the edges fit badly")
+"""Doubts about edges that were compared: those of the image may be of something else."""
+
+
 def edge_doubt(task: Task, fit: Fit, limits: Limits) -> str:
     """Why the edges of image and cloud do not belong together, or "" if they do."""
     share = limits.inliers
@@ -83,13 +87,13 @@ def edge_doubt(task: Task, fit: Fit, limits: Limits) -> str:
             "the road edges are behind the camera",
         ),
         (known.sum() < limits.fewest_pixels, "too few of the image's edges are in the cloud"),
-        (inliers < share, "the edges of image and road disagree"),
+        (inliers < share, OTHER_THINGS[0]),
         (
             residual_px(fit, share, known)
             > np.hypot(
                 limits.residual_px * task.start.width_px / 1000, edge_sigma_px(fit, task, known)
             ),
-            "the edges fit badly",
+            OTHER_THINGS[1],
         ),
     )
     return next((reason for doubtful, reason in doubts if doubtful), "")

@@ -47,7 +47,7 @@ trunks, to 0.3 m."""
 _CHANCE = 0.05
 """Probability that evenly strewn returns under a crown have such a disc anywhere."""
 _SPAN_M = 1.0
-"""Height between the lowest and highest return of a trunk at least. With 0.5 m five of 30 on four
+"""Height between the lowest and highest return of a trunk at least. With 0.5 m four of 30 on four
 roads are none."""
 _WIDEST_CELL_M = 0.6
 """Cells of the canopy (`canopy_cell_m`) up to which a cloud may show trunks: 11 returns a square

@@ -114,6 +114,9 @@ def _hidden_beside(
     shadow = _in_shadow(grid, paved, cell, height_m, seen_m)
     taken = paved | _reached(paved, shadow, _WAY_M)
     taken |= _below_vehicles(grid, taken, cell, height_m, spacing_m)
+    # Smooth ground ends at kerbs, and up to a spacing before a vehicle: a narrow strip between
+    # pavements is one of these, and a verge so narrow is not told from it.
+    taken = _closed(taken, int(np.ceil(_SEEN_SPACINGS * spacing_m / _CELL_M)))
     # Slivers between the pavement and ground that was seen are no ground of their own.
     width = max(1, round(seen_m / _CELL_M))
     whole = ndimage.binary_opening(taken, iterations=width) & ~paved
@@ -144,7 +147,7 @@ def _in_shadow(grid: Grid, paved: Bools, cell: Ints, height_m: Floats, seen_m: f
     reach_m = np.minimum(_SHADOW * top_m[row, column], REACH_M)
     hidden &= (away_m <= REACH_M) & (off * _CELL_M <= reach_m)
     # Water, and what lies beyond the cloud, gives no returns either: what stands must lie ahead on
-    # the way from the pavement, neither on this side of the place nor beside it.
+    # the way from the pavement, not on this side of the place.
     to_row, to_column = np.indices(grid.shape)
     ahead = (row - to_row) * (to_row - from_row) + (column - to_column) * (to_column - from_column)
     hidden &= ahead >= _AHEAD * off * away_m / _CELL_M
@@ -154,7 +157,7 @@ def _in_shadow(grid: Grid, paved: Bools, cell: Ints, height_m: Floats, seen_m: f
 def _below_vehicles(
     grid: Grid, paved: Bools, cell: Ints, height_m: Floats, spacing_m: float
 ) -> Bools:
-    """Cells (rows, columns) below vehicles that stand on a pavement's rim, and between both."""
+    """Cells (rows, columns) below vehicles that stand on a pavement's rim."""
     high = height_m > LOWEST_M
     hit = _cells(grid, cell[high & (height_m < HIGHEST_M)])
     parked = footprints(hit, _cells(grid, cell[~high]), spacing_m, _CELL_M)
@@ -164,11 +167,11 @@ def _below_vehicles(
     gap = int(np.ceil(_SEEN_SPACINGS * spacing_m / _CELL_M))
     near = _distance_m(paved) <= gap * _CELL_M
     parked &= _reached(paved, near | parked, WIDTH_M + gap * _CELL_M)
-    return _closed(paved | parked, gap)
+    return parked
 
 
 def _reached(paved: Bools, way: Bools, most_m: float) -> Bools:
-    """Cells (rows, columns) that a way from the pavement reaches."""
+    """Cells (rows, columns) that a way from the pavement along rows and columns reaches."""
     steps = round(most_m / _CELL_M)
     return np.asarray(ndimage.binary_dilation(paved, iterations=steps, mask=paved | way))
 

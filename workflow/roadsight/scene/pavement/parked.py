@@ -10,7 +10,8 @@ from roadsight.base.arrays import Bools, Floats
 LOWEST_M = 0.5
 """Returns of a vehicle lie at least so high above the ground: its bonnet."""
 HIGHEST_M = 2.3
-"""And at most so high: cars and small vans. From 2 to 2.8 m edges move by less than 0.02 m."""
+"""And at most so high: cars and small vans. What is higher, such as trees above them, says nothing.
+From 2 to 2.8 m edges move by less than 0.02 m."""
 WIDTH_M = 2.8
 """No vehicle is wider, mirrors and the spread of its returns included; what is wider is a building,
 or planting."""

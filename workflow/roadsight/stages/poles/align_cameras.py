@@ -34,6 +34,7 @@ from roadsight.poles.alignment.pose import ALONG, CX, YAW, pose_of
 from roadsight.poles.alignment.published import PUBLISHED_BOUNDS, nelder_mead
 from roadsight.poles.alignment.solve import Fit, Task
 from roadsight.poles.alignment.verdict import (
+    OTHER_THINGS,
     Limits,
     agreeing_landmarks,
     condition,
@@ -139,6 +140,9 @@ def align_cameras(
     table = pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(dict.fromkeys(TEXTS, str))
     for reason, count in sorted(Counter(table["reason"]).items()):
         log.info("%d of %d images: %s", count, len(table), reason or "accepted")
+    by_others = table.loc[table["accepted"] & table["residual_px"].isna(), "image"]
+    if method == "road" and dense is None and len(by_others):
+        log.info("placed by the others of their drive and landmarks: %s", ", ".join(by_others))
     for route, stated in sorted(reasons.items()):
         told = log.warning if 2 * sum(map(bool, stated)) > len(stated) else log.info
         told("%s: %s", route, lost_views(stated))
@@ -200,6 +204,7 @@ def aligned(
     nothing = np.full((len(task.image_edges.uv_px), 2), np.nan)
     zero = np.zeros_like(expected), np.zeros(len(expected))
     fit = Fit(task.prior_mean, expected, 0.0, nothing, *zero)
+    one_sided = is_one_sided(task)
     reason = "" if method == "none" else too_little(task, limits)
     if method == "road" and not reason:
         task, fits, reason = judged(task, noise, limits)
@@ -214,7 +219,8 @@ def aligned(
             bound_deg=bounds[1],
         )
         fit = Fit(unknowns, expected, rms_px, np.full((1, 2), rms_px), *zero)
-    return _row(task, fit, reason, *(centre or (np.zeros(len(expected)), 0.0)))
+    row = _row(task, fit, reason, *(centre or (np.zeros(len(expected)), 0.0)))
+    return row | {"one_sided": one_sided}
 
 
 def judged(task: Task, noise: LandmarkNoise | None, limits: Limits) -> tuple[Task, list[Fit], str]:
@@ -224,12 +230,12 @@ def judged(task: Task, noise: LandmarkNoise | None, limits: Limits) -> tuple[Tas
     things. Where they disagree, the pose is what the other images of the drive tell, with the
     landmarks of this one. That is so if the others are sure enough by themselves, a landmark of
     this one agrees with them, and its edges fit nowhere around either: where they do, the others
-    may be wrong.
+    may be wrong. The task that is then returned has no edges.
     """
     fits = locate(task, noise)
     reason = edge_doubt(task, fits[0], limits)
-    if not reason:
-        return task, fits, pose_doubt(task, fits, limits)
+    if reason not in OTHER_THINGS:
+        return task, fits, reason or pose_doubt(task, fits, limits)
     others = task.without_edges()
     alone = replace(others, landmarks=None)
     around = replace(task, prior_information=task.prior_information / _AROUND**2)
@@ -238,7 +244,7 @@ def judged(task: Task, noise: LandmarkNoise | None, limits: Limits) -> tuple[Tas
         agreeing_landmarks(others, told[0]) > 0
         and not pose_doubt(others, told, limits)
         and not pose_doubt(alone, locate(alone, noise, task.prior_mean), limits)
-        and bool(edge_doubt(around, locate(around, noise)[0], limits))
+        and all(edge_doubt(around, fit, limits) in OTHER_THINGS for fit in locate(around, noise))
     )
     return (others, told, "") if confirmed else (task, fits, reason)
 
@@ -316,7 +322,6 @@ def _row(
         "residual_px": residual_px(fit, known=known),
         "edge_points": int(known.sum()),
         "landmarks": agreeing_landmarks(task, fit),
-        "one_sided": is_one_sided(task),
         "accepted": not reason,
         "reason": reason,
     }

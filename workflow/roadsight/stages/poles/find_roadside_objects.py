@@ -32,6 +32,7 @@ from roadsight.poles.sightings.crowns import (
 )
 from roadsight.poles.sightings.rails import RailReturns, find_rail_returns, join_rails
 from roadsight.poles.sightings.roofs import ROOF_AREA_M2, roof_cells, steady_roofs
+from roadsight.poles.sightings.trunks import REACH_M as TRUNK_REACH_M
 from roadsight.poles.sightings.trunks import Trunks, find_trunks
 from roadsight.poles.triangulate.cloud_objects import TRUNK_COLUMNS
 from roadsight.stages.command import Command
@@ -59,7 +60,8 @@ def find_roadside_objects(
     cell_m, halo_m = np.nan, _HALO_M
     if "tree" in kinds:
         cell_m = _canopy_cell_m(cloud)
-        halo_m = max(_HALO_M, reach_m(cell_m))
+        # Of a trunk between two crowns either tile must see both.
+        halo_m = max(_HALO_M, reach_m(cell_m) + 2 * TRUNK_REACH_M)
     tiles = cloud.iter_tiles(halo_m, ["x", "y", "z", "classification"])
     cells: dict[str, list[BlockCells]] = {kind: [] for kind in BLOCKS if kind in kinds}
     roofs: list[BlockCells] = []
@@ -105,7 +107,7 @@ def find_roadside_objects(
         (log.info if told else log.warning)("%d of kind %s by %s", len(blocks), kind, source)
         parts += [_block(block, kind, number, ground) for number, block in enumerate(blocks)]
     table = pd.concat(parts, ignore_index=True).reindex(columns=list(COLUMNS))
-    table["cloud_shows"] = table["cloud_shows"].fillna("")
+    table["cloud_shows"] = table["cloud_shows"].astype(object).fillna("")
     table = table.astype({"object": np.int64, "kind": str, "cloud_shows": str})
     shown = table.loc[table["kind"] == "tree", "cloud_shows"].value_counts().to_dict()
     log.info("%d trees, of which the cloud shows %s; %d guardrails", len(trees), shown, len(lines))
