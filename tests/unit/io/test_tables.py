@@ -79,9 +79,11 @@ def test_reading_starts_no_thread(tmp_path, frame):
         import sys
         from pathlib import Path
         from roadsight.io.records.tables import read_table
+        tasks = Path("/proc/self/task")
+        before = set(tasks.iterdir())
         read_table(sys.argv[1])
-        names = [path.read_text().strip() for path in Path("/proc/self/task").glob("*/comm")]
-        print(*[name for name in names[1:] if "jemalloc" not in name])  # which starts one by itself
+        names = [(path / "comm").read_text().strip() for path in set(tasks.iterdir()) - before]
+        print(*[name for name in names if "jemalloc" not in name])  # which starts one by itself
     """
     command = [sys.executable, "-c", code, str(path)]
     done = subprocess.run(command, env=os.environ, capture_output=True, text=True, check=True)
