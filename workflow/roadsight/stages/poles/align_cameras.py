@@ -120,6 +120,7 @@ def align_cameras(
     dense = DenseScene(files, given, scene.lenses) if method == "dense" else None
     rows: list[dict[str, Any]] = []
     reasons: dict[str, list[str]] = {}
+    by_others: list[str] = []
     for place in logged(own, len(own), log, "images"):
         if place.image in by_hand:
             rows.append({"image": place.image, **corrected(scene, place, by_hand[place.image])})
@@ -129,6 +130,8 @@ def align_cameras(
         if dense is None:
             centre = drive.by_centre(place), drive.sigma_cy_px
             row = aligned(task, method, limits, scene.landmarks, bounds, centre)
+            if method == "road" and row["accepted"] and not row["edge_points"]:
+                by_others.append(place.image)
             if place.image in scene.lenses:
                 row["focal_px"] = scene.lenses[place.image].focal_px
         else:
@@ -140,8 +143,7 @@ def align_cameras(
     table = pd.DataFrame(rows, columns=list(CAMERA_COLUMNS)).astype(dict.fromkeys(TEXTS, str))
     for reason, count in sorted(Counter(table["reason"]).items()):
         log.info("%d of %d images: %s", count, len(table), reason or "accepted")
-    by_others = table.loc[table["accepted"] & table["residual_px"].isna(), "image"]
-    if method == "road" and dense is None and len(by_others):
+    if by_others:
         log.info("placed by the others of their drive and landmarks: %s", ", ".join(by_others))
     for route, stated in sorted(reasons.items()):
         told = log.warning if 2 * sum(map(bool, stated)) > len(stated) else log.info
