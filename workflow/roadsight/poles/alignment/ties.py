@@ -24,6 +24,10 @@ from roadsight.poles.alignment.pose import ALONG, INSETS, LATERAL, Spread
 SCALES = (12.0, 12.0, 12.0, 6.0, 6.0, *[3.0] * 10)
 """Scale of each round, in standard deviations of a shared point: wide as long as headings are off,
 narrow against wrong matches. The last one is that of the result."""
+_HOLDING = (48.0, 48.0, 24.0, 24.0)
+"""Scales of the rounds before these where images tell each other their poses. Images that are
+paired with a wrong pole are 20 to 35 sigmas from their neighbours, which from 12 on tears them off
+instead of pulling them back (`docs/decisions/097-links-hold-before-they-tear.md`)."""
 _STEP = np.array([0.5, 0.2, 0.05, 0.2, 0.2, 0.2])
 """One standard deviation of a step: along, lateral, height (m), yaw, pitch, roll (degrees). Shared
 points tell little about the way along the road until the headings are right."""
@@ -91,7 +95,7 @@ def told_by_others(
         return {}
     now = [member.unknowns.copy() for member in members]
     weights = np.ones(len(members))
-    for scale in SCALES[:-1]:
+    for scale in (*_HOLDING, *SCALES[:-1]):
         priors, own, links = _misfits(members, now, mean[0], spread, model, scale)
         priors = [one + HELD for one in priors]
         others, weights = _weighed(priors, own, links, weights)
