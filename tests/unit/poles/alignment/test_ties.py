@@ -267,7 +267,7 @@ def far_points(rng, starts, own, band_px=40.0, wrong=0.15, wrong_px=10.0):
 
 
 def test_neighbours_that_took_a_wrong_pole_are_pulled_back():
-    """Five in a row, 17 px off: where the shared points let go of them, half stay 0.4 degrees off."""
+    """Five in a row, 17 px off: half of the drives would be torn, 0.4 degrees off."""
     shift = np.array([0.0, 0.2, 0.0, -0.6, 0.0, 0.0])
     off = []
     for seed in range(12):

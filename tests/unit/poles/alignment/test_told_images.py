@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roadsight.poles.alignment.locate import locate
-from roadsight.poles.alignment.pose import FOCAL, SIZE, YAW
+from roadsight.poles.alignment.pose import ALONG, FOCAL, SIZE, YAW
 from roadsight.poles.alignment.solve import ImageEdges
 from roadsight.poles.alignment.verdict import Limits, agreeing_landmarks, edge_doubt
 from roadsight.stages.poles.align_cameras import judged
@@ -51,10 +51,15 @@ def test_the_others_and_a_landmark_place_an_image_whose_edges_are_of_other_thing
         assert abs(fits[0].unknowns[YAW] - task.prior_mean[YAW]) < 0.1
 
 
-def test_without_a_landmark_nothing_confirms_the_others(told):
+@pytest.mark.parametrize(("along_m", "placed"), [(0.3, True), (0.8, False)])
+def test_without_a_landmark_the_others_must_tell_the_place_along_the_road(told, along_m, placed):
     for task in told:
-        _, _, reason = judged(replace(elsewhere(task), landmarks=None), None, LIMITS)
-        assert reason
+        expected = np.linalg.inv(task.prior_information)
+        share = along_m / np.sqrt(expected[ALONG, ALONG])
+        expected[ALONG] *= share
+        expected[:, ALONG] *= share
+        bare = replace(elsewhere(task), landmarks=None, prior_information=np.linalg.inv(expected))
+        assert (judged(bare, None, LIMITS)[2] == "") == placed
 
 
 def test_others_that_are_not_sure_place_no_image(told):

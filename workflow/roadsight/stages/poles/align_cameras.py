@@ -67,6 +67,9 @@ BY_HAND = GivenSigma(heading_deg=0.1, pitch_deg=0.1, lateral_m=0.2, along_m=0.5)
 _AROUND = 3.0
 """How many times as far as expected a pose is sought at which edges fit that disagree. On 300 m of
 four lanes whose heading the others told 0.4 degrees wrong, this is where all of four images fit."""
+_ALONG_M = 0.5
+"""Where the others tell the place along the road to this, an image needs no landmark of its own. At
+the ends of drives (0.6 m and more) such images are 2.5 to 6 px off by the edges of the road."""
 CAMERA_COLUMNS = (
     "image",
     "x",
@@ -230,9 +233,9 @@ def judged(task: Task, noise: LandmarkNoise | None, limits: Limits) -> tuple[Tas
 
     At a bridge, a driveway's mouth or a parked car the borders of image and cloud are different
     things. Where they disagree, the pose is what the other images of the drive tell, with the
-    landmarks of this one. That is so if the others are sure enough by themselves, a landmark of
-    this one agrees with them, and its edges fit nowhere around either: where they do, the others
-    may be wrong. The task that is then returned has no edges.
+    landmarks of this one. That is so if the others are sure enough by themselves, along the road
+    too or with a landmark of this one that agrees, and its edges fit nowhere around either: where
+    they do, the others may be wrong. The task that is then returned has no edges.
     """
     fits = locate(task, noise)
     reason = edge_doubt(task, fits[0], limits)
@@ -241,11 +244,11 @@ def judged(task: Task, noise: LandmarkNoise | None, limits: Limits) -> tuple[Tas
     others = task.without_edges()
     alone = replace(others, landmarks=None)
     around = replace(task, prior_information=task.prior_information / _AROUND**2)
-    told = locate(others, noise, task.prior_mean)
+    told, bare = (locate(one, noise, task.prior_mean) for one in (others, alone))
     confirmed = (
-        agreeing_landmarks(others, told[0]) > 0
+        (agreeing_landmarks(others, told[0]) > 0 or sigmas(bare[0], alone)[3] <= _ALONG_M)
         and not pose_doubt(others, told, limits)
-        and not pose_doubt(alone, locate(alone, noise, task.prior_mean), limits)
+        and not pose_doubt(alone, bare, limits)
         and all(edge_doubt(around, fit, limits) in OTHER_THINGS for fit in locate(around, noise))
     )
     return (others, told, "") if confirmed else (task, fits, reason)
