@@ -14,6 +14,7 @@ from roadsight.placement.depth.votes import (
     _count,
     _first_layer,
     _gather,
+    _narrower,
     seen_from_here,
 )
 from roadsight.placement.sensors.rays import beam_directions
@@ -225,3 +226,17 @@ def test_samples_lie_near_their_planes(rng):
     on_plane = samples.xyz_m + samples.offset_m[:, None] * samples.normal
     assert np.abs(on_plane[inner] @ normal).max() < 0.02
     assert np.median(samples.spread_m[inner]) == pytest.approx(0.01, rel=0.25)
+
+
+def test_fewer_vote_where_a_cone_is_wide(rng):
+    """At twice the range at which their number begins to fall, half of the samples vote."""
+    n, far = 400, 40.0
+    gap2 = np.append(rng.uniform(0, 1e-4, n - 1), 1e-9)
+    seen = np.full((n, 12), far, np.float32)
+    found, before = np.arange(n), gap2.copy()
+    kept, radius = _narrower(seen, found, gap2, n, 0.01, far / 2)
+    assert radius == pytest.approx(0.01 / np.sqrt(2))
+    np.testing.assert_array_equal(found[:kept], np.flatnonzero(before < radius**2))
+    np.testing.assert_array_equal(gap2[:kept], before[before < radius**2])
+    assert _narrower(seen, found, gap2, n, 0.01, far) == (n, 0.01)
+    assert _narrower(seen, found, gap2, 0, 0.01, far / 2) == (0, 0.01)

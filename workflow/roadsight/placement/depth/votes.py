@@ -41,10 +41,14 @@ class VoteSettings:
     Parameters
     ----------
     voters : samples that vote on a beam, about; the cone that holds them is as wide as it must be.
+    fewer_m : beyond this range, their number falls as 1 / range: a cone of one angle would hold
+        surfaces that lie apart. Measured on frames of five streets; 15 to 30 m do as well.
     bucket_rad : samples are kept in buckets of about this size, where the search begins.
     widest_rad : no sample farther than this from a beam votes.
     layer_m : ranges within twice this belong to one layer.
     beam_m : samples on a beam's axis count double against passing by, those at this distance once.
+    axis_m : ... up to this range. Farther samples stand for voxels wider than that distance, so
+        that nobody knows which of their points lie on the axis. Measured as `fewer_m`: 10 to 15 m.
     trusted_m : planes that leave the range at which they are met more uncertain are not used.
     reach : planes are used up to so many standard deviations of their points from the sample.
     sample_rad : samples are taken in the size that is seen under about this angle.
@@ -55,11 +59,13 @@ class VoteSettings:
         is of another.
     """
 
-    voters: int = 16
+    voters: int = 20
+    fewer_m: float = 20.0
     bucket_rad: float = 0.0026
     widest_rad: float = 0.0175
     layer_m: float = 0.5
     beam_m: float = 0.03
+    axis_m: float = 13.0
     trusted_m: float = 0.5
     reach: float = 6.0
     sample_rad: float = 0.0035
@@ -124,10 +130,12 @@ class View:
             self._most,
             *self._buckets,
             s.voters,
+            s.fewer_m,
             s.bucket_rad,
             s.widest_rad,
             s.layer_m,
             s.beam_m,
+            s.axis_m,
             s.trusted_m,
             s.reach,
             s.touch,
@@ -342,6 +350,28 @@ def _gather(
     return n
 
 
+@compiled()
+def _narrower(
+    seen: Floats32, found: Ints, gap2: Floats, n: int, radius: float, fewer_m: float
+) -> tuple[int, float]:
+    """Number of gathered samples in a cone that is narrower far away, put first, and its radius.
+
+    The range is that of the sample nearest to the beam in angle.
+    """
+    if n == 0:
+        return n, radius
+    range_m = seen[found[gap2[:n].argmin()], 3]
+    if range_m <= fewer_m:
+        return n, radius
+    radius *= np.sqrt(fewer_m / range_m)
+    kept = 0
+    for k in range(n):
+        if gap2[k] < radius * radius:
+            found[kept], gap2[kept] = found[k], gap2[k]
+            kept += 1
+    return kept, radius
+
+
 @compiled_part()
 def _met_at(row: Floats32, d: Floats32, trusted_m: float, reach: float) -> float:
     """Range at which a beam meets a sample's plane, or the sample's own."""
@@ -390,10 +420,12 @@ def _vote(
     columns: int,
     rows: int,
     voters: int,
+    fewer_m: float,
     bucket_rad: float,
     widest_rad: float,
     layer_m: float,
     beam_m: float,
+    axis_m: float,
     trusted_m: float,
     reach: float,
     touch: float,
@@ -416,6 +448,7 @@ def _vote(
         if 2 * n < voters and radius < widest_rad:
             radius = min(2 * radius, widest_rad)
             n = _gather(d, seen, starts, columns, rows, radius, found, gap2)
+        n, radius = _narrower(seen, found, gap2, n, radius, fewer_m)
         for k in range(n):
             row = seen[found[k]]
             met = _met_at(row, d, trusted_m, reach)
@@ -427,7 +460,8 @@ def _vote(
                 stops[place], near[place] = stops[place - 1], near[place - 1]
                 place -= 1
             t[place], weight[place] = met, kernel
-            stops[place] = kernel * (1 + max(1 - gap_m2 / beam_m**2, 0.0))
+            on_axis = max(1 - gap_m2 / beam_m**2, 0.0) if row[3] < axis_m else 0.0
+            stops[place] = kernel * (1 + on_axis)
             near[place] = gap_m2 - (touch * row[10]) ** 2
         voted_m = _first_layer(t, weight, stops, near, n, layer_m)
         if voted_m < np.inf:

@@ -11,7 +11,7 @@ _AROUND_M = 1.1
 """Half width of the window of pillars that a pillar is compared with; measured on street scans."""
 _STEADY_M = 2.0
 """A thick layer that goes on so far to all sides is noise and not a hedge; street scans lose 0.06
-of F1 with half of it."""
+of F1 with half of it. So far its noise is compared, too."""
 _AVERAGED_PILLARS = 5
 """Pillars beyond that window that averages reach."""
 
@@ -44,9 +44,11 @@ def steady_pillars(width_m: float) -> int:
 def pillar_reach_m(width_m: float) -> float:
     """How far pillars of one width look: the window around, twice, and averages.
 
-    The noise is measured over that window, again where it goes on, and then once more.
+    The noise is measured over that window, again where it goes on, and then once more, and compared
+    with that of the pillars so far away.
     """
-    pillars = 2 * around_pillars(width_m) + steady_pillars(width_m) + _AVERAGED_PILLARS
+    far = steady_pillars(width_m)
+    pillars = 2 * around_pillars(width_m) + far + max(far, _AVERAGED_PILLARS)
     return pillars * width_m
 
 
