@@ -221,7 +221,7 @@ def test_a_thick_layer_of_registration_noise_is_ground(plane_scene, sigma_m, los
 
 
 def test_the_bottom_of_a_hedge_that_hides_the_ground_is_none(plane_scene, rng):
-    """Nothing is seen below a hedge 3 m wide: its rough bottom lies 5 to 60 cm above the lawn."""
+    """Nothing is seen below a hedge 3 m wide: its rough bottom lies 5 to 55 cm above the lawn."""
     xy = rng.uniform((18, 5), (21, 35), (18_000, 2))
     bottom = 3.05 + 0.25 * (1 + np.sin(2 * xy[:, 0]) * np.sin(1.3 * xy[:, 1]))
     hedge = np.column_stack([xy, bottom + 1.2 * rng.uniform(0, 1, len(xy)) ** 2])
@@ -231,6 +231,22 @@ def test_the_bottom_of_a_hedge_that_hides_the_ground_is_none(plane_scene, rng):
     missed, taken = errors(scene, label(scene))
     assert missed < 0.002
     assert taken < 0.1
+
+
+@pytest.mark.parametrize("radius_m", [0.12, 0.25])
+def test_the_ground_around_a_post_on_rough_grass_is_ground(rng, radius_m):
+    """Grass of 3 cm from 1 m before the posts, beside a smooth road: no post is a hedge."""
+    xy = rng.uniform((0, 0), (30, 20), (180_000, 2))
+    z = rng.normal(0, np.where(xy[:, 1] < 11, 0.005, 0.03))
+    posts = np.column_stack([np.arange(3.0, 28.0, 4.0), np.full(7, 12.0)])
+    away = np.hypot(*(xy[:, None] - posts).transpose(2, 0, 1)).min(axis=1)
+    open_ = away > radius_m
+    turn, height = rng.uniform(0, 2 * np.pi, (7, 600)), rng.uniform(0, 4, (7, 600))
+    around = radius_m * np.stack([np.cos(turn), np.sin(turn)], axis=-1) + posts[:, None]
+    stems = np.column_stack([around.reshape(-1, 2), height.ravel()])
+    mask = label_xyz(np.vstack([np.column_stack([xy, z])[open_], stems]))[: open_.sum()]
+    near = away[open_] < radius_m + 0.4
+    assert mask[near].mean() > 0.92
 
 
 @pytest.mark.parametrize("density_m2", [0.3, 1, 4, 15, 60])

@@ -239,4 +239,6 @@ def test_fewer_vote_where_a_cone_is_wide(rng):
     np.testing.assert_array_equal(found[:kept], np.flatnonzero(before < radius**2))
     np.testing.assert_array_equal(gap2[:kept], before[before < radius**2])
     assert _narrower(seen, found, gap2, n, 0.01, far) == (n, 0.01)
+    apart = np.full(n, 0.9e-4)
+    assert _narrower(seen, found, apart, n, 0.01, far / 2) == (n, 0.01)
     assert _narrower(seen, found, gap2, 0, 0.01, far / 2) == (0, 0.01)

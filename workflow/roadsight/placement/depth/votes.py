@@ -47,8 +47,9 @@ class VoteSettings:
     widest_rad : no sample farther than this from a beam votes.
     layer_m : ranges within twice this belong to one layer.
     beam_m : samples on a beam's axis count double against passing by, those at this distance once.
-    axis_m : ... up to this range. Farther samples stand for voxels wider than that distance, so
-        that nobody knows which of their points lie on the axis. Measured as `fewer_m`: 10 to 15 m.
+    axis_m : beyond this range none counts double: farther samples stand for voxels wider than
+        `beam_m`, so that nobody knows which of their points lie on the axis. Measured like
+        `fewer_m`; 10 to 15 m do as well.
     trusted_m : planes that leave the range at which they are met more uncertain are not used.
     reach : planes are used up to so many standard deviations of their points from the sample.
     sample_rad : samples are taken in the size that is seen under about this angle.
@@ -356,20 +357,20 @@ def _narrower(
 ) -> tuple[int, float]:
     """Number of gathered samples in a cone that is narrower far away, put first, and its radius.
 
-    The range is that of the sample nearest to the beam in angle.
+    The range is that of the sample nearest to the beam in angle. A cone that would be empty stays.
     """
     if n == 0:
         return n, radius
     range_m = seen[found[gap2[:n].argmin()], 3]
     if range_m <= fewer_m:
         return n, radius
-    radius *= np.sqrt(fewer_m / range_m)
+    narrow = radius * np.sqrt(fewer_m / range_m)
     kept = 0
     for k in range(n):
-        if gap2[k] < radius * radius:
+        if gap2[k] < narrow * narrow:
             found[kept], gap2[kept] = found[k], gap2[k]
             kept += 1
-    return kept, radius
+    return (kept, narrow) if kept else (n, radius)
 
 
 @compiled_part()

@@ -10,8 +10,8 @@ walls), where multipath lies below the road, and where the points are too far ap
 2. Pillars as wide as the local spacing of ground points asks for: the lowest point that its
    neighbours confirm. Points within a height threshold of it are ground. The threshold is the
    set one, wider where the layer of ground points is thick (registration noise) and narrow where
-   an object stands in the pillar. Where a layer is thick, but not all around, and something stands
-   in it, it is the bottom of a hedge or a crown that hides the ground.
+   an object stands in the pillar. Where a layer is rough, but not all around, and something wider
+   than a trunk stands in it, it is the bottom of a hedge or a crown that hides the ground.
 3. Where not even a coarse cell holds several points: the distance from the coarse surface, with a
    tolerance that grows with spacing and slope.
 
@@ -34,6 +34,7 @@ from roadsight.scene.terrain.coarse import CoarseGround, box_sum
 from roadsight.scene.terrain.ground_settings import (
     ROUGHNESS_PER_SPACING,
     around_pillars,
+    hedge_pillars,
     pillar_reach_m,
     pillar_widths_m,
     steady_pillars,
@@ -74,8 +75,8 @@ _HEDGE_RATIO = 2.0
 """The bottom of a hedge is so many times as rough as the smoothest layer around; streets gain as
 much F1 with 1.5, and lose 0.05 of it with 3."""
 _HEDGE_SHARE = 0.2
-"""... and its spread at least this share of the height threshold, 2 cm: grass has less. Streets
-gain 0.3 of F1 with 0.15 to 0.2."""
+"""... and its spread at least this share of the height threshold, 2 cm in the finest pillars: grass
+has less. Streets gain 0.3 of F1 with 0.15 to 0.2."""
 _HEDGE_WIDTHS = 2.0
 """In pillars wider than so many of the finest, the relief of the ground itself is as thick."""
 _AROUND_PERCENTILE = 25
@@ -190,16 +191,19 @@ def pillar_mask(
     allowed = wide + (narrow - wide) * np.clip(share / _OBJECT_SHARE, 0, 1)
     if width_m <= _HEDGE_WIDTHS * settings.pillar_width_m:
         rough = _is_rougher(sigma, base_m, steady_pillars(width_m))
-        allowed = np.where(rough & (share >= _CLEAN_SHARE), -np.inf, allowed)
+        side = hedge_pillars(width_m)
+        hedge = ndimage.binary_opening(rough & (share >= _CLEAN_SHARE), np.ones((side, side)))
+        allowed = np.where(hedge, -np.inf, allowed)
     # The face of a kerb lies between the levels at its two sides.
     top = np.maximum(pattern, highest) + middle + allowed
     return _between(flat, rise_m, tilt, pattern + middle - allowed, top)
 
 
 def _is_rougher(sigma_m: Floats, base_m: float, far: int) -> Bools:
-    """Pillars (rows, columns) whose layer is much thicker than the thinnest one around.
+    """Pillars (rows, columns) whose layer is much rougher than the smoothest one around.
 
     Noise of registration changes slowly, so that it is about the same up to ``far`` pillars away.
+    A spread of 0 is an unknown one.
     """
     known = np.where(sigma_m > 0, sigma_m, np.inf)
     floor = ndimage.minimum_filter(known, 2 * far + 1, mode="nearest")

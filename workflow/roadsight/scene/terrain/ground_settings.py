@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import ceil
+
 from roadsight.base.sections.scene import GroundFilter
 
 ROUGHNESS_PER_SPACING = 0.2
@@ -11,7 +13,11 @@ _AROUND_M = 1.1
 """Half width of the window of pillars that a pillar is compared with; measured on street scans."""
 _STEADY_M = 2.0
 """A thick layer that goes on so far to all sides is noise and not a hedge; street scans lose 0.06
-of F1 with half of it. So far its noise is compared, too."""
+of F1 with half of it. The noise around a hedge is compared as far."""
+_TRUNK_M = 0.5
+"""What stands in no more pillars than such a trunk and one around is no hedge: around posts and
+trunks on rough grass beside a smooth road, 36 to 78 % of the ground would be lost. F1 of street
+scans is 96.1 with it, 96.2 without, 96.0 with twice of it."""
 _AVERAGED_PILLARS = 5
 """Pillars beyond that window that averages reach."""
 
@@ -41,14 +47,20 @@ def steady_pillars(width_m: float) -> int:
     return max(1, round(_STEADY_M / width_m))
 
 
+def hedge_pillars(width_m: float) -> int:
+    """Pillars across the narrowest hedge."""
+    return ceil(_TRUNK_M / width_m) + 1
+
+
 def pillar_reach_m(width_m: float) -> float:
     """How far pillars of one width look: the window around, twice, and averages.
 
     The noise is measured over that window, again where it goes on, and then once more, and compared
-    with that of the pillars so far away.
+    with that of the pillars so far away, over the width of a hedge.
     """
     far = steady_pillars(width_m)
-    pillars = 2 * around_pillars(width_m) + far + max(far, _AVERAGED_PILLARS)
+    compared = far + hedge_pillars(width_m)
+    pillars = 2 * around_pillars(width_m) + far + max(compared, _AVERAGED_PILLARS)
     return pillars * width_m
 
 

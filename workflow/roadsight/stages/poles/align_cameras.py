@@ -68,7 +68,7 @@ _AROUND = 3.0
 """How many times as far as expected a pose is sought at which edges fit that disagree. On 300 m of
 four lanes whose heading the others told 0.4 degrees wrong, this is where all of four images fit."""
 _ALONG_M = 0.5
-"""Where the others tell the place along the road to this, an image needs no landmark of its own. At
+"""Where the others tell the place along the road to this, no landmark of an image need agree. At
 the ends of drives (0.6 m and more) such images are 2.5 to 6 px off by the edges of the road."""
 CAMERA_COLUMNS = (
     "image",
@@ -147,7 +147,9 @@ def align_cameras(
     for reason, count in sorted(Counter(table["reason"]).items()):
         log.info("%d of %d images: %s", count, len(table), reason or "accepted")
     if by_others:
-        log.info("placed by the others of their drive and landmarks: %s", ", ".join(by_others))
+        log.info(
+            "placed by the others of their drive and landmarks if any: %s", ", ".join(by_others)
+        )
     for route, stated in sorted(reasons.items()):
         told = log.warning if 2 * sum(map(bool, stated)) > len(stated) else log.info
         told("%s: %s", route, lost_views(stated))
@@ -244,7 +246,8 @@ def judged(task: Task, noise: LandmarkNoise | None, limits: Limits) -> tuple[Tas
     others = task.without_edges()
     alone = replace(others, landmarks=None)
     around = replace(task, prior_information=task.prior_information / _AROUND**2)
-    told, bare = (locate(one, noise, task.prior_mean) for one in (others, alone))
+    told = locate(others, noise, task.prior_mean)
+    bare = told if task.landmarks is None else locate(alone, noise, task.prior_mean)
     confirmed = (
         (agreeing_landmarks(others, told[0]) > 0 or sigmas(bare[0], alone)[3] <= _ALONG_M)
         and not pose_doubt(others, told, limits)
