@@ -92,7 +92,7 @@ docs: .venv/.installed-dev ## the documentation as a site, site/html/index.html;
 clean: ## remove results, logs and the environment
 	rm -rf results logs site .snakemake .venv
 
-dag: .venv/.installed ## redraw the pictures of docs/architecture.md from the code (needs graphviz)
+dag: .venv/.installed ## redraw the pictures of docs/architecture.md from the code (needs graphviz, after `make run`)
 	$(BIN)/python scripts/rooms.py docs/images/rooms.svg
 	for job in placement poles all; do \
 	  $(BIN)/snakemake $$job --rulegraph dot | $(BIN)/python scripts/flow.py docs/images/flow-$$job.svg || exit 1; \

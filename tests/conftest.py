@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,12 +30,23 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "same"))
 os.environ.setdefault("NUMBA_CACHE_DIR", str(kernel_cache(PROJECT)))
 
 
+_LONG = {"finished", "finished_road", "browser"}
+"""Fixtures of a site that was run to its end, and of a browser: half of all the time."""
 _UNGROUPED = "pytest-xdist does not group tests under this pytest: install the locked versions"
 
 
-@pytest.hookimpl(trylast=True)
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Groups of tests share what takes minutes to make: say so if pytest-xdist ignores them."""
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_collection_modifyitems(
+    config: pytest.Config, items: list[pytest.Item]
+) -> Generator[None]:
+    """What needs a finished site or a browser is part of `make test-full` only.
+
+    Groups of tests share what takes minutes to make: say so if pytest-xdist ignores them.
+    """
+    for item in items:
+        if _LONG & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.full)
+    yield
     if config.getoption("loadgroup", default=False):
         for item in items:
             if any(item.iter_markers("xdist_group")) and "@" not in item.nodeid:

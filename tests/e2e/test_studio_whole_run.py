@@ -11,7 +11,6 @@ from tests.e2e.studio_project import Studio
 from tests.workflow.conftest import Checkout
 
 pytestmark = [
-    pytest.mark.full,
     pytest.mark.skipif(BINARY is None, reason="no Chromium to open the studio with"),
     pytest.mark.xdist_group("studio"),
 ]

@@ -61,14 +61,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.xdist_group(site))
 
 
-def third_of(cases: list[tuple], ids: list[str]) -> list[object]:
-    """Every third case for every day; a dry run takes seconds, so that the rest are full runs."""
-    return [
-        pytest.param(*case, id=name, marks=[pytest.mark.full] if number % 3 else [])
-        for number, (case, name) in enumerate(zip(cases, ids, strict=True))
-    ]
-
-
 class Checkout:
     """A copy of the project's own files in a folder of its own.
 

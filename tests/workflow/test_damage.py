@@ -147,7 +147,6 @@ def test_a_flipped_bit_in_the_pole_job(finished_road, tmp_path, rng):
     check_rotten(finished_road, tmp_path, rng)
 
 
-@pytest.mark.full
 def test_a_cut_off_shard_stops_the_run_and_is_made_again(copy_of_finished):
     folder = copy_of_finished.folder
     expected = digests(folder)

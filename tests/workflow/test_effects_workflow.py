@@ -76,7 +76,6 @@ def test_before_the_profile_is_there_the_dry_run_says_what_is_open(finished, tmp
     assert "model_rain" in fresh.stale_rules()
 
 
-@pytest.mark.full
 def test_rain_traffic_and_dark_targets_lower_what_is_seen(copy_of_finished):
     plain = json.loads((copy_of_finished.folder / "results/tiny/summary.json").read_text())
     ask(

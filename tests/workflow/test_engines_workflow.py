@@ -7,7 +7,6 @@ import re
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from roadsight.io.records.depth_maps import DepthMaps
 from roadsight.io.records.tables import read_table
@@ -21,7 +20,6 @@ ENGINES = """\
 """
 
 
-@pytest.mark.full
 def test_a_job_by_open3d(finished: Checkout, copy_of_finished: Checkout) -> None:
     needs_open3d()
     copy_of_finished.edit("config/sites/tiny.yaml", "  shards: 2\n", ENGINES)

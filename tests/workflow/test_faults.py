@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from tests.faults.disturb import FAULTS, Disturbed, check_same, digests
 
 
-@pytest.mark.full
 def test_faults_in_the_placement_job(copy_of_finished):
     expected = digests(copy_of_finished.folder)
     struck = Disturbed(copy_of_finished, np.random.default_rng(6))
@@ -20,7 +18,6 @@ def test_faults_in_the_placement_job(copy_of_finished):
     check_same(struck.checkout.folder, expected)
 
 
-@pytest.mark.full
 def test_faults_in_the_pole_job(copy_of_road):
     expected = digests(copy_of_road.folder)
     struck = Disturbed(copy_of_road, np.random.default_rng(7))

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 import rasterio
 
-from tests.workflow.conftest import Checkout, third_of, with_followers
+from tests.workflow.conftest import Checkout, with_followers
 
 # Who reads whose outputs, written down here on purpose and not taken from the rules.
 READERS = {
@@ -231,14 +231,14 @@ def test_finished_run_leaves_nothing_to_do(finished_road):
     assert finished_road.stale_rules() == set()
 
 
-@pytest.mark.parametrize(("setting", "expected"), third_of(SETTINGS, [s[0] for s in SETTINGS]))
+@pytest.mark.parametrize(("setting", "expected"), SETTINGS, ids=[s[0] for s in SETTINGS])
 def test_setting(copy_of_road, setting, expected):
     copy_of_road.edit(SITE, "  shards: 2\n", f"  shards: 2\n  {setting}\n")
     # Every setting is on record in the summary, so the summary and the report follow it too.
     check(copy_of_road, expected | after("summarise_site"))
 
 
-@pytest.mark.parametrize(("module", "expected"), third_of(MODULES, [m[0] for m in MODULES]))
+@pytest.mark.parametrize(("module", "expected"), MODULES, ids=[m[0] for m in MODULES])
 def test_editing_a_module_re_runs_its_users_only(copy_of_road, module, expected):
     remark(copy_of_road, module)
     check(copy_of_road, expected)

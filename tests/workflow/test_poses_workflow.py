@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
 from tests.workflow.test_layer_fields import check_posed
 
 SCENE = {"ingest_cloud", "build_dem", "extract_pavement", "build_surfels", "place_candidates"}
@@ -29,7 +27,6 @@ def test_turning_spinning_lidars_judges_them_from_panoramas(finished):
     assert not stale & (SCENE | {"build_detection_shard"})
 
 
-@pytest.mark.full
 def test_every_field_of_a_plan_of_cameras_reads_back(copy_of_finished, monkeypatch):
     folder = copy_of_finished.folder
     monkeypatch.chdir(folder)

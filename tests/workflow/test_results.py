@@ -55,7 +55,6 @@ def test_layers_open_in_the_right_crs(finished):
     assert scan.header.parse_crs().to_epsg() == 32650
 
 
-@pytest.mark.full
 def test_same_bytes_on_one_core_and_in_another_folder(finished, tmp_path):
     made = shutil.ignore_patterns("results", "logs", ".snakemake")
     shutil.copytree(finished.folder, tmp_path / "other", symlinks=True, ignore=made)

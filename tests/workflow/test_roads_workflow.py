@@ -68,7 +68,6 @@ def give_roads(checkout: Checkout) -> None:
     site.write_text(site.read_text() + ROADS)
 
 
-@pytest.mark.full
 def test_routes_inventory_and_barriers_go_through_the_whole_run(copy_of_road):
     before = pd.read_csv(copy_of_road.folder / "results/tiny_road/poles/hazard.csv")
     check_offsets(copy_of_road, before)

@@ -7,7 +7,7 @@ import os
 import pytest
 
 from tests.helpers.engines import needs_open3d
-from tests.workflow.conftest import third_of, with_followers
+from tests.workflow.conftest import with_followers
 
 # Who reads whose outputs, written down here on purpose and not taken from the rules.
 READERS = {
@@ -267,9 +267,7 @@ def test_touching_every_file_makes_nothing_stale(copy_of_finished):
     assert copy_of_finished.stale_rules() == set()
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "expected"), third_of(SETTINGS, [s[1].strip() for s in SETTINGS])
-)
+@pytest.mark.parametrize(("old", "new", "expected"), SETTINGS, ids=[s[1].strip() for s in SETTINGS])
 def test_setting(copy_of_finished, old, new, expected):
     if "open3d" in new:
         needs_open3d()
@@ -279,7 +277,7 @@ def test_setting(copy_of_finished, old, new, expected):
     assert copy_of_finished.stale_rules() == expected | recorded
 
 
-@pytest.mark.parametrize(("module", "expected"), third_of(MODULES, [m[0] for m in MODULES]))
+@pytest.mark.parametrize(("module", "expected"), MODULES, ids=[m[0] for m in MODULES])
 def test_editing_a_module_re_runs_its_users_only(copy_of_finished, module, expected):
     path = copy_of_finished.folder / PACKAGE / module
     original = path.read_text()

@@ -6,7 +6,6 @@ import json
 
 import numpy as np
 import pandas as pd
-import pytest
 
 from roadsight.io.records.surfels import read_surfels
 from roadsight.placement.sensors.sensors import load_sensors
@@ -137,7 +136,6 @@ def lost_when_off(scene, sensor, plan, feet) -> int:
     return lost
 
 
-@pytest.mark.full
 def test_a_robust_plan_loses_nothing_by_another_count(copy_of_finished):
     checkout = copy_of_finished
     checkout.edit("config/sites/tiny.yaml", PLAIN, ROBUST)

@@ -52,7 +52,6 @@ settings:
 """
 
 
-@pytest.mark.full
 def test_a_sweep_from_settings_to_the_page(copy_of_finished: Checkout) -> None:
     checkout = copy_of_finished
     (checkout.folder / "config/tradeoffs.yaml").write_text(STUDIES)

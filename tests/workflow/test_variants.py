@@ -80,7 +80,6 @@ def test_without_a_change_nothing_runs(in_base: Checkout, tmp_path: Path):
     assert variant.run([SOLUTION]) == {}
 
 
-@pytest.mark.full
 def test_the_same_change_in_the_site_file_gives_the_same_bytes(
     in_base: Checkout, copy_of_finished: Checkout, tmp_path: Path
 ):
