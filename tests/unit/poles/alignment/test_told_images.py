@@ -7,9 +7,9 @@ import pytest
 
 from roadsight.poles.alignment.locate import locate
 from roadsight.poles.alignment.pose import ALONG, FOCAL, SIZE, YAW
-from roadsight.poles.alignment.solve import ImageEdges
+from roadsight.poles.alignment.solve import ImageEdges, Noise
 from roadsight.poles.alignment.verdict import Limits, agreeing_landmarks, edge_doubt
-from roadsight.stages.poles.align_cameras import judged
+from roadsight.stages.poles.align_cameras import aligned, judged
 from tests.unit.poles.alignment.test_landmarks import bed, columns, tasks
 
 __all__ = ["bed", "columns", "tasks"]
@@ -80,3 +80,17 @@ def test_edges_that_fit_nearby_contradict_the_others(told):
         wrong = replace(task, prior_mean=mean, landmarks=replace(task.landmarks, axes=axes))
         refused += bool(judged(wrong, None, LIMITS)[2])
     assert refused > 0.7 * len(told)
+
+
+@pytest.mark.parametrize(("spacing_m", "least", "most"), [(0.15, 0.99, 1.01), (0.7, 0.0, 0.3)])
+def test_sparse_edges_that_neighbours_see_too_hardly_tell_the_place_along_the_road(
+    told, spacing_m, least, most
+):
+    for task in told:
+        loose = replace(task, prior_information=task.prior_information * SURE**2)
+        bare = replace(loose, landmarks=None, noise=Noise.of_spacing(spacing_m))
+        expected_m = np.sqrt(np.linalg.inv(bare.prior_information)[ALONG, ALONG])
+        fit_m = np.sqrt(locate(bare)[0].covariance[ALONG, ALONG])
+        stated_m = aligned(bare, "road", LIMITS)["sigma_along_m"]
+        counted = (stated_m**-2 - expected_m**-2) / (fit_m**-2 - expected_m**-2)
+        assert least <= counted <= most

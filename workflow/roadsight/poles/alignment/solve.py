@@ -94,6 +94,14 @@ class Noise:
         across_m = _OF_SPACING * spacing_m
         return cls(across_m=max(cls.across_m, across_m), border_m=max(cls.border_m, across_m))
 
+    @property
+    def own_share(self) -> float:
+        """Share of what an image's edges tell that is no error of the cloud's, 1 where it is dense.
+
+        As the variance of a dense cloud's edges to this one's: 0.23 at 8 pulses/m2, 0.05 at 2.
+        """
+        return min(type(self)().across_m / self.across_m, 1.0) ** 2
+
     def table(self) -> Floats:
         """What the kernel takes, (2, 4) of lanes and borders."""
         lanes, borders = (self.independent * weight for weight in self.weight)

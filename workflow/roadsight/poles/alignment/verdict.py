@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -233,3 +233,15 @@ def sigmas(fit: Fit, task: Task) -> tuple[float, float, float, float]:
     variance = np.diag(turn @ fit.covariance @ turn.T)
     a, b, c, d = (float(v) for v in np.sqrt(variance))
     return a, b, c, d
+
+
+def with_shared_edges(fit: Fit, task: Task) -> Fit:
+    """The same pose, as sure as it is if the errors of the cloud's edges are in the expectation.
+
+    Neighbours see the same edges, errors included. What an image's own edges tell counts by
+    `Noise.own_share`, landmarks count in full
+    (`docs/decisions/098-edges-that-neighbours-share.md`).
+    """
+    told, _ = fit.taught(task.noise.own_share, 1.0)
+    covariance = np.asarray(np.linalg.inv(told + task.prior_information), np.float64)
+    return replace(fit, covariance=covariance)

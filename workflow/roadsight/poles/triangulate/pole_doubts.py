@@ -118,7 +118,7 @@ def pole_doubts(
         text = (
             "few poles show in the cloud, so that sightings up to"
             f" {settings.max_distance_m:g} m count, what is not known to {settings.max_sigma_m:g} m"
-            " is withheld, and errors along the road are larger than"
+            " is withheld, and errors that a whole drive shares can be larger than"
             " stated (a denser survey mends that): share of sightings that end at one"
         )
         found.append(Doubt("sigmas_too_small", "doubt", text, round(share, 3), FEW_ANCHORED))

@@ -46,6 +46,7 @@ from roadsight.poles.alignment.verdict import (
     residual_px,
     sigmas,
     too_little,
+    with_shared_edges,
 )
 from roadsight.poles.calibration.calibration import implausible
 from roadsight.poles.calibration.calibration_table import DriveCalibration, from_content
@@ -304,7 +305,9 @@ def _row(
     # does not speak against any of them.
     moved = moved_by_centre(fit, task, by_centre)
     whole = replace(fit, covariance=fit.covariance + np.outer(moved, moved))
-    heading, own_pitch, lateral, along = sigmas(whole, task)
+    heading, own_pitch, lateral, _ = sigmas(whole, task)
+    place = with_shared_edges(fit, task)
+    along = sigmas(replace(place, covariance=place.covariance + np.outer(moved, moved)), task)[3]
     pitch_by_cy = float(np.degrees(sigma_cy_px / pose.focal_px))
     known = reached(task, fit)
     return {
