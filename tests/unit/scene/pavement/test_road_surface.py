@@ -75,11 +75,15 @@ def test_where_points_are_dense_the_road_ends_at_its_kerb(rng, kerb_m):
 
 
 @pytest.mark.parametrize("gap_m", [2.5, 3.0, 3.5])
-def test_a_kerb_that_a_gap_hides_is_a_kerb(gap_m):
-    """Beside the gap it is seen, so that the walk is not reached over it; a road behind is."""
+@pytest.mark.parametrize(("kerb_m", "noise_m"), [(0.04, 0.004), (0.06, 0.05)])
+def test_a_kerb_that_a_gap_hides_is_a_kerb(gap_m, kerb_m, noise_m):
+    """Beside the gap it is seen, so that the walk is not reached over it; a road behind is.
+
+    Under noise the walk that was reached over the gap comes up to the kerb from behind.
+    """
     rng = np.random.default_rng(1)
     x, y = rng.uniform([0, -7], [60, 12], (120_000, 2)).T
-    z = np.where(y < HALF_ROAD_M, 0.0, 0.04) + rng.normal(0, 0.004, len(x))
+    z = np.where(y < HALF_ROAD_M, 0.0, kerb_m) + rng.normal(0, noise_m, len(x))
     seen = np.hypot(x - 20.0, y - HALF_ROAD_M) > gap_m  # what a vehicle at the kerb does not see
     seen &= np.abs(x - 45.0) > 1.5  # a shadow across the street
     known = KnownRoad(seeds_xy=np.array([[20.0, -2.0]]))

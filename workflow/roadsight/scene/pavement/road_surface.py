@@ -324,7 +324,7 @@ def _grow_from(ground: _Ground, seed: Bools, settings: RoadSettings, factor: flo
         if not (grown & ground.blank).any():
             break
         bare = replace(ground, blank=np.zeros_like(ground.blank))
-        parted = _parted(ground, grown, _grow_once(bare, seed, settings, factor))
+        parted = _parted(ground, grown, _grow_once(bare, seed, settings, factor), settings)
         if not parted.any():
             break
         ground = replace(ground, measured=ground.measured & ~parted)
@@ -339,20 +339,23 @@ _LEAST_PARTED_M = 3.0
 """Shorter stretches beside a surface are corners of a gap."""
 
 
-def _parted(ground: _Ground, grown: Bools, joined: Bools) -> Bools:
+def _parted(ground: _Ground, grown: Bools, joined: Bools, settings: RoadSettings) -> Bools:
     """Parts (rows, columns) of a surface that only gaps join to what is ``joined`` without any.
 
-    They are beside it across measured ground, none of which joined, for longer than across gaps.
+    They are beside it over a step, or across measured ground none of which joined, for longer than
+    across gaps.
     """
     part, parts = ndimage.label(grown & ground.measured & ~joined)
     if not parts:
         return np.zeros_like(grown)
     cell_m = ground.cells.grid.cell_size_m
-    across, over_gaps = (
-        np.bincount((part * _rim(joined, way, round(_PARTED_M / cell_m))).ravel(), None, parts + 1)
-        for way in (ground.measured & ~grown, ground.blank)
-    )
-    parted = (across >= _LEAST_PARTED_M / cell_m) & (across > over_gaps)
+    reach = round(_PARTED_M / cell_m)
+    # Right beside it the surface was free to go on without a gap, and a step ended it.
+    beside = ndimage.binary_dilation(joined) & _step_seen(ground, settings)
+    across = _rim(joined, ground.measured & ~grown, reach)
+    over_gaps = _rim(joined, ground.blank, reach) & ~beside
+    seen, hidden = (np.bincount(part[rim], None, parts + 1) for rim in (across, over_gaps))
+    parted = (seen >= _LEAST_PARTED_M / cell_m) & (seen > hidden)
     parted[0] = False
     return np.asarray(parted[part], bool)
 
