@@ -21,6 +21,7 @@ def run(name, capsys):
     return known, capsys.readouterr().out
 
 
+@pytest.mark.full
 def test_the_placement_notebook_proves_its_cover(capsys):
     known, said = run("placement", capsys)
     assert re.search(r"optimal \[.*\] (\d) sensors, bound \1", said), said

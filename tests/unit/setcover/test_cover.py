@@ -296,6 +296,7 @@ def test_public_optimum(name, best):
     check_feasible(problem, cover)
 
 
+@pytest.mark.full
 @pytest.mark.real
 @pytest.mark.parametrize(("name", "known"), [("sc_330_0.txt", 27), ("sc_5000_1.txt", 31)])
 def test_public_open_instance(name, known):
