@@ -45,10 +45,10 @@ truth: .venv/.installed ## the product on the real data under ROADSIGHT_DATA, be
 studio: .venv/.installed ## the local web application: see, draw, register, run
 	$(BIN)/roadsight studio
 
-test: .venv/.installed-dev ## the test suite
+test: .venv/.installed-dev ## the tests, but for those that need a finished site, a browser or long
 	$(BIN)/python -m pytest -m "not full" -n $(CORES) --dist loadgroup
 
-test-full: .venv/.installed-dev ## the test suite with the longest runs
+test-full: .venv/.installed-dev ## all tests, as CI
 	$(BIN)/python -m pytest -n $(CORES) --dist loadgroup --durations 20
 
 bench: .venv/.installed-dev ## side-by-side benchmarks into results/bench: bench.json and a page
@@ -92,7 +92,7 @@ docs: .venv/.installed-dev ## the documentation as a site, site/html/index.html;
 clean: ## remove results, logs and the environment
 	rm -rf results logs site .snakemake .venv
 
-dag: .venv/.installed ## redraw the pictures of docs/architecture.md from the code (needs graphviz, after `make run`)
+dag: .venv/.installed ## redraw the pictures of docs/architecture.md from the code (needs graphviz and what `make run` leaves)
 	$(BIN)/python scripts/rooms.py docs/images/rooms.svg
 	for job in placement poles all; do \
 	  $(BIN)/snakemake $$job --rulegraph dot | $(BIN)/python scripts/flow.py docs/images/flow-$$job.svg || exit 1; \

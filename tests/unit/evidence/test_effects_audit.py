@@ -75,7 +75,7 @@ def test_effects_that_matter_nowhere():
 
 
 @pytest.fixture
-def finished(tmp_path):
+def answered(tmp_path):
     """A folder with one plan's solution, two shards of detections, and logs."""
     placement = tmp_path / "results/s/placement"
     write_json(placement / "p/solution.json", {"sensors": [{}, {}], "covered_targets": 7})
@@ -92,16 +92,16 @@ def finished(tmp_path):
     return tmp_path
 
 
-def test_answer_of_a_folder(finished):
-    found = read_answer(finished, "s", "p")
+def test_answer_of_a_folder(answered):
+    found = read_answer(answered, "s", "p")
     assert (found.sensors, found.covered) == (2, 7)
     assert found.candidates == {"a", "b", "c"}
     assert found.pairs == {("S", "a", "t"), ("S", "b", "t")}
     assert found.cpu_s == pytest.approx(5.0)
 
 
-def test_the_log_of_a_rule_that_did_not_run_does_not_count(finished):
-    assert read_answer(finished, "s", "p", without="rain").cpu_s == pytest.approx(3.0)
+def test_the_log_of_a_rule_that_did_not_run_does_not_count(answered):
+    assert read_answer(answered, "s", "p", without="rain").cpu_s == pytest.approx(3.0)
 
 
 def test_each_rule_of_one_effect_is_a_stage():
@@ -129,9 +129,9 @@ def test_table_and_page(tmp_path):
     assert "1 of 2 decisions changed the answer" in page
 
 
-def test_the_stage_runs_the_other_decision_on_each_effect(finished, tmp_path, monkeypatch):
-    monkeypatch.chdir(finished)
-    write_json(finished / "results/s/effects.json", [DECISION, DECISION | {"job": "poles"}])
+def test_the_stage_runs_the_other_decision_on_each_effect(answered, tmp_path, monkeypatch):
+    monkeypatch.chdir(answered)
+    write_json(answered / "results/s/effects.json", [DECISION, DECISION | {"job": "poles"}])
     asked = []
 
     class Other:

@@ -82,7 +82,7 @@ def test_edges_that_fit_nearby_contradict_the_others(told):
     assert refused > 0.7 * len(told)
 
 
-@pytest.mark.parametrize(("spacing_m", "least", "most"), [(0.15, 0.99, 1.01), (0.7, 0.0, 0.3)])
+@pytest.mark.parametrize(("spacing_m", "least", "most"), [(0.15, 0.99, 1.01), (0.7, 0.01, 0.3)])
 def test_sparse_edges_that_neighbours_see_too_hardly_tell_the_place_along_the_road(
     told, spacing_m, least, most
 ):
@@ -91,6 +91,21 @@ def test_sparse_edges_that_neighbours_see_too_hardly_tell_the_place_along_the_ro
         bare = replace(loose, landmarks=None, noise=Noise.of_spacing(spacing_m))
         expected_m = np.sqrt(np.linalg.inv(bare.prior_information)[ALONG, ALONG])
         fit_m = np.sqrt(locate(bare)[0].covariance[ALONG, ALONG])
-        stated_m = aligned(bare, "road", LIMITS)["sigma_along_m"]
+        row = aligned(bare, "road", LIMITS)
+        assert row["edge_points"] > 0
+        stated_m = row["sigma_along_m"]
         counted = (stated_m**-2 - expected_m**-2) / (fit_m**-2 - expected_m**-2)
         assert least <= counted <= most
+
+
+def test_landmarks_tell_the_place_along_the_road_in_full_over_sparse_edges(told):
+    noise = Noise.of_spacing(0.7)
+    for task in told:
+        loose = replace(task, prior_information=task.prior_information * SURE**2, noise=noise)
+        fit = locate(loose)[0]
+        assert fit.matched_normal is not None
+        edges = fit.normal - fit.matched_normal
+        told_by = noise.own_share * edges + fit.matched_normal + loose.prior_information
+        expected_m = np.sqrt(np.linalg.inv(told_by)[ALONG, ALONG])
+        stated_m = aligned(loose, "road", LIMITS)["sigma_along_m"]
+        assert stated_m == pytest.approx(expected_m, rel=0.02)

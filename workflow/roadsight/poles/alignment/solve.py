@@ -98,7 +98,7 @@ class Noise:
     def own_share(self) -> float:
         """Share of what an image's edges tell that is no error of the cloud's, 1 where it is dense.
 
-        As the variance of a dense cloud's edges to this one's: 0.23 at 8 pulses/m2, 0.05 at 2.
+        The variance of a dense cloud's painted lines to this one's: 0.23 at 8 pulses/m2, 0.05 at 2.
         """
         return min(type(self)().across_m / self.across_m, 1.0) ** 2
 

@@ -342,8 +342,8 @@ _LEAST_PARTED_M = 3.0
 def _parted(ground: _Ground, grown: Bools, joined: Bools, settings: RoadSettings) -> Bools:
     """Parts (rows, columns) of a surface that only gaps join to what is ``joined`` without any.
 
-    They are beside it over a step, or across measured ground none of which joined, for longer than
-    across gaps.
+    Such a part lies beside it over a step, or across measured ground that did not join, along more
+    cells than it lies across gaps.
     """
     part, parts = ndimage.label(grown & ground.measured & ~joined)
     if not parts:
