@@ -45,7 +45,7 @@ truth: .venv/.installed ## the product on the real data under ROADSIGHT_DATA, be
 studio: .venv/.installed ## the local web application: see, draw, register, run
 	$(BIN)/roadsight studio
 
-test: .venv/.installed-dev ## the tests, but for those that need a finished site, a browser or long
+test: .venv/.installed-dev ## the tests, but for long ones and those that need a finished site or a browser
 	$(BIN)/python -m pytest -m "not full" -n $(CORES) --dist loadgroup
 
 test-full: .venv/.installed-dev ## all tests, as CI
